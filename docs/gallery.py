@@ -117,8 +117,8 @@ def of_robots(figures: dict[str, Any]) -> Iterator[str]:
         about = f"{robot.title}: drawn on its bedplate, with the force and moment at rest"
         yield from (f"### {robot.title}", "", f"![{about}](pictures/gallery/{robot.name}.svg)", "")
         yield (
-            f"{found['joints']} joints, {10 * found['joints']} parameters: joint torques tell "
-            f"**{found['dynamic']}** combinations of them, the bedplate **{found['reaction']}**. "
+            f"{found['joints']} joints, {10 * found['joints']} parameters, **{found['dynamic']}** "
+            f"base parameters from joint torques, **{found['reaction']}** from the plate. "
             f"`{robot.command}`"
         )
         yield ""
@@ -133,7 +133,9 @@ def of_experiments(figures: dict[str, Any]) -> Iterator[str]:
         title = path.stem.replace("_", " ").capitalize()
         yield from (f"### {title}", "", prose(" ".join(found["claim"].split())), "")
         yield from (f"![{found['shows']}](pictures/gallery/{path.stem}.svg)", "")
-        yield from (f"{found['obtained']} `testbed {found['command']} experiments/{path.name}`", "")
+        obtained = found["obtained"].replace("internal to external", "torques' over plate's")
+        obtained = obtained.replace("external ", "plate's ").replace("internal ", "torques' ")
+        yield from (f"{obtained} `testbed {found['command']} experiments/{path.name}`", "")
 
 
 if __name__ == "__main__":

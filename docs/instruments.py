@@ -1,28 +1,28 @@
-"""Tables of instruments.md made anew, from the faults themselves: `python -m docs.instruments`."""
+"""Tables of instruments.md, from faults and effects themselves: `python -m docs.instruments`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from testbed.instruments.faults import as_markdown
+from docs.marks import write
+from testbed.instruments import faults
+from testbed.kind_table import in_words, rows
+from testbed.simulation.effects import EFFECTS
 
 DOCUMENT = Path(__file__).with_suffix(".md")
-BEGIN = "<!-- written by python -m docs.instruments -->\n"
-END = "<!-- end of what is written -->\n"
+MODULE = "docs.instruments"
 
 
-def between_marks(document: Path, begin: str, written: str) -> None:
-    """Replace what stands between the marks of a document.
+def as_markdown(of: str) -> str:
+    """The tables of all faults, or of all effects.
 
     Args:
-        document: The file.
-        begin: The mark before.
-        written: What is to stand there.
+        of: Which of both.
     """
-    text = document.read_text()
-    before, _, rest = text.partition(begin)
-    document.write_text(before + begin + written + END + rest.partition(END)[2])
+    if of == "faults":
+        return faults.as_markdown()
+    return "\n".join(["", *rows([in_words(effect) for effect in EFFECTS]), "", ""])
 
 
 if __name__ == "__main__":
-    between_marks(DOCUMENT, BEGIN, as_markdown())
+    write(DOCUMENT, MODULE, as_markdown)

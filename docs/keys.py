@@ -20,8 +20,8 @@ DOCUMENT = Path(__file__).with_suffix(".md")
 TEMPLATE = DOCUMENT.parent / "templates" / DOCUMENT.name
 MODULE = "docs.keys"
 KINDS = {
-    "Fault": "[a fault's](instruments.md)",
-    "Effect": "[an effect's](plants.md)",
+    "Fault": "[a fault's](instruments.md#all-faults-and-their-places)",
+    "Effect": "[an effect's](instruments.md#all-effects)",
 }
 """Tables whose keys are their kind's."""
 LARGEST = 1e15

@@ -27,15 +27,14 @@ def as_markdown(of: str = "") -> str:
     for group, found in groupby(sorted(known), key=lambda each: each[0].partition(".")[0]):
         rows = [
             (
-                f"`{code}`",
-                message.level,
+                f"`{code}` {message.level}",
                 plain(message.text),
                 "; ".join(map(phrase, message.causes)),
                 plain(message.remedy),
             )
             for code, message in found
         ]
-        head = "code | level | what is the case | what may have caused it | what to do"
+        head = "code, level | what is the case | what may have caused it | what to do"
         lines += ["", f"## {group.capitalize()}", "", *table(head, rows)]
     return "\n".join([*lines, "", ""])
 

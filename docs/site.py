@@ -1,7 +1,7 @@
 """The documentation as a site that opens from disk: `python -m docs.site [FOLDER]`.
 
 Pages are plain Markdown and their links lead to files of the project, so that they read as
-well where they lie. The reference of commands, keys, numbers, diagnostics and Python is written
+well where they lie. The reference of commands, keys, diagnostics and Python is written
 from the code first. Then all are gathered: those of docs/, the README as the first page, and
 whatever else of the project they refer to; Zensical builds them, strictly, as zensical.toml says.
 The site is in FOLDER/build/site, by default of the project's own folder.
@@ -16,14 +16,15 @@ import subprocess
 import sys
 from pathlib import Path
 
-from docs import api, commands, constants, keys, messages
+from docs import api, commands, keys, messages
+from docs.machines import write_for_programs
 from docs.marks import write
 
 ROOT = Path(__file__).parent.parent
 HOME = ROOT / "README.md"
 PAGES = Path("build/pages")
 SITE = Path("build/site")
-REFERENCE = (api, commands, constants, keys, messages)
+REFERENCE = (api, commands, keys, messages)
 """Pages that are written from the code and not committed."""
 ASSETS = ("style.css", "iframe-worker.js", "keyboard.js")
 
@@ -50,6 +51,7 @@ def main(folder: Path = ROOT) -> Path:
     command = [sys.executable, "-m", "zensical", "build", "--clean", "--strict", "-f", str(config)]
     paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     subprocess.run(command, cwd=folder, env=os.environ | {"PYTHONPATH": paths}, check=True)
+    write_for_programs(folder / PAGES, folder / SITE, config)
     return folder / SITE / "index.html"
 
 

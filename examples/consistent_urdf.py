@@ -1,4 +1,4 @@
-"""A URDF with what was identified: bodies that can exist, friction, all else byte for byte."""
+"""A URDF with the result: physically consistent bodies, friction, all else byte for byte."""
 
 import sys
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import testbed as tb
 
 model = tb.ModelFile(tb.shipped("puma562.urdf"))
-believed = model.tree()  # what the file says; where the data tell nothing, it stays
+believed = model.tree()  # the file's values stay where the data do not determine them
 measured = tb.simulate(tb.Experiment.load(tb.shipped("table6"), ["motion.duration=10"]))
 
 estimates = [tb.identify(believed, measured, method) for method in ("external", "internal")]

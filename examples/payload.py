@@ -14,7 +14,7 @@ print(f"on the link that {found.joint} moves; in truth 1 kg, 0.43 m along z")
 for name, value, sigma, alone in zip(
     found.names, found.values, found.sigma, found.identifiable, strict=True
 ):
-    print(f"{name:6s} {value:9.5f} +- {sigma:.5f}" if alone else f"{name:6s} not told alone")
+    print(f"{name:6s} {value:9.5f} +- {sigma:.5f}" if alone else f"{name:6s} in combination only")
 print("centre [m]:", (found.values[1:4] / found.values[0]).round(4))
 for line in tb.sentences(found.diagnostics):
     print(line)

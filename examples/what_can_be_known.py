@@ -1,4 +1,4 @@
-"""What can be known about a robot before any data: python examples/what_can_be_known.py [MODEL]."""
+"""The base parameters of a robot, before any data: python examples/what_can_be_known.py [MODEL]."""
 
 import sys
 
@@ -10,9 +10,9 @@ dynamic = tb.minimal_set(tree, "dynamic")  # delta_d, by joint torques
 reaction = tb.minimal_set(tree, "reaction")  # delta_r, by the bedplate's reaction
 
 print(f"Of {10 * tree.n} inertial parameters")
-print(f"joint torques tell {dynamic.count}: {', '.join(dynamic.names)}")
+print(f"joint torques identify {dynamic.count}: {', '.join(dynamic.names)}")
 only = [name for name in reaction.names if name not in dynamic.names]
-print(f"the bedplate tells {reaction.count}, besides: {', '.join(only)}")
+print(f"the force plate identifies {reaction.count}, these and: {', '.join(only)}")
 
 print("Those that stand for several parameters of the links:")
 for formula in reaction.formulas:

@@ -190,7 +190,7 @@ class InfeasibleMotion(TestbedError):
 
 
 class UnseenParameters(TestbedError):
-    """The data cannot tell some minimal parameters apart; `names` lists them."""
+    """The data cannot distinguish some base parameters; `names` lists them."""
 
     def __init__(self, names: Sequence[str], rank: int, count: int, samples: int) -> None:
         self.names = tuple(names)

@@ -183,7 +183,7 @@ class KindTable(ABC):
         """The keys that have one number a joint, in the joints' order: a number for all, or each.
 
         Raises:
-            SettingsError: It speaks of a joint that is not there, or not of all.
+            SettingsError: It names a joint that is not there, or not of all.
         """
         wanted = {k: key for k, key in self.known_keys().items() if key.members == "joints"}
         return {name: self._of_joints(name, key, names) for name, key in wanted.items()}

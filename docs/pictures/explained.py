@@ -5,6 +5,7 @@ Schemes are drawn; whatever looks like a measurement is one of the simulated rob
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 import testbed as tb
 from docs.pictures.drawing import (
     CELL,
+    HERE,
     LEFT,
     arrow,
     dot,
@@ -48,13 +50,14 @@ def main() -> None:
     save_same_forces()
     save_map()
     save_errors()
+    save_overview()
     save_sigma()
 
 
 def save_forces() -> None:
-    """Which forces the plate feels, and which only the drives do."""
+    """Which forces act on the plate, and which only on the drives."""
     parts = []
-    for x, title in ((150, "what joint torques hold"), (530, "what the plate feels")):
+    for x, title in ((150, "what joint torques contain"), (530, "what the plate measures")):
         parts.append(words(x, 24, title, "middle", BOLD))
         parts += [line((x - 110, 330, x + 110, 330), "ink", 8)]  # the plate
         parts += [line((x, 322, x, 220), "faint", 14), line((x, 220, x + 90, 140), "faint", 12)]
@@ -76,8 +79,8 @@ def save_forces() -> None:
     parts.append(words(640, 296, "moment", "start", SMALL, "moment"))
     parts.append(words(150, 362, "bodies + friction + drives", "middle"))
     parts.append(words(530, 362, "bodies alone", "middle"))
-    save("forces", 820, 380, parts, "Motor torques hold friction and drives; in the wrench of the "
-         "plate these cancel, and only the bodies are left")  # fmt: skip
+    save("forces", 820, 380, parts, "Motor torques contain friction and drives; in the wrench of "
+         "the plate these cancel, and only the bodies are left")  # fmt: skip
 
 
 def save_augmented() -> None:
@@ -107,7 +110,7 @@ def save_augmented() -> None:
 
 
 def save_same_forces() -> None:
-    """Two robots of other masses that no motion tells apart."""
+    """Two robots of other masses that no motion distinguishes."""
     tree = tb.load_tree(MODEL)
     other = indistinguishable(tree)
     sampled = fourier(tree)
@@ -137,7 +140,7 @@ def save_same_forces() -> None:
 
 
 def save_map() -> None:
-    """What torques and plate tell of every parameter of the PUMA, its zeros taken as known."""
+    """Which parameters of the PUMA are identifiable, with known zeros."""
     tree = tb.load_tree(MODEL)
     parts: list[str] = []
     top = 24.0
@@ -147,12 +150,14 @@ def save_map() -> None:
             name: [GLYPHS[k] for k in codes]
             for name, codes in zip(tree.names, seen.standard, strict=True)
         }
-        title = f"{names[seen.instrument]}: {seen.count} combinations"
+        title = f"{names[seen.instrument]}: {seen.count} base parameters"
         parts += table(top, title, STANDARD, rows, 40)
         top += 26 + CELL * (tree.n + 1) + 12
-    parts.append(words(8, top, "#: alone; +: only in combination; ·: never", "start", "", "faint"))
-    save("map", LEFT + 40 * len(STANDARD) + 8, top + 14, parts, "What joint torques and the plate "
-         "tell of the ten parameters of each link")  # fmt: skip
+    parts.append(
+        words(8, top, "#: alone; +: in combination; ·: not identifiable", "start", "", "faint")
+    )
+    save("map", LEFT + 40 * len(STANDARD) + 8, top + 14, parts, "Which of the ten parameters "
+         "of each link are identifiable from joint torques and with the plate")  # fmt: skip
 
 
 def fourier(tree: tb.Tree) -> tb.Motion:
@@ -208,8 +213,25 @@ def save_errors() -> None:
     """Table 6 by plate and by torques."""
     run = tb.carry_out(tb.Experiment.load(EXPERIMENT))
     width, height, parts = error_dots(errors_of(run), METHODS)
-    save("errors", width, height, parts, "Relative errors of the nine parameters that both tell: "
-         "by the plate around 0.02 %, by joint torques around 7 %")  # fmt: skip
+    save("errors", width, height, parts, "Relative errors of the nine parameters that both "
+         "identify: by the plate around 0.02 %, by joint torques around 7 %")  # fmt: skip
+
+
+def save_overview() -> None:
+    """The README's: the robot on its plate, and what each method makes of a minute."""
+    files = ((HERE / f"{name}.svg").read_text() for name in ("gallery/puma", "errors"))
+    robot, dots = (re.sub(r' width="\d+" height="\d+"', "", text, count=1) for text in files)
+    robot = robot.replace('font-size="20"', 'font-size="27"')
+    robot = robot.replace("viewBox=", 'overflow="visible" viewBox=')
+    parts = [
+        placed(robot, 0, 6, 290, 326),
+        words(400, 26, "Errors of the base parameters that both methods identify", style=BOLD),
+        words(400, 46, "60 s of motion; torque constants 4 to 8 % off", colour="faint"),
+        placed(dots, 290, 60, 600, 272),
+    ]
+    save("overview", 890, 340, parts, "A robot on a force plate with its reaction, and relative "
+         "errors of nine parameters: by the plate around 0.02 %, by joint torques around "
+         "7 %")  # fmt: skip
 
 
 def errors_of(run: Any) -> dict[str, dict[str, float]]:
@@ -257,8 +279,7 @@ def save_sigma() -> None:
         colour = "external" if holds else "internal"
         parts.append(line((x, middle - half * scale, x, middle + half * scale), colour, 2.5))
         parts.append(dot(x, middle, 4, colour))
-    parts.append(words(20, 320, f"{TIMES - miss} of {TIMES} hold the truth; {miss} do not, and "
-                       "nobody who measures once knows which."))  # fmt: skip
+    parts.append(words(20, 320, f"{TIMES - miss} of {TIMES} contain the true value."))
     for value in (truth - 1e-3, truth, truth + 1e-3):
         level = 290 - (value - low) * scale
         if 40 < level < 300:

@@ -73,7 +73,7 @@ def code_version() -> str:
 
 
 def _stamp(path: str) -> tuple[int, int]:
-    """What tells that a file has changed."""
+    """What shows that a file has changed."""
     try:
         found = Path(path).stat()
     except OSError:

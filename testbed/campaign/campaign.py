@@ -30,7 +30,7 @@ MOST_RUNS = 10_000_000
 """Runs of one campaign."""
 
 ENGINE = "identification.engine=compiled"
-"""What every run of a campaign is told first: workers live long enough to load the kernel."""
+"""What every run of a campaign is sent first: workers live long enough to load the kernel."""
 
 FactorName = Annotated[str, Field(pattern=r"^[^\n]+$", max_length=60)]
 

@@ -1,4 +1,4 @@
-"""What a campaign's table says: errors by parameter and cell, whether sigma is honest, all figures.
+"""What a campaign's table says: errors by parameter and cell, calibration of sigma, all figures.
 
 Bias      mean error over the replicates of a cell, as everything here over their number
 Coverage  share of intervals of 95 % that hold the truth, with the bounds of C. J. Clopper and

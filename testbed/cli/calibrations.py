@@ -58,7 +58,7 @@ def calibrate(
     """Calibrate the plate by the robot's own motion: sensitivities, zero, delay.
 
     Other numbers: --set 'identification.nuisances=["pose","skew"]'. Whether what is known
-    suffices is found out before any data are read. A payload of known mass tells the scale, too:
+    suffices is found out before any data are read. A known payload identifies the scale, too:
     a recording with it beside RECORDING, which is without it.
 
     Example: testbed calibrate run.parquet --model robot.urdf --known mass=20 --known gain/Mx=1
@@ -181,7 +181,7 @@ def payload(
 ) -> None:
     """Find a payload's mass, centre and inertia by two recordings, without it and with it.
 
-    Those of its ten parameters that the bedplate sees are told; for a robot at rest in some poses,
+    Its parameters, as far as the plate identifies them; for a robot at rest in some poses,
     mass and centre by the weight alone.
 
     Example: testbed payload empty.parquet loaded.parquet --model robot.urdf

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from testbed.reporting.output import Progress
 
 TIMED, LONG = 3, 10.0
-"""Steps by which the time that all would take is known, and how long it is if it is told [s]."""
+"""Steps by which the time that all would take is known, and how long it is if it is shown [s]."""
 
 
 @app.command()

@@ -44,7 +44,7 @@ def run(
 
     What may be wrong with the instruments is added by
     --set 'measurement.fault=[{kind="plate_bias"}, {kind="encoder_zero_error"}]'. Kinds, of which
-    `testbed faults KIND` tells more: encoder_instant_sampling, encoder_zero_error, encoder_gain,
+    `testbed faults KIND` has more: encoder_instant_sampling, encoder_zero_error, encoder_gain,
     encoder_eccentricity, encoder_noise, encoder_resolution, torque_constant_error, torque_ripple,
     torque_offset, torque_noise, plate_gain, plate_crosstalk, plate_pose, plate_origin_height,
     plate_saturation, plate_converter, plate_anti_alias_filter, plate_delay, plate_clock_rate,

@@ -87,7 +87,7 @@ class Writing:
         return self.consistent or self.write is not None
 
     def check(self, reading: Reading, model: Path, recordings: Sequence[Path]) -> None:
-        """Whether the file may be written, and wishes are of use: said before the work.
+        """Whether the file may be written, and conditions are of use: said before the work.
 
         Args:
             reading: What is wished.

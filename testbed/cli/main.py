@@ -52,7 +52,7 @@ def main() -> None:
 class _Interrupts:
     """The first Ctrl-C is an exception and the work is tidied up; the next one ends at once.
 
-    An import that is interrupted may raise any other exception instead: `seen` tells. Where
+    An import that is interrupted may raise any other exception instead: `seen` says. Where
     Python swallows an exception, in callbacks of its own, it is raised again a moment later.
     """
 
@@ -152,7 +152,7 @@ def _say(message: str) -> None:
     try:
         sys.stderr.write(f"testbed: {printable(message)}\n")
         sys.stderr.flush()
-    except OSError:  # nobody is left to be told
+    except OSError:  # nobody reads any more
         _give_up(sys.stderr)
 
 

@@ -77,7 +77,7 @@ def minimal(
     lock_mimic: LockMimic = False,
     as_json: Json = False,
 ) -> None:
-    """Print what joint torques and what the bedplate can tell about a robot.
+    """Print what joint torques and what the bedplate can identify of a robot.
 
     Example: testbed minimal models/puma562.urdf --zeros --map --verify
     """
@@ -197,7 +197,7 @@ def equations(
 
 
 def _map(tree: Tree, gravity: Gravity, known: bool | list[str]) -> tuple[Visibility, ...]:
-    """What each instrument tells; SciPy's sparse matrices take a third of a second to import."""
+    """What each sensor identifies; SciPy's sparse matrices take a third of a second to import."""
     from testbed.parameters.identifiability import identifiability
 
     return identifiability(tree, gravity, known)

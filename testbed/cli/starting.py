@@ -34,21 +34,21 @@ class Check:
         found: What is there.
         fine: Whether that will do.
         needed: Whether nothing works without it.
-        cure: What to do where it is not fine.
+        remedy: What to do where it is not fine.
     """
 
     name: str
     found: str
     fine: bool = True
     needed: bool = False
-    cure: str = ""
+    remedy: str = ""
 
     @property
     def line(self) -> str:
         """For people."""
         mark = "ok" if self.fine else ("MISSING" if self.needed else "-")
-        cure = "" if self.fine or not self.cure else f": {self.cure}"
-        return f"{mark:8s}{self.name:22s}{self.found}{cure}"
+        remedy = "" if self.fine or not self.remedy else f": {self.remedy}"
+        return f"{mark:8s}{self.name:22s}{self.found}{remedy}"
 
 
 def checkup() -> list[Check]:
@@ -69,8 +69,8 @@ def _packages() -> Iterator[Check]:
         wanted = Requirement(text)
         if wanted.marker is None or wanted.marker.evaluate({"extra": ""}):
             fine, found = _there(wanted)
-            cure = f"pip install '{wanted.name}{wanted.specifier}'"
-            yield Check(wanted.name, found, fine, True, cure)
+            remedy = f"pip install '{wanted.name}{wanted.specifier}'"
+            yield Check(wanted.name, found, fine, True, remedy)
 
 
 def _extras() -> Iterator[Check]:
@@ -88,8 +88,8 @@ def _extras() -> Iterator[Check]:
         ]
         states = [_there(each) for each in own]
         found = ", ".join(f"{w.name} {s}" for w, (_, s) in zip(own, states, strict=True))
-        cure = f"from the project's folder, pip install -e '.[{extra}]'"
-        yield Check(f"extra [{extra}]", found, all(fine for fine, _ in states), False, cure)
+        remedy = f"from the project's folder, pip install -e '.[{extra}]'"
+        yield Check(f"extra [{extra}]", found, all(fine for fine, _ in states), False, remedy)
 
 
 def _there(wanted: Requirement) -> tuple[bool, str]:
@@ -109,8 +109,8 @@ def _kernel() -> Check:
 
     folder = cache_folder()
     if folder.is_relative_to(tempfile.gettempdir()):
-        cure = "make ~/.cache/testbed writable, and by you alone; else it is compiled every time"
-        return Check("compiled kernel", f"kept in {folder}, for now", False, False, cure)
+        remedy = "make ~/.cache/testbed writable, and by you alone; else it is compiled every time"
+        return Check("compiled kernel", f"kept in {folder}, for now", False, False, remedy)
     if any(folder.glob("**/*.nbi")):
         return Check("compiled kernel", f"ready, in {folder}")
     return Check("compiled kernel", f"not yet: the first run or estimate compiles it into {folder}")
@@ -131,8 +131,8 @@ def _viewer() -> Check:
 def _folder() -> Check:
     """Whether runs can be written here."""
     here = Path.cwd()
-    cure = "work in a folder of your own, or give --out"
-    return Check("this folder", str(here), os.access(here, os.W_OK), False, cure)
+    remedy = "work in a folder of your own, or give --out"
+    return Check("this folder", str(here), os.access(here, os.W_OK), False, remedy)
 
 
 @app.command()
@@ -162,7 +162,7 @@ def new(
     Limits and counts are the model file's; what it does not say is assumed, and marked. Bodies that
     no matter can make are repaired ([robot.repair]). A second of it is simulated before it is
     written. With --recording, a mapping that turns somebody's logs into a recording; if ROBOT is
-    named, what names do not tell is solved from the data, and the recording is made.
+    named, what names do not state is solved from the data, and the recording is made.
 
     Example: testbed new models/puma562.xml
     """

@@ -283,7 +283,7 @@ def _kind(each: Diagnostic) -> tuple[str, ...]:
 
 
 def _sentence(group: list[Diagnostic], symptoms: Iterable[str]) -> str:
-    """Diagnostics of one kind: of many the first ones are told and all are counted."""
+    """Diagnostics of one kind: of many the first ones are given and all are counted."""
     first, shown = group[0], [each.text for each in group[:ALIKE]]
     shown += [f"and {len(group) - ALIKE} more like it"] * (len(group) > ALIKE)
     text = f"{first.recording}: " * bool(first.recording) + "; ".join(shown)

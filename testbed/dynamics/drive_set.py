@@ -20,8 +20,8 @@ from testbed.parameters.minimal_set import MinimalSet
 from testbed.robot.friction import JointLaw, JointTerm, joint_terms, term_torque
 from testbed.robot.tree import Tree
 
-TOLD = 1e-8
-"""Part of a term's column beyond all others below which these tell it already."""
+DEPENDENT = 1e-8
+"""Part of a term's column beyond all others below which it depends on them."""
 
 NOTHING = 1e-9
 """Coefficients of a sum, beside its largest, that are rounding."""
@@ -56,7 +56,7 @@ def drive_set(tree: Tree, minimal: MinimalSet, laws: Sequence[str | JointLaw]) -
     own, made = list(found.terms), [found.columns]
     for term in more:
         sums, beyond = _as_a_sum(every, column(term))
-        if beyond > TOLD:
+        if beyond > DEPENDENT:
             every = np.column_stack([every, column(term)])
             own.append(term)
             sums = np.eye(1, every.shape[1], every.shape[1] - 1)[0]

@@ -69,7 +69,7 @@ class Agreement:
     def holds(self) -> bool:
         """Whether all three agree, and the sampled rank was a clear decision.
 
-        Sampling knows its space only as well as it tells it from rounding, to 1 / gap; that
+        Sampling knows its space only as well as it separates it from rounding, to 1 / gap; that
         regrouping does not change the model holds more exactly.
         """
         same = self.recursion_distance <= SAME
@@ -100,7 +100,7 @@ def sampled_regressor(
 
 
 def random_states(tree: Tree, seed: int = 0) -> Motion:
-    """Enough random states of a robot to tell all that can be told; the first is rest at q = 0."""
+    """Enough random states of a robot to identify all that can be; the first is rest at q = 0."""
     rng = np.random.default_rng(seed)
     samples = 25 + 4 * tree.n
     span = np.where([joint.revolute for joint in tree.joints], np.pi, 1.0)

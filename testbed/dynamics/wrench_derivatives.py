@@ -1,7 +1,7 @@
 """How the base wrench changes with each joint's position, velocity and acceleration: exactly.
 
 One sweep to the leaves and one back give all 3 n derivatives, in place of 3 n + 1 inverse dynamics
-and their differences. All is told about the bedplate's origin, in its axes. With joint j's screw s,
+and their differences. All is about the bedplate's origin, in its axes. With joint j's screw s,
 the screws v and a of its body's velocity and acceleration (less gravity), and W, I and B of all
 that the joint carries,
 

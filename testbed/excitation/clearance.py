@@ -16,7 +16,7 @@ from testbed.excitation.limits import Limits
 from testbed.excitation.samples import Instants, Samples
 
 FAR = 0.3
-"""Distances beyond this are not told apart [m]."""
+"""Distances beyond this are not distinguished [m]."""
 
 NEAR = 0.1
 """In a search, distances count only so far beyond the one to be kept [m]."""
@@ -53,7 +53,7 @@ class DistanceMeter:
 
         Args:
             collision: Shapes, and pairs to be watched.
-            far: Distances beyond are not told apart [m].
+            far: Distances beyond are not distinguished [m].
         """
         self.collision, self._far = collision, far
         model = collision.model

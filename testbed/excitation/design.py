@@ -1,4 +1,4 @@
-"""The motion that tells most within the limits, proven; the room's front door.
+"""The most informative motion within the limits, proven; the room's front door.
 
 Several searches from random motions inside all limits, each with one of the frequencies that are
 allowed; the best result that can be proven. A proof that fails by a little between the samples of
@@ -55,7 +55,7 @@ class Wish:
 
     Attributes:
         rules: What it must respect.
-        information: What it should tell; its prior is a share of one sample.
+        information: What it should identify; its prior is a share of one sample.
         rows: Of the models that rules and information look at, by the kernel.
         frequencies: Fundamental [Hz] and number of harmonics of the series allowed.
         starts: Searches.
@@ -154,7 +154,7 @@ def criterion(wish: Wish, motion: Fourier) -> float:
 
 
 class _Clock:
-    """When to stop, and what to tell meanwhile."""
+    """When to stop, and what to report meanwhile."""
 
     def __init__(self, wish: Wish, watch: Watch, interrupted: Callable[[], bool]) -> None:
         self._end, self._starts, self._watch = time.monotonic() + wish.seconds, wish.starts, watch
@@ -231,7 +231,7 @@ def _start(wish: Wish, number: int) -> tuple[Problem, Array]:
             found = next((x for x in larger if problem.inside(x).holds), None)
             if found is not None:
                 return problem, found
-            continue  # so slow a motion does not tell all parameters
+            continue  # so slow a motion does not identify all parameters
         worst = problem.worst(slow)
         if nearest is None or worst[2] < nearest[2]:
             nearest = worst

@@ -103,7 +103,7 @@ class Information:
     Attributes:
         counted: Number of unknowns that count; the others are nuisances.
         scale: What their relative errors are relative to, (counted,).
-        parts: Rows that tell of them.
+        parts: Rows that identify them.
         prior: Information that is there before, on all unknowns, (U, U), as much as of one
             measurement an instant.
         criterion: By name.

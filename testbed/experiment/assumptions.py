@@ -254,8 +254,8 @@ def tried_text(
             if more is None:
                 tried = f" (tried: {'; '.join(done)})" if done else ""
                 raise ExperimentError(f"no experiment is written: {error}{tried}") from None
-            needs, cure = more
-            done.append(cure)
+            needs, remedy = more
+            done.append(remedy)
     for line in done:
         say(f"ASSUMED, since a second of it did not run: {line}")
     return written

@@ -112,13 +112,13 @@ class Comparison:
         base = made([], tables.expect)
         variants = [Variant(PLAIN, base)]
         for each in tables.variant:
-            cured = made([*each.set, *each.remedy], each.remedied) if each.remedy else None
-            if each.remedied and cured is None:
+            corrected = made([*each.set, *each.remedy], each.remedied) if each.remedy else None
+            if each.remedied and corrected is None:
                 raise ExperimentError(f"{path}: variant '{each.name}' expects what no remedy does")
             if each.says and each.says not in messages():
                 raise UnknownName("diagnostic", each.says, messages())
-            variant = Variant(each.name, made(each.set, each.expect), cured, each.says)
-            for experiment in filter(None, (variant.experiment, cured)):
+            variant = Variant(each.name, made(each.set, each.expect), corrected, each.says)
+            for experiment in filter(None, (variant.experiment, corrected)):
                 _check_shared(base, experiment, f"{path}: variant '{each.name}'")
             variants.append(variant)
         return Comparison(tables.name, tables.claim, tables.methods, tuple(variants))
@@ -193,9 +193,9 @@ def compare(
     usual: tuple[str, ...] = ()
     for variant in comparison.variants:
         run = carried_out(variant.experiment)
-        cured = None if variant.remedied is None else carried_out(variant.remedied)
+        corrected = None if variant.remedied is None else carried_out(variant.remedied)
         said = tuple(codes_of(run.estimates.values()))
-        yield Compared(variant, run, cured, tuple(code for code in said if code not in usual))
+        yield Compared(variant, run, corrected, tuple(code for code in said if code not in usual))
         if variant.name == PLAIN:
             usual = said
 

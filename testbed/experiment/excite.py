@@ -1,4 +1,4 @@
-"""From an experiment to the motion that tells most: designed, proven, predicted."""
+"""From an experiment to the most informative motion: designed, proven, predicted."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def frequencies_of(experiment: Experiment) -> tuple[tuple[float, int], ...]:
     table, duration = experiment.excitation, experiment.motion.duration
     lowest = max(table.lowest_frequency, 1 / duration)
     found = []
-    for multiple in (2, 1, 4):  # faster ones tell more, slower ones are richer
+    for multiple in (2, 1, 4):  # faster ones are more informative, slower ones are richer
         fundamental = multiple * lowest
         harmonics = min(table.harmonics, int(table.highest_frequency / fundamental * (1 + 1e-9)))
         if harmonics >= min(FEWEST, table.harmonics):

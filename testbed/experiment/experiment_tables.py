@@ -80,7 +80,7 @@ class JointTable(Table):
     """Of the drive, at the joint [kg m^2 or kg]."""
     rotor_spin: Finite | None = None
     """Ratio times inertia of a rotor that spins on its carrier: what the plate feels of it, counted
-    as the minimal parameters' that hold it (docs/plants.md) [kg m^2]."""
+    as the minimal parameters' that hold it (docs/instruments.md) [kg m^2]."""
 
 
 class BodyTable(Table):
@@ -243,7 +243,7 @@ class SimulationTable(Table):
     warm_up: NotNegative = 2.0
     """Time run before the recording starts [s]."""
     effect: tuple[Annotated[Effect, AsTable(effect_of)], ...] = ()
-    """What else is in the plant, `[[simulation.effect]]` (docs/plants.md)."""
+    """What else is in the plant, `[[simulation.effect]]` (docs/instruments.md)."""
 
 
 class PriorTable(Table):

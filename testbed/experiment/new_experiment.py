@@ -111,7 +111,7 @@ def _stuck(tree: Tree) -> dict[str, float]:
     """Joints without room, and where they rest; none if no other moves.
 
     Their range is one position, or so short that a motion is never faster than what counts as
-    rest: no torque of theirs would tell anything, and none of the robot's without them.
+    rest: no torque of theirs would identify anything, and none of the robot's without them.
     """
     found = {
         joint.name: round_significant(Travel(*joint.position_range).rest, 6)
@@ -137,7 +137,7 @@ def _held_by_friction(tree: Tree) -> dict[str, float]:
 def _grippers(tree: Tree, masters: set[str]) -> dict[str, float]:
     """Joints that others follow and that carry none, and where they rest: a gripper's fingers.
 
-    Their stroke is too short for their masses to be told.
+    Their stroke is too short for their masses to be identified.
     """
     carrying = {joint.parent for joint in tree.joints}
     own = [j for j, name in enumerate(tree.names) if name in masters and j not in carrying]

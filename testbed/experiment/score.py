@@ -39,7 +39,7 @@ class Accuracy:
     Attributes:
         wrench: Rms error of the base wrench over its rms, both about their means, which are the
             weight and the plate's zero; of forces and moments the larger. None for an estimate
-            that does not tell it, as that of joint torques.
+            that does not identify it, as that of joint torques.
         torque: Rms error of the joint torques that the bodies need, friction apart, over their
             rms; of rotary and of sliding joints the larger. None where they need none.
     """
@@ -73,7 +73,7 @@ def accuracies(
             wrench = _share(tree, some, own, values, PLATE_UNITS, about_mean=True)
             try:
                 values = selection(dynamic, own) @ values
-            except ValueError:  # a plate that tells changes only
+            except ValueError:  # a plate that measures changes only
                 found[method] = Accuracy(wrench, None)
                 continue
         torque = _share(tree, some, dynamic, values, units, about_mean=False)

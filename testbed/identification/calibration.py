@@ -32,7 +32,7 @@ UNKNOWN = ("matrix", "bias", "skew")
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What a robot's motion tells of the plate under it.
+    """The plate as a robot's motion identifies it.
 
     Attributes:
         robot: The robot's name.

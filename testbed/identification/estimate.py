@@ -35,7 +35,7 @@ ROUNDING = 1e-15
 
 NOT_IDENTIFIABLE = "not identifiable"
 OPEN_ZERO = f"{NOT_IDENTIFIABLE}: plate zero unknown"
-"""In place of a number whose sigma is infinite: no motion tells it from the plate's zero."""
+"""In place of a number whose sigma is infinite: no motion separates it from the plate's zero."""
 
 NOTHING = 1e-15
 """Numbers and sigmas below this are rounding of zero, in any unit [kg, kg m, kg m^2, N m]."""
@@ -173,7 +173,7 @@ class BaseEstimate:
 
     Attributes:
         model: "reaction" (delta_r) or "dynamic" (delta_d).
-        names: One a parameter; a joint's term that cannot be told from it is named in it.
+        names: One a parameter; a joint's term that cannot be distinguished from it is named in it.
         units: One each.
         values: (N,).
         sigma: Standard deviations, (N,).
@@ -247,7 +247,7 @@ class Estimate(Diagnosed):
         nuisance_covariance: Of the instrument's numbers, (s, s).
         nuisance_cross: Of the parameters with them, (p, s).
         choice: How held-out data chose the joints' terms, where they did.
-        unidentifiable: Names of parameters that no motion tells from the plate's zero, which is
+        unidentifiable: Names of parameters that no motion separates from the plate's zero, which is
             not known here. Their values hold together with that zero only.
     """
 

@@ -107,7 +107,7 @@ def identify(
     Raises:
         RecordingError: The recording is of another robot, too short, lacks what the method
             needs, or holds what is no measurement.
-        UnseenParameters: The data cannot tell some parameters apart; names them.
+        UnseenParameters: The data cannot distinguish some parameters; names them.
     """
     if zeros is not None:
         settings = replace(settings, zeros=zeros)

@@ -59,7 +59,7 @@ def parameters_of(estimate: Estimate, others: Array | None = None) -> Array:
 
     Args:
         estimate: Of either method.
-        others: What to keep of the parameters that the estimate cannot tell, (n, 10).
+        others: What to keep of the parameters that the estimate cannot identify, (n, 10).
     """
     base = estimate.base
     start = np.zeros(base.matrix.shape[1]) if others is None else others.ravel()
@@ -78,7 +78,7 @@ def predictions(
     """What plate and drives should have shown along a motion, by method.
 
     By the internal estimate the wrench is the external one's with those parameters put in that
-    joint torques tell, and there is none without it; by the external one torques lack what the
+    joint torques identify, and there is none without it; by the external one torques lack what the
     joints add of their own.
 
     Args:

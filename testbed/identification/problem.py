@@ -240,7 +240,7 @@ def tare_of(tree: Tree, source: Source) -> Array:
 
 @stage("minimal set")
 def set_of(tree: Tree, method: Method, settings: Settings) -> MinimalSet:
-    """The minimal set that a method sees: of an unknown tare, what the wrench's changes tell.
+    """The minimal set that a method sees: of an unknown tare, what the wrench's changes identify.
 
     Args:
         tree: The robot, under the gravity of the recording.

@@ -136,7 +136,7 @@ class Settings:
     "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare" (docs/uncertainty.md)."""
 
     tare: Literal["known", "unknown"] = "known"
-    """Whether it is known what of the wrench is the pedestal's. If not, the plate tells only how
+    """Whether it is known what of the wrench is the pedestal's. If not, the plate shows only how
     its wrench changes: the parameters are those of the tared set, and "bias" is among the
     nuisances."""
 

@@ -1,4 +1,4 @@
-"""How well an estimate foretells a recording that it was not made from.
+"""How well an estimate predicts a recording that it was not made from.
 
 The other recording's rows are made as identification makes them. What is left of its signals is
 held against what must be left: the noise that the estimate's own recording had, and what the

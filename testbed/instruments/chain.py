@@ -99,7 +99,7 @@ class Instrument:
         """What happens to each signal, in order: by place, then as asked for.
 
         Raises:
-            SettingsError: A fault speaks of a joint that is not there, or not of all.
+            SettingsError: A fault names a joint that is not there, or not of all.
         """
         errors = tuple(self.torque_constant_error.get(name, 0.0) for name in names)
         always: tuple[Fault, ...] = (

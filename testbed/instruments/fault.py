@@ -97,7 +97,7 @@ class Fault(KindTable):
         """The same fault on a robot and a plate: a value a joint, in their order.
 
         Raises:
-            SettingsError: It speaks of a joint that is not there, or not of all.
+            SettingsError: It names a joint that is not there, or not of all.
         """
         found: dict[str, Any] = {
             f.name: getattr(rig, f.name) for f in fields(self) if f.metadata.get("rig")

@@ -21,7 +21,7 @@ PUSHED = (0, 1, 7, MBAR)
 TURNING, SLIDING, SEEDS = 6, 7, 8
 """Screws that never change, after the bedplate's six: a joint's on its own body; their number."""
 
-# Blocks; the sizes are the fastest that were measured (docs/kernel.md).
+# Blocks; the sizes are the fastest that were measured (docs/identification.md).
 
 NB = 64
 """Samples of a block of the recursion: a body's slots stay in the first cache."""

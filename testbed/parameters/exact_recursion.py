@@ -9,7 +9,7 @@ Z_j   which functionals of composite j are seen: v . I_j S_j for every v in V_j,
 K_j   all functionals of composite j that enter any measurement.
 
 Of V_j two members are kept apart, the joint's own acceleration and gravity as it is at
-q = 0: what only these tell of a body, its drive's rotor or offset may hide.
+q = 0: what only these show of a body, its drive's rotor or offset may hide.
 
 The joint torques see the Z_j P_j; the bedplate sees them with V_j the whole space, and
 K_0 P_0, its own static wrench.
@@ -40,10 +40,10 @@ _INERTIA = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 
 @dataclass(frozen=True, eq=False)
 class SeenWrench:
-    """Functionals of composite j, at q = 0, that a measurement tells; rows on (m, h, I).
+    """Functionals of composite j, at q = 0, that a measurement identifies; rows on (m, h, I).
 
     Attributes:
-        aside: Told whatever joint j's own acceleration and its weight at q = 0, (k, 10).
+        aside: Identifiable whatever joint j's own acceleration and its weight at q = 0, (k, 10).
         inertia: S_j . I_j S_j, the factor of qdd_j in row j, (10,).
         weight: -g . I_j S_j with gravity g as it is at q = 0: the constant in row j, (10,).
     """
@@ -66,7 +66,7 @@ def recursive_space(
     tared: bool = False,
     known_zero: NDArray[np.bool_] | None = None,
 ) -> Space:
-    """What a measurement can tell, by the exact recursion.
+    """What a measurement can identify, by the exact recursion.
 
     Args:
         tree: The robot; only its geometry matters.
@@ -82,13 +82,13 @@ def recursive_space(
 
 
 def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> Iterator[SeenWrench]:
-    """What is told of every composite body, from the bedplate outwards.
+    """What is identifiable of every composite body, from the bedplate outwards.
 
     Args:
         tree: The robot; only its geometry matters.
         model: "dynamic" for joint torques, "reaction" for the bedplate's wrench.
         gravity: (3,) [m/s^2], bedplate frame.
-        static: Functionals of all that stands on the bedplate that are told, (k, 10).
+        static: Functionals of all that stands on the bedplate that are identifiable, (k, 10).
     """
     free: list[Array] = [np.eye(6) if model == "reaction" else np.zeros((0, 6))]  # index j + 1
     rest: list[Array] = [-np.concatenate([gravity, np.zeros(3)])]

@@ -1,6 +1,6 @@
-"""The identifiability map: which standard parameters an instrument can ever tell.
+"""The identifiability map: which standard parameters an instrument can ever identify.
 
-For every body and each of its ten URDF-style parameters: told alone, only in combination
+For every body and each of its ten URDF-style parameters: identifiable alone, only in combination
 with others, or never; by joint torques and by the bedplate under four circumstances.
 Computed from the model alone, before any data.
 """
@@ -28,16 +28,16 @@ INSTRUMENTS = ("torques", "bedplate", "tared bedplate", "bedplate, pedestal unkn
 the bedplate where the pedestal's mass and moments on the sensor are unknown as well."""
 
 _CLEAR = 1e-9
-"""Part of a unit parameter in, or outside, what is told that counts as none."""
+"""Part of a unit parameter in, or outside, what is identifiable that counts as none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """What one instrument tells.
+    """What one sensor identifies.
 
     Attributes:
         instrument: One of INSTRUMENTS.
-        count: Number of combinations told, the pedestal's own included if unknown.
+        count: Number of identifiable combinations, the pedestal's own included if unknown.
         standard: Of the standard parameters: NEVER, COMBINED or ALONE, (n, 10).
         barycentric: Likewise of the barycentric parameters, (n, 10).
     """
@@ -51,7 +51,7 @@ class Visibility:
 def identifiability(
     tree: Tree, gravity: ArrayLike | None = None, zeros: bool | Sequence[str] = False
 ) -> tuple[Visibility, ...]:
-    """What each of INSTRUMENTS can tell about each parameter of each body.
+    """What each of INSTRUMENTS can identify of each parameter of each body.
 
     Args:
         tree: The robot; its inertias matter only for `zeros`.
@@ -81,7 +81,7 @@ def identifiability(
 
 @dataclass(frozen=True, eq=False)
 class _Told:
-    """The combinations that one instrument tells, few numbers of them not zero.
+    """The combinations that one instrument identifies, few numbers of them not zero.
 
     Attributes:
         rows: On other unknowns, if any, and the 10 n barycentric parameters.
@@ -94,7 +94,7 @@ class _Told:
     def of(self, units: sparse.sparray, back: sparse.sparray) -> NDArray[np.int_]:
         """NEVER, COMBINED or ALONE for every parameter of a body.
 
-        A parameter p' x is told alone if p' is a combination of the rows R, and then it is
+        A parameter p' x is identifiable alone if p' is a combination of the rows R, and then it is
         p' L R, for any L with R L = 1.
 
         Args:

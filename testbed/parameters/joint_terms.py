@@ -3,7 +3,7 @@
 The joint torques hold, besides the bodies' dynamics, terms of the joints themselves: a rotor
 adds qdd_j to row j, an offset a constant, friction functions of qd_j. Friction always has
 columns of its own, because without it the torques are even in the velocities. A rotor has
-one unless nothing but the joint's own acceleration tells the inertia it adds to; then
+one unless nothing but the joint's own acceleration identifies the inertia it adds to; then
 both are one number, the minimal parameter of that inertia. An offset has one always; where
 a rotor is regrouped with a mass of constant weight, the offset takes up the weight.
 
@@ -194,7 +194,7 @@ class _Merged:
     Attributes:
         inertias: By index of a minimal parameter, the joint whose rotor it holds.
         regrouped: Joints whose rotor has no column of its own.
-        shares: By joint, how much of each regrouped joint's rotor is told with its own.
+        shares: By joint, how much of each regrouped joint's rotor is identifiable with its own.
     """
 
     inertias: dict[int, int]
@@ -210,7 +210,7 @@ def _merged(minimal: MinimalSet, lone: tuple[int, ...]) -> _Merged:
     """Which of the lone joints' rotors are regrouped.
 
     A rotor adds to the minimal parameter that is its joint's inertia. Where known zeros make
-    this a combination of others, or others a combination of such, the rotors in it are told.
+    this a combination of others, or others a combination of such, its rotors are identifiable.
     """
     inertias = {k: j for k, j in enumerate(minimal.axial) if j in lone}
     told_rotors = np.zeros((len(minimal.dependent), len(lone)))
@@ -245,7 +245,7 @@ def _reduced(rows: Array) -> dict[int, Array]:
 
 
 def _lone(tree: Tree, gravity: Array, offsets: Collection[int]) -> dict[int, float]:
-    """Joints whose own acceleration alone tells the inertia that it moves.
+    """Joints whose own acceleration alone identifies the inertia that it moves.
 
     Returns:
         By joint, the constant force per unit of that inertia which an offset takes up.

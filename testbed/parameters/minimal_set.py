@@ -1,4 +1,4 @@
-"""The minimal set: which combinations of the barycentric parameters a measurement can tell.
+"""The minimal set: which combinations of the barycentric parameters a measurement can identify.
 
 Source    [FRS96] eqs. (9)-(12); base rule and known zeros in docs/minimal-sets.md
 """
@@ -145,7 +145,7 @@ class MinimalSet:
         """Parameters with what carries a free base's coordinates as heavy as what it carries.
 
         Args:
-            theta: Barycentric parameters, (10 n, ...), which the rows of those bodies do not tell.
+            theta: Barycentric parameters, (10 n, ...), those bodies' rows not identified by them.
         """
         found = np.array(theta)
         if self._tree.floating:
@@ -298,7 +298,7 @@ def _zeros_of_the_file(tree: Tree) -> NDArray[np.bool_]:
     theta = np.abs(barycentric(tree))
     mass, moments, tensors = theta[:, :1], theta[:, 1:4], theta[:, 4:]
     tensor = tensors.max(axis=1, keepdims=True)
-    # moments may all be rounding: a mass at a distance of the size of the body tells
+    # moments may all be rounding: a mass at a distance of the size of the body shows
     moment = np.maximum(moments.max(axis=1, keepdims=True), np.sqrt(mass * tensor))
     scale = np.hstack([mass, np.repeat(moment, 3, axis=1), np.repeat(tensor, 6, axis=1)])
     return theta <= NO_MATTER * scale

@@ -1,4 +1,4 @@
-"""Row spaces: what a measurement can tell, whatever the parameters are called."""
+"""Row spaces: what a measurement can identify, whatever the parameters are called."""
 
 from __future__ import annotations
 

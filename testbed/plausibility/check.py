@@ -84,16 +84,16 @@ MOST_SAMPLES = 200_000
 
 @dataclass(frozen=True, eq=False)
 class Assessment(Diagnosed):
-    """What speaks for and against a recording.
+    """What supports or contradicts a recording.
 
     Attributes:
         diagnostics: What is certainly wrong, an error each; what may be; what is left open.
         sizes: Torques are so many times what the model file's masses say; nan where they do not
-            tell, (n,) or (0,).
+            identify, (n,) or (0,).
         remedies: What would make it right, to be applied together; empty where nothing is wrong.
         alternatives: What else explains it.
-        as_read: The recording as it is; None where nothing can be told.
-        explanations: What explains it, the best first; none where nothing can be told.
+        as_read: The recording as it is; None where nothing can be judged.
+        explanations: What explains it, the best first; none where nothing can be judged.
     """
 
     diagnostics: tuple[Diagnostic, ...]
@@ -142,12 +142,12 @@ class Assessment(Diagnosed):
 
 
 def assess(tree: Tree, source: Source, progress: Progress | None = None) -> Assessment:
-    """What speaks for and against a recording.
+    """What supports or contradicts a recording.
 
     Args:
         tree: The robot, its masses right within a factor of a few; not used for estimates.
         source: The recording.
-        progress: Told how much of the search is done.
+        progress: Called with how much of the search is done.
 
     Raises:
         RecordingError: It is of another robot.
@@ -339,7 +339,7 @@ def check_recording(
         source: The recording.
         align: Whether clocks are set right besides: a late plate does not stop then.
         unchecked: Whether to accept it without a search for what is wrong.
-        progress: Told how much of the search is done.
+        progress: Called with how much of the search is done.
 
     Raises:
         RecordingError: The recording cannot be true of this robot; says what would make it right.
@@ -387,7 +387,7 @@ def import_and_check(
         tree: The robot, its masses right within a factor of a few.
         align: Whether delays and drifts of clocks are taken back.
         unchecked: Whether to accept them without a search for what is wrong.
-        progress: Told how much of the search is done.
+        progress: Called with how much of the search is done.
 
     Returns:
         The recording, or its pieces where a source was silent for too long, with the verdict;

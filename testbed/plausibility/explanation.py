@@ -25,7 +25,7 @@ BRAKED = 0.1
 """Share of a torque that the plate's parameters and friction that brakes leave at most."""
 
 APART, ROUGHLY_APART, ANY_APART = 5.0, 12.0, 8.0
-"""Explanations within this of the best are not told apart, and the one with the fewest hypotheses
+"""Explanations within this of the best are equal, and the one with the fewest hypotheses
 is taken; the same without a plate, where masses are rough and models of friction are; the same of
 none at all [nats]."""
 
@@ -88,7 +88,7 @@ class Explanation:
 
     @property
     def tolerance(self) -> float:
-        """A cost that is higher by this is not told apart from the least [nats]."""
+        """A cost that is higher by this is not distinguished from the least [nats]."""
         if self.has_plate:
             return APART
         return ROUGHLY_APART if self.hypotheses else ANY_APART
@@ -123,7 +123,7 @@ class Explanation:
         With a plate only: without one, masses that are rough leave more.
 
         Args:
-            sigmas: By which parameters that the plate tells little of may be off.
+            sigmas: By which parameters that the plate hardly identifies may be off.
         """
         most = BRAKED + 3 * self.fit.torque_noise + sigmas**2 * self.torques.spread
         return set(np.flatnonzero(self.torques.unexplained >= most).tolist())
@@ -136,7 +136,7 @@ class Explanation:
         return self.odd_torques() | changed
 
     def after_plate(self) -> Explanation:
-        """The same with torques judged by what the plate tells of the parameters."""
+        """The same with torques judged by the plate's estimate of the parameters."""
         if not self.has_plate or self.fit.torques is None:
             return self
         mean, root = self.fit.plate.posterior(self.plate)

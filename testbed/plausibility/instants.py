@@ -17,7 +17,7 @@ MOST, A_SECOND = 400, 16.0
 """Instants that are kept, in all and a second: no more than the low-pass lets be independent."""
 
 LEAST = 20
-"""Instants below which a recording tells nothing."""
+"""Instants below which a recording is of no use."""
 
 LATEST, SPARE = 4.0, 0.25
 """Delays that are looked for at most [s], and in parts of a recording."""

@@ -37,10 +37,10 @@ from testbed.robot.tree import Tree
 from testbed.toml_text import checked
 
 ASSUMED = "ASSUMED"
-"""Mark of what neither names nor data tell."""
+"""Mark of what neither names nor data determine."""
 
 KNOWN = (ASSUMED, "solved", "by the data")
-"""Beginnings of what is said beside a value that no name tells."""
+"""Beginnings of what is said beside a value that no name states."""
 
 USUAL = {
     "position": ("rad", "m"), "velocity": ("rad/s", "m/s"), "acceleration": ("rad/s^2", "m/s^2"),
@@ -94,13 +94,13 @@ class MappingSolution(Diagnosed):
 def solve_mapping(
     draft: Draft, out: Path, tree: Tree, progress: Progress | None = None
 ) -> MappingSolution:
-    """A mapping without empty keys, as far as names and data tell.
+    """A mapping without empty keys, as far as names and data determine it.
 
     Args:
         draft: By the columns' names.
         out: The mapping file; files are relative to its folder.
         tree: The robot, its masses right within a factor of a few.
-        progress: Told how much of a search is done.
+        progress: Called with how much of a search is done.
 
     Raises:
         RecordingError: The data are not of this robot, or not in these columns.
@@ -299,7 +299,7 @@ def _delayed(draft: Draft, signal: str, delay: float, sigma: float) -> Draft:
 
 
 def _with_plate(draft: Draft, best: Explanation) -> Draft:
-    """Frame, clock and zero of a plate as the data tell them."""
+    """Frame, clock and zero of a plate as the data determine them."""
     table = draft.tables.get("wrench")
     if table is None or not best.has_plate:
         return draft
@@ -347,7 +347,7 @@ def _with_zero(draft: Draft, best: Explanation) -> Draft:
 
 
 def _plain_angles(turn: Array, covariance: Array) -> tuple[float, float, float] | None:
-    """Angles that a person writes, if one of them is as near as the data tell."""
+    """Angles that a person writes, if one of them is as near as the data determine it."""
     for step in STEPS:
         roll, pitch, yaw = (round(angle / step) * step for angle in to_rpy(turn))
         apart = rotation_vector(from_rpy((roll, pitch, yaw)) @ turn.T)

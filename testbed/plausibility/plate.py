@@ -285,7 +285,7 @@ class PlateEvidence:
 
     @property
     def _wrench_rows(self) -> Array:
-        """On the parameters that the base's wrench tells, (T, 6, N)."""
+        """On the parameters that the base's wrench identifies, (T, 6, N)."""
         rows: Array = self.rows @ self._prior.lift
         return rows
 
@@ -403,8 +403,8 @@ class PlateEvidence:
     def zero(self, each: PlateExplanation) -> tuple[Array, Array]:
         """What the plate shows without the robot, and its sigma, (6,) [N, N m].
 
-        The robot's share is that of the parameters that the varying part of the wrench tells, with
-        the model file as prior; its weight is told by no motion on a base at rest.
+        The robot's share is of the parameters that the varying part of the wrench identifies, with
+        the model file as prior; no motion identifies its weight on a base at rest.
 
         Args:
             each: Of the plate.
@@ -423,7 +423,7 @@ class PlateEvidence:
         differentiated twice, models lack what is slow. So all is done in the cosine transform,
         where it is uncorrelated, and each frequency of a channel is weighed by what is left around
         it. A prior from which the data depart counts as much less (`LOOSEST`). A direction of the
-        place that the data do not tell goes to zero.
+        place that the data do not identify goes to zero.
 
         Args:
             each: Of the plate, without hypotheses about it.

@@ -71,7 +71,7 @@ def model_directions(rows: Array, weight: Array) -> Array:
     """Orthonormal directions of all that parameters and constants make of the plate, (6 T, k).
 
     Args:
-        rows: On the parameters that the base's wrench tells, (T, 6, N).
+        rows: On the parameters that the base's wrench identifies, (T, 6, N).
         weight: Of the channels, (6,).
     """
     constants = np.broadcast_to(np.eye(6), (len(rows), 6, 6))
@@ -104,7 +104,7 @@ class PlateRows:
         """The products.
 
         Args:
-            rows: On the parameters that the base's wrench tells, (T, 6, N).
+            rows: On the parameters that the base's wrench identifies, (T, 6, N).
             expected: The wrench by the model file's masses, (T, 6) [N, N m].
             instants: With a wrench.
         """

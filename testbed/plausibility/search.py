@@ -41,7 +41,7 @@ GOOD = 0.3
 """Share of a torque above which rarer hypotheses are looked for where there is no plate."""
 
 SIGMAS = 3.0
-"""Standard deviations by which parameters that the plate tells little of may be off."""
+"""Standard deviations by which parameters that the plate hardly identifies may be off."""
 
 MUCH = 20.0
 """Times more than the least that some map of a plate leaves of another fit: it is none."""
@@ -85,7 +85,7 @@ class Search:
             tree: The robot, its masses roughly right.
             recording: In the order of its joints.
             mapping: What the recording's mapping file says; empty if it has none.
-            progress: Told how many fits are made, and of how many.
+            progress: Called with how many fits are made, and of how many.
         """
         self.prior = prior_of(tree)
         self.frame = frame_of(mapping)
@@ -211,7 +211,7 @@ class Search:
             yield self._promising()
             plain = [each.cost for each in several if not each.sized]
             if several[0].sized and min(plain, default=np.inf) > several[0].cost - DOUBTED:
-                del several[1:]  # torques of another size leave little to tell of the rest
+                del several[1:]  # torques of another size leave little to judge of the rest
                 return
             yield self._at_best_zeros(2)
             likeliest = min(several, key=lambda each: each.cost)

@@ -115,7 +115,7 @@ class TimeOffset:
 
 
 def time_offsets(tree: Tree, source: Source) -> list[TimeOffset]:
-    """Of the torques and of the wrench, as far as they were measured, and tell.
+    """Of the torques and of the wrench, as far as they were measured, and determine it.
 
     Args:
         tree: The robot; its inertias are not used.

@@ -5,7 +5,7 @@ friction brakes (F: viscous, dry, a constant, the
 rotor), and what is left, e, lasts: model errors are no white noise. Then t is normal, and log N(t)
 says how well one recorded column, in one sense, can be a joint's torques; to it comes how much
 likelier the data make it that friction takes power, and gives none. A free set of parameters
-would explain anything that is short; this does not. Where a plate tells of the parameters, their
+would explain anything that is short; this does not. Where a plate determines parameters, their
 posterior is the prior here.
 """
 
@@ -167,7 +167,7 @@ class TorqueEvidence:
         return self._moved[joint] / max(float(self._torque[:, column].var()), 1e-30)
 
     def size(self, joint: int, column: int, times: float = 1.0) -> float:
-        """Times what the mean's masses make that a column is; nan where they do not tell.
+        """Times what the mean's masses make that a column is; nan where they do not determine it.
 
         Args:
             joint: Of the robot.
@@ -195,7 +195,7 @@ class TorqueAssignment:
         unexplained: Part of each joint's torque, (n,).
         unexplained_as_recorded: The same of columns as they were recorded, (n,).
         spread: Part of it that parameters within their sigma may leave, (n,).
-        sizes: Times what the masses make that torques are; nan where they do not tell, (n,).
+        sizes: Times what the masses make that torques are; nan where that is not known, (n,).
     """
 
     hypotheses: tuple[Hypothesis, ...]

@@ -98,7 +98,7 @@ def joined(parts: Sequence[Source]) -> Source:
 
 
 def _check_alike(parts: Sequence[Source]) -> None:
-    """Whether recordings are of one robot under one gravity, at one rate, and tell of the tare."""
+    """Whether recordings are of one robot under one gravity, at one rate, and state the tare."""
     first = parts[0]
     for k, other in enumerate(parts[1:], start=2):
         if sorted(other.names) != sorted(first.names):

@@ -266,7 +266,7 @@ class Recording:
 
     @staticmethod
     def from_mapping(path: str | Path) -> Recording:
-        """Made of other programs' files, as a mapping file says (docs/real-recordings.md).
+        """Made of other programs' files, as a mapping file says (docs/your-recording.md).
 
         What was found on the way is in `facts["import"]`, what to doubt in `facts["diagnostics"]`.
 

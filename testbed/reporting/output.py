@@ -102,7 +102,7 @@ class Progress:
     def _write_lines(self) -> None:
         """A line whenever `BETWEEN` has passed."""
         while not self._ended.wait(BETWEEN):
-            with suppress(OSError, ValueError):  # nobody is left to be told
+            with suppress(OSError, ValueError):  # nobody reads any more
                 sys.stderr.write(f"{printable(self.line)}\n")
                 sys.stderr.flush()
 

@@ -116,7 +116,7 @@ ROTOR = JointLaw("rotor", "kg m^2", "kg", _acceleration, "rotor_inertia")
 """Inertia of the drive's rotor, reflected to the joint."""
 
 ASYMMETRIC = JointLaw("asymmetric", "N m s/rad", "N s/m", _speed)
-"""Viscous friction that differs by direction; where dry friction does, an offset tells it."""
+"""Viscous friction that differs by direction; where dry friction does, an offset shows it."""
 
 QUADRATIC = JointLaw("quadratic", "N m s^2/rad^2", "N s^2/m^2", _square)
 """Friction in proportion to the square of the velocity."""
@@ -185,7 +185,7 @@ def joint_terms(tree: Tree, words: Iterable[str | JointLaw]) -> tuple[JointTerm,
     Args:
         tree: The robot.
         words: A law, by name or as a value, holds at every joint and shaft; "rotor/elbow" holds
-            there alone. Offsets are the joints' alone: a shaft's is told from no two of those.
+            there alone. Offsets are the joints' alone: a shaft's is not distinct from two of those.
 
     Raises:
         UnknownName: There is no such law, joint or shaft.

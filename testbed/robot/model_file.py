@@ -56,7 +56,7 @@ class ModelFile:
 
 
 def model_format(path: Path) -> Literal["mjcf", "urdf"]:
-    """Which language the file speaks, by its root element.
+    """Which language the file is in, by its root element.
 
     Raises:
         ModelError: The file is missing, not XML, or neither MJCF nor URDF.

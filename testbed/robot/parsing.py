@@ -36,7 +36,7 @@ _NAMES = {
 }  # fmt: skip
 """Attributes that name something: they come back in columns, files and messages."""
 _BEGINNING = 1024
-"""Bytes by which a page of the web is told."""
+"""Bytes by which a web page is recognised."""
 _UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 """Unicode's control, format (bidirectional ones too), surrogate and separator characters."""
 

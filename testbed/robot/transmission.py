@@ -10,7 +10,7 @@ joint, a joint body with h e e' more inertia and a carrier with h e e' less have
 spin is among the minimal parameters already, for any tree. The torque of the joint takes ratio^2
 times inertia, of which h is then in the bodies.
 
-Source    derived for this project (docs/plants.md)
+Source    derived for this project (docs/instruments.md)
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ class Effect(KindTable):
             names: Joint names.
 
         Raises:
-            SettingsError: It speaks of a joint that is not there, or not of all.
+            SettingsError: It names a joint that is not there, or not of all.
         """
         return replace(self, **self.of_joints(names))
 

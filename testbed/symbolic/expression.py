@@ -109,7 +109,7 @@ Term: TypeAlias = tuple[Factors, Number]
 class Expression:
     """A sum of terms in order; see the module's description.
 
-    Supports +, - and * with expressions and numbers. `==` tells whether two expressions
+    Supports +, - and * with expressions and numbers. `==` says whether two expressions
     are written alike; they are equal if their difference, expanded, has no parts.
 
     Attributes:

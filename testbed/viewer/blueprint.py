@@ -206,7 +206,7 @@ def _rows(scene: Scene, signal: Signal, at: str) -> list[rrb.Horizontal]:
 
 
 def _residual(scene: Scene, signal: Signal, k: int, at: str) -> Iterator[rrb.TimeSeriesView]:
-    """What is left over of a channel, where anything foretells it; channels of a unit alike."""
+    """What is left over of a channel, where anything predicts it; channels of a unit alike."""
     if signal.predicted:
         channel, unit = signal.channels[k], signal.units[k]
         most = scene.reach(signal.kind, k)

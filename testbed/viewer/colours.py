@@ -1,4 +1,4 @@
-"""Colours that mean the same in every picture; told apart also by the colour-blind."""
+"""Colours that mean the same in every picture; distinguished also by the colour-blind."""
 
 from __future__ import annotations
 

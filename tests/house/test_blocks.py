@@ -10,7 +10,11 @@ import pytest
 from tests.helpers.blocks import PAGES, blocks_of, furnish, run, shell
 from tests.helpers.paths import ROOT
 
-HOW_TO = [p for p in PAGES if p.name.startswith("your-") or p.name == "extending.md"]
+HOW_TO = [
+    ROOT / f"docs/{name}.md"
+    for name in ("your-robot", "your-recording", "your-plate", "drives", "instruments", "extending")
+]
+"""Pages whose blocks run with all tests."""
 ELSEWHERE = ("README.md", "CONTRIBUTING.md", "architecture.md")
 """README's blocks run below; others make environments (.ci/run), or are no code."""
 OTHERS = [p for p in PAGES if p not in HOW_TO and p.name not in ELSEWHERE]

@@ -36,6 +36,8 @@ def test_the_gallery_is_up_to_date() -> None:
 @pytest.mark.slow
 def test_every_page_is_built_with_all_that_it_leads_to_and_loads_nothing(tmp_path: Path) -> None:
     site = built(tmp_path)
+    listed = (site / "llms.txt").read_text()
+    assert [p for p in navigation() if Path(p).with_suffix(".html").name not in listed] == []
     assert [p for p in navigation() if not (site / p).with_suffix(".html").exists()] == []
     for page in (page for page in site.rglob("*.html") if page.name != "404.html"):
         text = page.read_text()
@@ -45,7 +47,7 @@ def test_every_page_is_built_with_all_that_it_leads_to_and_loads_nothing(tmp_pat
     for file in (file for kind in ("css", "svg") for file in site.rglob(f"*.{kind}")):
         fetched = r"(?:url\(|@import|href=|src=)\s*[\"']?(?:https?:)?//"
         assert not re.search(fetched, file.read_text()), file
-    for name in ("api", "barycentric-parameters", "sigma"):
+    for name in ("api", "minimal-sets", "uncertainty"):
         text = re.sub(
             r"(?s)<(code|script|style)\b.*?</\1>", "", (site / f"{name}.html").read_text()
         )

@@ -13,7 +13,7 @@ from tests.helpers.site import built, navigation
 
 pytestmark = pytest.mark.nightly
 
-KINDS = ("index", "tour", "api", "commands", "warnings", "gallery", "sigma", "experiments")
+KINDS = ("index", "tour", "api", "commands", "warnings", "gallery", "uncertainty", "experiments")
 """Pages of every kind."""
 ODD = """
 const article = document.querySelector('article'), found = [];

@@ -29,7 +29,7 @@ from testbed.robot.visuals.appearance import load_appearance
 
 PACKAGE = Path(sysconfig.get_paths()["purelib"]) / "cmeel.prefix/share/example-robot-data"
 METHODS = {"external": "force plate", "internal": "joint torques"}
-CURED = {"internal": "with the fault", "external": "with its remedy"}
+REMEDIED = {"internal": "with the fault", "external": "with its remedy"}
 LONGER = 360
 """The longer side of a robot's picture [pixels]."""
 
@@ -53,7 +53,7 @@ def main(names: list[str]) -> None:
 
 
 def drawn(robot: Robot) -> dict[str, int]:
-    """Draw a robot on its plate with the reaction at rest, and count what can be told of it."""
+    """Draw a robot on its plate with the reaction at rest, and count its base parameters."""
     reading = Reading(weld_root=robot.weld, lock=robot.lock, lock_mimic=robot.mimic)
     folder = PACKAGE if robot.file.startswith("robots/") else ROOT
     model = reading.model_file(folder / robot.file)
@@ -107,7 +107,7 @@ def draw_friction(name: str, run: Any) -> str:
             bands={"external": 2 * sigma},
         )
         parts.append(placed(panel.svg, 0, k * height, 400, height))
-    shows = "Friction of every joint over its speed, by the plate: no law was assumed"
+    shows = "Friction of every joint over its speed, by the plate, without a friction model"
     save(f"gallery/{name}", 400, height * len(parts), parts, shows)
     return shows
 
@@ -122,13 +122,11 @@ def compared(path: Path) -> dict[str, str]:
         if each.remedied is not None:
             row["external"] = 100 * each.remedied.metrics[metric]
         errors[each.variant.name] = row
-    width, height, parts = error_dots(errors, CURED, left=230)
+    width, height, parts = error_dots(errors, REMEDIED, left=230)
     shows = "Rms error of the plate's estimate with one fault at a time, and with its remedy"
     save(f"gallery/{path.stem}", width, height, parts, shows)
-    cured = max(row["external"] for row in errors.values() if "external" in row)
-    said = (
-        f"Obtained: {len(errors) - 1} faults; with their remedies at most {percent(cured / 100)}."
-    )
+    most = max(row["external"] for row in errors.values() if "external" in row)
+    said = f"Obtained: {len(errors) - 1} faults; with their remedies at most {percent(most / 100)}."
     return {
         "claim": comparison.claim, "command": "compare", "obtained": said, "shows": shows,
     }  # fmt: skip

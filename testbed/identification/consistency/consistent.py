@@ -107,7 +107,7 @@ class Consistent(Diagnosed):
         standard: Standard parameters, (n, 10) [kg, kg m, kg m^2].
         sigma: Of each, data's and prior's doubt together, (n, 10).
         data_share: Part of the prior's variance that the data took away, (n, 10): 1 where the data
-            tell a parameter, 0 where the prior or what is known filled it in.
+            identify a parameter, 0 where the prior or what is known filled it in.
         prior: Standard parameters of the model file's bodies, as they were taken, (n, 10).
         terms: Of the joints' torque, t of them.
         coefficients: Theirs, (t,).
@@ -119,7 +119,7 @@ class Consistent(Diagnosed):
         binding: Conditions at their limits, in words.
         unsettled: Sigmas that the program could still gain: far below one where it has ended.
         prior_error: That was used, in parts of the prior's bodies.
-        tried: By prior error, rms of what was foretold wrongly of held-out data, in sigmas of
+        tried: By prior error, rms of what was predicted wrongly of held-out data, in sigmas of
             its noise; {} where it was given.
         diagnostics: What a careful reader should know.
     """
@@ -255,7 +255,7 @@ def robot_of(found: Consistent, tree: Tree) -> Tree:
 
 
 def consistent_summary(found: Consistent, estimate: Estimate) -> EstimateSummary:
-    """What consistent bodies say of an estimate's parameters, to be validated or to foretell.
+    """What consistent bodies say of an estimate's parameters, to be validated or to predict.
 
     Args:
         found: Made of the estimate.
@@ -443,7 +443,7 @@ def _left(
     options: ConsistencyOptions,
     error: float,
 ) -> float:
-    """Rms of what is foretold wrongly of either half, in sigmas of its noise."""
+    """Rms of what is predicted wrongly of either half, in sigmas of its noise."""
     squares = []
     for known, unseen in (halves, halves[::-1]):
         found = consistent(tree, known, prior, replace(options, prior_error=error))

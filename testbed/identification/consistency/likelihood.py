@@ -1,7 +1,7 @@
 """What estimates say of standard parameters: rows of which noise has a sigma of one.
 
 Minimal parameters are linear in the standard ones and in the joints' own terms. What was taken
-to be zero for an estimate is a statement as well, as far as the measured forces tell it.
+to be zero for an estimate is a statement as well, as far as the measured forces identify it.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def evidence(tree: Tree, estimate: Estimate, terms: tuple[JointTerm, ...]) -> Li
 def agreeing(likelihoods: Sequence[Likelihood]) -> list[Likelihood]:
     """The same, sigmas of joint torques widened where the plate contradicts them.
 
-    Torque constants and friction of other laws bend what torques tell of the bodies, and their
+    Torque constants and friction of other laws bias the bodies that torques identify, and their
     sigmas do not know it: the plate's estimate judges them.
 
     Args:
@@ -128,10 +128,10 @@ def agreeing(likelihoods: Sequence[Likelihood]) -> list[Likelihood]:
 
 
 def _contradiction(plate: Estimate, torques: Estimate) -> float:
-    """Rms difference of what both tell, in sigmas; at least one."""
+    """Rms difference of what both determine, in sigmas; at least one."""
     try:
         likelihoods = selection(torques.minimal, plate.minimal)
-    except ValueError:  # other zeros, or a plate that tells changes only
+    except ValueError:  # other zeros, or a plate that measures changes only
         return 1.0
     own = torques.base
     apart = likelihoods @ plate.base.values - own.values
@@ -146,8 +146,8 @@ def _contradiction(plate: Estimate, torques: Estimate) -> float:
 def _on_barycentric(tree: Tree, estimate: Estimate) -> tuple[Array, Array]:
     """An estimate's parameters, and what it takes to be zero, on barycentric ones and terms.
 
-    With known zeros, minimal parameters stand for fewer barycentric ones than forces tell. What
-    forces tell without them is a multiple of those, and across that nothing.
+    With known zeros, minimal parameters stand for fewer barycentric ones than forces identify. What
+    forces identify without them is a multiple of those, and across that nothing.
     """
     minimal, drives = estimate.minimal, estimate.drives
     own = minimal.matrix if drives is None else drives.matrix

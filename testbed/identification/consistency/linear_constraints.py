@@ -1,4 +1,4 @@
-"""Wishes about bodies as linear conditions on their parameters."""
+"""Conditions on bodies, linear in their parameters."""
 
 from __future__ import annotations
 

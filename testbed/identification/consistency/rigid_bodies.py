@@ -63,7 +63,7 @@ def rigid_body_test(
     """Whether an estimate's minimal parameters can be those of rigid bodies.
 
     Args:
-        estimate: Of either method. Rotors that are told together with a body's inertia may
+        estimate: Of either method. Rotors that are identifiable together with a body's inertia may
             have any inertia that is not negative.
         sigmas: An estimate is called impossible beyond a distance that noise exceeds as rarely
             as this.
@@ -98,7 +98,7 @@ def sizes(values: Array, units: Sequence[str]) -> Array:
 
 
 def _rotors(estimate: Estimate) -> Array:
-    """What a unit of each rotor that is told with a body adds to the parameters, (N, rotors)."""
+    """What a unit of each rotor identified with a body adds to the parameters, (N, rotors)."""
     regrouped = {} if estimate.drives is None else estimate.drives.regrouped
     columns = [column[: estimate.minimal.count] for column in regrouped.values()]
     return np.array(columns).reshape(len(columns), estimate.minimal.count).T
@@ -125,7 +125,7 @@ def _nearest(forms: Array, rotors: Array, wanted: Array) -> tuple[float, Array]:
     """
     both = np.hstack([forms, rotors])
     free = both.shape[1]
-    size = float(np.linalg.norm(wanted)) or 1.0  # the solver likes numbers near one
+    size = float(np.linalg.norm(wanted)) or 1.0  # the solver needs numbers near one
     # unknowns: the distance, J of every body, the rotors
     matrices = np.eye(free, 1 + free, 1)
     rest = matrices[forms.shape[1] :]

@@ -29,7 +29,7 @@ from testbed.robot.friction import JointLaw
 from testbed.robot.tree import Tree
 
 LEAST = 0.5
-"""Reliability below which a constant is not told: most of its column may be error."""
+"""Reliability below which a constant is not identifiable: most of its column may be error."""
 
 TINY = float(np.finfo(float).tiny)
 """Against division by nothing."""
@@ -197,7 +197,7 @@ def torques_beside(
 def regressions(
     torques: Torques, bodies: Estimate, pick: Pick = all_terms
 ) -> tuple[JointRegression, ...]:
-    """Every joint's regression, with an honest covariance.
+    """Every joint's regression, with a calibrated covariance.
 
     Args:
         torques: And what the bodies need.
@@ -205,7 +205,7 @@ def regressions(
         pick: Which terms each joint has.
 
     Raises:
-        RecordingError: The rows of a joint do not tell its numbers apart.
+        RecordingError: The rows of a joint do not distinguish its coefficients.
     """
     drives, equations = torques.drives, torques.equations
     n = len(equations.channels)

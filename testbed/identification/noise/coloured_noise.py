@@ -1,4 +1,4 @@
-"""The fit under coloured noise: unknowns, an honest covariance, and what the noise is like.
+"""The fit under coloured noise: unknowns, a calibrated covariance, and what the noise is like.
 
 Two passes after the one that has found the weighted solution: residuals with columns made
 orthonormal, so that nothing is lost to the equations' condition; then replicas of the noise.
@@ -167,7 +167,7 @@ def sensor_step(
 def _lateness(
     units: Whitening, given: Products, answer: Answer, values: Array, factor: float, plan: Plan
 ) -> TimeDelay | None:
-    """Of joint torques; of the plate, traces are looked for that tell more."""
+    """Of joint torques; of the plate, there are tests that are more sensitive."""
     if plan.layout.model == "reaction" or units.facts is not None or len(plan.weights) == 1:
         return None
     start = np.asarray(np.linalg.solve(units.white, values), dtype=np.float64)

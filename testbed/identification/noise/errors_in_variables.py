@@ -260,10 +260,10 @@ MOST = 0.5
 """Part of the square of a combination of columns that may be noise: more is not taken back."""
 
 NAMED = 0.25
-"""Part of what tells a parameter that may be noise: taken back, but how well is not in sigma."""
+"""Part of what identifies a parameter that may be noise: corrected, how well is not in sigma."""
 
 ALL = 0.999
-"""Part of what tells an unknown that noise is at most: all of it would leave no sigma."""
+"""Part of what identifies an unknown that noise is at most: all of it would leave no sigma."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,7 +281,7 @@ class AttenuationCorrection:
     share: Array
 
     def noise_limited(self, lead: Array) -> NDArray[np.bool_]:
-        """Parameters that columns tell of which more than `NAMED` is noise, (p,).
+        """Parameters that columns identify of which more than `NAMED` is noise, (p,).
 
         Args:
             lead: How the unknowns make up the parameters, (p, m).

@@ -36,7 +36,7 @@ class Constants:
 
 
 def constants(given: LaggedProducts) -> Constants:
-    """Which constants can be told from the parameters.
+    """Which constants can be distinguished from the parameters.
 
     Args:
         given: Products of unknowns' columns, residuals and ones.

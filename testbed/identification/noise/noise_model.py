@@ -262,13 +262,13 @@ class NoiseModel:
         bias_chance: Probability of constants as large as these where there are none.
         bias_weight: Of the answer with constants, 0 to 1; the one without has the rest.
         span: How long the recording is [s].
-        hidden: Parameters that no motion can tell from a constant of a channel.
+        hidden: Parameters that no motion can separate from a constant of a channel.
         noise_limited: Parameters whose columns are in large part noise of the encoders, alone or
             together: sigma does not hold for them.
         least_counts: Of encoders that show whole counts and no noise between, zero for others,
             (n,) [rad or m]; empty if there are none.
         by_counts: Part of the whitened residuals that such counts account for.
-        repetition: Whether the residuals repeat with the motion; None where that cannot be told.
+        repetition: Whether the residuals repeat with the motion; None where that is unknown.
         lateness: Of joint torques against the encoders; None of a plate.
     """
 

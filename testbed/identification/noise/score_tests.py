@@ -1,4 +1,4 @@
-"""Traces that faults of the instrument leave in the residuals, told from noise.
+"""Traces that faults of the instrument leave in the residuals, tested against noise.
 
 A fault shows, to first order, as more columns of the equations. If the model is right they
 explain no more of the residuals than chance: an F test for every kind of fault. The noise is

@@ -120,7 +120,7 @@ def nuisances_of(problem: Problem) -> list[Nuisance]:
 
 
 def open_alone(problem: Problem) -> tuple[str, ...]:
-    """Numbers of the plate that hold for other recordings, too, and that one does not tell alone.
+    """Numbers of the plate that are the same in other recordings, and not identifiable from one.
 
     Args:
         problem: Robot and recording.
@@ -171,7 +171,7 @@ class Pair:
 
     @property
     def open(self) -> tuple[NonIdentifiable, ...]:
-        """Numbers of the plate that both recordings together do not tell: a generic robot's."""
+        """Numbers of the plate that both recordings together do not identify: a generic robot's."""
         half, tree = self.without, self.without.tree
         own, count, asked = half.minimal.names, half.minimal.count, nuisances_of(half)
         passing, lasting = (

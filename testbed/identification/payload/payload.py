@@ -27,7 +27,7 @@ UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 """Of the ten."""
 
 SEEN = 1e-9
-"""A parameter that is told by itself lies in the space of what is seen to this."""
+"""A parameter that is identifiable alone lies in the space of what is seen to this."""
 
 SMALLEST = 1e-9
 """Singular values below this share of the largest are rounding."""
@@ -44,11 +44,11 @@ class PayloadEstimate(Diagnosed):
         joint: The link is the one that this joint moves.
         names: Of the ten: m, mx, ..., Izz.
         units: (10,).
-        identifiable: Which of them are told by themselves, (10,).
-        values: (10,); nothing but a choice where not told.
-        sigma: Standard deviations, (10,); infinite where not told.
-        covariance: (10, 10), of what is told.
-        rank: How many combinations are told.
+        identifiable: Which of them are identifiable alone, (10,).
+        values: (10,); nothing but a choice where not identifiable.
+        sigma: Standard deviations, (10,); infinite where not identifiable.
+        covariance: (10, 10), of what is identifiable.
+        rank: How many combinations are identifiable.
         chance: That noise alone leaves so much of the difference as no payload explains.
         diagnostics: What a careful reader should know.
     """
@@ -75,7 +75,7 @@ class PayloadEstimate(Diagnosed):
     def centre(self) -> tuple[Array, Array] | None:
         """Centre of mass in the link's frame and its sigma, (3,) each [m].
 
-        Not a number where not told; None if the mass is not told, or not by more than 5 sigma.
+        Not a number where not identifiable; None if the mass is not, or not by more than 5 sigma.
         """
         mass = float(self.values[0])
         if not self.identifiable[0] or mass < 5 * self.sigma[0]:
@@ -191,7 +191,7 @@ LEAST = 3
 
 """Singular values below this share of the largest are rounding."""
 
-"""What is told lies in the space of what is seen to this."""
+"""What is identifiable lies in the space of what is seen to this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +310,7 @@ def estimate_payload_mass(
         joint: Of the link that carries it; default the last.
 
     Raises:
-        RecordingError: The poses do not tell the payload's mass.
+        RecordingError: The poses do not identify the payload's mass.
         UnknownName: There is no such joint.
     """
     link = tree.index(tree.names[-1] if joint is None else joint)
@@ -355,7 +355,7 @@ def _stacked(poses: Sequence[Pose]) -> Array:
 
 
 def _solved(columns: Array, measured: Array, asked: Array) -> tuple[Array, Array, Array]:
-    """Values, covariance and which are told of sums of unknowns, (q,), (q, q), (q,).
+    """Values, covariance and which are identifiable of sums of unknowns, (q,), (q, q), (q,).
 
     Forces and moments are weighted by what a first fit leaves of each.
     """

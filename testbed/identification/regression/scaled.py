@@ -1,7 +1,7 @@
 """Symmetric equations with unknowns of different units: solved with a diagonal of ones.
 
-Whitening by noise without end takes constants away, and with them what tells unknowns apart.
-Directions that rounding alone tells are then held, and their variance is large: never negative.
+Whitening by noise without end takes constants away, and with them what distinguishes unknowns.
+Directions that only rounding determines are then held, and their variance is large: never negative.
 """
 
 from __future__ import annotations

@@ -91,7 +91,7 @@ def by_normal_equations(equations: NormalEquations, weights: Array, rows: Rows) 
         refuse(names, directions[:, lost].T, used)
     try:
         factor = linalg.cho_factor(unit)
-    except linalg.LinAlgError:  # as near to lost as rounding tells
+    except linalg.LinAlgError:  # as near to lost as rounding shows
         refuse(names, directions[:, :1].T, used)
     scaled = linalg.cho_solve(factor, np.eye(len(unit))) / np.outer(scale[seen], scale[seen])
     inverse[np.ix_(seen, seen)] = scaled
@@ -101,7 +101,7 @@ def by_normal_equations(equations: NormalEquations, weights: Array, rows: Rows) 
 
 
 TRIANGLE = 1e6
-"""Condition up to which normal equations tell how to make columns orthonormal."""
+"""Condition up to which normal equations suffice to make columns orthonormal."""
 
 RANK_TOLERANCE = 1e-10
 """Singular values of the scaled equations below this share of the largest count as zero."""
@@ -210,7 +210,7 @@ def fit(equations: NormalEquations, weights: Mapping[str, float] | None = None) 
 
     Raises:
         UnknownName: There is no such channel.
-        UnseenParameters: The channels see parameters that they cannot tell apart.
+        UnseenParameters: The channels see parameters that they cannot distinguish.
     """
     if weights is None:
         chosen = noise_weights(equations, None)

@@ -1,7 +1,7 @@
 """What the first pass sees of the raw signals: some samples, evenly spread over the recording.
 
 And how noisy the encoders are: differences of high order leave nothing of a motion. Encoders
-that show whole counts, and no noise between, are told from noisy ones.
+that show whole counts, and no noise between, are distinguished from noisy ones.
 """
 
 from __future__ import annotations

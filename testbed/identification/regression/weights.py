@@ -1,4 +1,4 @@
-"""Weights of the channels, and an honest covariance where residuals are correlated."""
+"""Weights of the channels, and a calibrated covariance where residuals are correlated."""
 
 from __future__ import annotations
 

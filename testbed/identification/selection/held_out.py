@@ -58,7 +58,7 @@ class Parts:
 
     Attributes:
         unseen: Of each part, (parts, m, m).
-        seen: Of all rows from which that part is foretold, (parts, m, m).
+        seen: Of all rows from which that part is predicted, (parts, m, m).
     """
 
     unseen: Array

@@ -65,12 +65,12 @@ class Nuisance:
         columns: How much the measured wrench grows with each of them, to first order,
             (rows, 6, k).
         undo: What takes it back exactly; None where it can only be tested for.
-        by_measured: The columns made of the measured wrench instead of the foretold one. Noise of
-            the encoders is in the foretold one and in what is to be explained, and makes weakly
-            told numbers drift; noise of the plate is in neither twice.
+        by_measured: The columns made of the measured wrench instead of the predicted one. Noise of
+            the encoders is in the predicted one and in what is to be explained, and makes weakly
+            identifiable numbers drift; noise of the plate is in neither twice.
         passing: Whether it is of one recording only, so that another has its own.
         covers: Other kinds whose effects are among this one's; they are simpler.
-        whole: Whether it is of no use unless all its numbers can be told; they are close to what
+        whole: Whether it is of no use unless all its numbers are identifiable; they are near what
             the parameters do, and their columns have to be exact.
         added: Whether its columns are what it adds to the plate's channels as they are, before
             any mixture of them is taken back.

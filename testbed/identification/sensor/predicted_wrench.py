@@ -1,7 +1,7 @@
-"""What an estimate foretells near the rows of a window, and the filter on rows applied to it.
+"""What an estimate predicts near the rows of a window, and the filter on rows applied to it.
 
 First-order effects of an instrument's faults are columns of the equations, too. They are made
-of the foretold wrench, at fewer instants than there are samples: slow signals behind a low-pass.
+of the predicted wrench, at fewer instants than there are samples: slow signals behind a low-pass.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from testbed.kernel.records import Signals
 from testbed.robot.tree import Tree
 
 INSTANTS_PER_CUTOFF = 10.0
-"""Instants a second at which wrenches are foretold, per Hz of the filter on rows, at least."""
+"""Instants a second at which wrenches are predicted, per Hz of the filter on rows, at least."""
 
 Number = Array | float
 """One at every instant, or the same at all."""
@@ -62,7 +62,7 @@ def row_filter(plan: Plan, cutoff: float, *, exact: bool = False) -> RowFilter:
     Args:
         plan: The rows.
         cutoff: Of the filter [Hz].
-        exact: Whether wrenches are foretold at every sample: exactly as rows are filtered.
+        exact: Whether wrenches are predicted at every sample: exactly as rows are filtered.
     """
     rate, middle = plan.source.rate, len(plan.weights) // 2
     least = rate if exact else INSTANTS_PER_CUTOFF * cutoff
@@ -79,7 +79,7 @@ def row_filter(plan: Plan, cutoff: float, *, exact: bool = False) -> RowFilter:
 
 @dataclass(frozen=True, eq=False)
 class PredictedWrench:
-    """A window's motion, and the wrench that an estimate foretells, at instants around its rows.
+    """A window's motion, and the wrench that an estimate predicts, at instants around its rows.
 
     Attributes:
         tree: The robot; only its geometry matters.
@@ -141,7 +141,7 @@ class PredictedWrench:
     def passing(self, joint: int) -> Array:
         """What one joint's motion alone changes of the wrench in time, filtered, (rows, 6, 1).
 
-        Its jerk, which encoders do not tell, is left to the filter: by parts.
+        Its jerk, which encoders do not measure, is left to the filter: by parts.
 
         Args:
             joint: Index.
@@ -188,7 +188,7 @@ def _rate(signal: Array, time: Array) -> Array:
 def predict_wrench(
     plan: Plan, filtered: RowFilter, theta: Array, signals: Signals, first: int
 ) -> PredictedWrench:
-    """What an estimate foretells of a window.
+    """What an estimate predicts of a window.
 
     Args:
         plan: The rows.

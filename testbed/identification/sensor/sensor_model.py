@@ -248,7 +248,7 @@ class SensorModel:
 def _check_whole(
     every: Unknowns, nonidentifiable: Sequence[NonIdentifiable], settings: Settings
 ) -> None:
-    """Whether all numbers can be told of those nuisances that are of no use otherwise.
+    """Whether all numbers are identifiable of those nuisances that are of no use otherwise.
 
     Raises:
         SettingsError: Some cannot; says which, and what to do.

@@ -248,7 +248,7 @@ def in_turn(
         sure: Which of them are known anyway.
 
     Returns:
-        Places of those that are told; the rest.
+        Places of those that are identifiable; the rest.
     """
     columns, labels = _unit(known[0]), list(known[1])
     basis, _ = np.linalg.qr(columns)
@@ -276,7 +276,7 @@ def in_turn(
 def explain_nonidentifiable(
     open_ones: Sequence[NonIdentifiable], known: Collection[str], nuisances: Collection[str]
 ) -> str:
-    """What no motion tells, and which facts would, in a line.
+    """What no motion identifies, and which facts would, in a line.
 
     Args:
         open_ones: Numbers of the plate.

@@ -24,7 +24,7 @@ PARTS = {
     "wrench": ("force", "wrench", "moment"),
     "position": ("pos", "angle", "enc", "joint", "state"),
 }
-"""Beginnings or ends of words by which columns are told apart."""
+"""Beginnings or ends of words by which columns are distinguished."""
 
 SYMBOLS = {
     "q": "position", "theta": "position", "qpos": "position",
@@ -209,7 +209,7 @@ class Group:
 
     @property
     def numbers(self) -> list[int]:
-        """Those of the names, if that is all that tells them apart; else none."""
+        """Those of the names, if that is all that distinguishes them; else none."""
         found = [re.fullmatch(r"(\D*)(\d+)(\D*)", name) for name in self.names]
         around = {(m[1], m[3]) for m in found if m}
         return [int(m[2]) for m in found if m] if None not in found and len(around) == 1 else []
@@ -298,7 +298,7 @@ def plate_columns(columns: Sequence[ColumnName]) -> dict[str, list[ColumnName]]:
         columns: Those that look like a wrench's.
 
     Returns:
-        By what tells the plates apart in their columns' names.
+        By what distinguishes the plates in their columns' names.
     """
     sets: dict[str, dict[tuple[int, int], ColumnName]] = {}
     for column in columns:

@@ -167,7 +167,7 @@ def _diagnostics(
     """What to doubt of a signal that should be the derivative of another, both of sizes (2, n).
 
     Raises:
-        RecordingError: It is of another unit, sign or order; says which line of the mapping cures
+        RecordingError: It is of another unit, sign or order; says which mapping line corrects
             it.
     """
     n, order = len(joints), found.likely
@@ -176,12 +176,12 @@ def _diagnostics(
     wrong = sure & (np.abs(slope - 1) > NEAR)
     if (order != np.arange(n)).any() or wrong.any():
         read = np.stack([sizes[0], sizes[1][order]])
-        cures, other = _cures(kind, table, of, below, order, np.where(sure, slope, 1.0), read)
+        lines, other = _lines(kind, table, of, below, order, np.where(sure, slope, 1.0), read)
         names = [joints[k] for k in range(n) if wrong[k] or order[k] != k]
         said = f"it is {_times(slope[wrong])}" if wrong.any() else "it is that of other joints"
         raise RecordingError(
             f"the {kind} of {_listed(names, n)} is not the derivative of the {of}: {said}; in the "
-            f"mapping: {cures}; or leave [{kind}] out{other}"
+            f"mapping: {lines}; or leave [{kind}] out{other}"
         )
     moving = (found.fit.max(axis=1) > 0) & ~sure
     if not moving.any():
@@ -204,7 +204,7 @@ def _times(slope: Array) -> str:
     return f"{' or '.join(said[:3])} times that"
 
 
-def _cures(
+def _lines(
     kind: Kind, table: SignalTable, of: Kind, below: SignalTable, order: NDArray[np.intp],
     slope: Array, read: Array,
 ) -> tuple[str, str]:  # fmt: skip

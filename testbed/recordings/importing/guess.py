@@ -61,7 +61,7 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
         "",
         f"# What {files} {'holds' if len(paths) == 1 else 'hold'}, made into a recording by",
         "#   testbed import THIS.toml --out recording.parquet --model ROBOT",
-        "# once nothing is empty or 0. See docs/real-recordings.md.",
+        "# once nothing is empty or 0. See docs/your-recording.md.",
         "",
     )
     draft = draft.saying("", "rate", _rate(sources, signals), "of the recording [Hz]")
@@ -178,7 +178,7 @@ def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
 
 
 def _key(name: str) -> str:
-    """What tells a plate from the others, as a key."""
+    """What distinguishes a plate from the others, as a key."""
     return re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "plate"
 
 

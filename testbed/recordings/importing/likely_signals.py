@@ -32,10 +32,10 @@ from testbed.recordings.importing.readers import open_foreign, reader_of
 from testbed.recordings.importing.source_clock import GAP, Times
 
 EPOCH = 1e9
-"""Seconds since 1970 are one to three times as many: times of that size tell their unit."""
+"""Seconds since 1970 are one to three times as many: times of that size show their unit."""
 
 USUAL = (20.0, 10_000.0)
-"""Samples a second of most devices: they tell the unit of steps [Hz]."""
+"""Samples a second of most devices: they show the unit of steps [Hz]."""
 
 TIME_WORDS = ("stamp", "time", "received", "sec", "t")
 """Names of times, or parts of them; the likeliest first."""
@@ -53,10 +53,10 @@ class Clock:
 
     Attributes:
         column: Of its times; None if none looks like it.
-        unit: Of these; None if nothing tells.
+        unit: Of these; None if unknown.
         given: Whether the file itself says the unit.
         rate: Samples a second, as round as the stamps allow [Hz]; 0 if that is not known.
-        because: What tells it, if neither the file nor a name does.
+        because: What shows it, if neither the file nor a name does.
     """
 
     column: str | None
@@ -155,7 +155,7 @@ def rounded(value: float, doubt: float) -> float:
 
 
 def _unit(column: str, stamps: Array | NDArray[np.int64]) -> tuple[str | None, str]:
-    """The unit of times by their name, their size or their steps, and which of these told it."""
+    """The unit of times by their name, their size or their steps, and which of these showed it."""
     words = [plain(word) for word in re.findall(r"[A-Za-zµ]+", column)]
     named = [word for word in words if word in TIMES and (word != "min" or len(words) > 1)]
     if named:
@@ -203,9 +203,9 @@ class LikelySignal:
         source: Where they are.
         group: The columns.
         others: What looks like it, too.
-        units: Column by column; None where nothing tells.
+        units: Column by column; None where unknown.
         sign: 1 or -1 a column; empty if all count the same way.
-        because: What tells the units, if not the columns' names.
+        because: What shows the units, if not the columns' names.
     """
 
     source: LikelySource
@@ -244,7 +244,7 @@ def by_file(source: LikelySource) -> LikelySource:
     """A source whose columns say the joint only, with the signal that its file's name says.
 
     Args:
-        source: As its columns' names tell it.
+        source: As its columns' names state it.
     """
     kind = read_name(source.file.name.partition(".")[0]).kind
     assigned = any(says_signal(word) for column in source.columns for word in column.words)
@@ -263,7 +263,7 @@ def in_order(source: LikelySource, joints: int) -> LikelySource:
     Positions, velocities and accelerations if what follows is a derivative, torques, the plate.
 
     Args:
-        source: As its names tell it.
+        source: As its names state it.
         joints: Of the robot.
     """
     if any(re.search("[A-Za-z]", column.name) for column in source.columns):
@@ -358,7 +358,7 @@ def _followed(signals: Mapping[Kind, LikelySignal]) -> Array | None:
 
 
 def _with_derivatives(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySignal]:
-    """What velocities and positions tell of each other: signs, and a clock's unit or their own."""
+    """What velocities and positions show of each other: signs, and a clock's unit or their own."""
     slope = _followed(signals)
     if slope is None:
         return signals
@@ -418,7 +418,7 @@ def likely_plates(
         sources: Where to look.
 
     Returns:
-        What tells a plate from the others, its source and its columns.
+        What distinguishes a plate from the others, its source and its columns.
     """
     found = []
     for source in sources:

@@ -1,4 +1,4 @@
-"""MuJoCo's compiler: kept quiet, helped over missing meshes, told nothing without an end."""
+"""MuJoCo's compiler: kept quiet, without meshes that are missing, within bounds of size."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ def _release_mocap(spec: mujoco.MjSpec) -> None:
 
 
 def _name_everything(spec: mujoco.MjSpec) -> None:
-    """Names are optional in MJCF, and everything here is told apart by name."""
+    """Names are optional in MJCF, and everything here is distinguished by name."""
     taken = {body.name for body in spec.bodies} | {joint.name for joint in spec.joints}
     for k, body in enumerate(spec.bodies):
         if not body.name:

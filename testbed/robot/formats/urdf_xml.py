@@ -286,7 +286,7 @@ def rewrite_numbers(owner: ET.Element, where: str, *, allow_nan: bool = False) -
     Args:
         owner: A joint or an inertial; its parts are changed.
         where: Owner, for messages.
-        allow_nan: Leave texts like "nan" as NaN: an inertia that is none is told as such.
+        allow_nan: Leave texts like "nan" as NaN: an inertia that is none is refused as such.
 
     Raises:
         ModelError: Names the attribute that holds something else.

@@ -115,7 +115,7 @@ def harmless(text: str) -> str:
     """Text from a file, fit for any language's comments: letters, digits and a few signs.
 
     Letters of other scripts become their numbers, such as u65e5; everything else an underline,
-    colons among them: a comment with `coding:` tells Python how to read a file.
+    colons among them: a comment with `coding:` changes how Python reads a file.
     """
     spelled = "".join(c if c.isascii() or not c.isalnum() else f"u{ord(c):04x}" for c in text)
     return re.sub(r"[^A-Za-z0-9_.,+\-() /]", "_", spelled)[:120]

@@ -29,7 +29,7 @@ TYPES = {-1: "S1", 1: "i1", 2: "i2", 4: "f4"}
 """Of parameters' values."""
 
 MOST_FRAMES = 65535
-"""That the header can tell."""
+"""That the header can state."""
 
 Parameters = dict[str, Any]
 """Values by GROUP:NAME: arrays of numbers, or lists of texts."""

@@ -156,7 +156,7 @@ def _places(count: int) -> list[str]:
 
 
 STAMP = "header/stamp"
-"""Where messages say when what they tell of was."""
+"""Where messages say when it was."""
 
 
 def read_file(path: Path, topic: str | None) -> ForeignTable:
