@@ -38,15 +38,16 @@ def minimal(
         bool, typer.Option("--zeros", help="Verify with parameters that are known to be zero.")
     ] = False,
 ) -> None:
-    """Cost of a minimal set over the number of joints; and, asked, agreement of witnesses."""
+    """Cost of a minimal set over joints; asked, witnesses: exit code 1 if they disagree."""
     from benchmarks.minimal import agreement, scaling
     from benchmarks.minimal import robots as real
 
     _print(scaling())
-    if trees:
-        _print(agreement(trees, zeros))
-    if robots:
-        _print(real(zeros))
+    lines = [agreement(trees, zeros)] if trees else []
+    lines += [real(zeros)] if robots else []
+    for line in lines:
+        _print(line)
+    raise typer.Exit(int(any(line["disagreements"] for line in lines)))
 
 
 @app.command()
@@ -54,7 +55,7 @@ def robots(
     seconds: Annotated[float, typer.Option(help="Of motion.")] = 6.0,
     only: Annotated[str, typer.Option(help="Only files whose paths hold this.")] = "",
 ) -> None:
-    """`new` and a run of every URDF of example-robot-data; exit code 1 if one is refused."""
+    """`new` and a run of every robot of some packages; exit code 1 if one is refused or wrong."""
     from benchmarks.robot_files import runs
 
     line: dict[str, Any] = {}
@@ -220,21 +221,21 @@ def faults(
 
 @app.command()
 def coverage(
-    runs: Annotated[int, typer.Option(help="Recordings of each kind.")] = 200,
+    runs: Annotated[int, typer.Option(min=2, help="Recordings of each kind.")] = 200,
     first: Annotated[int, typer.Option(help="The first seed.")] = 5000,
     seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 20.0,
     noise: Annotated[str, typer.Option(help="Setting of the identification.")] = "ar",
     only: Annotated[str, typer.Option(help="Only studies whose words hold this.")] = "",
 ) -> None:
-    """How often intervals of 95 % hold the truth: the tables of docs/uncertainty.md."""
+    """How often intervals of 95 % hold the truth: docs/uncertainty.md; exit code 1 if too few."""
     import testbed as tb
     from benchmarks.coverage import coverage as measured
     from benchmarks.coverage import studies
 
     settings = tb.Settings(noise="white" if noise == "white" else "ar")
-    for study in studies(settings, seconds):
-        if only in study.words:
-            _print(measured(study, first, runs))
+    asked = (study for study in studies(settings, seconds) if only in study.words)
+    lines = list(_printed(measured(study, first, runs) for study in asked))
+    raise typer.Exit(int(not all(line["held"] for line in lines)))
 
 
 @app.command()

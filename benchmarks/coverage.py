@@ -26,6 +26,9 @@ from testbed.recordings.recording import Recording
 
 NORMAL = 1.96
 
+LEAST = 0.93
+"""Share of all intervals that must hold the truth, but for two standard errors."""
+
 COARSE = (EncoderResolution(count=1e-3),)
 """Encoders that stand still from sample to sample in slow motions."""
 
@@ -89,6 +92,7 @@ def coverage(study: Study, first: int, runs: int) -> dict[str, Any]:
     each = inside.mean(axis=0)
     kept = each[~mass]
     bodies = estimate.minimal.count
+    bound = 2 * inside[:, ~mass].mean(axis=1).std(ddof=1) / np.sqrt(runs)
     line: dict[str, Any] = {
         "robot": study.robot,
         "motion": study.motion,
@@ -99,7 +103,8 @@ def coverage(study: Study, first: int, runs: int) -> dict[str, Any]:
         "runs": runs,
         "seeds": f"{first} to {first + runs - 1}",
         "coverage": _share(kept.mean()),
-        "bound": _share(2 * inside[:, ~mass].mean(axis=1).std(ddof=1) / np.sqrt(runs)),
+        "bound": _share(bound),
+        "held": bool(kept.mean() + bound >= LEAST),
         "worst": _share(kept.min()),
         "worst_parameter": np.array(names)[~mass][kept.argmin()],
         "total_mass": _share(each[mass].mean()) if mass.any() else None,

@@ -25,10 +25,13 @@ SHOWN = ("puma", "ur5", "gantry_ppp_rrr")
 """Of ROBOTS."""
 
 FALSE_ALARMS = 0.01
-"""Largest share of clean recordings about which something is said."""
+"""Largest share of clean recordings about which something is said, of all kinds together.
+
+Of one kind 20 runs tell no share of 1 %: it fails where its interval of 95 % leaves the goal out.
+"""
 
 POWER = 0.99
-"""Least share of faulty recordings about which something is said."""
+"""Least share of faulty recordings about which something is said, judged likewise."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +124,7 @@ def detection(trial: Trial, first: int, runs: int, seconds: float) -> dict[str, 
         "coarse_encoders": _share(steps / runs),
         "other_findings": _share(others / runs),
         "goal": trial.goal,
-        "held": len(ranks) / runs >= trial.goal if trial.fault else len(ranks) <= trial.goal * runs,
+        "held": bool(trial.goal <= interval.high if trial.fault else interval.low <= trial.goal),
         "named_otherwise": sorted(wrong),
         "cpu_seconds": round((time.process_time() - start) / runs, 2),
     }

@@ -40,6 +40,9 @@ GOALS = {"turn": 0.1, "shift": 1.0, "ratio": 0.3, "clock": 0.1}
 TIMES = 3.0
 """So many times a goal an error of one mapping may be, if that is to be right."""
 
+SIGMAS = 3.0
+"""By so many of its own sigmas a value may be off that is as unsure as its line says."""
+
 MARKS = ("ASSUMED", "not told apart", "cannot be told", "not decidable")
 """What a comment says of a value that may be another."""
 
@@ -62,6 +65,12 @@ class Judged:
     wrong: dict[str, str] = field(default_factory=dict)
     errors: dict[str, float] = field(default_factory=dict)
     sigmas: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def as_unsure_as_said(self) -> bool:
+        """Whether all that is wrong is off by no more than its line says that it may be."""
+        names = [name for each in self.wrong.values() for name in each.split(", ")]
+        return all(self.sigmas.get(name, np.inf) <= SIGMAS for name in names)
 
 
 def judged(robot: str, text: str, files: Files, made: Truth, told: Planted) -> Judged:

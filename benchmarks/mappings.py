@@ -102,8 +102,12 @@ def asked(robot: str, files: Files, made: Truth, told: Planted) -> tuple[dict[st
         line |= {"result": "right", "wrong": worth.wrong, "errors": worth.errors, "z": worth.sigmas}
         if worth.wrong:
             says = accepted(made, files.paths[0].parent / "mapping.toml")
-            is_marked = marked(found.text, worth.wrong)
-            result = "marked" if is_marked else "wrong refused" if says else "wrong accepted"
+            if marked(found.text, worth.wrong):
+                result = "marked"
+            elif says:
+                result = "wrong refused"
+            else:
+                result = "as unsure as said" if worth.as_unsure_as_said else "wrong accepted"
             line |= {"result": result, "said": says}
     return line | {"cpu": round(found.cpu, 2)}, found.text
 
@@ -129,17 +133,20 @@ def study(
 def total(lines: list[dict[str, Any]]) -> dict[str, Any]:
     """What a study says in all."""
     count = {result: sum(line["result"] == result for line in lines)
-             for result in ("right", "marked", "incomplete", "refused", "wrong refused",
-                            "wrong accepted")}  # fmt: skip
+             for result in ("right", "marked", "as unsure as said", "incomplete", "refused",
+                            "wrong refused", "wrong accepted")}  # fmt: skip
     right = [line for line in lines if line["result"] == "right"]
+    found = [line for line in lines if line["result"] in ("right", "as unsure as said")]
     cpu = [line["cpu"] for line in lines]
     return {
         "cases": len(lines), **count,
         "right [%]": round(100 * len(right) / len(lines), 1),
         "loose": sum(line.get("loose", False) for line in lines),
         "right, not loose [%]": round(100 * sum(not x["loose"] for x in right) / len(lines), 1),
-        "rms": {name: _rms([line["errors"][name] for line in right]) for name in GOALS},
-        "rms z": {name: _rms([line["z"][name] for line in right if name in line["z"]])
+        "rms": {name: _rms([line["errors"][name] for line in found]) for name in GOALS},
+        "rms at least": {name: _rms_at_least([line["errors"][name] for line in found])
+                         for name in GOALS},
+        "rms z": {name: _rms([line["z"][name] for line in found if name in line["z"]])
                   for name in GOALS},
         "cpu median, most [s]": [round(float(f(cpu)), 2) for f in (np.median, np.max)],
     }  # fmt: skip
@@ -149,9 +156,18 @@ def _rms(values: Sequence[float]) -> float | None:
     return round(float(np.sqrt(np.mean(np.square(values)))), 4) if len(values) else None
 
 
+def _rms_at_least(values: Sequence[float]) -> float | None:
+    """The rms that few cases leave no doubt of: two standard errors of the mean square less."""
+    squares = np.square(values)
+    if len(squares) < 2:
+        return None
+    least = squares.mean() - 2 * squares.std(ddof=1) / np.sqrt(len(squares))
+    return round(float(np.sqrt(max(least, 0.0))), 4)
+
+
 def reached(found: dict[str, Any]) -> bool:
-    """Whether a total is good enough."""
-    rms = [(found["rms"][name], goal) for name, goal in GOALS.items()]
+    """Whether a total is good enough; an rms misses its goal beyond two standard errors."""
+    rms = [(found["rms at least"][name], goal) for name, goal in GOALS.items()]
     z = list(found["rms z"].values())
     return bool(
         found["right [%]"] >= 95

@@ -23,7 +23,7 @@ CHECKS: dict[str, tuple[str, ...]] = {
     "mistakes of mappings": (*BENCHMARKS, "mistakes", "--count", "30"),
     "solved mappings": (*BENCHMARKS, "mappings", "--count", "20"),
     "odd mappings": (*BENCHMARKS, "mappings", "--odd"),
-    "robots": (*BENCHMARKS, "robots"),
+    "robots": (*BENCHMARKS, "robots", "--only", ".urdf"),
     "minimal sets": (*BENCHMARKS, "minimal", "--trees", "200", "--robots"),
     "hostile inputs": (*BENCHMARKS, "hostile", "--inputs", "200", "--kills", "20"),
     "mutants": (*BENCHMARKS, "mutation", "--mutants", "100"),

@@ -13,7 +13,6 @@ import resource
 import signal
 import sys
 import time
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -95,19 +94,21 @@ def _limit_memory() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
 
 
-LIBRARIES = (
-    "cli.commands", "experiment.carry_out", "experiment.evaluate", "reporting.html", "viewer.log",
-    "reporting.minimal_sets", "robot.formats.mjcf", "robot.formats.urdf", "symbolic.compare",
-    "symbolic.languages",
-)  # fmt: skip
-"""What commands import when they are called."""
-
-
 def _load_libraries() -> None:
-    """Once for all commands, so that it counts for none of them."""
-    for name in LIBRARIES:
-        import_module(f"testbed.{name}")
-    import_module("testbed.kernel.numba_engine").warm_up()
+    """What commands import when they are called: once for all, so that it counts for none."""
+    import testbed.cli.commands
+    import testbed.experiment.carry_out
+    import testbed.experiment.evaluate
+    import testbed.reporting.html
+    import testbed.reporting.minimal_sets
+    import testbed.robot.formats.mjcf
+    import testbed.robot.formats.urdf
+    import testbed.symbolic.compare
+    import testbed.symbolic.languages
+    import testbed.viewer.log  # noqa: F401
+    from testbed.kernel.numba_engine import warm_up
+
+    warm_up()
 
 
 if __name__ == "__main__":

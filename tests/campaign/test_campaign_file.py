@@ -51,7 +51,8 @@ def test_a_level_goes_where_it_is_asked_for_and_cells_share_seeds_unless_told(
     assert [own.experiment(c, k).seed for c in range(2) for k in range(3)] == list(range(5, 11))
 
 
-def test_what_is_not_understood_is_named(tmp_path: Path) -> None:
+def test_what_a_campaign_file_cannot_mean_is_refused_by_name(tmp_path: Path) -> None:
+    """A typing error would cost thousands of runs of another campaign."""
     head = '[[factor]]\nname = "x"\n'
     twenty = ", ".join(f"{k}.0" for k in range(20))
     for factors, replicates, culprit in (

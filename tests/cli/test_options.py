@@ -85,6 +85,7 @@ def test_a_campaign_keeps_the_file_that_asks_for_it(place: Path, tmp_path: Path)
 
 
 def test_of_an_option_and_a_setting_the_option_counts() -> None:
+    """Else a joint is held elsewhere than the command line says, or other terms are estimated."""
     held = Reading(settings=["robot.lock.waist=0.25"], lock=["waist=0.5", "elbow"])
     assert dict(held.model_file(MODELS["puma"]).lock) == {"waist": 0.5, "elbow": None}
     told = Reading(settings=['identification.terms=["rotor"]'], terms="coulomb,viscous", zeros=True)

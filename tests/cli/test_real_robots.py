@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import testbed as tb
+from benchmarks.robot_files import MOST_SIGMAS
 from testbed.experiment.evaluate import evaluate
 from tests.helpers.command import command_line
 from tests.helpers.paths import REAL
@@ -24,23 +25,12 @@ ROBOTS = {
     "a small finger": "finger_edu_description/robots/finger_edu",
     "joints without limits": "double_pendulum_description/urdf/double_pendulum_continuous",
 }
-SLOWER = {
-    "weak motors, held by the waist": "simple_humanoid_description/urdf/simple_humanoid",
-    "limbs that are points": "icub_description/robots/icub_reduced",
-}
-"""Steps of 5e-5 s, or a period that many parameters need: for the night."""
 SHORT, LONG = 4.0, 10.0
 """Seconds that most are recorded for, and a period that is usual."""
-MOST_SIGMAS = 6.0
-"""Of any of some hundred parameters, by chance once in a million runs."""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "robot",
-    [*ROBOTS.values(), *(pytest.param(r, marks=pytest.mark.nightly) for r in SLOWER.values())],
-    ids=[*ROBOTS, *SLOWER],
-)
+@pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
 def test_any_robot_runs_as_new_writes_it(robot: str, tmp_path: Path) -> None:
     """Else whoever has another robot than ours stops at the second command."""
     made = command_line("new", str(REAL / f"{robot}.urdf"), "--out", "r.toml", cwd=tmp_path)

@@ -63,6 +63,7 @@ def test_what_it_says_is_the_models(name: str, tmp_path: Path) -> None:
     (tmp_path / "shown.toml").write_text(text.replace("# gravity", "gravity"))
     shown = tb.Experiment.load(tmp_path / "shown.toml")
     np.testing.assert_allclose(robot_of(shown).gravity, tree.gravity)
+    assert experiment.identification.zeros is False  # symmetry is for a person to say
     gains = np.array(list(experiment.measurement.torque_constant_error.values()))
     np.testing.assert_array_equal(np.sign(gains), [(-1) ** k for k in range(len(gains))])
     motion_of(experiment, tree)  # proven

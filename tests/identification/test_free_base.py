@@ -48,7 +48,7 @@ def test_the_minimal_set_is_as_large_as_pinocchios_rank(robot: Robot) -> None:
 
 
 def test_the_grounds_wrench_is_pinocchios() -> None:
-    """Of a humanoid with 213 parameters."""
+    """Of a humanoid, and 213 parameters; else a robot on a moving base is estimated as another."""
     tree, recording = humanoid(3.0, 100.0, 1, 0.0)
     free = on_free_base(tree)
     path = squatting(tree, 1).at(recording.time)

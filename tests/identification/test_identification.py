@@ -311,7 +311,7 @@ def test_as_accurate_as_lstsq_up_to_a_condition_of_a_million(exponent: int) -> N
 def test_the_covariances_sums_have_bartletts_weights(
     rng: np.random.Generator, cuts: list[int]
 ) -> None:
-    """However the scores come."""
+    """However scores are cut into windows: else sigma under slow noise is too small."""
     scores = rng.normal(size=(100, 4))
     squares = ScoreSquares(4, rate=20.0)
     for part in np.split(scores, sorted(cuts)):

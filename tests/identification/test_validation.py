@@ -237,21 +237,6 @@ def test_without_noise_both_methods_foretell_what_happened(rng: np.random.Genera
     np.testing.assert_allclose(friction(motion.qd, estimates["internal"]), expected, atol=1e-7)
 
 
-def test_an_instrument_that_lacks_a_signal_is_foretold_by_the_other(puma: tb.Tree) -> None:
-    cases: tuple[tuple[str, Method, Method], ...] = (
-        ("torque", "external", "internal"),
-        ("wrench", "internal", "external"),
-    )
-    for signal, one, other in cases:
-        lacking = without(noisy(ideal(puma)), signal)
-        estimate = tb.identify(puma, lacking, one, settings=EXACT)
-        with refuses(RecordingError, signal):
-            tb.identify(puma, lacking, other, settings=EXACT)
-        wrench, torque = predictions(puma, lacking, motion_in(lacking)[0], {one: estimate})
-        assert list(torque) == [one]
-        assert list(wrench) == ([one] if one == "external" else [])
-
-
 def test_the_motion_from_encoders_is_the_motion_within_its_ends(puma: tb.Tree) -> None:
     """What is slow passes: values and derivatives are those of the motion, at their instants."""
     recording = ideal(puma, duration=20.0)

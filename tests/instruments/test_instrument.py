@@ -75,7 +75,8 @@ def same(one: Array | None, other: Array | None) -> None:
     np.testing.assert_array_equal(one, other)
 
 
-def test_by_default_it_shows_what_happened_and_senses_kinematics_only_if_told() -> None:
+def test_the_default_instrument_is_perfect_and_senses_no_kinematics() -> None:
+    """Else noise that no file asks for is in a simulated recording, or speeds that no robot has."""
     what, blind = truth(), seen(base=Instrument())
     assert blind.signals == ("time", "position", "torque", "wrench")
     sensing = seen(base=Instrument(senses_kinematics=True))

@@ -30,7 +30,7 @@ from tests.helpers.strategies import rngs, robots, trees
 def test_standard_parameters_are_pinocchios_and_one_to_one_with_barycentric_ones(
     robot: Robot, rng: np.random.Generator
 ) -> None:
-    """One to one with the standard ones, in Pinocchio's order."""
+    """In Pinocchio's order: else a mass that is printed is another one to every other program."""
     tree = robot.tree()
     rows, parameters = rng.normal(size=(3, 10 * tree.n)), rng.normal(size=(tree.n, 10))
     back = to_standard(tree, to_barycentric(tree, parameters))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from testbed.errors import RecordingError
@@ -77,6 +77,7 @@ def cure(folder: Path, text: str) -> dict[str, dict[str, Any]]:
         },
     ).filter(lambda wrong: bool(wrong) and wrong.get("columns") != columns("velocity")),
 )
+@example(seed=16489, wrong={"columns": columns("velocity", [0, 2, 3, 1, 4, 5])})  # two go alike
 def test_the_cure_of_a_wrong_velocity_makes_it_right(
     seed: int, wrong: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
 ) -> None:

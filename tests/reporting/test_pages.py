@@ -188,6 +188,10 @@ def test_the_plates_matrix_is_shown_before_and_after() -> None:
     assert float(left["Fy"][1]["text"]) == pytest.approx(0.1, rel=0.06)
     assert cells["Mx"][2]["share"] > cells["Fy"][1]["share"] > left["Fy"][1]["share"]
     assert min(cell["share"] for row in cells.values() for cell in row) == 0
+    matrix = np.eye(6)  # predictions are held against what the plate ought to have shown
+    matrix[1, 1], matrix[3, 2] = 1.01, 0.02
+    right = run.recording.measured("wrench") @ np.linalg.inv(matrix).T
+    np.testing.assert_allclose(predict(run).recording.measured("wrench"), right, rtol=1e-9)
 
 
 def test_drives_and_bodies_of_the_page_are_the_runs() -> None:

@@ -36,6 +36,7 @@ from testbed.reporting.campaign import (
     print_changes,
     print_summary,
     score_figure,
+    sigma_figure,
 )
 from testbed.reporting.estimates import validation_table
 from testbed.reporting.figures import Panel
@@ -187,7 +188,7 @@ def test_the_pumas_set_is_written_as_the_paper_writes_it(puma: tb.Tree) -> None:
     dynamic, reaction = (
         tb.minimal_set(puma, model, zeros=True) for model in ("dynamic", "reaction")
     )
-    golden = (GOLDEN / "minimal/puma562.tex").read_text(encoding="utf-8")
+    golden = (GOLDEN / "puma562.tex").read_text(encoding="utf-8")
     assert printed(80, print_latex, Findings(puma, dynamic, reaction, None), "symbols") == golden
 
 
@@ -210,6 +211,13 @@ def test_a_campaign_is_told_over_its_factors_and_scored() -> None:
         assert isinstance(panel, Panel)
         (edges, density) = panel.curves["external"]
         assert np.trapezoid(density, edges) == pytest.approx(1.0)
+    spreads = sigma_figure(summary.parameters)
+    assert spreads is not None
+    (panel,) = spreads.panels
+    assert isinstance(panel, Panel)
+    predicted, obtained = panel.curves["measured"]  # the line on which sigma holds
+    np.testing.assert_array_equal(predicted, obtained)
+    assert np.ptp(predicted) == np.ptp(panel.curves["external"][0])
     for name, method, *said in scores.table.rows:
         z = summary.z[method][name]
         assert [float(x) for x in said] == pytest.approx(

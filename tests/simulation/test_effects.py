@@ -130,10 +130,10 @@ def test_pushes_of_zero_change_no_bit_and_viscous_ones_are_viscous_friction(
 
 @few(8)
 @given(robot=robots((2, 6)), rng=rngs)
-def test_a_sample_in_one_step_is_that_of_all_its_steps(
+def test_a_sample_that_is_integrated_at_once_is_that_of_its_small_steps(
     robot: Robot, rng: np.random.Generator, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """Where nothing sticks or turns round; pushes, of nothing, make every sample take all."""
+    """Else a recording is another one as soon as an effect, even of zero, asks for small steps."""
     path = tmp_path_factory.mktemp("robot") / "robot.xml"
     path.write_text(robot.mjcf())
     tree = tb.load_tree(path)

@@ -108,7 +108,11 @@ def test_a_plant_that_is_not_the_robot_that_was_read_is_refused(
 def test_on_a_light_robot_a_weak_spring_is_named_and_strong_friction_is_not(
     robot: Robot, friction: float, joint: int
 ) -> None:
-    """A thousandth of the masses, a tenth of the lengths: its dry friction it cannot overcome."""
+    """The plant's check of itself goes by the robot's size, here a thousandth of the usual mass.
+
+    Else small robots are simulated with springs that no equation has, or refused for friction that
+    their weight cannot overcome.
+    """
     links = (
         replace(x, mass=x.mass / 1e3, xyz=x.xyz / 10, com=x.com / 10, central=x.central / 1e5)
         for x in robot.links

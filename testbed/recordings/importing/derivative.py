@@ -24,8 +24,12 @@ PARTS = (200, 60, 20)
 """Of a recording, over each of which is integrated: long ones hear less noise, short ones more of
 a fast motion."""
 
-SURE, POOR = 0.9, 0.5
-"""Part of the variance that is explained: from here on by this signal, below that not by it."""
+SURE = 0.9
+"""Part of the variance from which on a signal is explained."""
+
+BETTER = 5.0
+"""So many times less than its own leaves another joint's signal unexplained, if that is the right
+one: joints of some motions go nearly alike, and each then explains the other."""
 
 NEAR = 0.1
 """Relative error of a slope that no unit explains."""
@@ -54,10 +58,11 @@ class Slopes:
 
     @property
     def likely(self) -> NDArray[np.intp]:
-        """(n,): whose integral each signal is: its own, unless only another's explains it."""
+        """(n,): whose integral each signal is: its own, unless another's explains it far better."""
         n = len(self.fit)
         best, own = np.argmax(self.fit, axis=1), np.diagonal(self.fit)
-        other = (self.fit[np.arange(n), best] > SURE) & (own < POOR)
+        most = self.fit[np.arange(n), best]
+        other = (most > SURE) & (1 - own > BETTER * (1 - most))
         found = np.where(other, best, np.arange(n))
         return found if len(set(found.tolist())) == n else np.arange(n)
 
