@@ -92,7 +92,7 @@ class Surveyor:
             signals: The window's.
             first: Number of its first sample.
             count: How many samples are its own: the next window has the others, too.
-            closely: Whether its encoders' noise and counts are wanted: some windows tell them.
+            closely: Whether its encoders' noise and counts are wanted: some windows show them.
         """
         own = slice(-first % self.stride, count, self.stride)
         self._kept[first] = signals.position[own].copy(), signals.measured[own].copy()
