@@ -247,7 +247,7 @@ def test_one_cause_comes_first_with_what_follows_from_it() -> None:
         assert from_json(json.loads(json.dumps([d.as_dict() for d in found]))) == found
     several = [replace(ENCODER, text=f"joint {k}") for k in range(5)]
     (line,) = sentences(ordered(several))
-    assert "3 more" in line
+    assert "3 similar" in line
     assert [each.text for each in from_json(["as it was"])] == ["as it was"]
 
 
