@@ -34,7 +34,7 @@ BYTES = 8
 GLYPHS = ("·", "+", "#")
 """Never, in combination with others, alone."""
 
-HEADINGS = ("parameter", "unit", "torques", "bedplate", "made of")
+HEADINGS = ("parameter", "unit", "torques", "plate", "combination of")
 MARKS = (6, 7, 8)
 """Widths of the columns between name and formula."""
 
@@ -145,7 +145,10 @@ def map_table(tree: Tree, seen: Sequence[Visibility]) -> Table:
     table = Table(box=None, padding=(0, GAP, 0, 0), header_style="bold")
     table.add_column("body", overflow="fold")
     for each in seen:
-        table.add_column(f"{each.instrument} ({each.count})", width=len(STANDARD))
+        sensor = each.instrument.replace("tared bedplate", "plate, tared").replace(
+            "bedplate", "plate"
+        )
+        table.add_column(f"{sensor} ({each.count})", width=len(STANDARD))
     for j, joint in enumerate(tree.joints):
         cells = ["".join(GLYPHS[level] for level in each.standard[j]) for each in seen]
         table.add_row(joint.body, *cells)
@@ -232,19 +235,19 @@ def _heading(found: Findings, body: int) -> str:
     if body < 0:
         return "the bedplate"
     joint = found.tree.joints[body]
-    moves = "turns" if joint.revolute else "slides"
+    kind = "revolute" if joint.revolute else "prismatic"
     carrier = found.tree.joints[joint.parent].body if joint.parent >= 0 else "the bedplate"
-    return f"{body + 1}  {joint.body}, {moves} on {carrier}"
+    return f"{body + 1}  {joint.body}, {kind} on {carrier}"
 
 
 def _explained(found: Findings, lengths: Lengths) -> Iterator[str]:
     """Rules, redefinitions, directions and terms of the joints, a line each."""
     for number in sorted({*found.dynamic.reasons, *found.reaction.reasons}):
-        yield f"{number}: {REASONS[number]}"
-    sets = {"torques": found.dynamic, "bedplate": found.reaction}
+        yield f"{'rule ' * number[0].isdigit()}{number}: {REASONS[number]}"
+    sets = {"torques": found.dynamic, "plate": found.reaction}
     said = {name: each.auxiliary_with(lengths) for name, each in sets.items()}
     other = {name: {f.left: f for f in said[name]} for name in sets}
-    for formula in dict.fromkeys((*said["torques"], *said["bedplate"])):
+    for formula in dict.fromkeys((*said["torques"], *said["plate"])):
         of = [name for name in sets if other[name].get(formula.left) == formula]
         differs = len({f for name in sets if (f := other[name].get(formula.left))}) > 1
         yield f"with {formula}{f' ({of[0]})' if differs else ''}"
