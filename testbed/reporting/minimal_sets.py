@@ -145,9 +145,8 @@ def map_table(tree: Tree, seen: Sequence[Visibility]) -> Table:
     table = Table(box=None, padding=(0, GAP, 0, 0), header_style="bold")
     table.add_column("body", overflow="fold")
     for each in seen:
-        sensor = each.instrument.replace("tared bedplate", "plate, tared").replace(
-            "bedplate", "plate"
-        )
+        sensor = {"tared bedplate": "plate, tared"}.get(each.instrument, each.instrument)
+        sensor = sensor.replace("bedplate", "plate")
         table.add_column(f"{sensor} ({each.count})", width=len(STANDARD))
     for j, joint in enumerate(tree.joints):
         cells = ["".join(GLYPHS[level] for level in each.standard[j]) for each in seen]
