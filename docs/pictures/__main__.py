@@ -122,14 +122,14 @@ def campaign(folder: Path) -> None:
     wide, top, parts = 62, 24.0, []
     found = campaign_contents(summarise(read_campaign(folder)))
     for heat in found["heats"]:
-        rows = {name: [cell["text"] for cell in cells] for name, cells in heat["rows"]}
-        for k, (_, cells) in enumerate(heat["rows"]):
+        rows = {name: [cell["text"] for cell in cells] for name, cells in heat.rows}
+        for k, (_, cells) in enumerate(heat.rows):
             for c, cell in enumerate(cells):
                 parts.append(
                     f'<rect x="{LEFT + wide * c}" y="{top + 6 + CELL * (k + 1)}" width="{wide}" '
                     f'height="{CELL}" fill="var(--external)" opacity="{cell["share"] / 100}"/>'
                 )
-        parts += table(top, f"{heat['caption']} [%]", heat["names"], rows, wide)
+        parts += table(top, f"{heat.caption} [%]", heat.names, rows, wide)
         top += 26 + CELL * (len(rows) + 1) + 12
     rows, columns = found["factors"]
     parts.append(words(8, top, f"Rows: {rows}. Columns: {columns}.", "start", "", "faint"))

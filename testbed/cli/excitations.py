@@ -112,8 +112,8 @@ def _budget(experiment: Experiment) -> Callable[[float], str]:
         return lambda most: (
             searches
             + (f", at most {most:.0f} s" if most > LONG else "")
-            + "; Ctrl-C goes on with the best so far, "
-            "excitation.seconds or fewer excitation.starts end sooner"
+            + "; Ctrl-C stops and keeps the best motion so far, "
+            "excitation.seconds or fewer excitation.starts stop earlier"
         )
     ends = f"{searches}, ended after {table.seconds:g} s: the result depends on this machine then"
     return lambda _: ends

@@ -164,7 +164,10 @@ def import_(
             options = {"align": align, "unchecked": unchecked}
             made, cuts, found = import_and_check(mapping, tree, **options, progress=bar)
         taken = " (corrected)" if align else ""
-        lines = [each.diagnostic().text + taken * each.matters for each in found.offsets]
+        lines = [
+            each.diagnostic().text + (taken if each.matters else ", not significant")
+            for each in found.offsets
+        ]
         checked = [*tree.diagnostics, *found.diagnostics]
     paths = _paths(out, len(made))
     for recording, path in zip(made, paths, strict=True):

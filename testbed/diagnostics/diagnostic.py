@@ -299,7 +299,7 @@ def _parts(group: list[Diagnostic], symptoms: Iterable[str]) -> tuple[str, ...]:
     labels = {
         "Likely cause": ", or ".join(map(phrase, first.causes)),
         "Remedy": first.remedy,
-        "It also explains": ", ".join(symptoms),
+        "Consequence": ", ".join(symptoms),
     }
     return (text, *(f"{label}: {said}" for label, said in labels.items() if said))
 

@@ -282,7 +282,7 @@ def _distances(motion: Fourier, rules: Rules) -> tuple[list[Margin], int]:
                 )
             time = min(time + ahead, end)
     margins = [
-        Margin(f"clearance of {name} beyond {1000 * kept:.3g} mm", float(d - kept), float(t), "m")
+        Margin(f"distance of {name} (over {1000 * kept:.3g} mm)", float(d - kept), float(t), "m")
         for name, d, kept, t in zip(collision.names, least, rules.clearance, when, strict=True)
         if d < far
     ]

@@ -91,7 +91,7 @@ class Excitation(Diagnosed):
         if self.gain is None:
             return f"{origin} does not identify all parameters"
         theirs = self.random_predicted.rms
-        return f"{self.gain:.2f} times smaller than that of {origin} ({theirs:.3g})"
+        return f"{self.gain:.2f} times smaller than that of {origin} ({theirs:.2%})"
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from testbed.experiment.run import Run
     from testbed.identification.estimate import Estimate
 
-SIGNALS = {"wrench": "base wrench", "torque": "joint torques without friction"}
+SIGNALS = {"wrench": "base wrench", "torque": "rigid-body torques"}
 """Of an `Accuracy`."""
 
 
@@ -87,7 +87,7 @@ def _parameters(run: Run) -> list[str]:
         parts += [] if most is None else [f"largest error {most:.3g} standard deviations"]
         if parts:
             phrases.append(f"{estimate.minimal.count} by the {NAMES[method]}, {', '.join(parts)}")
-    return [f"Parameters: {'; '.join(phrases)}."] if phrases else []
+    return [f"Base parameters: {'; '.join(phrases)}."] if phrases else []
 
 
 def _of_numbers(function: Callable[[Array], Any], values: Array) -> float | None:
@@ -109,10 +109,10 @@ def residual_line(estimates: Iterable[Estimate]) -> str:
         known = np.isfinite(e.base.sigma) & (np.abs(e.base.values) > 0)
         shares = e.base.sigma[known] / np.abs(e.base.values[known])
         middle = percent(float(np.median(shares))) if known.any() else ""
-        spread = f", median standard deviation of its {len(known)} parameters {middle}"
+        spread = f", median standard deviation of {len(known)} parameters {middle}"
         signal = "the wrench" if e.method == "external" else "the joint torques"
         phrases.append(f"{percent(left)} of {signal}{spread if middle else ''}")
-    return f"Rms residuals: {'; '.join(phrases)}."
+    return f"Rms residual: {'; '.join(phrases)}."
 
 
 def _measured(run: Run) -> list[str]:
@@ -128,7 +128,7 @@ def _measured(run: Run) -> list[str]:
             what = "base wrench" if method == "external" else "joint torques"
             phrases.append(f"{what} {percent(share)}, expected {percent(usual)}")
     return (
-        [f"Rms residuals on that motion (noise and weight included): {'; '.join(phrases)}."]
+        [f"Rms of measured minus predicted there, in percent of the signal: {'; '.join(phrases)}."]
         if phrases
         else []
     )

@@ -197,7 +197,7 @@ REASONS = {
     "3.3": "prismatic; its parent rotates about the joint axis only, or not at all",
     "4.1": "revolute; its parent also rotates about a non-parallel axis",
     "4.2": "revolute; its parent rotates about the joint axis only, or not at all",
-    "4.3": "revolute; its parent rotates about the joint axis only, with no acceleration across it",
+    "4.3": "revolute; its parent rotates about the joint axis only, not accelerated across it",
     "4.4": "revolute; its parent also rotates about a non-parallel axis, about one fixed point",
     "5.1": "revolute; its parent also rotates about a non-parallel axis",
     "5.2": "revolute; its parent rotates about the joint axis only, or not at all",

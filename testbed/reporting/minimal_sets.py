@@ -109,7 +109,8 @@ def print_sets(console: Console, found: Findings, lengths: Lengths) -> None:
     if found.seen:
         console.print(map_table(found.tree, found.seen))
         console.print(
-            f"{GLYPHS[2]} identifiable alone, {GLYPHS[1]} in combination, {GLYPHS[0]} not; in the "
+            f"{GLYPHS[2]} identifiable alone, {GLYPHS[1]} in combination, {GLYPHS[0]} not"
+            f"{' or fixed to zero' * bool(found.dynamic.known_zero.any())}; in the "
             f"order {' '.join(STANDARD)} about the body frame"
         )
     for line in _verdicts(found):
@@ -286,7 +287,7 @@ def _summary(found: Findings) -> str:
         if drives is not None
         else ""
     )
-    return f"{found.tree.name}: {10 * found.tree.n} parameters, of which {phrase}{terms}"
+    return f"{found.tree.name}: {10 * found.tree.n} parameters; {phrase}{terms}"
 
 
 def _verdicts(found: Findings) -> Iterator[str]:

@@ -64,7 +64,7 @@ def print_excitation(
 
 def _promise(found: Excitation) -> str:
     return (
-        f"predicted: rms relative standard deviation {found.predicted.rms:.3g}, "
+        f"predicted: rms relative standard deviation {found.predicted.rms:.2%}, "
         f"{found.beside_random}; "
         f"condition number {found.predicted.condition:.3g}"
     )
@@ -121,7 +121,7 @@ def print_proof(console: Console, proof: Proof, *, everything: bool = False) -> 
     held = len(proof.binding)
     console.print(
         f"verified at every instant: {plural(count, 'limit')}"
-        + (f"; {held} active" if held else "")
+        + (f"; {held} nearly reached" if held else "")
     )
 
 
@@ -146,7 +146,7 @@ def motion_contents(found: Excitation) -> dict[str, Any]:
         "title": f"Motion of {found.tree.name}",
         "summary": [
             f"{plural(motion.harmonics, 'harmonic')} of {motion.fundamental:g} Hz; "
-            f"predicted rms of relative standard deviations {found.predicted.rms:.2g}, "
+            f"predicted rms of relative standard deviations {found.predicted.rms:.2%}, "
             f"{found.beside_random}.",
             *(f"Warning: {line}." for line in sentences(found.diagnostics)),
         ],

@@ -170,7 +170,7 @@ def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
     out = console()
     estimates = list(run.estimates.values())
     out.print(Panel(printable(headline(run)), box=ROUNDED))
-    for line in accuracy_lines(run):
+    for line in accuracy_lines(run)[: None if everything else 1]:
         out.print(printable(line), soft_wrap=True)
     _print_verdict(out, run)
     print_diagnostics(out, run.diagnostics, None if everything else 1)

@@ -118,4 +118,5 @@ def _clock(name: str, clock: ClockReport) -> str:
 def _signal(name: str, signal: SignalReport) -> str:
     filtered = "low-pass and spline" if signal.low_pass else "spline"
     dropped = f", {signal.dropped} left out" if signal.dropped else ""
-    return f"{name} of '{signal.source}': {filtered}, {signal.held:.1%} held{dropped}{signal.use}"
+    held = f"{signal.held:.1%} repeated values"
+    return f"{name} of '{signal.source}': {filtered}, {held}{dropped}{signal.use}"
