@@ -48,7 +48,7 @@ class Fixed(StrEnum):
 ConsistentBodies = Annotated[
     bool,
     typer.Option(
-        "--consistent", help="Physically consistent bodies, near those of the model file."
+        "--consistent", help="Also compute physically consistent bodies near the model file's."
     ),
 ]
 Write = Annotated[
@@ -58,7 +58,7 @@ Write = Annotated[
     ),
 ]
 FixedLinks = Annotated[
-    Fixed, typer.Option("--fixed", help="Write the mass of fixed bodies to their link, or to each.")
+    Fixed, typer.Option("--fixed", help="With --write: lump the mass of fixed bodies, or share it.")
 ]
 InPlace = Annotated[
     bool, typer.Option("--in-place", help="Allow --write to replace the model file.")

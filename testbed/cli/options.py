@@ -158,7 +158,8 @@ Plate = Annotated[
     Path | None, typer.Option(help="Calibration file of the plate, by testbed calibrate.")
 ]
 Zeros = Annotated[
-    bool, typer.Option("--zeros", help="Fix parameters to zero that are zero in the model file.")
+    bool,
+    typer.Option("--zeros", help="Fix to zero all parameters that are zero in the model file."),
 ]
 Zero = Annotated[
     list[str] | None,

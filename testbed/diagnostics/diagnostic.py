@@ -175,7 +175,7 @@ def sentences(diagnostics: Iterable[Diagnostic]) -> tuple[str, ...]:
 
 
 def paragraphs(diagnostics: Iterable[Diagnostic]) -> tuple[tuple[str, ...], ...]:
-    """What was found, the likely causes, the remedy, the symptoms that follow; each a sentence.
+    """What was found, the likely causes, the symptoms that follow, the remedy; each a sentence.
 
     Args:
         diagnostics: In order.
@@ -298,8 +298,8 @@ def _parts(group: list[Diagnostic], symptoms: Iterable[str]) -> tuple[str, ...]:
     text = f"{first.recording}: " * bool(first.recording) + "; ".join(shown)
     labels = {
         "Likely cause": ", or ".join(map(phrase, first.causes)),
-        "Remedy": first.remedy,
         "Consequence": ", ".join(symptoms),
+        "Remedy": first.remedy,
     }
     return (text, *(f"{label}: {said}" for label, said in labels.items() if said))
 

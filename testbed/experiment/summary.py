@@ -61,7 +61,8 @@ def headline(run: Run) -> str:
     if not phrases:
         return f"From {_data(run)} nothing can be predicted: the robot makes no force."
     where = "a held-out motion" if run.validation else "the motion used for the fit"
-    return f"Rms prediction error on {where}: {'; '.join(phrases)}{assumed(run)}."
+    errors = "; ".join(phrases)
+    return f"Prediction error on {where}, rms relative to the signal: {errors}{assumed(run)}."
 
 
 def assumed(run: Run) -> str:
@@ -71,7 +72,8 @@ def assumed(run: Run) -> str:
     if not sizes or "internal" not in run.estimates:
         return ""
     least, most = (f"{100 * size:.3g}" for size in (sizes[0], sizes[-1]))
-    return f" (torque constants assumed {least if least == most else f'{least} to {most}'} % off)"
+    size = least if least == most else f"{least} to {most}"
+    return f" (simulated torque constants are {size} % off)"
 
 
 def _parameters(run: Run) -> list[str]:
@@ -83,8 +85,9 @@ def _parameters(run: Run) -> list[str]:
         errors = run.score.errors[method]
         relative, z = (np.abs(x[: estimate.minimal.count]) for x in (errors.relative, errors.z))
         middle, most = _of_numbers(np.median, relative), _of_numbers(np.max, z)
+        rest = " (without friction)" if estimate.joint_terms else ""
         parts = [] if middle is None else [f"median error {percent(middle)}"]
-        parts += [] if most is None else [f"largest error {most:.3g} standard deviations"]
+        parts += [] if most is None else [f"largest error {most:.3g} standard deviations{rest}"]
         if parts:
             phrases.append(f"{estimate.minimal.count} by the {NAMES[method]}, {', '.join(parts)}")
     return [f"Base parameters: {'; '.join(phrases)}."] if phrases else []

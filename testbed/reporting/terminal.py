@@ -42,6 +42,9 @@ if TYPE_CHECKING:
     from testbed.identification.validate import Validation
 
 
+LEGEND = "mbar mass, mb first moments, K inertia, * with bodies beyond it (docs/glossary.md)"
+"""What names of base parameters mean."""
+
 ROWS = 10
 """Parameters that are shown where not all are asked for."""
 
@@ -93,6 +96,7 @@ def _print_parameters(
     count = len({name for e in estimates for name in e.names}) - ROWS
     if not everything and count > 0:
         out.print(f"({count} more parameters with less influence: --all)", soft_wrap=True)
+    out.print(LEGEND, soft_wrap=True)
 
 
 def print_validations(validations: Sequence[Validation], diagnostics: Sequence[Diagnostic]) -> None:
