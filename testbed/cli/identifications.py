@@ -222,7 +222,7 @@ def identify(
 
     Example: testbed identify recording.parquet --model robot.urdf --write identified.urdf
     """
-    from testbed.identification.estimate import METHODS, SIGNAL_OF
+    from testbed.identification.estimate import METHODS, NAMES, SIGNAL_OF
     from testbed.identification.identify import identify as identified
     from testbed.reporting import output, terminal
 
@@ -235,7 +235,7 @@ def identify(
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
     lacking = [name for name in wanted if name not in there and not tree.floating]
-    said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m]) for m in lacking]
+    said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking]
     said += [*tree.diagnostics, *accepted]
 
     def estimate_of(part: Source, name: Method) -> Estimate:
@@ -293,7 +293,7 @@ def validate(
     from testbed.codec import encode
     from testbed.errors import RecordingError
     from testbed.experiment.read_result import read_result
-    from testbed.identification.estimate import SIGNAL_OF
+    from testbed.identification.estimate import NAMES, SIGNAL_OF
     from testbed.identification.validate import validate as validated
     from testbed.reporting import output, terminal
 
@@ -301,7 +301,7 @@ def validate(
     source = corrected_source(opened(recording), kept.tree, plate)
     there = [e for e in kept.estimates if SIGNAL_OF[e.method] in source.signals]
     lacking = [e.method for e in kept.estimates if e not in there]
-    said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m]) for m in lacking]
+    said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking]
     if not there:
         raise RecordingError("; ".join(map(str, said)))
     found = {}

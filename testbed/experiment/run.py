@@ -16,7 +16,7 @@ from testbed.experiment.score import Errors, Score, drive_metrics, score
 from testbed.identification.consistency.consistent import Consistent
 from testbed.identification.diagnostics.cross_check import diagnostics_of
 from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
-from testbed.identification.estimate import METHODS, Estimate, Method
+from testbed.identification.estimate import METHODS, NAMES, Estimate, Method
 from testbed.identification.identify import identify
 from testbed.identification.predict import motion_in
 from testbed.identification.regression.passes import Progress
@@ -83,7 +83,10 @@ def diagnostics_of_run(
         failures: Why a method has no estimate.
         errors: Of the estimates, where the truth is known.
     """
-    missing = [diagnose("estimate.missing", m, reason=reason) for m, reason in failures.items()]
+    missing = [
+        diagnose("estimate.missing", method, reason=reason, name=NAMES[method])
+        for method, reason in failures.items()
+    ]
     found = [*diagnostics_of(estimates.values())]
     for method in errors:
         found += systematic_errors(estimates[method], errors[method])

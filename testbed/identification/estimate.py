@@ -108,8 +108,8 @@ Method = Literal["external", "internal"]
 METHODS: tuple[Method, ...] = ("external", "internal")
 """By the bedplate's wrench, and by the joint torques."""
 
-NAMES: Mapping[Method, str] = {"external": "force plate", "internal": "joint torques"}
-"""What people call them."""
+NAMES: Mapping[str, str] = {"external": "force plate", "internal": "joint torques"}
+"""What people call the methods."""
 
 MODEL_OF: Mapping[Method, Model] = {"external": "reaction", "internal": "dynamic"}
 """Which of the two minimal sets a method sees."""

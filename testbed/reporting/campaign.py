@@ -22,8 +22,6 @@ from testbed.reporting.html import write_page
 from testbed.reporting.output import Progress, print_tables
 from testbed.reporting.section import HeatTable, Section, Table
 
-LEGEND: Mapping[str, str] = {str(method): name for method, name in NAMES.items()}
-
 ENOUGH = 20
 """Runs without which no distribution of errors is drawn."""
 
@@ -74,7 +72,7 @@ def marginal_figure(summary: Summary, metrics: Sequence[str]) -> Section | None:
 
 def _legend(panels: Sequence[Panel]) -> dict[str, str]:
     """Of the methods that are drawn."""
-    return {k: label for k, label in LEGEND.items() if any(k in each.curves for each in panels)}
+    return {k: label for k, label in NAMES.items() if any(k in each.curves for each in panels)}
 
 
 def _mean(figures: Sequence[Figure]) -> float:
@@ -146,7 +144,7 @@ def score_figure(z: Mapping[str, Mapping[str, Array]]) -> Section | None:
         inside = np.clip(pooled, BINS[0], BINS[-1])
         share = np.histogram(inside, BINS)[0] / len(pooled) / np.diff(BINS)
         stairs = np.repeat(BINS, 2)[1:-1], np.repeat(share, 2)
-        title = f"{LEGEND[method]}: density of {len(pooled)} errors, rms {_rms(pooled):.2f}"
+        title = f"{NAMES[method]}: density of {len(pooled)} errors, rms {_rms(pooled):.2f}"
         curves = {"measured": (middle, normal), method: stairs}
         panels.append(Panel(title, curves, "error / standard deviation", from_zero=True))
     if not panels:

@@ -151,7 +151,7 @@ def dots_section(run: Run) -> Section | None:
             if judged
             else "Estimated standard deviation divided by the value."
         ),
-        legend={method: LEGEND[method] for method in dots.errors},
+        legend={method: NAMES[method] for method in dots.errors},
         panels=dot_panels(dots),
         caption=f"Logarithmic scale. {part}",
         table=Table(
@@ -162,12 +162,6 @@ def dots_section(run: Run) -> Section | None:
             ],
         ),
     )
-
-
-LEGEND: dict[Method, str] = {
-    "external": "force plate",
-    "internal": "joint torques",
-}
 
 
 def _number(value: float) -> str:

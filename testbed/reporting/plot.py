@@ -11,8 +11,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from testbed.experiment.run import Run
-from testbed.identification.estimate import Estimate
-from testbed.reporting.error_dots import LEGEND, ErrorDots, dots_of_run, error_dots, shown
+from testbed.identification.estimate import NAMES, Estimate
+from testbed.reporting.error_dots import ErrorDots, dots_of_run, error_dots, shown
 from testbed.reporting.figures import APART, power_of_ten
 
 COLOURS = {"external": "#0072b2", "internal": "#c75000", "faint": "#6a7380"}
@@ -52,7 +52,7 @@ def plot(what: Run | Estimate) -> Picture:
     _draw(axis, dots)
     bar = Line2D([], [], color=COLOURS["faint"], linewidth=2.6, alpha=0.5)
     lines = [line for line in axis.get_lines() if line.get_marker() in FORMS.values()]
-    labels = [LEGEND[method] for method in dots.errors]
+    labels = [NAMES[method] for method in dots.errors]
     if dots.sigmas:
         lines, labels = [*lines, bar], [*labels, "up to one sigma"]
     axis.legend(

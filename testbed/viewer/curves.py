@@ -17,9 +17,6 @@ from testbed.viewer.drives import log_curve
 from testbed.viewer.robot_drawing import clock
 from testbed.viewer.scene import Scene, rounded_up, safe
 
-_LABELS: dict[str, str] = {str(method): name for method, name in NAMES.items()}
-"""Of curves, where people call them otherwise than files do."""
-
 BINS = 25.0
 """Parts of a second of which extremes are shown: a plot of ten seconds has as many pixels [Hz]."""
 
@@ -94,7 +91,7 @@ def series(
         widths: Of the lines, (k,); default the viewer's.
     """
     lines = rr.SeriesLines(
-        names=[_LABELS.get(x, x) for x in labels], colors=list(colours), widths=widths
+        names=[NAMES.get(x, x) for x in labels], colors=list(colours), widths=widths
     )
     stream.log(path, lines, static=True)
     instants, shown = thinned(time, values)
