@@ -15,11 +15,10 @@ from benchmarks.bounds import least
 from benchmarks.random_recordings import ROBOTS, recorded
 from testbed.arrays import Array
 from testbed.identification.estimate import Estimate
-from testbed.instruments.encoders import EncoderZeroError
 from testbed.instruments.fault import Fault
-from testbed.instruments.plate import PlateOriginHeight, PlatePose
+from testbed.instruments.joints import EncoderZeroError
+from testbed.instruments.plate import PlateBias, PlateDrift, PlateOriginHeight, PlatePose
 from testbed.instruments.plate_clock import PlateAntiAliasFilter, PlateDelay
-from testbed.instruments.plate_noise import PlateBias, PlateDrift
 
 REDRAWN = 4000
 """Times that seeds are drawn again for an interval."""

@@ -13,8 +13,7 @@ import numpy as np
 import testbed as tb
 from benchmarks.random_recordings import PLATE, happened
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import linear
-from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import Motion, linear
 from testbed.parameters.minimal_set import MinimalSet
 
 EVERY = 10

@@ -14,7 +14,7 @@ import numpy as np
 import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import UnseenParameters
-from testbed.experiment.consistent_run import wrong_bodies
+from testbed.experiment.evaluate import wrong_bodies
 from testbed.experiment.score import relative_errors, root_mean_square
 from testbed.identification.consistency.consistent import Consistent, consistent, robot_of
 from testbed.identification.consistency.options import ConsistencyOptions, Metric

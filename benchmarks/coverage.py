@@ -20,8 +20,8 @@ from benchmarks import random_recordings
 from benchmarks.random_recordings import NOISES, ROBOTS, ROOT, SPEEDS, instrument
 from testbed.arrays import Array
 from testbed.identification.estimate import Estimate, Method
-from testbed.instruments.encoders import EncoderResolution
 from testbed.instruments.fault import Fault
+from testbed.instruments.joints import EncoderResolution
 from testbed.recordings.recording import Recording
 
 NORMAL = 1.96

@@ -16,8 +16,8 @@ from scipy import stats
 import testbed as tb
 from benchmarks.random_recordings import ROBOTS, recorded
 from testbed.identification.diagnostics.residuals import fault_diagnostics
-from testbed.instruments.encoders import EncoderGain
 from testbed.instruments.fault import Fault
+from testbed.instruments.joints import EncoderGain
 from testbed.instruments.plate import PlateCrosstalk, PlateGain, PlatePose
 from testbed.instruments.plate_clock import PlateAntiAliasFilter, PlateDelay
 

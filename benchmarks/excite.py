@@ -24,7 +24,7 @@ from testbed.excitation.random_motion import random_motion
 from testbed.experiment.evaluate import model_of, robot_of
 from testbed.experiment.excite import excite, wish_of
 from testbed.kernel.numba_engine import warm_up
-from testbed.simulation.build import build_plant
+from testbed.simulation.plant import build_plant
 from testbed.simulation.rollout import simulate_motion
 from testbed.simulation.sampled_loop import Sampling
 
@@ -110,7 +110,7 @@ def promises(seeds: int, seconds: float) -> dict[str, Any]:
     """
     from tempfile import TemporaryDirectory
 
-    from testbed.experiment.write_motion import write_motion
+    from testbed.experiment.excite import write_motion
 
     settings = [*PLATE, "identification.zeros=true", "excitation.starts=2"]
     settings += [f"motion.duration={seconds}", "excitation.clearance=off"]

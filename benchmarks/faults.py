@@ -17,7 +17,7 @@ import testbed as tb
 from benchmarks.fault_trials import Trial, trials
 from testbed.diagnostics.diagnostic import Diagnostic, sentences
 from testbed.errors import TestbedError
-from testbed.identification.diagnostics.cross_check import cross_check
+from testbed.identification.diagnostics.residuals import cross_check
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.recordings.recording import Recording
 

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 import testbed as tb
 from testbed.dynamics.witnesses import verify, verify_drives
-from testbed.parameters.barycentric import parameter_names
 from testbed.parameters.joint_terms import with_joint_terms
+from testbed.parameters.symbols import parameter_names
 from testbed.robot.friction import LAWS
 from testbed.robot.model_file import mimic_joints
 from testbed.robot.tree import Tree

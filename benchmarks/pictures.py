@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.timing import least
+from testbed.experiment.assumptions import growth
 from testbed.experiment.carry_out import carry_out
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.growth import growth
 from testbed.experiment.results import read_run, write_run
 from testbed.reporting.run_page import write_report
 from testbed.viewer.log import write_rrd

@@ -17,7 +17,7 @@ from testbed.excitation.random_motion import random_motion
 from testbed.experiment.motions import motion_of, read_motion
 from testbed.instruments.chain import Instrument, measure
 from testbed.instruments.fault import Fault
-from testbed.instruments.plate_noise import PlateColouredNoise, PlatePinkNoise
+from testbed.instruments.plate import PlateColouredNoise, PlatePinkNoise
 from testbed.recordings.recording import Recording, Truth
 
 ROOT = Path(__file__).parent.parent

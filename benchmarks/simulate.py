@@ -12,7 +12,7 @@ import testbed as tb
 from benchmarks.timing import least, peak_rss
 from testbed.excitation.fourier import Fourier
 from testbed.robot.model_file import ModelFile
-from testbed.simulation.build import build_plant
+from testbed.simulation.plant import build_plant
 from testbed.simulation.rollout import simulate_motion
 from testbed.simulation.sampled_loop import Sampling
 

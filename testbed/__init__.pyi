@@ -4,19 +4,19 @@ from .diagnostics.diagnostic import (
 from .diagnostics.diagnostic import (
     sentences as sentences,
 )
-from .dynamics.inverse_dynamics import (
+from .dynamics.newton_euler import Motion as Motion
+from .dynamics.newton_euler import (
     base_wrench as base_wrench,
 )
-from .dynamics.inverse_dynamics import (
+from .dynamics.newton_euler import (
     joint_forces as joint_forces,
 )
-from .dynamics.inverse_dynamics import (
+from .dynamics.newton_euler import (
     pedestal_wrench as pedestal_wrench,
 )
-from .dynamics.inverse_dynamics import (
+from .dynamics.newton_euler import (
     regressor as regressor,
 )
-from .dynamics.motion import Motion as Motion
 from .errors import TestbedError as TestbedError
 from .excitation.random_motion import random_motion as random_motion
 from .experiment.carry_out import carry_out as carry_out
@@ -26,8 +26,8 @@ from .experiment.comparison import (
 from .experiment.comparison import (
     compare as compare,
 )
+from .experiment.comparison import predict as predict
 from .experiment.experiment import Experiment as Experiment
-from .experiment.predictions import predict as predict
 from .experiment.run import (
     Run as Run,
 )
@@ -49,12 +49,6 @@ from .identification.regression.solvers import fit as fit
 from .identification.settings import Settings as Settings
 from .identification.validate import validate as validate
 from .installation import shipped as shipped
-from .parameters.barycentric import (
-    barycentric as barycentric,
-)
-from .parameters.barycentric import (
-    standard as standard,
-)
 from .parameters.joint_terms import (
     DriveSet as DriveSet,
 )
@@ -71,6 +65,12 @@ from .parameters.minimal_set import (
     selection as selection,
 )
 from .parameters.prior import prior_of as prior_of
+from .parameters.symbols import (
+    barycentric as barycentric,
+)
+from .parameters.symbols import (
+    standard as standard,
+)
 from .recordings.joined import Joined as Joined
 from .recordings.recording import (
     Recording as Recording,
@@ -82,13 +82,13 @@ from .recordings.source import StoredRecording as StoredRecording
 from .reporting.plot import plot as plot
 from .reporting.run_page import report as report
 from .robot.inertia import Inertia as Inertia
+from .robot.locks import with_shafts as with_shafts
 from .robot.model_file import (
     ModelFile as ModelFile,
 )
 from .robot.model_file import (
     load_tree as load_tree,
 )
-from .robot.transmission import with_shafts as with_shafts
 from .robot.tree import (
     Joint as Joint,
 )

@@ -99,8 +99,8 @@ def _load_libraries() -> None:
     import testbed.cli.commands
     import testbed.experiment.carry_out
     import testbed.experiment.evaluate
-    import testbed.reporting.html
     import testbed.reporting.minimal_sets
+    import testbed.reporting.output
     import testbed.robot.formats.mjcf
     import testbed.robot.formats.urdf
     import testbed.symbolic.compare

@@ -72,7 +72,7 @@ def shown(run: Path, tab: str, picture: str, folder: Path) -> None:
         picture: Name of the picture.
         folder: For files on the way.
     """
-    from testbed.experiment.growth import growth
+    from testbed.experiment.assumptions import growth
     from testbed.experiment.results import read_run
     from testbed.viewer.log import write_rrd
     from testbed.viewer.scene import scene_of

@@ -27,8 +27,8 @@ from docs.pictures.drawing import (
     words,
 )
 from testbed.instruments.chain import measured_again
-from testbed.parameters.barycentric import STANDARD
 from testbed.parameters.identifiability import identifiability
+from testbed.parameters.symbols import STANDARD
 from testbed.reporting.figures import Panel
 from testbed.reporting.run_page import GLYPHS
 
@@ -181,7 +181,7 @@ def indistinguishable(tree: tb.Tree) -> tb.Tree:
     """
     from scipy.optimize import minimize
 
-    from testbed.parameters.barycentric import on_standard, with_standard
+    from testbed.parameters.symbols import on_standard, with_standard
 
     seen = np.concatenate(
         [on_standard(tree, tb.minimal_set(tree, model).matrix) for model in ("dynamic", "reaction")]

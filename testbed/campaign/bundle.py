@@ -25,7 +25,7 @@ from testbed.campaign.campaign import experiment_of
 from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import ExperimentError, TestbedError, printable
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.versions import versions
+from testbed.experiment.results import versions
 from testbed.files import fingerprint
 from testbed.identification.estimate import Method
 from testbed.robot.model_file import model_format, references

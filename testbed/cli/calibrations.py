@@ -8,12 +8,13 @@ from typing import Annotated
 
 import typer
 
-from testbed.cli.options import (
+from testbed.cli.reading import (
     Gravity,
     Json,
     Lock,
     LockMimic,
     Plate,
+    Reading,
     RecordingSet,
     RobotModel,
     Threads,
@@ -21,7 +22,6 @@ from testbed.cli.options import (
     Zeros,
     app,
 )
-from testbed.cli.reading import Reading
 
 
 @app.command()
@@ -65,7 +65,7 @@ def calibrate(
     """
     from testbed.codec import encode
     from testbed.errors import SettingsError
-    from testbed.experiment.plate_file import write_plate
+    from testbed.experiment.read_result import write_plate
     from testbed.files import check_writable
     from testbed.identification.calibration import calibrate as calibrated
     from testbed.identification.payload.calibration_by_payload import calibrate_by_payload

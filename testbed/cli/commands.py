@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from testbed.cli import (
     calibrations,
-    campaigns,
     excitations,
     experiments,
     identifications,
@@ -13,12 +12,11 @@ from testbed.cli import (
     pictures,
     starting,
 )
-from testbed.cli.options import app
+from testbed.cli.reading import app
 
 __all__ = [
     "app",
     "calibrations",
-    "campaigns",
     "excitations",
     "experiments",
     "identifications",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Json, Set, app, ending, note
+from testbed.cli.reading import Json, Set, app, ending, note
 from testbed.diagnostics.diagnostic import sentences
 from testbed.installation import own_or_shipped
 
@@ -71,8 +71,8 @@ def excite(
 
     Example: testbed excite models/puma562.xml --out motion.toml --set motion.duration=20
     """
+    from testbed.experiment.excite import check_ending, write_motion, write_trajectory
     from testbed.experiment.excite import excite as excited
-    from testbed.experiment.write_motion import check_ending, write_motion, write_trajectory
     from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.reporting.motion import print_excitation
@@ -104,7 +104,7 @@ def excite(
 
 def _budget(experiment: Experiment) -> Callable[[float], str]:
     """What the search may take, in words, given how long all its steps would take [s]."""
-    from testbed.excitation.barrier_search import STEPS
+    from testbed.excitation.problem import STEPS
 
     table = experiment.excitation
     searches = f"{table.starts} search{'es' * (table.starts != 1)} of at most {STEPS} steps"
@@ -127,7 +127,7 @@ class _Searching:
         self._steps, self._began = -1, 0.0
 
     def __call__(self, done: int, total: int, best: float) -> None:
-        from testbed.excitation.barrier_search import STEPS
+        from testbed.excitation.problem import STEPS
 
         self._steps += 1
         now = time.monotonic()

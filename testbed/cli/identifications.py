@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from testbed.cli.options import (
+from testbed.cli.reading import (
     Everything,
     Gravity,
     Json,
     Lock,
     LockMimic,
     Plate,
+    Reading,
     RecordingSet,
     RobotModel,
     Terms,
@@ -26,8 +27,9 @@ from testbed.cli.options import (
     Weld,
     Zeros,
     app,
+    corrected_source,
+    opened,
 )
-from testbed.cli.reading import Reading, corrected_source, opened
 from testbed.diagnostics.diagnostic import diagnose
 
 if TYPE_CHECKING:
@@ -131,7 +133,7 @@ class Writing:
         Raises:
             SettingsError: No bodies are as is wished.
         """
-        from testbed.experiment.consistent_run import prior_from
+        from testbed.experiment.evaluate import prior_from
         from testbed.identification.consistency.consistent import consistent_by_held_out
         from testbed.identification.problem import samples_of
         from testbed.recordings.coupled_gear import with_gear
@@ -159,7 +161,7 @@ class Writing:
         Raises:
             ModelError: The file cannot be written.
         """
-        from testbed.experiment.versions import provenance
+        from testbed.experiment.results import provenance
         from testbed.identification.consistency.consistent import robot_of
         from testbed.robot.write_model import write_model
 

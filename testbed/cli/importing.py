@@ -10,12 +10,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Json, Lock, LockMimic, RecordingSet, Unchecked, Weld, app, ending
-from testbed.cli.reading import Reading
+from testbed.cli.reading import (
+    Json,
+    Lock,
+    LockMimic,
+    Reading,
+    RecordingSet,
+    Unchecked,
+    Weld,
+    app,
+    ending,
+)
 from testbed.diagnostics.diagnostic import Diagnostic, ordered
 
 if TYPE_CHECKING:
-    from testbed.recordings.importing.draft import Draft
+    from testbed.recordings.importing.import_report import Draft
     from testbed.robot.tree import Tree
 
 

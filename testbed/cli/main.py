@@ -99,7 +99,7 @@ def _command() -> int:
     import warnings
 
     from testbed.cli.commands import app
-    from testbed.cli.options import joined_vectors
+    from testbed.cli.reading import joined_vectors
 
     warnings.simplefilter("ignore")  # numerical doubt is a field of the result
     # no command renders: else MuJoCo would start another Python to try a library of windows

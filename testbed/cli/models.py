@@ -11,8 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
-from testbed.cli.options import Gravity, Json, Lock, LockMimic, Model, Weld, Zero, Zeros, app
-from testbed.cli.reading import Reading
+from testbed.cli.reading import (
+    Gravity,
+    Json,
+    Lock,
+    LockMimic,
+    Model,
+    Reading,
+    Weld,
+    Zero,
+    Zeros,
+    app,
+)
 
 if TYPE_CHECKING:
     from testbed.kind_table import Entry

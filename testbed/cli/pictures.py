@@ -10,19 +10,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.identifications import ConsistentBodies
-from testbed.cli.options import (
+from testbed.cli.reading import (
     Lock,
     LockMimic,
     Plate,
+    Reading,
     RecordingSet,
     Terms,
     Unchecked,
     Weld,
     Zeros,
     app,
+    corrected_source,
     ending,
 )
-from testbed.cli.reading import Reading, corrected_source
 from testbed.diagnostics.diagnostic import Diagnostic, diagnose, of_recording, ordered
 
 if TYPE_CHECKING:
@@ -71,12 +72,12 @@ def view(
     Example: testbed view recording.parquet --model robot.urdf
     """
     from testbed.errors import ViewerError
-    from testbed.experiment.growth import growth
+    from testbed.experiment.assumptions import growth
     from testbed.files import check_writable
     from testbed.reporting import output
+    from testbed.viewer.live import has_screen
     from testbed.viewer.log import write_rrd
     from testbed.viewer.scene import scene_of
-    from testbed.viewer.show import has_screen
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
     log = save or _beside(runs[0], ".rrd")
@@ -106,8 +107,8 @@ def view(
 def _show(path: Path, said: list[Diagnostic], serve: bool, opened: bool, port: int) -> None:
     """Say what was written, and show it as is wished."""
     from testbed.reporting import output
-    from testbed.viewer.show import open_viewer
-    from testbed.viewer.show import serve as served
+    from testbed.viewer.live import open_viewer
+    from testbed.viewer.live import serve as served
 
     out = output.console()
     output.print_diagnostics(out, said)
@@ -287,6 +288,6 @@ def _judged_on(run: Run, path: Path, reading: Reading, *, unchecked: bool) -> Ru
 
 def _with_bodies(run: Run, reading: Reading) -> Run:
     """A recording's run with bodies that can exist."""
-    from testbed.experiment.consistent_run import recorded_bodies
+    from testbed.experiment.evaluate import recorded_bodies
 
     return recorded_bodies(run, reading.tables().consistent)

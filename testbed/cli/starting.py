@@ -17,7 +17,7 @@ import typer
 from packaging.requirements import Requirement
 
 from testbed.cli.importing import write_mapping
-from testbed.cli.options import Json, app
+from testbed.cli.reading import Json, app
 from testbed.installation import DISTRIBUTION, own_or_shipped
 from testbed.installation import version as own_version
 
@@ -118,7 +118,7 @@ def _kernel() -> Check:
 
 def _viewer() -> Check:
     """Rerun's viewer, and a screen for it."""
-    from testbed.viewer.show import has_screen, viewer_program
+    from testbed.viewer.live import has_screen, viewer_program
 
     program = viewer_program()
     if program is None:

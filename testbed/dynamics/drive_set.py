@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from testbed.arrays import Array, readonly
-from testbed.dynamics.inverse_dynamics import regressor
+from testbed.dynamics.newton_euler import regressor
 from testbed.dynamics.witnesses import random_states
 from testbed.parameters.joint_terms import DriveSet, with_joint_terms
 from testbed.parameters.minimal_set import MinimalSet

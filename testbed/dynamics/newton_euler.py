@@ -2,14 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from testbed.arrays import AnyArray, Array, apply, skew
-from testbed.parameters.barycentric import TENSOR
+from testbed.arrays import AnyArray, Array, apply, readonly, skew
+from testbed.parameters.minimal_set import MinimalSet
+from testbed.parameters.rules import Model
+from testbed.parameters.symbols import TENSOR, barycentric
+from testbed.robot.tree import Tree
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """M samples of the motion of n joints, columns in the order of `tree.names`.
+
+    Attributes:
+        t: Time, (M,) [s].
+        q: Joint positions, (M, n) [rad or m].
+        qd: Velocities, (M, n) [rad/s or m/s].
+        qdd: Accelerations, (M, n) [rad/s^2 or m/s^2].
+    """
+
+    t: Array
+    q: Array
+    qd: Array
+    qdd: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t", readonly(self.t, (None,), "t"))
+        shape = (len(self.t), np.shape(self.q)[-1] if np.ndim(self.q) else 0)
+        for name in ("q", "qd", "qdd"):
+            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+
+    @property
+    def samples(self) -> int:
+        """Number M of samples."""
+        return len(self.t)
+
+    def __getitem__(self, part: slice) -> Motion:
+        """The samples of a slice."""
+        return Motion(self.t[part], self.q[part], self.qd[part], self.qdd[part])
 
 
 class Algebra(Protocol):
@@ -248,3 +284,107 @@ def own_wrench(body: BodyMotion) -> AnyArray:
     )
     bottom = np.concatenate([np.zeros_like(body.a[..., None]), -skew(body.a), spin], axis=-1)
     return np.concatenate([top, bottom], axis=-2)
+
+
+BLOCK = 1024
+"""Samples taken at once."""
+
+
+def joint_forces(tree: Tree, motion: Motion, gravity: ArrayLike | None = None) -> Array:
+    """What the motors deliver at the joints, friction excluded, (M, n) [N m or N].
+
+    [FRS96] eqs. (6), (7), (20), (34): inverse dynamics.
+
+    Args:
+        tree: The robot.
+        motion: M samples, columns in the order of `tree.names`.
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+    """
+    return linear(tree, motion, barycentric(tree)[..., None], gravity)[0][..., 0]
+
+
+def base_wrench(tree: Tree, motion: Motion, gravity: ArrayLike | None = None) -> Array:
+    """Wrench of the bedplate on the moving bodies, (M, 6) [N, N m].
+
+    Force first, bedplate axes, moment about O^0; the pedestal is not included. [FRS96]
+    eqs. (6), (7) for the first joints.
+
+    Args:
+        tree: The robot.
+        motion: M samples, columns in the order of `tree.names`.
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+    """
+    return linear(tree, motion, barycentric(tree)[..., None], gravity)[1][..., 0]
+
+
+def regressor(tree: Tree, motion: Motion, minimal: MinimalSet) -> Array:
+    """Phi with phi delta = joint forces or base wrench; [FRS96] eqs. (10), (12).
+
+    Takes 48 or 8 n bytes a sample and parameter: for small M and tests.
+
+    Args:
+        tree: The robot; only its geometry matters.
+        motion: M samples, columns in the order of `tree.names`.
+        minimal: delta_d or delta_r; its gravity is used.
+
+    Returns:
+        (M, n, N) [N m or N per parameter] for a dynamic set, (M, 6, N) for a reaction set.
+    """
+    theta = minimal.lift.reshape(tree.n, 10, minimal.count)
+    joints, base = linear(tree, motion, theta, minimal.gravity)
+    return joints if minimal.model == "dynamic" else base
+
+
+def parameter_regressor(
+    tree: Tree, motion: Motion, model: Model, gravity: ArrayLike | None = None
+) -> Array:
+    """The regressor on all barycentric parameters, (M, n or 6, 10 n).
+
+    Args:
+        tree: The robot; only its geometry matters.
+        motion: M samples, columns in the order of `tree.names`.
+        model: "dynamic" for joint forces, "reaction" for the base wrench.
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+    """
+    theta = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
+    joints, base = linear(tree, motion, theta, gravity)
+    return joints if model == "dynamic" else base
+
+
+def pedestal_wrench(tree: Tree, gravity: ArrayLike | None = None) -> Array:
+    """Wrench of the bedplate on the pedestal, which does not move, (6,) [N, N m].
+
+    Args:
+        tree: The robot.
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+    """
+    g = tree.gravity_or(gravity)
+    pedestal = tree.pedestal
+    return np.concatenate([-pedestal.mass * g, -np.cross(pedestal.first_moment, g)])
+
+
+def blocks(samples: int, size: int = BLOCK) -> Iterator[slice]:
+    """Consecutive slices of at most `size` samples."""
+    return (slice(first, first + size) for first in range(0, samples, size))
+
+
+def linear(
+    tree: Tree, motion: Motion, theta: Array, gravity: ArrayLike | None = None
+) -> tuple[Array, Array]:
+    """Joint forces (M, n, p) and base wrench (M, 6, p) of p sets of parameters.
+
+    Args:
+        tree: The robot; only its geometry matters.
+        motion: M samples, columns in the order of `tree.names`.
+        theta: Barycentric parameters, (n, 10, p).
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+    """
+    if motion.q.shape[1] != tree.n:
+        raise ValueError(f"a motion of {motion.q.shape[1]} joints, a robot of {tree.n}")
+    g = tree.gravity_or(gravity)
+    p = theta.shape[-1]
+    joints, base = np.empty((motion.samples, tree.n, p)), np.empty((motion.samples, 6, p))
+    for part in blocks(motion.samples):
+        moving = kinematics(tree, motion.q[part], motion.qd[part], motion.qdd[part], g, NUMBERS)
+        joints[part], base[part] = transmitted(tree, moving, theta, NUMBERS)
+    return joints, base

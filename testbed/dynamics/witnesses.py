@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import parameter_regressor
-from testbed.dynamics.motion import Motion
-from testbed.parameters.exact_recursion import recursive_space
+from testbed.dynamics.newton_euler import Motion, parameter_regressor
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
+from testbed.parameters.regroup import recursive_space
 from testbed.parameters.row_space import Space, distance, row_space
 from testbed.parameters.rules import Model
 from testbed.robot.friction import term_torque

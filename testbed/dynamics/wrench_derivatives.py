@@ -29,9 +29,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, skew
-from testbed.dynamics.inverse_dynamics import blocks
-from testbed.dynamics.motion import Motion
-from testbed.parameters.barycentric import to_standard, with_standard
+from testbed.dynamics.newton_euler import Motion, blocks
+from testbed.parameters.symbols import to_standard, with_standard
 from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Joint, Tree
 

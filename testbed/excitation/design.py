@@ -17,12 +17,11 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import InfeasibleMotion
-from testbed.excitation.barrier_search import minimise
 from testbed.excitation.clearance import ClearanceTerm
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.information import Information
-from testbed.excitation.limit_terms import LimitTerm
-from testbed.excitation.problem import Problem, Series
+from testbed.excitation.limits import LimitTerm
+from testbed.excitation.problem import Problem, Series, minimise
 from testbed.excitation.proof import Proof, Rules, prove
 from testbed.excitation.random_motion import rest_posture, sample
 from testbed.excitation.samples import SampledRows, stencil

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array, readonly
-from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import Motion
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,12 +11,11 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.codec import with_properties
 from testbed.diagnostics.diagnostic import Diagnostic
-from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import Motion
 from testbed.excitation.clearance import FAR, DistanceMeter
 from testbed.excitation.collision_model import CollisionModel, levers
 from testbed.excitation.fourier import Fourier
-from testbed.excitation.limit_terms import SmoothTerm, force_bounds
-from testbed.excitation.limits import Limits
+from testbed.excitation.limits import Limits, SmoothTerm, force_bounds
 from testbed.excitation.samples import Computed
 from testbed.robot.tree import Tree
 

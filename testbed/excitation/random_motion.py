@@ -8,18 +8,16 @@ from itertools import product
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import regressor
-from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import Motion, regressor
 from testbed.errors import InfeasibleMotion
 from testbed.excitation.clearance import POSTURES, ClearanceTerm
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.information import relative_scale
-from testbed.excitation.limit_terms import LimitTerm
-from testbed.excitation.limits import Limits, limits_of, motor_efforts
+from testbed.excitation.limits import Limits, LimitTerm, limits_of, motor_efforts
 from testbed.excitation.proof import Proof, Rules, prove, seems_to_hold
 from testbed.excitation.samples import Computed
-from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import MinimalSet
+from testbed.parameters.symbols import barycentric
 from testbed.robot.tree import Tree
 
 

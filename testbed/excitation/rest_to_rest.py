@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import Motion
 from testbed.errors import InfeasibleMotion
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.proof import Margin, Rules, force_margins, spans_of

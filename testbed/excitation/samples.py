@@ -10,13 +10,12 @@ from typing import Protocol
 import numpy as np
 
 from testbed.arrays import Array, readonly
-from testbed.dynamics.inverse_dynamics import base_wrench, joint_forces
-from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import Motion, base_wrench, joint_forces
 from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import Work, sensed
-from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import Model
+from testbed.parameters.symbols import barycentric
 from testbed.robot.tree import Joint, Tree
 
 _NEAR, _FAR = np.pi / 4, 3 * np.pi / 4

@@ -6,21 +6,34 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from testbed.diagnostics.diagnostic import Diagnostic
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import ExperimentError, TestbedError
-from testbed.experiment.consistent_run import with_consistent
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import BodyTable, SimulationTable
 from testbed.experiment.run import Run, assemble_run
-from testbed.experiment.score import root_mean_square, shared_errors
-from testbed.identification.estimate import METHODS, Method
+from testbed.experiment.score import relative_errors, root_mean_square, shared_errors
+from testbed.identification.consistency.consistent import Consistent, consistent_by_held_out
+from testbed.identification.consistency.options import ConsistencyOptions
+from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.identify import identify
+from testbed.identification.problem import samples_of
 from testbed.identification.regression.passes import Progress
 from testbed.instruments.chain import Instrument, measured_again
+from testbed.instruments.fault import stream
+from testbed.parameters.minimal_set import minimal_set
+from testbed.parameters.prior import Prior, prior_of
+from testbed.parameters.symbols import standard
 from testbed.recordings.recording import Recording
+from testbed.recordings.source import Source
+from testbed.robot.inertia import Inertia, upper_root
+from testbed.robot.locks import with_rotor_spin
 from testbed.robot.model_file import ModelFile, mimic_joints, nearest_bodies
-from testbed.robot.transmission import with_rotor_spin
 from testbed.robot.tree import Tree
+from testbed.robot.visuals.appearance import load_shapes
+from testbed.robot.visuals.shapes import extents
 from testbed.simulation.effect import Effect
 
 FINE = SimulationTable().step
@@ -144,3 +157,124 @@ def with_nearest_bodies(experiment: Experiment) -> tuple[Experiment, tuple[Diagn
     tables = {name: BodyTable.of(body) for name, body in found.bodies.items()}
     robot = experiment.robot.model_copy(update={"repair": tables | experiment.robot.repair})
     return experiment.model_copy(update={"robot": robot}), found.diagnostics
+
+
+def wrong_bodies(tree: Tree, error: float, rng: np.random.Generator) -> Tree:
+    """The robot with other possible bodies.
+
+    J = U U' becomes U G G' U', G a matrix that differs from one by random numbers: mass, centre
+    and inertia change together, each by about the same part of itself. Bodies whose J has no
+    such root (rods, plates, none) stay.
+
+    Args:
+        tree: The robot with its true bodies.
+        error: Standard deviation of every coordinate of J, in parts of the body.
+        rng: Draws the numbers.
+    """
+    return replace(tree, inertias=tuple(_wrong(body, error, rng) for body in tree.inertias))
+
+
+def _wrong(body: Inertia, error: float, rng: np.random.Generator) -> Inertia:
+    change = np.eye(4) + error / 2 * rng.normal(size=(4, 4))
+    try:
+        root = upper_root(body.pseudo) @ change
+    except np.linalg.LinAlgError:
+        return body
+    return Inertia.of_pseudo(root @ root.T)
+
+
+def prior_from(tree: Tree, model: ModelFile | None, *, shapes: bool) -> Prior:
+    """The bodies of a tree as a prior, with the boxes around their shapes where those matter.
+
+    Args:
+        tree: The robot.
+        model: Its model file.
+        shapes: Whether mass centres are to lie in their shapes.
+    """
+    if model is None or not shapes:
+        return prior_of(tree)
+    seen = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
+    return prior_of(tree, extents(seen.shapes, tree.n))
+
+
+def with_consistent(run: Run) -> Run:
+    """A run with its consistent bodies, where the experiment asks for them, and their figures.
+
+    The model file is the truth in an experiment, so the prior is a wrong one.
+
+    Args:
+        run: The run.
+    """
+    experiment = run.experiment
+    if experiment is None or experiment.consistent is None or not run.estimates:
+        return run
+    run = _with_bodies(run, wrong_prior(run.tree, experiment), experiment.consistent)
+    if run.score is None or run.consistent is None:
+        return run
+    metrics = {**run.score.metrics, **_metrics(run, run.consistent)}
+    return replace(run, score=replace(run.score, metrics=metrics))
+
+
+def recorded_bodies(run: Run, options: ConsistencyOptions) -> Run:
+    """A recording's run with bodies that can exist, near those of the model file.
+
+    Args:
+        run: The run.
+        options: What is asked of the bodies.
+    """
+    return _with_bodies(run, run.tree, options) if run.estimates else run
+
+
+def _with_bodies(run: Run, believed: Tree, options: ConsistencyOptions) -> Run:
+    """A run with its consistent bodies, or with a warning that says why there are none."""
+    prior = prior_from(believed, run.model, shapes=options.centres_in_shapes)
+
+    def identified(part: Source, method: Method) -> Estimate:
+        return identify(run.tree, part, method, settings=run.settings)
+
+    estimates = list(run.estimates.values())
+    blind = samples_of(run.recording.blind(), run.settings)
+    try:
+        found = consistent_by_held_out(run.tree, estimates, prior, options, blind, identified)
+    except TestbedError as error:
+        return run.with_diagnostics([diagnose("bodies.missing", reason=error)])
+    return replace(run, consistent=found).with_diagnostics(found.diagnostics)
+
+
+def wrong_prior(tree: Tree, experiment: Experiment) -> Tree:
+    """The robot with the bodies that the experiment starts from.
+
+    Args:
+        tree: The robot with its true bodies.
+        experiment: Says how wrong they are.
+    """
+    return wrong_bodies(tree, experiment.prior.error, stream("prior", experiment.seed))
+
+
+def _metrics(run: Run, found: Consistent) -> dict[str, float]:
+    """Figures of consistent bodies against the truth."""
+    massive = found.eigenvalues[:, -1] > 0
+    metrics = {
+        "consistent_rms_relative_error": _error(run, found.standard),
+        "prior_rms_relative_error": _error(run, found.prior),
+    }
+    known_metrics = {name: value for name, value in metrics.items() if value is not None}
+    least = found.eigenvalues[massive, 0] / found.eigenvalues[massive, -1]
+    if len(least):
+        known_metrics["consistent_least_eigenvalue"] = float(least.min())
+    plain = [f"{method}_rms_relative_error" for method in run.estimates]
+    plain_metrics = [run.metrics[name] for name in plain if name in run.metrics]
+    if plain_metrics and "consistent_rms_relative_error" in known_metrics:
+        floor = float(np.finfo(float).tiny)
+        known_metrics["consistent_to_plain"] = known_metrics["consistent_rms_relative_error"] / max(
+            *plain_metrics[:1], floor
+        )
+    return known_metrics
+
+
+def _error(run: Run, bodies: Array) -> float | None:
+    """Rms relative error of delta_d by bodies, (n, 10)."""
+    dynamic = minimal_set(run.tree, "dynamic", zeros=run.settings.zeros)
+    matrix = dynamic.standard_matrix
+    truth = matrix @ standard(run.tree).ravel()
+    return root_mean_square(relative_errors(matrix @ bodies.ravel(), truth, dynamic.units))

@@ -12,7 +12,7 @@ from testbed.identification.estimate import METHODS, Method
 from testbed.kind_table import AsTable
 from testbed.robot.free_base import on_free_base
 from testbed.robot.inertia import Inertia
-from testbed.robot.transmission import with_shafts
+from testbed.robot.locks import with_shafts
 from testbed.robot.tree import Tree
 from testbed.simulation.effect import Effect
 from testbed.simulation.effects import effect_of

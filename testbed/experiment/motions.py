@@ -13,13 +13,19 @@ from pydantic import Field
 
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnostic, diagnose
-from testbed.dynamics.inverse_dynamics import pedestal_wrench
+from testbed.dynamics.newton_euler import pedestal_wrench
 from testbed.errors import ExperimentError, InfeasibleMotion
 from testbed.excitation.clearance import Watched, watched
 from testbed.excitation.collision_model import Obstacle, collision_model
 from testbed.excitation.fourier import Fourier
-from testbed.excitation.limit_terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
-from testbed.excitation.limits import Limits, limits_of
+from testbed.excitation.limits import (
+    EffortTerm,
+    Limits,
+    PlateRange,
+    PlateTerm,
+    SmoothTerm,
+    limits_of,
+)
 from testbed.excitation.proof import Proof, Rules, prove, seems_to_hold
 from testbed.excitation.random_motion import best_motion
 from testbed.experiment.evaluate import model_of, robot_of, with_nearest_bodies

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,16 +17,19 @@ from testbed.errors import ExperimentError, plural
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.experiment import Experiment, RecordingTables
 from testbed.experiment.experiment_tables import Table
-from testbed.experiment.results import EXPERIMENT, RESULT
-from testbed.files import fingerprint, read_text
+from testbed.experiment.results import EXPERIMENT, RESULT, versions
+from testbed.files import fingerprint, read_text, replacing
+from testbed.identification.calibration import Calibration
 from testbed.identification.estimate import METHODS, Method, channels_of
 from testbed.identification.estimate_summary import EstimateSummary
+from testbed.identification.sensor.correction import NUISANCES
+from testbed.identification.sensor.estimates import NuisanceEstimate
 from testbed.identification.settings import Settings
 from testbed.parameters.minimal_set import minimal_set
 from testbed.parameters.rules import Model
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
-from testbed.toml_text import Finite, checked, override
+from testbed.toml_text import Finite, checked, override, read_toml
 
 LARGEST_RESULT = 50_000_000
 """Bytes of a file with estimates; a thousand parameters have less."""
@@ -227,3 +231,99 @@ def prior_covariance(kept: KeptResult, experiment: Experiment) -> Array:
         f"the earlier result has no {wanted} estimate of {', '.join(names)}: it must be of the "
         "same robot, with the same identification.zeros"
     )
+
+
+_HEAD = """\
+# A plate, calibrated by the motion of the robot on it (testbed {version}, calibrate).
+# It shows C w + bias of a wrench w, skew seconds late: gain/Fx is C's element of Fx by Fx,
+# crosstalk/Fx/Fz that of Fx by Fz. Numbers that are not here are as they should be.
+"""
+
+
+class _Number(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+    value: Finite
+    sigma: Finite = 0.0
+    unit: str = ""
+
+
+class _Plate(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+    robot: str = ""
+    known: dict[str, tuple[Finite, Finite]] = {}
+    numbers: dict[str, _Number]
+    correlation: list[list[Finite]] = []
+
+
+def write_plate(plate: Calibration, path: Path) -> None:
+    """Write a plate's numbers.
+
+    Args:
+        plate: The calibration.
+        path: The file; what stands there is replaced.
+    """
+    lines = [_HEAD.format(version=versions()["testbed"]), f"robot = {json.dumps(plate.robot)}"]
+    lines += ["", "[known]  # before: value, sigma"]
+    lines += [f"{json.dumps(name)} = [{v!r}, {s!r}]" for name, (v, s) in plate.known.items()]
+    lines += ["", "[numbers]"]
+    for each in plate.numbers:
+        unit = f", unit = {json.dumps(each.unit)}" if each.unit else ""
+        number = f"{{ value = {each.value!r}, sigma = {each.sigma!r}{unit} }}"
+        lines.append(f"{json.dumps(each.name)} = {number}")
+    if plate.correlation is not None:
+        head = "correlation = [  # of the numbers, in their order, up to the diagonal"
+        rows = [
+            ", ".join(f"{value:.5g}" for value in row[: k + 1])
+            for k, row in enumerate(plate.correlation.tolist())
+        ]
+        lines[1:1] = [head, *(f"  [{row}]," for row in rows), "]"]
+    with replacing(path) as fresh:
+        fresh.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_plate(path: Path, tree: Tree) -> Calibration:
+    """A plate's numbers.
+
+    Args:
+        path: A file that `write_plate` wrote, or one of the same form.
+        tree: The robot on it.
+
+    Raises:
+        ExperimentError: It is no such file.
+    """
+    found = checked(_Plate, read_toml(path, "plate"), str(path))
+    kinds = {part.name: n.kind for n in NUISANCES for part in n.parts(tree)}
+    numbers = tuple(
+        NuisanceEstimate(kinds.get(name, name), name, each.unit, each.value, each.sigma)
+        for name, each in found.numbers.items()
+    )
+    return Calibration(
+        found.robot,
+        found.known,
+        numbers,
+        correlation=_correlation(found.correlation, numbers, path),
+    )
+
+
+def _correlation(
+    rows: list[list[float]], numbers: tuple[NuisanceEstimate, ...], path: Path
+) -> Array | None:
+    """Of its lower triangle; None where the file has none.
+
+    Raises:
+        ExperimentError: It is no correlation of these numbers.
+    """
+    if not rows:
+        return None
+    count = len(numbers)
+    found = np.eye(count)
+    fits = [len(row) for row in rows] == list(range(1, count + 1))
+    if fits:
+        for k, row in enumerate(rows):
+            found[k, : k + 1] = found[: k + 1, k] = row
+    if not fits or np.abs(found).max() > 1 or (np.diagonal(found) != 1).any():
+        raise ExperimentError(
+            f"{path}: correlation is the lower triangle of {count} rows, ones at their ends, "
+            "nothing beyond one; leave it out for independent numbers"
+        )
+    return found

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import platform
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,22 +21,56 @@ from testbed.experiment.experiment import Experiment, RecordingTables
 from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.run import Run
 from testbed.experiment.score import Score
-from testbed.experiment.versions import versions
 from testbed.files import fingerprint, replacing
 from testbed.identification.consistency.consistent import Consistent
-from testbed.identification.diagnostics.cross_check import diagnostics_of
+from testbed.identification.diagnostics.residuals import diagnostics_of
 from testbed.identification.drives.identify_drives import DriveFindings
 from testbed.identification.estimate import METHODS, MODEL_OF, Estimate, Method
 from testbed.identification.problem import set_of
 from testbed.identification.selection.term_choice import with_chosen_terms
-from testbed.identification.sensor.catalogue import NUISANCES, TESTED
-from testbed.identification.sensor.nuisance import Nuisance
+from testbed.identification.sensor.correction import NUISANCES, TESTED
+from testbed.identification.sensor.estimates import Nuisance
 from testbed.identification.validate import Validation
+from testbed.installation import version as own_version
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import JointLaw, joint_law
 from testbed.robot.model_file import ModelFile, copy_model, model_format
+
+DIGITS = 16
+"""Of a fingerprint, in a comment."""
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, testbed and the packages that make the numbers."""
+    found = {"python": platform.python_version(), "testbed": own_version()}
+    for package in ("mujoco", "numpy", "scipy", "pin"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def provenance(found: Consistent, model: ModelFile, recordings: Sequence[Path]) -> list[str]:
+    """Where the numbers of a written file come from, for a comment.
+
+    Args:
+        found: What is written.
+        model: The file that is copied.
+        recordings: What it was identified from.
+    """
+    methods = " and ".join(each.method for each in found.bent)
+    return [
+        f"testbed {versions()['testbed']}: inertials and joint losses are physically consistent",
+        f"ones by the {methods} method from",
+        *(f"{each.name} (sha256 {fingerprint(each)[:DIGITS]})," for each in recordings),
+        f"prior {model.path.name} (sha256",
+        f"{fingerprint(model.path)[:DIGITS]}) taken to be wrong by {found.prior_error:g}; all else",
+        "is that file, unchanged",
+    ]
+
 
 FIELDS = (
     "estimates", "failures", "score", "diagnostics", "validation", "drives", "consistent",

@@ -9,21 +9,20 @@ import numpy as np
 
 from testbed.arrays import Array, readonly
 from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose, of_recording, ordered
-from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import Motion
 from testbed.errors import RecordingError, TestbedError, UnseenParameters, plural
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.score import Errors, Score, drive_metrics, score
 from testbed.identification.consistency.consistent import Consistent
-from testbed.identification.diagnostics.cross_check import diagnostics_of
+from testbed.identification.diagnostics.residuals import diagnostics_of
 from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
 from testbed.identification.estimate import METHODS, NAMES, Estimate, Method
 from testbed.identification.identify import identify
-from testbed.identification.predict import motion_in
 from testbed.identification.regression.passes import Progress
 from testbed.identification.selection.term_choice import with_chosen_terms
 from testbed.identification.sensor.correction import CalibrationCovariance
 from testbed.identification.settings import DEFAULTS, Settings
-from testbed.identification.validate import Validation
+from testbed.identification.validate import Validation, motion_in
 from testbed.recordings.columns import AXES
 from testbed.recordings.coupled_gear import with_gear
 from testbed.recordings.geometry import in_its_gravity

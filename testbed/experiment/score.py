@@ -8,21 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import regressor
-from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import Motion, regressor
 from testbed.experiment.experiment import Experiment
-from testbed.identification.drives.friction_curves import FrictionCurve
+from testbed.identification.drives.friction_curves import DriveEstimate, FrictionCurve
 from testbed.identification.drives.identify_drives import DriveFindings
-from testbed.identification.drives.torque_constants import DriveEstimate
 from testbed.identification.estimate import Estimate, Method
-from testbed.instruments.drives import TorqueConstantError
+from testbed.instruments.joints import TorqueConstantError
 from testbed.kind_table import each_joint
-from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import MinimalSet, minimal_set, selection
+from testbed.parameters.symbols import barycentric
 from testbed.recordings.columns import PLATE_UNITS
 from testbed.recordings.recording import Recording, Truth
 from testbed.robot.friction import COULOMB, ROTOR, JointLaw, term_torque
-from testbed.robot.transmission import shares
+from testbed.robot.locks import shares
 from testbed.robot.tree import Tree
 
 INSTANTS = 400

@@ -17,19 +17,18 @@ from testbed.excitation.rest_to_rest import rest_to_rest
 from testbed.experiment.evaluate import effects_of, model_of, robot_of
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.motions import FAST, motion_of, rules_of
-from testbed.experiment.versions import versions
+from testbed.experiment.results import versions
 from testbed.files import fingerprint
 from testbed.identification.regression.passes import Progress
 from testbed.instruments.chain import measure
 from testbed.instruments.fault import stream
-from testbed.recordings.checks import COUNTED
+from testbed.recordings.columns import COUNTED
 from testbed.recordings.geometry import geometry
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
-from testbed.simulation.build import build_plant
 from testbed.simulation.controller import Reference, believed
 from testbed.simulation.effect import StepForces
-from testbed.simulation.plant import Plant
+from testbed.simulation.plant import Plant, build_plant
 from testbed.simulation.rollout import Rollout, Watch, simulate_motion
 from testbed.simulation.sampled_loop import Sampling
 

@@ -16,10 +16,13 @@ from testbed.arrays import Array
 from testbed.codec import with_properties
 from testbed.identification.estimate import Estimate
 from testbed.identification.identify import identify
+from testbed.identification.regression.normal_equations import square_root
 from testbed.identification.regression.passes import Progress
-from testbed.identification.regression.scaled import square_root
-from testbed.identification.sensor.catalogue import NUISANCES
-from testbed.identification.sensor.correction import CalibrationCovariance, lastingly_corrected
+from testbed.identification.sensor.correction import (
+    NUISANCES,
+    CalibrationCovariance,
+    lastingly_corrected,
+)
 from testbed.identification.sensor.estimates import NuisanceEstimate
 from testbed.identification.sensor.plate import SENSITIVITIES
 from testbed.identification.settings import DEFAULTS, Settings

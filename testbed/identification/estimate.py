@@ -24,7 +24,7 @@ from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import Model
 from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.robot.friction import JointLaw
-from testbed.robot.transmission import places
+from testbed.robot.locks import places
 from testbed.robot.tree import Tree
 
 EXACT, EXACT_SHORT = 1e-7, 1e-10

@@ -19,13 +19,14 @@ from testbed.identification.noise.coloured_noise import GlsFit, generalized_leas
 from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.regression.passes import Passes, Progress
-from testbed.identification.regression.solvers import Fit, solve
-from testbed.identification.regression.weights import (
+from testbed.identification.regression.solvers import (
+    Fit,
     ScoreSquares,
     bin_size,
     hidden,
     noise_weights,
     sandwich,
+    solve,
 )
 from testbed.identification.regression.windows import Plan
 from testbed.identification.selection.term_choice import with_all_terms

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
 from testbed.dynamics.drive_set import drive_set
-from testbed.dynamics.inverse_dynamics import pedestal_wrench
+from testbed.dynamics.newton_euler import pedestal_wrench
 from testbed.errors import RecordingError, SettingsError, UnknownName, plural
 from testbed.identification.estimate import (
     METHODS,

@@ -10,8 +10,6 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError
-from testbed.instruments.drives import TorqueConstantError, TorqueNoise
-from testbed.instruments.encoders import EncoderInstantSampling, EncoderNoise, EncoderResolution
 from testbed.instruments.fault import (
     FULL_SCALE,
     Fault,
@@ -22,8 +20,14 @@ from testbed.instruments.fault import (
     stream,
 )
 from testbed.instruments.faults import fault_of
-from testbed.instruments.plate import MeasuredTare
-from testbed.instruments.plate_noise import PlateNoise
+from testbed.instruments.joints import (
+    EncoderInstantSampling,
+    EncoderNoise,
+    EncoderResolution,
+    TorqueConstantError,
+    TorqueNoise,
+)
+from testbed.instruments.plate import MeasuredTare, PlateNoise
 from testbed.kind_table import AsTable
 from testbed.recordings.recording import Recording, Truth
 

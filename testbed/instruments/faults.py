@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from testbed.errors import SettingsError, UnknownName
-from testbed.instruments import drives, encoders, plate, plate_clock, plate_noise
+from testbed.instruments import joints, plate, plate_clock
 from testbed.instruments.fault import Fault, Place
 from testbed.kind_table import in_words, of_table, rows
 
-_DEVICES = (encoders, drives, plate, plate_clock, plate_noise)
+_DEVICES = (joints, plate, plate_clock)
 
 KINDS: Mapping[str, type[Fault]] = {
     fault.kind: fault for device in _DEVICES for fault in device.FAULTS

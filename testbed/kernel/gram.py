@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from testbed.kernel.compiler import WIDE, inline, outer, part, plain, summing
-from testbed.kernel.constants import CHUNK, D
+from testbed.kernel.records import CHUNK, D
 from testbed.kernel.rows import dot, fill
 
 

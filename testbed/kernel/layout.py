@@ -14,15 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.kernel.canonical import Canonical, canonical
-from testbed.kernel.channels import Draft, Shelf, bools, ints
-from testbed.kernel.constants import ORDER, SEEDS, SLIDING, TURNING
-from testbed.kernel.records import Ints, Robot, Rows
+from testbed.kernel.channels import Canonical, Draft, Shelf, bools, canonical, ints
+from testbed.kernel.records import ORDER, SEEDS, SLIDING, TURNING, Ints, Robot, Rows
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.row_space import beyond
 from testbed.parameters.rules import Model
 from testbed.robot.friction import LAWS, JointTerm
-from testbed.robot.transmission import shares
+from testbed.robot.locks import shares
 from testbed.robot.tree import Tree
 
 TINY = 1e-13

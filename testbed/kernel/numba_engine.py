@@ -11,11 +11,14 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.kernel.compiler import settings
-from testbed.kernel.constants import CHUNK, SEEDS, B, D
 from testbed.kernel.gram import sweep as compiled
 from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import (
+    CHUNK,
+    SEEDS,
+    B,
     Block,
+    D,
     Question,
     Signals,
     Sums,
@@ -25,7 +28,7 @@ from testbed.kernel.records import (
     sensed,
     sums_for,
 )
-from testbed.kernel.screws import BODY, SCREW, A
+from testbed.kernel.rows import BODY, SCREW, A
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.inertia import NOTHING
 from testbed.robot.tree import Joint, Tree

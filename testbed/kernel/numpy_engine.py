@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import linear
-from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import Motion, linear
 from testbed.kernel.layout import Layout
 from testbed.kernel.records import Block, Question, Signals, Sums, blocks, sums_for
-from testbed.robot.transmission import at_places, shares
+from testbed.robot.locks import at_places, shares
 
 SAMPLES = 1024
 """Samples taken at once."""

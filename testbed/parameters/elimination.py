@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
-from testbed.parameters.barycentric import UNIT_OF
 from testbed.parameters.regroup import Body, redefined_parameters
 from testbed.parameters.rules import Kept, Model, across
-from testbed.parameters.symbols import Label, Symbol, Term
+from testbed.parameters.symbols import UNIT_OF, Label, Symbol, Term
 from testbed.robot.tree import Tree
 
 BEDPLATE = -1

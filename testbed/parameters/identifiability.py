@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from testbed.arrays import Array
-from testbed.parameters.barycentric import on_standard, to_standard
 from testbed.parameters.elimination import dense_rows, static_entries
 from testbed.parameters.minimal_set import MinimalSet, known_zeros, minimal_set
 from testbed.parameters.regroup import regroup
+from testbed.parameters.symbols import on_standard, to_standard
 from testbed.robot.tree import Tree
 
 NEVER, COMBINED, ALONE = 0, 1, 2

@@ -22,13 +22,12 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array, readonly
 from testbed.codec import named
 from testbed.parameters.elimination import INDEPENDENT
-from testbed.parameters.exact_recursion import NEW, seen_wrenches
 from testbed.parameters.minimal_set import MinimalSet
-from testbed.parameters.regroup import Lengths
+from testbed.parameters.regroup import NEW, Lengths, seen_wrenches
 from testbed.parameters.row_space import beyond
 from testbed.parameters.symbols import DriveSymbol, Formula, Label, Term
 from testbed.robot.friction import OFFSET, ROTOR, JointLaw, JointTerm, joint_terms
-from testbed.robot.transmission import places
+from testbed.robot.locks import places
 from testbed.robot.tree import Tree
 
 

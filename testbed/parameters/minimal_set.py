@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from testbed.arrays import Array, readonly
 from testbed.codec import named
 from testbed.errors import UnknownName
-from testbed.parameters.barycentric import barycentric, on_standard, parameter_names
 from testbed.parameters.elimination import (
     BEDPLATE,
     Elimination,
@@ -27,7 +26,7 @@ from testbed.parameters.elimination import (
 )
 from testbed.parameters.regroup import Body, Lengths, Namer, regroup
 from testbed.parameters.rules import Model, Triad, across
-from testbed.parameters.symbols import Formula, Label
+from testbed.parameters.symbols import Formula, Label, barycentric, on_standard, parameter_names
 from testbed.robot.free_base import FREE
 from testbed.robot.tree import Tree
 

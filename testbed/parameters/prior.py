@@ -10,7 +10,7 @@ import numpy as np
 from testbed.arrays import Array, readonly
 from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
 from testbed.errors import quoted
-from testbed.parameters.barycentric import STANDARD, standard
+from testbed.parameters.symbols import STANDARD, standard
 from testbed.robot.inertia import ROUNDING, SMALL, Inertia, nearest_body
 from testbed.robot.tree import Tree
 

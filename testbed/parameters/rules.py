@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.parameters.barycentric import TENSOR_INDEX, UPPER
+from testbed.parameters.symbols import TENSOR_INDEX, UPPER
 from testbed.robot.tree import Joint, Tree
 
 ALIGNED = 1e-9

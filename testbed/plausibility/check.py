@@ -22,7 +22,7 @@ from testbed.diagnostics.diagnostic import (
     sentences,
 )
 from testbed.errors import RecordingError
-from testbed.parameters.barycentric import standard
+from testbed.parameters.symbols import standard
 from testbed.plausibility.explanation import Explanation
 from testbed.plausibility.plate import WrenchFit
 from testbed.plausibility.plate_map import rotation_vector
@@ -56,7 +56,7 @@ from testbed.recordings.joined import pieces
 from testbed.recordings.measured_base import on_its_base
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
-from testbed.robot.rotations import from_rpy
+from testbed.robot.inertia import from_rpy
 from testbed.robot.tree import Tree
 from testbed.toml_text import checked
 

@@ -13,8 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import linear
-from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import Motion, linear
 from testbed.plausibility.instants import Instants
 from testbed.plausibility.plate import WEIGHT, Frame, PlateEvidence, PlateExplanation
 from testbed.plausibility.prior import Prior

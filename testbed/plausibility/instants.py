@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.regression.filters import motion_taps
+from testbed.identification.regression.windows import motion_taps
 from testbed.recordings.recording import Recording
 
 CUTOFF = 8.0

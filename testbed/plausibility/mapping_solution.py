@@ -25,14 +25,14 @@ from testbed.plausibility.remedies import in_words
 from testbed.plausibility.search import Progress
 from testbed.plausibility.time_offset import alignment, time_offsets
 from testbed.recordings.importing.convert import clock_ranges
-from testbed.recordings.importing.draft import Draft, in_toml
-from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
+from testbed.recordings.importing.foreign_table import FORCES, MOMENTS
+from testbed.recordings.importing.import_report import Draft, in_toml
 from testbed.recordings.importing.mapping import Mapping as MappingFile
 from testbed.recordings.importing.mapping import empty_keys
 from testbed.recordings.joined import pieces
 from testbed.recordings.measured_base import on_its_base
 from testbed.recordings.source import Source
-from testbed.robot.rotations import from_rpy, from_vector, to_rpy
+from testbed.robot.inertia import from_rpy, from_vector, to_rpy
 from testbed.robot.tree import Tree
 from testbed.toml_text import checked
 

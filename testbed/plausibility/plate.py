@@ -32,8 +32,8 @@ from testbed.plausibility.plate_map import (
 )
 from testbed.plausibility.prior import Prior
 from testbed.plausibility.remedies import STEPS, Hypothesis
-from testbed.recordings.importing.foreign_units import FORCES, MOMENTS, plain
-from testbed.robot.rotations import from_rpy, from_vector, to_rpy
+from testbed.recordings.importing.foreign_table import FORCES, MOMENTS, plain
+from testbed.robot.inertia import from_rpy, from_vector, to_rpy
 
 AS_READ = (0, 1, 2, 3, 4, 5)
 

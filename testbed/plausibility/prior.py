@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import pedestal_wrench
-from testbed.parameters.barycentric import barycentric, standard, to_barycentric
+from testbed.dynamics.newton_euler import pedestal_wrench
 from testbed.parameters.minimal_set import minimal_set
+from testbed.parameters.symbols import barycentric, standard, to_barycentric
 from testbed.robot.free_base import FREE
 from testbed.robot.tree import Tree
 

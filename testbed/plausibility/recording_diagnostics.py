@@ -16,7 +16,7 @@ from testbed.plausibility.instants import Instants
 from testbed.plausibility.plate import MIXED, WrenchFit
 from testbed.plausibility.remedies import KINDS, Hypothesis, Remedy, in_mapping, own_joints
 from testbed.recordings.columns import AXES
-from testbed.recordings.importing.draft import in_toml
+from testbed.recordings.importing.import_report import in_toml
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 

@@ -12,10 +12,10 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.errors import few
 from testbed.recordings.columns import AXES
-from testbed.recordings.importing.draft import in_toml
-from testbed.recordings.importing.foreign_units import LENGTHS, factor
+from testbed.recordings.importing.foreign_table import LENGTHS, factor
+from testbed.recordings.importing.import_report import in_toml
 from testbed.robot.free_base import FREE
-from testbed.robot.rotations import from_rpy, to_rpy
+from testbed.robot.inertia import from_rpy, to_rpy
 from testbed.robot.tree import Tree
 
 Table = Literal["position", "torque", "wrench", "base"]

@@ -15,9 +15,8 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnostic, diagnose
-from testbed.dynamics.inverse_dynamics import regressor
-from testbed.dynamics.motion import Motion
-from testbed.identification.regression.filters import motion_taps, row_weights
+from testbed.dynamics.newton_euler import Motion, regressor
+from testbed.identification.regression.windows import motion_taps, row_weights
 from testbed.parameters.minimal_set import minimal_set
 from testbed.plausibility.instants import ENOUGH, LATE, decimate, delay, directions
 from testbed.plausibility.remedies import Line

@@ -10,10 +10,15 @@ Columns   time, position/JOINT, velocity/JOINT, acceleration/JOINT, torque/JOINT
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
+import numpy as np
+
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import of_recording
+from testbed.errors import RecordingError, plural
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 """The plate's channels."""
@@ -106,3 +111,165 @@ def members_of(signal: str, joints: tuple[str, ...]) -> tuple[str, ...]:
 def joints_in(columns: Sequence[str]) -> tuple[str, ...]:
     """Joint names: those that have a position."""
     return tuple(c.split("/", 1)[1] for c in columns if c.startswith("position/"))
+
+
+LARGEST = 1e12
+"""What no instrument measures, in any SI unit."""
+
+UNIFORM = 0.01
+"""Greatest deviation of a sampling time from the others, relative."""
+
+COUNTED = "counted"
+"""Fact of a recording: from when to when its samples are for an estimate [s]."""
+
+EARLIEST, LATEST = 1e-9, 1e6
+"""Sampling times that are no mistake [s]."""
+
+
+def check_columns(columns: Mapping[str, Array], source: str) -> None:
+    """Whether every value is a measurement and the sampling is uniform.
+
+    Args:
+        columns: All measured columns, (M,) each, `time` among them.
+        source: What the recording is called.
+
+    Raises:
+        RecordingError: Names the first bad channel, sample and time.
+    """
+    time = columns["time"]
+    if len(time) < 2:
+        raise RecordingError(f"{source}: {plural(len(time), 'sample')}, which is no recording")
+    check_values(columns, source)
+    check_times(time, source, float(np.median(np.diff(time))))
+
+
+def check_values(columns: Mapping[str, Array], source: str, first: int = 0) -> None:
+    """Whether every value of a part of a recording is a measurement.
+
+    Args:
+        columns: Of consecutive samples, (M,) each, `time` among them.
+        source: What the recording is called.
+        first: Number of the part's first sample.
+
+    Raises:
+        RecordingError: Names the first bad channel, sample and time.
+    """
+    time = columns["time"]
+    for label, values in columns.items():
+        bad = np.flatnonzero(~(np.abs(values) < LARGEST))
+        if bad.size:
+            k = bad[0]
+            raise RecordingError(
+                f"{source}: channel '{label}' is {values[k]:g} at sample {k + first} "
+                f"(t = {time[k]:.6g} s), one of {bad.size} such among samples {first} to "
+                f"{first + len(time) - 1}; cut them out or repair the recording"
+            )
+
+
+def check_times(time: Array, source: str, typical: float, first: int = 0) -> None:
+    """Whether the sampling of a part of a recording is uniform.
+
+    Args:
+        time: Of consecutive samples, (M,) [s].
+        source: What the recording is called.
+        typical: Its sampling time [s].
+        first: Number of the part's first sample.
+
+    Raises:
+        RecordingError: Names the first bad sample.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        steps = np.diff(time)
+    if steps.size == 0:
+        return
+    least, most = steps.min(), steps.max()
+    if not least > 0:  # what is no number is not
+        k = int(np.argmin(steps)) + first
+        raise RecordingError(f"{source}: time does not increase after sample {k}")
+    check_sampling_time(typical, source)
+    if max(most - typical, typical - least) > UNIFORM * typical:
+        worst = int(np.argmax(np.abs(steps - typical)))
+        raise RecordingError(
+            f"{source}: sampling is not uniform: {steps[worst]:.6g} s after sample "
+            f"{worst + first}, {typical:.6g} s elsewhere; resample the recording to a constant rate"
+        )
+
+
+def check_sampling_time(step: float, source: str) -> None:
+    """Whether a sampling time is one.
+
+    Args:
+        step: From sample to sample [s].
+        source: What the recording is called.
+
+    Raises:
+        RecordingError: It is not.
+    """
+    if not EARLIEST <= step <= LATEST:
+        raise RecordingError(
+            f"{source}: {step:.3g} s from sample to sample is no sampling time; time is in seconds"
+        )
+
+
+def checked_metadata(found: Any) -> tuple[tuple[float, ...] | None, dict[str, Any]]:
+    """What a file says of its recording: the tare, if any, and facts.
+
+    Args:
+        found: As it was read; facts of other names than those known here are kept as they are.
+
+    Returns:
+        Six numbers [N, N m], bedplate axes, or None; and the facts.
+
+    Raises:
+        ValueError: Something is not what it should be; says what.
+    """
+    if not isinstance(found, Mapping):
+        raise ValueError("its metadata are not a table")
+    tare, facts = found.get("tare"), found.get("facts")
+    facts = {} if facts is None else facts
+    if not isinstance(facts, dict):
+        raise ValueError("its 'facts' are not a table")
+    if facts.get("gravity") is not None:
+        _numbers(facts["gravity"], (3,), "'gravity'")
+    if facts.get(COUNTED) is not None:
+        _numbers(facts[COUNTED], (2,), f"'{COUNTED}'")
+    of_recording(facts)
+    geometry = facts.get("geometry", {})
+    if not isinstance(geometry, dict):
+        raise ValueError("its 'geometry' is not a table by joint")
+    for name, joint in geometry.items():
+        _check_joint(name, joint)
+    return None if tare is None else _numbers(tare, (6,), "'tare'"), facts
+
+
+def _check_joint(name: str, joint: Any) -> None:
+    """Whether a joint's geometry, as far as it is given, is one."""
+    if not isinstance(joint, dict):
+        raise ValueError("its 'geometry' is not a table by joint")
+    label = f"the geometry of joint '{name}': "
+    if joint.get("kind", "revolute") not in ("revolute", "prismatic"):
+        raise ValueError(f"{label}kind is revolute or prismatic")
+    if not isinstance(joint.get("parent", ""), str):
+        raise ValueError(f"{label}parent is no name")
+    for what, shape in (("axis", (3,)), ("offset", (3,)), ("rotation", (3, 3))):
+        if what in joint:
+            _numbers(joint[what], shape, f"{label}{what}")
+
+
+def _numbers(value: Any, shape: tuple[int, ...], label: str) -> tuple[float, ...]:
+    """A list, or list of lists, of finite numbers, as one list.
+
+    Raises:
+        ValueError: It is something else.
+    """
+    size, *rest = shape
+    wanted = " x ".join(map(str, shape))
+    if not isinstance(value, list) or len(value) != size:
+        raise ValueError(f"its {label} is not {wanted} numbers")
+    if rest:
+        return tuple(x for line in value for x in _numbers(line, tuple(rest), label))
+    for number in value:
+        known = isinstance(number, int | float) and not isinstance(number, bool)
+        if not known or not -LARGEST < number < LARGEST or math.isnan(number):
+            raise ValueError(f"its {label} is not {wanted} numbers")
+    return tuple(float(number) for number in value)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from testbed.recordings.source import Source
-from testbed.robot.transmission import Shafts, with_shafts
+from testbed.robot.locks import Shafts, with_shafts
 from testbed.robot.tree import Tree
 
 LONGEST = 1000

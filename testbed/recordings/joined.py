@@ -12,7 +12,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnostic, of_recording
 from testbed.errors import RecordingError
-from testbed.recordings.checks import COUNTED, check_columns
+from testbed.recordings.columns import COUNTED, check_columns
 from testbed.recordings.importing.convert import converted_pieces
 from testbed.recordings.importing.mapping import Mapping, read_mapping
 from testbed.recordings.recording import Recording

@@ -16,11 +16,12 @@ import numpy as np
 from testbed.arrays import Array, readonly
 from testbed.errors import RecordingError
 from testbed.files import replacing
-from testbed.recordings.checks import check_columns, checked_metadata
 from testbed.recordings.columns import (
     JOINT_SIGNALS,
     SIGNALS,
     TRUE_SIGNALS,
+    check_columns,
+    checked_metadata,
     joints_in,
     members_of,
     signal_of,

@@ -8,14 +8,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any, Protocol, runtime_checkable
+from typing import IO, Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError
-from testbed.recordings.checks import COUNTED, check_sampling_time
-from testbed.recordings.columns import SIGNALS, joints_in, signal_of
+from testbed.recordings.columns import COUNTED, SIGNALS, check_sampling_time, joints_in, signal_of
 from testbed.recordings.formats import open_table
 from testbed.recordings.formats.parquet import write_table
 from testbed.recordings.recording import Recording
@@ -137,7 +136,7 @@ class Source(Protocol):
         """Samples `first` to `last` - 1, without the truth."""
 
 
-RecordingLike = Recording | Source | str | Path | Iterable[Recording]
+RecordingLike: TypeAlias = Recording | Source | str | Path | Iterable[Recording]
 """A recording in memory, or a Parquet file's path, or parts in the order of time."""
 
 

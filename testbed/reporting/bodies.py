@@ -11,7 +11,7 @@ from testbed.dynamics.newton_euler import poses
 from testbed.experiment.run import Run
 from testbed.identification.consistency.consistent import Consistent, robot_of
 from testbed.identification.estimate import NAMES, number_with_sigma
-from testbed.parameters.barycentric import STANDARD, with_standard
+from testbed.parameters.symbols import STANDARD, with_standard
 from testbed.reporting.portrait import view
 from testbed.reporting.section import Drawing, Section, Table
 from testbed.robot.tree import Tree

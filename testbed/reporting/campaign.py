@@ -18,8 +18,7 @@ from testbed.campaign.summary import Change, Figure, ParameterErrors, Summary, p
 from testbed.errors import plural, printable, round_significant
 from testbed.identification.estimate import METHODS, NAMES
 from testbed.reporting.figures import Panel, named_panels
-from testbed.reporting.html import write_page
-from testbed.reporting.output import Progress, print_tables
+from testbed.reporting.output import Progress, print_tables, write_page
 from testbed.reporting.section import HeatTable, Section, Table
 
 ENOUGH = 20

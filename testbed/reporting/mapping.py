@@ -11,9 +11,9 @@ from testbed.diagnostics.diagnostic import sentences
 from testbed.plausibility.mapping_solution import MappingSolution, table_of
 from testbed.plausibility.plate import WrenchFit
 from testbed.recordings.columns import AXES, PLATE_UNITS
-from testbed.recordings.importing.draft import Draft
+from testbed.recordings.importing.import_report import Draft
 from testbed.reporting.figures import Panel, named_panels
-from testbed.reporting.html import write_page
+from testbed.reporting.output import write_page
 from testbed.reporting.section import Section, Table
 
 LEAST = 1e-4

@@ -12,13 +12,19 @@ from rich.table import Table
 
 from testbed.dynamics.witnesses import Agreement, DriveAgreement
 from testbed.errors import plural
-from testbed.parameters.barycentric import COMPONENTS, STANDARD, parameter_names
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet, selection
 from testbed.parameters.regroup import Lengths
 from testbed.parameters.rules import REASONS, Model
-from testbed.parameters.symbols import Formula, Label, summands
-from testbed.robot.transmission import places
+from testbed.parameters.symbols import (
+    COMPONENTS,
+    STANDARD,
+    Formula,
+    Label,
+    parameter_names,
+    summands,
+)
+from testbed.robot.locks import places
 from testbed.robot.tree import Tree
 
 if TYPE_CHECKING:

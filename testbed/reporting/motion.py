@@ -16,8 +16,7 @@ from testbed.excitation.clearance import FAR
 from testbed.excitation.proof import Margin, Proof, slack
 from testbed.experiment.excite import Excitation
 from testbed.reporting.figures import Panel, named_panels
-from testbed.reporting.html import write_page
-from testbed.reporting.output import print_tables
+from testbed.reporting.output import print_tables, write_page
 from testbed.reporting.section import Section, Table
 
 INSTANTS = 400

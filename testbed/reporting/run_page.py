@@ -10,22 +10,21 @@ from typing import Any
 
 from testbed.diagnostics.diagnostic import sentences
 from testbed.errors import plural
+from testbed.experiment.comparison import predict
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import MotionTable
-from testbed.experiment.predictions import predict
-from testbed.experiment.results import read_run
+from testbed.experiment.results import read_run, versions
 from testbed.experiment.run import Run
 from testbed.experiment.summary import obtained, summary, verdict
-from testbed.experiment.versions import versions
 from testbed.files import replacing
 from testbed.identification.estimate import NAMES, OPEN_ZERO, Estimate, by_influence
-from testbed.parameters.barycentric import STANDARD
 from testbed.parameters.identifiability import identifiability
+from testbed.parameters.symbols import STANDARD
 from testbed.recordings.recording import Recording
-from testbed.reporting.error_dots import dots_section
 from testbed.reporting.estimates import choice_lines, instrument_tables, matrix_maps, with_sigma
 from testbed.reporting.figures import Panel
-from testbed.reporting.html import rendered
+from testbed.reporting.output import rendered
+from testbed.reporting.plot import dots_section
 from testbed.reporting.portrait import portrait
 from testbed.reporting.section import Drawing
 from testbed.reporting.signals import SHOWN, seconds_shown, sections

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from testbed.arrays import Array
-from testbed.experiment.predictions import Predictions, Signal
+from testbed.experiment.comparison import Predictions, Signal
 from testbed.experiment.run import Run
 from testbed.experiment.summary import percent
 from testbed.identification.estimate import METHODS, NAMES, SIGNAL_OF, Method

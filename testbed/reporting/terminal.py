@@ -15,7 +15,7 @@ from testbed.errors import plural, printable
 from testbed.experiment.comparison import Compared, Comparison
 from testbed.experiment.run import Run
 from testbed.experiment.summary import accuracy_lines, headline, obtained, residual_line, verdict
-from testbed.identification.diagnostics.cross_check import diagnostics_of
+from testbed.identification.diagnostics.residuals import diagnostics_of
 from testbed.identification.estimate import METHODS, OPEN_ZERO, Method
 from testbed.reporting.bodies import consistent_lines, consistent_tables
 from testbed.reporting.drives import drive_lines, drive_table

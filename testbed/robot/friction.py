@@ -21,7 +21,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.codec import named
 from testbed.errors import UnknownName
-from testbed.robot.transmission import places, shares
+from testbed.robot.locks import places, shares
 from testbed.robot.tree import Joint, Tree
 
 

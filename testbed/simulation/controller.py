@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import joint_forces
-from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import Motion, joint_forces
 from testbed.robot.friction import ROTOR, drive_torque
 from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Joint, Tree

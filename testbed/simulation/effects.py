@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from testbed.errors import SettingsError, UnknownName
 from testbed.kind_table import of_table
-from testbed.simulation.bodies import GearedRotor, Payload
+from testbed.simulation.bodies import CompliantPlate, GearedRotor, Payload, Tilt
 from testbed.simulation.effect import Effect
 from testbed.simulation.joint_friction import (
     AsymmetricFriction,
@@ -15,7 +15,6 @@ from testbed.simulation.joint_friction import (
     PowerFriction,
     StribeckFriction,
 )
-from testbed.simulation.support import CompliantPlate, Tilt
 
 EFFECTS: tuple[type[Effect], ...] = (
     StribeckFriction,

@@ -23,10 +23,9 @@ from numpy.typing import ArrayLike
 from testbed.arrays import AnyArray, Array
 from testbed.dynamics.newton_euler import kinematics, transmitted
 from testbed.errors import UnknownName
-from testbed.parameters.barycentric import UNITS, parameter_symbols
 from testbed.parameters.minimal_set import MinimalSet, known_zeros, minimal_set
 from testbed.parameters.rules import Model
-from testbed.parameters.symbols import Label, Term
+from testbed.parameters.symbols import UNITS, Label, Term, parameter_symbols
 from testbed.robot.tree import Tree
 from testbed.symbolic.expression import (
     MAX_TERMS,

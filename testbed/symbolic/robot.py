@@ -20,10 +20,9 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from testbed.arrays import AnyArray, Array
-from testbed.parameters.barycentric import UPPER, component_symbol, parameter_names, point_mass
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.regroup import length_symbol
-from testbed.parameters.symbols import Label
+from testbed.parameters.symbols import UPPER, Label, component_symbol, parameter_names, point_mass
 from testbed.robot.tree import Tree
 from testbed.symbolic.expression import (
     Budget,

@@ -9,8 +9,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from testbed.experiment.growth import growing_errors
-from testbed.experiment.predictions import Signal
+from testbed.experiment.assumptions import growing_errors
+from testbed.experiment.comparison import Signal
 from testbed.identification.estimate import Method
 from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.reporting.drives import BAND

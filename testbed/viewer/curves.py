@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 
 from testbed.arrays import Array
-from testbed.experiment.growth import growing_errors
+from testbed.experiment.assumptions import growing_errors
 from testbed.experiment.score import relative_errors
 from testbed.identification.estimate import METHODS, NAMES, Method, by_influence
 from testbed.viewer.colours import COLOURS, Colour, palette

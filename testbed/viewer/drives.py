@@ -9,8 +9,7 @@ import rerun as rr
 
 from testbed.arrays import Array
 from testbed.experiment.run import MatrixErrors, Run
-from testbed.identification.drives.friction_curves import FrictionCurve
-from testbed.identification.drives.torque_constants import DriveEstimate
+from testbed.identification.drives.friction_curves import DriveEstimate, FrictionCurve
 from testbed.recordings.columns import AXES
 from testbed.reporting.drives import BAND, TITLE, drive_table
 from testbed.reporting.section import Table

@@ -10,7 +10,7 @@ import rerun as rr
 from testbed.arrays import Array
 from testbed.dynamics.newton_euler import poses
 from testbed.identification.consistency.consistent import robot_of
-from testbed.parameters.barycentric import with_standard
+from testbed.parameters.symbols import with_standard
 from testbed.robot.visuals.appearance import Appearance
 from testbed.robot.visuals.shapes import Shape, equivalent_ellipsoids
 from testbed.viewer.colours import COLOURS

@@ -12,10 +12,9 @@ import rerun as rr
 
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnostic, sentences
-from testbed.dynamics.motion import Motion
-from testbed.dynamics.newton_euler import poses
-from testbed.experiment.growth import Growth
-from testbed.experiment.predictions import Predictions, predict
+from testbed.dynamics.newton_euler import Motion, poses
+from testbed.experiment.assumptions import Growth
+from testbed.experiment.comparison import Predictions, predict
 from testbed.experiment.run import MatrixErrors, Run, matrix_errors
 from testbed.experiment.summary import summary, verdict
 from testbed.identification.estimate import Method

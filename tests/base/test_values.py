@@ -17,7 +17,7 @@ from testbed.arrays import readonly
 from testbed.blas import eigh, one_blas_thread
 from testbed.errors import SettingsError, UnknownName, printable
 from testbed.installation import DISTRIBUTION, own_or_shipped, shipped, version
-from testbed.instruments.drives import TorqueRipple
+from testbed.instruments.joints import TorqueRipple
 from testbed.kind_table import COUNTS, LARGEST, Key
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses

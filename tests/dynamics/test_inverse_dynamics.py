@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import blocks, parameter_regressor
-from testbed.dynamics.newton_euler import poses
+from testbed.dynamics.newton_euler import blocks, parameter_regressor, poses
 from testbed.dynamics.wrench_derivatives import base_wrench_derivatives
 from testbed.parameters.rules import Model
 from testbed.robot.visuals.shapes import poses_at_zero

@@ -24,7 +24,7 @@ from testbed.excitation.collision_model import (
 )
 from testbed.excitation.limits import limits_of
 from testbed.excitation.samples import Samples
-from testbed.robot.rotations import about
+from testbed.robot.inertia import about
 from testbed.robot.visuals.shapes import Kind, Shape
 from tests.helpers.shapes import GREY, ball
 from tests.helpers.strategies import few, rngs, trees

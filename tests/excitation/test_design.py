@@ -12,7 +12,6 @@ from hypothesis import given
 import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import InfeasibleMotion
-from testbed.excitation.barrier_search import Inside, Point, minimise
 from testbed.excitation.design import Wish, _start, criterion, design
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.information import (
@@ -26,9 +25,15 @@ from testbed.excitation.information import (
     predict,
     relative_scale,
 )
-from testbed.excitation.limit_terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
-from testbed.excitation.limits import limits_of, motor_efforts
-from testbed.excitation.problem import BlockJacobian
+from testbed.excitation.limits import (
+    EffortTerm,
+    PlateRange,
+    PlateTerm,
+    SmoothTerm,
+    limits_of,
+    motor_efforts,
+)
+from testbed.excitation.problem import BlockJacobian, Inside, Point, minimise
 from testbed.excitation.proof import Proof, Rules, prove
 from testbed.excitation.random_motion import random_motion
 from testbed.excitation.samples import SampledRows

@@ -16,15 +16,17 @@ from testbed.arrays import Array
 from testbed.errors import InfeasibleMotion, UnknownName
 from testbed.excitation.collision_model import collision_model
 from testbed.excitation.fourier import Fourier
-from testbed.excitation.limit_terms import (
+from testbed.excitation.limits import (
     PRESSURE,
     EffortTerm,
     ForceBounds,
+    Limits,
     PlateRange,
     PlateTerm,
     force_bounds,
+    limits_of,
+    motor_efforts,
 )
-from testbed.excitation.limits import Limits, limits_of, motor_efforts
 from testbed.excitation.proof import SPANS, Rules, prove, seems_to_hold, slack, spans_of, suprema
 from testbed.excitation.random_motion import MARGIN, best_motion, random_motion, relative_sigma
 from testbed.excitation.rest_to_rest import RestToRest, Start, start_of

@@ -18,22 +18,22 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.codec import json_text
 from testbed.diagnostics.diagnostic import Diagnostic
-from testbed.dynamics.inverse_dynamics import base_wrench, joint_forces
+from testbed.dynamics.newton_euler import base_wrench, joint_forces
 from testbed.excitation.fourier import Fourier
 from testbed.experiment import carry_out as module
+from testbed.experiment.assumptions import growing_errors, growth
 from testbed.experiment.carry_out import unseen, validated
-from testbed.experiment.consistent_run import with_consistent, wrong_prior
+from testbed.experiment.comparison import predict
+from testbed.experiment.evaluate import with_consistent, wrong_prior
 from testbed.experiment.experiment_tables import ALWAYS_JUDGED, Bound, PriorTable
-from testbed.experiment.growth import growing_errors, growth
 from testbed.experiment.motions import another_motion, motion_of
-from testbed.experiment.predictions import predict
 from testbed.experiment.results import result_of
 from testbed.experiment.run import Run, assemble_run, correlated, systematic_errors
 from testbed.experiment.score import accuracies, relative_errors
 from testbed.experiment.summary import headline
 from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import METHODS, SIGNAL_OF
-from testbed.identification.regression.filters import row_weights
+from testbed.identification.regression.windows import row_weights
 from testbed.robot.inertia import NOTHING
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.runs import MODELS, ROBOTS, experiment, judged_run, noisy, robot, run_of, without

@@ -19,10 +19,16 @@ import pytest
 import testbed as tb
 from testbed.codec import json_text
 from testbed.errors import ExperimentError, InfeasibleMotion, TestbedError
-from testbed.excitation.limit_terms import PlateTerm
+from testbed.excitation.limits import PlateTerm
 from testbed.excitation.proof import prove
 from testbed.experiment.evaluate import robot_of
-from testbed.experiment.excite import Excitation, excite, frequencies_of
+from testbed.experiment.excite import (
+    Excitation,
+    excite,
+    frequencies_of,
+    write_motion,
+    write_trajectory,
+)
 from testbed.experiment.experiment import RecordingTables
 from testbed.experiment.motions import motion_of, read_motion, rules_of
 from testbed.experiment.read_result import LARGEST_RESULT, KeptResult, prior_covariance, read_result
@@ -37,7 +43,6 @@ from testbed.experiment.results import (
 )
 from testbed.experiment.results import identified as identified_result
 from testbed.experiment.run import Run
-from testbed.experiment.write_motion import write_motion, write_trajectory
 from testbed.identification.estimate import METHODS, Estimate
 from testbed.identification.estimate_summary import EstimateSummary
 from testbed.identification.validate import validate

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import joint_forces
+from testbed.dynamics.newton_euler import joint_forces
 from testbed.excitation.fourier import Fourier
 from testbed.identification.estimate import Method
 from testbed.parameters.rules import Model

@@ -27,7 +27,7 @@ from testbed.experiment.run import Run
 from testbed.identification.sensor.estimates import NuisanceEstimate
 from testbed.plausibility.mapping_solution import KNOWN, MappingSolution
 from testbed.plausibility.plate import WrenchFit
-from testbed.recordings.importing.draft import Draft
+from testbed.recordings.importing.import_report import Draft
 from testbed.reporting.campaign import write_campaign_page
 from testbed.reporting.mapping import write_mapping_page
 from testbed.reporting.motion import write_motion_page

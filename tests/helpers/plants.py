@@ -12,8 +12,7 @@ from testbed.arrays import Array
 from testbed.excitation.fourier import Fourier
 from testbed.recordings.recording import Truth
 from testbed.robot.model_file import ModelFile
-from testbed.simulation.build import build_plant
-from testbed.simulation.plant import Plant
+from testbed.simulation.plant import Plant, build_plant
 from testbed.simulation.rollout import Rollout, simulate_motion
 from testbed.simulation.sampled_loop import Sampling
 from tests.helpers.paths import ROOT

@@ -72,9 +72,9 @@ GUESTS = {
     "typer": "cli/",
     "rich": "reporting/",
     "matplotlib": "reporting/plot.py",
-    "jinja2": "reporting/html.py",
-    "markupsafe": "reporting/html.py",
-    "subprocess": "viewer/show.py",  # Rerun's viewer, and nothing else
+    "jinja2": "reporting/output.py",
+    "markupsafe": "reporting/output.py",
+    "subprocess": "viewer/live.py",  # Rerun's viewer, and nothing else
 }
 """Packages that only some modules may import, by how these begin."""
 FORBIDDEN = ("pickle", "shelve", "marshal", "requests", "urllib", "http")

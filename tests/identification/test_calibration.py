@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError, TestbedError, UnknownName
-from testbed.experiment.plate_file import read_plate, write_plate
+from testbed.experiment.read_result import read_plate, write_plate
 from testbed.identification.calibration import Calibration, calibrate, corrected
 from testbed.identification.payload.calibration_by_payload import calibrate_by_payload
 from testbed.identification.payload.payload import (
@@ -24,7 +24,7 @@ from testbed.identification.payload.payload import (
     seen_of_payload,
 )
 from testbed.identification.regression.constraints import centre_of_mass, total_mass
-from testbed.parameters.barycentric import standard
+from testbed.parameters.symbols import standard
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.measured import measured
 from tests.helpers.plates import BIAS, LOAD, SCALE, loaded, mass_of, mixing, on_plate, resting

@@ -13,17 +13,17 @@ from scipy import stats
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.experiment.consistent_run import wrong_bodies
+from testbed.experiment.evaluate import wrong_bodies
 from testbed.identification.consistency.consistent import (
     consistent,
     consistent_by_held_out,
     robot_of,
 )
+from testbed.identification.consistency.likelihood import rigid_body_test
 from testbed.identification.consistency.options import METRICS, ConsistencyOptions, Metric
-from testbed.identification.consistency.rigid_bodies import rigid_body_test
 from testbed.identification.estimate import METHODS, Estimate, Method
-from testbed.parameters.barycentric import to_barycentric
 from testbed.parameters.prior import Prior, matrices, parameters, prior_of
+from testbed.parameters.symbols import to_barycentric
 from testbed.recordings.source import Source, Stretch, open_source
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.measured import measured

@@ -21,13 +21,13 @@ from testbed.diagnostics.diagnostic import (
     phrase,
     sentences,
 )
-from testbed.identification.diagnostics.cross_check import (
+from testbed.identification.diagnostics.residuals import (
     cross_check,
     diagnostics_of,
     torque_factor,
 )
 from testbed.identification.estimate import METHODS, Estimate
-from testbed.identification.sensor.catalogue import TESTED
+from testbed.identification.sensor.correction import TESTED
 from testbed.parameters.minimal_set import selection
 from testbed.recordings.recording import Recording
 from tests.helpers.ideal import plus

@@ -19,7 +19,7 @@ from testbed.identification.selection.held_out import Parts, grown, stretches
 from testbed.identification.selection.term_choice import choose_terms
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import QUADRATIC, ROTOR, stribeck
-from testbed.robot.transmission import with_shafts
+from testbed.robot.locks import with_shafts
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses

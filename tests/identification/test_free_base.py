@@ -12,7 +12,7 @@ from hypothesis import given
 import testbed as tb
 from testbed.errors import ModelError, RecordingError
 from testbed.excitation.fourier import Fourier
-from testbed.identification.predict import motion_in, predictions
+from testbed.identification.validate import motion_in, predictions
 from testbed.recordings.measured_base import with_base_joints
 from testbed.recordings.recording import Recording
 from testbed.robot.free_base import FREE, coordinates, on_free_base

@@ -16,14 +16,14 @@ from testbed.arrays import AnyArray, Array
 from testbed.dynamics.newton_euler import NUMBERS, kinematics, transmitted
 from testbed.errors import RecordingError, UnknownName, UnseenParameters
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
-from testbed.identification.predict import motion_in, own_torque, predictions
-from testbed.identification.regression.filters import (
+from testbed.identification.regression.solvers import ScoreSquares, bin_size, hidden
+from testbed.identification.regression.windows import (
     ROW_ATTENUATION,
     low_pass,
     motion_taps,
     row_weights,
 )
-from testbed.identification.regression.weights import ScoreSquares, bin_size, hidden
+from testbed.identification.validate import motion_in, own_torque, predictions
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import LAWS, OFFSET, JointLaw
 from tests.helpers.ideal import EXACT, ideal, plus, true_values

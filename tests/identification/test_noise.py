@@ -24,15 +24,15 @@ from testbed.identification.noise.autoregression import (
     best_order,
     fit,
 )
-from testbed.identification.noise.errors_in_variables import Quantization, correct_attenuation
-from testbed.identification.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
-from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums, Whitened
-from testbed.identification.noise.model_average import (
+from testbed.identification.noise.coloured_noise import (
     averaged,
     averaged_fit,
     constants,
     square_of_last,
 )
+from testbed.identification.noise.errors_in_variables import Quantization, correct_attenuation
+from testbed.identification.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
+from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums, Whitened
 from testbed.identification.noise.noise_model import (
     PeriodicResidual,
     PeriodicSums,
@@ -40,7 +40,7 @@ from testbed.identification.noise.noise_model import (
     lateness,
     period_of,
 )
-from testbed.identification.regression.survey import Surveyor
+from testbed.identification.regression.passes import Surveyor
 from testbed.identification.regression.windows import Plan, Window, make_plan
 from testbed.kernel.layout import layout
 from testbed.kernel.records import Signals

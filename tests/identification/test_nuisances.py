@@ -14,10 +14,9 @@ import pytest
 import testbed as tb
 from testbed.arrays import Array
 from testbed.identification.regression import windows
-from testbed.identification.regression.filters import row_weights
-from testbed.identification.regression.windows import make_plan
-from testbed.identification.sensor.catalogue import NUISANCES, TESTED
-from testbed.identification.sensor.clock import shifted
+from testbed.identification.regression.windows import make_plan, row_weights
+from testbed.identification.sensor.correction import NUISANCES, TESTED
+from testbed.identification.sensor.plate import shifted
 from testbed.identification.sensor.predicted_wrench import row_filter
 from testbed.identification.sensor.unknowns import Columns, unknowns_of
 from testbed.instruments.fault import Fault

@@ -17,9 +17,9 @@ from testbed.codec import encode, json_text
 from testbed.errors import SettingsError, TestbedError
 from testbed.identification.estimate import METHODS, Estimate, Method, by_influence, influence
 from testbed.identification.identify import ridge
-from testbed.identification.predict import motion_in
 from testbed.identification.regression.constraints import parse_known
-from testbed.robot.rotations import about
+from testbed.identification.validate import motion_in
+from testbed.robot.inertia import about
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.plates import mass_of

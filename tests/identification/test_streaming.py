@@ -22,8 +22,8 @@ from testbed.diagnostics.diagnostic import of_recording
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.problem import samples_of
-from testbed.identification.regression import survey
-from testbed.identification.regression.survey import Surveyor
+from testbed.identification.regression import passes
+from testbed.identification.regression.passes import Surveyor
 from testbed.identification.regression.windows import make_plan
 from testbed.identification.settings import Settings
 from testbed.kernel import numba_engine
@@ -235,7 +235,7 @@ def test_what_does_not_count_changes_nothing(tmp_path: Path) -> None:
 def test_what_is_looked_at_does_not_depend_on_the_windows(rng: np.random.Generator) -> None:
     """Samples evenly spread over all; how noisy the encoders are; what repeats."""
     stride, noise = int(rng.integers(1, 8)), 10.0 ** rng.uniform(-6, -3)
-    samples = stride * survey.SAMPLES + stride - 1
+    samples = stride * passes.SAMPLES + stride - 1
     t = np.arange(samples)[:, None] / 1000
     position = np.sin(t * [1.0, 3.0]) + noise * rng.normal(size=(samples, 2))
     measured, none = np.round(rng.normal(size=(samples, 3))), np.zeros(0)

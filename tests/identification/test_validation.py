@@ -18,10 +18,15 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Estimate, Method
 from testbed.identification.estimate_summary import summary_of
-from testbed.identification.predict import friction, motion_in, own_torque, predictions
-from testbed.identification.regression.filters import reversal_samples, row_weights
-from testbed.identification.regression.windows import ROWS_PER_CUTOFF
-from testbed.identification.validate import LIMIT, validate
+from testbed.identification.regression.windows import ROWS_PER_CUTOFF, reversal_samples, row_weights
+from testbed.identification.validate import (
+    LIMIT,
+    friction,
+    motion_in,
+    own_torque,
+    predictions,
+    validate,
+)
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import LAWS
 from tests.helpers.ideal import EXACT, ideal, plus

@@ -13,7 +13,7 @@ from scipy.signal import butter, freqs, welch
 from scipy.spatial.transform import Rotation
 
 from testbed.arrays import Array
-from testbed.instruments import drives, encoders, plate, plate_clock, plate_noise
+from testbed.instruments import joints, plate, plate_clock
 from testbed.instruments.fault import FULL_SCALE, Fault, Rig
 from testbed.instruments.faults import KINDS
 from tests.helpers.strategies import rngs
@@ -43,30 +43,26 @@ def same(one: Array, other: Array, size: float = 1e-12) -> None:
 
 
 def test_zeros_and_scales_are_wrong_joint_by_joint_and_channel_by_channel() -> None:
-    same(through(encoders.EncoderZeroError((1.0, 0.0, -2.0)), Q), np.add(Q, [1, 0, -2]))
-    same(through(drives.TorqueOffset(0.5), Q), Q + 0.5)
-    same(
-        through(plate_noise.PlateBias(2.0, (0.0, 0.5, -0.5)), W), np.add(W, [2, 2, 2, 0, 0.5, -0.5])
-    )
-    same(through(encoders.EncoderGain(0.01), Q), 1.01 * Q)
-    same(through(drives.TorqueConstantError((0.08, -0.06, 0.0)), Q), Q @ np.diag([1.08, 0.94, 1.0]))
+    same(through(joints.EncoderZeroError((1.0, 0.0, -2.0)), Q), np.add(Q, [1, 0, -2]))
+    same(through(joints.TorqueOffset(0.5), Q), Q + 0.5)
+    same(through(plate.PlateBias(2.0, (0.0, 0.5, -0.5)), W), np.add(W, [2, 2, 2, 0, 0.5, -0.5]))
+    same(through(joints.EncoderGain(0.01), Q), 1.01 * Q)
+    same(through(joints.TorqueConstantError((0.08, -0.06, 0.0)), Q), Q @ np.diag([1.08, 0.94, 1.0]))
     same(through(plate.PlateGain(tuple(SIX / 100)), W), W @ np.diag(1 + SIX / 100))
     for time in (TIME, TIME - 60.0):  # a drift begins at time 0
-        slope = through(plate_noise.PlateDrift((1.0, 2.0, 3.0), 0.5), W, time) - W
+        slope = through(plate.PlateDrift((1.0, 2.0, 3.0), 0.5), W, time) - W
         same(slope, np.outer(time, [1, 2, 3, 0.5, 0.5, 0.5]), 1e-10)
 
 
 def test_eccentricity_ripple_and_hum_are_waves() -> None:
     q = np.linspace(-4.0, 4.0, 4000)[:, None] * [1.0, 0.5, 2.0]
-    error = through(encoders.EncoderEccentricity(4e-4, phase=(0.0, 0.5, 1.0)), q) - q
+    error = through(joints.EncoderEccentricity(4e-4, phase=(0.0, 0.5, 1.0)), q) - q
     same(error, 4e-4 * np.imag(np.exp(1j * np.add(q, [0, 0.5, 1]))))
-    lead = through(encoders.EncoderEccentricity(1e-3, period=0.01), q) - q
+    lead = through(joints.EncoderEccentricity(1e-3, period=0.01), q) - q
     same(lead, 1e-3 * np.sin(q * 200 * np.pi))
-    ripple = drives.TorqueRipple(0.02, period=0.1, phase=0.3).on(Rig(NAMES, position=q))
+    ripple = joints.TorqueRipple(0.02, period=0.1, phase=0.3).on(Rig(NAMES, position=q))
     same(through(ripple, np.full((4000, 3), 30.0)) / 30 - 1, 0.02 * np.sin(20 * np.pi * q + 0.3))
-    lines = (
-        np.fft.rfft(through(plate_noise.PlateHum(2.0, 0.5, 50.0, tuple(SIX)), 0 * W), axis=0) / 2000
-    )
+    lines = np.fft.rfft(through(plate.PlateHum(2.0, 0.5, 50.0, tuple(SIX)), 0 * W), axis=0) / 2000
     same(lines[200], np.repeat([2.0, 0.5], 3) * np.exp(1j * (SIX - np.pi / 2)), 1e-9)
     lines[200] = 0
     assert np.abs(lines).max() < 1e-9
@@ -74,7 +70,7 @@ def test_eccentricity_ripple_and_hum_are_waves() -> None:
 
 def test_counts_are_whole_and_the_nearest_and_signals_end_where_ranges_do() -> None:
     """Of encoders, of a plate's converter and of a plate that saturates."""
-    seen = through(encoders.EncoderResolution((0.1, 0.0, 0.25)), Q)
+    seen = through(joints.EncoderResolution((0.1, 0.0, 0.25)), Q)
     same(seen[:, 1], Q[:, 1])
     same(seen[:, 2], 0.25 * np.floor(Q[:, 2] / 0.25 + 0.5))
     wrench = np.outer(np.linspace(-1.5, 1.5, 4000), FULL_SCALE)
@@ -137,7 +133,7 @@ def test_what_comes_late_is_the_signal_of_another_time() -> None:
     f, k = 0.3 + 0.2 * np.arange(3), np.arange(3)
     phase, turn = 2 * np.pi * np.outer(TIME, f) + k, 2 * np.pi * f / RATE
     means = 40.0 * (k + 1) + (10.0 + k) * (np.cos(phase) - np.cos(phase + turn)) / turn
-    same(through(encoders.EncoderInstantSampling(), means), Q, 2e-9)
+    same(through(joints.EncoderInstantSampling(), means), Q, 2e-9)
 
 
 @given(order=st.integers(1, 8), frequency=st.sampled_from([0.5, 5.0, 40.0]))
@@ -159,20 +155,20 @@ def test_noise_has_its_size_and_memory() -> None:
     white = np.random.default_rng(0).normal(size=(4000, 6))
     size = np.array([0.5, 0.5, 0.5, 0.1, 0.2, 0.3])
     moment = (0.1, 0.2, 0.3)
-    same(through(plate_noise.PlateNoise(0.5, moment), 0 * W), size * white)
-    joints = np.random.default_rng(0).normal(size=(4000, 3)) * [0.1, 0.0, 0.3]
-    for kind in (encoders.EncoderNoise, drives.TorqueNoise):
-        same(through(kind((0.1, 0.0, 0.3)), Q) - Q, joints)
+    same(through(plate.PlateNoise(0.5, moment), 0 * W), size * white)
+    three = np.random.default_rng(0).normal(size=(4000, 3)) * [0.1, 0.0, 0.3]
+    for kind in (joints.EncoderNoise, joints.TorqueNoise):
+        same(through(kind((0.1, 0.0, 0.3)), Q) - Q, three)
     coloured, walk = np.array(white), 0.0 * white
     for k in range(1, 4000):
         kept = np.exp(-1 / RATE / 0.05)
         coloured[k] = kept * coloured[k - 1] + np.sqrt(1 - kept**2) * white[k]
         walk[k] = walk[k - 1] + np.sqrt(1 / RATE) * white[k]
-    same(through(plate_noise.PlateColouredNoise(0.5, moment, 0.05), 0 * W), size * coloured, 1e-9)
-    same(through(plate_noise.PlateRandomWalk(0.5, moment), 0 * W), size * walk, 1e-9)
-    long_ago = through(plate_noise.PlateRandomWalk(1.0), 0 * white, TIME - 9.0)
+    same(through(plate.PlateColouredNoise(0.5, moment, 0.05), 0 * W), size * coloured, 1e-9)
+    same(through(plate.PlateRandomWalk(0.5, moment), 0 * W), size * walk, 1e-9)
+    long_ago = through(plate.PlateRandomWalk(1.0), 0 * white, TIME - 9.0)
     same(long_ago[0], 3.0 * white[0] * [1, 1, 1, 0.01, 0.01, 0.01])
-    fault = plate_noise.PlatePinkNoise(2.0, 2.0, 0.5)
+    fault = plate.PlatePinkNoise(2.0, 2.0, 0.5)
     pink = np.hstack([through(fault, 0 * W, seed=seed) for seed in range(20)])
     assert pink.std() == pytest.approx(2.0, rel=0.05)
     assert abs(np.corrcoef(pink[0], pink[-1])[0, 1]) < 0.4  # the end forgets the start
@@ -188,16 +184,16 @@ def test_a_single_number_gets_signs_and_phases_by_chance_and_a_list_keeps_its_ow
     rig, signs, phases = Rig(NAMES), set(), []
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        fault = plate_noise.PlateBias(0.3, (1.0, -2.0, 3.0)).sample(rig, rng)
+        fault = plate.PlateBias(0.3, (1.0, -2.0, 3.0)).sample(rig, rng)
         assert np.abs(fault.force).tolist() == [0.3] * 3
         assert fault.moment == (1.0, -2.0, 3.0)
         signs.add(tuple(np.sign(fault.force)))
-        phases += list(np.atleast_1d(plate_noise.PlateHum().sample(rig, rng).phase or 0.0))
+        phases += list(np.atleast_1d(plate.PlateHum().sample(rig, rng).phase or 0.0))
     assert len(signs) == 8
     every = np.sort(phases)
     assert np.diff(every, append=every[0] + 2 * np.pi).max() < 0.3  # all around, six at a time
-    assert plate_noise.PlateHum(phase=1.0).sample(rig, rng).phase == 1.0
-    by_name = encoders.EncoderEccentricity({"a": 1e-3}, period={"c": 0.01}).on(rig)
+    assert plate.PlateHum(phase=1.0).sample(rig, rng).phase == 1.0
+    by_name = joints.EncoderEccentricity({"a": 1e-3}, period={"c": 0.01}).on(rig)
     assert by_name.amplitude == (1e-3, 0.0, 0.0)
     assert by_name.period == (2 * np.pi, 2 * np.pi, 0.01)
 

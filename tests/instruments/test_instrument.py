@@ -18,24 +18,26 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError, TestbedError
 from testbed.instruments.chain import Instrument, measure, measured_again
-from testbed.instruments.encoders import (
+from testbed.instruments.fault import FULL_SCALE, Fault, Place, apply_chain, stream
+from testbed.instruments.faults import KINDS, as_markdown, fault_of
+from testbed.instruments.joints import (
     EncoderEccentricity,
     EncoderInstantSampling,
     EncoderNoise,
     EncoderResolution,
     EncoderZeroError,
 )
-from testbed.instruments.fault import FULL_SCALE, Fault, Place, apply_chain, stream
-from testbed.instruments.faults import KINDS, as_markdown, fault_of
 from testbed.instruments.plate import (
     MeasuredTare,
+    PlateBias,
     PlateConverter,
     PlateCrosstalk,
+    PlateDrift,
     PlateGain,
+    PlateNoise,
     PlatePose,
 )
 from testbed.instruments.plate_clock import PlateAntiAliasFilter, PlateDroppedSamples
-from testbed.instruments.plate_noise import PlateBias, PlateDrift, PlateNoise
 from testbed.kind_table import in_words
 from testbed.recordings.recording import Recording, Truth
 from tests.helpers.ideal import ideal

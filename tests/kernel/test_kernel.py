@@ -16,12 +16,11 @@ from llvmlite import binding
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.identification.regression.filters import motion_taps, row_weights
+from testbed.identification.regression.windows import motion_taps, row_weights
 from testbed.kernel import gram, numba_engine, numpy_engine
-from testbed.kernel.constants import NB
 from testbed.kernel.layout import Layout, independent_columns, layout
-from testbed.kernel.records import Question, Signals, Sums, products_wanted
-from testbed.kernel.screws import sine_cosine
+from testbed.kernel.records import NB, Question, Signals, Sums, products_wanted
+from testbed.kernel.rows import sine_cosine
 from testbed.parameters.rules import Model
 from testbed.robot.free_base import on_free_base
 from testbed.robot.friction import LAWS, joint_terms

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.arrays import Array
 from testbed.dynamics.witnesses import sampled_regressor
-from testbed.parameters.barycentric import on_standard, to_barycentric, to_standard
 from testbed.parameters.elimination import dense_rows, static_entries
 from testbed.parameters.identifiability import ALONE, COMBINED, NEVER, identifiability
 from testbed.parameters.prior import THINNEST, Prior, matrices, prior_of
 from testbed.parameters.regroup import regroup
+from testbed.parameters.symbols import on_standard, to_barycentric, to_standard
 from testbed.robot.inertia import NOTHING, SMALL, Inertia
 from tests.helpers.robots import Robot
 from tests.helpers.strategies import rngs, robots, trees

@@ -16,10 +16,10 @@ import testbed as tb
 from testbed.dynamics.drive_set import drive_set
 from testbed.dynamics.witnesses import verify_drives
 from testbed.errors import ModelError, UnknownName
-from testbed.identification.predict import motion_in, own_torque
+from testbed.identification.validate import motion_in, own_torque
 from testbed.parameters.joint_terms import DriveSet, with_joint_terms
 from testbed.robot.friction import COULOMB, LAWS, OFFSET, ROTOR, VISCOUS, JointLaw
-from testbed.robot.transmission import with_shafts
+from testbed.robot.locks import with_shafts
 from testbed.robot.tree import Tree
 from tests.helpers.chains import X, Y, Z, chain
 from tests.helpers.ideal import EXACT, ideal, plus

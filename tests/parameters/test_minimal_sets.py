@@ -18,12 +18,11 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.dynamics.witnesses import verify, verify_drives
 from testbed.errors import UnknownName
-from testbed.parameters.barycentric import component_symbol, parameter_names, parameter_symbols
 from testbed.parameters.joint_terms import with_joint_terms
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.regroup import length_symbol
 from testbed.parameters.rules import REASONS, Model
-from testbed.parameters.symbols import Symbol
+from testbed.parameters.symbols import Symbol, component_symbol, parameter_names, parameter_symbols
 from testbed.robot.friction import LAWS
 from testbed.robot.tree import Tree
 from tests.helpers.chains import X, Y, Z, chain

@@ -19,7 +19,7 @@ from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import of_recording
 from testbed.errors import RecordingError
 from testbed.recordings.importing.convert import low_pass_reach, onto_grid
-from testbed.recordings.importing.foreign_units import TIMES
+from testbed.recordings.importing.foreign_table import TIMES
 from testbed.recordings.importing.mapping import SourceTable
 from testbed.recordings.importing.source_clock import held_share, sample_times, slow_device
 from testbed.recordings.joined import pieces

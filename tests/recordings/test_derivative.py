@@ -13,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from testbed.errors import RecordingError
-from testbed.recordings.importing.foreign_units import UNITS, factor
+from testbed.recordings.importing.foreign_table import UNITS, factor
 from tests.helpers.foreign_files import imported
 from tests.helpers.ideal import ideal
 from tests.helpers.refusals import refuses

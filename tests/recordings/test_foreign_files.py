@@ -24,8 +24,7 @@ from scipy.io import savemat
 
 import testbed as tb
 from testbed.errors import RecordingError, UnknownName
-from testbed.recordings.importing.foreign_table import ForeignTable
-from testbed.recordings.importing.foreign_units import TIMES
+from testbed.recordings.importing.foreign_table import TIMES, ForeignTable
 from testbed.recordings.importing.guess import guessed
 from testbed.recordings.importing.readers import open_foreign
 from testbed.recordings.importing.readers.ros_bag import numbers_of

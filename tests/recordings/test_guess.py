@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import ExperimentError
-from testbed.recordings.importing.foreign_units import TIMES, UNITS
+from testbed.recordings.importing.foreign_table import TIMES, UNITS
 from testbed.recordings.importing.guess import guessed
 from testbed.recordings.importing.likely_signals import rate_of
 from tests.helpers.strategies import rngs

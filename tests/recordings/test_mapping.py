@@ -11,8 +11,8 @@ import pytest
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError, TestbedError
-from testbed.recordings.importing.foreign_units import UNITS, plain
-from testbed.robot.rotations import from_rpy
+from testbed.recordings.importing.foreign_table import UNITS, plain
+from testbed.robot.inertia import from_rpy
 from tests.helpers.foreign_files import FORMATS, Log, csv, imported, npz, some_log
 from tests.helpers.refusals import is_message, refuses
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.errors import RecordingError
-from testbed.recordings.checks import check_times, checked_metadata
+from testbed.recordings.columns import check_times, checked_metadata
 from testbed.recordings.coupled_gear import coupled_shafts, with_gear
 from testbed.recordings.formats import parquet
 from testbed.recordings.geometry import TOLERANCE, check_robot, geometry

@@ -20,8 +20,8 @@ from matplotlib.textpath import TextPath
 from scipy.signal import welch
 
 import testbed as tb
-from testbed.reporting.error_dots import MOST, ErrorDots, dot_panels, dots_of_run
 from testbed.reporting.figures import Panel, named_panels, power_of_ten, tick_label
+from testbed.reporting.plot import MOST, ErrorDots, dot_panels, dots_of_run
 from testbed.reporting.portrait import HEIGHT, LETTER, paint, png, portrait
 from testbed.reporting.section import DARKEST, HeatTable
 from testbed.reporting.signals import SEGMENT, rms_within, spectrum

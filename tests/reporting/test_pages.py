@@ -13,8 +13,8 @@ import pytest
 import testbed as tb
 from testbed.diagnostics.diagnostic import phrase
 from testbed.experiment.carry_out import validated
+from testbed.experiment.comparison import predict
 from testbed.experiment.experiment_tables import Bound
-from testbed.experiment.predictions import predict
 from testbed.experiment.summary import summary, verdict
 from testbed.identification.estimate import METHODS, NAMES, by_influence, number_with_sigma
 from testbed.reporting.estimates import CLEAR, instrument_tables, matrix_maps

@@ -24,7 +24,7 @@ from testbed.robot.locks import Travel
 from testbed.robot.model_file import ModelFile
 from testbed.robot.parsing import capture_stderr
 from testbed.robot.tree import FARTHEST, SETTABLE
-from testbed.simulation.build import build_plant
+from testbed.simulation.plant import build_plant
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, assert_same_tree, random_robot

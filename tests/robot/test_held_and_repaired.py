@@ -17,12 +17,11 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.errors import InertiaError, MimicError, ModelError, UnknownName
-from testbed.robot.inertia import SMALL, Inertia, inertia_flaw, nearest_body
+from testbed.robot.inertia import SMALL, Inertia, from_rpy, inertia_flaw, nearest_body
 from testbed.robot.locks import Lock, parse_lock
 from testbed.robot.model_file import ModelFile, mimic_joints, nearest_bodies
 from testbed.robot.repair import LIGHTEST, THINNEST
-from testbed.robot.rotations import from_rpy
-from testbed.simulation.build import build_plant
+from testbed.simulation.plant import build_plant
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot, random_states

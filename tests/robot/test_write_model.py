@@ -16,7 +16,7 @@ from hypothesis import given
 import testbed as tb
 from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import ModelError
-from testbed.experiment.consistent_run import wrong_bodies
+from testbed.experiment.evaluate import wrong_bodies
 from testbed.robot.friction import drive_torque
 from testbed.robot.inertia import Inertia
 from testbed.robot.model_file import ModelFile, mimic_joints

@@ -22,7 +22,7 @@ from benchmarks.foreign_recordings import LAYOUTS, planted, raw_signals
 from testbed.arrays import Array
 from testbed.campaign.campaign import Campaign
 from testbed.campaign.conduct import InThisProcess, conduct
-from testbed.experiment.consistent_run import with_consistent
+from testbed.experiment.evaluate import with_consistent
 from testbed.experiment.excite import Excitation, excite
 from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.run import Run, assemble_run

@@ -19,13 +19,12 @@ from testbed.arrays import Array
 from testbed.errors import ModelError, SettingsError
 from testbed.experiment.evaluate import robot_of
 from testbed.robot.friction import COULOMB, VISCOUS
+from testbed.robot.locks import with_rotor_spin
 from testbed.robot.model_file import ModelFile
-from testbed.robot.transmission import with_rotor_spin
 from testbed.robot.tree import Tree
-from testbed.simulation.build import build_plant
 from testbed.simulation.effect import Effect, StepForces
 from testbed.simulation.effects import KINDS, effect_of
-from testbed.simulation.plant import Plant
+from testbed.simulation.plant import Plant, build_plant
 from testbed.simulation.rollout import Rollout, simulate_motion
 from testbed.simulation.sampled_loop import Sampling
 from tests.helpers.paths import ROOT

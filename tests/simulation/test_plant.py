@@ -17,8 +17,7 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.errors import ModelError
 from testbed.robot.model_file import ModelFile
-from testbed.simulation.build import build_plant
-from testbed.simulation.plant import Plant, check_plant
+from testbed.simulation.plant import Plant, build_plant, check_plant
 from testbed.simulation.sampled_loop import Sampling
 from tests.helpers.plants import PUMA, check_laws, run, sensed, waving
 from tests.helpers.refusals import refuses

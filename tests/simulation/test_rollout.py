@@ -16,9 +16,9 @@ from testbed.arrays import Array
 from testbed.excitation.fourier import Fourier
 from testbed.recordings.recording import Truth
 from testbed.robot.model_file import ModelFile
-from testbed.simulation.build import build_plant
 from testbed.simulation.compiled_loop import motor_torque
 from testbed.simulation.controller import Controller, believed, computed_torque, mass_matrices
+from testbed.simulation.plant import build_plant
 from testbed.simulation.rollout import SimulationDiverged, simulate_motion
 from testbed.simulation.sampled_loop import Sampling
 from tests.helpers.paths import ROOT

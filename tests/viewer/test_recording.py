@@ -21,14 +21,13 @@ from testbed.arrays import Array
 from testbed.campaign.summary import Figure, ParameterErrors, Summary
 from testbed.diagnostics.diagnostic import sentences
 from testbed.excitation.collision_model import Obstacle
-from testbed.experiment.growth import growing_errors, growth
+from testbed.experiment.assumptions import growing_errors, growth
 from testbed.identification.estimate import METHODS, by_influence
 from testbed.robot.visuals.appearance import load_appearance
 from testbed.robot.visuals.shapes import bounds, extents
-from testbed.viewer.campaign_log import write_campaign_rrd
 from testbed.viewer.curves import BINS, FEW, MOST, Learned, learned, scale_of, thinned, tick
 from testbed.viewer.drives import CELL, TALL, largest, picture
-from testbed.viewer.log import write_motion_rrd, write_rrd
+from testbed.viewer.log import write_campaign_rrd, write_motion_rrd, write_rrd
 from testbed.viewer.robot_drawing import ARROW
 from testbed.viewer.scene import Scene, means, pressure, rounded_up, scene_of
 from tests.helpers.approved import hold

@@ -14,10 +14,9 @@ import pytest
 
 import testbed as tb
 from testbed.errors import ViewerError
-from testbed.viewer import show
+from testbed.viewer import live
 from testbed.viewer.blueprint import blueprint
-from testbed.viewer.live import Live
-from testbed.viewer.show import open_viewer, serve
+from testbed.viewer.live import Live, open_viewer, serve
 from tests.helpers.pages import run_named
 from tests.helpers.refusals import refuses
 from tests.helpers.viewer import free_port, tree
@@ -102,15 +101,15 @@ def test_from_python_a_file_is_written_or_the_viewer_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     started: list[list[str]] = []
-    monkeypatch.setattr(show, "has_screen", lambda: True)
-    monkeypatch.setattr(show, "viewer_program", lambda: "rerun")
+    monkeypatch.setattr(live, "has_screen", lambda: True)
+    monkeypatch.setattr(live, "viewer_program", lambda: "rerun")
     monkeypatch.setattr(subprocess, "Popen", lambda command, **_: started.append(command))
     run = run_named("silent")
     assert tb.view(run, tmp_path / "run.rrd").read_bytes()[:4] == b"RRF2"
     assert started == []
     path = tb.view([run, run])
     assert started == [["rerun", str(path), "--bind", "127.0.0.1"]]
-    monkeypatch.setattr(show, "has_screen", lambda: False)
+    monkeypatch.setattr(live, "has_screen", lambda: False)
     with refuses(tb.TestbedError, ".rrd"):
         tb.view(run)
     port = free_port()

@@ -18,19 +18,18 @@ from testbed.identification.consistency.likelihood import (
     agreeing,
     evidence,
     precise,
+    rigid_body_test,
     terms_of,
 )
-from testbed.identification.consistency.linear_constraints import conditions
-from testbed.identification.consistency.options import ConsistencyOptions, Metric
+from testbed.identification.consistency.options import ConsistencyOptions, Metric, conditions
 from testbed.identification.consistency.program import Scaled, scaled, solve
-from testbed.identification.consistency.rigid_bodies import rigid_body_test
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.estimate_summary import EstimateSummary, summary_of
-from testbed.parameters.barycentric import with_standard
 from testbed.parameters.prior import Prior, matrices
+from testbed.parameters.symbols import with_standard
 from testbed.recordings.source import Source, Stretch
 from testbed.robot.friction import LAWS, ROTOR, JointTerm
-from testbed.robot.transmission import places
+from testbed.robot.locks import places
 from testbed.robot.tree import Tree
 
 CLOSE = 1e-6

@@ -14,8 +14,7 @@ from testbed.arrays import Array
 from testbed.errors import WIDTH, SettingsError, few
 from testbed.identification.consistency.conic import Cone, minimise
 from testbed.identification.consistency.likelihood import Likelihood
-from testbed.identification.consistency.linear_constraints import Conditions
-from testbed.identification.consistency.options import Metric
+from testbed.identification.consistency.options import Conditions, Metric
 from testbed.parameters.prior import (
     OF_COORDINATES,
     Prior,

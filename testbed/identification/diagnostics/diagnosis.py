@@ -12,17 +12,17 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnostic, diagnose
-from testbed.dynamics.inverse_dynamics import pedestal_wrench
+from testbed.dynamics.newton_euler import pedestal_wrench
 from testbed.errors import ENOUGH, components, few
-from testbed.identification.consistency.rigid_bodies import rigid_body_test
+from testbed.identification.consistency.likelihood import rigid_body_test
 from testbed.identification.diagnostics.residuals import (
     fault_diagnostics,
     noise_diagnostics,
     noisy,
 )
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.regression.survey import Repeats, Survey
-from testbed.robot.transmission import shares
+from testbed.identification.regression.passes import Repeats, Survey
+from testbed.robot.locks import shares
 from testbed.robot.tree import Joint, Tree
 from testbed.stages import stage
 

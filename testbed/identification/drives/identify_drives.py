@@ -13,23 +13,24 @@ from testbed.arrays import Array, readonly
 from testbed.blas import eigh
 from testbed.codec import with_properties
 from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
-from testbed.identification.drives.friction_curves import FrictionCurve, friction_curves
+from testbed.identification.drives.friction_curves import (
+    ChosenTerms,
+    DriveEstimate,
+    FrictionCurve,
+    choices,
+    friction_curves,
+    offered,
+)
 from testbed.identification.drives.joint_regression import (
     JointRegression,
     Torques,
     regressions,
     torques_beside,
 )
-from testbed.identification.drives.torque_constants import (
-    ChosenTerms,
-    DriveEstimate,
-    choices,
-    offered,
-)
 from testbed.identification.estimate import Estimate
 from testbed.identification.problem import Problem
+from testbed.identification.regression.normal_equations import scaled_inverse
 from testbed.identification.regression.passes import Progress
-from testbed.identification.regression.scaled import scaled_inverse
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source

@@ -16,12 +16,15 @@ from testbed.identification.estimate import Estimate
 from testbed.identification.noise.autoregression import HIGHEST
 from testbed.identification.noise.fits import NoiseFit, of_residuals, weighted_fits
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
-from testbed.identification.noise.replicas import Replicas
+from testbed.identification.noise.score_tests import Replicas
 from testbed.identification.noise.whitening import counted
 from testbed.identification.problem import Problem
-from testbed.identification.regression.normal_equations import NormalEquations
+from testbed.identification.regression.normal_equations import (
+    NormalEquations,
+    scaled_inverse,
+    scaled_solve,
+)
 from testbed.identification.regression.passes import Passes
-from testbed.identification.regression.scaled import scaled_inverse, scaled_solve
 from testbed.identification.settings import Settings
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import minimal_set, selection

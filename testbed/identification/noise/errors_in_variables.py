@@ -12,8 +12,8 @@ from testbed.arrays import Array
 from testbed.blas import eigh
 from testbed.identification.noise.fits import NoiseFit
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.identification.regression.normal_equations import square_root
 from testbed.identification.regression.passes import Columns, motion_rows
-from testbed.identification.regression.scaled import square_root
 from testbed.identification.regression.windows import Plan
 from testbed.kernel.records import Signals
 
@@ -115,7 +115,7 @@ class Made(NamedTuple):
     width: int
 
 
-NOTHING_MADE = Made(None, 0)
+NOTHING_MADE: Made = Made(None, 0)
 """No noise."""
 
 

@@ -34,7 +34,7 @@ from testbed.identification.noise.autoregression import (
     innovation_variance,
 )
 from testbed.identification.noise.lagged_products import LaggedProducts, Whitened
-from testbed.identification.regression.scaled import inverse_and_solution
+from testbed.identification.regression.normal_equations import inverse_and_solution
 
 ROUNDS = 4
 """Times that noise and unknowns are found in turns: what is left to go is 1 % of sigma."""

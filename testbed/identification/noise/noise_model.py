@@ -11,7 +11,7 @@ from testbed.arrays import Array
 from testbed.identification.noise.autoregression import Autoregression, prediction_errors
 from testbed.identification.noise.fits import LEAST, NoiseFit
 from testbed.identification.noise.lagged_products import LaggedProducts
-from testbed.identification.regression.scaled import scaled_solve
+from testbed.identification.regression.normal_equations import scaled_solve
 
 ALIKE = 1e-3
 """Mean square of the difference to one period before, relative to that of far instants."""

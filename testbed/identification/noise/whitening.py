@@ -19,8 +19,8 @@ from testbed.identification.noise.errors_in_variables import NOTHING_MADE, Made,
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
 from testbed.identification.regression import solvers
 from testbed.identification.regression.constraints import LinearConstraints, NullSpace, free
+from testbed.identification.regression.normal_equations import square_root
 from testbed.identification.regression.passes import Columns, Passes
-from testbed.identification.regression.scaled import square_root
 from testbed.kernel.layout import Layout
 from testbed.stages import stage
 

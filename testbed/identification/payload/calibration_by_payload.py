@@ -24,8 +24,8 @@ from testbed.identification.payload.payload import seen_of_payload
 from testbed.identification.problem import Problem
 from testbed.identification.regression.constraints import PAYLOAD, facts, free
 from testbed.identification.regression.passes import Progress
-from testbed.identification.sensor.catalogue import NUISANCES
-from testbed.identification.sensor.nuisance import Nuisance
+from testbed.identification.sensor.correction import NUISANCES
+from testbed.identification.sensor.estimates import Nuisance
 from testbed.identification.sensor.plate import BIAS, TARE
 from testbed.identification.sensor.unknowns import (
     NonIdentifiable,
@@ -38,7 +38,7 @@ from testbed.identification.sensor.unknowns import (
     unknowns_of,
 )
 from testbed.identification.settings import DEFAULTS, Settings, with_sigmas
-from testbed.parameters.barycentric import to_barycentric
+from testbed.parameters.symbols import to_barycentric
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree

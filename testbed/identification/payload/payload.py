@@ -11,14 +11,13 @@ from scipy import special
 from testbed.arrays import Array, readonly
 from testbed.codec import with_properties
 from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
-from testbed.dynamics.inverse_dynamics import linear
-from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import Motion, linear
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.estimate import Estimate
 from testbed.identification.problem import check_source, tare_of
-from testbed.identification.regression.scaled import scaled_inverse
-from testbed.parameters.barycentric import STANDARD, to_barycentric
+from testbed.identification.regression.normal_equations import scaled_inverse
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
+from testbed.parameters.symbols import STANDARD, to_barycentric
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, open_source
 from testbed.robot.tree import Tree

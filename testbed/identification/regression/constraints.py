@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import linear
-from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import Motion, linear
 from testbed.errors import SettingsError, UnknownName
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.robot.tree import Tree

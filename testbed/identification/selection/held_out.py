@@ -10,7 +10,7 @@ import numpy as np
 
 from testbed.arrays import Array, readonly
 from testbed.errors import round_significant
-from testbed.identification.regression.scaled import scaled_inverse, scaled_solve
+from testbed.identification.regression.normal_equations import scaled_inverse, scaled_solve
 from testbed.robot.friction import (
     ASYMMETRIC,
     COULOMB,

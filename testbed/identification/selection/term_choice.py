@@ -12,9 +12,8 @@ from testbed.blas import one_blas_thread
 from testbed.errors import RecordingError, plural, round_significant
 from testbed.identification.estimate import Estimate, channel_units
 from testbed.identification.problem import Problem, usual_laws
-from testbed.identification.regression.normal_equations import NormalEquations
-from testbed.identification.regression.scaled import scaled_solve
-from testbed.identification.regression.weights import noise_weights
+from testbed.identification.regression.normal_equations import NormalEquations, scaled_solve
+from testbed.identification.regression.solvers import noise_weights
 from testbed.identification.selection.held_out import (
     OFFERED,
     HeldOut,

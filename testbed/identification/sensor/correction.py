@@ -12,12 +12,47 @@ from scipy.linalg import block_diag
 from testbed.arrays import Array, readonly
 from testbed.errors import UnknownName
 from testbed.identification.regression.constraints import LinearConstraints
-from testbed.identification.sensor import clock
-from testbed.identification.sensor.catalogue import NUISANCES
-from testbed.identification.sensor.nuisance import Nuisance
+from testbed.identification.sensor.encoders import (
+    ECCENTRICITY,
+    ENCODER_DELAYS,
+    ENCODER_GAINS,
+    JOINT_ZEROS,
+    SAMPLING,
+)
+from testbed.identification.sensor.estimates import Nuisance
+from testbed.identification.sensor.plate import (
+    BIAS,
+    CLOCK_RATE,
+    CROSSTALK,
+    GAINS,
+    HEIGHT,
+    MATRIX,
+    POSE,
+    SKEW,
+    SLOPE,
+    TARE,
+    reach,
+)
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, segments_of
 from testbed.robot.tree import Tree
+
+NUISANCES: tuple[Nuisance, ...] = (SKEW, BIAS, TARE, SLOPE, MATRIX, POSE, HEIGHT, JOINT_ZEROS)
+"""Those that can be estimated, in the order in which they are taken back: last made, first."""
+
+TESTED: tuple[Nuisance, ...] = (
+    SKEW,
+    CLOCK_RATE,
+    SAMPLING,
+    POSE,
+    GAINS,
+    CROSSTALK,
+    JOINT_ZEROS,
+    ENCODER_GAINS,
+    ENCODER_DELAYS,
+    ECCENTRICITY,
+)
+"""Those whose traces are looked for in every estimate. A drift is not: slow noise looks alike."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +131,7 @@ class Corrected:
             tree: The robot.
         """
         self._source, self._values, self._tree = source, values, tree
-        self._ends = clock.reach(float(values["skew"][0]), source.rate) if "skew" in values else 0
+        self._ends = reach(float(values["skew"][0]), source.rate) if "skew" in values else 0
         self.names, self.rate = tree.names, source.rate
         self.samples = source.samples - 2 * self._ends
         self.tare, self.facts, self.signals = source.tare, source.facts, source.signals

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.sensor.nuisance import Nuisance, Part, always
+from testbed.identification.sensor.estimates import Nuisance, Part, always
 from testbed.identification.sensor.predicted_wrench import Change, Number, PredictedWrench
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree

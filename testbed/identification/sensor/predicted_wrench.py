@@ -13,10 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import Motion
 from testbed.dynamics.wrench_derivatives import base_wrench_derivatives
-from testbed.identification.regression.filters import slope_weights
-from testbed.identification.regression.windows import Plan
+from testbed.identification.regression.windows import Plan, slope_weights
 from testbed.kernel.records import Signals
 from testbed.robot.tree import Tree
 

@@ -24,8 +24,12 @@ from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.regression.passes import Passes
 from testbed.identification.regression.solvers import Fit
 from testbed.identification.regression.windows import Plan
-from testbed.identification.sensor.catalogue import NUISANCES, TESTED
-from testbed.identification.sensor.correction import CalibrationCovariance, Corrected
+from testbed.identification.sensor.correction import (
+    NUISANCES,
+    TESTED,
+    CalibrationCovariance,
+    Corrected,
+)
 from testbed.identification.sensor.estimates import NuisanceEstimate, TraceTest, in_order
 from testbed.identification.sensor.plate import BIAS, SLOPE, TARE
 from testbed.identification.sensor.predicted_wrench import row_filter

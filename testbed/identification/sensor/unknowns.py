@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import linear
-from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import Motion, linear
 from testbed.errors import few
 from testbed.identification.problem import Problem
 from testbed.identification.regression.constraints import MASS, LinearConstraints, free
 from testbed.identification.regression.windows import Plan
-from testbed.identification.sensor.nuisance import Nuisance, Part
+from testbed.identification.sensor.estimates import Nuisance, Part
 from testbed.identification.sensor.plate import BIAS
 from testbed.identification.sensor.predicted_wrench import (
     PredictedWrench,

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 
-from testbed.recordings.importing.foreign_units import (
+from testbed.recordings.importing.foreign_table import (
     FORCES,
     KINDS,
     MOMENTS,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import RecordingError
-from testbed.recordings.importing.foreign_units import UNITS, Kind, plain
+from testbed.recordings.importing.foreign_table import UNITS, Kind, plain
 from testbed.recordings.importing.import_report import SignalReport
 from testbed.recordings.importing.mapping import Mapping, SignalTable
 

@@ -14,9 +14,8 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.errors import RecordingError, printable
 from testbed.recordings.importing.column_names import ColumnName, at_the_hand, base_columns
-from testbed.recordings.importing.draft import Draft
-from testbed.recordings.importing.foreign_table import ForeignTable
-from testbed.recordings.importing.foreign_units import KINDS, RAW, UNITS, Kind, plain
+from testbed.recordings.importing.foreign_table import KINDS, RAW, UNITS, ForeignTable, Kind, plain
+from testbed.recordings.importing.import_report import Draft
 from testbed.recordings.importing.likely_signals import (
     BY_BOTH,
     LikelySignal,

@@ -26,8 +26,14 @@ from testbed.recordings.importing.column_names import (
     without_unit,
 )
 from testbed.recordings.importing.derivative import SURE, slopes, unit_of
-from testbed.recordings.importing.foreign_table import ForeignTable
-from testbed.recordings.importing.foreign_units import KINDS, TIMES, UNITS, Kind, plain
+from testbed.recordings.importing.foreign_table import (
+    KINDS,
+    TIMES,
+    UNITS,
+    ForeignTable,
+    Kind,
+    plain,
+)
 from testbed.recordings.importing.readers import open_foreign, reader_of
 from testbed.recordings.importing.source_clock import GAP, Times
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import RecordingError, plural
-from testbed.recordings.importing.foreign_units import TIMES
+from testbed.recordings.importing.foreign_table import TIMES
 from testbed.recordings.importing.mapping import SourceTable
 
 BRIDGED, BRIDGED_SAMPLES = 0.1, 3.0

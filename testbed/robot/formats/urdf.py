@@ -18,11 +18,10 @@ from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import ModelError
 from testbed.robot.formats.urdf_xml import TENSOR, link_at, numbers_of, supported_xml
-from testbed.robot.inertia import NOTHING, Inertia, inertia_flaw
+from testbed.robot.inertia import NOTHING, Inertia, from_rpy, inertia_flaw
 from testbed.robot.locks import Lock
 from testbed.robot.parsing import capture_stderr, errors_of, plain, read_xml
 from testbed.robot.repair import Bodies, Link, Repair, repaired
-from testbed.robot.rotations import from_rpy
 from testbed.robot.tree import Joint, Kind, Tree
 
 

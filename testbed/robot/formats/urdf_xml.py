@@ -18,10 +18,9 @@ import numpy as np
 
 from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import FreeRootError, ModelError, quoted
-from testbed.robot.inertia import HEAVIEST
+from testbed.robot.inertia import HEAVIEST, about, from_rpy, to_rpy
 from testbed.robot.locks import Coupling, Lock, Travel, lock_positions
 from testbed.robot.parsing import decimals, errors_of, plain, read_xml
-from testbed.robot.rotations import about, from_rpy, to_rpy
 from testbed.robot.tree import FARTHEST, UNIT
 
 DEEPEST_LINKS = 1_500
