@@ -25,8 +25,7 @@ from testbed.experiment.evaluate import model_of, robot_of
 from testbed.experiment.excite import excite, wish_of
 from testbed.kernel.numba_engine import warm_up
 from testbed.simulation.plant import build_plant
-from testbed.simulation.rollout import simulate_motion
-from testbed.simulation.sampled_loop import Sampling
+from testbed.simulation.rollout import Sampling, simulate_motion
 
 ROOT = Path(__file__).parents[1]
 PUMA = ROOT / "models/puma562.xml"

@@ -15,7 +15,7 @@ import numpy as np
 
 import testbed as tb
 from benchmarks.fault_trials import Trial, trials
-from testbed.diagnostics.diagnostic import Diagnostic, sentences
+from testbed.diagnostics import Diagnostic, sentences
 from testbed.errors import TestbedError
 from testbed.identification.diagnostics.residuals import cross_check
 from testbed.identification.estimate import METHODS, Estimate, Method

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import testbed as tb
-from testbed.dynamics.witnesses import verify, verify_drives
+from testbed.dynamics.drive_set import verify, verify_drives
 from testbed.parameters.joint_terms import with_joint_terms
 from testbed.parameters.symbols import parameter_names
 from testbed.robot.friction import LAWS

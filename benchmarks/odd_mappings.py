@@ -23,7 +23,7 @@ from benchmarks.judged_mappings import MARKS, right_mapping
 from benchmarks.mappings import asked
 from benchmarks.mistakes import recorded
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import sentences
+from testbed.diagnostics import sentences
 from testbed.errors import RecordingError
 from testbed.plausibility.check import assess, import_and_check
 from testbed.plausibility.remedies import with_lines

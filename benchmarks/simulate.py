@@ -13,8 +13,7 @@ from benchmarks.timing import least, peak_rss
 from testbed.excitation.fourier import Fourier
 from testbed.robot.model_file import ModelFile
 from testbed.simulation.plant import build_plant
-from testbed.simulation.rollout import simulate_motion
-from testbed.simulation.sampled_loop import Sampling
+from testbed.simulation.rollout import Sampling, simulate_motion
 
 MODEL = Path(__file__).parents[1] / "models" / "puma562.xml"
 RATE, DURATION = 1000.0, 2.0

@@ -20,7 +20,7 @@ def as_markdown(of: str = "") -> str:
         of: Nothing: there is one place.
     """
     del of
-    from testbed.diagnostics.diagnostic import NOTE, messages, phrase
+    from testbed.diagnostics import NOTE, messages, phrase
 
     lines: list[str] = []
     known = ((code, message) for code, message in messages().items() if code != NOTE)

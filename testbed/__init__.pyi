@@ -1,7 +1,7 @@
-from .diagnostics.diagnostic import (
+from .diagnostics import (
     Diagnostic as Diagnostic,
 )
-from .diagnostics.diagnostic import (
+from .diagnostics import (
     sentences as sentences,
 )
 from .dynamics.newton_euler import Motion as Motion

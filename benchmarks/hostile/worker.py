@@ -98,7 +98,6 @@ def _load_libraries() -> None:
     """What commands import when they are called: once for all, so that it counts for none."""
     import testbed.cli.commands
     import testbed.experiment.carry_out
-    import testbed.experiment.evaluate
     import testbed.reporting.minimal_sets
     import testbed.reporting.output
     import testbed.robot.formats.mjcf

@@ -45,7 +45,7 @@ def main() -> None:
 
 def testbed(*words: str) -> None:
     """One command of the tool."""
-    subprocess.run([sys.executable, "-m", "testbed.cli", *words], cwd=ROOT, check=True)
+    subprocess.run([sys.executable, "-m", "testbed", *words], cwd=ROOT, check=True)
 
 
 def viewer(run: Path, folder: Path) -> None:

@@ -22,7 +22,7 @@ import numpy as np
 import testbed
 from testbed.blas import one_blas_thread
 from testbed.campaign.campaign import experiment_of
-from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.diagnostics import Diagnostic
 from testbed.errors import ExperimentError, TestbedError, printable
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.results import versions

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.reading import Json, Set, app, ending, note
-from testbed.diagnostics.diagnostic import sentences
+from testbed.diagnostics import sentences
 from testbed.installation import own_or_shipped
 
 if TYPE_CHECKING:

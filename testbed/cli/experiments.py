@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.reading import Everything, ExperimentFile, Json, Set, app, ending, note
-from testbed.diagnostics.diagnostic import sentences
+from testbed.diagnostics import sentences
 from testbed.errors import plural
 from testbed.installation import own_or_shipped
 

@@ -30,11 +30,11 @@ from testbed.cli.reading import (
     corrected_source,
     opened,
 )
-from testbed.diagnostics.diagnostic import diagnose
+from testbed.diagnostics import diagnose
 
 if TYPE_CHECKING:
     from testbed.cli.reading import Reading
-    from testbed.diagnostics.diagnostic import Diagnostic
+    from testbed.diagnostics import Diagnostic
     from testbed.identification.consistency.consistent import Consistent
     from testbed.identification.estimate import Estimate, Method
     from testbed.recordings.source import Source
@@ -136,7 +136,7 @@ class Writing:
         from testbed.experiment.evaluate import prior_from
         from testbed.identification.consistency.consistent import consistent_by_held_out
         from testbed.identification.problem import samples_of
-        from testbed.recordings.coupled_gear import with_gear
+        from testbed.recordings.views import with_gear
         from testbed.reporting import output
 
         tree = with_gear(reading.tree(model), source)

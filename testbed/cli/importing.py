@@ -21,7 +21,7 @@ from testbed.cli.reading import (
     app,
     ending,
 )
-from testbed.diagnostics.diagnostic import Diagnostic, ordered
+from testbed.diagnostics import Diagnostic, ordered
 
 if TYPE_CHECKING:
     from testbed.recordings.importing.import_report import Draft

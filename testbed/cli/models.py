@@ -91,8 +91,7 @@ def minimal(
 
     Example: testbed minimal models/puma562.urdf --zeros --map --verify
     """
-    from testbed.dynamics.drive_set import drive_set
-    from testbed.dynamics.witnesses import verify, verify_drives
+    from testbed.dynamics.drive_set import drive_set, verify, verify_drives
     from testbed.parameters.minimal_set import minimal_set
     from testbed.reporting import output
     from testbed.reporting.minimal_sets import Findings, print_latex, print_sets
@@ -230,7 +229,7 @@ def _compare(
     from testbed.files import read_text
     from testbed.reporting import output
     from testbed.symbolic.compare import TERM_LENGTH, compare_equations
-    from testbed.symbolic.languages.paper import line
+    from testbed.symbolic.languages.latex import line
 
     text = read_text(path, 4 * TERM_LENGTH * max_terms)  # a character has up to four bytes
     with output.Progress("deriving"):

@@ -24,7 +24,7 @@ from testbed.cli.reading import (
     corrected_source,
     ending,
 )
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose, of_recording, ordered
+from testbed.diagnostics import Diagnostic, diagnose, of_recording, ordered
 
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
@@ -264,8 +264,8 @@ def _loaded(
     path: Path, tree: Tree, reading: Reading, *, unchecked: bool
 ) -> tuple[Recording, tuple[Diagnostic, ...]]:
     """A recording in memory, the plate's faults taken back, and what to doubt of it."""
-    from testbed.recordings.measured_base import with_base_joints
     from testbed.recordings.recording import Recording
+    from testbed.recordings.views import with_base_joints
 
     source = Recording.from_mapping(path) if path.suffix == ".toml" else Recording.load(path)
     if tree.floating:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.diagnostics import Diagnostic
 from testbed.errors import RecordingError
 from testbed.installation import own_or_shipped
 from testbed.stages import stage
@@ -275,7 +275,7 @@ class Reading:
 
     def source(self, path: Path, tree: Tree) -> Source:
         """A recording, as a perfect plate would have made it where the plate is known."""
-        from testbed.recordings.measured_base import on_its_base
+        from testbed.recordings.views import on_its_base
         from testbed.reporting import output
 
         with output.Progress("reading"):
@@ -293,7 +293,7 @@ class Reading:
             RecordingError: One of them cannot be true of this robot, or they are not alike.
         """
         from testbed.recordings.joined import joined
-        from testbed.recordings.measured_base import on_its_base
+        from testbed.recordings.views import on_its_base
         from testbed.reporting import output
 
         _require_different(paths)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import few
 from testbed.excitation.collision_model import CELL, CollisionModel, levers
 from testbed.excitation.limits import Limits

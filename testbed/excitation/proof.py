@@ -10,7 +10,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.codec import with_properties
-from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.diagnostics import Diagnostic
 from testbed.dynamics.newton_euler import Motion
 from testbed.excitation.clearance import FAR, DistanceMeter
 from testbed.excitation.collision_model import CollisionModel, levers

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.diagnostics.diagnostic import diagnose
+from testbed.diagnostics import diagnose
 from testbed.errors import RecordingError, TestbedError
 from testbed.experiment.evaluate import evaluate, robot_of
 from testbed.experiment.experiment import Experiment

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from testbed.arrays import Array
 from testbed.codec import encode
-from testbed.diagnostics.diagnostic import messages, ordered
+from testbed.diagnostics import messages, ordered
 from testbed.dynamics.newton_euler import Motion
 from testbed.errors import ExperimentError, UnknownName
 from testbed.experiment.evaluate import evaluate

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import ExperimentError, TestbedError
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import BodyTable, SimulationTable

@@ -15,7 +15,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
 from testbed.codec import encode
-from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
+from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.dynamics.newton_euler import Motion
 from testbed.errors import ExperimentError, TestbedError, few
 from testbed.excitation.design import Design, Watch, Wish, design

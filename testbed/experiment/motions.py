@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.dynamics.newton_euler import pedestal_wrench
 from testbed.errors import ExperimentError, InfeasibleMotion
 from testbed.excitation.clearance import Watched, watched

@@ -11,7 +11,7 @@ import numpy as np
 import tomli_w
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import sentences
+from testbed.diagnostics import sentences
 from testbed.errors import (
     FreeRootError,
     LoopError,

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from testbed.codec import Makers, decode, encode, from_json, json_text
-from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.diagnostics import Diagnostic
 from testbed.dynamics.drive_set import drive_set
 from testbed.errors import ExperimentError
 from testbed.experiment.evaluate import evaluate

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from testbed.arrays import Array, readonly
-from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose, of_recording, ordered
+from testbed.diagnostics import Diagnosed, Diagnostic, diagnose, of_recording, ordered
 from testbed.dynamics.newton_euler import Motion
 from testbed.errors import RecordingError, TestbedError, UnseenParameters, plural
 from testbed.experiment.experiment import Experiment
@@ -24,9 +24,9 @@ from testbed.identification.sensor.correction import CalibrationCovariance
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.identification.validate import Validation, motion_in
 from testbed.recordings.columns import AXES
-from testbed.recordings.coupled_gear import with_gear
 from testbed.recordings.geometry import in_its_gravity
 from testbed.recordings.recording import Recording
+from testbed.recordings.views import with_gear
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import diagnose
+from testbed.diagnostics import diagnose
 from testbed.errors import ExperimentError
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.rest_to_rest import rest_to_rest
@@ -29,8 +29,7 @@ from testbed.robot.tree import Tree
 from testbed.simulation.controller import Reference, believed
 from testbed.simulation.effect import StepForces
 from testbed.simulation.plant import Plant, build_plant
-from testbed.simulation.rollout import Rollout, Watch, simulate_motion
-from testbed.simulation.sampled_loop import Sampling
+from testbed.simulation.rollout import Rollout, Sampling, Watch, simulate_motion
 
 MOST_SAMPLES = 2e6
 """Most samples of one run: they are held in memory."""

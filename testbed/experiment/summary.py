@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed.diagnostics.diagnostic import sentences
+from testbed.diagnostics import sentences
 from testbed.errors import plural, round_significant
 from testbed.experiment.score import share_of_signal
 from testbed.identification.estimate import NAMES

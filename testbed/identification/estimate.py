@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from testbed.arrays import Array, readonly
-from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, sentences
+from testbed.diagnostics import Diagnosed, Diagnostic, sentences
 from testbed.errors import TestbedError, plural
 from testbed.identification.noise.noise_model import NoiseModel
 from testbed.identification.regression.normal_equations import NormalEquations

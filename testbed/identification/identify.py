@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose, of_recording, ordered
+from testbed.diagnostics import Diagnostic, diagnose, of_recording, ordered
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.diagnostics.diagnosis import diagnostics, quality
 from testbed.identification.diagnostics.residuals import zero_unknown

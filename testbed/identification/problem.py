@@ -32,10 +32,9 @@ from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import products_wanted
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
-from testbed.recordings.coupled_gear import is_imported, with_gear
 from testbed.recordings.geometry import check_robot, in_its_gravity
-from testbed.recordings.measured_base import on_its_base
 from testbed.recordings.source import RecordingLike, Source, counted, open_source, segments_of
+from testbed.recordings.views import is_imported, on_its_base, with_gear
 from testbed.robot.friction import OFFSET, JointLaw
 from testbed.robot.tree import Tree
 from testbed.stages import stage

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
 from testbed.codec import with_properties
-from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
+from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.dynamics.newton_euler import Motion, linear
 from testbed.errors import RecordingError, SettingsError, plural
 from testbed.identification.estimate import (

@@ -10,18 +10,310 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from testbed.arrays import Array
-from testbed.kernel.channels import Canonical, Draft, Shelf, bools, canonical, ints
-from testbed.kernel.records import ORDER, SEEDS, SLIDING, TURNING, Ints, Robot, Rows
+from testbed.arrays import AnyArray, Array
+from testbed.kernel.records import (
+    CACHE,
+    KS,
+    MBAR,
+    NB,
+    ORDER,
+    PUSHED,
+    SEEDS,
+    SLIDING,
+    TURNING,
+    USUAL,
+    Bools,
+    Ints,
+    Robot,
+    Rows,
+)
 from testbed.parameters.minimal_set import MinimalSet
-from testbed.parameters.row_space import beyond
-from testbed.parameters.rules import Model
+from testbed.parameters.regroup import beyond
+from testbed.parameters.rules import Model, across
+from testbed.parameters.symbols import TENSOR, UPPER
 from testbed.robot.friction import LAWS, JointTerm
 from testbed.robot.locks import shares
 from testbed.robot.tree import Tree
+
+STRAIGHT = 1e-14
+"""Sine of a lean that is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """One step outward: an offset, a turn about x, then the joint along or about z.
+
+    Attributes:
+        joint: Index of the tree's joint; -1 for a resting frame.
+        parent: Index of the link that carries it, -1 for the bedplate.
+        slides: Whether the joint is prismatic, or the frame rests.
+        offset: (3,) [m], in the carrying link's frame.
+        lean: Cosine and sine of the turn about x.
+        turn: Constant part of the turn about z [rad].
+    """
+
+    joint: int
+    parent: int
+    slides: bool
+    offset: Array
+    lean: tuple[float, float]
+    turn: float
+
+
+@dataclass(frozen=True, eq=False)
+class Canonical:
+    """A tree in canonical frames.
+
+    Attributes:
+        links: Parents first.
+        place: Index of each joint's link, (n,).
+        frames: Orientation of each body's canonical frame in its own, (n, 3, 3).
+        bedplate: Orientation of the bedplate's canonical frame, (3, 3).
+    """
+
+    links: tuple[Link, ...]
+    place: tuple[int, ...]
+    frames: Array
+    bedplate: Array
+
+    def to_canonical(self) -> Array:
+        """Barycentric parameters about canonical axes from those about the bodies', (n, 10, 10)."""
+        return np.stack([_turned(frame) for frame in self.frames])
+
+
+def canonical(tree: Tree) -> Canonical:
+    """The tree's canonical frames.
+
+    Args:
+        tree: The robot; only its geometry matters.
+    """
+    frames = [np.eye(3), *(_upright(joint.axis) for joint in tree.joints)]  # bedplate first
+    for i in range(-1, tree.n):
+        leans = [_lean(_between(tree, frames, j)) for j in tree.children(i)]
+        first = next((angle for angle in leans if angle is not None), None)
+        if first:
+            frames[i + 1] = frames[i + 1] @ _about_z(first)
+    links: list[Link] = []
+    place: list[int] = []
+    for j, joint in enumerate(tree.joints):
+        parent = place[joint.parent] if joint.parent >= 0 else -1
+        turn, offset = _between(tree, frames, j), frames[joint.parent + 1].T @ joint.offset
+        aside = _lean(turn)
+        if aside:
+            links.append(Link(-1, parent, True, np.zeros(3), (1.0, 0.0), aside))
+            back = _about_z(-aside)
+            parent, turn, offset = len(links) - 1, back @ turn, back @ offset
+        lean = (float(turn[2, 2]), float(-turn[1, 2]))
+        rest = _about_x(*lean).T @ turn
+        angle = float(np.arctan2(rest[1, 0], rest[0, 0]))
+        place.append(len(links))
+        links.append(Link(j, parent, not joint.revolute, offset, lean, angle))
+    return Canonical(tuple(links), tuple(place), np.stack(frames[1:]), frames[0])
+
+
+def _upright(axis: Array) -> Array:
+    """A frame with its z along a unit vector."""
+    x = across(axis).axes[0]
+    return np.column_stack([x, np.cross(axis, x), axis])
+
+
+def _between(tree: Tree, frames: list[Array], j: int) -> Array:
+    """From joint j's canonical frame at rest to its carrier's, (3, 3)."""
+    joint = tree.joints[j]
+    turn: Array = frames[joint.parent + 1].T @ joint.rotation @ frames[j + 1]
+    return turn
+
+
+def _lean(turn: Array) -> float | None:
+    """The turn about z before which `turn` leans about x only; None if it does not lean."""
+    if np.hypot(turn[0, 2], turn[1, 2]) < STRAIGHT:
+        return None
+    angle = float(np.arctan2(turn[0, 2], -turn[1, 2]))
+    return 0.0 if abs(angle) < STRAIGHT else angle
+
+
+def _about_z(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _about_x(c: float, s: float) -> Array:
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def _turned(frame: Array) -> Array:
+    """What barycentric parameters become in a frame of this orientation, (10, 10)."""
+    matrix = np.zeros((10, 10))
+    matrix[0, 0] = 1.0
+    matrix[1:4, 1:4] = frame.T
+    for k in range(6):
+        tensor = frame.T @ TENSOR[:, :, k] @ frame
+        matrix[4:, 4 + k] = tensor[UPPER]
+    matrix[np.abs(matrix) < STRAIGHT] = 0.0
+    return matrix
+
+
+class Pair(NamedTuple):
+    """A screw on a link, before places are numbers."""
+
+    channel: int
+    own: bool
+    force: bool
+    slot: int
+    direct: int  # entries written where they belong
+    entries: list[int]
+
+
+class Shelf:
+    """Places in the workspace, used again once all links outward have been seen."""
+
+    def __init__(self, links: Sequence[Link], first: int) -> None:
+        self.links, self.count = links, first
+        self.carried = np.bincount([link.parent + 1 for link in links], minlength=len(links) + 1)
+        self.places: dict[tuple[int, int], int] = {}
+        self.left: dict[tuple[int, int], int] = {}
+        self.free: list[int] = []
+
+    def put(self, channel: int, link: int) -> int:
+        """A place for what a channel holds of a link."""
+        if not self.free:
+            self.free.append(self.count)
+            self.count += 1
+        place = self.free.pop()
+        self.places[channel, link], self.left[channel, link] = place, self.carried[link + 1]
+        for done in ((channel, link), (channel, self.links[link].parent)):
+            if done in self.left:
+                self.left[done] -= done[1] != link
+                if self.left[done] == 0:
+                    self.free.append(self.places[done])
+        return place
+
+
+class Draft:
+    """Channels as they are added; `rows` makes arrays of them."""
+
+    def __init__(self, frames: Canonical, places: list[list[tuple[int, int]]]) -> None:
+        self.links, self.places = frames.links, places
+        self.pairs: list[list[Pair]] = [[] for _ in self.links]
+        self.terms: list[tuple[int, int, int]] = []  # slot, link, law
+        self.starts: list[int] = []
+        self.measured: list[int] = []
+        self.owners: list[int] = []
+        self.widths: list[int] = []
+        self.columns: list[Ints] = []
+        self.slots = 0
+
+    def channel(self, link: int, force: bool, terms: list[tuple[int, int]]) -> None:
+        """Add the row of a link's joint, or, for -1, of the bedplate's next seed."""
+        start, columns = self.slots, list[int]()
+        pairs = []
+        for k in range(len(self.links)):
+            if link < 0 or self._carries(link, k):
+                here = [p for p in self.places[k] if not force or p[0] in PUSHED]
+                inner = k != link and not self._stands(k)
+                if inner and not self.links[k].slides:  # its carriers know its mass already
+                    here = [p for p in here if p[0] != MBAR]
+                pairs.append((k, self.slots, [e + (e == MBAR and inner) for e, _ in here]))
+                columns += [column for _, column in here]
+                self.slots += len(here)
+        for law, column in terms:
+            self.terms.append((self.slots, link, law))
+            columns.append(column)
+            self.slots += 1
+        self.measured.append(self.slots)
+        for k, slot, entries in pairs:
+            made = 2 if force else USUAL  # entries written there at once; later ones overwrite
+            usual = [e for e in entries if e < USUAL]
+            fits = usual == list(range(len(usual))) and slot + made <= self.slots + 1
+            pair = Pair(len(self.starts), k == link, force, slot, len(usual) * fits, entries)
+            self.pairs[k].append(pair)
+        self.slots = start + -(-(self.slots + 1 - start) // 4) * 4
+        self.starts.append(start)
+        self.owners.append(max(link, 0))
+        self.widths.append(self.slots - start)
+        self.columns.append(np.array(columns, dtype=np.int64))
+
+    def _stands(self, k: int) -> bool:
+        """Whether a link stands on the bedplate, a resting frame between or not."""
+        inward = self.links[k].parent
+        while inward >= 0 and self.links[inward].joint < 0:
+            inward = self.links[inward].parent
+        return inward < 0
+
+    def _carries(self, inner: int, outer: int) -> bool:
+        while outer > inner:
+            outer = self.links[outer].parent
+        return outer == inner
+
+    def _paths(self) -> tuple[list[Pair], list[int], list[int]]:
+        """All pairs, link by link; where their screws come from, and where they go."""
+        shelf = Shelf(self.links, SEEDS)
+        pairs, source, target = list[Pair](), list[int](), list[int]()
+        for k, link in enumerate(self.links):
+            for pair in self.pairs[k]:
+                if pair.own:
+                    shelf.places[pair.channel, k] = SLIDING if link.slides else TURNING
+                    source.append(shelf.places[pair.channel, k])
+                    target.append(shelf.places[pair.channel, k])
+                else:
+                    source.append(shelf.places.get((pair.channel, link.parent), pair.channel))
+                    target.append(shelf.put(pair.channel, k))
+                pairs.append(pair)
+        return pairs, source, target
+
+    def rows(self, joined: bool) -> Rows:
+        """All channels as arrays."""
+        pairs, source, target = self._paths()
+        unknown = np.full(self.slots, -1)
+        for start, columns in zip(self.starts, self.columns, strict=True):
+            unknown[start : start + len(columns)] = columns
+        widths = [self.slots] if joined else self.widths
+        sizes = [m + 1 - s for m, s in zip(self.measured, self.starts, strict=True)]
+        copies = [
+            [(e, pair.slot + n) for n, e in enumerate(pair.entries) if n >= pair.direct]
+            for pair in pairs
+        ]
+        return Rows(
+            first=ints(np.cumsum([0, *map(len, self.pairs)])),
+            source=ints(source),
+            target=ints(target),
+            force=bools([pair.force for pair in pairs]),
+            slot=ints([pair.slot for pair in pairs]),
+            direct=bools([pair.direct > 0 for pair in pairs]),
+            rest=bools([max(pair.entries, default=0) >= USUAL for pair in pairs]),
+            copies=ints(np.cumsum([0, *map(len, copies)])),
+            copy_from=ints([e for each in copies for e, _ in each]),
+            copy_to=ints([slot for each in copies for _, slot in each]),
+            term_slot=ints([slot for slot, _, _ in self.terms]),
+            term_link=ints([link for _, link, _ in self.terms]),
+            term_law=ints([law for _, _, law in self.terms]),
+            start=ints(self.starts),
+            width=ints(self.widths),
+            measured=ints(self.measured),
+            link=ints(self.owners),
+            unknown=ints(unknown),
+            group_slot=ints([0] if joined else self.starts),
+            group_size=ints([self.slots] if joined else sizes),
+            group_width=ints(widths),
+            group_gram=ints(np.cumsum([0, *(width**2 for width in widths[:-1])])),
+            slots=self.slots,
+            block=int(np.clip(CACHE // (8 * self.slots) // NB * NB, NB, KS)),
+        )
+
+
+def ints(values: AnyArray | list[int]) -> Ints:
+    """The kernel's integers."""
+    return np.array(values, dtype=np.int64)
+
+
+def bools(values: list[bool]) -> Bools:
+    """The kernel's booleans."""
+    return np.array(values, dtype=np.bool_)
+
 
 TINY = 1e-13
 """Coefficients that are zero but for rounding."""

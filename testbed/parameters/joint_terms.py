@@ -23,8 +23,7 @@ from testbed.arrays import Array, readonly
 from testbed.codec import named
 from testbed.parameters.elimination import INDEPENDENT
 from testbed.parameters.minimal_set import MinimalSet
-from testbed.parameters.regroup import NEW, Lengths, seen_wrenches
-from testbed.parameters.row_space import beyond
+from testbed.parameters.regroup import NEW, Lengths, beyond, seen_wrenches
 from testbed.parameters.symbols import DriveSymbol, Formula, Label, Term
 from testbed.robot.friction import OFFSET, ROTOR, JointLaw, JointTerm, joint_terms
 from testbed.robot.locks import places

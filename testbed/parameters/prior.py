@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array, readonly
-from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
+from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.errors import quoted
 from testbed.parameters.symbols import STANDARD, standard
 from testbed.robot.inertia import ROUNDING, SMALL, Inertia, nearest_body

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from testbed.arrays import Array, skew
-from testbed.parameters.row_space import Space, row_space
 from testbed.parameters.rules import Model, Row, base_rule, mobilities, rule
 from testbed.parameters.symbols import (
     STANDARD,
@@ -26,6 +25,67 @@ from testbed.parameters.symbols import (
 )
 from testbed.robot.free_base import FREE
 from testbed.robot.tree import Joint, Tree
+
+ROUNDING = 1e-13
+"""Part of all rows that is rounding of zero, whatever is left of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Space:
+    """A row space of functionals on the 10 n barycentric parameters.
+
+    Attributes:
+        rows: (rank, 10 n), orthonormal.
+        gap: Ratio of the smallest singular value kept to the largest one dropped: how
+            clear the decision on the rank was.
+    """
+
+    rows: Array
+    gap: float
+
+    @property
+    def rank(self) -> int:
+        """Number of functionals."""
+        return len(self.rows)
+
+
+def row_space(rows: Array, tolerance: float, known_zero: NDArray[np.bool_] | None = None) -> Space:
+    """The space spanned by rows, (k, 10 n).
+
+    Args:
+        rows: Of any sizes; rows are not rescaled, so rounding of zero stays small.
+        tolerance: Singular values below this share of the largest count as zero.
+        known_zero: Parameters known to be zero, (n, 10), whose columns do not count;
+            default none.
+    """
+    rounding = ROUNDING * float(np.linalg.norm(rows))
+    if known_zero is not None:
+        rows = np.where(known_zero.ravel(), 0.0, rows)
+    if not rows.any():
+        return Space(np.zeros((0, rows.shape[1])), np.inf)
+    _, spread, directions = np.linalg.svd(rows, full_matrices=False)
+    rank = int(np.sum(spread > max(tolerance * spread[0], rounding)))
+    if rank == 0:
+        return Space(directions[:0], np.inf)
+    dropped = spread[rank] if rank < len(spread) else 0.0
+    return Space(directions[:rank], float(spread[rank - 1] / max(dropped, 1e-300)))
+
+
+def beyond(vector: Array, basis: Array) -> Array:
+    """The part of a vector that orthonormal rows, (k, N), do not span."""
+    for _ in range(2):  # twice is enough against rounding
+        vector = vector - basis.T @ (basis @ vector)
+    return vector
+
+
+def distance(a: Space, b: Space) -> float:
+    """Sine of the largest angle between two row spaces of one rank; 1 if the ranks differ."""
+    if a.rank != b.rank:
+        return 1.0
+    if a.rank == 0:
+        return 0.0
+    return float(np.linalg.norm(a.rows - (a.rows @ b.rows.T) @ b.rows, 2))
+
 
 NEW = 1e-8
 """Part of a unit functional that must be left after projection for it to be a new one."""
@@ -303,7 +363,7 @@ def migration(joint: Joint, row: Row) -> Array:
     return gains
 
 
-ROUNDING = 1e-12
+NEGLIGIBLE = 1e-12
 """Coefficients below this are not printed: rounding of zero, an axis turned by a quarter."""
 
 Lengths = Literal["symbols", "numbers"]
@@ -352,7 +412,7 @@ class Namer:
         """
         terms: list[Term] = []
         if body >= 0:
-            for c in np.flatnonzero(np.abs(form) > ROUNDING):
+            for c in np.flatnonzero(np.abs(form) > NEGLIGIBLE):
                 if not self.known_zero[body, c]:
                     weight = ((float(form[c]), None),)
                     terms.append(Term(component_symbol(body, int(c)), weight))
@@ -361,7 +421,7 @@ class Namer:
             if body < 0:
                 weights[0, 0] += form[0]
                 weights[1:, 0] += form[1:4]
-            for c in np.flatnonzero(np.abs(weights).max(axis=0) > ROUNDING):
+            for c in np.flatnonzero(np.abs(weights).max(axis=0) > NEGLIGIBLE):
                 factor = self._factor(weights[:, c], body, child)
                 if factor and self.present[child, c]:
                     terms.append(Term(self.component(child, int(c)), factor))
@@ -374,12 +434,12 @@ class Namer:
         offset = self.tree.joints[child].offset
         if self.lengths == "numbers":
             value = float(weights[0] + weights[1:] @ offset)
-            return ((value, None),) if abs(value) > ROUNDING else ()
+            return ((value, None),) if abs(value) > NEGLIGIBLE else ()
         factor: list[tuple[float, Symbol | None]] = []
-        if abs(weights[0]) > ROUNDING:
+        if abs(weights[0]) > NEGLIGIBLE:
             factor.append((float(weights[0]), None))
         for weight, axis, length in zip(weights[1:], "xyz", offset, strict=True):
-            if min(abs(weight), abs(length)) > ROUNDING:
+            if min(abs(weight), abs(length)) > NEGLIGIBLE:
                 factor.append((float(weight), length_symbol(body, child, axis)))
         return tuple(factor)
 

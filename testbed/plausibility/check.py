@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import (
+from testbed.diagnostics import (
     Diagnosed,
     Diagnostic,
     Level,
@@ -53,9 +53,9 @@ from testbed.plausibility.time_offset import TimeOffset, alignment, time_offsets
 from testbed.recordings.geometry import check_robot, geometry, in_its_gravity
 from testbed.recordings.importing.mapping import Mapping
 from testbed.recordings.joined import pieces
-from testbed.recordings.measured_base import on_its_base
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
+from testbed.recordings.views import on_its_base
 from testbed.robot.inertia import from_rpy
 from testbed.robot.tree import Tree
 from testbed.toml_text import checked

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
+from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.errors import round_significant
 from testbed.plausibility.check import Assessment, assess, zero_hypothesis
 from testbed.plausibility.explanation import Explanation
@@ -30,8 +30,8 @@ from testbed.recordings.importing.import_report import Draft, in_toml
 from testbed.recordings.importing.mapping import Mapping as MappingFile
 from testbed.recordings.importing.mapping import empty_keys
 from testbed.recordings.joined import pieces
-from testbed.recordings.measured_base import on_its_base
 from testbed.recordings.source import Source
+from testbed.recordings.views import on_its_base
 from testbed.robot.inertia import from_rpy, from_vector, to_rpy
 from testbed.robot.tree import Tree
 from testbed.toml_text import checked

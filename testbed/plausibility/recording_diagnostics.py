@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import components, few, round_significant
 from testbed.plausibility.explanation import Explanation
 from testbed.plausibility.instants import Instants

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.dynamics.newton_euler import Motion, regressor
 from testbed.identification.regression.windows import motion_taps, row_weights
 from testbed.parameters.minimal_set import minimal_set

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import of_recording
+from testbed.diagnostics import of_recording
 from testbed.errors import RecordingError, plural
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")

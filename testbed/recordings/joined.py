@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic, of_recording
+from testbed.diagnostics import Diagnostic, of_recording
 from testbed.errors import RecordingError
 from testbed.recordings.columns import COUNTED, check_columns
 from testbed.recordings.importing.convert import converted_pieces

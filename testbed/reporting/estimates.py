@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import phrase
+from testbed.diagnostics import phrase
 from testbed.errors import plural, printable
 from testbed.experiment.run import SAID, Run, matrix_errors
 from testbed.identification.calibration import Calibration

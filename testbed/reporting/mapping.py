@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from testbed.diagnostics.diagnostic import sentences
+from testbed.diagnostics import sentences
 from testbed.plausibility.mapping_solution import MappingSolution, table_of
 from testbed.plausibility.plate import WrenchFit
 from testbed.recordings.columns import AXES, PLATE_UNITS

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
-from testbed.dynamics.witnesses import Agreement, DriveAgreement
+from testbed.dynamics.drive_set import Agreement, DriveAgreement
 from testbed.errors import plural
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet, selection

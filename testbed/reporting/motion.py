@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import sentences
+from testbed.diagnostics import sentences
 from testbed.errors import plural
 from testbed.excitation.clearance import FAR
 from testbed.excitation.proof import Margin, Proof, slack

@@ -22,7 +22,7 @@ from rich.progress import Progress as Bar
 from rich.table import Table as RichTable
 
 from testbed.codec import json_text
-from testbed.diagnostics.diagnostic import Diagnostic, ordered, paragraphs
+from testbed.diagnostics import Diagnostic, ordered, paragraphs
 from testbed.errors import plural, printable
 from testbed.files import replacing
 from testbed.stages import stage, stages

@@ -8,7 +8,7 @@ from dataclasses import is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from testbed.diagnostics.diagnostic import sentences
+from testbed.diagnostics import sentences
 from testbed.errors import plural
 from testbed.experiment.comparison import predict
 from testbed.experiment.experiment import Experiment

@@ -10,7 +10,7 @@ from rich.box import ROUNDED
 from rich.console import Console
 from rich.panel import Panel
 
-from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.diagnostics import Diagnostic
 from testbed.errors import plural, printable
 from testbed.experiment.comparison import Compared, Comparison
 from testbed.experiment.run import Run

@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import MimicError, ModelError, UnknownName
 from testbed.robot.inertia import Inertia
 from testbed.robot.parsing import decimals

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from testbed.arrays import Array, freeze
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import InertiaError, ModelError, UnknownName, quoted
 from testbed.robot.inertia import NOTHING, ROUNDING, Inertia, inertia_flaw, nearest_body
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, freeze, readonly
-from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic
+from testbed.diagnostics import Diagnosed, Diagnostic
 from testbed.errors import ModelError, UnknownName, plural
 from testbed.robot.inertia import NOTHING, Inertia
 

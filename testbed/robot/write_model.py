@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import ModelError
 from testbed.files import check_writable, replacing
 from testbed.robot.inertia import NOTHING, Inertia, upper_root
@@ -70,11 +70,11 @@ def write_model(
     kind, file = model_format(model.path), model.tree()
     check_place(model.path, path, over_source=over_source)
     if kind == "mjcf":
+        from testbed.robot.formats.mjcf import edit_mjcf as edit
         from testbed.robot.formats.mjcf import read_links
-        from testbed.robot.formats.write_mjcf import edit_mjcf as edit
     else:
+        from testbed.robot.formats.urdf import edit_urdf as edit
         from testbed.robot.formats.urdf import read_links
-        from testbed.robot.formats.write_urdf import edit_urdf as edit
     repair = nearest_bodies(
         model.path, weld_root=model.weld_root, lock=model.lock, repair=model.repair
     ).links

@@ -11,7 +11,7 @@ import rerun as rr
 
 from testbed.arrays import Array
 from testbed.campaign.summary import Summary
-from testbed.diagnostics.diagnostic import sentences
+from testbed.diagnostics import sentences
 from testbed.errors import plural
 from testbed.excitation.collision_model import Obstacle
 from testbed.excitation.fourier import Fourier

@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic, sentences
+from testbed.diagnostics import Diagnostic, sentences
 from testbed.dynamics.newton_euler import Motion, poses
 from testbed.experiment.assumptions import Growth
 from testbed.experiment.comparison import Predictions, predict

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.diagnostics.diagnostic import sentences
+from testbed.diagnostics import sentences
 from testbed.dynamics.newton_euler import poses
 from testbed.excitation.clearance import FAR, ClearanceTerm, DistanceMeter, watched
 from testbed.excitation.collision_model import (

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import testbed as tb
 from testbed.arrays import Array
 from testbed.codec import json_text
-from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.diagnostics import Diagnostic
 from testbed.dynamics.newton_euler import base_wrench, joint_forces
 from testbed.excitation.fourier import Fourier
 from testbed.experiment import carry_out as module

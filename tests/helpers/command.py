@@ -16,7 +16,7 @@ import pytest
 
 from testbed.cli.main import main
 
-CLI = (sys.executable, "-m", "testbed.cli")
+CLI = (sys.executable, "-m", "testbed")
 
 
 def command_line(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:

@@ -18,7 +18,7 @@ from testbed.campaign.bundle import Bundle, Outcome
 from testbed.campaign.campaign import Campaign
 from testbed.campaign.conduct import conduct
 from testbed.campaign.summary import Summary, read_campaign, summarise
-from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.diagnostics import Diagnostic
 from testbed.excitation.design import Design
 from testbed.excitation.information import Prediction
 from testbed.experiment.excite import Excitation

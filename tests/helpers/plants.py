@@ -13,8 +13,7 @@ from testbed.excitation.fourier import Fourier
 from testbed.recordings.recording import Truth
 from testbed.robot.model_file import ModelFile
 from testbed.simulation.plant import Plant, build_plant
-from testbed.simulation.rollout import Rollout, simulate_motion
-from testbed.simulation.sampled_loop import Sampling
+from testbed.simulation.rollout import Rollout, Sampling, simulate_motion
 from tests.helpers.paths import ROOT
 
 PUMA = ROOT / "models/puma562.xml"

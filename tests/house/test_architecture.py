@@ -51,12 +51,12 @@ PLAN = {
 """What a room may import, besides itself. docs/architecture.md draws the same plan."""
 ANYWHERE = {"__init__", "__main__", "cli"}
 GUESTS = {
-    "mujoco": "robot/formats/mjcf robot/formats/write_mjcf.py robot/visuals/mjcf_shapes.py "
+    "mujoco": "robot/formats/mjcf robot/formats/mjcf.py robot/visuals/mjcf_shapes.py "
     "simulation/ excitation/collision_model.py excitation/clearance.py",
     "pinocchio": "robot/formats/urdf.py robot/visuals/urdf_shapes.py",
     "coal": "robot/visuals/urdf_shapes.py",
     "rerun": "viewer/",
-    "clarabel": "identification/consistency/conic.py",
+    "clarabel": "identification/consistency/likelihood.py",
     "numba": "kernel/",
     "llvmlite": "kernel/compiler.py",
     "threadpoolctl": "blas.py",

@@ -13,7 +13,7 @@ import pytest
 import testbed as tb
 from benchmarks.fault_trials import trials
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import (
+from testbed.diagnostics import (
     Diagnostic,
     from_json,
     messages,

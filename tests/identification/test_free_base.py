@@ -13,8 +13,8 @@ import testbed as tb
 from testbed.errors import ModelError, RecordingError
 from testbed.excitation.fourier import Fourier
 from testbed.identification.validate import motion_in, predictions
-from testbed.recordings.measured_base import with_base_joints
 from testbed.recordings.recording import Recording
+from testbed.recordings.views import with_base_joints
 from testbed.robot.free_base import FREE, coordinates, on_free_base
 from tests.helpers.humanoid import G1, humanoid, squatting
 from tests.helpers.refusals import refuses

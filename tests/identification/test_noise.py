@@ -17,13 +17,6 @@ from scipy import stats
 import testbed as tb
 from testbed.arrays import Array
 from testbed.identification.diagnostics.diagnosis import UNLIKELY
-from testbed.identification.noise.autoregression import (
-    LARGEST_ROOT,
-    Autoregression,
-    NoiseMaker,
-    best_order,
-    fit,
-)
 from testbed.identification.noise.coloured_noise import (
     averaged,
     averaged_fit,
@@ -32,7 +25,16 @@ from testbed.identification.noise.coloured_noise import (
 )
 from testbed.identification.noise.errors_in_variables import Quantization, correct_attenuation
 from testbed.identification.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
-from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums, Whitened
+from testbed.identification.noise.lagged_products import (
+    LARGEST_ROOT,
+    Autoregression,
+    LaggedProducts,
+    LaggedSums,
+    NoiseMaker,
+    Whitened,
+    best_order,
+    fit,
+)
 from testbed.identification.noise.noise_model import (
     PeriodicResidual,
     PeriodicSums,

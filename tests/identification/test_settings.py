@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.diagnostics import Diagnostic
 from testbed.errors import RecordingError, SettingsError, TestbedError, UnknownName
 from testbed.identification.estimate import number_with_sigma
 from testbed.identification.problem import Problem

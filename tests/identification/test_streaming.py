@@ -18,7 +18,7 @@ from hypothesis import given
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import of_recording
+from testbed.diagnostics import of_recording
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.problem import samples_of

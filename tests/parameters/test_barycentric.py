@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.dynamics.witnesses import sampled_regressor
+from testbed.dynamics.drive_set import sampled_regressor
 from testbed.parameters.elimination import dense_rows, static_entries
 from testbed.parameters.identifiability import ALONE, COMBINED, NEVER, identifiability
 from testbed.parameters.prior import THINNEST, Prior, matrices, prior_of

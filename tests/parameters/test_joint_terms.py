@@ -13,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.dynamics.drive_set import drive_set
-from testbed.dynamics.witnesses import verify_drives
+from testbed.dynamics.drive_set import drive_set, verify_drives
 from testbed.errors import ModelError, UnknownName
 from testbed.identification.validate import motion_in, own_torque
 from testbed.parameters.joint_terms import DriveSet, with_joint_terms

@@ -16,7 +16,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.dynamics.witnesses import verify, verify_drives
+from testbed.dynamics.drive_set import verify, verify_drives
 from testbed.errors import UnknownName
 from testbed.parameters.joint_terms import with_joint_terms
 from testbed.parameters.minimal_set import MinimalSet

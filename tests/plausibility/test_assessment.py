@@ -21,7 +21,7 @@ import testbed as tb
 from benchmarks.inverse_recordings import RATE, truth
 from testbed.errors import RecordingError
 from testbed.plausibility.check import assess, check_recording
-from testbed.recordings.measured_base import with_base_joints
+from testbed.recordings.views import with_base_joints
 from testbed.robot.free_base import FREE, coordinates, poses
 from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT

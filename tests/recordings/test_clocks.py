@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import of_recording
+from testbed.diagnostics import of_recording
 from testbed.errors import RecordingError
 from testbed.recordings.importing.convert import low_pass_reach, onto_grid
 from testbed.recordings.importing.foreign_table import TIMES

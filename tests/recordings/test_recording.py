@@ -17,13 +17,12 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.errors import RecordingError
 from testbed.recordings.columns import check_times, checked_metadata
-from testbed.recordings.coupled_gear import coupled_shafts, with_gear
 from testbed.recordings.formats import parquet
 from testbed.recordings.geometry import TOLERANCE, check_robot, geometry
 from testbed.recordings.joined import Joined
-from testbed.recordings.measured_base import NAMES, on_its_base, with_base_joints
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import gathered, open_source, write_parts
+from testbed.recordings.views import NAMES, coupled_shafts, on_its_base, with_base_joints, with_gear
 from testbed.robot.free_base import on_free_base
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured

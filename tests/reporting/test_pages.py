@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.diagnostics.diagnostic import phrase
+from testbed.diagnostics import phrase
 from testbed.experiment.carry_out import validated
 from testbed.experiment.comparison import predict
 from testbed.experiment.experiment_tables import Bound

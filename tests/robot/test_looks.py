@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.diagnostics.diagnostic import sentences
+from testbed.diagnostics import sentences
 from testbed.dynamics.newton_euler import poses
 from testbed.robot.model_file import ModelFile
 from testbed.robot.visuals.appearance import load_appearance, load_shapes

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.diagnostics import Diagnostic
 from testbed.errors import ModelError
 from testbed.experiment.evaluate import wrong_bodies
 from testbed.robot.friction import drive_torque

@@ -34,7 +34,7 @@ from testbed.identification.settings import DEFAULTS, Settings
 from testbed.plausibility.mapping_solution import solve_mapping
 from testbed.recordings.importing.guess import guessed
 from testbed.recordings.joined import Joined, pieces
-from testbed.recordings.measured_base import with_base_joints
+from testbed.recordings.views import with_base_joints
 from testbed.robot.free_base import on_free_base
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.humanoid import humanoid

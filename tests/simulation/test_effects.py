@@ -25,8 +25,7 @@ from testbed.robot.tree import Tree
 from testbed.simulation.effect import Effect, StepForces
 from testbed.simulation.effects import KINDS, effect_of
 from testbed.simulation.plant import Plant, build_plant
-from testbed.simulation.rollout import Rollout, simulate_motion
-from testbed.simulation.sampled_loop import Sampling
+from testbed.simulation.rollout import Rollout, Sampling, simulate_motion
 from tests.helpers.paths import ROOT
 from tests.helpers.plants import PUMA, check_laws, waving
 from tests.helpers.refusals import refuses

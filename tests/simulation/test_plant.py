@@ -18,7 +18,7 @@ import testbed as tb
 from testbed.errors import ModelError
 from testbed.robot.model_file import ModelFile
 from testbed.simulation.plant import Plant, build_plant, check_plant
-from testbed.simulation.sampled_loop import Sampling
+from testbed.simulation.rollout import Sampling
 from tests.helpers.plants import PUMA, check_laws, run, sensed, waving
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot

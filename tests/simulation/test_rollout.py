@@ -19,8 +19,7 @@ from testbed.robot.model_file import ModelFile
 from testbed.simulation.compiled_loop import motor_torque
 from testbed.simulation.controller import Controller, believed, computed_torque, mass_matrices
 from testbed.simulation.plant import build_plant
-from testbed.simulation.rollout import SimulationDiverged, simulate_motion
-from testbed.simulation.sampled_loop import Sampling
+from testbed.simulation.rollout import Sampling, SimulationDiverged, simulate_motion
 from tests.helpers.paths import ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.plants import PUMA, check_laws, run, waving

@@ -28,7 +28,7 @@ from testbed.symbolic.expression import (
     symbol,
 )
 from testbed.symbolic.languages import write_equations
-from testbed.symbolic.languages.paper import line
+from testbed.symbolic.languages.latex import line
 from testbed.symbolic.polynomial import LARGEST, Ring
 from testbed.symbolic.simplify import natural_angles, simplify
 from tests.helpers.paths import GOLDEN, ROOT

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.arrays import Array
 from testbed.campaign.summary import Figure, ParameterErrors, Summary
-from testbed.diagnostics.diagnostic import sentences
+from testbed.diagnostics import sentences
 from testbed.excitation.collision_model import Obstacle
 from testbed.experiment.assumptions import growing_errors, growth
 from testbed.identification.estimate import METHODS, by_influence

@@ -11,7 +11,7 @@ from scipy import special
 from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
 from testbed.codec import with_properties
-from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
+from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.errors import RecordingError, SettingsError, UnseenParameters, few
 from testbed.identification.consistency.likelihood import (
     Likelihood,

@@ -12,8 +12,7 @@ from scipy.linalg import null_space
 
 from testbed.arrays import Array
 from testbed.errors import WIDTH, SettingsError, few
-from testbed.identification.consistency.conic import Cone, minimise
-from testbed.identification.consistency.likelihood import Likelihood
+from testbed.identification.consistency.likelihood import Cone, Likelihood, minimise
 from testbed.identification.consistency.options import Conditions, Metric
 from testbed.parameters.prior import (
     OF_COORDINATES,

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.dynamics.newton_euler import pedestal_wrench
 from testbed.errors import ENOUGH, components, few
 from testbed.identification.consistency.likelihood import rigid_body_test

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import special
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose, ordered, phrase
+from testbed.diagnostics import Diagnostic, diagnose, ordered, phrase
 from testbed.errors import few
 from testbed.identification.estimate import METHODS, Estimate
 from testbed.identification.noise.noise_model import NoiseModel

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from testbed.arrays import Array, readonly
 from testbed.blas import eigh
 from testbed.codec import with_properties
-from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
+from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.identification.drives.friction_curves import (
     ChosenTerms,
     DriveEstimate,

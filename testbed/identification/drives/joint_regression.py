@@ -13,9 +13,8 @@ from testbed.arrays import Array
 from testbed.blas import one_blas_thread
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.estimate import Estimate
-from testbed.identification.noise.autoregression import HIGHEST
 from testbed.identification.noise.fits import NoiseFit, of_residuals, weighted_fits
-from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.identification.noise.lagged_products import HIGHEST, LaggedProducts, LaggedSums
 from testbed.identification.noise.score_tests import Replicas
 from testbed.identification.noise.whitening import counted
 from testbed.identification.problem import Problem

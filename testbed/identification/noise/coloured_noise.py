@@ -14,7 +14,6 @@ from scipy import linalg, special
 
 from testbed.arrays import Array
 from testbed.blas import eigh
-from testbed.identification.noise.autoregression import HIGHEST, Autoregression
 from testbed.identification.noise.errors_in_variables import (
     AttenuationCorrection,
     PositionNoise,
@@ -22,7 +21,12 @@ from testbed.identification.noise.errors_in_variables import (
     correct_attenuation,
 )
 from testbed.identification.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
-from testbed.identification.noise.lagged_products import LaggedProducts, Whitened
+from testbed.identification.noise.lagged_products import (
+    HIGHEST,
+    Autoregression,
+    LaggedProducts,
+    Whitened,
+)
 from testbed.identification.noise.noise_model import (
     NoiseModel,
     PeriodicSums,

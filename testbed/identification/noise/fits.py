@@ -26,14 +26,15 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.blas import eigh
-from testbed.identification.noise.autoregression import (
+from testbed.identification.noise.lagged_products import (
     HIGHEST,
     Autoregression,
+    LaggedProducts,
+    Whitened,
     best_order,
     fit,
     innovation_variance,
 )
-from testbed.identification.noise.lagged_products import LaggedProducts, Whitened
 from testbed.identification.regression.normal_equations import inverse_and_solution
 
 ROUNDS = 4

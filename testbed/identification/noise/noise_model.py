@@ -8,9 +8,12 @@ import numpy as np
 from scipy import special
 
 from testbed.arrays import Array
-from testbed.identification.noise.autoregression import Autoregression, prediction_errors
 from testbed.identification.noise.fits import LEAST, NoiseFit
-from testbed.identification.noise.lagged_products import LaggedProducts
+from testbed.identification.noise.lagged_products import (
+    Autoregression,
+    LaggedProducts,
+    prediction_errors,
+)
 from testbed.identification.regression.normal_equations import scaled_solve
 
 ALIKE = 1e-3

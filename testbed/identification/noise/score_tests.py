@@ -21,9 +21,14 @@ from scipy import linalg, special
 
 from testbed.arrays import Array
 from testbed.blas import eigh
-from testbed.identification.noise.autoregression import Autoregression, NoiseMaker
 from testbed.identification.noise.fits import Fits, NoiseFit, whitened_fits
-from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums, Whitened
+from testbed.identification.noise.lagged_products import (
+    Autoregression,
+    LaggedProducts,
+    LaggedSums,
+    NoiseMaker,
+    Whitened,
+)
 from testbed.stages import stage
 
 REPLICAS = 12

@@ -14,7 +14,7 @@ from scipy.linalg import block_diag, null_space
 
 from testbed.arrays import Array, readonly
 from testbed.blas import eigh
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose, ordered
+from testbed.diagnostics import Diagnostic, diagnose, ordered
 from testbed.errors import SettingsError, UnknownName
 from testbed.identification.calibration import Calibration, calibration_of, settings_of
 from testbed.identification.diagnostics.diagnosis import quality

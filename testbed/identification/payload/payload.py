@@ -10,7 +10,7 @@ from scipy import special
 
 from testbed.arrays import Array, readonly
 from testbed.codec import with_properties
-from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
+from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.dynamics.newton_euler import Motion, linear
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.estimate import Estimate

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import SettingsError, few
 from testbed.identification.noise.coloured_noise import GlsFit, sensor_step
 from testbed.identification.noise.whitening import NuisanceColumns

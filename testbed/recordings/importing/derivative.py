@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import RecordingError
 from testbed.recordings.importing.foreign_table import UNITS, Kind, plain
 from testbed.recordings.importing.import_report import SignalReport

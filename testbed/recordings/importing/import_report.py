@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose, from_json
+from testbed.diagnostics import Diagnostic, diagnose, from_json
 from testbed.errors import plural, printable
 from testbed.recordings.importing.source_clock import ClockReport
 

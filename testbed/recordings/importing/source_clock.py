@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import RecordingError, plural
 from testbed.recordings.importing.foreign_table import TIMES
 from testbed.recordings.importing.mapping import SourceTable

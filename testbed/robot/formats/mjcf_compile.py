@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import ModelError
 from testbed.robot.inertia import Inertia, inertia_flaw
 from testbed.robot.parsing import capture_stderr, decimals, read_xml

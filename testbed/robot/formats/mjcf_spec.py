@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import FreeRootError, LoopError, MimicError, ModelError, quoted
 from testbed.robot.formats.mjcf_compile import check_files, no_mujoco_warnings, one_line, resolve
 from testbed.robot.locks import Coupling, Lock, Travel, lock_positions

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.diagnostics import Diagnostic
 from testbed.errors import FreeRootError, ModelError, quoted
 from testbed.robot.inertia import HEAVIEST, about, from_rpy, to_rpy
 from testbed.robot.locks import Coupling, Lock, Travel, lock_positions

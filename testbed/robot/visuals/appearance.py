@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.diagnostics import Diagnostic
 from testbed.robot.locks import Lock
 from testbed.robot.model_file import ModelFile, model_format
 from testbed.robot.tree import Tree

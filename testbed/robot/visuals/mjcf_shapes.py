@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.diagnostics import Diagnostic
 from testbed.robot.formats.mjcf_compile import (
     compile_spec,
     drop_unreadable_meshes,

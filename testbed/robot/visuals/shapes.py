@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from testbed.arrays import Array, freeze
-from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.diagnostics import Diagnostic
 from testbed.robot.tree import Tree
 
 ROUND = 32

@@ -9,8 +9,7 @@ from typing import Any, Literal
 from testbed.errors import UnknownName
 from testbed.symbolic.equations import Listing
 from testbed.symbolic.languages.c import c
-from testbed.symbolic.languages.latex import latex
-from testbed.symbolic.languages.paper import paper
+from testbed.symbolic.languages.latex import latex, paper
 from testbed.symbolic.languages.python import python
 
 Language = Literal["paper", "latex", "python", "c"]

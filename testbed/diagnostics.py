@@ -277,7 +277,7 @@ def phrase(cause: str) -> str:
 
 @cache
 def _table() -> Mapping[str, Any]:
-    return loads(files("testbed.diagnostics").joinpath("messages.toml").read_text("utf-8"))
+    return loads(files("testbed").joinpath("messages.toml").read_text("utf-8"))
 
 
 def _message(code: str) -> Message:
