@@ -13,7 +13,7 @@ from testbed.arrays import AnyArray, Array, apply, readonly, skew
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import Model
 from testbed.parameters.symbols import TENSOR, barycentric
-from testbed.robot.tree import Tree
+from testbed.robot.tree import Placement, Tree
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,19 +233,27 @@ def _turn(joint: Link, q: AnyArray, algebra: Algebra) -> AnyArray:
 
 
 def transmitted(
-    tree: Skeleton, moving: Sequence[BodyMotion], theta: AnyArray, algebra: Algebra
+    tree: Skeleton,
+    moving: Sequence[BodyMotion],
+    theta: AnyArray,
+    algebra: Algebra,
+    sensor: Placement | None = None,
+    base: int = -1,
 ) -> tuple[AnyArray, AnyArray]:
-    """Joint forces and the bedplate's wrench.
+    """Joint forces and the wrench that is measured.
 
     Args:
         tree: The robot's geometry.
         moving: The motion of its bodies.
         theta: Barycentric parameters, (n, 10, p).
         algebra: Numbers or symbols.
+        sensor: Where the wrench is measured; None for the bedplate.
+        base: Index of the body that a sensor moves with.
 
     Returns:
         Q, what the motors deliver, (..., n, p) [N m or N], and the wrench of the bedplate
-        on the robot about O^0 in bedplate axes, force first, (..., 6, p) [N, N m].
+        on the robot about O^0 in bedplate axes, force first, (..., 6, p) [N, N m]; of a sensor,
+        about its origin in its axes.
     """
     lead, p = moving[0].w.shape[:-1], theta.shape[-1]
     dtype = np.result_type(moving[0].w.dtype, theta.dtype)
@@ -261,6 +269,8 @@ def transmitted(
         if not joint.revolute:
             L = L + skew(body.z) @ F
         L = algebra.keep(f"L{j + 1}", L)
+        if j == base:
+            whole = np.concatenate([F, L - skew(body.z) @ F], axis=-2)
         joint_forces[j] = np.tensordot(L if joint.revolute else F, joint.axis, (-2, 0))
         # the carrier's parameters hold the child's mass at O'^j already: pass on the rest
         passed = F - body.a[..., None] * theta[j, 0] + body.zdd[..., None] * theta[j, 0]
@@ -268,7 +278,17 @@ def transmitted(
         passed = body.turn @ (passed if i >= 0 else F)
         force[i] += passed
         moment[i] += skew(joint.offset) @ passed + body.turn @ L
-    return np.stack(joint_forces, axis=-2), np.concatenate([force[-1], moment[-1]], axis=-2)
+    if base < 0:
+        whole = np.concatenate([force[-1], moment[-1]], axis=-2)
+    if sensor is not None:
+        whole = sensor_transform(sensor) @ whole
+    return np.stack(joint_forces, axis=-2), whole
+
+
+def sensor_transform(sensor: Placement) -> Array:
+    """From a wrench about a body's origin in its axes to a sensor's, force first, (6, 6)."""
+    back, nothing = sensor.rotation.T, np.zeros((3, 3))
+    return np.block([[back, nothing], [-back @ skew(sensor.position), back]])
 
 
 def own_wrench(body: BodyMotion) -> AnyArray:
@@ -386,5 +406,7 @@ def linear(
     joints, base = np.empty((motion.samples, tree.n, p)), np.empty((motion.samples, 6, p))
     for part in blocks(motion.samples):
         moving = kinematics(tree, motion.q[part], motion.qd[part], motion.qdd[part], g, NUMBERS)
-        joints[part], base[part] = transmitted(tree, moving, theta, NUMBERS)
+        joints[part], base[part] = transmitted(
+            tree, moving, theta, NUMBERS, tree.sensor, tree.lead - 1 if tree.sensor else -1
+        )
     return joints, base

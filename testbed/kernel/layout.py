@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.arrays import AnyArray, Array
+from testbed.dynamics.newton_euler import sensor_transform
 from testbed.kernel.records import (
     CACHE,
     KS,
@@ -112,6 +113,9 @@ def canonical(tree: Tree) -> Canonical:
         angle = float(np.arctan2(rest[1, 0], rest[0, 0]))
         place.append(len(links))
         links.append(Link(j, parent, not joint.revolute, offset, lean, angle))
+        if tree.sensor is not None and j == tree.lead - 1:  # what it feels rests on the cut
+            links.append(Link(-1, place[j], True, np.zeros(3), (1.0, 0.0), 0.0))
+            place[j] += 1
     return Canonical(tuple(links), tuple(place), np.stack(frames[1:]), frames[0])
 
 
@@ -196,8 +200,10 @@ class Shelf:
 class Draft:
     """Channels as they are added; `rows` makes arrays of them."""
 
-    def __init__(self, frames: Canonical, places: list[list[tuple[int, int]]]) -> None:
-        self.links, self.places = frames.links, places
+    def __init__(
+        self, frames: Canonical, places: list[list[tuple[int, int]]], base: int = -1
+    ) -> None:
+        self.links, self.places, self.base = frames.links, places, base
         self.pairs: list[list[Pair]] = [[] for _ in self.links]
         self.terms: list[tuple[int, int, int]] = []  # slot, link, law
         self.starts: list[int] = []
@@ -208,11 +214,11 @@ class Draft:
         self.slots = 0
 
     def channel(self, link: int, force: bool, terms: list[tuple[int, int]]) -> None:
-        """Add the row of a link's joint, or, for -1, of the bedplate's next seed."""
+        """Add the row of a link's joint, or, for -1, of the measured wrench's next seed."""
         start, columns = self.slots, list[int]()
         pairs = []
         for k in range(len(self.links)):
-            if link < 0 or self._carries(link, k):
+            if self._carries(self.base if link < 0 else link, k):
                 here = [p for p in self.places[k] if not force or p[0] in PUSHED]
                 inner = k != link and not self._stands(k)
                 if inner and not self.links[k].slides:  # its carriers know its mass already
@@ -238,7 +244,9 @@ class Draft:
         self.columns.append(np.array(columns, dtype=np.int64))
 
     def _stands(self, k: int) -> bool:
-        """Whether a link stands on the bedplate, a resting frame between or not."""
+        """Whether a link stands on what measures the wrench, a resting frame between or not."""
+        if self.base >= 0:
+            return k == self.base
         inward = self.links[k].parent
         while inward >= 0 and self.links[inward].joint < 0:
             inward = self.links[inward].parent
@@ -395,7 +403,8 @@ def layout(
     for column, parameter in enumerate(picked):
         entry = ORDER.index(parameter % 10)
         places[frames.place[parameter // 10]].append((entry, column))
-    draft = Draft(frames, [sorted(each) for each in places])
+    base = frames.place[tree.lead - 1] if tree.sensor and tree.lead else -1
+    draft = Draft(frames, [sorted(each) for each in places], base)
     turn = shares(tree)
     if minimal.model == "dynamic":
         for j, link in enumerate(frames.place):
@@ -413,7 +422,7 @@ def layout(
         gravity=minimal.gravity,
         model=minimal.model,
         terms=tuple(terms),
-        robot=_robot(frames, minimal.gravity),
+        robot=_robot(frames, minimal.gravity, tree),
         rows=draft.rows(joined),
         theta=_theta(turns, picked),
         basis=basis,
@@ -430,14 +439,17 @@ def _theta(turns: Array, picked: list[int]) -> Array:
     return theta
 
 
-def _robot(frames: Canonical, gravity: Array) -> Robot:
+def _robot(frames: Canonical, gravity: Array, tree: Tree) -> Robot:
     links = frames.links
     places = [0]  # the bedplate's
     shelf = Shelf(links, 1)
     for k in range(len(links)):
         places.append(shelf.put(0, k))
     seeds = np.zeros((SEEDS, 6))
-    seeds[:3, 3:] = seeds[3:6, :3] = frames.bedplate  # row k: the bedplate's axis k
+    here = frames.frames[tree.lead - 1] if tree.sensor and tree.lead else frames.bedplate
+    seeds[:3, 3:] = seeds[3:6, :3] = here  # row k: axis k of the bedplate, or of the base
+    if tree.sensor is not None:
+        seeds[:6] = sensor_transform(tree.sensor) @ seeds[:6]
     seeds[TURNING, 2] = seeds[SLIDING, 5] = 1.0
     return Robot(
         coordinate=np.array([link.joint for link in links]),

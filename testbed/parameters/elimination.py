@@ -57,7 +57,7 @@ def list_entries(
         for j in reversed(range(tree.n))
         for kept in bodies[j].row.kept
     ]
-    if model == "reaction" and gravity.any() and not tared and not tree.floating:
+    if model == "reaction" and gravity.any() and not tared and not tree.lead:
         entries += static_entries(tree, gravity)
     return entries
 

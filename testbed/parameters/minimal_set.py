@@ -239,9 +239,9 @@ def minimal_set(
         raise UnknownName("model", model, ("dynamic", "reaction"))
     g = tree.gravity_or(gravity)
     known_zero = known_zeros(tree, zeros)
-    bodies = regroup(tree, model, g)
+    bodies = regroup(tree, model, g, tared=tared)
     entries = list_entries(tree, bodies, model, g, tared)
-    if model == "reaction" and not tree.floating:
+    if model == "reaction" and not tree.lead:
         entries = dynamic_first(tree, entries, bodies, regroup(tree, "dynamic", g))
     chosen = eliminate(tree, bodies, entries, known_zero)
     return MinimalSet(model, g, tared, known_zero, tree, bodies, tuple(entries), chosen)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from testbed.arrays import Array, skew
-from testbed.parameters.rules import Model, Row, base_rule, mobilities, rule
+from testbed.parameters.rules import NOTHING_KEPT, Model, Row, base_rule, mobilities, rule
 from testbed.parameters.symbols import (
     STANDARD,
     TENSOR,
@@ -23,7 +23,6 @@ from testbed.parameters.symbols import (
     component_symbol,
     to_standard,
 )
-from testbed.robot.free_base import FREE
 from testbed.robot.tree import Joint, Tree
 
 ROUNDING = 1e-13
@@ -163,6 +162,30 @@ def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> It
         known.append(_span(np.vstack([closure, here.whole])))
 
 
+def base_functionals(tree: Tree, gravity: Array, *, tared: bool) -> Array:
+    """What the wrench on a base identifies of its ten parameters, orthonormal, (k, 10).
+
+    The wrench is I a + v x* I v, with the base's velocity v and its acceleration a, less gravity.
+    Its second part is a combination of the six components of I v: what counts is in which
+    directions the joints before the base can move it, and gravity can point in its frame.
+
+    Args:
+        tree: The robot; its first joints lead to the base.
+        gravity: (3,) [m/s^2], bedplate frame.
+        tared: The static wrench in one posture has been taken off.
+    """
+    twists, changes = np.zeros((0, 6)), np.zeros((0, 6))
+    weight = -np.concatenate([gravity, np.zeros(3)])
+    for joint in tree.joints[: tree.lead]:
+        screw, into = _screw(joint), _twist_into(joint).T
+        turning = _ad(screw).T
+        weight = weight @ into
+        twists = _span(np.vstack([_closed(twists @ into, turning), screw]))
+        changes = _closed(np.vstack([changes @ into, weight @ turning]), turning)
+    pulls = changes if tared else np.vstack([changes, weight])
+    return _span(np.vstack([_momentum(twist) for twist in (*twists, *_span(pulls))]))
+
+
 def _on_barycentric(tree: Tree, seen: list[Array], static: Array) -> Array:
     """Functionals of composites as functionals of the barycentric parameters, (k, 10 n)."""
     n = tree.n
@@ -297,18 +320,25 @@ class Body:
     gain: Array
 
 
-def regroup(tree: Tree, model: Model, gravity: Array) -> tuple[Body, ...]:
+def regroup(
+    tree: Tree, model: Model, gravity: Array, *, tared: bool = False
+) -> tuple[Body, ...]:
     """Apply the rules to every joint.
 
     Args:
         tree: The robot.
         model: "dynamic" for joint torques, "reaction" for the bedplate's wrench.
         gravity: In the bedplate frame, (3,) [m/s^2].
+        tared: The static wrench in one posture has been taken off.
     """
     bodies = []
     for j, (joint, ahead) in enumerate(zip(tree.joints, mobilities(tree, gravity), strict=True)):
-        of_base = tree.floating and j < FREE
-        row = base_rule(is_base=j == FREE - 1) if of_base else rule(joint, ahead, model)
+        if j < tree.lead - 1:
+            row = NOTHING_KEPT
+        elif j == tree.lead - 1:
+            row = base_rule(base_functionals(tree, gravity, tared=tared))
+        else:
+            row = rule(joint, ahead, model)
         passing = migration(joint, row)
         gain = np.tensordot(np.concatenate([[1.0], joint.offset]), passing, 1)
         bodies.append(Body(row, passing, gain))

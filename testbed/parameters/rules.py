@@ -8,11 +8,14 @@ from typing import Literal
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.parameters.symbols import TENSOR_INDEX, UPPER
+from testbed.parameters.symbols import PARTS, TENSOR_INDEX, UPPER
 from testbed.robot.tree import Joint, Tree
 
 ALIGNED = 1e-9
 """Sine below which two directions count as parallel; also [m] for points on a line."""
+
+TINY = 1e-9
+"""Of unit forms: rounding of zero."""
 
 Rotation = Literal["none", "along", "across", "free"]
 
@@ -201,8 +204,8 @@ REASONS = {
     "4.4": "revolute; its parent also rotates about a non-parallel axis, about one fixed point",
     "5.1": "revolute; its parent also rotates about a non-parallel axis",
     "5.2": "revolute; its parent rotates about the joint axis only, or not at all",
-    "free": "the base of a robot with a free root: all parameters are identifiable",
-    "none": "a coordinate of a free base, without mass",
+    "free": "the base beyond a force sensor, or of a robot with a free root",
+    "none": "a joint before the force sensor or a coordinate of a free base, without mass",
     "base": "the static wrench of all that stands on the bedplate",
 }
 """Why a parameter is in the set: what the joint does, by table and row."""
@@ -265,23 +268,43 @@ class Row:
     triad: Triad
 
 
-def base_rule(*, is_base: bool) -> Row:
-    """The row of a free base's coordinate: all ten of the base stay, others have nothing.
+def base_rule(functionals: Array) -> Row:
+    """The row of a base that moves and whose wrench is measured: all ten where it moves freely.
 
     Args:
-        is_base: Whether it is the last coordinate, which moves the base itself.
+        functionals: What the wrench identifies of the base's ten parameters, (k, 10).
     """
-    if not is_base:
-        return Row("none", (), np.zeros((3, 3)), "none", _OWN)
-    pairs = [(a, b) for a in range(3) for b in range(a, 3)]
-    tensor = tuple(
-        Kept(((1.0, "K", "xyz"[a] + "xyz"[b]),), _tensor_form(u, v), part)
-        for a, b in pairs
-        for u, v in [(np.eye(3)[a], np.eye(3)[b])]
-        for part in [_tensor_part(u, v) * (1.0 if a == b else 2.0)]
+    forms = _echelon(functionals)
+    kept = tuple(
+        Kept(
+            tuple((round(float(form[c]), 4), *PARTS[c]) for c in (lead, *_others(form, lead))),
+            form,
+            np.eye(10)[lead],
+        )
+        for lead, form in sorted(forms.items())
     )
-    mass = Kept(((1.0, "mbar", ""),), np.eye(10)[0], np.eye(10)[0])
-    return Row("free", (mass, *_moments(_OWN, 3), *tensor), np.zeros((3, 3)), "none", _OWN)
+    return Row("free", kept, np.zeros((3, 3)), "none", _OWN)
+
+
+def _echelon(rows: Array) -> dict[int, Array]:
+    """Rows of the same space, each 1 at a place of its own where the others are 0.
+
+    Second moments lead before first ones, these before the mass.
+    """
+    rows, found = rows.copy(), dict[int, Array]()
+    for column in (*range(4, 10), 1, 2, 3, 0):
+        if not len(rows) or np.abs(rows[:, column]).max() < TINY:
+            continue
+        first = int(np.argmax(np.abs(rows[:, column])))
+        pivot = rows[first] / rows[first, column]
+        rows = np.delete(rows, first, axis=0)
+        rows -= np.outer(rows[:, column], pivot)
+        found = {at: row - row[column] * pivot for at, row in found.items()} | {column: pivot}
+    return {at: np.where(np.abs(row) < TINY, 0.0, row) for at, row in found.items()}
+
+
+def _others(form: Array, lead: int) -> list[int]:
+    return [int(c) for c in np.flatnonzero(form) if c != lead]
 
 
 def rule(joint: Joint, mobility: Mobility, model: Model) -> Row:
@@ -409,6 +432,9 @@ def across(axis: Array) -> Triad:
 
 
 _OWN = Triad(np.eye(3), ("x", "y", "z"))
+
+NOTHING_KEPT = Row("none", (), np.zeros((3, 3)), "none", _OWN)
+"""Of what leads to a base and has no matter."""
 
 
 def _tensor_form(a: Array, b: Array) -> Array:

@@ -18,13 +18,14 @@ from testbed.arrays import AnyArray, Array, readonly, skew
 from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Tree
 
-_PARTS = (
+PARTS = (
     ("mbar", ""),
     *(("mb", axis) for axis in "xyz"),
     *(("K", pair) for pair in ("xx", "xy", "xz", "yy", "yz", "zz")),
 )
+"""Of a body's barycentric parameters: what each is, and along which axes."""
 
-COMPONENTS = tuple(head + tail for head, tail in _PARTS)
+COMPONENTS = tuple(head + tail for head, tail in PARTS)
 """Order of a body's barycentric parameters: mbar, mbx, mby, mbz, Kxx, Kxy, ... Kzz."""
 
 STANDARD = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
@@ -33,7 +34,7 @@ STANDARD = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 UNIT_OF = {"mbar": "kg", "mb": "kg m", "K": "kg m^2"}
 """Units of masses, moments and tensors."""
 
-UNITS = tuple(UNIT_OF[head] for head, _ in _PARTS)
+UNITS = tuple(UNIT_OF[head] for head, _ in PARTS)
 """Units of a body's ten, barycentric or standard."""
 
 UPPER = np.triu_indices(3)
@@ -140,7 +141,7 @@ def component_symbol(body: int, component: int, star: bool = False) -> Symbol:
         component: Index of COMPONENTS.
         star: The redefined parameter; a mass is never redefined.
     """
-    head, tail = _PARTS[component]
+    head, tail = PARTS[component]
     return Symbol(head, (body + 1,), tail, star and head != "mbar")
 
 

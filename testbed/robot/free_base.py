@@ -60,6 +60,7 @@ def on_free_base(tree: Tree) -> Tree:
         inertias=(*(NOTHING,) * (FREE - 1), tree.pedestal, *tree.inertias),
         pedestal=NOTHING,
         floating=True,
+        lead=FREE,
     )
 
 

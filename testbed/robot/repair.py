@@ -44,6 +44,7 @@ class Link:
     Attributes:
         name: In the file.
         body: Index of the tree's body that it is part of, -1 for the pedestal.
+        parent: The link that carries it by whatever joint; "" for the root.
         carrier: The link to which fixed joints of the file hold it; itself where none does.
         rotation: From the link's frame to the body's, (3, 3).
         position: Of the link's origin in the body's frame, (3,) [m].
@@ -52,6 +53,7 @@ class Link:
 
     name: str
     body: int
+    parent: str
     carrier: str
     rotation: Array
     position: Array

@@ -161,6 +161,22 @@ class Shaft:
     turns: tuple[tuple[int, float], ...]
 
 
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Where a wrench is measured, if not on the bedplate.
+
+    Attributes:
+        position: Of its origin in the base's frame, (3,) [m].
+        rotation: From its axes to the base's, (3, 3).
+    """
+
+    position: Array
+    rotation: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, position=(3,), rotation=(3, 3))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Tree(Diagnosed):
     """An open tree of bodies on a bedplate.
@@ -174,6 +190,9 @@ class Tree(Diagnosed):
         diagnostics: What was accepted on loading although it is wrong.
         shafts: Motor shafts that turn with several joints.
         floating: Whether the first six joints are the coordinates of a free base.
+        lead: How many of the first joints, one after the other, move the base, which is the last
+            one's body: the bodies before have no matter. 0 where the bedplate is the base.
+        sensor: Where the wrench is measured, on the base; None for the bedplate.
     """
 
     name: str
@@ -184,6 +203,8 @@ class Tree(Diagnosed):
     diagnostics: tuple[Diagnostic, ...] = ()
     shafts: tuple[Shaft, ...] = ()
     floating: bool = False
+    lead: int = 0
+    sensor: Placement | None = None
 
     def __post_init__(self) -> None:
         freeze(self, gravity=(3,))

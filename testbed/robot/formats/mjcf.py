@@ -116,7 +116,8 @@ def _links(model: mujoco.MjModel, stated: dict[str, StatedInertia], path: Path) 
         name, below = model.body(b).name, found.get(model.body_parentid[b])
         carrier = name if below is None or name in jointed else below.carrier
         inertia = _inertia_of(model, b, stated)
-        found[b] = Link(name, owner, carrier, rotation, position, inertia)
+        parent = "" if below is None else below.name
+        found[b] = Link(name, owner, parent, carrier, rotation, position, inertia)
     return tuple(found.values())
 
 

@@ -78,11 +78,9 @@ def read_links(
 
 def _links(root: ET.Element, path: Path) -> tuple[tuple[Link, ...], tuple[int, ...]]:
     """The links with their inertias as the file has them, and the parents of the tree's bodies."""
-    held = {
-        link_at(joint, "child"): link_at(joint, "parent")
-        for joint in read_xml(path).findall("joint")
-        if joint.get("type") == "fixed"
-    }
+    joints = read_xml(path).findall("joint")
+    parents = {link_at(joint, "child"): link_at(joint, "parent") for joint in joints}
+    held = {link_at(joint, "child") for joint in joints if joint.get("type") == "fixed"}
     inertias = {link.get("name", ""): _link_inertia(link) for link in root.findall("link")}
     bare = ET.Element("robot", root.attrib)
     bare[:] = [ET.Element("link", name=name) for name in inertias] + root.findall("joint")
@@ -90,10 +88,13 @@ def _links(root: ET.Element, path: Path) -> tuple[tuple[Link, ...], tuple[int, .
     links: dict[str, Link] = {}
     for frame in model.frames.tolist():
         if frame.type == pin.FrameType.BODY:
-            carrier = links[held[frame.name]].carrier if frame.name in held else frame.name
+            carrier = frame.name
+            if frame.name in held:
+                carrier = links[parents[frame.name]].carrier
             links[frame.name] = Link(
                 name=frame.name,
                 body=frame.parentJoint - 1,
+                parent=parents.get(frame.name, ""),
                 carrier=carrier,
                 rotation=frame.placement.rotation,
                 position=frame.placement.translation,
