@@ -28,11 +28,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.arrays import Array, skew
+from testbed.arrays import Array, apply, skew
 from testbed.dynamics.newton_euler import Motion, blocks
 from testbed.parameters.symbols import to_standard, with_standard
-from testbed.robot.inertia import Inertia
-from testbed.robot.tree import Joint, Tree
+from testbed.robot.inertia import NOTHING, Inertia
+from testbed.robot.tree import Joint, Placement, Tree
 
 BLOCK = 2048
 """Instants side by side: more are no faster, and need more memory."""
@@ -44,7 +44,7 @@ Pair = tuple[Array, Array]
 def base_wrench_derivatives(
     tree: Tree, motion: Motion, theta: Array, gravity: ArrayLike | None = None
 ) -> tuple[Array, Array]:
-    """The base wrench, and its derivatives by each joint's position, velocity, acceleration.
+    """The measured wrench, its derivatives by each joint's position, velocity, acceleration.
 
     Args:
         tree: The robot; only its geometry matters.
@@ -53,10 +53,11 @@ def base_wrench_derivatives(
         gravity: (3,) [m/s^2], bedplate frame; default the model file's.
 
     Returns:
-        (M, 6) [N, N m], force first, about O^0; and (n, 3, M, 6) [N or N m per rad or m, and with
-        s and s^2].
+        (M, 6) [N, N m], force first, about O^0 or a sensor's origin; and (n, 3, M, 6) [N or N m
+        per rad or m, and with s and s^2].
     """
-    bodies = with_standard(tree, to_standard(tree, theta)).inertias
+    bodies = list(with_standard(tree, to_standard(tree, theta)).inertias)
+    bodies[: max(tree.lead - 1, 0)] = [NOTHING] * max(tree.lead - 1, 0)
     g = tree.gravity_or(gravity)
     wrench = np.empty((motion.samples, 6))
     slopes = np.empty((tree.n, 3, motion.samples, 6))
@@ -65,7 +66,24 @@ def base_wrench_derivatives(
         composite = [_Composite.of(body, at) for body, at in zip(bodies, states, strict=True)]
         whole = _inward(tree, states, composite, slopes[:, :, part])
         wrench[part, :3], wrench[part, 3:] = whole[0].T, whole[1].T
+        if tree.sensor is not None:
+            for j in range(tree.lead):  # the sensor itself turns and moves with these
+                force, moment = _cross_force(states[j].screw, whole)
+                slopes[j, 0, part] -= np.concatenate([force, moment]).T
+            turn, place = _sensor_pose(tree.sensor, states[tree.lead - 1] if tree.lead else None)
+            for found in (wrench[part], *(each[part] for three in slopes for each in three)):
+                found[:, 3:] -= np.cross(place, found[:, :3])
+                found[:, :3] = apply(turn, found[:, :3])
+                found[:, 3:] = apply(turn, found[:, 3:])
     return wrench, slopes
+
+
+def _sensor_pose(sensor: Placement, base: _BodyState | None) -> tuple[Array, Array]:
+    """To its axes (m, 3, 3) and of its origin (m, 3) [m], bedplate frame."""
+    if base is None:
+        return sensor.rotation.T[None], sensor.position[None]
+    turn = np.einsum("ac,xam->mcx", sensor.rotation, base.turn)
+    return turn, (base.place + sensor.position @ base.turn).T
 
 
 @dataclass(frozen=True, eq=False)

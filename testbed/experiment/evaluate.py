@@ -85,7 +85,7 @@ def evaluate(
         threads: How many to use; default one a processor.
     """
     run = assemble_run(
-        with_rotor_spin(robot_of(experiment), experiment.robot.spins),
+        with_rotor_spin(sensed_robot(experiment), experiment.robot.spins),
         recording,
         name=experiment.name,
         settings=experiment.identification,
@@ -122,6 +122,11 @@ def robot_of(experiment: Experiment) -> Tree:
     for effect in effects_of(experiment, tree):
         tree = effect.robot(tree)
     return tree
+
+
+def sensed_robot(experiment: Experiment) -> Tree:
+    """What an experiment's wrench is of: its robot, or what lies beyond its force sensor."""
+    return experiment.robot.sensed(robot_of(experiment), model_of(experiment))
 
 
 def effects_of(experiment: Experiment, tree: Tree) -> list[Effect]:

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from testbed.errors import UnknownName
 from testbed.identification.estimate import METHODS, Method
 from testbed.kind_table import AsTable
+from testbed.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.robot.free_base import on_free_base
-from testbed.robot.inertia import Inertia
+from testbed.robot.inertia import Inertia, from_rpy
 from testbed.robot.locks import with_shafts
+from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 from testbed.simulation.effect import Effect
 from testbed.simulation.effects import effect_of
@@ -108,6 +111,22 @@ class BodyTable(Table):
         return Inertia.about_centre(self.mass, self.centre, central)
 
 
+class SensorTable(Table):
+    """A six-axis force sensor between a link and the one that carries it."""
+
+    link: str
+    """The first link beyond it."""
+    position: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    """Of its origin in that link's frame [m]."""
+    rpy: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw of its axes in that link's frame [rad]."""
+
+    @property
+    def sensor(self) -> ForceSensor:
+        """As a value."""
+        return ForceSensor(self.link, np.array(self.position), from_rpy(self.rpy))
+
+
 class RobotTable(Table):
     """How the model file is read."""
 
@@ -120,6 +139,9 @@ class RobotTable(Table):
     model file with such bodies is refused without."""
     base: Literal["fixed", "measured"] = "fixed"
     """Whether the root is welded to the bedplate, or free and its pose in the recording."""
+    sensor: SensorTable | None = None
+    """A force sensor in the robot: the recording's wrench is what it shows, the estimate is of the
+    links beyond it. Default: the force plate."""
     joint: dict[str, JointTable] = {}
     """By joint: limits and friction, instead of the model file's."""
     coupling: dict[str, dict[str, Finite]] = {}
@@ -152,6 +174,21 @@ class RobotTable(Table):
         """
         whole = on_free_base(tree) if self.base == "measured" else tree
         return with_shafts(whole.with_joints(self.settings), self.coupling)
+
+    def sensed(self, tree: Tree, model: ModelFile) -> Tree:
+        """What the wrench is of: the whole robot, or what lies beyond a force sensor.
+
+        Args:
+            tree: The robot.
+            model: Its model file.
+
+        Raises:
+            UnknownName: The model file has no such link.
+            ModelError: The link is the root.
+        """
+        return (
+            tree if self.sensor is None else beyond_sensor(tree, model.links(), self.sensor.sensor)
+        )
 
     @property
     def spins(self) -> dict[str, float]:

@@ -255,8 +255,8 @@ def assemble_run(
     estimates: dict[Method, Estimate] = {}
     failures: dict[Method, str] = {}
     for method in methods:
-        if tree.floating and method == "internal":
-            continue  # nothing is missing: joint torques are none of the ground's
+        if tree.lead and method == "internal":
+            continue  # nothing is missing: joint torques are of more than what moves on the base
         try:
             estimates[method] = identify(
                 tree,

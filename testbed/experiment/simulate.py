@@ -25,6 +25,7 @@ from testbed.instruments.fault import stream
 from testbed.recordings.columns import COUNTED
 from testbed.recordings.geometry import geometry
 from testbed.recordings.recording import Recording
+from testbed.recordings.views import with_joints
 from testbed.robot.tree import Tree
 from testbed.simulation.controller import Reference, believed
 from testbed.simulation.effect import StepForces
@@ -140,6 +141,7 @@ def prepare(
             changed=experiment.robot.joint,
             friction=simulation.friction,
             effects=effects_of(experiment, tree),
+            sensor=None if experiment.robot.sensor is None else experiment.robot.sensor.sensor,
         )
     return Prepared(
         experiment,
@@ -285,7 +287,10 @@ def _measured(ready: Prepared, happened: Rollout, installed: int | None = None) 
     experiment, tree, seed = ready.experiment, ready.tree, ready.experiment.seed
     facts, tare = _facts(experiment, tree, happened) | dict(ready.facts), ready.plant.tare
     instrument, names = experiment.measurement, tree.names
-    return measure(instrument, names, happened.time, happened.truth, tare, facts, seed, installed)
+    found = measure(instrument, names, happened.time, happened.truth, tare, facts, seed, installed)
+    if experiment.robot.sensor is None:
+        return found
+    return with_joints(found, experiment.robot.sensed(tree, model_of(experiment)).names)
 
 
 def simulate_together(experiments: Sequence[Experiment]) -> Iterator[Recording | Exception]:

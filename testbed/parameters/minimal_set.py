@@ -147,7 +147,7 @@ class MinimalSet:
             theta: Barycentric parameters, (10 n, ...), those bodies' rows not identified by them.
         """
         found = np.array(theta)
-        if self._tree.floating:
+        if self._tree.floating and self._tree.sensor is None:
             found[: 10 * (FREE - 1) : 10] = found[10 * (FREE - 1)]
         return found
 

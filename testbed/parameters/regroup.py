@@ -320,9 +320,7 @@ class Body:
     gain: Array
 
 
-def regroup(
-    tree: Tree, model: Model, gravity: Array, *, tared: bool = False
-) -> tuple[Body, ...]:
+def regroup(tree: Tree, model: Model, gravity: Array, *, tared: bool = False) -> tuple[Body, ...]:
     """Apply the rules to every joint.
 
     Args:

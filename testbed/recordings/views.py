@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -78,29 +79,25 @@ def _rows(matrix: object) -> Any:
 NAMES = tuple(name for name, _, _ in COORDINATES)
 
 
-class MeasuredBase:
-    """A source whose base is six joints; torques are none of the ground's and left out."""
+class Seen:
+    """A source whose parts are seen otherwise, one by one: other joints, no torques, no truth."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(
+        self, source: Source, names: Sequence[str], change: Callable[[Recording], Recording]
+    ) -> None:
         """The same samples.
 
         Args:
-            source: With the signal `base`.
-
-        Raises:
-            RecordingError: It has none.
+            source: The recording.
+            names: Of the joints that it has then.
+            change: What is made of each part.
         """
-        if "base" not in source.signals:
-            raise RecordingError(
-                "the recording has no base/x ... base/qz, which a robot with robot.base = "
-                '"measured" needs'
-            )
-        self._source = source
-        self.names = (*NAMES, *source.names)
+        first = change(source.part(0, min(1, source.samples)))
+        self._source, self._change = source, change
+        self.names = tuple(names)
         self.samples, self.rate, self.tare = source.samples, source.rate, source.tare
-        self.facts = {k: v for k, v in source.facts.items() if k != "geometry"}
-        self.signals = tuple(s for s in source.signals if s in ("time", "position", "wrench"))
-        self.senses_kinematics = False
+        self.facts, self.signals = first.facts, first.signals
+        self.senses_kinematics = first.velocity is not None
 
     names: tuple[str, ...]
     samples: int
@@ -119,9 +116,9 @@ class MeasuredBase:
         """Samples `first` to `last` - 1, without the truth.
 
         Raises:
-            RecordingError: The base's pose is none there.
+            RecordingError: They cannot be seen so.
         """
-        return with_base_joints(self._source.part(first, last))
+        return self._change(self._source.part(first, last))
 
 
 def with_base_joints(recording: Recording) -> Recording:
@@ -147,16 +144,64 @@ def with_base_joints(recording: Recording) -> Recording:
     )
 
 
+def with_joints(recording: Recording, names: Sequence[str]) -> Recording:
+    """A recording of some of its joints, and of what a force sensor beyond them felt.
+
+    Args:
+        recording: Its wrench is the sensor's.
+        names: Of the joints.
+
+    Raises:
+        RecordingError: It lacks one of them.
+    """
+    missing = [name for name in names if name not in recording.names]
+    if missing:
+        raise RecordingError(
+            f"the recording has no joint '{missing[0]}', which moves what the force sensor feels; "
+            f"it has {', '.join(recording.names)}"
+        )
+    own = [recording.names.index(name) for name in names]
+
+    def of(values: Array | None) -> Array | None:
+        return None if values is None else values[:, own]
+
+    truth = recording.truth
+    if truth is not None:
+        joints = ("position", "velocity", "acceleration", "torque", "friction")
+        truth = replace(truth, **{name: getattr(truth, name)[:, own] for name in joints})
+    return replace(
+        recording,
+        names=tuple(names),
+        position=recording.position[:, own],
+        velocity=of(recording.velocity),
+        acceleration=of(recording.acceleration),
+        torque=None,
+        truth=truth,
+        facts={k: v for k, v in recording.facts.items() if k != "geometry"},
+    )
+
+
 def on_its_base(source: Source, tree: Tree) -> Source:
-    """A source as a robot's: where its base is free, with the base's coordinates.
+    """A source as a robot's: on a base that joints move, or whose pose was measured.
 
     Args:
         source: The recording.
         tree: The robot.
 
     Raises:
-        RecordingError: The base is free, and nothing is said of its pose.
+        RecordingError: The recording lacks a joint of the robot, or the base's pose.
     """
-    if not tree.floating or NAMES[0] in source.names:
-        return source
-    return with_base_joints(source) if isinstance(source, Recording) else MeasuredBase(source)
+    if tree.floating and NAMES[0] not in source.names:
+        if "base" not in source.signals:
+            raise RecordingError(
+                "the recording has no base/x ... base/qz, which a robot with robot.base = "
+                '"measured" needs'
+            )
+        source = _seen(source, (*NAMES, *source.names), with_base_joints)
+    if tree.sensor is not None and source.names != tree.names:
+        source = _seen(source, tree.names, partial(with_joints, names=tree.names))
+    return source
+
+
+def _seen(source: Source, names: Sequence[str], change: Callable[[Recording], Recording]) -> Source:
+    return change(source) if isinstance(source, Recording) else Seen(source, names, change)

@@ -14,6 +14,7 @@ import numpy as np
 
 from testbed.arrays import Array, freeze
 from testbed.errors import ModelError, UnknownName
+from testbed.robot.free_base import FREE
 from testbed.robot.inertia import NOTHING
 from testbed.robot.repair import Link, total
 from testbed.robot.tree import Placement, Tree
@@ -59,16 +60,17 @@ def beyond_sensor(tree: Tree, links: Sequence[Link], sensor: ForceSensor) -> Tre
     if sensor.link not in named:
         raise UnknownName("link", sensor.link, sorted(named))
     first = named[sensor.link]
-    if not first.parent and first.body < 0:
+    if not first.parent and first.body < 0 and not tree.floating:
         raise ModelError(
             f"link '{sensor.link}' is the root: the force sensor under it is the force plate"
         )
+    shift = FREE if tree.floating else 0  # the pedestal's links are the base's then
     beyond = {first.name}
     for link in links:
         if link.parent in beyond:
             beyond.add(link.name)
-    path = tree.chain(first.body)
-    carried = {link.body for link in links if link.name in beyond} - {first.body}
+    path = tree.chain(first.body + shift)
+    carried = {link.body + shift for link in links if link.name in beyond}
     kept = [*path, *sorted(carried - set(path))]
     place = {-1: -1} | {old: new for new, old in enumerate(kept)}
     cut = total(link.in_body for link in links if link.name in beyond and link.body == first.body)

@@ -17,7 +17,7 @@ from testbed.errors import ModelError
 from testbed.robot.inertia import HEAVIEST
 from testbed.robot.locks import Lock
 from testbed.robot.parsing import check_name, errors_of, read_xml
-from testbed.robot.repair import Bodies, Repair
+from testbed.robot.repair import Bodies, Link, Repair
 from testbed.robot.tree import Tree
 
 MOST_JOINTS = 1_000
@@ -45,6 +45,18 @@ class ModelFile:
     weld_root: bool = False
     repair: Bodies | None = None
     lock: Mapping[str, float | None] = field(default_factory=dict)
+
+    def links(self) -> tuple[Link, ...]:
+        """Its links in the bodies of the tree, carriers before what they carry.
+
+        Raises:
+            ModelError: The file cannot be read.
+        """
+        if model_format(self.path) == "mjcf":
+            from testbed.robot.formats.mjcf import read_links
+        else:
+            from testbed.robot.formats.urdf import read_links
+        return read_links(self.path, weld_root=self.weld_root, lock=self.lock)
 
     def tree(self) -> Tree:
         """The robot.

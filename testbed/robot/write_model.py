@@ -71,14 +71,12 @@ def write_model(
     check_place(model.path, path, over_source=over_source)
     if kind == "mjcf":
         from testbed.robot.formats.mjcf import edit_mjcf as edit
-        from testbed.robot.formats.mjcf import read_links
     else:
         from testbed.robot.formats.urdf import edit_urdf as edit
-        from testbed.robot.formats.urdf import read_links
     repair = nearest_bodies(
         model.path, weld_root=model.weld_root, lock=model.lock, repair=model.repair
     ).links
-    links = read_links(model.path, weld_root=model.weld_root, lock=model.lock)
+    links = model.links()
     links = tuple(replace(x, inertia=repair.get(x.name, x.inertia)) for x in links)
     bodies = {}
     for k, (old, new) in enumerate(zip(file.inertias, tree.inertias, strict=True)):

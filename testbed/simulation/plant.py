@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from testbed.arrays import Array
 from testbed.dynamics.newton_euler import Motion, base_wrench, joint_forces
 from testbed.errors import ModelError
 from testbed.excitation.limits import limits_of
+from testbed.robot.force_sensor import ForceSensor
 from testbed.robot.formats.mjcf import repaired_spec
 from testbed.robot.formats.mjcf_compile import MASSLESS, compile_spec, no_mujoco_warnings
 from testbed.robot.formats.urdf import repaired_xml
@@ -195,6 +196,7 @@ def _unit(tree: Tree, joint: int) -> str:
 
 
 _PLATE = "testbed/bedplate"
+_SENSOR = "testbed/sensor"
 _PREFIX = "testbed/robot/"  # of the names in a robot that is put on a plate of its own
 
 
@@ -206,6 +208,7 @@ def build_plant(
     changed: Collection[str] = (),
     friction: bool = True,
     effects: Sequence[Effect] = (),
+    sensor: ForceSensor | None = None,
 ) -> Plant:
     """Put the robot of a model file on its sensing bedplate.
 
@@ -217,6 +220,7 @@ def build_plant(
         changed: Joints whose friction and rotor inertia are the tree's, not the file's.
         friction: Keep the joints' friction.
         effects: What else is in the plant, on the robot.
+        sensor: Whose wrench is read; None for the bedplate's.
 
     Raises:
         ModelError: MuJoCo refuses the model, or an effect departs from its law.
@@ -231,12 +235,16 @@ def build_plant(
         _equip(spec, tree, step, prefix, changed)
         for effect in effects:
             effect.equip(spec, tree, prefix)
+        if sensor is not None:
+            _add_sensor(spec, sensor, prefix)
         plant = _plant_of(compile_spec(spec, path), tree, path, prefix)
         check_plant(plant, tree, path)
         for effect in effects:
             effect.disturb(spec, tree, prefix)
         if effects:
             plant = _plant_of(compile_spec(spec, path), tree, path, prefix)
+        if sensor is not None:
+            plant = _read_by_sensor(plant)
     for effect in effects:
         flaw = effect.flaw(plant, tree)
         if flaw:
@@ -267,12 +275,7 @@ def _on_plate(robot: mujoco.MjSpec) -> mujoco.MjSpec:
     spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     site = spec.worldbody.add_body(name=_PLATE).add_site(name=_PLATE)
     spec.attach(robot, site=site, prefix=_PREFIX)
-    for name, kind in (
-        ("force", mujoco.mjtSensor.mjSENS_FORCE),
-        ("torque", mujoco.mjtSensor.mjSENS_TORQUE),
-    ):
-        at = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": _PLATE}
-        spec.add_sensor(name=f"{_PLATE}/{name}", type=kind, **at)
+    _add_sensors(spec, _PLATE)
     return spec
 
 
@@ -305,6 +308,36 @@ def _equip(
         for kind in (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL):
             label = f"testbed/{kind.name}/{name}"
             spec.add_sensor(name=label, type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=name)
+
+
+def _add_sensor(spec: mujoco.MjSpec, sensor: ForceSensor, prefix: str) -> None:
+    """A force and a torque sensor at the cut before a link, at its place and along its axes."""
+    body = next(each for each in spec.bodies if each.name == prefix + sensor.link)
+    turn = np.zeros(4)
+    mujoco.mju_mat2Quat(turn, sensor.rotation.ravel())
+    body.add_site(name=_SENSOR, pos=sensor.position, quat=turn)
+    _add_sensors(spec, _SENSOR)
+
+
+def _add_sensors(spec: mujoco.MjSpec, site: str) -> None:
+    for name, kind in (
+        ("force", mujoco.mjtSensor.mjSENS_FORCE),
+        ("torque", mujoco.mjtSensor.mjSENS_TORQUE),
+    ):
+        at = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": site}
+        spec.add_sensor(name=f"{site}/{name}", type=kind, **at)
+
+
+def _read_by_sensor(plant: Plant) -> Plant:
+    """The same plant, whose wrench is that of the sensor in the robot."""
+    at = [plant.model.sensor(f"{_SENSOR}/{name}").adr[0] for name in ("force", "torque")]
+    return replace(
+        plant,
+        plate=np.concatenate([first + np.arange(3) for first in at]),
+        plate_turn=np.eye(3),
+        plate_origin=np.zeros(3),
+        tare=np.zeros(6),
+    )
 
 
 def _plant_of(model: mujoco.MjModel, tree: Tree, path: Path, prefix: str) -> Plant:
