@@ -18,6 +18,7 @@ from testbed.cli.reading import (
     LockMimic,
     Model,
     Reading,
+    Sensor,
     Weld,
     Zero,
     Zeros,
@@ -82,12 +83,13 @@ def minimal(
         bool | None,
         typer.Option("--matrices/--no-matrices", help="With --json: include the matrices."),
     ] = None,
+    sensor: Sensor = None,
     weld_root: Weld = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     as_json: Json = False,
 ) -> None:
-    """Print what joint torques and what the bedplate can identify of a robot.
+    """Print what joint torques and what a force plate or sensor can identify of a robot.
 
     Example: testbed minimal models/puma562.urdf --zeros --map --verify
     """
@@ -96,7 +98,7 @@ def minimal(
     from testbed.reporting import output
     from testbed.reporting.minimal_sets import Findings, print_latex, print_sets
 
-    tree = Reading(None, False, weld_root, lock, lock_mimic).tree(model)
+    tree = Reading(None, False, weld_root, lock, lock_mimic, sensor=sensor).tree(model)
     known = _known(zeros, zero)
     with output.Progress("deriving"):
         dynamic = minimal_set(tree, "dynamic", gravity, known)

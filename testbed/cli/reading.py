@@ -159,6 +159,15 @@ Lock = Annotated[
         rich_help_panel=ROBOT,
     ),
 ]
+Sensor = Annotated[
+    str | None,
+    typer.Option(
+        "--sensor",
+        metavar="LINK",
+        help="The wrench is of a force sensor that carries this link, not of the force plate.",
+        rich_help_panel=ROBOT,
+    ),
+]
 LockMimic = Annotated[
     bool,
     typer.Option("--lock-mimic", help="Fix all joints that follow others.", rich_help_panel=ROBOT),
@@ -227,6 +236,7 @@ class Reading:
         lock_mimic: Whether --lock-mimic was given.
         plate: The file of --plate.
         terms: The word of --terms.
+        sensor: The word of --sensor.
     """
 
     settings: Sequence[str] | None = None
@@ -236,6 +246,7 @@ class Reading:
     lock_mimic: bool = False
     plate: Path | None = None
     terms: str | None = None
+    sensor: str | None = None
 
     @property
     def model_words(self) -> list[str]:
@@ -257,6 +268,8 @@ class Reading:
         if self.terms is not None:
             listed = self.terms if self.terms == "auto" else self.terms.split(",")
             said.append(f"identification.terms={json.dumps(listed)}")
+        if self.sensor is not None:
+            said.append(f"robot.sensor.link={json.dumps(self.sensor)}")
         return RecordingTables.of([*(self.settings or ()), *said])
 
     def model_file(self, path: Path) -> ModelFile:
@@ -333,8 +346,11 @@ class Reading:
 
     def tree(self, path: Path) -> Tree:
         """The robot of a model file, with what --set says of its joints and shafts."""
-        tree = self.model_file(path).tree()
-        return self.tables().robot.on(tree) if self.settings else tree
+        file = self.model_file(path)
+        if not self.settings and self.sensor is None:
+            return file.tree()
+        robot = self.tables().robot
+        return robot.sensed(robot.on(file.tree()), file)
 
 
 def _require_different(paths: Sequence[Path]) -> None:

@@ -174,7 +174,7 @@ def _of_recording(
     place = _checked_model(model or Path(kept.path), kept.sha256, path)
     held = kept.lock | tables.robot.lock
     file = ModelFile(place, kept.weld_root, tables.robot.bodies or None, held)
-    return tables.robot.on(file.tree()), tables.identification
+    return tables.robot.sensed(tables.robot.on(file.tree()), file), tables.identification
 
 
 def _of_run(

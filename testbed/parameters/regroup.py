@@ -131,8 +131,15 @@ def recursive_space(
         known_zero: Barycentric parameters known to be zero, (n, 10); default none.
     """
     g = tree.gravity_or(gravity)
-    static = _static(g) if model == "reaction" and not tared else np.zeros((0, 10))
+    if tree.sensor is not None:
+        static = base_functionals(tree, g, tared=tared)
+    else:
+        static = _static(g) if model == "reaction" and not tared else np.zeros((0, 10))
     seen = [each.whole for each in seen_wrenches(tree, model, g, static)]
+    if tree.sensor is not None:  # what leads to the base has no matter
+        seen[: tree.lead] = [np.zeros((0, 10))] * tree.lead
+        rows = _on_barycentric(tree, seen, static, tree.lead - 1)
+        return row_space(rows, NEW, known_zero)
     return row_space(_on_barycentric(tree, seen, static), NEW, known_zero)
 
 
@@ -148,7 +155,7 @@ def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> It
     free: list[Array] = [np.eye(6) if model == "reaction" else np.zeros((0, 6))]  # index j + 1
     rest: list[Array] = [-np.concatenate([gravity, np.zeros(3)])]
     known: list[Array] = [static]
-    for joint in tree.joints:
+    for j, joint in enumerate(tree.joints):
         screw, into, rate = _screw(joint), _twist_into(joint).T, _rate(joint)
         turning, momentum = _ad(screw).T, _momentum(screw)
         still = rest[joint.parent + 1] @ into
@@ -159,7 +166,8 @@ def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> It
         yield here
         free.append(_span(np.vstack([ahead, screw])))
         rest.append(still)
-        known.append(_span(np.vstack([closure, here.whole])))
+        is_base = tree.sensor is not None and j < tree.lead
+        known.append(static if is_base else _span(np.vstack([closure, here.whole])))
 
 
 def base_functionals(tree: Tree, gravity: Array, *, tared: bool) -> Array:
@@ -186,7 +194,7 @@ def base_functionals(tree: Tree, gravity: Array, *, tared: bool) -> Array:
     return _span(np.vstack([_momentum(twist) for twist in (*twists, *_span(pulls))]))
 
 
-def _on_barycentric(tree: Tree, seen: list[Array], static: Array) -> Array:
+def _on_barycentric(tree: Tree, seen: list[Array], static: Array, base: int = -1) -> Array:
     """Functionals of composites as functionals of the barycentric parameters, (k, 10 n)."""
     n = tree.n
     composite = np.zeros((n + 1, 10, 10 * n))  # at q = 0; the last is the bedplate's
@@ -196,7 +204,7 @@ def _on_barycentric(tree: Tree, seen: list[Array], static: Array) -> Array:
         composite[j] += to_ours[10 * j : 10 * j + 10]
         composite[tree.parents[j]] += _composite_into(tree.joints[j]) @ composite[j]
         rows.insert(0, seen[j] @ composite[j])
-    rows.append(static @ composite[-1])
+    rows.append(static @ composite[base])
     return np.vstack(rows)
 
 
