@@ -20,6 +20,7 @@ from testbed.cli.reading import (
     Reading,
     RecordingSet,
     RobotModel,
+    Sensor,
     Terms,
     Threads,
     Timings,
@@ -199,6 +200,7 @@ def identify(
     ] = _Method.both,
     zeros: Zeros = False,
     gravity: Gravity = None,
+    sensor: Sensor = None,
     weld_root: Weld = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
@@ -228,7 +230,7 @@ def identify(
     from testbed.identification.identify import identify as identified
     from testbed.reporting import output, terminal
 
-    reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
+    reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms, sensor)
     writing = Writing(consistent, write, fixed, in_place)
     writing.check(reading, model, recordings)
     table, tree = reading.tables().identification, reading.tree(model)
@@ -236,7 +238,7 @@ def identify(
     doubt = reading.doubt(tree)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
-    lacking = [name for name in wanted if name not in there and not tree.floating]
+    lacking = [name for name in wanted if name not in there and not tree.lead]
     said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking]
     said += [*tree.diagnostics, *accepted]
 

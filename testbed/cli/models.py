@@ -108,7 +108,7 @@ def minimal(
         found = Findings(tree, dynamic, reaction, drives, seen)
         if check:
             drives_agree = None if drives is None else verify_drives(tree, drives)
-            both = [verify(tree, each) for each in (dynamic, reaction)]
+            both = [verify(tree, each) for each in found.sets]
             found = replace(found, agreements=both, drives_agree=drives_agree)
     lengths: Literal["symbols", "numbers"] = "numbers" if numbers else "symbols"
     if as_json:

@@ -51,7 +51,7 @@ class Visibility:
 def identifiability(
     tree: Tree, gravity: ArrayLike | None = None, zeros: bool | Sequence[str] = False
 ) -> tuple[Visibility, ...]:
-    """What each of INSTRUMENTS can identify of each parameter of each body.
+    """What each of INSTRUMENTS, or the robot's force sensor, identifies of every parameter.
 
     Args:
         tree: The robot; its inertias matter only for `zeros`.
@@ -59,13 +59,17 @@ def identifiability(
         zeros: Barycentric parameters known to be zero, as in `minimal_set`.
     """
     g = tree.gravity_or(gravity)
-    torques = _told(minimal_set(tree, "dynamic", g, zeros))
     plate = _told(minimal_set(tree, "reaction", g, zeros))
     tared = _told(minimal_set(tree, "reaction", g, zeros, tared=True))
     own = np.eye(10 * tree.n)
     units = sparse.csr_array(on_standard(tree, own))
     back = sparse.csr_array(to_standard(tree, own.reshape(tree.n, 10, -1)).reshape(own.shape))
-    sets = (torques, plate, tared, _beside_a_pedestal(tree, g, zeros, tared))
+    if tree.sensor is None:
+        torques = _told(minimal_set(tree, "dynamic", g, zeros))
+        sets = (torques, plate, tared, _beside_a_pedestal(tree, g, zeros, tared))
+        named = list(zip(INSTRUMENTS, sets, strict=True))
+    else:
+        named = [("force sensor", plate), ("force sensor, tared", tared)]
     one = sparse.eye_array(10 * tree.n)
     shape = (tree.n, 10)
     return tuple(
@@ -75,7 +79,7 @@ def identifiability(
             space.of(units, back).reshape(shape),
             space.of(one, one).reshape(shape),
         )
-        for name, space in zip(INSTRUMENTS, sets, strict=True)
+        for name, space in named
     )
 
 

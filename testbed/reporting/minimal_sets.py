@@ -40,9 +40,11 @@ BYTES = 8
 GLYPHS = ("·", "+", "#")
 """Never, in combination with others, alone."""
 
-HEADINGS = ("parameter", "unit", "torques", "plate", "combination of")
-MARKS = (6, 7, 8)
-"""Widths of the columns between name and formula."""
+HEADINGS = {"unit": 6, "torques": 7, "plate": 8}
+"""Of the columns between name and formula, and their widths."""
+
+NAME = "parameter"
+"""Heading of the names."""
 
 GAP = 2
 """Blanks between columns."""
@@ -75,6 +77,11 @@ class Findings:
     seen: Sequence[Visibility] = ()
     agreements: Sequence[Agreement] = ()
     drives_agree: DriveAgreement | None = None
+
+    @property
+    def sets(self) -> tuple[MinimalSet, ...]:
+        """Those of the robot's instruments: a force sensor in the robot is the only one."""
+        return (self.dynamic, self.reaction) if self.tree.sensor is None else (self.reaction,)
 
     @property
     def hold(self) -> bool:
@@ -121,7 +128,9 @@ def print_sets(console: Console, found: Findings, lengths: Lengths) -> None:
         )
     for line in _verdicts(found):
         console.print(line, soft_wrap=True)
-    lost = [name for name in found.reaction.never if name in found.dynamic.never]
+    beyond = parameter_names(found.tree)[10 * max(found.tree.lead - 1, 0) :]
+    never = [each.never for each in found.sets]
+    lost = [name for name in beyond if all(name in each for each in never)]
     if lost:
         console.print(
             f"not identifiable, not even in combination: {', '.join(lost)}", soft_wrap=True
@@ -137,7 +146,7 @@ def print_latex(console: Console, found: Findings, lengths: Lengths) -> None:
         found: What to print.
         lengths: The model's lengths as symbols or as numbers.
     """
-    for each in (found.dynamic, found.reaction):
+    for each in found.sets:
         console.print(f"% {each.model}: {each.count}")
         formulas = found.formulas(each.model, lengths)
         for formula in (*formulas, *each.auxiliary_with(lengths)):
@@ -155,7 +164,7 @@ def map_table(tree: Tree, seen: Sequence[Visibility]) -> Table:
         sensor = {"tared bedplate": "plate, tared"}.get(each.instrument, each.instrument)
         sensor = sensor.replace("bedplate", "plate")
         table.add_column(f"{sensor} ({each.count})", width=len(STANDARD))
-    for j, joint in enumerate(tree.joints):
+    for j, joint in list(enumerate(tree.joints))[max(tree.lead - 1, 0) :]:
         cells = ["".join(GLYPHS[level] for level in each.standard[j]) for each in seen]
         table.add_row(joint.body, *cells)
     return table
@@ -165,10 +174,13 @@ def _print_bodies(console: Console, found: Findings, lengths: Lengths) -> None:
     """Body by body, tips first and the bedplate last, under one row of headings."""
     lines = _lines(found, lengths)
     labels = [line.formula.left for each in lines.values() for line in each]
-    widths = [_name_width(labels, console.width), *MARKS]
+    marks = dict(HEADINGS)
+    if found.tree.sensor is not None:
+        marks = {"unit": HEADINGS["unit"], "sensor": HEADINGS["plate"]}
+    widths = [_name_width(labels, console.width), *marks.values()]
     rest = console.width - sum(widths) - GAP * (len(widths) + 1)
     below = rest < LEAST
-    headings = HEADINGS[: len(widths)] if below else HEADINGS
+    headings = [NAME, *marks, *(() if below else ("combination of",))]
     console.print(_columns(headings, widths), style="bold", soft_wrap=True)
     for body in sorted(lines, reverse=True):
         for part in textwrap.wrap(
@@ -180,8 +192,9 @@ def _print_bodies(console: Console, found: Findings, lengths: Lengths) -> None:
             said = [] if line.formula.trivial else summands(line.formula.right, "text") or ["0"]
             made = [] if below else broken_sum(said, rest)
             for k in range(max(len(name), len(made))):
-                marks = (line.unit, line.torques, line.bedplate) if k == 0 else ("", "", "")
-                cells = ("".join(name[k : k + 1]), *marks, "".join(made[k : k + 1]))
+                every = {"unit": line.unit, "torques": line.torques}
+                shown = [every.get(mark, line.bedplate) if k == 0 else "" for mark in marks]
+                cells = ("".join(name[k : k + 1]), *shown, "".join(made[k : k + 1]))
                 console.print(_columns(cells, widths), soft_wrap=True)
             if below and said:
                 for part in broken_sum(["=", *said], console.width - 3 * GAP):
@@ -192,9 +205,9 @@ def _name_width(labels: Sequence[Label], width: int) -> int:
     """What names take: their share, or what their longest piece needs if there is room."""
     longest = max((len(label.text) for label in labels), default=0)
     piece = max((len(piece) for label in labels for piece in label.pieces), default=0)
-    room = width - sum(MARKS) - GAP * (len(MARKS) + 1)
+    room = width - sum(HEADINGS.values()) - GAP * (len(HEADINGS) + 1)
     wanted = min(longest, max(piece, width // SHARE))
-    return max(len(HEADINGS[0]), min(wanted, room))
+    return max(len(NAME), min(wanted, room))
 
 
 def _columns(cells: Sequence[str], widths: Sequence[int]) -> str:
@@ -224,7 +237,7 @@ def broken_name(label: Label, width: int) -> list[str]:
 def _lines(found: Findings, lengths: Lengths) -> dict[int, list[_Line]]:
     """One line a parameter by body; torques and bedplate share it where they mean the same."""
     lines: dict[int, dict[Formula, _Line]] = {}
-    for each in (found.dynamic, found.reaction):
+    for each in found.sets:
         formulas = found.formulas(each.model, lengths)
         rows = zip(formulas, each.units, each.bodies, each.reasons, strict=True)
         for formula, unit, body, reason in rows:
@@ -248,16 +261,16 @@ def _heading(found: Findings, body: int) -> str:
 
 def _explained(found: Findings, lengths: Lengths) -> Iterator[str]:
     """Rules, redefinitions, directions and terms of the joints, a line each."""
-    for number in sorted({*found.dynamic.reasons, *found.reaction.reasons}):
+    for number in sorted({reason for each in found.sets for reason in each.reasons}):
         yield f"{'rule ' * number[0].isdigit()}{number}: {REASONS[number]}"
-    sets = {"torques": found.dynamic, "plate": found.reaction}
+    sets = {"torques": found.sets[0], "plate": found.reaction}
     said = {name: each.auxiliary_with(lengths) for name, each in sets.items()}
     other = {name: {f.left: f for f in said[name]} for name in sets}
     for formula in dict.fromkeys((*said["torques"], *said["plate"])):
         of = [name for name in sets if other[name].get(formula.left) == formula]
         differs = len({f for name in sets if (f := other[name].get(formula.left))}) > 1
         yield f"with {formula}{f' ({of[0]})' if differs else ''}"
-    for body, triad in (found.dynamic.triads | found.reaction.triads).items():
+    for body, triad in (found.sets[0].triads | found.reaction.triads).items():
         axes = (
             f"{letter} = ({x:.6g}, {y:.6g}, {z:.6g})"
             for letter, (x, y, z) in zip(triad.letters, triad.axes, strict=True)
@@ -283,17 +296,20 @@ def _drive_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
 
 def _summary(found: Findings) -> str:
     tared = " (tared)" if found.reaction.tared else ""
-    count = plural(found.dynamic.count, "combination")
+    count = plural(found.sets[0].count, "combination")
     phrase = (
         f"{count} identifiable by joint torques, {found.reaction.count} by the force plate{tared}"
     )
+    if found.tree.sensor is not None:
+        phrase = f"{count} identifiable by the force sensor{tared}"
     drives = found.drives
     terms = (
         f"; with terms of the joints, {plural(drives.count, 'unknown')}"
         if drives is not None
         else ""
     )
-    return f"{found.tree.name}: {10 * found.tree.n} parameters; {phrase}{terms}"
+    bodies = found.tree.n - max(found.tree.lead - 1, 0)
+    return f"{found.tree.name}: {10 * bodies} parameters; {phrase}{terms}"
 
 
 def _verdicts(found: Findings) -> Iterator[str]:
@@ -332,7 +348,7 @@ def as_document(found: Findings, matrices: bool = True) -> dict[str, Any]:
         found: What is known about the robot.
         matrices: Whether to write the sets as matrices, too.
     """
-    sets = (found.dynamic, found.reaction)
+    sets = found.sets
     document: dict[str, Any] = {
         "robot": found.tree.name,
         "joints": list(found.tree.names),
@@ -345,7 +361,7 @@ def as_document(found: Findings, matrices: bool = True) -> dict[str, Any]:
         "map": [_map_as_json(found.tree, each) for each in found.seen],
         "verified": [asdict(each) | {"holds": each.holds} for each in found.agreements],
     }
-    if matrices:
+    if matrices and len(sets) > 1:
         document["S"] = selection(*sets).tolist()
     if found.drives is not None:
         document["drives"] = _drives_as_json(found.drives, matrices)
