@@ -372,7 +372,9 @@ def parameter_regressor(
 
 
 def pedestal_wrench(tree: Tree, gravity: ArrayLike | None = None) -> Array:
-    """Wrench of the bedplate on the pedestal, which does not move, (6,) [N, N m].
+    """What is measured of the pedestal, which does not move, (6,) [N, N m].
+
+    By the bedplate, or by a force sensor that carries a part of it.
 
     Args:
         tree: The robot.
@@ -380,7 +382,8 @@ def pedestal_wrench(tree: Tree, gravity: ArrayLike | None = None) -> Array:
     """
     g = tree.gravity_or(gravity)
     pedestal = tree.pedestal
-    return np.concatenate([-pedestal.mass * g, -np.cross(pedestal.first_moment, g)])
+    wrench = np.concatenate([-pedestal.mass * g, -np.cross(pedestal.first_moment, g)])
+    return wrench if tree.sensor is None else sensor_transform(tree.sensor) @ wrench
 
 
 def blocks(samples: int, size: int = BLOCK) -> Iterator[slice]:

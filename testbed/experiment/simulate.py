@@ -11,6 +11,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.diagnostics import diagnose
+from testbed.dynamics.newton_euler import pedestal_wrench
 from testbed.errors import ExperimentError
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.rest_to_rest import rest_to_rest
@@ -286,11 +287,12 @@ def _measured(ready: Prepared, happened: Rollout, installed: int | None = None) 
     """What the instrument shows of it."""
     experiment, tree, seed = ready.experiment, ready.tree, ready.experiment.seed
     facts, tare = _facts(experiment, tree, happened) | dict(ready.facts), ready.plant.tare
+    seen = experiment.robot.sensed(tree, model_of(experiment))
+    if seen.sensor is not None:
+        tare = pedestal_wrench(seen)
     instrument, names = experiment.measurement, tree.names
     found = measure(instrument, names, happened.time, happened.truth, tare, facts, seed, installed)
-    if experiment.robot.sensor is None:
-        return found
-    return with_joints(found, experiment.robot.sensed(tree, model_of(experiment)).names)
+    return found if seen.sensor is None else with_joints(found, seen.names)
 
 
 def simulate_together(experiments: Sequence[Experiment]) -> Iterator[Recording | Exception]:

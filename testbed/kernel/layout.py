@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from testbed.arrays import AnyArray, Array
+from testbed.arrays import Array
 from testbed.dynamics.newton_euler import sensor_transform
 from testbed.kernel.records import (
     CACHE,
@@ -27,10 +27,11 @@ from testbed.kernel.records import (
     SLIDING,
     TURNING,
     USUAL,
-    Bools,
     Ints,
     Robot,
     Rows,
+    bools,
+    ints,
 )
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.regroup import beyond
@@ -311,16 +312,6 @@ class Draft:
             slots=self.slots,
             block=int(np.clip(CACHE // (8 * self.slots) // NB * NB, NB, KS)),
         )
-
-
-def ints(values: AnyArray | list[int]) -> Ints:
-    """The kernel's integers."""
-    return np.array(values, dtype=np.int64)
-
-
-def bools(values: list[bool]) -> Bools:
-    """The kernel's booleans."""
-    return np.array(values, dtype=np.bool_)
 
 
 TINY = 1e-13

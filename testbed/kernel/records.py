@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.arrays import Array
+from testbed.arrays import AnyArray, Array
 
 # Entries of a row on one body.
 
@@ -84,6 +84,16 @@ COSINE = (
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+
+
+def ints(values: AnyArray | list[int]) -> Ints:
+    """The kernel's integers."""
+    return np.array(values, dtype=np.int64)
+
+
+def bools(values: list[bool]) -> Bools:
+    """The kernel's booleans."""
+    return np.array(values, dtype=np.bool_)
 
 
 class Robot(NamedTuple):

@@ -71,7 +71,7 @@ def beyond_sensor(tree: Tree, links: Sequence[Link], sensor: ForceSensor) -> Tre
             beyond.add(link.name)
     path = tree.chain(first.body + shift)
     carried = {link.body + shift for link in links if link.name in beyond}
-    kept = [*path, *sorted(carried - set(path))]
+    kept = [*path, *sorted(carried - {*path, -1})]
     place = {-1: -1} | {old: new for new, old in enumerate(kept)}
     cut = total(link.in_body for link in links if link.name in beyond and link.body == first.body)
     inertias = [NOTHING if body in path else tree.inertias[body] for body in kept]

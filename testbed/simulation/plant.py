@@ -336,7 +336,6 @@ def _read_by_sensor(plant: Plant) -> Plant:
         plate=np.concatenate([first + np.arange(3) for first in at]),
         plate_turn=np.eye(3),
         plate_origin=np.zeros(3),
-        tare=np.zeros(6),
     )
 
 

@@ -16,6 +16,7 @@ from testbed.parameters.rules import Model
 from testbed.robot.visuals.shapes import poses_at_zero
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.robots import Robot, random_states
+from tests.helpers.sensors import random_cut
 from tests.helpers.strategies import few, rngs, robots, trees
 
 WITNESS = 1e-12  # relative to the largest entry
@@ -78,8 +79,8 @@ def test_regressors_times_parameters_are_the_forces(
 def test_derivatives_of_the_wrench_are_its_differences(
     robot: Robot, rng: np.random.Generator
 ) -> None:
-    """Errors of encoders become columns by these; more instants than one block holds."""
-    tree = robot.tree()
+    """Errors of encoders become columns by these; more instants than one block holds; of a cut."""
+    tree = robot.tree() if rng.random() < 0.5 else random_cut(robot.tree(), rng)
     states, theta = motion(rng, 515, tree.n), np.array(tb.barycentric(tree))
     wrench, slopes = base_wrench_derivatives(tree, states, theta)
     assert near(wrench, tb.base_wrench(tree, states))

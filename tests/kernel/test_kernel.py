@@ -25,6 +25,7 @@ from testbed.parameters.rules import Model
 from testbed.robot.free_base import on_free_base
 from testbed.robot.friction import LAWS, joint_terms
 from tests.helpers.paths import ROOT
+from tests.helpers.sensors import random_cut
 from tests.helpers.strategies import few, rngs, trees
 
 SAMPLES = 700
@@ -67,9 +68,12 @@ def lower(found: Layout, sums: Sums) -> Array:
 def test_compiled_and_plain_engine_say_the_same(
     tree: tb.Tree, model: Model, rng: np.random.Generator, how: tuple[bool, ...]
 ) -> None:
-    """Encoders or sensed kinematics, filtered or not, channels joined, on a base that moves."""
+    """Encoders or sensed kinematics, filtered or not, channels joined; a base that moves, a cut."""
     encoders, filtered, joined, free = how
-    tree = on_free_base(tree) if free else tree
+    if model == "reaction" and rng.random() < 0.5:
+        tree = random_cut(tree, rng)
+    elif free:
+        tree = on_free_base(tree)
     terms = joint_terms(tree, LAWS) if model == "dynamic" else ()
     found = layout(tree, tb.minimal_set(tree, model), terms, joined=joined)
     signals = some_signals(found, rng, encoders, filtered)
@@ -110,7 +114,9 @@ def test_the_kernel_is_right_on_processors_without_wide_vectors(tmp_path: Path) 
 def test_rows_are_the_minimal_regressor(
     tree: tb.Tree, model: Model, zeros: bool, rng: np.random.Generator
 ) -> None:
-    """Each channel's columns, then its measurement; none stands twice."""
+    """Each channel's columns, then its measurement; none stands twice; of a cut's sensor, too."""
+    if model == "reaction" and rng.random() < 0.5:
+        tree = random_cut(tree, rng)
     q, qd, qdd = rng.uniform(-2, 2, (3, 100, tree.n))
     minimal = tb.minimal_set(tree, model, zeros=zeros)
     expected = tb.regressor(tree, tb.Motion(np.arange(100.0), q, qd, qdd), minimal)

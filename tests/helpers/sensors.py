@@ -1,0 +1,32 @@
+"""Robots cut at a force sensor, for tests."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import testbed as tb
+from testbed.robot.force_sensor import ForceSensor, beyond_sensor
+from testbed.robot.repair import Link
+
+
+def links_of(tree: tb.Tree) -> tuple[Link, ...]:
+    """A link a body, as of a file without fixed joints."""
+    names = ["pedestal", *(joint.body for joint in tree.joints)]
+    bodies = [tree.pedestal, *tree.inertias]
+    parents = ["", *(names[parent + 1] for parent in tree.parents)]
+    return tuple(
+        Link(name, k - 1, parent, name, np.eye(3), np.zeros(3), body)
+        for k, (name, parent, body) in enumerate(zip(names, parents, bodies, strict=True))
+    )
+
+
+def random_sensor(tree: tb.Tree, rng: np.random.Generator) -> ForceSensor:
+    """Before any body, anywhere on it, any way round."""
+    link = tree.joints[rng.integers(tree.n)].body
+    return ForceSensor(link, rng.uniform(-0.3, 0.3, 3), Rotation.random(rng=rng).as_matrix())
+
+
+def random_cut(tree: tb.Tree, rng: np.random.Generator) -> tb.Tree:
+    """What a force sensor somewhere in the robot feels."""
+    return beyond_sensor(tree, links_of(tree), random_sensor(tree, rng))

@@ -1,0 +1,126 @@
+"""A force sensor anywhere in a robot: what lies beyond its cut, what it feels, what it identifies.
+
+If one fails, parameters by a wrist, hip or shoulder sensor are wrong.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import testbed as tb
+from testbed.dynamics.drive_set import verify
+from testbed.dynamics.newton_euler import poses
+from testbed.errors import ModelError, UnknownName
+from testbed.experiment.evaluate import evaluate
+from testbed.experiment.experiment import Experiment
+from testbed.experiment.simulate import simulate
+from testbed.robot.force_sensor import ForceSensor, beyond_sensor
+from testbed.robot.free_base import FREE, on_free_base
+from testbed.robot.model_file import ModelFile
+from tests.helpers.paths import ROOT
+from tests.helpers.sensors import links_of, random_cut
+from tests.helpers.strategies import few, motions, rngs, trees
+
+URDF = ROOT / "models/puma562.urdf"
+
+
+@few(25)
+@given(st.data(), rngs)
+def test_it_feels_what_carries_the_bodies_beyond_it(
+    data: st.DataObject, rng: np.random.Generator
+) -> None:
+    """The wrench on the ground of the same bodies alone, carried to the sensor by hand."""
+    cut = random_cut(data.draw(trees((1, 7))), rng)
+    motion = data.draw(motions(cut))
+    assert cut.sensor is not None
+    ground = tb.base_wrench(replace(cut, sensor=None, lead=0), motion)
+    turn, place = poses(cut, motion.q)[cut.lead - 1]
+    place = place + turn @ cut.sensor.position
+    turn = turn @ cut.sensor.rotation
+    moment = ground[:, 3:] - np.cross(place, ground[:, :3])
+    expected = [np.einsum("mji,mj->mi", turn, part) for part in (ground[:, :3], moment)]
+    found = tb.base_wrench(cut, motion)
+    np.testing.assert_allclose(found, np.hstack(expected), atol=1e-10 * np.abs(found).max())
+
+
+@few(25)
+@given(trees((1, 8), bare=True), st.booleans(), rngs)
+def test_three_witnesses_agree_on_its_minimal_set(
+    tree: tb.Tree, free: bool, rng: np.random.Generator
+) -> None:
+    """Rules, recursion and sampled rows, on cuts of random robots, on bases that move as well."""
+    cut = (
+        random_cut(on_free_base(tree) if free else tree, rng) if not free else _free_cut(tree, rng)
+    )
+    for tared in (False, True):
+        found = verify(cut, tb.minimal_set(cut, "reaction", tared=tared))
+        assert found.holds, found
+
+
+def _free_cut(tree: tb.Tree, rng: np.random.Generator) -> tb.Tree:
+    link = tree.joints[rng.integers(tree.n)].body
+    return beyond_sensor(on_free_base(tree), links_of(tree), ForceSensor(link))
+
+
+@pytest.mark.parametrize(
+    ("link", "path", "count"), [("link1", 1, 20), ("link2", 2, 17), ("link3", 3, 10)]
+)
+def test_the_joints_before_it_decide_what_it_identifies(link: str, path: int, count: int) -> None:
+    """Behind two joints that cross, all ten of the first body; behind a vertical one, six."""
+    model = ModelFile(URDF)
+    cut = beyond_sensor(model.tree(), model.links(), ForceSensor(link))
+    minimal = tb.minimal_set(cut, "reaction")
+    assert (cut.lead, minimal.count) == (path, count)
+    own = [
+        name for name, body in zip(minimal.names, minimal.bodies, strict=True) if body == path - 1
+    ]
+    assert len(own) == (6 if path == 1 else 10)
+
+
+def test_a_cut_within_a_body_leaves_what_is_fixed_beyond(tmp_path: Path) -> None:
+    """A tool welded to the last link; and a humanoid's hand by way of its base's coordinates."""
+    tool = """<link name="tool"><inertial><mass value="1.5"/><origin xyz="0 0 0.1"/>
+      <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="weld" type="fixed"><parent link="link3"/><child link="tool"/>
+      <origin xyz="0 0 0.4"/></joint></robot>"""
+    file = tmp_path / "tool.urdf"
+    file.write_text(URDF.read_text().replace("</robot>", tool))
+    model = ModelFile(file)
+    tree = model.tree()
+    cut = beyond_sensor(tree, model.links(), ForceSensor("tool"))
+    assert [body.mass for body in cut.inertias] == [0, 0, 1.5]
+    np.testing.assert_allclose(cut.inertias[2].com, [0, 0, 0.5])
+    np.testing.assert_allclose(cut.sensor.position, [0, 0, 0.4])  # type: ignore[union-attr]
+    free = beyond_sensor(on_free_base(tree), model.links(), ForceSensor("tool"))
+    assert (free.lead, free.n) == (FREE + 3, FREE + 3)
+
+
+def test_links_that_are_not_there_and_the_root_are_refused() -> None:
+    model = ModelFile(URDF)
+    with pytest.raises(UnknownName):
+        beyond_sensor(model.tree(), model.links(), ForceSensor("link9"))
+    with pytest.raises(ModelError):
+        beyond_sensor(model.tree(), model.links(), ForceSensor(model.links()[0].name))
+
+
+@pytest.mark.parametrize("link", ["base", "link2", "link3"])
+def test_mujocos_own_sensor_gives_the_parameters_to_rounding(link: str) -> None:
+    """Simulated with MuJoCo's sensors at the cut, exact kinematics, no noise."""
+    sensor = {"link": link, "position": (0.01, 0.02, -0.03), "rpy": (0.1, -0.2, 0.3)}
+    file = ROOT / "experiments/noise_free.toml"
+    words = [f"robot.sensor.{key}={json.dumps(value)}" for key, value in sensor.items()]
+    words += ["motion.duration=4", "simulation.step=1e-3", "simulation.friction=false"]
+    words += ["identification.zeros=false"]
+    experiment = Experiment.load(file, words)
+    assert experiment.robot.sensor is not None
+    assert experiment.robot.sensor.model_dump() == sensor
+    run = evaluate(experiment, simulate(experiment), methods=("external",))
+    assert run.score is not None
+    assert run.score.metrics["external_max_relative_error"] < 1e-10
