@@ -10,7 +10,6 @@ import numpy as np
 from testbed.diagnostics import sentences
 from testbed.errors import plural, round_significant
 from testbed.experiment.score import share_of_signal
-from testbed.identification.estimate import NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -56,8 +55,15 @@ def headline(run: Run) -> str:
     phrases = []
     for name in ("wrench", "torque"):
         shares = {m: getattr(found, name) for m, found in run.score.accuracy.items()}
-        by = [f"{percent(x)} by the {NAMES[m]}" for m, x in shares.items() if x is not None]
-        phrases += [f"{SIGNALS[name]} {', '.join(by)}"] if by else []
+        if run.tree.sensor is not None and name == "torque":
+            continue  # of joints that carry more than what the sensor feels
+        by = [
+            f"{percent(x)} by the {run.estimates[m].instrument}"
+            for m, x in shares.items()
+            if x is not None
+        ]
+        signal = "sensor wrench" if run.tree.sensor is not None else SIGNALS[name]
+        phrases += [f"{signal} {', '.join(by)}"] if by else []
     if not phrases:
         return f"From {_data(run)} nothing can be predicted: the robot makes no force."
     where = "a held-out motion" if run.validation else "the motion used for the fit"
@@ -89,7 +95,9 @@ def _parameters(run: Run) -> list[str]:
         parts = [] if middle is None else [f"median error {percent(middle)}"]
         parts += [] if most is None else [f"largest error {most:.3g} standard deviations{rest}"]
         if parts:
-            phrases.append(f"{estimate.minimal.count} by the {NAMES[method]}, {', '.join(parts)}")
+            phrases.append(
+                f"{estimate.minimal.count} by the {estimate.instrument}, {', '.join(parts)}"
+            )
     return [f"Base parameters: {'; '.join(phrases)}."] if phrases else []
 
 
@@ -148,7 +156,7 @@ def _found(run: Run) -> str:
     for method, estimate in run.estimates.items():
         terms, count = len(estimate.joint_terms), len(estimate.base.names)
         more = f" and {plural(terms, 'joint coefficient')}" if terms else ""
-        phrases.append(f"{plural(count, 'base parameter')}{more} by the {NAMES[method]}")
+        phrases.append(f"{plural(count, 'base parameter')}{more} by the {estimate.instrument}")
     return f"Data: {_data(run)}. Identified: {'; '.join(phrases)}."
 
 

@@ -339,6 +339,11 @@ class Estimate(Diagnosed):
         )
 
     @property
+    def instrument(self) -> str:
+        """What it was measured by."""
+        return "force sensor" if self.minimal.of_sensor else NAMES[self.method]
+
+    @property
     def words(self) -> Words:
         """What is printed of it."""
         doubt = (
@@ -349,7 +354,7 @@ class Estimate(Diagnosed):
         numbers = zip(
             self.names, self.values.tolist(), self.sigma.tolist(), self.units, strict=True
         )
-        head = f"{plural(len(self.names), 'parameter')} by the {NAMES[self.method]}{doubt}"
+        head = f"{plural(len(self.names), 'parameter')} by the {self.instrument}{doubt}"
         return Words(head, tuple(numbers), sentences(self.diagnostics))
 
     def __repr__(self) -> str:

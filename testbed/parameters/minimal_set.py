@@ -59,6 +59,11 @@ class MinimalSet:
     def __repr__(self) -> str:
         return f"<MinimalSet of the {self.model} model, {self.count}: {', '.join(self.names)}>"
 
+    @property
+    def of_sensor(self) -> bool:
+        """Whether a force sensor in the robot measures the wrench, not the bedplate."""
+        return self.model == "reaction" and self._tree.sensor is not None
+
     @cached_property
     def _entries(self) -> tuple[Entry, ...]:
         return tuple(self._candidates[k] for k in self._elimination.kept)

@@ -69,7 +69,7 @@ def _table(
     ]
     heads = ["parameter", *([] if short else ["unit"]), *(["truth"] if truths else [])]
     for estimate in estimates:
-        heads += [NAMES[estimate.method], *(["z" if short else "error/std"] if truths else [])]
+        heads += [estimate.instrument, *(["z" if short else "error/std"] if truths else [])]
     return Table(heads, rows, title, left=["unit"])
 
 
@@ -79,11 +79,11 @@ def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
     for e in estimates:
         fits = ", ".join(f"{c} {r:.3g}" for c, r in zip(e.channels, e.residual, strict=True))
         lines.append(
-            f"{NAMES[e.method]}: {plural(len(e.names), 'unknown')}, condition {e.condition:.1f}, "
+            f"{e.instrument}: {plural(len(e.names), 'unknown')}, condition {e.condition:.1f}, "
             f"{_noise(e)}"
             f"residual rms {fits}"
         )
-        lines += [f"{NAMES[e.method]}: {part}" for part in _instrument(e)]
+        lines += [f"{e.instrument}: {part}" for part in _instrument(e)]
     return lines
 
 
