@@ -81,6 +81,7 @@ from .recordings.recording import (
 from .recordings.source import StoredRecording as StoredRecording
 from .reporting.plot import plot as plot
 from .reporting.run_page import report as report
+from .robot.force_sensor import ForceSensor as ForceSensor
 from .robot.inertia import Inertia as Inertia
 from .robot.locks import with_shafts as with_shafts
 from .robot.model_file import (

@@ -11,6 +11,7 @@ from testbed.cli import (
     models,
     pictures,
     starting,
+    tools,
 )
 from testbed.cli.reading import app
 
@@ -24,4 +25,5 @@ __all__ = [
     "models",
     "pictures",
     "starting",
+    "tools",
 ]

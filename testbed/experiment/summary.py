@@ -95,9 +95,8 @@ def _parameters(run: Run) -> list[str]:
         parts = [] if middle is None else [f"median error {percent(middle)}"]
         parts += [] if most is None else [f"largest error {most:.3g} standard deviations{rest}"]
         if parts:
-            phrases.append(
-                f"{estimate.minimal.count} by the {estimate.instrument}, {', '.join(parts)}"
-            )
+            by = f"{estimate.minimal.count} by the {estimate.instrument}"
+            phrases.append(f"{by}, {', '.join(parts)}")
     return [f"Base parameters: {'; '.join(phrases)}."] if phrases else []
 
 
@@ -153,7 +152,7 @@ def _data(run: Run) -> str:
 
 def _found(run: Run) -> str:
     phrases = []
-    for method, estimate in run.estimates.items():
+    for estimate in run.estimates.values():
         terms, count = len(estimate.joint_terms), len(estimate.base.names)
         more = f" and {plural(terms, 'joint coefficient')}" if terms else ""
         phrases.append(f"{plural(count, 'base parameter')}{more} by the {estimate.instrument}")

@@ -22,6 +22,7 @@ from testbed.reporting.section import DARKEST, HeatTable, Table
 
 if TYPE_CHECKING:
     from testbed.identification.payload.payload import MassEstimate, PayloadEstimate
+    from testbed.identification.payload.tool import ToolEstimate
     from testbed.identification.validate import Validation
 
 
@@ -214,11 +215,12 @@ def _text(number: float, unit: str = "") -> str:
     return "-" if np.isnan(number) else f"{number:.3g}{unit}"
 
 
-def payload_table(found: PayloadEstimate) -> Table:
+def payload_table(found: PayloadEstimate, title: str = "") -> Table:
     """The ten parameters: value and sigma, or that a parameter is identifiable in combination only.
 
     Args:
         found: The payload.
+        title: Of the table; default which link carries the payload.
     """
     numbers = zip(found.values.tolist(), found.sigma.tolist(), found.identifiable, strict=True)
     said = [
@@ -226,7 +228,7 @@ def payload_table(found: PayloadEstimate) -> Table:
         for value, sigma, identifiable in numbers
     ]
     rows = list(zip(found.names, said, found.units, strict=True))
-    title = f"payload on the link of {found.joint}, about and along its frame"
+    title = title or f"payload on the link of {found.joint}, about and along its frame"
     return Table(["", "value", "unit"], rows, title, left=["unit"])
 
 
@@ -257,6 +259,46 @@ def weighed_lines(payload: MassEstimate, robot: MassEstimate) -> list[str]:
         f"mass {place}, by {payload.poses} poses.",
         f"Moving mass of the robot: {number_with_sigma(robot.mass, robot.sigma, short=False)} kg.",
     ]
+
+
+DOUBTFUL = 0.03
+"""Part of a tool's weight in the residuals above which the poses are not of this sensor."""
+
+
+def tool_lines(found: ToolEstimate) -> list[str]:
+    """A tool by static poses, a sentence each.
+
+    Args:
+        found: The tool.
+    """
+
+    def each(values: Sequence[tuple[float, float]], unit: str) -> str:
+        return ", ".join(number_with_sigma(v, s, short=False) for v, s in values) + f" {unit}"
+
+    force, moment = found.residual
+    angle, doubt = np.rad2deg(found.tilt).tolist()
+    direction = ", ".join(f"{x:.4f}" for x in found.gravity)
+    parts = {
+        "mass and gravity": f"Mass: {each([found.mass], 'kg')}. Direction of gravity in the base "
+        f"frame: {direction}, {each([(angle, doubt)], 'degrees')} from the model's.",
+        "centre": f"Centre of mass in the sensor's frame: {each(found.centre, 'm')}.",
+        "force zero": f"Force zero: {each(found.force_zero, 'N')}.",
+        "moment zero": f"Moment zero: {each(found.moment_zero, 'N m')}.",
+    }
+    lines = [line for name, line in parts.items() if name not in found.unidentifiable]
+    lines.append(f"{found.poses} poses; residuals {force:.3g} N, {moment:.3g} N m rms.")
+    if found.share > DOUBTFUL:
+        lines.append(
+            f"warning: the residuals are {100 * found.share:.2g} % of the tool's weight. Check units, "
+            "order and signs of the joints, and the sensor's axes "
+            "(--set robot.sensor.rpy=[roll,pitch,yaw])."
+        )
+    if found.unidentifiable:
+        lines.append(
+            f"Not identifiable by these poses: {', '.join(found.unidentifiable)}. Add poses in "
+            "which the sensor is turned about other axes: each of its axes up, down and level."
+        )
+    return lines
 
 
 def _place(centre: Any, sigma: Any) -> str:

@@ -149,15 +149,18 @@ def _print_drives(out: Console, drives: DriveFindings) -> None:
         out.print(line, soft_wrap=True)
 
 
-def print_payload(found: PayloadEstimate, diagnostics: Sequence[Diagnostic]) -> None:
+def print_payload(
+    found: PayloadEstimate, diagnostics: Sequence[Diagnostic], title: str = ""
+) -> None:
     """Print what a link carries more.
 
     Args:
         found: The payload.
         diagnostics: About robot, recordings and payload.
+        title: Of the table; default which link carries the payload.
     """
     out = console()
-    print_tables(out, [payload_table(found)])
+    print_tables(out, [payload_table(found, title)])
     for line in payload_lines(found):
         out.print(line, soft_wrap=True)
     print_diagnostics(out, diagnostics)

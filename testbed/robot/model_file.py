@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Literal
 
 from testbed.errors import ModelError
+from testbed.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.robot.inertia import HEAVIEST
 from testbed.robot.locks import Lock
 from testbed.robot.parsing import check_name, errors_of, read_xml
@@ -90,6 +91,7 @@ def load_tree(
     weld_root: bool = False,
     repair: Bodies | None = None,
     lock: Lock | None = None,
+    sensor: ForceSensor | None = None,
 ) -> Tree:
     """Read a robot from MJCF or URDF.
 
@@ -106,12 +108,14 @@ def load_tree(
             of those that carry them. None is where the joint rests: at zero, in the middle of
             a range without zero, or where the joint that it follows takes it. Joints that
             follow a held one are held with it.
+        sensor: A force sensor in the robot: the tree is then of what lies beyond it, and of the
+            joints that lead there.
 
     Raises:
         ModelError: The file cannot be read or holds what is not supported; a floating root,
             bodies that cannot be and joints that follow others are the subclasses
             FreeRootError, InertiaError, MimicError.
-        UnknownName: A joint to be held is not in the file.
+        UnknownName: A joint to be held, or the sensor's link, is not in the file.
     """
     path = Path(path)
     if model_format(path) == "mjcf":
@@ -121,7 +125,10 @@ def load_tree(
     tree = read(path, weld_root=weld_root, repair=repair, lock=lock)
     with errors_of(path):
         check_tree(tree)
-    return tree
+    if sensor is None:
+        return tree
+    links = ModelFile(path, weld_root, repair, lock or {}).links()
+    return beyond_sensor(tree, links, sensor)
 
 
 def nearest_bodies(

@@ -134,11 +134,18 @@ def payload(
     count = len(adds)
     difference = loaded.values[:count] - without.values[:count]
     noise = (loaded.covariance + without.covariance)[:count, :count]
-    return _fitted(joint, adds, difference, noise)
+    return payload_from(joint, adds, difference, noise)
 
 
-def _fitted(joint: str, adds: Array, difference: Array, noise: Array) -> PayloadEstimate:
-    """By the combinations that are seen, weighted by the noise."""
+def payload_from(joint: str, adds: Array, difference: Array, noise: Array) -> PayloadEstimate:
+    """Ten parameters of what they add to others, by the combinations that are seen.
+
+    Args:
+        joint: Of the link that carries them.
+        adds: What each of the ten adds to every other, (p, 10).
+        difference: Of those, (p,).
+        noise: Their covariance, (p, p).
+    """
     scale = np.sqrt(np.diagonal(noise))
     _, sizes, directions = np.linalg.svd(adds)
     rank = int((sizes > SMALLEST * sizes[0]).sum())

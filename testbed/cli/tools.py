@@ -1,0 +1,88 @@
+"""The command about what a force sensor in the robot carries: tool."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from testbed.cli.reading import (
+    Gravity,
+    Json,
+    Lock,
+    LockMimic,
+    Reading,
+    RecordingSet,
+    RobotModel,
+    Threads,
+    Weld,
+    app,
+)
+
+
+@app.command()
+def tool(
+    recording: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="Recording in motion; with --at-rest, table of poses."),
+    ],
+    model: RobotModel,
+    sensor: Annotated[
+        str, typer.Option("--sensor", metavar="LINK", help="First link beyond the force sensor.")
+    ],
+    at_rest: Annotated[
+        bool,
+        typer.Option(
+            "--at-rest", help="FILE is text, a row a static pose: joint positions and Fx ... Mz."
+        ),
+    ] = False,
+    degrees: Annotated[
+        bool, typer.Option("--degrees", help="With --at-rest: angles are in degrees.")
+    ] = False,
+    settings: RecordingSet = None,
+    gravity: Gravity = None,
+    weld_root: Weld = False,
+    lock: Lock = None,
+    lock_mimic: LockMimic = False,
+    threads: Threads = None,
+    as_json: Json = False,
+) -> None:
+    """Find mass, centre and inertia of the tool that a force sensor carries.
+
+    The sensor shows what it exerts on the tool, in its own axes. A motion identifies all ten
+    inertial parameters; a dozen static poses the mass, the centre, the sensor's zero and the
+    direction of gravity: robots hang on walls.
+
+    Example: testbed tool run.parquet --model robot.urdf --sensor tool0
+
+    Example: testbed tool poses.csv --at-rest --degrees --model robot.urdf --sensor tool0
+    """
+    from testbed.codec import encode
+    from testbed.identification.identify import identify
+    from testbed.identification.payload.tool import read_static_poses, tool_at_rest, tool_of
+    from testbed.reporting import estimates as shown
+    from testbed.reporting import output, terminal
+
+    reading = Reading(settings, False, weld_root, lock, lock_mimic, sensor=sensor)
+    tree = reading.tree(model).with_gravity(gravity)
+    if at_rest:
+        still = tool_at_rest(tree, read_static_poses(recording, tree, degrees=degrees))
+        if as_json:
+            output.print_json(encode(still))
+        else:
+            output.print_lines(shown.tool_lines(still), tree.diagnostics)
+        return
+    source = reading.source(recording, tree)
+    with output.Progress("identifying") as progress:
+        estimate = identify(
+            tree, source, gravity=gravity, settings=reading.tables().identification,
+            threads=threads, progress=progress,
+        )  # fmt: skip
+    found = tool_of(tree, estimate)
+    if as_json:
+        output.print_json(encode(found))
+    else:
+        title = f"tool beyond the force sensor at {sensor}, about its origin and along its axes"
+        known = [*tree.diagnostics, *estimate.diagnostics, *found.diagnostics]
+        terminal.print_payload(found, known, title)
