@@ -289,8 +289,8 @@ def tool_lines(found: ToolEstimate) -> list[str]:
     lines.append(f"{found.poses} poses; residuals {force:.3g} N, {moment:.3g} N m rms.")
     if found.share > DOUBTFUL:
         lines.append(
-            f"warning: the residuals are {100 * found.share:.2g} % of the tool's weight. Check units, "
-            "order and signs of the joints, and the sensor's axes "
+            f"warning: the residuals are {100 * found.share:.2g} % of the tool's weight. Check "
+            "units, order and signs of the joints, and the sensor's axes "
             "(--set robot.sensor.rpy=[roll,pitch,yaw])."
         )
     if found.unidentifiable:

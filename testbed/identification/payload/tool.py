@@ -205,12 +205,13 @@ def _start(back: Array, force: Array, moment: Array) -> tuple[Array, Array, Arra
     """Linear fits: weight and zero by the forces, centre and zero by the moments."""
     ones = np.tile(np.eye(3), (len(back), 1))
     by_force = np.hstack([ones, -back.reshape(-1, 3)])
-    zero_and_weight = np.linalg.lstsq(by_force, force.ravel(), rcond=SMALLEST)[0]
+    zero_and_weight = np.array(np.linalg.lstsq(by_force, force.ravel(), rcond=SMALLEST)[0])
     weight = zero_and_weight[3:]
     if not np.linalg.norm(weight) > 0:
         raise RecordingError("the force sensor shows no weight in these poses")
     lever = skew(back @ weight).reshape(-1, 3)
-    zero_and_centre = np.linalg.lstsq(np.hstack([ones, lever]), moment.ravel(), rcond=SMALLEST)[0]
+    by_moment = np.hstack([ones, lever])
+    zero_and_centre = np.array(np.linalg.lstsq(by_moment, moment.ravel(), rcond=SMALLEST)[0])
     return weight, zero_and_weight[:3], zero_and_centre[3:], zero_and_centre[:3]
 
 

@@ -1,0 +1,139 @@
+"""What a force sensor carries: by a motion, and by a dozen poses at rest.
+
+If one fails, payloads that people type into their robots are wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from scipy.spatial.transform import Rotation
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.errors import RecordingError, SettingsError
+from testbed.identification.payload.tool import (
+    StaticPoses,
+    read_static_poses,
+    tool_at_rest,
+    tool_of,
+)
+from testbed.robot.force_sensor import beyond_sensor
+from testbed.robot.inertia import Inertia
+from tests.helpers.command import command_line
+from tests.helpers.paths import ROOT
+from tests.helpers.sensors import links_of, random_sensor
+from tests.helpers.strategies import few, rngs
+
+UR5 = ROOT / "tests/golden/robots/ur5.urdf"
+ZERO = np.array([1.0, -2.0, 0.5, 0.01, 0.02, -0.03])
+NOISE = np.repeat([0.02, 5e-4], 3)
+
+
+def wrist(rng: np.random.Generator, mass: float = 0.28) -> tuple[tb.Tree, Array]:
+    """A UR5 whose last link is a tool on a sensor, and the tool's centre in the sensor's frame."""
+    tree = tb.load_tree(UR5)
+    place = rng.uniform(-0.05, 0.05, 3)
+    tool = Inertia.about_centre(mass, place, 1e-3 * mass * np.eye(3))
+    tree = replace(tree, inertias=(*tree.inertias[:-1], tool))
+    sensor = replace(random_sensor(tree, rng), link=tree.joints[-1].body)
+    cut = beyond_sensor(tree, links_of(tree), sensor)
+    return cut, sensor.rotation.T @ (place - sensor.position)
+
+
+def at_rest(cut: tb.Tree, poses: int, gravity: Array, rng: np.random.Generator) -> StaticPoses:
+    """What the sensor shows in random poses, its zero and its noise included."""
+    q = rng.uniform(-2.5, 2.5, (poses, cut.n))
+    motion = tb.Motion(np.arange(float(poses)), q, 0 * q, 0 * q)
+    wrench = tb.base_wrench(cut, motion, gravity)
+    return StaticPoses(q, wrench + ZERO + NOISE * rng.normal(size=wrench.shape))
+
+
+@few(10)
+@given(rngs)
+def test_static_poses_give_mass_centre_zero_and_gravity(rng: np.random.Generator) -> None:
+    """A robot hung anyhow; within five of its own standard deviations, and as near as is asked."""
+    cut, centre = wrist(rng)
+    gravity = Rotation.random(rng=rng).apply([0, 0, -9.81])
+    found = tool_at_rest(cut, at_rest(cut, 17, gravity, rng))
+    numbers = [found.mass, *found.centre, *found.force_zero, *found.moment_zero]
+    z = [
+        (value - truth) / sigma
+        for (value, sigma), truth in zip(numbers, [0.28, *centre, *ZERO], strict=True)
+    ]
+    assert np.abs(z).max() < 5
+    assert found.unidentifiable == ()
+    assert np.cross(found.gravity, gravity / 9.81) == pytest.approx(0, abs=5e-3)
+    assert found.tilt[0] == pytest.approx(np.arccos(np.clip(-gravity[2] / 9.81, -1, 1)), abs=5e-3)
+
+
+def test_its_standard_deviations_hold_with_few_poses() -> None:
+    """Six poses leave 24 numbers over: a normal law's 95 % are 95 % still."""
+    inside = []
+    for seed in range(60):
+        rng = np.random.default_rng([42, seed])
+        cut, centre = wrist(rng)
+        found = tool_at_rest(cut, at_rest(cut, 6, np.array([0, 0, -9.81]), rng))
+        numbers = zip((found.mass, *found.centre), (0.28, *centre), strict=True)
+        inside += [abs(value - truth) < 1.96 * sigma for (value, sigma), truth in numbers]
+    assert 0.9 < np.mean(inside) < 0.985
+
+
+def test_poses_that_are_all_alike_leave_everything_open() -> None:
+    """Turned about the vertical only, weight and zero cannot be separated."""
+    rng = np.random.default_rng(7)
+    cut, _ = wrist(rng)
+    q = np.tile(rng.uniform(-1, 1, cut.n), (9, 1))
+    motion = tb.Motion(np.arange(9.0), q, 0 * q, 0 * q)
+    wrench = tb.base_wrench(cut, motion) + ZERO + NOISE * rng.normal(size=(9, 6))
+    assert "mass and gravity" in tool_at_rest(cut, StaticPoses(q, wrench)).unidentifiable
+
+
+def test_a_motion_gives_all_ten_about_the_sensor() -> None:
+    rng = np.random.default_rng(3)
+    cut, centre = wrist(rng, mass=1.5)
+    t = np.arange(6000) / 500
+    phase = 0.4 * np.outer(t, np.arange(1, 7)) + np.arange(6)
+    speed = 0.4 * np.arange(1.0, 7.0)
+    q, qd, qdd = np.sin(phase), speed * np.cos(phase), -(speed**2) * np.sin(phase)
+    motion = tb.Motion(t, q, np.array(qd), np.array(qdd))
+    wrench = tb.base_wrench(cut, motion) + 0.1 * NOISE * rng.normal(size=(len(t), 6))
+    recording = tb.Recording(
+        cut.names, t, motion.q, wrench=wrench, velocity=motion.qd, acceleration=motion.qdd
+    )
+    found = tool_of(cut, tb.identify(cut, recording))
+    assert all(found.identifiable)
+    assert found.centre is not None
+    np.testing.assert_allclose(found.values[0], 1.5, rtol=1e-3)
+    np.testing.assert_allclose(found.centre[0], centre, atol=2e-4)
+    assert np.abs(found.values[0] - 1.5) < 5 * found.sigma[0]
+
+
+def test_a_table_is_read_as_people_write_it_and_refused_in_one_line(tmp_path: Path) -> None:
+    rng = np.random.default_rng(11)
+    cut, _ = wrist(rng)
+    table = at_rest(cut, 12, np.array([0, 0, -9.81]), rng)
+    heading = [*(name.upper() for name in cut.names), "fx", "fy", "fz", "mx", "my", "mz"]
+    rows = np.hstack([np.rad2deg(table.position), table.wrench])
+    for mark in (",", ";", "\t", " "):
+        file = tmp_path / "poses.txt"
+        lines = [mark.join(heading), *(mark.join(f"{x:.9g}" for x in row) for row in rows)]
+        file.write_text("\n".join(lines))
+        read = read_static_poses(file, cut, degrees=True)
+        np.testing.assert_allclose(read.position, table.position, atol=1e-8)
+        np.testing.assert_allclose(read.wrench, table.wrench, atol=1e-7)
+    for text in ("", "a,b\n1,2", ",".join(heading) + "\n" + "x," * 12, ",".join(heading)):
+        file.write_text(text)
+        with pytest.raises(RecordingError):
+            read_static_poses(file, cut)
+    with pytest.raises(SettingsError):
+        tool_at_rest(tb.load_tree(UR5), table)
+    with pytest.raises(SettingsError):
+        tool_at_rest(cut.with_gravity([0, 0, 0]), table)
+    words = ("tool", str(file), "--at-rest", "--model", str(UR5), "--sensor", "b6")
+    bad = command_line(*words, cwd=tmp_path)
+    assert (bad.returncode, bad.stderr.count("\n")) == (2, 1)
