@@ -57,6 +57,9 @@ COMMANDS = {
                 "values"),
     "payload, rest": (f"payload rest.parquet rest.parquet {ROBOT} --at-rest --json",
                       "payload robot"),
+    "tool": (f"tool one.parquet {ROBOT} --sensor link3 --json",
+             "centre chance covariance diagnostics identifiable joint names rank sigma units "
+             "values"),
     "report": ("report OUT/run --out OUT/run.html", ""),
     "view": (f"view OUT/run no_torque.parquet {ROBOT} --save OUT/run.rrd", ""),
     "campaign": ("campaign quick.toml --workers 0 --out OUT/many", ""),
