@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -85,13 +85,17 @@ class SampledRows:
     samples thousands of times.
     """
 
-    def __init__(self, tree: Tree, minimal: MinimalSet) -> None:
+    def __init__(
+        self, tree: Tree, minimal: MinimalSet, joints: Sequence[int] | None = None
+    ) -> None:
         """Lay the rows out.
 
         Args:
             tree: The robot, its inertias an a-priori model.
             minimal: delta_d for rows of the joints, delta_r for those of the bedplate.
+            joints: Columns of a motion that are the tree's, of a part of a robot; default all.
         """
+        self._joints = slice(None) if joints is None else np.array(joints)
         self.minimal = minimal
         self.layout: Layout = layout(tree, minimal)
         self.delta = minimal.values(barycentric(tree))
@@ -101,6 +105,7 @@ class SampledRows:
         """All slots, (slots, M), of a motion of M samples, (M, n) each."""
         from testbed.kernel import numba_engine  # a second to import: random motions do not need it
 
+        q, qd, qdd = (np.ascontiguousarray(each[:, self._joints]) for each in (q, qd, qdd))
         signals = sensed(q, qd, qdd, self._width)
         if self._room is None:
             self._room = numba_engine.workspace(self.layout, signals)

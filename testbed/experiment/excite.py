@@ -25,7 +25,7 @@ from testbed.excitation.limits import Limits
 from testbed.excitation.proof import Rules
 from testbed.excitation.rest_to_rest import RestToRest, rest_to_rest
 from testbed.excitation.samples import SampledRows
-from testbed.experiment.evaluate import robot_of
+from testbed.experiment.evaluate import model_of, robot_of
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.motions import motion_of, plate_noise_of, rules_of
 from testbed.experiment.results import versions
@@ -238,7 +238,12 @@ def _rows(experiment: Experiment, tree: Tree, rules: Rules) -> dict[Model, Sampl
         wanted.add("dynamic")
     zeros = experiment.identification.zeros
     order: tuple[Model, ...] = ("reaction", "dynamic")
-    return {m: SampledRows(tree, minimal_set(tree, m, zeros=zeros)) for m in order if m in wanted}
+    found = {m: SampledRows(tree, minimal_set(tree, m, zeros=zeros)) for m in order if m in wanted}
+    if experiment.robot.sensor is not None:
+        seen = experiment.robot.sensed(tree, model_of(experiment))
+        joints = [tree.index(name) for name in seen.names]
+        found["reaction"] = SampledRows(seen, minimal_set(seen, "reaction"), joints)
+    return found
 
 
 def _forecaster(experiment: Experiment, wish: Wish) -> Callable[[Fourier], Prediction]:
