@@ -285,6 +285,21 @@ def transmitted(
     return np.stack(joint_forces, axis=-2), whole
 
 
+def sensor_poses(tree: Tree, q: Array) -> tuple[Array, Array]:
+    """Rotation to the bedplate's axes (M, 3, 3) and origin (M, 3) [m] of what measures the wrench.
+
+    Args:
+        tree: The robot.
+        q: Joint positions, (M, n) [rad or m].
+    """
+    turn, place = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
+    if tree.sensor is None:
+        return turn, place
+    if tree.lead:
+        turn, place = poses(tree, q)[tree.lead - 1]
+    return turn @ tree.sensor.rotation, place + turn @ tree.sensor.position
+
+
 def sensor_transform(sensor: Placement) -> Array:
     """From a wrench about a body's origin in its axes to a sensor's, force first, (6, 6)."""
     back, nothing = sensor.rotation.T, np.zeros((3, 3))

@@ -193,6 +193,11 @@ class Run(Diagnosed):
         return replace(self, diagnostics=ordered([*self.diagnostics, *more]))
 
     @property
+    def instruments(self) -> dict[str, str]:
+        """By method, what it measures with."""
+        return dict(NAMES) | {m: each.instrument for m, each in self.estimates.items()}
+
+    @property
     def truths(self) -> dict[str, float]:
         """True values by parameter name; {} where they are not known."""
         return {} if self.score is None else self.score.truths

@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from testbed.arrays import Array
 from testbed.experiment.run import Run
 from testbed.experiment.score import Errors
-from testbed.identification.estimate import METHODS, NAMES, ROUNDING, Estimate, Method, by_influence
+from testbed.identification.estimate import METHODS, ROUNDING, Estimate, Method, by_influence
 from testbed.reporting.figures import APART, Panel, named_panels, power_of_ten
 from testbed.reporting.section import Section, Table
 
@@ -146,7 +146,8 @@ def dots_section(run: Run) -> Section | None:
     judged = bool(dots.sigmas)
     order = "Sorted by influence on the predicted forces"
     part = f"{order}; these are the first {MOST}." if len(dots.names) == MOST else f"{order}."
-    heads = [f"{'error' if judged else 'std'}, {NAMES[method]} [%]" for method in dots.errors]
+    what = "error" if judged else "std"
+    heads = [f"{what}, {run.instruments[method]} [%]" for method in dots.errors]
     return Section(
         id="errors",
         title="Parameter errors" if judged else "Standard deviations of the parameters",
@@ -156,7 +157,7 @@ def dots_section(run: Run) -> Section | None:
             if judged
             else "Estimated standard deviation divided by the value."
         ),
-        legend={method: NAMES[method] for method in dots.errors},
+        legend={method: run.instruments[method] for method in dots.errors},
         panels=dot_panels(dots),
         caption=f"Logarithmic scale. {part}",
         table=Table(
@@ -210,7 +211,8 @@ def plot(what: Run | Estimate) -> Picture:
     _draw(axis, dots)
     bar = Line2D([], [], color=COLOURS["faint"], linewidth=2.6, alpha=0.5)
     lines = [line for line in axis.get_lines() if line.get_marker() in FORMS.values()]
-    labels = [NAMES[method] for method in dots.errors]
+    named = what.instruments if isinstance(what, Run) else {what.method: what.instrument}
+    labels = [named[method] for method in dots.errors]
     if dots.sigmas:
         lines, labels = [*lines, bar], [*labels, "up to one sigma"]
     axis.legend(

@@ -41,7 +41,13 @@ ARROW = 0.4
 """Length of the force's and the moment's arrow, as part of the robot's reach."""
 
 
-def portrait(look: Appearance, motion: Array, wrench: Array | None, name: str) -> str:
+def portrait(
+    look: Appearance,
+    motion: Array,
+    wrench: Array | None,
+    name: str,
+    place: Array | None = None,
+) -> str:
     """The robot at the first of its postures, the paths of its ends, and the reaction on it.
 
     Args:
@@ -49,12 +55,14 @@ def portrait(look: Appearance, motion: Array, wrench: Array | None, name: str) -
         motion: Joint positions, (M, n) [rad or m].
         wrench: Of the bedplate on the robot at the first posture, (6,) [N, N m]; None for none.
         name: What the picture shows, for those who cannot see it.
+        place: Where the wrench is drawn, (3,) [m]; default beside the plate.
     """
     camera = view(EYE)
     placed = poses(look.tree, motion)
     solid, colours = _surfaces(look, placed)
     paths = [placed[j][1] + placed[j][0] @ point for j, point in look.tips.items()]
-    arrows = [] if wrench is None else _arrows(look, wrench)
+    place = look.corner if place is None else place
+    arrows = [] if wrench is None else _arrows(look, wrench, place)
     frame = 0.25 * look.reach * np.eye(3)
     every = np.concatenate([solid.reshape(-1, 3), *paths, *(ends for ends, *_ in arrows), frame])
     flat = every @ camera.T
@@ -133,7 +141,7 @@ def _surfaces(look: Appearance, placed: list[tuple[Array, Array]]) -> tuple[Arra
     return solid, np.concatenate(colours) * (0.5 + 0.5 * light)[:, None]
 
 
-def _arrows(look: Appearance, wrench: Array) -> list[tuple[Array, str, str]]:
+def _arrows(look: Appearance, wrench: Array, place: Array) -> list[tuple[Array, str, str]]:
     """Ends (2, 3) [m], colour and label of the force and the moment."""
     found = []
     for vector, colour, unit in (
@@ -142,10 +150,8 @@ def _arrows(look: Appearance, wrench: Array) -> list[tuple[Array, str, str]]:
     ):
         size = float(np.linalg.norm(vector))
         if size > 0:
-            tip = look.corner + vector / size * ARROW * look.reach
-            found.append(
-                (np.stack([look.corner, tip]), colour, f"{round_significant(size, 3):g} {unit}")
-            )
+            tip = place + vector / size * ARROW * look.reach
+            found.append((np.stack([place, tip]), colour, f"{round_significant(size, 3):g} {unit}"))
     return found
 
 

@@ -8,7 +8,10 @@ from dataclasses import is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from testbed.diagnostics import sentences
+from testbed.dynamics.newton_euler import sensor_poses
 from testbed.errors import plural
 from testbed.experiment.comparison import predict
 from testbed.experiment.experiment import Experiment
@@ -17,7 +20,7 @@ from testbed.experiment.results import read_run, versions
 from testbed.experiment.run import Run
 from testbed.experiment.summary import obtained, summary, verdict
 from testbed.files import replacing
-from testbed.identification.estimate import NAMES, OPEN_ZERO, Estimate, by_influence
+from testbed.identification.estimate import OPEN_ZERO, Estimate, by_influence
 from testbed.parameters.identifiability import identifiability
 from testbed.parameters.symbols import STANDARD
 from testbed.recordings.recording import Recording
@@ -118,7 +121,7 @@ def contents(run: Run) -> dict[str, Any]:
         "portrait": _portrait(run, look),
         "asked": asked(run),
         "methods": list(run.estimates),
-        "names": dict(NAMES),
+        "names": run.instruments,
         "has_truth": bool(run.truths),
         "parameters": parameter_rows(run),
         "in_brackets": _in_brackets(run),
@@ -153,16 +156,20 @@ def _portrait(run: Run, look: Appearance) -> dict[str, str]:
     shown = recording.time <= recording.time[0] + SHOWN
     step = max(1, int(shown.sum()) // 500)
     wrench = None if recording.wrench is None else recording.wrench[0]
+    place, what = None, "bedplate"
+    if wrench is not None and run.tree.sensor is not None:
+        turn, place = (each[0] for each in sensor_poses(run.tree, recording.position[:1]))
+        wrench, what = np.concatenate([turn @ wrench[:3], turn @ wrench[3:]]), "force sensor"
     name = f"The robot {run.tree.name} on its bedplate"
     paths = f"the paths of its ends over {seconds_shown(recording.time):.3g} s"
     caption = f"The robot as the recording begins, and {paths}."
     if wrench is not None:
         caption += (
-            " Red and blue, the bedplate's force and moment on it at that moment, about the "
-            "bedplate's origin."
+            f" Red and blue, the {what}'s force and moment on it at that moment, about the "
+            f"{what}'s origin."
         )
     motion = recording.position[shown][::step]
-    return {"svg": portrait(look, motion, wrench, name), "caption": caption}
+    return {"svg": portrait(look, motion, wrench, name, place), "caption": caption}
 
 
 def parameter_rows(run: Run) -> list[dict[str, Any]]:

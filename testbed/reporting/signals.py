@@ -11,7 +11,7 @@ from testbed.arrays import Array
 from testbed.experiment.comparison import Predictions, Signal
 from testbed.experiment.run import Run
 from testbed.experiment.summary import percent
-from testbed.identification.estimate import METHODS, NAMES, SIGNAL_OF, Method
+from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
 from testbed.reporting.bodies import bodies_section
 from testbed.reporting.drives import BAND, curve_lines, drive_section
 from testbed.reporting.figures import Panel, thinned
@@ -89,7 +89,7 @@ def _measured(found: Predictions, smooth: Predictions) -> Section:
         )
     seen = "the motion used for the fit"
     motion = "a held-out motion" if found.unseen else seen
-    methods = list(found.run.estimates)
+    methods, names = list(found.run.estimates), found.run.instruments
     return Section(
 id="prediction",
 title=f"Measured and predicted, on {motion}",
@@ -102,15 +102,15 @@ says=("Measured signals (grey) and predictions; residuals below. The force plate
             if _validated(found)
             else ""
         )),
-legend={"measured": "measured"} | {m: NAMES[m] for m in methods},
+legend={"measured": "measured"} | {m: names[m] for m in methods},
 panels=panels,
 shown=SHOWN_CHANNELS,
 caption=f"The first {seconds_shown(time):.3g} s, low-pass {CUTOFF:g} Hz.",
 table=Table([
             "channel", "unit", "spread (rms)",
-            *(f"residual rms, {NAMES[method]}" for method in methods),
-            *(f"of spread, {NAMES[method]}" for method in methods),
-            *(f"of expected residual, {NAMES[method]}" for method in _validated(found)),
+            *(f"residual rms, {names[method]}" for method in methods),
+            *(f"of spread, {names[method]}" for method in methods),
+            *(f"of expected residual, {names[method]}" for method in _validated(found)),
         ], rows),
 )  # fmt: skip
 
@@ -158,7 +158,8 @@ def _spectra(found: Predictions) -> Section:
             m: (rms_within(*spectra[m], 0.0, SLOW), rms_within(*spectra[m], SLOW, np.inf))
             for m in methods
         }
-        rows += [[name, unit, NAMES[m], *(f"{size:.3g}" for size in sizes[m])] for m in methods]
+        named = found.run.instruments
+        rows += [[name, unit, named[m], *(f"{size:.3g}" for size in sizes[m])] for m in methods]
         weights.append(max((slow / fast for slow, fast in sizes.values() if fast), default=0.0))
     return Section(
 id="spectra",
@@ -166,7 +167,7 @@ title="Residual spectra",
 says=("Amplitude spectral density of the residuals. White sensor noise is flat; encoder "
         "noise rises up to the cutoff of the position filter. Peaks at the frequencies of the "
         "motion are effects of the robot or its friction that the model does not contain."),
-legend={method: NAMES[method] for method in found.run.estimates},
+legend={method: found.run.instruments[method] for method in found.run.estimates},
 panels=telling_first(panels, weights),
 shown=SHOWN_OTHERS,
 caption=f"Welch's method, segments of at most 2048 samples; {_ordered(panels)}",

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from testbed.arrays import Array
-from testbed.dynamics.newton_euler import poses
+from testbed.arrays import Array, apply
+from testbed.dynamics.newton_euler import poses, sensor_poses
 from testbed.identification.consistency.consistent import robot_of
 from testbed.parameters.symbols import with_standard
 from testbed.robot.visuals.appearance import Appearance
@@ -107,9 +107,15 @@ def send_poses(
 
 
 def send_arrows(
-    stream: rr.RecordingStream, look: Appearance, time: Array, wrench: Array, scales: Array, at: str
+    stream: rr.RecordingStream,
+    look: Appearance,
+    time: Array,
+    wrench: Array,
+    scales: Array,
+    at: str,
+    places: Array | None = None,
 ) -> None:
-    """Force and moment over time, drawn beside the plate so that nothing hides them.
+    """Force and moment over time, drawn at a sensor, or beside the plate: nothing hides them.
 
     Args:
         stream: Where to.
@@ -118,14 +124,17 @@ def send_arrows(
         wrench: (M, 6) [N, N m].
         scales: What a newton and a newton metre are drawn as, (2,) [m].
         at: The bedplate's place among the entities.
+        places: Where they are drawn, (M, 3) [m]; default beside the plate.
     """
+    if places is None:
+        places = np.tile(look.corner, (len(time), 1))
     radius = ARROW * look.reach / 40
     for name, vectors, scale in zip(
         ("force", "moment"), (wrench[:, :3], wrench[:, 3:]), scales, strict=True
     ):
         columns = rr.Arrows3D.columns(
             vectors=vectors * scale,
-            origins=np.tile(look.corner, (len(time), 1)),
+            origins=places,
             colors=np.tile(np.array([COLOURS[name]], dtype=np.uint8), (len(time), 1)),
             radii=np.full(len(time), radius),
         )
@@ -143,7 +152,14 @@ def log_reaction(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
         max(float(np.linalg.norm(part, axis=1).max(initial=0.0)), 1e-9)
         for part in (wrench[:, :3], wrench[:, 3:])
     ]
-    send_arrows(stream, look, times, wrench, length / np.array(largest), at)
+    scales = length / np.array(largest)
+    tree = scene.run.tree
+    if tree.sensor is not None:
+        turn, places = sensor_poses(tree, scene.motion.q[::size])
+        turned = [apply(turn, part) for part in (wrench[:, :3], wrench[:, 3:])]
+        send_arrows(stream, look, times, np.hstack(turned), scales, at, places)
+        return
+    send_arrows(stream, look, times, wrench, scales, at)
     points = pressure(wrench)
     far = 3 * max(float(np.abs(look.corner).max()), look.reach / 3)
     there = (np.abs(points) < far).all(axis=1)  # false for what is not a number, too
