@@ -63,6 +63,12 @@ Write = Annotated[
 FixedLinks = Annotated[
     Fixed, typer.Option("--fixed", help="With --write: lump the mass of fixed bodies, or share it.")
 ]
+Plain = Annotated[
+    bool,
+    typer.Option(
+        "--plain", help="Of an imported recording: least squares, without the model file as prior."
+    ),
+]
 InPlace = Annotated[
     bool, typer.Option("--in-place", help="Allow --write to replace the model file.")
 ]
@@ -206,6 +212,7 @@ def identify(
     lock_mimic: LockMimic = False,
     plate: Plate = None,
     terms: Terms = None,
+    plain: Plain = False,
     consistent: ConsistentBodies = False,
     write: Write = None,
     fixed: FixedLinks = Fixed.lump,
@@ -220,14 +227,18 @@ def identify(
 
     Several recordings are combined into one estimate; they may be larger than memory. A method
     whose signal was not recorded is left out. Imported recordings are first checked against the
-    model: signs, units, order, encoder zeros, clocks.
+    model: signs, units, order, encoder zeros, clocks. Of parameters that they do not determine the
+    model file's bodies are the prior, and what the data add is said.
 
     Example: testbed identify recording.parquet --model models/puma562.xml --zeros
 
     Example: testbed identify recording.parquet --model robot.urdf --write identified.urdf
     """
+    from testbed.errors import UnseenParameters
+    from testbed.experiment.run import posteriors
     from testbed.identification.estimate import METHODS, NAMES, SIGNAL_OF
     from testbed.identification.identify import identify as identified
+    from testbed.recordings.views import is_imported
     from testbed.reporting import output, terminal
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms, sensor)
@@ -253,7 +264,18 @@ def identify(
         with output.Progress(f"identifying, {name}") as progress:
             return identified(tree, part, name, progress=progress, **how)
 
-    estimates = [estimate_of(source, name) for name in there or wanted]  # the first says what lacks
+    found: dict[Method, Estimate | None] = {}
+    for name in there or wanted:  # the first says what lacks
+        try:
+            found[name] = estimate_of(source, name)
+        except UnseenParameters as error:
+            if plain or not is_imported(source):
+                raise
+            found[name] = None
+            said.append(diagnose("estimate.missing", name, reason=error, name=NAMES[name]))
+    estimates = [each for each in found.values() if each is not None]
+    with output.Progress("comparing with the model file"):
+        added = posteriors(tree, source, found, table, gravity=gravity, threads=threads)
     bodies = None
     if writing.wanted:
         bodies = writing.bodies(reading, model, source, estimates, estimate_of)
@@ -261,10 +283,19 @@ def identify(
     if as_json:
         from testbed.experiment.results import identified as result_of
 
-        result = result_of(estimates, reading.model_file(model), reading.tables(), said, bodies)
+        file = reading.model_file(model)
+        worse = [each for one in added.values() for each in one.diagnostics]
+        result = result_of(estimates, file, reading.tables(), [*worse, *said], bodies, added)
         output.print_json(result.document())
     else:
-        terminal.print_estimates(estimates, said, bodies, everything=everything)
+        terminal.print_estimates(
+            estimates,
+            said,
+            bodies,
+            posteriors=list(added.values()),
+            plain=plain,
+            everything=everything,
+        )
         if write is not None:
             output.print_lines([f"model file: {write}"], ())
 
@@ -319,6 +350,7 @@ def validate(
                 settings=kept.settings,
                 threads=threads,
                 progress=progress,
+                models=kept.models.get(estimate.method),
             )
     if as_json:
         output.print_json({method: encode(each) for method, each in found.items()})

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,12 @@ from testbed.files import fingerprint, read_text, replacing
 from testbed.identification.calibration import Calibration
 from testbed.identification.estimate import METHODS, Method, channels_of
 from testbed.identification.estimate_summary import EstimateSummary
+from testbed.identification.selection.prediction_errors import (
+    CONSISTENT,
+    FILE,
+    POSTERIOR,
+    REFITTED,
+)
 from testbed.identification.sensor.correction import NUISANCES
 from testbed.identification.sensor.estimates import NuisanceEstimate
 from testbed.identification.settings import Settings
@@ -43,11 +49,13 @@ class KeptResult:
         tree: The robot.
         settings: How the signals were treated.
         estimates: One a method.
+        models: Values of the same unknowns by what else says them, by method.
     """
 
     tree: Tree
     settings: Settings
     estimates: tuple[EstimateSummary, ...]
+    models: Mapping[str, Mapping[str, Array]] = field(default_factory=dict)
 
 
 class _Model(Table):
@@ -64,6 +72,15 @@ class _Part(BaseModel):
 class _Nuisance(_Part):
     name: str
     value: Finite
+
+
+class _Values(_Part):
+    values: Array
+
+
+class _Posterior(_Values):
+    file: Array
+    refitted: Array
 
 
 class _Estimate(_Part):
@@ -114,7 +131,30 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
                 f"{path}: {each.method}: residual has {len(each.residual)} numbers, the robot has "
                 f"{plural(count, 'channel')}"
             )
-    return KeptResult(tree, identification, found)
+    models = {str(each.method): _models(content, each, path) for each in found}
+    return KeptResult(tree, identification, found, models)
+
+
+def _models(content: dict[str, Any], beside: EstimateSummary, path: Path) -> dict[str, Array]:
+    """What a result says of an estimate's unknowns besides: model file, prior, consistent bodies.
+
+    Raises:
+        ExperimentError: A part is not what it should be.
+    """
+    source = f"{path}: {beside.method}"
+    found: dict[str, Array] = {}
+    added = (content.get("posterior") or {}).get(beside.method)
+    if added is not None:
+        kept = checked(_Posterior, added, f"{source}: posterior")
+        found = {FILE: kept.file, REFITTED: kept.refitted, POSTERIOR: kept.values}
+    bodies = (content.get("consistent") or {}).get("bent", [])
+    for each in bodies if added is not None else []:
+        if each.get("method") == beside.method:
+            found[CONSISTENT] = checked(_Values, each, f"{source}: consistent").values
+    for values in found.values():
+        if values.shape != beside.values.shape or not np.isfinite(values).all():
+            raise ExperimentError(f"{source}: values beside the estimate's are finite, one a name")
+    return found
 
 
 def _json(path: Path) -> dict[str, Any]:
