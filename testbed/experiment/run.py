@@ -20,7 +20,7 @@ from testbed.identification.diagnostics.residuals import diagnostics_of
 from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
 from testbed.identification.estimate import METHODS, NAMES, Estimate, Method
 from testbed.identification.identify import identify
-from testbed.identification.posterior import PRIOR_ERROR, Posterior, posterior
+from testbed.identification.posterior import Posterior, posterior
 from testbed.identification.regression.passes import Progress
 from testbed.identification.selection.term_choice import with_chosen_terms
 from testbed.identification.sensor.correction import CalibrationCovariance
@@ -236,7 +236,7 @@ def posteriors(
     estimates: Mapping[Method, Estimate | None],
     settings: Settings,
     *,
-    prior_error: float = PRIOR_ERROR,
+    prior_error: float | None = None,
     gravity: ArrayLike | None = None,
     threads: int | None = None,
 ) -> dict[Method, Posterior]:
@@ -247,7 +247,7 @@ def posteriors(
         source: The recording; of one that a simulation made the model file is the truth.
         estimates: By least squares; None where the data do not determine all parameters.
         settings: How the signals are treated.
-        prior_error: Of the file's bodies, in parts of themselves.
+        prior_error: As for `posterior`.
         gravity: As for `identify`.
         threads: How many to use; default one a processor.
     """

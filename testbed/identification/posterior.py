@@ -28,12 +28,11 @@ from testbed.identification.selection.prediction_errors import (
     PLAIN,
     POSTERIOR,
     REFITTED,
-    Predicted,
     Prediction,
     PredictionErrors,
     prediction_errors,
 )
-from testbed.identification.selection.row_products import RowProducts, products_of
+from testbed.identification.selection.row_products import Parts, RowProducts, products_of
 from testbed.identification.selection.term_choice import with_chosen_terms
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.parameters.prior import Prior
@@ -41,7 +40,10 @@ from testbed.recordings.source import RecordingLike, Source
 from testbed.robot.tree import Tree
 
 PRIOR_ERROR = 0.5
-"""Of the model file's bodies, in parts of themselves, where nothing else is said."""
+"""Of the model file's bodies, in parts of themselves, by which a need of the prior is judged."""
+
+OFFERED = (0.05, 0.1, 0.2, 0.5, 1.0)
+"""Errors of the model file's bodies that are tried where none is said."""
 
 SHARP = 0.1
 """Standard deviation by the data, in parts of the prior's, up to which a direction needs no prior,
@@ -55,6 +57,9 @@ ROUNDS = 12
 
 FEWEST = 0.1
 """Part of a channel's rows that parameters leave at least to estimate its noise."""
+
+LEAST = 0.1
+"""Part of what the model file with its friction fitted leaves that noise is at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +79,8 @@ class Posterior(Diagnosed):
         share: Part of the prior's variance that the data remove, (p,).
         worth: How many parameters the data are worth: the trace of the resolution matrix.
         prior_error: Of the model file's bodies, in parts of themselves.
+        tried: By prior error, rms of what it leaves of held-out parts over what the file with its
+            friction fitted leaves; {} where it was given, or is not needed.
         used: Whether the prior is needed; else the values are those of least squares.
         errors: What it leaves of held-out parts, and what others do.
     """
@@ -90,6 +97,7 @@ class Posterior(Diagnosed):
     share: Array
     worth: float
     prior_error: float
+    tried: Mapping[float, float]
     used: bool
     errors: tuple[PredictionErrors, ...]
 
@@ -138,10 +146,12 @@ class LinearPrior:
     Attributes:
         mean: (p,).
         root: (p, r).
+        noise: Variance of each channel's noise at least, (C,) [N^2, N^2 m^2].
     """
 
     mean: Array
     root: Array
+    noise: Array
 
     @property
     def variance(self) -> Array:
@@ -171,7 +181,7 @@ def posterior(
     method: Method = "external",
     estimate: Estimate | None = None,
     *,
-    prior_error: float = PRIOR_ERROR,
+    prior_error: float | None = None,
     gravity: ArrayLike | None = None,
     settings: Settings = DEFAULTS,
     threads: int | None = None,
@@ -184,7 +194,8 @@ def posterior(
         prior: The bodies of the model file (`prior_of`).
         method: As for `identify`.
         estimate: By least squares, with the same settings; None where the data determine none.
-        prior_error: Of the file's bodies, in parts of themselves.
+        prior_error: Of the file's bodies, in parts of themselves; None for the one that predicts
+            the fast parts by the slow ones best, or, of a steady motion, each half by the other.
         gravity: As for `identify`.
         settings: As for `identify`.
         threads: How many to use; default one a processor.
@@ -203,22 +214,21 @@ def posterior(
     with one_blas_thread():
         parts = products_of(problem, source, plate and free)
         whole = parts.whole
-        before = linear_prior(problem, prior, prior_error, whole)
+        count, tried = problem.minimal.count, dict[float, float]()
+        error = prior_error or PRIOR_ERROR
+        before = linear_prior(problem, prior, error, whole)
         near = None if estimate is None else updated(estimate, before)
+        used = estimate is None or near is None or not np.array_equal(near.values, estimate.values)
+        if used and prior_error is None:
+            tried = {
+                each: _held_out(problem, prior, each, parts)[-1].over_file(POSTERIOR)
+                for each in OFFERED
+            }
+            error = min(tried, key=lambda each: tried[each])
+            before = linear_prior(problem, prior, error, whole)
+            near = None if estimate is None else updated(estimate, before)
         found = near or with_prior(whole, before)
-        used = estimate is None or not np.array_equal(found.values, estimate.values)
-        count = problem.minimal.count
-        errors = [
-            prediction_errors(
-                problem,
-                split.kind,
-                [
-                    (_predictions(seen, before, count, used=used), rest)
-                    for seen, rest in split.pairs
-                ],
-            )
-            for split in parts.splits
-        ]
+        errors = _held_out(problem, prior, error, parts, used=used)
         refitted = _refitted(whole, before.mean, count)
     left = np.diagonal(found.covariance)
     variance = before.variance
@@ -235,9 +245,10 @@ def posterior(
         covariance=found.covariance,
         share=np.clip(share, 0.0, 1.0),
         worth=found.worth,
-        prior_error=prior_error,
+        prior_error=error,
+        tried=tried,
         used=used,
-        errors=tuple(errors),
+        errors=errors,
     )
 
 
@@ -254,13 +265,15 @@ def linear_prior(problem: Problem, prior: Prior, error: float, rows: RowProducts
     bodies = problem.minimal.standard_matrix
     mean, root = np.zeros(len(problem.names)), np.zeros((len(problem.names), 10 * problem.tree.n))
     mean[:count], root[:count] = bodies @ prior.standard.ravel(), error * bodies @ prior.root
-    if drives is None:
-        return LinearPrior(mean, root)
-    equations = rows.equations(drives.columns, np.zeros(len(mean)))
-    size = np.einsum("cii->ci", equations.normal)
-    largest = equations.squares[:, None] / np.where(size > 0, size, np.inf)
-    mean = drives.values(np.zeros((problem.tree.n, 10)), problem.tree) + mean
-    return LinearPrior(mean, np.hstack([root, drives.columns * np.sqrt(largest.max(axis=0))]))
+    if drives is not None:
+        equations = rows.equations(drives.columns, np.zeros(len(mean)))
+        size, largest = np.einsum("cii->ci", equations.normal), equations.squares[:, None]
+        scale = np.sqrt((largest / np.where(size > 0, size, np.inf)).max(axis=0))
+        mean += drives.values(np.zeros((problem.tree.n, 10)), problem.tree)
+        root = np.hstack([root, drives.columns * scale])
+    left = _refitted(rows, mean, count)
+    noise = LEAST**2 * rows.squares(left, rows.constants(left)) / np.maximum(rows.rows, 1.0)
+    return LinearPrior(mean, root, np.maximum(noise, np.finfo(float).tiny))
 
 
 def with_prior(rows: RowProducts, prior: LinearPrior) -> LinearPosterior:
@@ -275,27 +288,22 @@ def with_prior(rows: RowProducts, prior: LinearPrior) -> LinearPosterior:
     """
     equations = rows.equations(prior.root, prior.mean)
     used = np.maximum(equations.used, 1.0)
-    floor = np.maximum(NOISELESS * equations.squares.max(initial=0.0), np.finfo(float).tiny)
-    variance = np.maximum(equations.squares, floor) / used
+    variance = np.maximum(equations.squares / used, prior.noise)
     repeated, z = np.ones(len(used)), np.zeros(prior.root.shape[1])
     after: Array = np.eye(len(z))
     for _ in range(ROUNDS):
         weights = np.diag(np.where(equations.used > 0, 1 / (variance * repeated), 0.0))
-        after = np.linalg.inv(equations.matrix(weights) + np.eye(len(z)))
+        after = np.asarray(np.linalg.inv(equations.matrix(weights) + np.eye(len(z))))
         z = after @ equations.vector(weights)
         correlation = rows.correlation(prior.mean + prior.root @ z)
         repeated = (1 + correlation) / (1 - correlation)
         lost = np.einsum("cij,ji->c", equations.normal, after) / variance
-        left = np.maximum(np.diagonal(equations.residual(z)), floor)
-        variance = left / np.maximum(used - lost, FEWEST * used)
+        left = np.diagonal(equations.residual(z)) / np.maximum(used - lost, FEWEST * used)
+        variance = np.maximum(left, prior.noise)
     values = prior.mean + prior.root @ z
     return LinearPosterior(
         values, prior.root @ after @ prior.root.T, len(z) - float(np.trace(after))
     )
-
-
-NOISELESS = 1e-14
-"""Part of the largest channel's square that is rounding."""
 
 
 def updated(estimate: Estimate, prior: LinearPrior) -> LinearPosterior | None:
@@ -324,6 +332,20 @@ def updated(estimate: Estimate, prior: LinearPrior) -> LinearPosterior | None:
     values = estimate.values - lead @ (needed * after * gap)
     covariance = estimate.covariance - (lead * needed * after / sharpness) @ lead.T
     return LinearPosterior(values, covariance, float((sharpness / (1 + sharpness)).sum()))
+
+
+def _held_out(
+    problem: Problem, prior: Prior, error: float, parts: Parts, *, used: bool = True
+) -> tuple[PredictionErrors, ...]:
+    """What the model file and fits of some parts leave of others, split by split."""
+    before, found = linear_prior(problem, prior, error, parts.whole), []
+    for split in parts.splits:
+        pairs = [
+            (_predictions(seen, before, problem.minimal.count, used=used), rest)
+            for seen, rest in split.pairs
+        ]
+        found.append(prediction_errors(problem, split.kind, pairs))
+    return tuple(found)
 
 
 def _refitted(rows: RowProducts, start: Array, count: int) -> Array:

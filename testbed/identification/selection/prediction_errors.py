@@ -54,10 +54,17 @@ class PredictionErrors:
 
     @property
     def best(self) -> str:
-        """What leaves least of all channels, each in parts of its signal."""
-        size = np.maximum(self.signal, np.finfo(float).tiny)
-        left = {name: np.nansum((each / size) ** 2) for name, each in self.residual.items()}
-        return min(left, key=lambda name: float(left[name]))
+        """What leaves least."""
+        return min(self.residual, key=self.over_file)
+
+    def over_file(self, which: str) -> float:
+        """Rms over channels of what is left, over what the file with its friction fitted leaves.
+
+        Args:
+            which: What predicts.
+        """
+        file = np.maximum(self.residual[REFITTED], np.finfo(float).tiny)
+        return float(np.sqrt(np.nanmean((self.residual[which] / file) ** 2)))
 
     def worse_than_file(self, which: str) -> Iterator[Diagnostic]:
         """Channels that are predicted worse than by the model file with its friction fitted.
@@ -84,11 +91,10 @@ class PredictionErrors:
 Prediction = tuple[Array, Array]
 """Values of the unknowns, (p,), and constants of the channels, (C,)."""
 
-Predicted = tuple[Mapping[str, Prediction], RowProducts]
-"""Predictions by what makes them, and the rows that these are held against."""
 
-
-def prediction_errors(problem: Problem, of: str, pairs: Iterable[Predicted]) -> PredictionErrors:
+def prediction_errors(
+    problem: Problem, of: str, pairs: Iterable[tuple[Mapping[str, Prediction], RowProducts]]
+) -> PredictionErrors:
     """What predictions leave of rows.
 
     Args:

@@ -46,8 +46,8 @@ class RowProducts:
     offset: bool
 
     def __add__(self, other: RowProducts) -> RowProducts:
-        sums = self.products + other.products, self.lagged + other.lagged
-        return RowProducts(self.unknowns, self.channels, *sums, self.offset)
+        products, lagged = self.products + other.products, self.lagged + other.lagged
+        return RowProducts(self.unknowns, self.channels, products, lagged, self.offset)
 
     @property
     def rows(self) -> Array:
@@ -191,6 +191,7 @@ def products_of(problem: Problem, source: Source, offset: bool) -> Parts:
             speed[k] += (moving[0, own] ** 2).sum(axis=0)
         last, first = block[:, -1:], first + block.shape[1]
     parts = [
-        RowProducts(problem.names, channels, *pair, offset) for pair in zip(*sums, strict=True)
+        RowProducts(problem.names, channels, own, lagged, offset)
+        for own, lagged in zip(*sums, strict=True)
     ]
     return Parts(tuple(parts), speed / np.maximum(np.diff(ends), 1)[:, None])
