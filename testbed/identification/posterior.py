@@ -45,10 +45,6 @@ PRIOR_ERROR = 0.5
 OFFERED = (0.05, 0.1, 0.2, 0.5, 1.0)
 """Errors of the model file's bodies that are tried where none is said."""
 
-SHARP = 0.1
-"""Standard deviation by the data, in parts of the prior's, up to which a direction needs no prior,
-where others do."""
-
 DETERMINED = 0.9
 """Share of the prior's variance that the data remove of a parameter that they determine."""
 
@@ -217,8 +213,7 @@ def posterior(
         count, tried = problem.minimal.count, dict[float, float]()
         error = prior_error or PRIOR_ERROR
         before = linear_prior(problem, prior, error, whole)
-        near = None if estimate is None else updated(estimate, before)
-        used = estimate is None or near is None or not np.array_equal(near.values, estimate.values)
+        used = estimate is None or not determines(estimate, before)
         if used and prior_error is None:
             tried = {
                 each: _held_out(problem, prior, each, parts)[-1].over_file(POSTERIOR)
@@ -226,8 +221,7 @@ def posterior(
             }
             error = min(tried, key=lambda each: tried[each])
             before = linear_prior(problem, prior, error, whole)
-            near = None if estimate is None else updated(estimate, before)
-        found = near or with_prior(whole, before)
+        found = with_prior(whole, before) if used or estimate is None else _alone(estimate, before)
         errors = _held_out(problem, prior, error, parts, used=used)
         refitted = _refitted(whole, before.mean, count)
     left = np.diagonal(found.covariance)
@@ -306,32 +300,23 @@ def with_prior(rows: RowProducts, prior: LinearPrior) -> LinearPosterior:
     )
 
 
-def updated(estimate: Estimate, prior: LinearPrior) -> LinearPosterior | None:
-    """An estimate with the prior in directions that the data do not determine sharply.
+def determines(estimate: Estimate, prior: LinearPrior) -> bool:
+    """Whether the data alone determine every parameter: then no prior is needed.
 
     Args:
         estimate: By least squares.
         prior: Of its unknowns.
-
-    Returns:
-        The estimate itself where the data alone determine every parameter; None where they say
-        less than the prior of some direction: parameters imitate noise there, and the estimate's
-        covariance is too small.
     """
-    rank = np.linalg.matrix_rank(prior.root)
+    most = (1 / DETERMINED - 1) * prior.variance
+    return bool((np.diagonal(estimate.covariance) < most).all())
+
+
+def _alone(estimate: Estimate, prior: LinearPrior) -> LinearPosterior:
+    """The estimate itself, and what its data are worth."""
     information = prior.root.T @ scaled_inverse(estimate.covariance) @ prior.root
-    size, axes = np.linalg.eigh(information)
-    sharpness, axes = size[-rank:], axes[:, -rank:]
-    if rank < len(prior.mean) or sharpness.min() < 1:
-        return None
-    lead = prior.root @ axes  # directions in which data and prior are independent
-    open_ones = np.diagonal(estimate.covariance) > (1 / DETERMINED - 1) * prior.variance
-    needed = (sharpness < SHARP**-2) & open_ones.any()
-    after = 1 / (sharpness + needed)
-    gap = np.linalg.solve(lead, estimate.values - prior.mean)
-    values = estimate.values - lead @ (needed * after * gap)
-    covariance = estimate.covariance - (lead * needed * after / sharpness) @ lead.T
-    return LinearPosterior(values, covariance, float((sharpness / (1 + sharpness)).sum()))
+    sharpness = np.linalg.eigvalsh(information)
+    worth = float((sharpness / (1 + sharpness)).sum())
+    return LinearPosterior(estimate.values, estimate.covariance, worth)
 
 
 def _held_out(
