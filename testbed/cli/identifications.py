@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -112,7 +112,9 @@ class Writing:
         from testbed.identification.consistency.options import ConsistencyOptions
         from testbed.robot.write_model import check_place
 
-        if not self.wanted and reading.tables().consistent != ConsistencyOptions():
+        default = ConsistencyOptions()
+        asked = replace(reading.tables().consistent, prior_error=default.prior_error)
+        if not self.wanted and asked != default:
             raise SettingsError("--set consistent... needs --consistent")
         if self.in_place and self.write is None:
             raise SettingsError("--in-place needs --write FILE")
@@ -127,6 +129,7 @@ class Writing:
         source: Source,
         estimates: Sequence[Estimate],
         identified: Callable[[Source, Method], Estimate],
+        chosen: Iterable[float],
     ) -> Consistent:
         """The consistent bodies.
 
@@ -136,6 +139,7 @@ class Writing:
             source: The recording.
             estimates: Of the recording.
             identified: Makes an estimate of a part of it.
+            chosen: Errors of the model file that held-out data choose, where none is said.
 
         Raises:
             SettingsError: No bodies are as is wished.
@@ -148,6 +152,8 @@ class Writing:
 
         tree = with_gear(reading.tree(model), source)
         options = reading.tables().consistent
+        if reading.prior_error is None and options.prior_error != "chosen":
+            options = replace(options, prior_error=min(chosen, default=options.prior_error))
         file = reading.model_file(model)
         prior = prior_from(tree, file, shapes=options.centres_in_shapes)
         part = samples_of(source, reading.tables().identification)
@@ -275,10 +281,19 @@ def identify(
             said.append(diagnose("estimate.missing", name, reason=error, name=NAMES[name]))
     estimates = [each for each in found.values() if each is not None]
     with output.Progress("comparing with the model file"):
-        added = posteriors(tree, source, found, table, gravity=gravity, threads=threads)
+        added = posteriors(
+            tree,
+            source,
+            found,
+            table,
+            prior_error=reading.prior_error,
+            gravity=gravity,
+            threads=threads,
+        )
     bodies = None
     if writing.wanted:
-        bodies = writing.bodies(reading, model, source, estimates, estimate_of)
+        chosen = [each.prior_error for each in added.values() if each.tried]
+        bodies = writing.bodies(reading, model, source, estimates, estimate_of, chosen)
         said += [*bodies.diagnostics, *writing.written(bodies, reading, model, recordings)]
     if as_json:
         from testbed.experiment.results import identified as result_of

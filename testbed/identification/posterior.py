@@ -48,7 +48,7 @@ OFFERED = (0.05, 0.1, 0.2, 0.5, 1.0)
 DETERMINED = 0.9
 """Share of the prior's variance that the data remove of a parameter that they determine."""
 
-ROUNDS = 12
+ROUNDS = 6
 """Times that the noise of the channels is estimated anew."""
 
 FEWEST = 0.1
@@ -289,7 +289,7 @@ def with_prior(rows: RowProducts, prior: LinearPrior) -> LinearPosterior:
         weights = np.diag(np.where(equations.used > 0, 1 / (variance * repeated), 0.0))
         after = np.asarray(np.linalg.inv(equations.matrix(weights) + np.eye(len(z))))
         z = after @ equations.vector(weights)
-        correlation = rows.correlation(prior.mean + prior.root @ z)
+        correlation = rows.correlation(prior.mean + prior.root @ z, prior.noise * used)
         repeated = (1 + correlation) / (1 - correlation)
         lost = np.einsum("cij,ji->c", equations.normal, after) / variance
         left = np.diagonal(equations.residual(z)) / np.maximum(used - lost, FEWEST * used)

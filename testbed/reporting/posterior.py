@@ -19,7 +19,7 @@ from testbed.reporting.section import Table
 
 HEADS = {
     FILE: "model file",
-    REFITTED: "with friction fitted",
+    REFITTED: "file, friction fitted",
     PLAIN: "least squares",
     POSTERIOR: "with prior",
     CONSISTENT: "consistent bodies",
@@ -27,13 +27,14 @@ HEADS = {
 
 
 def posterior_table(found: Posterior, most: int | None = None) -> Table:
-    """Model file and estimate, with the share of the data; first what the data determine best.
+    """Model file and estimate, with the share of the data; first bodies, by that share.
 
     Args:
         found: By one method.
         most: Rows; None for all.
     """
-    order = np.argsort(-found.share, kind="stable")[:most].tolist()
+    bodies = np.argsort(-found.share[: found.count], kind="stable")
+    order = [*bodies.tolist(), *range(found.count, len(found.names))][:most]
     sigma, before = found.sigma.tolist(), found.prior_sigma.tolist()
     rows = [
         [
@@ -63,6 +64,7 @@ def errors_table(found: PredictionErrors) -> Table:
         [name, unit, f"{found.signal[c]:.3g}", *(f"{x[c]:.3g}" for x in found.residual.values())]
         for c, (name, unit) in enumerate(zip(found.channels, found.units, strict=True))
     ]
-    heads = ["channel", "unit", "signal", *(HEADS[name] for name in found.residual)]
+    names = HEADS | ({REFITTED: "file, zero fitted"} if found.method == "external" else {})
+    heads = ["channel", "unit", "signal", *(names[name] for name in found.residual)]
     title = f"{NAMES[found.method]}: rms error of predictions of {phrase(found.of)}"
     return Table(heads, rows, title, ["unit"])

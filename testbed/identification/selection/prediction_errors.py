@@ -81,8 +81,9 @@ class PredictionErrors:
                 method=self.method,
                 predicts=phrase(which),
                 of=phrase(self.of),
+                file=phrase(REFITTED),
                 residual=own[c],
-                file=file[c],
+                least=file[c],
                 unit=self.units[c],
                 best=phrase(self.best),
             )

@@ -90,10 +90,15 @@ class RowProducts:
         """
         return np.maximum(_inner(self.products, _ends(values, constants)), 0.0)
 
-    def correlation(self, values: Array) -> Array:
-        """Of residuals with those of the next row, (C,); none below zero."""
+    def correlation(self, values: Array, least: Array) -> Array:
+        """Of residuals with those of the next row, (C,); none below zero.
+
+        Args:
+            values: Of the unknowns, (p,).
+            least: Sum of squares below which residuals are rounding, (C,).
+        """
         ends = _ends(values, self.constants(values))
-        square = np.maximum(_inner(self.products, ends), np.finfo(float).tiny)
+        square = np.maximum(_inner(self.products, ends), least)
         return np.clip(_inner(self.lagged, ends) / square, 0.0, LONGEST)
 
 
