@@ -40,7 +40,7 @@ from testbed.recordings.source import RecordingLike, Source
 from testbed.robot.tree import Tree
 
 PRIOR_ERROR = 0.5
-"""Of the model file's bodies, in parts of themselves, by which a need of the prior is judged."""
+"""Of the model file's bodies, in parts of themselves, unless held-out parts ask for another."""
 
 OFFERED = (0.05, 0.1, 0.2, 0.5, 1.0)
 """Errors of the model file's bodies that are tried where none is said."""
@@ -191,7 +191,8 @@ def posterior(
         method: As for `identify`.
         estimate: By least squares, with the same settings; None where the data determine none.
         prior_error: Of the file's bodies, in parts of themselves; None for the one that predicts
-            the fast parts by the slow ones best, or, of a steady motion, each half by the other.
+            the fast parts by the slow ones best, or, of a steady motion, each half by the other:
+            motion of another kind alone can ask for more than `PRIOR_ERROR`.
         gravity: As for `identify`.
         settings: As for `identify`.
         threads: How many to use; default one a processor.
@@ -218,8 +219,9 @@ def posterior(
             tried = {
                 each: _held_out(problem, prior, each, parts)[-1].over_file(POSTERIOR)
                 for each in OFFERED
+                if each <= PRIOR_ERROR or len(parts.splits) > 1
             }
-            error = min(tried, key=lambda each: tried[each])
+            error = min(reversed(tried), key=lambda each: tried[each])
             before = linear_prior(problem, prior, error, whole)
         found = with_prior(whole, before) if used or estimate is None else _alone(estimate, before)
         errors = _held_out(problem, prior, error, parts, used=used)
