@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -128,7 +128,6 @@ class Writing:
         model: Path,
         source: Source,
         estimates: Sequence[Estimate],
-        identified: Callable[[Source, Method], Estimate],
         chosen: Iterable[float],
     ) -> Consistent:
         """The consistent bodies.
@@ -138,7 +137,6 @@ class Writing:
             model: The model file.
             source: The recording.
             estimates: Of the recording.
-            identified: Makes an estimate of a part of it.
             chosen: Errors of the model file that held-out data choose, where none is said.
 
         Raises:
@@ -156,9 +154,10 @@ class Writing:
             options = replace(options, prior_error=min(chosen, default=options.prior_error))
         file = reading.model_file(model)
         prior = prior_from(tree, file, shapes=options.centres_in_shapes)
-        part = samples_of(source, reading.tables().identification)
+        table = reading.tables().identification
+        part = samples_of(source, table)
         with output.Progress("computing consistent bodies"):
-            return consistent_by_held_out(tree, estimates, prior, options, part, identified)
+            return consistent_by_held_out(tree, estimates, prior, options, part, table)
 
     def written(
         self, found: Consistent, reading: Reading, model: Path, recordings: Sequence[Path]
@@ -259,21 +258,20 @@ def identify(
     said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking]
     said += [*tree.diagnostics, *accepted]
 
-    def estimate_of(part: Source, name: Method) -> Estimate:
-        """By one method, of the recording or of a part of it."""
-        how: dict[str, Any] = {
-            "gravity": gravity,
-            "settings": table,
-            "doubt": doubt,
-            "threads": threads,
-        }
-        with output.Progress(f"identifying, {name}") as progress:
-            return identified(tree, part, name, progress=progress, **how)
-
     found: dict[Method, Estimate | None] = {}
     for name in there or wanted:  # the first says what lacks
         try:
-            found[name] = estimate_of(source, name)
+            with output.Progress(f"identifying, {name}") as progress:
+                found[name] = identified(
+                    tree,
+                    source,
+                    name,
+                    gravity=gravity,
+                    settings=table,
+                    doubt=doubt,
+                    threads=threads,
+                    progress=progress,
+                )
         except UnseenParameters as error:
             if plain or not is_imported(source):
                 raise
@@ -293,7 +291,7 @@ def identify(
     bodies = None
     if writing.wanted:
         chosen = [each.prior_error for each in added.values() if each.tried]
-        bodies = writing.bodies(reading, model, source, estimates, estimate_of, chosen)
+        bodies = writing.bodies(reading, model, source, estimates, chosen)
         said += [*bodies.diagnostics, *writing.written(bodies, reading, model, recordings)]
     if as_json:
         from testbed.experiment.results import identified as result_of

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from testbed.arrays import Array
-from testbed.codec import from_json
+from testbed.codec import decode, from_json
 from testbed.errors import ExperimentError, plural
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.experiment import Experiment, RecordingTables
@@ -22,12 +22,7 @@ from testbed.files import fingerprint, read_text, replacing
 from testbed.identification.calibration import Calibration
 from testbed.identification.estimate import METHODS, Method, channels_of
 from testbed.identification.estimate_summary import EstimateSummary
-from testbed.identification.selection.prediction_errors import (
-    CONSISTENT,
-    FILE,
-    POSTERIOR,
-    REFITTED,
-)
+from testbed.identification.posterior import Posterior
 from testbed.identification.sensor.correction import NUISANCES
 from testbed.identification.sensor.estimates import NuisanceEstimate
 from testbed.identification.settings import Settings
@@ -72,15 +67,6 @@ class _Part(BaseModel):
 class _Nuisance(_Part):
     name: str
     value: Finite
-
-
-class _Values(_Part):
-    values: Array
-
-
-class _Posterior(_Values):
-    file: Array
-    refitted: Array
 
 
 class _Estimate(_Part):
@@ -131,30 +117,27 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
                 f"{path}: {each.method}: residual has {len(each.residual)} numbers, the robot has "
                 f"{plural(count, 'channel')}"
             )
-    models = {str(each.method): _models(content, each, path) for each in found}
+    models = {str(each.method): _added(content, each, path) for each in found}
     return KeptResult(tree, identification, found, models)
 
 
-def _models(content: dict[str, Any], beside: EstimateSummary, path: Path) -> dict[str, Array]:
-    """What a result says of an estimate's unknowns besides: model file, prior, consistent bodies.
+def _added(content: dict[str, Any], beside: EstimateSummary, path: Path) -> dict[str, Array]:
+    """What a result says of an estimate's unknowns besides, by what says it.
 
     Raises:
         ExperimentError: A part is not what it should be.
     """
-    source = f"{path}: {beside.method}"
-    found: dict[str, Array] = {}
-    added = (content.get("posterior") or {}).get(beside.method)
-    if added is not None:
-        kept = checked(_Posterior, added, f"{source}: posterior")
-        found = {FILE: kept.file, REFITTED: kept.refitted, POSTERIOR: kept.values}
-    bodies = (content.get("consistent") or {}).get("bent", [])
-    for each in bodies if added is not None else []:
-        if each.get("method") == beside.method:
-            found[CONSISTENT] = checked(_Values, each, f"{source}: consistent").values
-    for values in found.values():
-        if values.shape != beside.values.shape or not np.isfinite(values).all():
-            raise ExperimentError(f"{source}: values beside the estimate's are finite, one a name")
-    return found
+    kept = (content.get("posterior") or {}).get(beside.method)
+    if kept is None:
+        return {}
+    source = f"{path}: {beside.method}: posterior"
+    try:
+        found: Posterior = decode(Posterior, kept, {})
+    except ValueError as error:
+        raise ExperimentError(f"{source}: {error}") from None
+    if found.names != beside.names or not all(np.isfinite(x).all() for x in found.models.values()):
+        raise ExperimentError(f"{source}: its values are not finite, or of other parameters")
+    return found.models
 
 
 def _json(path: Path) -> dict[str, Any]:

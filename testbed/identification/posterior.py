@@ -8,7 +8,7 @@ the prior is left out, and the estimate is that of least squares.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,14 +21,13 @@ from testbed.diagnostics import Diagnosed, Diagnostic
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.estimate_summary import corrected_by, summary_of
 from testbed.identification.problem import Problem
-from testbed.identification.regression.normal_equations import scaled_inverse, scaled_solve
+from testbed.identification.regression.normal_equations import scaled_solve
 from testbed.identification.regression.solvers import noise_weights
 from testbed.identification.selection.prediction_errors import (
     FILE,
     PLAIN,
     POSTERIOR,
     REFITTED,
-    Prediction,
     PredictionErrors,
     prediction_errors,
 )
@@ -154,20 +153,17 @@ class LinearPrior:
         """(p,)."""
         return np.asarray((self.root**2).sum(axis=1))
 
+    def worth(self, covariance: Array) -> float:
+        """How many parameters data are worth: the trace of the resolution, 1 - C P^-1.
 
-@dataclass(frozen=True, eq=False)
-class LinearPosterior:
-    """Unknowns after the data.
-
-    Attributes:
-        values: (p,).
-        covariance: (p, p).
-        worth: Trace of the resolution matrix.
-    """
-
-    values: Array
-    covariance: Array
-    worth: float
+        Args:
+            covariance: C after the data, (p, p).
+        """
+        size = np.sqrt(np.where(self.variance > 0, self.variance, 1.0))
+        root, after = self.root / size[:, None], covariance / np.outer(size, size)
+        inverse = np.linalg.pinv(root)
+        left = np.einsum("ij,jk,ik", inverse, after, inverse)
+        return float(np.linalg.matrix_rank(root) - left)
 
 
 def posterior(
@@ -201,51 +197,84 @@ def posterior(
         RecordingError: As `identify`.
     """
     made = [] if estimate is None else [estimate]
+    problem, parts = _parts(tree, recording, method, made, gravity, settings, threads)
+    with one_blas_thread():
+        error, tried = prior_error or PRIOR_ERROR, dict[float, float]()
+        before = linear_prior(problem, prior, error, parts.whole)
+        used = not any(determines(each, before) for each in made)
+        if used and prior_error is None:
+            offered = [e for e in OFFERED if e <= PRIOR_ERROR or len(parts.splits) > 1]
+            tried = errors_of_held_out(problem, prior, parts, offered)
+            error = min(reversed(tried), key=lambda each: tried[each])
+            before = linear_prior(problem, prior, error, parts.whole)
+        values, covariance = with_prior(parts.whole, before)
+        if not used:
+            values, covariance = made[0].values, np.array(made[0].covariance)
+        count = problem.minimal.count
+        variance = np.maximum(before.variance, np.finfo(float).tiny)
+        return Posterior(
+            method=method,
+            names=problem.names,
+            units=problem.units,
+            count=count,
+            file=before.mean,
+            refitted=_refitted(parts.whole, before.mean, count),
+            prior_sigma=np.sqrt(before.variance),
+            values=values,
+            covariance=covariance,
+            share=np.clip(1 - np.diagonal(covariance) / variance, 0.0, 1.0),
+            worth=before.worth(covariance),
+            prior_error=error,
+            tried=tried,
+            used=used,
+            errors=_held_out(problem, before, parts, used=used),
+        )
+
+
+def chosen_prior_error(
+    tree: Tree,
+    recording: RecordingLike,
+    prior: Prior,
+    estimates: Sequence[Estimate],
+    offered: Sequence[float],
+    settings: Settings = DEFAULTS,
+) -> dict[float, float]:
+    """By error of the bodies, rms of what it leaves of held-out parts over what the file leaves.
+
+    Args:
+        tree: The robot.
+        recording: That of the estimates.
+        prior: The bodies of the model file.
+        estimates: By least squares, one a method, with the same settings.
+        offered: Errors, in parts of the bodies.
+        settings: As for `identify`.
+    """
+    squares = dict.fromkeys(offered, 0.0)
+    for each in estimates:
+        problem, parts = _parts(tree, recording, each.method, [each], each.gravity, settings, None)
+        with one_blas_thread():
+            for error, left in errors_of_held_out(problem, prior, parts, offered).items():
+                squares[error] += left**2 / len(estimates)
+    return {error: float(np.sqrt(square)) for error, square in squares.items()}
+
+
+def _parts(
+    tree: Tree,
+    recording: RecordingLike,
+    method: Method,
+    made: Sequence[Estimate],
+    gravity: ArrayLike | None,
+    settings: Settings,
+    threads: int | None,
+) -> tuple[Problem, Parts]:
+    """A problem, and its rows, faults of the instrument that an estimate found taken back."""
     settings = with_chosen_terms(settings, made)
     problem = Problem.of(tree, recording, method, settings, gravity=gravity, threads=threads)
-    source = problem.source
+    source, free = problem.source, "bias" in problem.settings.nuisances or not made
     for each in made:
         source = corrected_by(source, problem.tree, summary_of(each))
-    plate = method == "external"
-    free = estimate is None or bool(estimate.unidentifiable) or "bias" in settings.nuisances
-    with one_blas_thread():
-        parts = products_of(problem, source, plate and free)
-        whole = parts.whole
-        count, tried = problem.minimal.count, dict[float, float]()
-        error = prior_error or PRIOR_ERROR
-        before = linear_prior(problem, prior, error, whole)
-        used = estimate is None or not determines(estimate, before)
-        if used and prior_error is None:
-            tried = {
-                each: _held_out(problem, prior, each, parts)[-1].over_file(POSTERIOR)
-                for each in OFFERED
-                if each <= PRIOR_ERROR or len(parts.splits) > 1
-            }
-            error = min(reversed(tried), key=lambda each: tried[each])
-            before = linear_prior(problem, prior, error, whole)
-        found = with_prior(whole, before) if used or estimate is None else _alone(estimate, before)
-        errors = _held_out(problem, prior, error, parts, used=used)
-        refitted = _refitted(whole, before.mean, count)
-    left = np.diagonal(found.covariance)
-    variance = before.variance
-    share = 1 - np.divide(left, variance, out=np.ones_like(left), where=variance > 0)
-    return Posterior(
-        method=method,
-        names=problem.names,
-        units=problem.units,
-        count=count,
-        file=before.mean,
-        refitted=refitted,
-        prior_sigma=np.sqrt(variance),
-        values=found.values,
-        covariance=found.covariance,
-        share=np.clip(share, 0.0, 1.0),
-        worth=found.worth,
-        prior_error=error,
-        tried=tried,
-        used=used,
-        errors=errors,
-    )
+        free = free or bool(each.unidentifiable)
+    return problem, products_of(problem, source, free and method == "external")
 
 
 def linear_prior(problem: Problem, prior: Prior, error: float, rows: RowProducts) -> LinearPrior:
@@ -272,7 +301,7 @@ def linear_prior(problem: Problem, prior: Prior, error: float, rows: RowProducts
     return LinearPrior(mean, root, np.maximum(noise, np.finfo(float).tiny))
 
 
-def with_prior(rows: RowProducts, prior: LinearPrior) -> LinearPosterior:
+def with_prior(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
     """Least squares with a prior, under noise that its own residuals show.
 
     A channel's noise is as strong as what is left, and (1 + r) / (1 - r) rows of a correlation r
@@ -281,6 +310,9 @@ def with_prior(rows: RowProducts, prior: LinearPrior) -> LinearPosterior:
     Args:
         rows: Products of the rows that are used.
         prior: Of the unknowns.
+
+    Returns:
+        Values, (p,), and their covariance, (p, p).
     """
     equations = rows.equations(prior.root, prior.mean)
     used = np.maximum(equations.used, 1.0)
@@ -296,10 +328,7 @@ def with_prior(rows: RowProducts, prior: LinearPrior) -> LinearPosterior:
         lost = np.einsum("cij,ji->c", equations.normal, after) / variance
         left = np.diagonal(equations.residual(z)) / np.maximum(used - lost, FEWEST * used)
         variance = np.maximum(left, prior.noise)
-    values = prior.mean + prior.root @ z
-    return LinearPosterior(
-        values, prior.root @ after @ prior.root.T, len(z) - float(np.trace(after))
-    )
+    return prior.mean + prior.root @ z, prior.root @ after @ prior.root.T
 
 
 def determines(estimate: Estimate, prior: LinearPrior) -> bool:
@@ -313,24 +342,36 @@ def determines(estimate: Estimate, prior: LinearPrior) -> bool:
     return bool((np.diagonal(estimate.covariance) < most).all())
 
 
-def _alone(estimate: Estimate, prior: LinearPrior) -> LinearPosterior:
-    """The estimate itself, and what its data are worth."""
-    information = prior.root.T @ scaled_inverse(estimate.covariance) @ prior.root
-    sharpness = np.linalg.eigvalsh(information)
-    worth = float((sharpness / (1 + sharpness)).sum())
-    return LinearPosterior(estimate.values, estimate.covariance, worth)
+def errors_of_held_out(
+    problem: Problem, prior: Prior, parts: Parts, offered: Sequence[float]
+) -> dict[float, float]:
+    """By error of the bodies, what it leaves of parts of another kind, or of halves.
+
+    Args:
+        problem: The recording.
+        prior: The bodies of the model file.
+        parts: Of the recording.
+        offered: Errors, in parts of the bodies.
+    """
+    tried = {each: linear_prior(problem, prior, each, parts.whole) for each in offered}
+    return {
+        each: _held_out(problem, before, parts)[-1].over_file(POSTERIOR)
+        for each, before in tried.items()
+    }
 
 
 def _held_out(
-    problem: Problem, prior: Prior, error: float, parts: Parts, *, used: bool = True
+    problem: Problem, prior: LinearPrior, parts: Parts, *, used: bool = True
 ) -> tuple[PredictionErrors, ...]:
     """What the model file and fits of some parts leave of others, split by split."""
-    before, found = linear_prior(problem, prior, error, parts.whole), []
+    count, none, found = problem.minimal.count, np.zeros(len(problem.channels)), []
     for split in parts.splits:
-        pairs = [
-            (_predictions(seen, before, problem.minimal.count, used=used), rest)
-            for seen, rest in split.pairs
-        ]
+        pairs = []
+        for seen, rest in split.pairs:
+            fits = {REFITTED: _refitted(seen, prior.mean, count), PLAIN: _plain(seen)}
+            fits[POSTERIOR] = with_prior(seen, prior)[0] if used else fits[PLAIN]
+            said = {name: (values, seen.constants(values)) for name, values in fits.items()}
+            pairs.append(({FILE: (prior.mean, none), **said}, rest))
         found.append(prediction_errors(problem, split.kind, pairs))
     return tuple(found)
 
@@ -352,21 +393,6 @@ def _plain(rows: RowProducts) -> Array:
     equations = rows.equations(np.eye(p), np.zeros(p))
     weights = noise_weights(equations, None)
     return scaled_solve(equations.matrix(weights), equations.vector(weights))
-
-
-def _predictions(
-    seen: RowProducts, prior: LinearPrior, count: int, *, used: bool
-) -> dict[str, Prediction]:
-    """What the model file and fits of some rows say, by what makes them."""
-    plain = _plain(seen)
-    values = {
-        REFITTED: _refitted(seen, prior.mean, count),
-        PLAIN: plain,
-        POSTERIOR: with_prior(seen, prior).values if used else plain,
-    }
-    none = np.zeros(len(seen.channels))
-    fits = {name: (each, seen.constants(each)) for name, each in values.items()}
-    return {FILE: (prior.mean, none), **fits}
 
 
 def errors_of_another(

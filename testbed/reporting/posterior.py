@@ -8,7 +8,6 @@ from testbed.diagnostics import phrase
 from testbed.identification.estimate import NAMES, number_with_sigma
 from testbed.identification.posterior import Posterior
 from testbed.identification.selection.prediction_errors import (
-    CONSISTENT,
     FILE,
     PLAIN,
     POSTERIOR,
@@ -22,7 +21,6 @@ HEADS = {
     REFITTED: "file, friction fitted",
     PLAIN: "least squares",
     POSTERIOR: "with prior",
-    CONSISTENT: "consistent bodies",
 }
 
 

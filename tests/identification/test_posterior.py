@@ -57,9 +57,9 @@ def test_a_prior_without_end_is_least_squares(rng: np.random.Generator, offset: 
     wide = prior_like(rng, 4, 1e-3, width=1e3)
     matrix = np.column_stack([columns[0], np.ones(60)]) if offset else columns[0]
     expected = np.linalg.lstsq(matrix, y[0], rcond=None)[0][:4]
-    found = with_prior(products(columns, y, offset), wide)
-    np.testing.assert_allclose(found.values, expected, rtol=1e-5, atol=1e-7)
-    assert found.worth == pytest.approx(4, abs=1e-5)
+    values, covariance = with_prior(products(columns, y, offset), wide)
+    np.testing.assert_allclose(values, expected, rtol=1e-5, atol=1e-7)
+    assert wide.worth(covariance) == pytest.approx(4, abs=1e-5)
 
 
 @given(rngs)
@@ -68,10 +68,11 @@ def test_data_that_say_nothing_leave_the_file(rng: np.random.Generator) -> None:
     prior = prior_like(rng, 3, 1e-3)
     still = np.broadcast_to(rng.normal(size=3), (1, 40, 3))
     for columns, offset in ((np.zeros((1, 40, 3)), False), (still, True)):
-        found = with_prior(products(columns, rng.normal(size=(1, 40)), offset), prior)
-        np.testing.assert_allclose(found.values, prior.mean, atol=1e-9)
-        np.testing.assert_allclose(found.covariance, prior.root @ prior.root.T, atol=1e-9)
-        assert found.worth == pytest.approx(0, abs=1e-9)
+        y = rng.normal(size=(1, 40))
+        values, covariance = with_prior(products(columns, y, offset), prior)
+        np.testing.assert_allclose(values, prior.mean, atol=1e-9)
+        np.testing.assert_allclose(covariance, prior.root @ prior.root.T, atol=1e-9)
+        assert prior.worth(covariance) == pytest.approx(0, abs=1e-9)
 
 
 @given(rngs)
@@ -79,13 +80,13 @@ def test_worth_is_the_trace_of_the_resolution(rng: np.random.Generator) -> None:
     """Noise is known here: nothing but its least is left. R = P X'X (P X'X + s^2)^-1, dense."""
     prior = prior_like(rng, 5, 0.7)
     columns = rng.normal(size=(1, 12, 5)) * [1, 0.1, 3, 0, 1]
-    found = with_prior(products(columns, columns @ prior.mean), prior)
+    _, covariance = with_prior(products(columns, columns @ prior.mean), prior)
     spread, information = prior.root @ prior.root.T, columns[0].T @ columns[0] / 0.7**2
     resolution = spread @ information @ np.linalg.inv(spread @ information + np.eye(5))
-    assert found.worth == pytest.approx(float(np.trace(resolution)), rel=1e-6)
+    assert prior.worth(covariance) == pytest.approx(float(np.trace(resolution)), rel=1e-6)
     expected = spread - resolution @ spread
-    np.testing.assert_allclose(found.covariance, expected, atol=1e-8)
-    share = 1 - np.diagonal(found.covariance) / prior.variance
+    np.testing.assert_allclose(covariance, expected, atol=1e-8)
+    share = 1 - np.diagonal(covariance) / prior.variance
     assert ((share >= -1e-12) & (share <= 1)).all()
 
 
@@ -104,8 +105,8 @@ def test_the_variance_is_that_of_many_robots(memory: float) -> None:
         for k in range(1, 300):
             noise[k] = memory * noise[k - 1] + np.sqrt(1 - memory**2) * noise[k]
             columns[0, k] += memory * (columns[0, k - 1] - columns[0, k])
-        found = with_prior(products(columns, columns @ truth + noise), prior)
-        z.append(np.linalg.solve(np.linalg.cholesky(found.covariance), found.values - truth))
+        values, covariance = with_prior(products(columns, columns @ truth + noise), prior)
+        z.append(np.linalg.solve(np.linalg.cholesky(covariance), values - truth))
     size = np.sqrt(np.mean(np.square(z), axis=0))
     assert ((size > (0.7 if memory else 0.85)) & (size < 1.15)).all(), size
 

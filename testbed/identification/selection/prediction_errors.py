@@ -14,15 +14,9 @@ from testbed.identification.estimate import Method, channel_label, channel_units
 from testbed.identification.problem import Problem
 from testbed.identification.selection.row_products import RowProducts
 
-FILE, REFITTED, PLAIN, POSTERIOR, CONSISTENT = (
-    "file",
-    "refitted",
-    "plain",
-    "posterior",
-    "consistent",
-)
+FILE, REFITTED, PLAIN, POSTERIOR = "file", "refitted", "plain", "posterior"
 """The model file as it is; with the plate's zero, or friction and offsets, fitted; least squares;
-with the file as prior; consistent bodies."""
+with the file as prior."""
 
 WORSE = 1.05
 """Error over that of the model file with its friction that is worth a word."""
@@ -40,7 +34,7 @@ class PredictionErrors:
         units: One each, N or N m.
         signal: Rms of the channels, of a plate with an unknown zero about their mean, (C,).
         residual: Rms of what is left, (C,) [N, N m], by what predicts: "file", "refitted",
-            "plain", "posterior", "consistent".
+            "plain", "posterior".
     """
 
     method: Method
