@@ -365,14 +365,14 @@ def _held_out(
 ) -> tuple[PredictionErrors, ...]:
     """What the model file and fits of some parts leave of others, split by split."""
     count, none, found = problem.minimal.count, np.zeros(len(problem.channels)), []
-    for split in parts.splits:
+    for kind, split in parts.splits.items():
         pairs = []
-        for seen, rest in split.pairs:
+        for seen, rest in split:
             fits = {REFITTED: _refitted(seen, prior.mean, count), PLAIN: _plain(seen)}
             fits[POSTERIOR] = with_prior(seen, prior)[0] if used else fits[PLAIN]
             said = {name: (values, seen.constants(values)) for name, values in fits.items()}
             pairs.append(({FILE: (prior.mean, none), **said}, rest))
-        found.append(prediction_errors(problem, split.kind, pairs))
+        found.append(prediction_errors(problem, kind, pairs))
     return tuple(found)
 
 

@@ -114,20 +114,6 @@ def _inner(products: Array, ends: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Split:
-    """What is predicted from what.
-
-    Attributes:
-        kind: "halves" of the time, each from the other; "faster", the parts of fast motion from
-            those of slow motion.
-        pairs: Rows that are seen, and those that are not.
-    """
-
-    kind: str
-    pairs: tuple[tuple[RowProducts, RowProducts], ...]
-
-
-@dataclass(frozen=True, eq=False)
 class Parts:
     """Products of consecutive parts.
 
@@ -149,18 +135,20 @@ class Parts:
         return self.of(range(len(self.products)))
 
     @property
-    def splits(self) -> tuple[Split, ...]:
-        """Halves of the time; slow and fast parts, where they differ."""
+    def splits(self) -> dict[str, list[tuple[RowProducts, RowProducts]]]:
+        """Rows that are seen, and those to be predicted: by time, and by speed where that differs.
+
+        "halves" are each predicted by the other, the "faster" half of the parts by the slower one.
+        """
         half = len(self.products) // 2
         first, second = (self.of(each) for each in (range(half), range(half, 2 * half)))
-        found = [Split("halves", ((first, second), (second, first)))]
+        found = {"halves": [(first, second), (second, first)]}
         size = np.maximum(self.speed.mean(axis=0), np.finfo(float).tiny)
         pace = (self.speed / size).mean(axis=1)
-        order = np.argsort(pace, kind="stable")
-        slow, fast = order[:half], order[half:]
+        slow, fast = np.split(np.argsort(pace, kind="stable"), 2)
         if pace[fast].mean() > FASTER**2 * pace[slow].mean():
-            found.append(Split("faster", ((self.of(slow.tolist()), self.of(fast.tolist())),)))
-        return tuple(found)
+            found["faster"] = [(self.of(slow.tolist()), self.of(fast.tolist()))]
+        return found
 
 
 def products_of(problem: Problem, source: Source, offset: bool) -> Parts:
