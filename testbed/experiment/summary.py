@@ -117,12 +117,12 @@ def data_lines(found: Iterable[Posterior]) -> Iterator[str]:
     for each in found:
         whole = plural(each.count, "parameter")
         if not each.used:
-            yield f"By the {NAMES[each.method]} this recording determines all {whole}."
+            yield f"By the {each.instrument} this recording determines all {whole}."
             continue
         own = each.determined
         names = f": {few(list(own))}" if own else ""
         yield (
-            f"By the {NAMES[each.method]} this recording determines {len(own)} of {whole}{names}; "
+            f"By the {each.instrument} this recording determines {len(own)} of {whole}{names}; "
             "for the rest the model file's values stand, as far as the data do not change them."
         )
 

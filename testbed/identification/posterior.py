@@ -18,7 +18,7 @@ from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
 from testbed.codec import with_properties
 from testbed.diagnostics import Diagnosed, Diagnostic
-from testbed.identification.estimate import Estimate, Method
+from testbed.identification.estimate import NAMES, Estimate, Method
 from testbed.identification.estimate_summary import corrected_by, summary_of
 from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import scaled_solve
@@ -63,6 +63,7 @@ class Posterior(Diagnosed):
 
     Attributes:
         method: By plate or by torques.
+        instrument: What a person calls it.
         names: Of the minimal parameters and then of the joints' own terms, (p,).
         units: One each.
         count: How many are of bodies.
@@ -81,6 +82,7 @@ class Posterior(Diagnosed):
     """
 
     method: Method
+    instrument: str
     names: tuple[str, ...]
     units: tuple[str, ...]
     count: int
@@ -214,6 +216,7 @@ def posterior(
         variance = np.maximum(before.variance, np.finfo(float).tiny)
         return Posterior(
             method=method,
+            instrument="force sensor" if problem.minimal.of_sensor else NAMES[method],
             names=problem.names,
             units=problem.units,
             count=count,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from testbed.diagnostics import phrase
-from testbed.identification.estimate import NAMES, number_with_sigma
+from testbed.identification.estimate import number_with_sigma
 from testbed.identification.posterior import Posterior
 from testbed.identification.selection.prediction_errors import (
     FILE,
@@ -45,7 +45,7 @@ def posterior_table(found: Posterior, most: int | None = None) -> Table:
         for k in order
     ]
     title = (
-        f"{NAMES[found.method]}: bodies of the model file, wrong by {found.prior_error:g} of "
+        f"{found.instrument}: bodies of the model file, wrong by {found.prior_error:g} of "
         "themselves (std), and what the data make of them; data: share of that variance which "
         "the data remove; std for motions like this one"
     )
@@ -64,5 +64,5 @@ def errors_table(found: PredictionErrors) -> Table:
     ]
     names = HEADS | ({REFITTED: "file, zero fitted"} if found.method == "external" else {})
     heads = ["channel", "unit", "signal", *(names[name] for name in found.residual)]
-    title = f"{NAMES[found.method]}: rms error of predictions of {phrase(found.of)}"
+    title = f"rms error of predictions of {phrase(found.of)}"
     return Table(heads, rows, title, ["unit"])
