@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import reduce
 
 import numpy as np
 
@@ -44,10 +43,6 @@ class RowProducts:
     products: Array
     lagged: Array
     offset: bool
-
-    def __add__(self, other: RowProducts) -> RowProducts:
-        products, lagged = self.products + other.products, self.lagged + other.lagged
-        return RowProducts(self.unknowns, self.channels, products, lagged, self.offset)
 
     @property
     def rows(self) -> Array:
@@ -118,21 +113,28 @@ class Parts:
     """Products of consecutive parts.
 
     Attributes:
-        products: One a part.
+        unknowns: Names of the columns, (p,).
+        channels: Names, (C,).
+        sums: Products and lagged products of every part, (2, parts, C, p + 2, p + 2).
+        offset: As of `RowProducts`.
         speed: Mean square of each joint's speed in every part, (parts, n).
     """
 
-    products: tuple[RowProducts, ...]
+    unknowns: tuple[str, ...]
+    channels: tuple[str, ...]
+    sums: Array
+    offset: bool
     speed: Array
 
-    def of(self, numbers: Sequence[int]) -> RowProducts:
+    def of(self, numbers: Iterable[int]) -> RowProducts:
         """Of some parts together."""
-        return reduce(RowProducts.__add__, (self.products[k] for k in numbers))
+        products, lagged = self.sums[:, list(numbers)].sum(axis=1)
+        return RowProducts(self.unknowns, self.channels, products, lagged, self.offset)
 
     @property
     def whole(self) -> RowProducts:
         """Of all of them."""
-        return self.of(range(len(self.products)))
+        return self.of(range(len(self.speed)))
 
     @property
     def splits(self) -> dict[str, list[tuple[RowProducts, RowProducts]]]:
@@ -140,14 +142,14 @@ class Parts:
 
         "halves" are each predicted by the other, the "faster" half of the parts by the slower one.
         """
-        half = len(self.products) // 2
+        half = len(self.speed) // 2
         first, second = (self.of(each) for each in (range(half), range(half, 2 * half)))
         found = {"halves": [(first, second), (second, first)]}
         size = np.maximum(self.speed.mean(axis=0), np.finfo(float).tiny)
         pace = (self.speed / size).mean(axis=1)
         slow, fast = np.split(np.argsort(pace, kind="stable"), 2)
         if pace[fast].mean() > FASTER**2 * pace[slow].mean():
-            found["faster"] = [(self.of(slow.tolist()), self.of(fast.tolist()))]
+            found["faster"] = [(self.of(slow), self.of(fast))]
         return found
 
 
@@ -183,8 +185,5 @@ def products_of(problem: Problem, source: Source, offset: bool) -> Parts:
             sums[1, k] += block[:, own].swapaxes(1, 2) @ before[:, own]
             speed[k] += (moving[0, own] ** 2).sum(axis=0)
         last, first = block[:, -1:], first + block.shape[1]
-    parts = [
-        RowProducts(problem.names, channels, own, lagged, offset)
-        for own, lagged in zip(*sums, strict=True)
-    ]
-    return Parts(tuple(parts), speed / np.maximum(np.diff(ends), 1)[:, None])
+    speed /= np.maximum(np.diff(ends), 1)[:, None]
+    return Parts(problem.names, channels, sums, offset, speed)
