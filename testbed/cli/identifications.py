@@ -239,7 +239,7 @@ def identify(
 
     Example: testbed identify recording.parquet --model robot.urdf --write identified.urdf
     """
-    from testbed.errors import UnseenParameters
+    from testbed.errors import SettingsError, UnseenParameters
     from testbed.experiment.run import posteriors
     from testbed.identification.estimate import METHODS, NAMES, SIGNAL_OF
     from testbed.identification.identify import identify as identified
@@ -251,6 +251,8 @@ def identify(
     writing.check(reading, model, recordings)
     table, tree = reading.tables().identification, reading.tree(model)
     source, accepted = reading.joined(recordings, tree, unchecked=unchecked)
+    if reading.prior_error and not (writing.wanted or is_imported(source)):
+        raise SettingsError("--set consistent... needs --consistent, or an imported recording")
     doubt = reading.doubt(tree)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
