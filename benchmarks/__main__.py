@@ -94,6 +94,17 @@ def consistency(
         _print(line)
 
 
+@app.command()
+def posterior(
+    seeds: Annotated[int, typer.Option(help="Simulated robots of each kind.")] = 20,
+) -> None:
+    """Fast motion by a slow one with the model file as prior: errors, coverage."""
+    from benchmarks.posterior import slow_to_fast
+
+    for friction in (0.0, 1.0, 3.0):
+        _print(slow_to_fast(range(740, 740 + seeds), friction))
+
+
 @app.command("answer")
 def default_answer(
     rounds: Annotated[int, typer.Option(help="Turns that each rival has.")] = 2,

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -63,6 +63,12 @@ Write = Annotated[
 FixedLinks = Annotated[
     Fixed, typer.Option("--fixed", help="With --write: lump the mass of fixed bodies, or share it.")
 ]
+Plain = Annotated[
+    bool,
+    typer.Option(
+        "--plain", help="Of an imported recording: least squares, without the model file as prior."
+    ),
+]
 InPlace = Annotated[
     bool, typer.Option("--in-place", help="Allow --write to replace the model file.")
 ]
@@ -106,7 +112,9 @@ class Writing:
         from testbed.identification.consistency.options import ConsistencyOptions
         from testbed.robot.write_model import check_place
 
-        if not self.wanted and reading.tables().consistent != ConsistencyOptions():
+        default = ConsistencyOptions()
+        asked = replace(reading.tables().consistent, prior_error=default.prior_error)
+        if not self.wanted and asked != default:
             raise SettingsError("--set consistent... needs --consistent")
         if self.in_place and self.write is None:
             raise SettingsError("--in-place needs --write FILE")
@@ -120,7 +128,7 @@ class Writing:
         model: Path,
         source: Source,
         estimates: Sequence[Estimate],
-        identified: Callable[[Source, Method], Estimate],
+        chosen: Iterable[float],
     ) -> Consistent:
         """The consistent bodies.
 
@@ -129,7 +137,7 @@ class Writing:
             model: The model file.
             source: The recording.
             estimates: Of the recording.
-            identified: Makes an estimate of a part of it.
+            chosen: Errors of the model file that held-out data choose, where none is said.
 
         Raises:
             SettingsError: No bodies are as is wished.
@@ -142,11 +150,14 @@ class Writing:
 
         tree = with_gear(reading.tree(model), source)
         options = reading.tables().consistent
+        if reading.prior_error is None and options.prior_error != "chosen":
+            options = replace(options, prior_error=min(chosen, default=options.prior_error))
         file = reading.model_file(model)
         prior = prior_from(tree, file, shapes=options.centres_in_shapes)
-        part = samples_of(source, reading.tables().identification)
+        table = reading.tables().identification
+        part = samples_of(source, table)
         with output.Progress("computing consistent bodies"):
-            return consistent_by_held_out(tree, estimates, prior, options, part, identified)
+            return consistent_by_held_out(tree, estimates, prior, options, part, table)
 
     def written(
         self, found: Consistent, reading: Reading, model: Path, recordings: Sequence[Path]
@@ -206,6 +217,7 @@ def identify(
     lock_mimic: LockMimic = False,
     plate: Plate = None,
     terms: Terms = None,
+    plain: Plain = False,
     consistent: ConsistentBodies = False,
     write: Write = None,
     fixed: FixedLinks = Fixed.lump,
@@ -220,14 +232,18 @@ def identify(
 
     Several recordings are combined into one estimate; they may be larger than memory. A method
     whose signal was not recorded is left out. Imported recordings are first checked against the
-    model: signs, units, order, encoder zeros, clocks.
+    model: signs, units, order, encoder zeros, clocks. Of parameters that they do not determine the
+    model file's bodies are the prior, and what the data add is said.
 
     Example: testbed identify recording.parquet --model models/puma562.xml --zeros
 
     Example: testbed identify recording.parquet --model robot.urdf --write identified.urdf
     """
+    from testbed.errors import SettingsError, UnseenParameters
+    from testbed.experiment.run import posteriors
     from testbed.identification.estimate import METHODS, NAMES, SIGNAL_OF
     from testbed.identification.identify import identify as identified
+    from testbed.recordings.views import is_imported
     from testbed.reporting import output, terminal
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms, sensor)
@@ -235,6 +251,8 @@ def identify(
     writing.check(reading, model, recordings)
     table, tree = reading.tables().identification, reading.tree(model)
     source, accepted = reading.joined(recordings, tree, unchecked=unchecked)
+    if reading.prior_error and not (writing.wanted or is_imported(source)):
+        raise SettingsError("--set consistent... needs --consistent, or an imported recording")
     doubt = reading.doubt(tree)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
@@ -242,29 +260,57 @@ def identify(
     said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking]
     said += [*tree.diagnostics, *accepted]
 
-    def estimate_of(part: Source, name: Method) -> Estimate:
-        """By one method, of the recording or of a part of it."""
-        how: dict[str, Any] = {
-            "gravity": gravity,
-            "settings": table,
-            "doubt": doubt,
-            "threads": threads,
-        }
-        with output.Progress(f"identifying, {name}") as progress:
-            return identified(tree, part, name, progress=progress, **how)
-
-    estimates = [estimate_of(source, name) for name in there or wanted]  # the first says what lacks
+    found: dict[Method, Estimate | None] = {}
+    for name in there or wanted:  # the first says what lacks
+        try:
+            with output.Progress(f"identifying, {name}") as progress:
+                found[name] = identified(
+                    tree,
+                    source,
+                    name,
+                    gravity=gravity,
+                    settings=table,
+                    doubt=doubt,
+                    threads=threads,
+                    progress=progress,
+                )
+        except UnseenParameters as error:
+            if plain or not is_imported(source):
+                raise
+            found[name] = None
+            said.append(diagnose("estimate.missing", name, reason=error, name=NAMES[name]))
+    estimates = [each for each in found.values() if each is not None]
+    with output.Progress("comparing with the model file"):
+        added = posteriors(
+            tree,
+            source,
+            found,
+            table,
+            prior_error=reading.prior_error,
+            gravity=gravity,
+            threads=threads,
+        )
     bodies = None
     if writing.wanted:
-        bodies = writing.bodies(reading, model, source, estimates, estimate_of)
+        chosen = [each.prior_error for each in added.values() if each.tried]
+        bodies = writing.bodies(reading, model, source, estimates, chosen)
         said += [*bodies.diagnostics, *writing.written(bodies, reading, model, recordings)]
     if as_json:
         from testbed.experiment.results import identified as result_of
 
-        result = result_of(estimates, reading.model_file(model), reading.tables(), said, bodies)
+        file = reading.model_file(model)
+        worse = [each for one in added.values() for each in one.diagnostics]
+        result = result_of(estimates, file, reading.tables(), [*worse, *said], bodies, added)
         output.print_json(result.document())
     else:
-        terminal.print_estimates(estimates, said, bodies, everything=everything)
+        terminal.print_estimates(
+            estimates,
+            said,
+            bodies,
+            posteriors=list(added.values()),
+            plain=plain,
+            everything=everything,
+        )
         if write is not None:
             output.print_lines([f"model file: {write}"], ())
 
@@ -319,6 +365,7 @@ def validate(
                 settings=kept.settings,
                 threads=threads,
                 progress=progress,
+                models=kept.models.get(estimate.method),
             )
     if as_json:
         output.print_json({method: encode(each) for method, each in found.items()})

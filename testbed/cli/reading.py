@@ -272,6 +272,13 @@ class Reading:
             said.append(f"robot.sensor.link={json.dumps(self.sensor)}")
         return RecordingTables.of([*(self.settings or ()), *said])
 
+    @property
+    def prior_error(self) -> float | None:
+        """Of the model file's bodies, where it is given as a number."""
+        said = any(word.startswith("consistent.prior_error") for word in self.settings or ())
+        given = self.tables().consistent.prior_error if said else "chosen"
+        return None if isinstance(given, str) else given
+
     def model_file(self, path: Path) -> ModelFile:
         """A model file, and how to read it."""
         from testbed.robot.locks import parse_lock

@@ -84,7 +84,13 @@ def validated(run: Run, recording: Recording) -> Run:
     run = replace(run, unseen=recording)
     try:
         found = {
-            method: validate(run.tree, recording, estimate, settings=run.settings)
+            method: validate(
+                run.tree,
+                recording,
+                estimate,
+                settings=run.settings,
+                models=run.posterior[method].models if method in run.posterior else None,
+            )
             for method, estimate in run.estimates.items()
         }
     except TestbedError as error:

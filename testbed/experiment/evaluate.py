@@ -17,7 +17,7 @@ from testbed.experiment.run import Run, assemble_run
 from testbed.experiment.score import relative_errors, root_mean_square, shared_errors
 from testbed.identification.consistency.consistent import Consistent, consistent_by_held_out
 from testbed.identification.consistency.options import ConsistencyOptions
-from testbed.identification.estimate import METHODS, Estimate, Method
+from testbed.identification.estimate import METHODS, Method
 from testbed.identification.identify import identify
 from testbed.identification.problem import samples_of
 from testbed.identification.regression.passes import Progress
@@ -27,7 +27,6 @@ from testbed.parameters.minimal_set import minimal_set
 from testbed.parameters.prior import Prior, prior_of
 from testbed.parameters.symbols import standard
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source
 from testbed.robot.inertia import Inertia, upper_root
 from testbed.robot.locks import with_rotor_spin
 from testbed.robot.model_file import ModelFile, mimic_joints, nearest_bodies
@@ -234,13 +233,10 @@ def _with_bodies(run: Run, believed: Tree, options: ConsistencyOptions) -> Run:
     """A run with its consistent bodies, or with a warning that says why there are none."""
     prior = prior_from(believed, run.model, shapes=options.centres_in_shapes)
 
-    def identified(part: Source, method: Method) -> Estimate:
-        return identify(run.tree, part, method, settings=run.settings)
-
     estimates = list(run.estimates.values())
     blind = samples_of(run.recording.blind(), run.settings)
     try:
-        found = consistent_by_held_out(run.tree, estimates, prior, options, blind, identified)
+        found = consistent_by_held_out(run.tree, estimates, prior, options, blind, run.settings)
     except TestbedError as error:
         return run.with_diagnostics([diagnose("bodies.missing", reason=error)])
     return replace(run, consistent=found).with_diagnostics(found.diagnostics)

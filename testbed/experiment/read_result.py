@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from testbed.arrays import Array
-from testbed.codec import from_json
+from testbed.codec import decode, from_json
 from testbed.errors import ExperimentError, plural
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.experiment import Experiment, RecordingTables
@@ -22,6 +22,7 @@ from testbed.files import fingerprint, read_text, replacing
 from testbed.identification.calibration import Calibration
 from testbed.identification.estimate import METHODS, Method, channels_of
 from testbed.identification.estimate_summary import EstimateSummary
+from testbed.identification.posterior import Posterior
 from testbed.identification.sensor.correction import NUISANCES
 from testbed.identification.sensor.estimates import NuisanceEstimate
 from testbed.identification.settings import Settings
@@ -43,11 +44,13 @@ class KeptResult:
         tree: The robot.
         settings: How the signals were treated.
         estimates: One a method.
+        models: Values of the same unknowns by what else says them, by method.
     """
 
     tree: Tree
     settings: Settings
     estimates: tuple[EstimateSummary, ...]
+    models: Mapping[str, Mapping[str, Array]] = field(default_factory=dict)
 
 
 class _Model(Table):
@@ -114,7 +117,27 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
                 f"{path}: {each.method}: residual has {len(each.residual)} numbers, the robot has "
                 f"{plural(count, 'channel')}"
             )
-    return KeptResult(tree, identification, found)
+    models = {str(each.method): _added(content, each, path) for each in found}
+    return KeptResult(tree, identification, found, models)
+
+
+def _added(content: dict[str, Any], beside: EstimateSummary, path: Path) -> dict[str, Array]:
+    """What a result says of an estimate's unknowns besides, by what says it.
+
+    Raises:
+        ExperimentError: A part is not what it should be.
+    """
+    kept = (content.get("posterior") or {}).get(beside.method)
+    if kept is None:
+        return {}
+    source = f"{path}: {beside.method}: posterior"
+    try:
+        found: Posterior = decode(Posterior, kept, {})
+    except ValueError as error:
+        raise ExperimentError(f"{source}: {error}") from None
+    if found.names != beside.names or not all(np.isfinite(x).all() for x in found.models.values()):
+        raise ExperimentError(f"{source}: its values are not finite, or of other parameters")
+    return found.models
 
 
 def _json(path: Path) -> dict[str, Any]:

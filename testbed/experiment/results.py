@@ -26,6 +26,7 @@ from testbed.identification.consistency.consistent import Consistent
 from testbed.identification.diagnostics.residuals import diagnostics_of
 from testbed.identification.drives.identify_drives import DriveFindings
 from testbed.identification.estimate import METHODS, MODEL_OF, Estimate, Method
+from testbed.identification.posterior import Posterior
 from testbed.identification.problem import set_of
 from testbed.identification.selection.term_choice import with_chosen_terms
 from testbed.identification.sensor.correction import NUISANCES, TESTED
@@ -74,6 +75,7 @@ def provenance(found: Consistent, model: ModelFile, recordings: Sequence[Path]) 
 
 FIELDS = (
     "estimates", "failures", "score", "diagnostics", "validation", "drives", "consistent",
+    "posterior",
 )  # fmt: skip
 """Of a run."""
 
@@ -120,6 +122,7 @@ class Result:
         validation: By method, on another motion.
         drives: What the plate says of them.
         consistent: Bodies that can exist.
+        posterior: What the recording adds to the model file, by method.
         model: The robot's file; that of a run is in its folder.
         settings: Tables of robot and identification; those of a run are in its folder.
     """
@@ -138,6 +141,7 @@ class Result:
     validation: Mapping[Method, Validation] = field(default_factory=dict)
     drives: DriveFindings | None = None
     consistent: Consistent | None = None
+    posterior: Mapping[Method, Posterior] = field(default_factory=dict)
     model: UsedModel | None = None
     settings: dict[str, Any] | None = None
 
@@ -176,6 +180,7 @@ def identified(
     tables: RecordingTables,
     diagnostics: Iterable[Diagnostic] = (),
     consistent: Consistent | None = None,
+    posterior: Mapping[Method, Posterior] | None = None,
 ) -> Result:
     """Estimates of a recording, and what is needed to make their robot again.
 
@@ -185,6 +190,7 @@ def identified(
         tables: What else was said of robot and identification.
         diagnostics: Of the recording.
         consistent: Bodies, where they were asked for.
+        posterior: What the recording adds to the model file, by method.
     """
     found = {estimate.method: estimate for estimate in estimates}
     settings = _settled(tables, found.values()).model_dump(mode="json", exclude_none=True)
@@ -195,6 +201,7 @@ def identified(
         estimates=found,
         diagnostics=(*diagnostics, *diagnostics_of(found.values())),
         consistent=consistent,
+        posterior=posterior or {},
         model=used,
         settings=settings,
     )

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose, of_recording, ordered
@@ -18,15 +20,18 @@ from testbed.identification.diagnostics.residuals import diagnostics_of
 from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
 from testbed.identification.estimate import METHODS, NAMES, Estimate, Method
 from testbed.identification.identify import identify
+from testbed.identification.posterior import Posterior, posterior
 from testbed.identification.regression.passes import Progress
 from testbed.identification.selection.term_choice import with_chosen_terms
 from testbed.identification.sensor.correction import CalibrationCovariance
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.identification.validate import Validation, motion_in
+from testbed.parameters.prior import prior_of
 from testbed.recordings.columns import AXES
 from testbed.recordings.geometry import in_its_gravity
 from testbed.recordings.recording import Recording
-from testbed.recordings.views import with_gear
+from testbed.recordings.source import Source
+from testbed.recordings.views import is_imported, with_gear
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 
@@ -167,6 +172,7 @@ class Run(Diagnosed):
         unseen: A recording of that motion; None for none.
         drives: What the plate says of the drives; None where it was not asked.
         consistent: Bodies that can exist; None where they were not asked for.
+        posterior: What an imported recording adds to its model file, by method; {} of others.
     """
 
     name: str
@@ -183,6 +189,7 @@ class Run(Diagnosed):
     unseen: Recording | None = None
     drives: DriveFindings | None = None
     consistent: Consistent | None = None
+    posterior: Mapping[Method, Posterior] = field(default_factory=dict)
 
     def with_diagnostics(self, more: Iterable[Diagnostic]) -> Run:
         """The same with more diagnostics, put in order anew.
@@ -223,6 +230,37 @@ class Run(Diagnosed):
         return all(self.verdicts.values())
 
 
+def posteriors(
+    tree: Tree,
+    source: Source,
+    estimates: Mapping[Method, Estimate | None],
+    settings: Settings,
+    *,
+    prior_error: float | None = None,
+    gravity: ArrayLike | None = None,
+    threads: int | None = None,
+) -> dict[Method, Posterior]:
+    """What an imported recording adds to its model file, by method.
+
+    Args:
+        tree: The robot as the model file has it.
+        source: The recording; of one that a simulation made the model file is the truth.
+        estimates: By least squares; None where the data do not determine all parameters.
+        settings: How the signals are treated.
+        prior_error: As for `posterior`.
+        gravity: As for `identify`.
+        threads: How many to use; default one a processor.
+    """
+    if not is_imported(source):
+        return {}
+    prior = prior_of(with_gear(tree, source))
+    how: dict[str, Any] = {"gravity": gravity, "settings": settings, "threads": threads}
+    return {
+        method: posterior(tree, source, prior, method, each, prior_error=prior_error, **how)
+        for method, each in estimates.items()
+    }
+
+
 def assemble_run(
     tree: Tree,
     recording: Recording,
@@ -259,6 +297,7 @@ def assemble_run(
     tree = with_gear(in_its_gravity(tree, recording), recording)
     estimates: dict[Method, Estimate] = {}
     failures: dict[Method, str] = {}
+    undetermined: dict[Method, None] = {}
     for method in methods:
         if tree.lead and method == "internal":
             continue  # nothing is missing: joint torques are of more than what moves on the base
@@ -274,6 +313,8 @@ def assemble_run(
             )
         except (RecordingError, UnseenParameters) as error:
             failures[method] = str(error)
+            if isinstance(error, UnseenParameters):
+                undetermined[method] = None
     judged = None
     if experiment is not None:
         motion, inner = shown_motion(recording, settings)
@@ -282,6 +323,8 @@ def assemble_run(
         judged = score(tree, estimates, settings.zeros, friction, motion, torque)
     errors = {} if judged is None else judged.errors
     known = diagnostics_of_run(tree, recording, estimates, failures, errors)
+    made = posteriors(tree, recording, {**estimates, **undetermined}, settings, threads=threads)
+    worse = [said for each in made.values() for said in each.diagnostics]
     drives, more = _drives(tree, recording, estimates, settings, progress)
     if judged is not None and drives is not None and experiment is not None:
         metrics = drive_metrics(tree, experiment, recording, drives)
@@ -296,8 +339,9 @@ def assemble_run(
         experiment=experiment,
         score=judged,
         model=model,
-        diagnostics=(*known, *more),
+        diagnostics=(*worse, *known, *more),
         drives=drives,
+        posterior=made,
     )
 
 

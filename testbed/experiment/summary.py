@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from testbed.diagnostics import sentences
-from testbed.errors import plural, round_significant
+from testbed.errors import few, plural, round_significant
 from testbed.experiment.score import share_of_signal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from testbed.arrays import Array
     from testbed.experiment.run import Run
     from testbed.identification.estimate import Estimate
+    from testbed.identification.posterior import Posterior
 
 SIGNALS = {"wrench": "base wrench", "torque": "rigid-body torques"}
 """Of an `Accuracy`."""
@@ -48,6 +49,8 @@ def headline(run: Run) -> str:
     Args:
         run: The run.
     """
+    if run.posterior:
+        return " ".join(data_lines(run.posterior.values()))
     if not run.estimates:
         return f"From {_data(run)} no estimate could be made."
     if run.score is None:
@@ -103,6 +106,25 @@ def _parameters(run: Run) -> list[str]:
 def _of_numbers(function: Callable[[Array], Any], values: Array) -> float | None:
     there = values[np.isfinite(values)]
     return float(function(there)) if there.size else None
+
+
+def data_lines(found: Iterable[Posterior]) -> Iterator[str]:
+    """What of the model file a recording settles, a sentence a method.
+
+    Args:
+        found: Of one recording, one a method.
+    """
+    for each in found:
+        whole = plural(each.count, "parameter")
+        if not each.used:
+            yield f"By the {each.instrument} this recording determines all {whole}."
+            continue
+        own = each.determined
+        names = f": {few(list(own))}" if own else ""
+        yield (
+            f"By the {each.instrument} this recording determines {len(own)} of {whole}{names}; "
+            "for the rest the model file's values stand, as far as the data do not change them."
+        )
 
 
 def residual_line(estimates: Iterable[Estimate]) -> str:

@@ -8,7 +8,7 @@ covariance of the parameters adds along the other motion.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,10 +33,16 @@ from testbed.identification.estimate_summary import (
     corrected_by,
     summary_of,
 )
+from testbed.identification.posterior import errors_of_another
 from testbed.identification.problem import Problem, tare_of
 from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.regression.passes import Progress
 from testbed.identification.regression.windows import motion_taps
+from testbed.identification.selection.prediction_errors import (
+    PLAIN,
+    POSTERIOR,
+    PredictionErrors,
+)
 from testbed.identification.selection.term_choice import with_chosen_terms
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.recordings.geometry import in_its_gravity
@@ -171,6 +177,7 @@ class Validation(Diagnosed):
         noise: Rms of what the estimate left of its own recording, (C,) [N, N m].
         spread: Rms of what the parameters' covariance makes of the rows, (C,) [N, N m].
         zero_unknown: Whether the plate's zero is not known: means are then no errors.
+        errors: Of the model file and other estimates beside it; None where none is known.
     """
 
     method: Method
@@ -183,6 +190,7 @@ class Validation(Diagnosed):
     noise: Array
     spread: Array
     zero_unknown: bool = False
+    errors: PredictionErrors | None = None
 
     __get_pydantic_core_schema__ = with_properties("relative_residual", "ratio", "diagnostics")
 
@@ -223,8 +231,11 @@ class Validation(Diagnosed):
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Channels in which the estimate predicts worse than its sigma says."""
-        return tuple(_diagnostics(self))
+        """Channels that are predicted worse than by the model file, or than sigma says."""
+        worse: list[Diagnostic] = []
+        if self.errors is not None:
+            worse = [d for name in (POSTERIOR, PLAIN) for d in self.errors.worse_than_file(name)]
+        return (*worse, *_diagnostics(self))
 
 
 def validate(
@@ -236,6 +247,7 @@ def validate(
     settings: Settings = DEFAULTS,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
+    models: Mapping[str, Array] | None = None,
 ) -> Validation:
     """What an estimate leaves of a recording that it has not seen.
 
@@ -252,6 +264,7 @@ def validate(
         settings: Those of the estimate.
         threads: How many to use; default one a processor.
         progress: Called with samples done and samples in all.
+        models: Values of the same unknowns by what else predicts (`Posterior.models`).
 
     Raises:
         RecordingError: The recording cannot be used for the estimate's method.
@@ -276,7 +289,8 @@ def validate(
             f"{plural(len(said.residual), 'channel')}, the "
             f"robot has {len(channels)}"
         )
-    passes = problem.passes(2, corrected_by(problem.source, tree, said))
+    source = corrected_by(problem.source, tree, said)
+    passes = problem.passes(2, source)
     with one_blas_thread():
         equations = problem.equations(passes)
         total, squares = np.zeros((2, len(channels)))
@@ -284,7 +298,10 @@ def validate(
             left = measured - columns[..., 0]
             total += left.sum(axis=1)
             squares += (left**2).sum(axis=1)
-    return _validation(said, tree, equations, total, squares)
+        beside = None
+        if models:
+            beside = errors_of_another(problem, source, {**models, PLAIN: said.values})
+    return replace(_validation(said, tree, equations, total, squares), errors=beside)
 
 
 def _validation(

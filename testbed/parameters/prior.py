@@ -11,7 +11,7 @@ from testbed.arrays import Array, readonly
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.errors import quoted
 from testbed.parameters.symbols import STANDARD, standard
-from testbed.robot.inertia import ROUNDING, SMALL, Inertia, nearest_body
+from testbed.robot.inertia import ROUNDING, SMALL, Inertia, nearest_body, upper_root
 from testbed.robot.tree import Tree
 
 UPPER = tuple((a, b) for b in range(4) for a in range(b + 1))
@@ -127,6 +127,18 @@ class Prior(Diagnosed):
     def massive(self) -> tuple[int, ...]:
         """Bodies that have matter."""
         return tuple(int(k) for k in np.flatnonzero(self.standard[:, 0]))
+
+    @property
+    def root(self) -> Array:
+        """Standard parameters as forms of the coordinates of every Y, J = U Y U', (10 n, 10 n).
+
+        J = U U' is the file's; zero for bodies without matter.
+        """
+        n, massive = len(self.rotors), list(self.massive)
+        roots = np.array([upper_root(each) for each in matrices(self.standard[massive])])
+        found = np.zeros((n, 10, n, 10))
+        found[massive, :, massive] = standard_of_coordinates(roots.reshape(-1, 4, 4))
+        return found.reshape(10 * n, 10 * n)
 
 
 def prior_of(tree: Tree, extent: Array | None = None) -> Prior:

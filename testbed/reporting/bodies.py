@@ -97,7 +97,7 @@ def consistent_lines(found: Consistent) -> list[str]:
         lines.append(f"At their limits: {'; '.join(found.binding[:LISTED])}{more}.")
     if found.tried:
         tried = ", ".join(f"{error:g}: {left:.4g}" for error, left in found.tried.items())
-        lines.append(f"Cross-validation, rms residual over noise by prior error: {tried}.")
+        lines.append(f"Error on held-out parts over the model file's, by prior error: {tried}.")
     lines.append(
         f"Prior: the model file's bodies, with a relative standard deviation of "
         f"{found.prior_error:g}; data is the share of that variance which the data remove."

@@ -29,7 +29,8 @@ from testbed.reporting.figures import Panel
 from testbed.reporting.output import rendered
 from testbed.reporting.plot import dots_section
 from testbed.reporting.portrait import portrait
-from testbed.reporting.section import Drawing
+from testbed.reporting.posterior import errors_table, posterior_table
+from testbed.reporting.section import Drawing, Table
 from testbed.reporting.signals import SHOWN, seconds_shown, sections
 from testbed.robot.free_base import FREE
 from testbed.robot.tree import Tree
@@ -128,12 +129,22 @@ def contents(run: Run) -> dict[str, Any]:
         "diagnostics": sentences([*run.diagnostics, *look.diagnostics]),
         "errors": dots_section(run),
         "figures": sections(predict(run, run.unseen)),
+        "posterior": _posterior_tables(run),
         "instrument": instrument_tables(run),
         "matrix": matrix_maps(run),
         "maps": _maps(run.tree, run.settings.zeros),
         "zeros": bool(run.settings.zeros),
         "origin": origin(run),
     }
+
+
+def _posterior_tables(run: Run) -> list[Table]:
+    """What an imported recording adds to its model file, and errors on held-out data."""
+    made, found = run.posterior.values(), run.validation.values()
+    errors = [errors for each in made for errors in each.errors]
+    errors += [each.errors for each in found if each.errors is not None]
+    shares = [posterior_table(each) for each in made if each.used]
+    return [*(errors_table(each) for each in errors), *shares]
 
 
 def _verdicts(run: Run) -> list[dict[str, Any]]:

@@ -14,9 +14,17 @@ from testbed.diagnostics import Diagnostic
 from testbed.errors import plural, printable
 from testbed.experiment.comparison import Compared, Comparison
 from testbed.experiment.run import Run
-from testbed.experiment.summary import accuracy_lines, headline, obtained, residual_line, verdict
+from testbed.experiment.summary import (
+    accuracy_lines,
+    data_lines,
+    headline,
+    obtained,
+    residual_line,
+    verdict,
+)
 from testbed.identification.diagnostics.residuals import diagnostics_of
 from testbed.identification.estimate import METHODS, OPEN_ZERO, Method
+from testbed.identification.selection.prediction_errors import PLAIN, POSTERIOR
 from testbed.reporting.bodies import consistent_lines, consistent_tables
 from testbed.reporting.drives import drive_lines, drive_table
 from testbed.reporting.estimates import (
@@ -30,6 +38,7 @@ from testbed.reporting.estimates import (
     validation_table,
 )
 from testbed.reporting.output import console, print_diagnostics, print_tables
+from testbed.reporting.posterior import errors_table, posterior_table
 from testbed.reporting.section import Table
 
 if TYPE_CHECKING:
@@ -39,6 +48,7 @@ if TYPE_CHECKING:
     from testbed.identification.drives.identify_drives import DriveFindings
     from testbed.identification.estimate import Estimate
     from testbed.identification.payload.payload import PayloadEstimate
+    from testbed.identification.posterior import Posterior
     from testbed.identification.validate import Validation
 
 
@@ -54,6 +64,8 @@ def print_estimates(
     diagnostics: Sequence[Diagnostic],
     bodies: Consistent | None = None,
     *,
+    posteriors: Sequence[Posterior] = (),
+    plain: bool = False,
     everything: bool = False,
 ) -> None:
     """Print what was found.
@@ -62,13 +74,27 @@ def print_estimates(
         estimates: Of one recording.
         diagnostics: About the robot and the recording.
         bodies: Consistent with the estimates, where they were asked for.
+        posteriors: With the model file as prior, of an imported recording.
+        plain: Whether least squares come first all the same.
         everything: Whether all parameters and warnings are printed.
     """
     out = console()
-    out.print(Panel(printable(residual_line(estimates)), box=ROUNDED))
+    first = [] if plain else list(posteriors)
+    said = list(data_lines(first)) or [residual_line(estimates)]
+    out.print(Panel(printable("\n".join(said)), box=ROUNDED))
     most = None if everything else 1
-    print_diagnostics(out, [*diagnostics, *diagnostics_of(estimates)], most)
-    _print_parameters(out, estimates, {}, everything=everything)
+    shown = PLAIN if plain else POSTERIOR
+    worse = [said for each in posteriors for said in each.worse_than_file(shown)]
+    print_diagnostics(out, [*worse, *diagnostics, *diagnostics_of(estimates)], most)
+    needed = [each for each in first if each.used]
+    rows = None if everything else ROWS
+    print_tables(out, [posterior_table(each, rows) for each in needed])
+    known = [e for e in estimates if e.method not in {each.method for each in needed}]
+    _print_parameters(out, known, {}, everything=everything)
+    if needed and not known:
+        out.print(LEGEND, soft_wrap=True)
+    for each in posteriors:
+        print_tables(out, [errors_table(errors) for errors in each.errors])
     lines = choice_lines(estimates)
     for line in [*quality_lines(estimates), *lines] if everything else lines:
         out.print(line, soft_wrap=True)
@@ -108,7 +134,8 @@ def print_validations(validations: Sequence[Validation], diagnostics: Sequence[D
     """
     out = console()
     for found in validations:
-        print_tables(out, [validation_table(found)])
+        tables = [validation_table(found)]
+        print_tables(out, [*tables, *(errors_table(e) for e in [found.errors] if e is not None)])
     print_diagnostics(out, [*diagnostics, *(d for v in validations for d in v.diagnostics)])
 
 

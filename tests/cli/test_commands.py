@@ -26,7 +26,7 @@ QUICK = "--set motion.duration=3 --set motion.candidates=2 --set simulation.step
 ROBOT = "--model puma562.xml"
 RESULT = (
     "as_expected claim consistent diagnostics drives estimates expect failures format model name "
-    "score settings source validation verdicts"
+    "posterior score settings source validation verdicts"
 )
 """Keys of a run's and of a recording's."""
 COMMANDS = {

@@ -34,14 +34,26 @@ def test_a_real_recording_is_imported_identified_and_looked_at(tmp_path: Path) -
     done = command_line("import", "first.toml", "--out", "r.parquet", *MODEL, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     said = command_line("identify", "r.parquet", *MODEL, "--set", TERMS, "--json", cwd=tmp_path)
-    left = np.array(json.loads(said.stdout)["estimates"]["internal"]["residual"])
+    (tmp_path / "result.json").write_text(said.stdout)
+    found = json.loads(said.stdout)
+    left = np.array(found["estimates"]["internal"]["residual"])
     assert np.sqrt(np.mean(left[:4] ** 2)) < 0.75  # N m, of literature's fits of these data
+    added = found["posterior"]["internal"]
+    assert added["used"]
+    assert len(added["determined"]) < added["count"]
+    judging = ("validate", "second.toml", "result.json", *MODEL, "--json")
+    judged = json.loads(command_line(*judging, cwd=tmp_path).stdout)["internal"]["errors"][
+        "residual"
+    ]
+    total = {name: np.linalg.norm(each) for name, each in judged.items()}
+    assert total["posterior"] < total["refitted"] < total["file"]
     words = ("report", "first.toml", *MODEL, "--validate", "second.toml", "--out", "page.html")
     more = ("--terms", "auto", "--consistent", "--set", "identification.cutoff=10")
     done = command_line(*words, *more, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     page = json.loads((tmp_path / "page.json").read_text())
     assert not page["has_truth"]
+    assert len(page["posterior"]) >= 3  # errors by halves and on the other one, and shares
     assert [section["id"] for section in page["figures"]] == ["prediction", "spectra", "bodies"]
     shown = command_line("view", "first.toml", *MODEL, "--save", "r.rrd", cwd=tmp_path)
     assert shown.returncode == 0, shown.stderr

@@ -24,7 +24,7 @@ from testbed.identification.consistency.options import METRICS, ConsistencyOptio
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.parameters.prior import Prior, matrices, parameters, prior_of
 from testbed.parameters.symbols import to_barycentric
-from testbed.recordings.source import Source, Stretch, open_source
+from testbed.recordings.source import open_source
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses
@@ -186,20 +186,14 @@ def test_held_out_data_choose_how_far_a_model_file_is_trusted() -> None:
     """A true one far, a wrong one little."""
     tree, source = robot("ur5"), open_source(measured(robot("ur5"), 5, duration=8.0))
 
-    def identified(part: Source, method: Method) -> Estimate:
-        return tb.identify(tree, part, method)
-
-    estimates, options = [identified(source, "external")], ConsistencyOptions(prior_error="chosen")
+    estimates, options = [tb.identify(tree, source)], ConsistencyOptions(prior_error="chosen")
     chosen = []
     for error in (0.0, 1.5):
         prior = prior_for(tree, 3, error)
-        found = consistent_by_held_out(tree, estimates, prior, options, source, identified)
+        found = consistent_by_held_out(tree, estimates, prior, options, source)
         assert min(found.tried, key=lambda e: found.tried[e]) == found.prior_error
         chosen.append(found.prior_error)
     assert chosen[0] <= 0.2 < chosen[1]
-    with refuses(tb.TestbedError, "prior_error"):
-        short = Stretch(source, 0, 150)
-        consistent_by_held_out(tree, estimates, prior, options, short, identified)
 
 
 def having(estimate: Estimate, values: Array, relative: float) -> Estimate:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
 from testbed.codec import with_properties
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
-from testbed.errors import RecordingError, SettingsError, UnseenParameters, few
+from testbed.errors import RecordingError, SettingsError, few
 from testbed.identification.consistency.likelihood import (
     Likelihood,
     agreeing,
@@ -24,10 +24,11 @@ from testbed.identification.consistency.likelihood import (
 from testbed.identification.consistency.options import ConsistencyOptions, Metric, conditions
 from testbed.identification.consistency.program import Scaled, scaled, solve
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.estimate_summary import EstimateSummary, summary_of
+from testbed.identification.posterior import chosen_prior_error
+from testbed.identification.settings import DEFAULTS, Settings
 from testbed.parameters.prior import Prior, matrices
 from testbed.parameters.symbols import with_standard
-from testbed.recordings.source import Source, Stretch
+from testbed.recordings.source import Source
 from testbed.robot.friction import LAWS, ROTOR, JointTerm
 from testbed.robot.locks import places
 from testbed.robot.tree import Tree
@@ -118,8 +119,8 @@ class Consistent(Diagnosed):
         binding: Conditions at their limits, in words.
         unsettled: Sigmas that the program could still gain: far below one where it has ended.
         prior_error: That was used, in parts of the prior's bodies.
-        tried: By prior error, rms of what was predicted wrongly of held-out data, in sigmas of
-            its noise; {} where it was given.
+        tried: By prior error, rms of what it leaves of held-out parts over what the file with its
+            friction fitted leaves; {} where it was given.
         diagnostics: What a careful reader should know.
     """
 
@@ -253,17 +254,6 @@ def robot_of(found: Consistent, tree: Tree) -> Tree:
     return with_standard(tree, np.array(found.standard)).with_joints(settings)
 
 
-def consistent_summary(found: Consistent, estimate: Estimate) -> EstimateSummary:
-    """What consistent bodies say of an estimate's parameters, to be validated or to predict.
-
-    Args:
-        found: Made of the estimate.
-        estimate: With its residuals.
-    """
-    own = next(each for each in found.bent if each.method == estimate.method)
-    return replace(summary_of(estimate), values=own.values, covariance=own.covariance)
-
-
 def _doubt(problem: Scaled, z: Array, metric: Metric, weight: float) -> tuple[Array, Array]:
     """Covariance of x, (m, m), and the part of each variance that the data took away, (m,)."""
     program = problem.program(metric, weight)
@@ -387,8 +377,6 @@ def _negative(estimate: Estimate) -> Iterator[Diagnostic]:
 OFFERED = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 """Prior errors that are tried."""
 
-Identified = Callable[[Source, Method], Estimate]
-
 
 def consistent_by_held_out(
     tree: Tree,
@@ -396,9 +384,9 @@ def consistent_by_held_out(
     prior: Prior,
     options: ConsistencyOptions,
     source: Source,
-    identified: Identified,
+    settings: Settings = DEFAULTS,
 ) -> Consistent:
-    """Consistent bodies, the prior's error chosen by held-out data where that is asked.
+    """Consistent bodies, the prior's error chosen by held-out parts where that is asked.
 
     Args:
         tree: The robot.
@@ -406,51 +394,13 @@ def consistent_by_held_out(
         prior: The bodies before the data.
         options: What is asked besides.
         source: The recording.
-        identified: Makes an estimate of a source, as those of the whole were made.
+        settings: Of the estimates.
 
     Raises:
-        SettingsError: Half the recording is too little for an estimate; or as `consistent`.
+        SettingsError: As `consistent`.
     """
     if options.prior_error != "chosen":
         return consistent(tree, estimates, prior, options)
-    halves = _halves(source, [each.method for each in estimates], identified)
-    tried = {error: _left(tree, halves, prior, options, error) for error in OFFERED}
+    tried = chosen_prior_error(tree, source, prior, estimates, OFFERED, settings)
     best = min(tried, key=lambda error: tried[error])
     return consistent(tree, estimates, prior, replace(options, prior_error=best), tried=tried)
-
-
-def _halves(
-    source: Source, methods: Sequence[Method], identified: Identified
-) -> tuple[list[Estimate], list[Estimate]]:
-    """Estimates of either half, by all methods."""
-    middle = source.samples // 2
-    halves = Stretch(source, 0, middle), Stretch(source, middle, source.samples)
-    try:
-        first, second = ([identified(half, method) for method in methods] for half in halves)
-    except (RecordingError, UnseenParameters) as error:
-        raise SettingsError(
-            f'prior_error = "chosen" needs an estimate of each half of the recording: {error}; '
-            "give a number, such as 0.5"
-        ) from None
-    return first, second
-
-
-def _left(
-    tree: Tree,
-    halves: tuple[list[Estimate], list[Estimate]],
-    prior: Prior,
-    options: ConsistencyOptions,
-    error: float,
-) -> float:
-    """Rms of what is predicted wrongly of either half, in sigmas of its noise."""
-    squares = []
-    for known, unseen in (halves, halves[::-1]):
-        found = consistent(tree, known, prior, replace(options, prior_error=error))
-        by_method = {each.method: each for each in unseen}
-        for own in found.bent:
-            other = by_method[own.method]
-            equations = other.normal_equations
-            left = np.diagonal(equations.residual(own.values)) / np.maximum(equations.used, 1.0)
-            noise = np.maximum(other.residual, np.finfo(float).tiny)
-            squares.append(float(np.mean((left / noise**2)[equations.used > 0])))
-    return float(np.sqrt(np.mean(squares)))

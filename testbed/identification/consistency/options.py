@@ -45,7 +45,7 @@ class ConsistencyOptions:
 
     prior_error: float | Literal["chosen"] = 0.5
     """How wrong the model file's bodies are taken to be, in parts of themselves; "chosen" takes
-    what predicts best the half of the recording that was held out."""
+    what predicts best the parts of the recording that were held out."""
 
     known: Mapping[str, float | Sequence[float]] = field(default_factory=dict, hash=False)
     """Masses, or mass and sigma, by name: "mass" is that of all moving bodies, "mass/LINK" of one

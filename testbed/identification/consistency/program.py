@@ -20,10 +20,8 @@ from testbed.parameters.prior import (
     coordinates,
     matrices,
     of_coordinates,
-    standard_of_coordinates,
 )
 from testbed.robot.friction import ROTOR, JointTerm
-from testbed.robot.inertia import upper_root
 from testbed.robot.tree import Tree
 
 DONE = 1e-12
@@ -285,8 +283,6 @@ def scaled(
         terms: Of the joints' torque, in the order of x.
     """
     count, known = len(prior.massive), np.zeros(len(terms))
-    bodies = prior.standard[list(prior.massive)]
-    roots = np.array([upper_root(each) for each in matrices(bodies)]).reshape(count, 4, 4)
     sizes = np.zeros(len(terms))
     for k, term in enumerate(terms):
         joints_own = term.law == ROTOR and term.joint < tree.n
@@ -297,10 +293,7 @@ def scaled(
         steep = float(np.linalg.norm(column))
         sizes[k] = known[k] or _usual(tree, prior, term) or (1 / steep if steep else 1.0)
     lead = np.zeros((10 * tree.n + len(terms), 10 * count + len(terms)))
-    for k, (body, own) in enumerate(
-        zip(prior.massive, standard_of_coordinates(roots), strict=True)
-    ):
-        lead[10 * body : 10 * body + 10, 10 * k : 10 * k + 10] = own
+    lead[: 10 * tree.n, : 10 * count] = prior.root[:, np.repeat(prior.standard[:, 0] > 0, 10)]
     lead[10 * tree.n :, 10 * count :] = np.diag(sizes)
     data = np.vstack([each.white @ each.rows @ lead for each in likelihoods])
     right = np.concatenate([each.white @ each.estimate.values for each in likelihoods])

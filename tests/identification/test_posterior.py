@@ -1,0 +1,206 @@
+"""What data add to a model file: nothing where they say nothing, all where they say all.
+
+If one fails, a file's numbers pass for measured ones, or measured ones for the file's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.codec import decode, encode
+from testbed.experiment.evaluate import wrong_bodies
+from testbed.experiment.run import posteriors
+from testbed.identification.estimate import Method
+from testbed.identification.posterior import (
+    LinearPrior,
+    Posterior,
+    errors_of_another,
+    posterior,
+    with_prior,
+)
+from testbed.identification.problem import Problem
+from testbed.identification.selection.row_products import RowProducts, products_of
+from testbed.parameters.prior import coordinates, prior_of
+from tests.helpers.ideal import ideal
+from tests.helpers.measured import measured
+from tests.helpers.robots import random_robot
+from tests.helpers.runs import robot
+from tests.helpers.strategies import few, rngs
+
+
+def products(columns: Array, measured: Array, offset: bool = False) -> RowProducts:
+    """Of rows, (C, k, p) and (C, k)."""
+    ones = np.ones((*measured.shape, 1))
+    every = np.concatenate([columns, ones, measured[..., None]], axis=2)
+    names = tuple(f"x{k}" for k in range(columns.shape[2]))
+    channels = tuple(f"c{k}" for k in range(len(measured)))
+    own, lagged = every.swapaxes(1, 2) @ every, every[:, 1:].swapaxes(1, 2) @ every[:, :-1]
+    return RowProducts(names, channels, own, lagged, offset)
+
+
+def prior_like(rng: np.random.Generator, p: int, noise: float, width: float = 1.0) -> LinearPrior:
+    root = width * np.hstack([np.eye(p), 0.3 * rng.normal(size=(p, 2))])
+    return LinearPrior(rng.normal(size=p), root, np.array([noise**2]))
+
+
+@given(rngs, st.booleans())
+def test_a_prior_without_end_is_least_squares(rng: np.random.Generator, offset: bool) -> None:
+    """Witness: NumPy's, with a column of ones where the zero is unknown."""
+    columns, y = rng.normal(size=(1, 60, 4)), rng.normal(size=(1, 60))
+    wide = prior_like(rng, 4, 1e-3, width=1e3)
+    matrix = np.column_stack([columns[0], np.ones(60)]) if offset else columns[0]
+    expected = np.linalg.lstsq(matrix, y[0], rcond=None)[0][:4]
+    values, covariance = with_prior(products(columns, y, offset), wide)
+    np.testing.assert_allclose(values, expected, rtol=1e-5, atol=1e-7)
+    assert wide.worth(covariance) == pytest.approx(4, abs=1e-5)
+
+
+@given(rngs)
+def test_data_that_say_nothing_leave_the_file(rng: np.random.Generator) -> None:
+    """Columns that do not move beside an unknown zero say as little as none."""
+    prior = prior_like(rng, 3, 1e-3)
+    still = np.broadcast_to(rng.normal(size=3), (1, 40, 3))
+    for columns, offset in ((np.zeros((1, 40, 3)), False), (still, True)):
+        y = rng.normal(size=(1, 40))
+        values, covariance = with_prior(products(columns, y, offset), prior)
+        np.testing.assert_allclose(values, prior.mean, atol=1e-9)
+        np.testing.assert_allclose(covariance, prior.root @ prior.root.T, atol=1e-9)
+        assert prior.worth(covariance) == pytest.approx(0, abs=1e-9)
+
+
+@given(rngs)
+def test_worth_is_the_trace_of_the_resolution(rng: np.random.Generator) -> None:
+    """Noise is known here: nothing but its least is left. R = P X'X (P X'X + s^2)^-1, dense."""
+    prior = prior_like(rng, 5, 0.7)
+    columns = rng.normal(size=(1, 12, 5)) * [1, 0.1, 3, 0, 1]
+    _, covariance = with_prior(products(columns, columns @ prior.mean), prior)
+    spread, information = prior.root @ prior.root.T, columns[0].T @ columns[0] / 0.7**2
+    resolution = spread @ information @ np.linalg.inv(spread @ information + np.eye(5))
+    assert prior.worth(covariance) == pytest.approx(float(np.trace(resolution)), rel=1e-6)
+    expected = spread - resolution @ spread
+    np.testing.assert_allclose(covariance, expected, atol=1e-8)
+    share = 1 - np.diagonal(covariance) / prior.variance
+    assert ((share >= -1e-12) & (share <= 1)).all()
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.8])
+def test_the_variance_is_that_of_many_robots(memory: float) -> None:
+    """Robots drawn from the prior: errors are as large as is said.
+
+    Under coloured noise they are no larger; columns as fast as the noise average more of it.
+    """
+    rng = np.random.default_rng(7)
+    prior, scale = prior_like(rng, 4, 1e-6), np.array([1, 0.3, 0.05, 0.01])
+    z = []
+    for _ in range(200):
+        truth = prior.mean + prior.root @ rng.normal(size=6)
+        columns, noise = rng.normal(size=(1, 300, 4)) * scale, rng.normal(size=300)
+        for k in range(1, 300):
+            noise[k] = memory * noise[k - 1] + np.sqrt(1 - memory**2) * noise[k]
+            columns[0, k] += memory * (columns[0, k - 1] - columns[0, k])
+        values, covariance = with_prior(products(columns, columns @ truth + noise), prior)
+        z.append(np.linalg.solve(np.linalg.cholesky(covariance), values - truth))
+    size = np.sqrt(np.mean(np.square(z), axis=0))
+    assert ((size > (0.7 if memory else 0.85)) & (size < 1.15)).all(), size
+
+
+@given(rngs)
+def test_the_prior_of_bodies_is_about_those_of_the_file(rng: np.random.Generator) -> None:
+    """The coordinates of one are the file's body; twice as much is twice the body."""
+    tree = random_robot(rng, 3).tree()
+    prior = prior_of(tree)
+    one = np.tile(coordinates(np.eye(4)), tree.n)
+    np.testing.assert_allclose(prior.root @ one, prior.standard.ravel(), atol=1e-12)
+
+
+@given(rngs, st.sampled_from(["external", "internal"]))
+@few(4)
+def test_products_are_those_of_the_rows(rng: np.random.Generator, method: Method) -> None:
+    """Whatever the blocks: residuals of any values, with those of the next row."""
+    tree = random_robot(rng, 2).tree()
+    recording = ideal(tree, duration=20.0, seed=int(rng.integers(99)))
+    problem = Problem.of(tree, recording, method, tb.Settings(cutoff=3.0))
+    whole = products_of(problem, problem.source, method == "external").whole
+    made = list(problem.passes(1).rows(np.eye(len(problem.names))))
+    columns, y = (np.concatenate([each[k] for each in made], axis=1) for k in range(2))
+    values, there = rng.normal(size=len(problem.names)), columns.any(axis=2)
+    left = y - columns @ values
+    if method == "external":
+        left = left - there * (left.sum(axis=1) / np.maximum(there.sum(axis=1), 1))[:, None]
+    square, least = (left**2).sum(axis=1), np.full(len(left), 1e-12)
+    np.testing.assert_allclose(whole.squares(values, whole.constants(values)), square, 1e-7, 1e-12)
+    correlation = (left[:, 1:] * left[:, :-1]).sum(axis=1) / np.maximum(square, least)
+    expected = np.clip(correlation, 0, 0.95)
+    np.testing.assert_allclose(whole.correlation(values, least), expected, atol=1e-6)
+
+
+def added(
+    speed: float, method: Method, error: float | None = None
+) -> tuple[tb.Estimate, Posterior]:
+    """To a wrong file of the PUMA, by twenty seconds of it."""
+    tree = robot("puma")
+    wrong = wrong_bodies(tree, 0.3, np.random.default_rng(3))
+    recording = measured(tree, 5, speed=speed)
+    estimate = tb.identify(wrong, recording, method)
+    prior = prior_of(wrong)
+    return estimate, posterior(wrong, recording, prior, method, estimate, prior_error=error)
+
+
+def test_where_the_data_determine_all_nothing_moves() -> None:
+    estimate, found = added(1.0, "external")
+    assert not found.used
+    assert found.determined == estimate.names
+    np.testing.assert_array_equal(found.values, estimate.values)
+    np.testing.assert_array_equal(found.covariance, estimate.covariance)
+
+
+@pytest.mark.slow
+def test_where_they_do_not_the_file_is_not_made_worse() -> None:
+    """Slow motion, torques: nearer to the truth than least squares, and held-out parts, too."""
+    estimate, found = added(0.1, "internal")
+    truth = estimate.minimal.values(tb.barycentric(robot("puma")))
+    errors = [np.abs(each[: found.count] - truth) for each in (found.values, estimate.values)]
+    assert found.used
+    assert np.median(errors[0] / errors[1]) < 0.2
+    assert len(found.determined) < found.count
+    assert ((found.share >= 0) & (found.share <= 1)).all()
+    assert 0 < found.worth < len(found.names)
+    assert found.prior_error == min(found.tried, key=lambda each: found.tried[each])
+    assert not found.diagnostics
+    plain = {d.code for d in found.worse_than_file("plain")}
+    assert plain == {"estimate.worse-than-file"}
+    again = decode(Posterior, encode(found), {})
+    np.testing.assert_array_equal(again.values, found.values)
+    assert again.errors[0].best == found.errors[0].best
+
+
+def test_the_true_file_leaves_noise_of_another_recording() -> None:
+    """And the wrong one more; a plate's zero is the recording's own."""
+    tree = robot("puma")
+    _, found = added(1.0, "external", error=0.5)
+    other = measured(tree, 6)
+    assert other.wrench is not None
+    moved = replace(other, wrench=other.wrench + np.array([9.0, 0, 0, 0, 0, 2.0]))
+    problem = Problem.of(tree, moved, "external")
+    truth = problem.minimal.values(tb.barycentric(tree))
+    errors = errors_of_another(problem, problem.source, {**found.models, "truth": truth})
+    assert (errors.residual["truth"] < 0.12).all()
+    assert (errors.residual["refitted"] > errors.residual["truth"]).all()
+    assert errors.residual["file"][0] > 8
+    assert list(errors.worse_than_file("posterior")) == []
+
+
+def test_a_simulated_recording_has_no_prior() -> None:
+    """Its model file is the truth."""
+    tree = robot("puma")
+    recording = measured(tree, 5, duration=5.0)
+    assert posteriors(tree, recording, {"external": None}, tb.Settings()) == {}
+    real = replace(recording, facts={"mapping": {}})
+    assert set(posteriors(tree, real, {"external": None}, tb.Settings())) == {"external"}
