@@ -113,8 +113,8 @@ def test_stamps_that_jitter_and_samples_that_are_held_are_said_and_cured(logs: L
     logs.write(true, true[gone], stamps[gone])
     with refuses(RecordingError, "plate"):  # no steady device has gaps
         logs.recording(rate="250", plate="steady = true")
-    said = of_recording(logs.recording(rate="250", plate="max_gap = 1").facts)
-    (jitter,) = (each for each in said if each.code == "import.jitter")
+    every = of_recording(logs.recording(rate="250", plate="max_gap = 1").facts)
+    (jitter,) = (each for each in every if each.code == "import.jitter")
     assert "steady" not in jitter.remedy  # nor is it advised
     for times in (2, 3):
         logs.write(CLOCK, CLOCK, times=times)

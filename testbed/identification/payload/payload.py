@@ -198,10 +198,6 @@ APART = 5e-3
 LEAST = 3
 """Poses that are needed."""
 
-"""Singular values below this share of the largest are rounding."""
-
-"""What is identifiable lies in the space of what is seen to this."""
-
 
 @dataclass(frozen=True, eq=False)
 class Pose:

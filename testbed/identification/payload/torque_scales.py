@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,12 +32,8 @@ from testbed.identification.settings import DEFAULTS, Settings, with_sigmas
 from testbed.recordings.source import RecordingLike
 from testbed.robot.tree import Tree
 
-STEPS = 20
-"""Of Gauss and Newton; they end where no scale moves by SETTLED."""
-
-SETTLED = 1e-9
-
-TINY = float(np.finfo(float).tiny)
+STEPS = 10
+"""Of Gauss and Newton, from scales of one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,19 +60,22 @@ class TorqueScales:
             object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
 
 
-@dataclass(frozen=True, eq=False)
-class _Half:
-    """One recording: its unknowns are lead @ v + payload (10 parameters that are known of it)."""
+class _Half(NamedTuple):
+    """One recording: its unknowns are lead @ v + payload @ (what is known of the ten)."""
 
-    problem: Problem
     passes: Passes
     equations: NormalEquations
     lead: Array
     payload: Array
 
-    def unknowns(self, v: Array, known: Array) -> Array:
-        """Those of this recording, (p,)."""
-        return np.asarray(self.lead @ v + self.payload @ known)
+    def weights(self, x: Array, scales: Array) -> Array:
+        """Of the channels, one over the mean square that unknowns, (p,), leave, (n,)."""
+        found = []
+        for j, k in enumerate(scales):
+            normal, right, square = self.equations.of_channel(j)
+            left = float(square - 2 * k * (right @ x) + k**2 * (x @ normal @ x))
+            found.append(max(left, 1e-12 * square, float(np.finfo(float).tiny)))
+        return np.asarray(np.maximum(self.equations.used, 1.0) / found)
 
 
 def torque_scales(
@@ -154,35 +154,29 @@ def _half(problem: Problem, payload: KnownPayload, number: int) -> _Half:
     if number:
         lead[:count, count + 2 * own :] = free
     root = number * np.vstack([adds, np.zeros((own, 10))])
-    return _Half(problem, passes, equations, lead, root)
+    return _Half(passes, equations, lead, root)
 
 
 def _solved(halves: Sequence[_Half], known: Array) -> tuple[Array, Array]:
     """Scales and v, by Gauss-Newton."""
     n, m = len(halves[0].equations.channels), halves[0].lead.shape[1]
-    scales, v = np.ones(n), np.zeros(m)
+    found = np.append(np.ones(n), np.zeros(m))
     for step in range(STEPS):
-        matrix, vector = _normal(halves, known, scales, v)
-        at = slice(n, None) if step == 0 else slice(None)  # the first finds v of scales of one
-        change = np.zeros(n + m)
-        change[at] = inverse_and_solution(matrix[at, at], vector[at])[1]
-        scales, v = scales + change[:n], v + change[n:]
-        if step and np.abs(change[:n]).max() < SETTLED:
-            break
-    return scales, v
+        at = slice(n if step == 0 else 0, None)  # the first finds v of scales of one
+        matrix, vector = _normal(halves, known, found[:n], found[n:])
+        found[at] += inverse_and_solution(matrix[at, at], vector[at])[1]
+    return found[:n], found[n:]
 
 
 def _normal(halves: Sequence[_Half], known: Array, scales: Array, v: Array) -> tuple[Array, Array]:
     """J' W J and J' W r of what scales and v leave, each channel weighed by its own rest."""
-    n, m = len(scales), len(v)
-    matrix, vector = np.zeros((n + m, n + m)), np.zeros(n + m)
+    size = len(scales) + len(v)
+    matrix, vector = np.zeros((size, size)), np.zeros(size)
     for half in halves:
-        x = half.unknowns(v, known)
-        for j, k in enumerate(scales):
+        x = half.lead @ v + half.payload @ known
+        for j, (k, weight) in enumerate(zip(scales, half.weights(x, scales), strict=True)):
             normal, right, _ = half.equations.of_channel(j)
-            used = max(float(half.equations.used[j]), 1.0)
-            weight = used / _left(half.equations, j, k * x)
-            rows = np.hstack([np.outer(x, np.eye(n)[j]), k * half.lead])
+            rows = np.hstack([np.outer(x, np.eye(len(scales))[j]), k * half.lead])
             matrix += weight * rows.T @ normal @ rows
             vector += weight * rows.T @ (right - k * normal @ x)
     return matrix, vector
@@ -190,29 +184,19 @@ def _normal(halves: Sequence[_Half], known: Array, scales: Array, v: Array) -> t
 
 def _covariance(halves: Sequence[_Half], known: Array, scales: Array, v: Array) -> Array:
     """Of the scales, (n, n), from the scores of all rows."""
-    n = len(scales)
     inverse = scaled_inverse(_normal(halves, known, scales, v)[0])
     total = np.zeros_like(inverse)
     for half in halves:
-        x, plan = half.unknowns(v, known), half.passes.plan
-        squares = ScoreSquares(len(inverse), plan.rate)
+        x, plan = half.lead @ v + half.payload @ known, half.passes.plan
+        squares, weights = ScoreSquares(len(inverse), plan.rate), half.weights(x, scales)
         for columns, measured in half.passes.rows(np.eye(len(x))):
-            left = measured - scales[:, None] * (columns @ x)
-            rest = [_left(half.equations, j, k * x) for j, k in enumerate(scales)]
-            weight = half.equations.used / np.array(rest)
-            weighed = weight[:, None] * left
-            by_scale = (weighed * (columns @ x)).T
-            by_rest = np.einsum("ct,ctp->tp", weighed * scales[:, None], columns) @ half.lead
-            scores = np.hstack([by_scale, by_rest])
+            torque = columns @ x
+            left = weights[:, None] * (measured - scales[:, None] * torque)
+            by_rest = np.einsum("ct,ctp->tp", left * scales[:, None], columns) @ half.lead
+            scores = np.hstack([(left * torque).T, by_rest])
             bins = np.arange(0, len(scores), bin_size(plan.rate))
             squares.add(np.add.reduceat(scores, bins, axis=0))
         lost = len(inverse) / len(scales) / 2  # rows' worth of freedom, a channel and recording
         factor = hidden(plan.weights, plan.step, plan.rate) / max(1 - lost / plan.rows, 0.1)
         total += factor * squares.finish()
-    return sandwich(inverse, total)[:n, :n]
-
-
-def _left(equations: NormalEquations, channel: int, x: Array) -> float:
-    """Squares that unknowns leave of a channel, but for rounding."""
-    normal, right, square = equations.of_channel(channel)
-    return max(float(square - 2 * right @ x + x @ normal @ x), 1e-12 * square, TINY)
+    return sandwich(inverse, total)[: len(scales), : len(scales)]

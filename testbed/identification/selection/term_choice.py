@@ -23,7 +23,7 @@ from testbed.identification.selection.held_out import (
     rivals,
     stretches,
 )
-from testbed.identification.settings import AUTO, FIT, USUAL, Settings
+from testbed.identification.settings import AUTO, USUAL, Settings
 from testbed.robot.friction import (
     BACKWARD,
     COULOMB,
@@ -103,19 +103,12 @@ def with_chosen_settings(settings: Settings, estimates: Iterable[Estimate]) -> S
         settings: Those by which the estimates were made.
         estimates: By one method or by both.
     """
-    estimates = list(estimates)
     for each in estimates:
-        if settings.position_cutoff == FIT and any(
-            d.code == "encoder.filter" for d in each.diagnostics
-        ):
-            settings = replace(settings, position_cutoff=each.settings.position_cutoff)
-    drives = next((each.drives for each in estimates if each.drives is not None), None)
-    fewer = drives is not None and {FORWARD, BACKWARD} & {term.law for term in drives.asked}
-    if drives is not None and (settings.terms == AUTO or fewer):
-        return replace(settings, terms=[term.name(drives.tree) for term in drives.asked])
-    if drives is not None and settings.terms is None:
-        kinds = tuple(dict.fromkeys(term.law.kind for term in drives.asked))
-        return settings if kinds == USUAL else replace(settings, terms=kinds)
+        used = each.settings
+        if each.drives is not None and (settings.terms is not None or used.terms != USUAL):
+            settings = replace(settings, terms=used.terms)
+        if any(said.code == "encoder.filter" for said in each.diagnostics):
+            settings = replace(settings, position_cutoff=used.position_cutoff)
     return settings
 
 

@@ -446,27 +446,23 @@ def joint_kinds(table: SignalTable, joints: Sequence[str]) -> dict[str, dict[str
     }
 
 
-CURRENT = ("A", "mA")
+EFFORTS = {"pwm": "pwm", "A": "current", "mA": "current"}
+"""What a torque is made of, by its unit."""
 
 
 def effort_kinds(mapping: Mapping) -> dict[str, str]:
-    """What the torque of each joint was made of, as recordings keep it; {} without a torque.
-
-    "current", "pwm" and "motor" are of the motor, with its rotor and the gear's friction; "torque"
-    is of a sensor, or of nobody knows what.
+    """What each joint's torque is made of: current, pwm or motor, which move rotors, or torque.
 
     Args:
-        mapping: Of which columns that a matrix mixes are taken for one.
+        mapping: Of which columns that a matrix mixes are taken for the first.
     """
-    table = mapping.torque
-    if table is None:
+    if (table := mapping.torque) is None:
         return {}
-    units = [plain(u) for u in (table.unit if isinstance(table.unit, list) else [table.unit])]
+    units = [table.unit] if isinstance(table.unit, str) else table.unit
     if len(units) != len(mapping.joints) or table.matrix is not None:
         units = units[:1] * len(mapping.joints)
     other = "motor" if table.side == "motor" else "torque"
-    kinds = {"pwm": "pwm"} | dict.fromkeys(CURRENT, "current")
-    return {name: kinds.get(unit, other) for name, unit in zip(mapping.joints, units, strict=True)}
+    return {j: EFFORTS.get(plain(u), other) for j, u in zip(mapping.joints, units, strict=True)}
 
 
 def check_file_units(label: str, kind: str, columns: Sequence[str], units: Sequence[str],
