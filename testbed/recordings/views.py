@@ -109,14 +109,6 @@ class Seen:
         self.facts, self.signals = first.facts, first.signals
         self.senses_kinematics = first.velocity is not None
 
-    names: tuple[str, ...]
-    samples: int
-    rate: float
-    tare: Array | None
-    facts: Mapping[str, Any]
-    signals: tuple[str, ...]
-    senses_kinematics: bool
-
     @property
     def segments(self) -> tuple[tuple[int, int], ...]:
         """As `segments_of`."""

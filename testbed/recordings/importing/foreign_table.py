@@ -194,12 +194,10 @@ class ForeignTable:
         """
         places, wanted = self._places(), list(columns)
         for name in wanted:
-            if name not in places and len(places) == 1 and len(wanted) > 1:
-                count = max(*self.shapes.values())
+            if name not in places and len(places) == 1:
                 raise RecordingError(
-                    f"{self.path}: it has one column of {count} numbers, the mapping wants "
-                    f"{len(wanted)}; write the numbers of a sample into one line, as by "
-                    f"`paste -d, {'- ' * min(len(wanted), 8)}< in.txt > out.csv`"
+                    f"{self.path}: it has one column; write the numbers of a sample into one line, "
+                    "as by `paste -d, - - - < in.txt > out.csv` for three of them"
                 )
             if name not in places:
                 raise UnknownName(f"column of '{self.path}'", name, places)
