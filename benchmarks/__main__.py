@@ -262,6 +262,19 @@ def squatting(
 
 
 @app.command()
+def twins(
+    runs: Annotated[int, typer.Option(min=1, help="Recordings of each group.")] = 20,
+    first: Annotated[int, typer.Option(help="The first seed.")] = 3800,
+    only: Annotated[str, typer.Option(help="Only groups whose names hold this.")] = "",
+) -> None:
+    """Twins of real recordings: motors, payload, a joint that hardly moves, coarse poses."""
+    from benchmarks.twins import scores
+
+    for line in scores(first, runs, only):
+        _print(line)
+
+
+@app.command()
 def accuracy(
     runs: Annotated[int, typer.Option(min=2, help="Recordings of each kind.")] = 40,
     first: Annotated[int, typer.Option(help="The first seed.")] = 9000,

@@ -47,6 +47,21 @@ def _array(value: Any) -> Any:
         raise ValueError("it is no array of numbers") from None
 
 
+class TableSchema:
+    """Of a dataclass that checks its own fields, beside its type: a table in JSON."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        from pydantic_core import core_schema as schemas
+
+        return schemas.no_info_plain_validator_function(
+            lambda value: value if isinstance(value, source) else source(**value),
+            json_schema_input_schema=handler(source),
+            serialization=schemas.plain_serializer_function_ser_schema(
+                encode, return_schema=schemas.any_schema()
+            ),
+        )
+
+
 def named(name: Callable[[Any], Any]) -> Any:
     """`__get_pydantic_core_schema__` of a class whose values are names in JSON.
 

@@ -207,6 +207,8 @@ class UnseenParameters(TestbedError):
                 f"{plural(samples, 'sample')} determine only {rank} of {count} unknowns: "
                 f"{few(self.names, WIDTH)} are collinear; record a longer or richer motion of "
                 "the joints concerned"
+                + ", or leave terms out (--terms)"
+                * any("/" in name for name in self.names)
             )
         super().__init__(said)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,6 +22,9 @@ from testbed.cli.reading import (
     Zeros,
     app,
 )
+
+if TYPE_CHECKING:
+    from testbed.identification.estimate import Method
 
 
 @app.command()
@@ -59,7 +62,8 @@ def calibrate(
 
     Other numbers: --set 'identification.nuisances=["pose","skew"]'. Whether what is known
     suffices is found out before any data are read. A known payload identifies the scale, too:
-    a recording with it beside RECORDING, which is without it.
+    a recording with it beside RECORDING, which is without it. Of recordings of joint torques
+    alone, it identifies the scale of every joint's torque.
 
     Example: testbed calibrate run.parquet --model robot.urdf --known mass=20 --known gain/Mx=1
     """
@@ -69,7 +73,10 @@ def calibrate(
     from testbed.files import check_writable
     from testbed.identification.calibration import calibrate as calibrated
     from testbed.identification.payload.calibration_by_payload import calibrate_by_payload
+    from testbed.identification.payload.torque_scales import torque_scales
     from testbed.identification.regression.constraints import parse_known
+    from testbed.recordings.source import open_source
+    from testbed.reporting import estimates as shown
     from testbed.reporting import output, terminal
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic)
@@ -77,17 +84,21 @@ def calibrate(
     tree, facts = reading.tree(model), parse_known(known)
     if joint is not None and loaded is None:
         raise SettingsError("--joint names the link of --loaded: both are needed")
+    table = reading.tables().identification
+    how: dict[str, Any] = {"gravity": gravity, "settings": table, "threads": threads}
+    if loaded is not None and "wrench" not in open_source(recording).signals:
+        with output.Progress("calibrating torques") as progress:
+            scales = torque_scales(tree, recording, loaded, facts, joint, progress=progress, **how)
+        if as_json:
+            output.print_json(encode(scales))
+        else:
+            output.print_tables(output.console(), [shown.scales_table(scales)])
+        return
     found = partial(calibrated, tree, recording)
     if loaded is not None:
         found = partial(calibrate_by_payload, tree, recording, loaded, joint=joint)
     with output.Progress("calibrating") as progress:
-        plate = found(
-            facts,
-            gravity=gravity,
-            settings=reading.tables().identification,
-            threads=threads,
-            progress=progress,
-        )
+        plate = found(facts, progress=progress, **how)
     write_plate(plate, out)
     if as_json:
         output.print_json(encode(plate, exclude={"estimate": {"normal_equations"}}))
@@ -181,8 +192,8 @@ def payload(
 ) -> None:
     """Find a payload's mass, centre and inertia by two recordings, without it and with it.
 
-    Its parameters, as far as the plate identifies them; for a robot at rest in some poses,
-    mass and centre by the weight alone.
+    Its parameters, as far as the plate identifies them, or the joint torques of recordings without
+    a plate; for a robot at rest in some poses, mass and centre by the weight alone.
 
     Example: testbed payload empty.parquet loaded.parquet --model robot.urdf
     """
@@ -211,13 +222,15 @@ def payload(
         lines = shown.weighed_lines(weighed, whole)
         output.print_json(words) if as_json else output.print_lines(lines, tree.diagnostics)
         return
+    plates = all("wrench" in source.signals for source in sources)
+    method: Method = "external" if plates else "internal"
     estimates = []
     for source, name in zip(sources, ("without", "with"), strict=True):
         with output.Progress(f"identifying, {name}") as progress:
             estimates.append(
                 identify(
-                    tree, source, gravity=gravity, settings=table, doubt=reading.doubt(tree),
-                    threads=threads, progress=progress,
+                    tree, source, method, gravity=gravity, settings=table,
+                    doubt=reading.doubt(tree), threads=threads, progress=progress,
                 )
             )  # fmt: skip
     found = payload_of(tree, estimates[0], estimates[1], joint)

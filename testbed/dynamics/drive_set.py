@@ -219,7 +219,7 @@ def drive_set(tree: Tree, minimal: MinimalSet, laws: Sequence[str | JointLaw]) -
     states = random_states(tree, SEED)
 
     def column(term: JointTerm) -> Array:
-        return term_torque(tree, term, states.qd, states.qdd).ravel()
+        return term_torque(tree, term, states.qd, states.qdd, states.t).ravel()
 
     rows = regressor(tree, states, minimal).reshape(-1, minimal.count)
     every = np.column_stack([rows, *(column(term) for term in found.terms)])

@@ -90,9 +90,10 @@ def growth(run: Run, times: Sequence[float] | None = None) -> dict[Method, Growt
         for k, samples in enumerate(parts):
             part = recording.part(0, samples)
             try:
-                values[k] = identify(run.tree, part, method, settings=settings).values
+                own = identify(run.tree, part, method, settings=settings).to_dict()
             except (RecordingError, UnseenParameters):
                 continue
+            values[k] = [own.get(name, {"value": np.nan})["value"] for name in whole.names]
         time = np.array([*(recording.time[samples - 1] for samples in parts), end])
         found[method] = Growth(time, values)
     return found

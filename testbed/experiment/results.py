@@ -28,7 +28,7 @@ from testbed.identification.drives.identify_drives import DriveFindings
 from testbed.identification.estimate import METHODS, MODEL_OF, Estimate, Method
 from testbed.identification.posterior import Posterior
 from testbed.identification.problem import set_of
-from testbed.identification.selection.term_choice import with_chosen_terms
+from testbed.identification.selection.term_choice import with_chosen_settings
 from testbed.identification.sensor.correction import NUISANCES, TESTED
 from testbed.identification.sensor.estimates import Nuisance
 from testbed.identification.validate import Validation
@@ -215,7 +215,7 @@ def _settled(tables: RecordingTables, estimates: Iterable[Estimate]) -> Recordin
             names = drives.tree.names
             said = {s.name: {names[j]: turn for j, turn in s.turns} for s in drives.tree.shafts}
             robot = robot.model_copy(update={"coupling": said})
-    identification = with_chosen_terms(tables.identification, estimates)
+    identification = with_chosen_settings(tables.identification, estimates)
     return tables.model_copy(update={"robot": robot, "identification": identification})
 
 
@@ -252,7 +252,7 @@ def read_estimates(run: Run, path: Path, source: Mapping[str, str]) -> Run | Non
                 return None
     except Exception:  # a file that was damaged may be wrong in any way
         return None
-    settings = with_chosen_terms(run.settings, found.estimates.values())
+    settings = with_chosen_settings(run.settings, found.estimates.values())
     return replace(run, settings=settings, **{name: getattr(found, name) for name in FIELDS})
 
 

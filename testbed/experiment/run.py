@@ -22,7 +22,7 @@ from testbed.identification.estimate import METHODS, NAMES, Estimate, Method
 from testbed.identification.identify import identify
 from testbed.identification.posterior import Posterior, posterior
 from testbed.identification.regression.passes import Progress
-from testbed.identification.selection.term_choice import with_chosen_terms
+from testbed.identification.selection.term_choice import with_chosen_settings
 from testbed.identification.sensor.correction import CalibrationCovariance
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.identification.validate import Validation, motion_in
@@ -335,7 +335,7 @@ def assemble_run(
         recording=recording,
         estimates=estimates,
         failures=failures,
-        settings=with_chosen_terms(settings, estimates.values()),
+        settings=with_chosen_settings(settings, estimates.values()),
         experiment=experiment,
         score=judged,
         model=model,

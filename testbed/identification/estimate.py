@@ -8,17 +8,19 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
 from importlib import import_module
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from testbed.arrays import Array, readonly
+from testbed.codec import TableSchema
 from testbed.diagnostics import Diagnosed, Diagnostic, sentences
 from testbed.errors import TestbedError, plural
 from testbed.identification.noise.noise_model import NoiseModel
 from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.selection.held_out import TermChoice
 from testbed.identification.sensor.estimates import NuisanceEstimate, TraceTest
+from testbed.identification.settings import DEFAULTS, Settings
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import Model
@@ -249,6 +251,7 @@ class Estimate(Diagnosed):
         choice: How held-out data chose the joints' terms, where they did.
         unidentifiable: Names of parameters that no motion separates from the plate's zero, which is
             not known here. Their values hold together with that zero only.
+        settings: How its recording became equations, with all that data chose.
     """
 
     method: Method
@@ -276,6 +279,7 @@ class Estimate(Diagnosed):
     nuisance_cross: Array = field(default_factory=lambda: np.zeros((0, 0)))
     choice: TermChoice | None = None
     unidentifiable: tuple[str, ...] = ()
+    settings: Annotated[Settings, TableSchema()] = DEFAULTS
 
     def __post_init__(self) -> None:
         p, c = len(self.names), len(self.channels)

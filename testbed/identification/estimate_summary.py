@@ -12,6 +12,7 @@ from testbed.errors import SettingsError, components, few
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.problem import Problem, set_of
 from testbed.identification.sensor.correction import lastingly_corrected
+from testbed.identification.settings import DEFAULTS, Settings
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 
@@ -29,6 +30,7 @@ class EstimateSummary:
         residual: Rms of the estimate's own residuals, (channels,) [N, N m].
         nuisances: Numbers of the instrument that were estimated, by name, such as "pose/rx".
         zero_unknown: Whether some parameters are not identifiable, the plate's zero being unknown.
+        settings: How its recording became equations.
     """
 
     method: Method
@@ -39,6 +41,7 @@ class EstimateSummary:
     residual: Array
     nuisances: Mapping[str, float]
     zero_unknown: bool = False
+    settings: Settings = DEFAULTS
 
     def __post_init__(self) -> None:
         p = len(self.names)
@@ -67,6 +70,7 @@ def summary_of(estimate: Estimate) -> EstimateSummary:
         residual=estimate.residual,
         nuisances={each.name: each.value for each in estimate.nuisances},
         zero_unknown=bool(estimate.unidentifiable),
+        settings=estimate.settings,
     )
 
 

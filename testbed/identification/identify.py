@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
 from testbed.diagnostics import Diagnostic, diagnose, of_recording, ordered
-from testbed.errors import RecordingError, SettingsError
+from testbed.errors import RecordingError, SettingsError, TestbedError, UnseenParameters
 from testbed.identification.diagnostics.diagnosis import diagnostics, quality
 from testbed.identification.diagnostics.residuals import zero_unknown
 from testbed.identification.estimate import Estimate, Method, channel_units
@@ -29,13 +30,15 @@ from testbed.identification.regression.solvers import (
     solve,
 )
 from testbed.identification.regression.windows import Plan
-from testbed.identification.selection.term_choice import with_all_terms
+from testbed.identification.selection.held_out import TermChoice
+from testbed.identification.selection.position_filter import with_position_filter
+from testbed.identification.selection.term_choice import with_all_terms, with_fewer_terms
 from testbed.identification.sensor.correction import CalibrationCovariance
 from testbed.identification.sensor.sensor_model import LinearFit, SensorModel, gauss_newton
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.kernel.records import Question
 from testbed.recordings.source import RecordingLike, Source, segments_of
-from testbed.robot.friction import LAWS
+from testbed.robot.friction import BACKWARD, FORWARD, LAWS, ROTOR
 from testbed.robot.tree import Tree
 from testbed.stages import stage
 
@@ -136,6 +139,37 @@ def estimate_of(problem: Problem, doubt: CalibrationCovariance | None = None) ->
         UnseenParameters: As `identify`.
     """
     problem, choice = with_all_terms(problem)
+    problem, filtered = with_position_filter(problem)
+    try:
+        estimate = _estimate_of(problem, choice, doubt)
+    except UnseenParameters:
+        fewer = problem if problem.drives is None else with_fewer_terms(problem)
+        if fewer.names == problem.names:
+            raise
+        problem, estimate = fewer, _estimate_of(fewer, choice, doubt)
+    said = tuple(_rotors_first(each, problem) for each in estimate.diagnostics)
+    return replace(estimate, diagnostics=(*said, *filtered))
+
+
+def _rotors_first(given: Diagnostic, problem: Problem) -> Diagnostic:
+    """Torques that lead the motion: because of rotors, if they do so no longer beside those."""
+    if given.code != "torque.delay" or ROTOR.kind not in given.causes:
+        return given
+    with suppress(TestbedError):
+        beside = _estimate_of(
+            problem.with_settings(terms=(*problem.settings.words, ROTOR.kind)), None, None
+        )
+        if all(each.code != given.code for each in beside.diagnostics):
+            causes = dict.fromkeys((ROTOR.kind, *given.causes))
+            remedy = f"add '{ROTOR.kind}' to identification.terms"
+            return replace(given, causes=tuple(causes), remedy=remedy)
+    return given
+
+
+def _estimate_of(
+    problem: Problem, choice: TermChoice | None, doubt: CalibrationCovariance | None
+) -> Estimate:
+    """The estimate with the terms of a problem's settings."""
     settings = problem.settings
     if not problem.minimal.names:
         raise SettingsError("identification.zeros leaves no parameter to estimate; name fewer")
@@ -174,8 +208,11 @@ def _of_problem(problem: Problem) -> Iterator[Diagnostic]:
     yield from of_recording(source.facts)
     if plate and source.tare is None and tare.any():
         yield diagnose("plate.no-tare", "the tare", tare[2], method="external")
-    if not plate:
+    if problem.drives is not None:
         yield from _missing_terms(problem.tree, settings)
+        for term in problem.drives.asked:
+            if term.law in (FORWARD, BACKWARD):
+                yield diagnose("drives.one-way", problem.tree.names[term.joint], method="internal")
     passing = [kind for kind in ("bias", "slope") if kind in settings.nuisances]
     if plate and passing and len(segments_of(source)) > 1:
         yield diagnose("plate.common-offset", " and ".join(passing), method="external")
@@ -245,4 +282,5 @@ def _estimate(
         nuisance_covariance=spread,
         nuisance_cross=across,
         trace_tests=model.tests(problem, fit),
+        settings=problem.settings,
     )

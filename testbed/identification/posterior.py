@@ -32,7 +32,7 @@ from testbed.identification.selection.prediction_errors import (
     prediction_errors,
 )
 from testbed.identification.selection.row_products import Parts, RowProducts, products_of
-from testbed.identification.selection.term_choice import with_chosen_terms
+from testbed.identification.selection.term_choice import with_chosen_settings
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.parameters.prior import Prior
 from testbed.recordings.source import RecordingLike, Source
@@ -271,7 +271,7 @@ def _parts(
     threads: int | None,
 ) -> tuple[Problem, Parts]:
     """A problem, and its rows, faults of the instrument that an estimate found taken back."""
-    settings = with_chosen_terms(settings, made)
+    settings = with_chosen_settings(settings, made)
     problem = Problem.of(tree, recording, method, settings, gravity=gravity, threads=threads)
     source, free = problem.source, "bias" in problem.settings.nuisances or not made
     for each in made:

@@ -27,15 +27,15 @@ from testbed.identification.regression.normal_equations import NormalEquations, 
 from testbed.identification.regression.passes import Passes, Progress
 from testbed.identification.regression.windows import make_plan
 from testbed.identification.selection.held_out import ALWAYS
-from testbed.identification.settings import DEFAULTS, Settings
+from testbed.identification.settings import DEFAULTS, FIT, Settings
 from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import products_wanted
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.recordings.geometry import check_robot, in_its_gravity
 from testbed.recordings.source import RecordingLike, Source, counted, open_source, segments_of
-from testbed.recordings.views import is_imported, on_its_base, with_gear
-from testbed.robot.friction import OFFSET, JointLaw
+from testbed.recordings.views import is_imported, is_of_motors, on_its_base, with_gear
+from testbed.robot.friction import OFFSET, ROTOR, JointLaw
 from testbed.robot.tree import Tree
 from testbed.stages import stage
 
@@ -52,6 +52,7 @@ class Problem:
             open speed stay until held-out data choose).
         threads: How many to use; None for one a processor.
         progress: Called with samples done and samples in all.
+        open_filter: Whether data may choose the filter on positions: nobody has said it.
     """
 
     tree: Tree
@@ -60,6 +61,7 @@ class Problem:
     settings: Settings
     threads: int | None = None
     progress: Progress = lambda done, total: None
+    open_filter: bool = False
 
     @classmethod
     def of(
@@ -94,8 +96,12 @@ class Problem:
         source = on_its_base(samples_of(recording, settings), tree)
         check_source(source, tree, method)
         tree = with_gear(in_its_gravity(tree, source, gravity), source)
+        open_filter = settings.position_cutoff == FIT and not source.senses_kinematics
         settings = _complete(settings, source, method)
-        return cls(tree, source, method, settings, threads, progress)
+        lacking = {law.by for law in settings.laws} - {"", *source.signals}
+        if lacking:
+            raise RecordingError(f"the recording has no {lacking.pop()}, which the terms need")
+        return cls(tree, source, method, settings, threads, progress, open_filter)
 
     def with_settings(self, **changes: Any) -> Problem:
         """The same with some settings changed.
@@ -251,12 +257,15 @@ def set_of(tree: Tree, method: Method, settings: Settings) -> MinimalSet:
 
 
 def usual_laws(source: Source) -> tuple[JointLaw, ...]:
-    """What every joint has unless something else is said: real drives have offsets, too.
+    """What every joint has unless something else is said.
+
+    Real drives have offsets, too, and what their motors deliver moves rotors.
 
     Args:
         source: The recording.
     """
-    return (*ALWAYS, OFFSET) if is_imported(source) else ALWAYS
+    own = ((OFFSET, is_imported(source)), (ROTOR, is_of_motors(source)))
+    return (*ALWAYS, *(law for law, there in own if there))
 
 
 def _complete(settings: Settings, source: Source, method: Method) -> Settings:

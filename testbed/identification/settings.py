@@ -104,7 +104,7 @@ class Settings:
 
     cutoff: Cutoff | None = "fit"
     """Low-pass on the regressor's columns and the measurement alike [Hz], or "off". By default
-    5 Hz, or a tenth of the sampling rate where that is less."""
+    5 Hz, or a tenth of the sampling rate or half of `position_cutoff` where that is less."""
 
     deadband: float = 0.02
     """Rows of joints that are slower do not count: dry friction there has no sign
@@ -117,10 +117,12 @@ class Settings:
 
     terms: Sequence[str | JointLaw] | Literal["auto"] | None = None
     """What a joint's torque holds besides the forces that move the bodies: "coulomb", "viscous",
-    "offset", "rotor", "asymmetric", "quadratic", "square_root", and "stribeck@0.1", friction that
+    "offset", "rotor", "asymmetric", "quadratic", "square_root", "slope", "warm_coulomb",
+    "warm_viscous", and "stribeck@0.1", friction that
     fades out at 0.1 rad/s; "stribeck" looks for the speed, too (testbed/robot/friction.py). Each
     holds at all joints and at all shafts that couple some, "rotor/elbow" at that one. "auto" lets
-    held-out data choose. Default: "coulomb" and "viscous", and "offset" of imported recordings."""
+    held-out data choose. Default: "coulomb" and "viscous", "offset" of imported recordings, and
+    "rotor" of torques from motors."""
 
     weights: Literal["channels", "full"] | Sequence[Sequence[float]] = "channels"
     """Weights of the channels: "channels", by each one's own noise; "full", by the covariance
@@ -189,6 +191,8 @@ class Settings:
         if self.known and self.noise != "ar":
             raise SettingsError('known facts need noise = "ar"')
         slow, fast = self.row_low_pass, self.position_low_pass
+        if self.cutoff == FIT and slow is not None and fast is not None:
+            slow = min(slow, fast / 2)
         if slow is not None and fast is not None and fast < 2 * slow:
             raise SettingsError(
                 f"position_cutoff = {fast:g} Hz is less than twice cutoff = {slow:g} Hz: what it "
@@ -211,7 +215,9 @@ class Settings:
         Args:
             rate: Samples a second [Hz].
         """
-        rows = min(ROW_CUTOFF, SLOWEST_ROWS * rate) if self.cutoff == FIT else self.cutoff
+        rows = self.cutoff
+        if rows == FIT:
+            rows = min(ROW_CUTOFF, SLOWEST_ROWS * rate, (self.position_low_pass or np.inf) / 2)
         positions: Cutoff | None = self.position_cutoff
         if positions == FIT:
             positions = POSITION_CUTOFF if rate / 2 > POSITION_CUTOFF else "off"

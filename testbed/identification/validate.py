@@ -43,12 +43,12 @@ from testbed.identification.selection.prediction_errors import (
     POSTERIOR,
     PredictionErrors,
 )
-from testbed.identification.selection.term_choice import with_chosen_terms
+from testbed.identification.selection.term_choice import with_chosen_settings
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.recordings.geometry import in_its_gravity
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import RecordingLike
-from testbed.robot.friction import term_torque
+from testbed.robot.friction import ROOM, SLOPE, term_torque
 from testbed.robot.tree import Tree
 
 
@@ -125,24 +125,34 @@ def predictions(
     for k, method in enumerate(methods):  # the external one comes first
         theta[..., k] = parameters_of(estimates[method], theta[..., 0] if k else None)
     joints, plate = linear(tree, motion, theta)
-    torque = {m: joints[..., k] + own_torque(motion, estimates[m]) for k, m in enumerate(methods)}
+    first = round((motion.t[0] - recording.time[0]) * recording.rate)
+    warmth = recording.temperature
+    warmth = None if warmth is None else warmth[first : first + motion.samples] - ROOM
+    torque = {
+        m: joints[..., k] + own_torque(motion, estimates[m], warmth) for k, m in enumerate(methods)
+    }
     whole = methods if "external" in methods else []
     return {m: plate[..., k] + tare for k, m in enumerate(whole)}, torque
 
 
-def own_torque(motion: Motion, estimate: Estimate) -> Array:
+def own_torque(motion: Motion, estimate: Estimate, warmth: Array | None = None) -> Array:
     """What an estimate's joint terms add to the torques, (M, n) [N m or N].
+
+    Without the drift of offsets, which is one recording's.
 
     Args:
         motion: M samples, joints in the order of `estimate.joints`.
         estimate: Of either method; the external one knows none.
+        warmth: Temperatures over 25 degC, (M, n) [K]; default none.
     """
     found = np.zeros_like(motion.qd)
     drives = estimate.drives
     if drives is not None:
         own = estimate.values[estimate.minimal.count :]
         for term, value in zip(drives.terms, own, strict=True):
-            found += value * term_torque(drives.tree, term, motion.qd, motion.qdd)
+            known = warmth is not None and term.law.by == "temperature"
+            by = warmth[:, term.joint] if warmth is not None and known else 0.0
+            found += value * term_torque(drives.tree, term, motion.qd, motion.qdd, by)
     return found
 
 
@@ -244,7 +254,7 @@ def validate(
     estimate: Estimate | EstimateSummary,
     *,
     gravity: ArrayLike | None = None,
-    settings: Settings = DEFAULTS,
+    settings: Settings | None = None,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
     models: Mapping[str, Array] | None = None,
@@ -261,7 +271,7 @@ def validate(
         estimate: What is to be validated.
         gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else the
             estimate's.
-        settings: Those of the estimate.
+        settings: Default those of the estimate.
         threads: How many to use; default one a processor.
         progress: Called with samples done and samples in all.
         models: Values of the same unknowns by what else predicts (`Posterior.models`).
@@ -272,11 +282,12 @@ def validate(
     """
     said = estimate if isinstance(estimate, EstimateSummary) else summary_of(estimate)
     made = [] if isinstance(estimate, EstimateSummary) else [estimate]
+    settings = said.settings if settings is None else with_chosen_settings(settings, made)
     problem = Problem.of(
         tree.with_gravity(said.gravity),
         recording,
         said.method,
-        with_chosen_terms(settings, made),
+        settings,
         gravity=gravity,
         threads=threads,
         progress=progress,
@@ -294,7 +305,12 @@ def validate(
     with one_blas_thread():
         equations = problem.equations(passes)
         total, squares = np.zeros((2, len(channels)))
-        for columns, measured in passes.rows(said.values[:, None]):
+        # the drift of offsets is one recording's
+        values = [
+            0.0 if name.startswith(SLOPE.kind + "/") else value
+            for name, value in zip(said.names, said.values.tolist(), strict=True)
+        ]
+        for columns, measured in passes.rows(np.array(values)[:, None]):
             left = measured - columns[..., 0]
             total += left.sum(axis=1)
             squares += (left**2).sum(axis=1)

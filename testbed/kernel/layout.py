@@ -26,18 +26,20 @@ from testbed.kernel.records import (
     SEEDS,
     SLIDING,
     TURNING,
+    UNKNOWN,
     USUAL,
     Ints,
     Robot,
     Rows,
     bools,
     ints,
+    law_number,
 )
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.regroup import beyond
 from testbed.parameters.rules import Model, across
 from testbed.parameters.symbols import TENSOR, UPPER
-from testbed.robot.friction import LAWS, JointTerm
+from testbed.robot.friction import JointTerm
 from testbed.robot.locks import shares
 from testbed.robot.tree import Tree
 
@@ -317,9 +319,6 @@ class Draft:
 TINY = 1e-13
 """Coefficients that are zero but for rounding."""
 
-UNKNOWN = -1
-"""Number of a law that is not in LAWS: the NumPy engine alone makes its columns."""
-
 
 @dataclass(frozen=True, eq=False)
 class Layout:
@@ -368,8 +367,10 @@ class Layout:
 
     @property
     def compiles(self) -> bool:
-        """Whether the compiled kernel knows all columns: those of laws in LAWS, at joints."""
-        return all(term.law in LAWS and term.joint < self.tree.n for term in self.terms)
+        """Whether the compiled kernel knows all columns: those of LAWS, at joints."""
+        return all(
+            law_number(term.law) != UNKNOWN and term.joint < self.tree.n for term in self.terms
+        )
 
 
 def layout(
@@ -400,7 +401,7 @@ def layout(
     if minimal.model == "dynamic":
         for j, link in enumerate(frames.place):
             extra = [
-                (LAWS.index(term.law) if term.law in LAWS else UNKNOWN, len(picked) + k)
+                (law_number(term.law), len(picked) + k)
                 for k, term in enumerate(terms)
                 if turn[term.joint, j]
             ]

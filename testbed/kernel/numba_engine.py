@@ -150,6 +150,7 @@ def _fixed(signals: Signals) -> Signals:
         measured=fixed(signals.measured),
         taps=fixed(signals.taps),
         weights=fixed(signals.weights),
+        varying=fixed(signals.varying),
     )
 
 

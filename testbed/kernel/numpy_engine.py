@@ -9,6 +9,7 @@ from testbed.arrays import Array
 from testbed.dynamics.newton_euler import Motion, linear
 from testbed.kernel.layout import Layout
 from testbed.kernel.records import Block, Question, Signals, Sums, blocks, sums_for
+from testbed.robot.friction import JointTerm
 from testbed.robot.locks import at_places, shares
 
 SAMPLES = 1024
@@ -103,8 +104,18 @@ def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) ->
         for k, column in enumerate(columns[len(bodies) :]):
             term = layout.terms[column - phi.shape[2]]
             y[at + len(bodies) + k] = turn[term.joint, c] * own[term.law][:, term.joint]
+            if term.law.by:
+                y[at + len(bodies) + k] *= _varying(signals, term, first, motion.samples)
         y[layout.rows.measured[c]] = signals.measured[first : first + motion.samples, c]
     return y
+
+
+def _varying(signals: Signals, term: JointTerm, first: int, count: int) -> Array | float:
+    """What multiplies the column of a law that depends on more than the motion, (count,)."""
+    if not len(signals.varying):
+        return 0.0
+    column = 0 if term.law.by == "time" else 1 + term.joint
+    return signals.varying[first : first + count, column]
 
 
 def _products(layout: Layout, z: Array, sums: Sums) -> None:

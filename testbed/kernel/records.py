@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import AnyArray, Array
+from testbed.robot.friction import LAWS, JointLaw
 
 # Entries of a row on one body.
 
@@ -138,6 +139,23 @@ class Rows(NamedTuple):
     block: int  # rows taken at once
 
 
+UNKNOWN = -1
+"""Number of a law with no column of LAWS: the NumPy engine alone makes it."""
+
+
+def law_number(law: JointLaw) -> int:
+    """Number of a law's column among those of LAWS.
+
+    Args:
+        law: Of a joint's torque.
+    """
+    same = (k for k, known in enumerate(LAWS) if known.column is law.column and not law.by)
+    return next(same, UNKNOWN)
+
+
+NONE = np.zeros((0, 0))
+
+
 class Signals(NamedTuple):
     """A window of a recording, and which of its samples become rows."""
 
@@ -152,6 +170,7 @@ class Signals(NamedTuple):
     start: int  # sample of the first row
     step: int  # samples from row to row
     number: int  # of rows
+    varying: Array = NONE  # time and temperatures, (M, 1 + n), where a law is multiplied by them
 
 
 def sensed(q: Array, qd: Array, qdd: Array, channels: int) -> Signals:

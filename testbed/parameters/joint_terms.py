@@ -25,7 +25,7 @@ from testbed.parameters.elimination import INDEPENDENT
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.regroup import NEW, Lengths, beyond, seen_wrenches
 from testbed.parameters.symbols import DriveSymbol, Formula, Label, Term
-from testbed.robot.friction import OFFSET, ROTOR, JointLaw, JointTerm, joint_terms
+from testbed.robot.friction import CONSTANTS, ROTOR, JointLaw, JointTerm, joint_terms
 from testbed.robot.locks import places
 from testbed.robot.tree import Tree
 
@@ -153,7 +153,8 @@ def with_joint_terms(tree: Tree, minimal: MinimalSet, laws: Sequence[str | Joint
     if minimal.model != "dynamic":
         raise ValueError(f"joint terms belong to the dynamic set, this is the {minimal.model} one")
     asked = tuple(term for term in joint_terms(tree, laws) if term.joint < tree.n)
-    rotors, offsets = ({t.joint for t in asked if t.law == law} for law in (ROTOR, OFFSET))
+    rotors = {term.joint for term in asked if term.law == ROTOR}
+    offsets = {term.joint: term for term in asked if term.law in CONSTANTS}
     lone = _lone(tree, minimal.gravity, offsets) if rotors else {}
     lone = {joint: force for joint, force in lone.items() if joint in rotors}
     merged = _merged(minimal, tuple(lone))
@@ -164,12 +165,17 @@ def with_joint_terms(tree: Tree, minimal: MinimalSet, laws: Sequence[str | Joint
         if term in place:
             columns[place[term], k] = 1.0
         else:
-            columns[:, k] = _holders(term.joint, merged, lone, place, len(columns))
+            columns[:, k] = _holders(term.joint, merged, lone, offsets, place, len(columns))
     return DriveSet(minimal, asked, terms, readonly(columns, columns.shape, "columns"), tree)
 
 
 def _holders(
-    joint: int, merged: _Merged, lone: dict[int, float], place: dict[JointTerm, int], count: int
+    joint: int,
+    merged: _Merged,
+    lone: dict[int, float],
+    offsets: dict[int, JointTerm],
+    place: dict[JointTerm, int],
+    count: int,
 ) -> Array:
     """What a regrouped rotor adds to the unknowns, (count,)."""
     column = np.zeros(count)
@@ -181,7 +187,7 @@ def _holders(
         if own is not None:
             column[own] = -share
         if force:
-            column[place[JointTerm(OFFSET, moving)]] = -force * share
+            column[place[offsets[moving]]] = -force * share
     return column
 
 

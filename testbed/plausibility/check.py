@@ -257,7 +257,7 @@ def _alternatives(tree: Tree, explanations: Sequence[Explanation]) -> Alternativ
         if each.cost <= most and each.count <= best.count and not _alike(each, best):
             words = " and ".join(in_words(tree, hypothesis) for hypothesis in each.hypotheses)
             equals[words or "nothing wrong"] = None
-    worse = [each for each in others if each.cost > most and each.hypotheses != best.hypotheses]
+    worse = [each for each in others if each.cost > most and not _alike(each, best)]
     if not worse:
         return Alternatives(equals=tuple(equals))
     nearest = min(worse, key=lambda each: each.cost)
@@ -265,8 +265,9 @@ def _alternatives(tree: Tree, explanations: Sequence[Explanation]) -> Alternativ
         float((each.plate if each.has_plate else each.torques).unexplained.sum())
         for each in (nearest, best)
     )
-    kinds = tuple(dict.fromkeys(each.kind for each in nearest.hypotheses))
-    return Alternatives(kinds, more / (least + 1e-9), tuple(equals))
+    beside = [each for each in nearest.hypotheses if each not in best.hypotheses]
+    runner_up = tuple(in_words(tree, each) for each in beside)
+    return Alternatives(runner_up, more / (least + 1e-9), tuple(equals))
 
 
 def _equal_zeros(tree: Tree, hypotheses: Sequence[Hypothesis]) -> Iterator[str]:

@@ -58,7 +58,7 @@ class Alternatives:
     """What else explains a recording.
 
     Attributes:
-        runner_up: Kinds of hypotheses of the next best explanation; empty if there is none.
+        runner_up: What the next best explanation has besides, in words; empty if there is none.
         times: So many times more is left by that.
         equals: What explains the same, in words.
     """
@@ -249,8 +249,6 @@ def wrong_mapping(
     subjects = [f"the {'plate' if name == 'wrench' else name}" for name in ("wrench", "base")
                 if name in tables]  # fmt: skip
     worst = max(remedies, key=lambda each: each.before - each.after)
-    own = {each.kind for each in remedies}
-    next_best = ", ".join(KINDS[kind].words for kind in others.runner_up if kind not in own)
     more = "as much, with masses less likely"
     if others.times > CLEARLY:
         more = f"{others.times:.2g} times as much"
@@ -265,7 +263,7 @@ def wrong_mapping(
         after=share(worst.after),
         channel=worst.channel,
         gain=gain,
-        runner_up=others.runner_up and (next_best or "of other values"),
+        runner_up=", ".join(others.runner_up),
         more=more,
         equals=", or ".join(others.equals),
         lines=in_mapping(line for each in remedies for line in each.lines),

@@ -3,9 +3,9 @@
 A file format knows nothing of robots: it yields columns and metadata (`Table`), and the
 rest of this room makes a recording of them.
 
-Columns   time, position/JOINT, velocity/JOINT, acceleration/JOINT, torque/JOINT, wrench/Fx
-          ... wrench/Mz, base/x ... base/qz; in simulated recordings truth/..., which no
-          estimator reads
+Columns   time, position/JOINT, velocity/JOINT, acceleration/JOINT, torque/JOINT,
+          temperature/JOINT, wrench/Fx ... wrench/Mz, base/x ... base/qz; in simulated
+          recordings truth/..., which no estimator reads
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 PLATE_UNITS = ("N", "N", "N", "N m", "N m", "N m")
 """Theirs."""
 
-JOINT_SIGNALS = ("position", "velocity", "acceleration", "torque")
+JOINT_SIGNALS = ("position", "velocity", "acceleration", "torque", "temperature")
 """What is measured joint by joint."""
 
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
@@ -40,9 +40,11 @@ TRUE_SIGNALS = ("position", "velocity", "acceleration", "torque", "friction", "w
 
 UNITS = {
     "revolute": {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
-    | dict.fromkeys(("torque", "friction"), "N m"),
+    | dict.fromkeys(("torque", "friction"), "N m")
+    | {"temperature": "degC"},
     "prismatic": {"position": "m", "velocity": "m/s", "acceleration": "m/s^2"}
-    | dict.fromkeys(("torque", "friction"), "N"),
+    | dict.fromkeys(("torque", "friction"), "N")
+    | {"temperature": "degC"},
 }
 """Of what is measured at a joint, by the joint's kind."""
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, of_recording
 from testbed.errors import RecordingError
 from testbed.recordings.columns import COUNTED, check_columns
@@ -62,14 +61,6 @@ class Joined:
         said = dict.fromkeys(each for part in self._parts for each in of_recording(part.facts))
         facts = {k: fact for k, fact in first.facts.items() if k not in (COUNTED, "warnings")}
         self.facts: dict[str, Any] = {**facts, "diagnostics": [d.as_dict() for d in said]}
-
-    names: tuple[str, ...]
-    samples: int
-    rate: float
-    tare: Array | None
-    signals: tuple[str, ...]
-    senses_kinematics: bool
-    segments: tuple[tuple[int, int], ...]
 
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1, all of one recording, without the truth."""

@@ -75,6 +75,7 @@ class Recording:
             None if the recording does not say: the model's pedestal is then assumed.
         base: Position and quaternion (w, x, y, z) of a base that moves, on the ground, (M, 7)
             [m]; the wrench is then the ground's, about the ground's origin.
+        temperature: Of the joints' drives, (M, n) [degC].
         truth: What really happened, where a simulation made the recording.
         facts: What is known about the run: robot, model hash, seed, versions.
     """
@@ -88,6 +89,7 @@ class Recording:
     acceleration: Array | None = None
     tare: Array | None = None
     base: Array | None = None
+    temperature: Array | None = None
     truth: Truth | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
 

@@ -6,7 +6,7 @@ import math
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, Protocol, TypeAlias, runtime_checkable
 
@@ -140,54 +140,21 @@ RecordingLike: TypeAlias = Recording | Source | str | Path | Iterable[Recording]
 """A recording in memory, or a Parquet file's path, or parts in the order of time."""
 
 
-@dataclass(frozen=True, eq=False)
 class Stretch:
-    """A stretch of a source, which is a source.
+    """A stretch of a source, which is a source."""
 
-    Attributes:
-        whole: Of which.
-        first: Its first sample.
-        last: The one after its last.
-    """
+    def __init__(self, whole: Source, first: int, last: int) -> None:
+        """Some of the samples.
 
-    whole: Source
-    first: int
-    last: int
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Joint names."""
-        return self.whole.names
-
-    @property
-    def samples(self) -> int:
-        """Number of samples."""
-        return self.last - self.first
-
-    @property
-    def rate(self) -> float:
-        """Samples a second [Hz]."""
-        return self.whole.rate
-
-    @property
-    def tare(self) -> Array | None:
-        """As `Recording.tare`."""
-        return self.whole.tare
-
-    @property
-    def facts(self) -> Mapping[str, Any]:
-        """As `Recording.facts`."""
-        return self.whole.facts
-
-    @property
-    def signals(self) -> tuple[str, ...]:
-        """As `Recording.signals`."""
-        return self.whole.signals
-
-    @property
-    def senses_kinematics(self) -> bool:
-        """Whether velocities and accelerations were sensed, both."""
-        return self.whole.senses_kinematics
+        Args:
+            whole: Of which.
+            first: The first.
+            last: The one after the last.
+        """
+        self.whole, self.first, self.last = whole, first, last
+        self.names, self.samples, self.rate = whole.names, last - first, whole.rate
+        self.tare, self.facts, self.signals = whole.tare, whole.facts, whole.signals
+        self.senses_kinematics = whole.senses_kinematics
 
     @property
     def segments(self) -> tuple[tuple[int, int], ...]:

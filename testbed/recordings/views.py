@@ -30,6 +30,16 @@ def is_imported(source: Source) -> bool:
     return "mapping" in source.facts
 
 
+def is_of_motors(source: Source) -> bool:
+    """Whether some joint's torque was made of its motor's current, voltage or torque.
+
+    Args:
+        source: The recording.
+    """
+    efforts = source.facts.get("effort")
+    return isinstance(efforts, Mapping) and any(kind != "torque" for kind in efforts.values())
+
+
 def with_gear(tree: Tree, source: Source) -> Tree:
     """The robot with the shafts that a recording's gear couples, unless it has some already.
 
@@ -99,14 +109,6 @@ class Seen:
         self.facts, self.signals = first.facts, first.signals
         self.senses_kinematics = first.velocity is not None
 
-    names: tuple[str, ...]
-    samples: int
-    rate: float
-    tare: Array | None
-    facts: Mapping[str, Any]
-    signals: tuple[str, ...]
-    senses_kinematics: bool
-
     @property
     def segments(self) -> tuple[tuple[int, int], ...]:
         """As `segments_of`."""
@@ -139,6 +141,7 @@ def with_base_joints(recording: Recording) -> Recording:
         torque=None,
         velocity=None,
         acceleration=None,
+        temperature=None,
         truth=None,
         facts={k: v for k, v in recording.facts.items() if k != "geometry"},
     )

@@ -23,6 +23,7 @@ from testbed.reporting.section import DARKEST, HeatTable, Table
 if TYPE_CHECKING:
     from testbed.identification.payload.payload import MassEstimate, PayloadEstimate
     from testbed.identification.payload.tool import ToolEstimate
+    from testbed.identification.payload.torque_scales import TorqueScales
     from testbed.identification.validate import Validation
 
 
@@ -230,6 +231,17 @@ def payload_table(found: PayloadEstimate, title: str = "") -> Table:
     rows = list(zip(found.names, said, found.units, strict=True))
     title = title or f"payload on the link of {found.joint}, about and along its frame"
     return Table(["", "value", "unit"], rows, title, left=["unit"])
+
+
+def scales_table(found: TorqueScales) -> Table:
+    """What torques are of the true ones, joint by joint.
+
+    Args:
+        found: By a known payload.
+    """
+    numbers = zip(found.joints, found.values.tolist(), found.sigma.tolist(), strict=True)
+    rows = [(name, number_with_sigma(value, sigma, short=False)) for name, value, sigma in numbers]
+    return Table(["joint", "reported over true torque"], rows, "divide torques, or gains, by")
 
 
 def payload_lines(found: PayloadEstimate) -> list[str]:

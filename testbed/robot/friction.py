@@ -41,6 +41,8 @@ class JointLaw:
         resists: Whether it takes energy from the motion, as friction does: such a
             coefficient cannot be negative.
         jumps: Whether the column jumps where the motion reverses.
+        by: What of the recording multiplies the column, joint by joint: "time" since its middle
+            [s], "temperature" above 25 degC [K]; "" for nothing. Of joints only, not of shafts.
     """
 
     kind: str
@@ -50,6 +52,7 @@ class JointLaw:
     parameter: str | None = None
     resists: bool = False
     jumps: bool = False
+    by: str = ""
 
     __get_pydantic_core_schema__ = named(lambda law: law.kind)
 
@@ -124,6 +127,30 @@ QUADRATIC = JointLaw("quadratic", "N m s^2/rad^2", "N s^2/m^2", _square)
 SQUARE_ROOT = JointLaw("square_root", "N m s^.5/rad^.5", "N s^.5/m^.5", _square_root)
 """Friction in proportion to the root of the velocity: of lubricated gears."""
 
+FORWARD = JointLaw("coulomb+offset", "N m", "N", _one)
+"""Dry friction and offset of a joint that only moves forward: all that shows is their sum."""
+
+BACKWARD = JointLaw("offset-coulomb", "N m", "N", _one)
+"""The same of a joint that only moves backward."""
+
+CONSTANTS = (OFFSET, FORWARD, BACKWARD)
+"""Laws whose column is one."""
+
+SLOPE = JointLaw("slope", "N m/s", "N/s", _one, by="time")
+"""Drift of the offset, as of a drive that warms up; of this recording only."""
+
+WARM_COULOMB = JointLaw("warm_coulomb", "N m/K", "N/K", _sign, jumps=True, by="temperature")
+"""Change of dry friction with the drive's temperature, from 25 degC on."""
+
+WARM_VISCOUS = JointLaw("warm_viscous", "N m s/(rad K)", "N s/(m K)", _velocity, by="temperature")
+"""Change of viscous friction with the drive's temperature, from 25 degC on."""
+
+ROOM = 25.0
+"""Temperature at which friction is what its laws without temperature say [degC]."""
+
+VARYING = (SLOPE, WARM_COULOMB, WARM_VISCOUS)
+"""Laws that depend on more than the motion."""
+
 LAWS: tuple[JointLaw, ...] = (
     COULOMB,
     VISCOUS,
@@ -133,7 +160,7 @@ LAWS: tuple[JointLaw, ...] = (
     QUADRATIC,
     SQUARE_ROOT,
 )
-"""All that can be asked for by name; beside them stribeck@SPEED."""
+"""All that can be asked for by name; beside them stribeck@SPEED and what one direction leaves."""
 
 STRIBECK = "stribeck"
 """Kind of the laws that fade out above a speed; by itself it leaves the speed open."""
@@ -196,7 +223,7 @@ def joint_terms(tree: Tree, words: Iterable[str | JointLaw]) -> tuple[JointTerm,
         law, place = (word, "") if isinstance(word, JointLaw) else _law_at(word)
         if place and place not in names:
             raise UnknownName(f"place of '{law.kind}'", place, names)
-        everywhere = range(tree.n if law == OFFSET else len(names))
+        everywhere = range(tree.n if law in CONSTANTS or law.by else len(names))
         wanted.setdefault(law, set()).update([names.index(place)] if place else everywhere)
     return tuple(JointTerm(law, k) for law, at in wanted.items() for k in sorted(at))
 
@@ -219,21 +246,24 @@ def law_of(word: str | JointLaw) -> JointLaw:
 
 
 def joint_law(kind: str) -> JointLaw:
-    """The law of that name: one of LAWS, or stribeck@SPEED.
+    """The law of that name: one of LAWS, CONSTANTS, VARYING, or stribeck@SPEED.
 
     Raises:
         UnknownName: There is none.
     """
-    known = {law.kind: law for law in LAWS}
+    known = {law.kind: law for law in (*LAWS, *CONSTANTS, *VARYING)}
     family, _, speed = kind.partition("@")
     if family == STRIBECK and _is_speed(speed):
         return stribeck(float(speed))
     if kind not in known:
-        raise UnknownName("term of a joint's torque", kind, (*known, f"{STRIBECK}@0.1"))
+        named = (*LAWS, stribeck(0.1), *VARYING)
+        raise UnknownName("term of a joint's torque", kind, [law.kind for law in named])
     return known[kind]
 
 
-def term_torque(tree: Tree, term: JointTerm, qd: Array, qdd: Array) -> Array:
+def term_torque(
+    tree: Tree, term: JointTerm, qd: Array, qdd: Array, by: Array | float = 1.0
+) -> Array:
     """What a unit of a term's coefficient adds to the joints' torques, (M, n) [N m or N].
 
     Args:
@@ -241,9 +271,11 @@ def term_torque(tree: Tree, term: JointTerm, qd: Array, qdd: Array) -> Array:
         term: At a joint or a shaft.
         qd: Joint velocities, (M, n) [rad/s or m/s].
         qdd: Joint accelerations, (M, n) [rad/s^2 or m/s^2].
+        by: What multiplies the column of a law that says so, (M,).
     """
     turn = shares(tree)[term.joint]
-    return np.outer(term.law.columns(qd @ turn, qdd @ turn), turn)
+    column = term.law.columns(qd @ turn, qdd @ turn)
+    return np.outer(column * by if term.law.by else column, turn)
 
 
 def _is_speed(text: str) -> bool:

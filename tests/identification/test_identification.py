@@ -184,6 +184,38 @@ def test_a_term_of_the_model_file_that_the_settings_leave_out_is_said_once(puma:
         assert [d.code for d in found.diagnostics].count("drives.term") == count
 
 
+def test_one_joint_that_hardly_moves_refuses_nothing(puma: tb.Tree) -> None:
+    """Where it never reverses, dry friction and offset are their sum; of no row it has no terms."""
+    tree, offset = with_drives(puma, np.random.default_rng(0), ("coulomb", "viscous")), 0.7
+    asked = replace(EXACT, terms=("coulomb", "viscous", "offset"))
+    whole = ideal(tree, rate=2000.0, own={OFFSET: [0.0, 0.0, offset]})
+    bodies = tb.minimal_set(puma, "dynamic")
+    for way, kind in ((1, "coulomb+offset"), (-1, "offset-coulomb"), (0, "")):
+        speed = whole.measured("velocity")[:, 2]
+        rows = way * speed > 0.1 if way else np.abs(speed) < 0.02
+        signals: Any = {s: whole.measured(s)[rows] for s in whole.signals if s != "time"}
+        part = replace(
+            whole,
+            time=whole.time[: rows.sum()],
+            truth=None,
+            wrench=None,
+            **{name: each for name, each in signals.items() if name != "wrench"},
+        )
+        found = tb.identify(tree, part, "internal", settings=asked)
+        values = dict(zip(found.names, found.values.tolist(), strict=True))
+        np.testing.assert_allclose(
+            found.values[: bodies.count], bodies.values(tb.barycentric(puma)), atol=1e-8
+        )
+        own = {name.split("/")[0] for name in values if name.endswith("/elbow")}
+        assert own == ({kind, "viscous"} if way else set())
+        if way:
+            both = offset + way * tree.joints[2].coulomb
+            assert way * values[f"{kind}/elbow"] == pytest.approx(way * both)
+            seen = tb.validate(tree, part, found)
+            assert (seen.residual < 1e-8).all()
+        assert [d.code for d in found.diagnostics].count("drives.one-way") == abs(way)
+
+
 def test_filters_pass_what_is_slow_stop_what_is_fast_and_have_no_phase() -> None:
     """Positions below a quarter of the cutoff, with both derivatives; rows half at theirs."""
     taps = motion_taps(1000.0, 40.0)

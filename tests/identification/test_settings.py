@@ -32,7 +32,7 @@ NAMED = ("noise", "weights", "tare", "drives", "engine")
 TWIN = JointLaw("viscous", "N m s/rad", "N s/m", lambda qd, qdd: qd)
 MEANINGLESS: tuple[tuple[dict[str, Any], str], ...] = (
     ({"cutoff": 0.0}, "cutoff"),
-    ({"position_cutoff": 6.0}, "twice cutoff = 5 Hz"),  # it would bias the estimate
+    ({"position_cutoff": 6.0, "cutoff": 5.0}, "twice cutoff = 5 Hz"),  # it would bias the estimate
     ({"terms": ("rotr",)}, "'rotor'"),
     ({"terms": ("rotor", "rotor")}, "terms"),
     ({"terms": ("viscous", TWIN)}, "terms"),

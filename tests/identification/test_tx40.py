@@ -14,6 +14,7 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.identification.problem import Problem
 from testbed.identification.selection.term_choice import choose_terms, held_out
+from testbed.plausibility.check import assess
 from tests.helpers.paths import ROOT
 
 TX40 = ROOT / "examples/tx40"
@@ -127,6 +128,17 @@ def test_the_published_parameters_are_reproduced() -> None:
 
 
 @pytest.mark.slow
+def test_a_quarter_turn_is_of_its_joint_and_the_runner_up_of_another() -> None:
+    """Zeros of shoulder and elbow, each taken for the other if the masses were far off."""
+    tree = tb.load_tree(TX40 / "tx40.urdf")
+    recording = tb.Recording.from_mapping(TX40 / "tx40.toml")
+    turned = recording.position + np.eye(6)[1] * np.pi / 2
+    (said,) = assess(tree, replace(recording, position=turned)).diagnostics
+    assert said.subject == "joint 'joint_2'"
+    assert "joint_3" in said.text
+
+
+@pytest.mark.slow
 def test_unseen_sixths_are_foretold_better_with_the_coupled_wrist() -> None:
     """And with terms that are chosen by data that a fit has not seen."""
     tree, recording = (
@@ -136,6 +148,8 @@ def test_unseen_sixths_are_foretold_better_with_the_coupled_wrist() -> None:
     geared = Problem.of(tree, recording, "internal")
     alone, coupled = (held_out(each) for each in (replace(geared, tree=tree), geared))
     assert alone.residual[4] > 4 * coupled.residual[4]
-    choice = choose_terms(Problem.of(tree, recording, "internal", tb.Settings(cutoff=10.0)))
-    assert choice.parts == 6
-    assert choice.after.rms <= min(choice.before.rms, 1.1)
+    for cutoff, most in ((5.0, 1.10), (10.0, 1.04)):
+        asked = tb.Settings(cutoff=cutoff)
+        choice = choose_terms(Problem.of(tree, recording, "internal", asked))
+        assert choice.parts == 6
+        assert choice.after.rms <= min(choice.before.rms, most)

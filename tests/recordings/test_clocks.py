@@ -113,6 +113,9 @@ def test_stamps_that_jitter_and_samples_that_are_held_are_said_and_cured(logs: L
     logs.write(true, true[gone], stamps[gone])
     with refuses(RecordingError, "plate"):  # no steady device has gaps
         logs.recording(rate="250", plate="steady = true")
+    every = of_recording(logs.recording(rate="250", plate="max_gap = 1").facts)
+    (jitter,) = (each for each in every if each.code == "import.jitter")
+    assert "steady" not in jitter.remedy  # nor is it advised
     for times in (2, 3):
         logs.write(CLOCK, CLOCK, times=times)
         facts = logs.recording().facts
@@ -124,6 +127,9 @@ def test_stamps_that_jitter_and_samples_that_are_held_are_said_and_cured(logs: L
     values = np.repeat(np.arange(10.0), lengths)[:, None]
     news = np.concatenate([np.arange(length) % 3 == 0 for length in lengths])
     np.testing.assert_array_equal(slow_device(values), news)
+    filled = np.repeat(np.arange(40.0), [1] * 37 + [2, 3, 9])[:, None]  # most samples are news
+    assert held_share(filled) > 0.05
+    assert slow_device(filled).sum() == 40 + 8  # the last is a rest
     moving = rng.normal(size=(500, 2))
     rests = np.concatenate([moving, np.repeat(moving[-1:], 200, axis=0), moving])
     assert held_share(rests) == 0.0

@@ -21,7 +21,8 @@ from testbed.identification.diagnostics.residuals import (
     noisy,
 )
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.regression.passes import Repeats, Survey
+from testbed.identification.regression.passes import HELD, Repeats, Survey
+from testbed.robot.friction import ROTOR
 from testbed.robot.locks import shares
 from testbed.robot.tree import Joint, Tree
 from testbed.stages import stage
@@ -169,7 +170,9 @@ def _few(estimate: Estimate) -> Iterator[Diagnostic]:
 
 
 def _repeated(estimate: Estimate, repeats: Repeats) -> Iterator[Diagnostic]:
-    """Samples in which all channels are what they were before, too often for chance."""
+    """Samples in which channels, or poses, are all what they were before, too often for chance."""
+    if repeats.held > HELD * repeats.pairs:
+        yield diagnose("encoder.held", "the poses", repeats.held / repeats.pairs)
     if not repeats.steps or repeats.together < FEW_REPEATS:
         return
     share = repeats.together / repeats.steps
@@ -339,6 +342,8 @@ def _late(estimate: Estimate) -> Iterator[Diagnostic]:
     found = None if estimate.noise is None else estimate.noise.lateness
     if found is None or abs(found.z) < UNLIKELY or not noisy(estimate):
         return
+    drives = estimate.drives
+    missing = found.z < 0 and drives is not None and ROTOR not in {t.law for t in drives.asked}
     first = "late-torques" if found.z > 0 else "encoder_delays"
     yield diagnose(
         "torque.delay",
@@ -346,7 +351,7 @@ def _late(estimate: Estimate) -> Iterator[Diagnostic]:
         found.delay,
         significance=abs(found.z),
         method="internal",
-        causes=(first, "friction-terms", "sampling"),
+        causes=(first, *["rotor"] * missing, "friction-terms", "sampling"),
         direction="lag behind" if found.z > 0 else "lead",
         delay=1e3 * abs(found.delay),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
@@ -111,8 +111,9 @@ def payload(
 
     Args:
         tree: The robot; only its geometry matters.
-        without: The plate's estimate of the robot alone.
-        loaded: And with the payload, of the same parameters.
+        without: The robot alone, by plate or joint torques. Torques weigh in their own scale:
+            a payload is as wrong as that (see `torque_scales`).
+        loaded: And with the payload, by the same method, of the same parameters.
         joint: Of the link that carries it; default the last.
 
     Raises:
@@ -120,21 +121,23 @@ def payload(
         UnknownName: There is no such joint.
     """
     joint = tree.names[-1] if joint is None else joint
-    minimal = without.minimal
-    if without.method != "external" or loaded.names != without.names:
+    minimal, count = without.minimal, without.minimal.count
+    if without.method != loaded.method or loaded.names[:count] != without.names[:count]:
         raise SettingsError(
-            "a payload is the difference of two estimates by the plate, of the same robot, gravity "
-            "and zeros"
+            "a payload is the difference of two estimates by one method, of the same robot, "
+            "gravity, zeros and rotors"
         )
     if (without.gravity != loaded.gravity).any():
         raise SettingsError("the two recordings are under different gravity")
-    if minimal.names != minimal_set(tree.with_gravity(without.gravity), "reaction").names:
+    if minimal.names != minimal_set(tree.with_gravity(without.gravity), minimal.model).names:
         raise SettingsError("a payload breaks the symmetry of links: estimate without known zeros")
     adds = seen_of_payload(tree, minimal, joint)
-    count = len(adds)
     difference = loaded.values[:count] - without.values[:count]
     noise = (loaded.covariance + without.covariance)[:count, :count]
-    return payload_from(joint, adds, difference, noise)
+    found = payload_from(joint, adds, difference, noise)
+    if without.method == "external":
+        return found
+    return replace(found, diagnostics=(*found.diagnostics, diagnose("payload.scale", joint)))
 
 
 def payload_from(joint: str, adds: Array, difference: Array, noise: Array) -> PayloadEstimate:
@@ -194,10 +197,6 @@ APART = 5e-3
 
 LEAST = 3
 """Poses that are needed."""
-
-"""Singular values below this share of the largest are rounding."""
-
-"""What is identifiable lies in the space of what is seen to this."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,6 +31,9 @@ SAMPLES = 20_000
 ORDER = 8
 """Of the differences of positions: of a motion at a tenth of the sampling rate they leave 2 %."""
 
+HELD = 0.1
+"""Part of the samples at which poses are recorded again, from which the encoders are slower."""
+
 STRETCH = 256
 """Samples whose noise is averaged; of such means, the middle one counts: spikes are no noise."""
 
@@ -56,11 +59,16 @@ class Repeats:
         steps: Pairs of samples whose encoders differ.
         channels: Of these, those in which a channel is the same, (C,).
         together: Those in which all channels are.
+        held: Samples after such a one whose encoders are as they were: poses that were recorded
+            again.
+        pairs: Of samples.
     """
 
     steps: int
     channels: Array
     together: int
+    held: int
+    pairs: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +80,8 @@ class Survey:
         measured: Motor torques, (m, n) [N m or N], or the plate's wrench without its tare,
             (m, 6) [N, N m].
         repeats: How often samples are like the ones before, among all samples.
-        encoder_noise: Standard deviations, as if it were white, (n,) [rad or m].
+        encoder_noise: Standard deviations, as if it were white, (n,) [rad or m]; zero where poses
+            are recorded again.
         encoder_count: Least count of encoders that show whole counts and no noise between; zero
             for others, (n,) [rad or m].
     """
@@ -122,9 +131,13 @@ class Surveyor:
             steps=sum(each.steps for each in counts),
             channels=np.sum([each.channels for each in counts], axis=0),
             together=sum(each.together for each in counts),
+            held=sum(each.held for each in counts),
+            pairs=sum(each.pairs for each in counts),
         )
         rough = np.stack([self._rough[first] for first in sorted(self._rough)])
-        noise = np.sqrt(np.median(rough, axis=0))
+        # poses that were recorded again say nothing of it
+        known = repeats.held < HELD * repeats.pairs
+        noise = known * np.sqrt(np.median(rough, axis=0))
         least = np.stack([self._counts[first] for first in sorted(self._counts)])
         return Survey(position, measured, repeats, noise, _without_noise(least, noise))
 
@@ -133,11 +146,12 @@ def _repeats(position: Array, measured: Array) -> Repeats:
     # a product of booleans is true where any is: ten times faster than `any` along short rows
     any_joint, any_channel = (np.ones(each.shape[1], np.bool_) for each in (position, measured))
     moved = (position[1:] != position[:-1]) @ any_joint
+    held = int(np.sum(moved[:-1] & ~moved[1:]))
     same = measured[1:] == measured[:-1]
     same = same[moved & (same @ any_channel)]
     channels = same.sum(axis=0).astype(np.float64)
     together = len(same) - int(np.sum(~same @ any_channel))
-    return Repeats(int(np.sum(moved)), channels, together)
+    return Repeats(int(np.sum(moved)), channels, together, held, len(moved))
 
 
 def _each(number: Callable[[Array], float], position: Array) -> Array:

@@ -16,9 +16,10 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.identification.settings import Settings
 from testbed.kernel.layout import Layout
-from testbed.kernel.records import Signals
+from testbed.kernel.records import NONE, Signals
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, segments_of
+from testbed.robot.friction import ROOM
 
 POSITION_ATTENUATION = 120.0
 """Of the filter on positions [dB]: what it takes from the motion would bias the estimate."""
@@ -269,6 +270,7 @@ class Plan:
         sensed = part.senses_kinematics
         velocity = part.velocity if sensed and part.velocity is not None else nothing
         acceleration = part.acceleration if sensed and part.acceleration is not None else nothing
+        varying = {term.law.by for term in self.layout.terms} - {""}
         measured = part.measured("torque") if dynamic else part.measured("wrench") - self.tare
         return Signals(
             position=np.ascontiguousarray(part.position),
@@ -282,7 +284,16 @@ class Plan:
             start=self.reach,
             step=self.step,
             number=window.rows,
+            varying=self._varying(part, window) if varying else NONE,
         )
+
+    def _varying(self, part: Recording, window: Window) -> Array:
+        """Time since the middle of the source [s], and the drives' temperatures over 25 degC."""
+        time = (window.first + np.arange(part.samples) - self.source.samples / 2) / self.source.rate
+        warmth = (
+            np.zeros_like(part.position) if part.temperature is None else part.temperature - ROOM
+        )
+        return np.column_stack([time, warmth])
 
 
 def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -> Plan:

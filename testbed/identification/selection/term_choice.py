@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,8 +24,18 @@ from testbed.identification.selection.held_out import (
     stretches,
 )
 from testbed.identification.settings import AUTO, USUAL, Settings
-from testbed.parameters.joint_terms import DriveSet
-from testbed.robot.friction import ROTOR, STRIBECK, JointTerm, stribeck
+from testbed.robot.friction import (
+    BACKWARD,
+    COULOMB,
+    FORWARD,
+    OFFSET,
+    ROTOR,
+    STRIBECK,
+    VARYING,
+    JointLaw,
+    JointTerm,
+    stribeck,
+)
 
 SPEEDS = tuple(np.geomspace(0.01, 1.0, 13).tolist())
 """First look [rad/s or m/s]."""
@@ -86,19 +96,19 @@ FEWEST = 4
 """Rows of a part for each joint, on average, below which nothing can be chosen."""
 
 
-def with_chosen_terms(settings: Settings, estimates: Iterable[Estimate]) -> Settings:
-    """Settings that say the terms of an estimate, where they left them open.
+def with_chosen_settings(settings: Settings, estimates: Iterable[Estimate]) -> Settings:
+    """Settings that say what the data of estimates chose, where they left it open.
 
     Args:
         settings: Those by which the estimates were made.
         estimates: By one method or by both.
     """
-    drives = next((each.drives for each in estimates if each.drives is not None), None)
-    if drives is not None and settings.terms == AUTO:
-        return replace(settings, terms=[term.name(drives.tree) for term in drives.asked])
-    if drives is not None and settings.terms is None:
-        kinds = tuple(dict.fromkeys(term.law.kind for term in drives.asked))
-        return settings if kinds == USUAL else replace(settings, terms=kinds)
+    for each in estimates:
+        used = each.settings
+        if each.drives is not None and (settings.terms is not None or used.terms != USUAL):
+            settings = replace(settings, terms=used.terms)
+        if any(said.code == "encoder.filter" for said in each.diagnostics):
+            settings = replace(settings, position_cutoff=used.position_cutoff)
     return settings
 
 
@@ -117,6 +127,47 @@ def with_all_terms(problem: Problem) -> tuple[Problem, TermChoice | None]:
     return (with_stribeck_speed(problem) if problem.settings.open_speed else problem), choice
 
 
+ONE_WAY = 1e-3
+"""Part of dry friction's square beyond an offset that the filter on rows makes of reversals near
+them: below it no row shows the other direction."""
+
+
+def with_fewer_terms(problem: Problem) -> Problem:
+    """A problem with the terms that each joint's rows can distinguish.
+
+    Where a joint moves in one direction only, dry friction and offset are one constant, their sum;
+    a joint without a row has no terms.
+
+    Args:
+        problem: By joint torques, whose settings say all terms.
+    """
+    drives = problem.drives
+    assert drives is not None, "terms are those of joint torques"
+    equations = problem.equations(problem.passes(1))
+    one_way = dict(_one_way(problem, equations))
+    values = [word for word in problem.settings.words if isinstance(word, JointLaw)]
+    words: list[str | JointLaw] = [*values]
+    for term in drives.asked:
+        joint, law = term.joint, term.law
+        if law in values or (joint < drives.tree.n and not equations.used[joint]):
+            continue
+        law = one_way.get(joint, law) if law in (COULOMB, OFFSET) else law
+        words.append(JointTerm(law, joint).name(drives.tree))
+    return problem.with_settings(terms=tuple(dict.fromkeys(words)))
+
+
+def _one_way(problem: Problem, equations: NormalEquations) -> Iterator[tuple[int, JointLaw]]:
+    """Joints that never reverse, and what is left of dry friction and offset there."""
+    for joint, place in enumerate(problem.channels):
+        pair = f"{COULOMB.kind}/{place}", f"{OFFSET.kind}/{place}"
+        if not equations.used[joint] or not {*pair} <= {*problem.names}:
+            continue
+        at = [problem.names.index(name) for name in pair]
+        (dry, both), (_, constant) = equations.of_channel(joint)[0][np.ix_(at, at)]
+        if dry * constant - both**2 <= ONE_WAY * dry * constant:
+            yield joint, FORWARD if both > 0 else BACKWARD
+
+
 def choose_terms(problem: Problem) -> TermChoice:
     """The terms that held-out data choose.
 
@@ -128,9 +179,12 @@ def choose_terms(problem: Problem) -> TermChoice:
     """
     tree = problem.tree
     usual = usual_laws(problem.source)
-    laws = tuple(dict.fromkeys((*usual, ROTOR, *OFFERED)))
-    look = _Look(problem.with_settings(terms=laws))
-    count, terms = look.drives.minimal.count, look.drives.terms
+    varying = [law for law in VARYING if law.by in problem.source.signals]
+    laws = tuple(dict.fromkeys((*usual, ROTOR, *OFFERED, *varying)))
+    problem = problem.with_settings(terms=laws)
+    look, drives = _Look(problem), problem.drives
+    assert drives is not None, "terms are those of joint torques"
+    count, terms = drives.minimal.count, drives.terms
     base = [term for term in terms if term.law in usual]
     at = {term: count + k for k, term in enumerate(terms)}
     always = [*range(count), *(at[term] for term in base)]
@@ -147,7 +201,7 @@ def choose_terms(problem: Problem) -> TermChoice:
             )
         before = look.held_out(parts, always)
         after = look.held_out(parts, [*always, *(at[term] for term in more)])
-    within = [term for term in look.drives.regrouped if term.law == ROTOR]
+    within = [term for term in drives.regrouped if term.law == ROTOR]
     words = tuple(term.name(tree) for term in (*base, *more, *within))
     return TermChoice(words, growth, before, after, PARTS)
 
@@ -156,24 +210,27 @@ def held_out(problem: Problem) -> HeldOut:
     """What is left of unseen parts with the terms of the settings.
 
     Args:
-        problem: By joint torques.
+        problem: By either method.
 
     Raises:
         RecordingError: The recording is too short to be cut into parts.
     """
     look = _Look(problem)
-    every = [*range(look.drives.count)]
+    every = [*range(look.count)]
     with one_blas_thread():
         return look.held_out(look.parts(every), every)
 
 
 class _Look:
-    """A recording's rows with the columns of some terms, cut into parts."""
+    """A recording's rows with the columns of some terms, cut into parts.
+
+    As many rows as the filter leaves independent: an autoregression takes half of them, which
+    short recordings can hardly spare.
+    """
 
     def __init__(self, problem: Problem) -> None:
-        problem = problem.with_settings(weights="channels")
-        assert problem.drives is not None, "terms are those of joint torques"
-        self.drives: DriveSet = problem.drives
+        problem = problem.with_settings(weights="channels", noise="white", nuisances=(), known={})
+        self.count = len(problem.names)
         self.passes = problem.passes(4)
         plan = self.passes.plan
         if plan.rows < FEWEST * PARTS:
@@ -191,10 +248,10 @@ class _Look:
         """Products of rows by parts, in units of the noise that a fit of some columns leaves."""
         weights = noise_weights(self.equations.of_unknowns(columns), None)
         root = np.sqrt(np.diagonal(weights))
-        size = self.drives.count + 1
+        size = self.count + 1
         unseen, near = np.zeros((2, PARTS, size, size))
         first = 0
-        for every, measured in self.passes.rows(np.eye(self.drives.count)):
+        for every, measured in self.passes.rows(np.eye(self.count)):
             rows = np.concatenate([every, measured[..., None]], axis=2) * root[:, None, None]
             for k, (own, beside) in enumerate(self.spans):
                 for found, span in ((unseen[k], own), (near[k], beside)):
@@ -206,7 +263,7 @@ class _Look:
 
     def held_out(self, parts: Parts, columns: Sequence[int]) -> HeldOut:
         """What fits of some columns leave, channel by channel."""
-        values = np.zeros((self.drives.count, PARTS))
+        values = np.zeros((self.count, PARTS))
         values[list(columns)] = parts.values(columns).T
         squares, first = np.zeros(len(self.units)), 0
         for predicted, measured in self.passes.rows(values):

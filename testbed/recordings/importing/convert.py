@@ -27,6 +27,7 @@ from testbed.recordings.importing.mapping import (
     base_pose,
     bedplate_wrench,
     check_file_units,
+    effort_kinds,
     joint_kinds,
     joint_signal,
     read_mapping,
@@ -432,6 +433,8 @@ def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
     kinds = joint_kinds(mapping.position, mapping.joints)
     if kinds:
         facts["geometry"] = kinds
+    if efforts := effort_kinds(mapping):
+        facts["effort"] = efforts
     if mapping.gravity is not None:
         facts["gravity"] = list(mapping.gravity)
     plates = [each for each in mapping.others.values() if isinstance(each, WrenchTable)]

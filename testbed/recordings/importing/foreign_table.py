@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from testbed.arrays import Array
 from testbed.errors import RecordingError, UnknownName
 
-Kind = Literal["position", "velocity", "acceleration", "torque"]
+Kind = Literal["position", "velocity", "acceleration", "torque", "temperature"]
 KINDS: tuple[Kind, ...] = ("position", "velocity", "acceleration", "torque")
-"""What is measured joint by joint."""
+"""What is measured of a joint's motion and of what moves it."""
 
 ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "turn": 2 * math.pi}
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
@@ -31,7 +31,7 @@ MOMENTS = {
     "N m": 1.0, "N mm": 1e-3, "N cm": 1e-2, "kN m": 1e3, "lbf in": 0.1129848290276167,
     "lbf ft": 1.3558179483314004, "kgf m": 9.80665, "kgf cm": 0.0980665,
 }  # fmt: skip
-RAW = {"A": 1.0, "mA": 1e-3, "V": 1.0, "mV": 1e-3, "raw": 1.0}
+RAW = {"A": 1.0, "mA": 1e-3, "pwm": 1.0, "V": 1.0, "mV": 1e-3, "raw": 1.0}
 """Of what becomes a torque by a gain."""
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 
@@ -51,6 +51,7 @@ SLIDING = {
 UNITS = {kind: TURNING[kind] | SLIDING[kind] for kind in KINDS} | {
     "force": FORCES,
     "moment": MOMENTS,
+    "temperature": {"degC": 1.0},
 }
 """By what is measured: what one of each is in SI."""
 
@@ -193,6 +194,11 @@ class ForeignTable:
         """
         places, wanted = self._places(), list(columns)
         for name in wanted:
+            if name not in places and len(places) == 1:
+                raise RecordingError(
+                    f"{self.path}: it has one column; write the numbers of a sample into one line, "
+                    "as by `paste -d, - - - < in.txt > out.csv` for three of them"
+                )
             if name not in places:
                 raise UnknownName(f"column of '{self.path}'", name, places)
         arrays = dict.fromkeys(places[name][0] for name in wanted)

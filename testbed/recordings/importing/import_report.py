@@ -168,7 +168,14 @@ class ImportReport:
             if clock.cut:
                 yield diagnose("import.incomplete", name)
             if clock.jitter > JITTER:
-                yield diagnose("import.jitter", name, clock.jitter)
+                advice = (
+                    f"say `steady = true` in [sources.{name}] if the device samples at a constant "
+                    "rate"
+                )
+                missing = "look for lost samples: no constant rate makes these stamps"
+                yield diagnose(
+                    "import.jitter", name, clock.jitter, advice=advice if clock.even else missing
+                )
             if clock.gaps:
                 gaps = plural(clock.gaps, "gap")
                 yield diagnose("import.gaps", name, clock.longest_gap, gaps=gaps)

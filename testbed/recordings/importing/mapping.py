@@ -210,6 +210,8 @@ class Mapping(MappingTable):
     velocity: SignalTable | None = None
     acceleration: SignalTable | None = None
     torque: SignalTable | None = None
+    temperature: SignalTable | None = None
+    """Of the joints' drives."""
     wrench: WrenchTable | None = None
     plates: Annotated[dict[str, WrenchTable], Field(max_length=100)] = {}
     """Several plates in place of [wrench], by names of your own: the wrench is their sum."""
@@ -226,7 +228,7 @@ class Mapping(MappingTable):
     @property
     def signals(self) -> dict[Kind, SignalTable]:
         """What is measured joint by joint, by its kind."""
-        found = {kind: getattr(self, kind) for kind in KINDS}
+        found = {kind: getattr(self, kind) for kind in (*KINDS, "temperature")}
         return {kind: table for kind, table in found.items() if table is not None}
 
     @model_validator(mode="after")
@@ -326,7 +328,7 @@ def _check_signal(kind: Kind, table: SignalTable, joints: int, geared: bool) -> 
         raise ValueError(
             f"{kind}.columns: {plural(columns, 'column')}, {plural(joints, 'joint')}, and no matrix"
         )
-    if geared != (table.side is not None):
+    if (geared and kind != "temperature") != (table.side is not None):
         said = "say `side`: joint or motor" if geared else "`side` needs a table [gear]"
         raise ValueError(f"{kind}.side: {said}")
 
@@ -442,6 +444,25 @@ def joint_kinds(table: SignalTable, joints: Sequence[str]) -> dict[str, dict[str
         name: {"kind": "prismatic" if slide else "revolute"}
         for name, slide in zip(joints, sliding, strict=True)
     }
+
+
+EFFORTS = {"pwm": "pwm", "A": "current", "mA": "current"}
+"""What a torque is made of, by its unit."""
+
+
+def effort_kinds(mapping: Mapping) -> dict[str, str]:
+    """What each joint's torque is made of: current, pwm or motor, which move rotors, or torque.
+
+    Args:
+        mapping: Of which columns that a matrix mixes are taken for the first.
+    """
+    if (table := mapping.torque) is None:
+        return {}
+    units = [table.unit] if isinstance(table.unit, str) else table.unit
+    if len(units) != len(mapping.joints) or table.matrix is not None:
+        units = units[:1] * len(mapping.joints)
+    other = "motor" if table.side == "motor" else "torque"
+    return {j: EFFORTS.get(plain(u), other) for j, u in zip(mapping.joints, units, strict=True)}
 
 
 def check_file_units(label: str, kind: str, columns: Sequence[str], units: Sequence[str],

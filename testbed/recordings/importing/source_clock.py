@@ -56,6 +56,7 @@ class ClockReport:
         repeated: Samples left out because stamp and values were those of the one before.
         lead: From its first sample to the recording's first instant [s].
         cut: Whether a last sample was incomplete and is left out.
+        even: Whether the stamps can be those of a constant rate.
     """
 
     samples: int
@@ -66,6 +67,7 @@ class ClockReport:
     repeated: int
     lead: float = 0.0
     cut: bool = False
+    even: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,13 +175,8 @@ def steady_times(name: str, time: Array) -> Array:
     Raises:
         RecordingError: The stamps do not lie along a line: samples are missing.
     """
-    number = np.arange(len(time), dtype=np.float64)
-    number -= number.mean()
-    slope = float(number @ (time - time.mean()) / (number @ number))
-    line: Array = time.mean() + slope * number
-    width = min(SMOOTHED, len(time))
-    stray = np.convolve(time - line, np.ones(width) / width, mode="valid")
-    if slope <= 0 or np.abs(stray).max() > STRAY * slope:
+    line, stray, even = _line(time)
+    if not even:
         k = int(np.argmax(np.abs(stray)))
         raise RecordingError(
             f"sources.{name}: its stamps stray from those of a steady device by "
@@ -187,6 +184,17 @@ def steady_times(name: str, time: Array) -> Array:
             "`steady`"
         )
     return line
+
+
+def _line(time: Array) -> tuple[Array, Array, bool]:
+    """The line through stamps, how far they stray from it, and whether a steady device's may."""
+    number = np.arange(len(time), dtype=np.float64)
+    number -= number.mean()
+    slope = float(number @ (time - time.mean()) / (number @ number))
+    line: Array = time.mean() + slope * number
+    width = min(SMOOTHED, len(time))
+    stray = np.convolve(time - line, np.ones(width) / width, mode="valid")
+    return line, stray, slope > 0 and bool(np.abs(stray).max() <= STRAY * slope)
 
 
 def clock_report(
@@ -226,7 +234,8 @@ def clock_report(
     near = steps[steps <= GAP * typical]
     jitter = float(np.std(near) / typical) if len(near) else 0.0
     gaps = int(np.count_nonzero(used > GAP * typical))
-    return ClockReport(len(time), 1 / typical, jitter, gaps, longest, repeated)
+    even = _line(stamps)[2]
+    return ClockReport(len(time), 1 / typical, jitter, gaps, longest, repeated, even=even)
 
 
 SHORTEST_PIECE = 1.0
@@ -300,7 +309,8 @@ REST = 4
 def slow_device(values: Array) -> NDArray[np.bool_]:
     """Which samples are news from a device that is read more often than it measures.
 
-    Of a run of equal samples the first is news; of longer runs than most, every so many.
+    Of a run of equal samples the first is news; of longer runs than most, every so many. Where
+    most samples are news, the others were filled in, but for rests of the robot.
 
     Args:
         values: Of all channels, (M, k).
@@ -309,8 +319,9 @@ def slow_device(values: Array) -> NDArray[np.bool_]:
         (M,) of bool.
     """
     starts, lengths = _runs(values)
-    since = np.arange(len(values)) - np.repeat(starts, lengths)
-    found: NDArray[np.bool_] = since % _typical(lengths) == 0
+    typical, since = _typical(lengths), np.arange(len(values)) - np.repeat(starts, lengths)
+    filled = (typical == 1) & (np.repeat(lengths, lengths) <= REST)
+    found: NDArray[np.bool_] = since % np.where(filled, REST, typical) == 0
     return found
 
 

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
 
-from testbed.diagnostics import Diagnostic
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import FreeRootError, ModelError, quoted
 from testbed.robot.inertia import HEAVIEST, about, from_rpy, to_rpy
 from testbed.robot.locks import Coupling, Lock, Travel, lock_positions
@@ -105,17 +106,20 @@ def supported_xml(
     Returns:
         The root element, and what was accepted although it is wrong.
     """
-    root = _checked(path, weld_root, keep_visuals)
-    return root, _hold(root.findall("joint"), lock or {}, path)
+    root, said = _checked(path, weld_root, keep_visuals)
+    return root, (*said, *_hold(root.findall("joint"), lock or {}, path))
 
 
-def _checked(path: Path, weld_root: bool, keep_visuals: bool = False) -> ET.Element:
-    """Links and joints alone, in one tree, their numbers plain."""
+def _checked(
+    path: Path, weld_root: bool, keep_visuals: bool = False
+) -> tuple[ET.Element, list[Diagnostic]]:
+    """Links and joints alone, in one tree, their numbers plain; and what is wrong and accepted."""
     root = read_xml(path)
     root.set("name", root.get("name") or path.stem)  # parsers want one
     links, joints = root.findall("link"), root.findall("joint")
     shown = root.findall("material") if keep_visuals else []
     with errors_of(path):
+        said = [each for part in root.iter() for each in _accepted(part)]
         for link in links:
             _keep(link, _PARTS["link"], also=("visual",) if keep_visuals else ())
             for inertial in link.findall("inertial"):
@@ -144,12 +148,26 @@ def _checked(path: Path, weld_root: bool, keep_visuals: bool = False) -> ET.Elem
         for link in links:
             for inertial in link.findall("inertial"):
                 rewrite_numbers(inertial, f"link '{link.get('name')}'", allow_nan=True)
-    return root
+    return root, said
+
+
+def _accepted(element: ET.Element) -> Iterator[Diagnostic]:
+    """Of several places the first, as URDF's own parser takes it; friction that drives is none."""
+    name = f"{element.tag} '{element.get('name', '')}'"
+    for part in (element, *element.findall("inertial")) if element.tag in _PARTS else ():
+        for more in part.findall("origin")[1:]:
+            part.remove(more)
+            yield diagnose("model.origins", name)
+    for dynamics in element.findall("dynamics"):
+        found = decimals(dynamics.get("friction", "0"), 1)
+        if found and found[0] < 0:
+            dynamics.set("friction", "0")
+            yield diagnose("model.negative-friction", name, found[0])
 
 
 def follower_names(path: Path) -> tuple[str, ...]:
     """The joints of a URDF file that follow others that move."""
-    root = _checked(path, weld_root=True)
+    root, _ = _checked(path, weld_root=True)
     found = _travels(root.findall("joint"))
     return tuple(name for name, each in found.items() if each.coupling and each.coupling.master)
 
