@@ -13,7 +13,7 @@ from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import components, few, round_significant
 from testbed.plausibility.explanation import Explanation
 from testbed.plausibility.instants import Instants
-from testbed.plausibility.plate import MIXED, WrenchFit
+from testbed.plausibility.plate import MIXED, UNEXPLAINED, WrenchFit
 from testbed.plausibility.remedies import KINDS, Hypothesis, Remedy, in_mapping, own_joints
 from testbed.recordings.columns import AXES
 from testbed.recordings.importing.import_report import in_toml
@@ -34,8 +34,8 @@ signal's channels that each has at least."""
 OUTSIDE = 1.0
 """Ranges of a joint by which its positions must leave it to be certainly wrong."""
 
-UNEXPLAINED, NOISY = 0.05, 3.0
-"""Share of a channel that no reading of a right recording leaves; times the noise's own besides."""
+NOISY = 3.0
+"""Times a channel's noise that may be left besides."""
 
 PULLED = -0.1
 """Parts of the robot's weight below which a robot weighs less than nothing."""
