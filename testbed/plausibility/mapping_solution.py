@@ -306,6 +306,9 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     frame = frame_of(draft.content)
     moves, covariance = best.fit.plate.correction(best.plate)
     sigma = np.sqrt(np.diagonal(covariance))
+    loose = [k for k in SHIFT if sigma[k] > FAR]  # at zero, and the others as they are then
+    gain = np.linalg.solve(covariance[np.ix_(loose, loose)], covariance[loose])
+    moves = moves - (moves[loose] + frame.place[loose]) @ gain
     shift, spread = moves[list(SHIFT)], sigma[list(SHIFT)]
     moved = from_vector(moves[list(TURN)])
     turn, xyz = moved @ frame.turn, moved @ frame.place + shift

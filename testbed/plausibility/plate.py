@@ -89,8 +89,9 @@ WIDE = np.repeat([0.2, 1.0, 0.02], [3, 4, 1])
 """Standard deviations of a correction before the data: of the place [m], of the delay [s], of the
 turn [rad] and of the ratio."""
 
-CORRECTIONS, AROUND = 4, 61
-"""Steps of Gauss and Newton to a correction; frequencies over which what is left is averaged."""
+CORRECTIONS, AROUND = 4, 0.15
+"""Steps of Gauss and Newton to a correction; part of the frequencies over which what is left is
+averaged."""
 
 LOOSEST = 10.0
 """Times that a prior's sigmas are wider at most, where data depart from it by as many sigmas."""
@@ -457,6 +458,7 @@ class PlateEvidence:
         before = np.zeros(len(precision))
         before[own][list(SHIFT)] = -self._frame.place  # where the prior has its mean
         left = np.maximum(each.unexplained * data.wrench.var(axis=0), 1e-30)
+        around = 1 + int(AROUND * count)
         weight, predicted = np.tile(1 / np.sqrt(left), (count, 1)), wrench
         for _ in range(CORRECTIONS):
             slopes = -np.einsum("ecd,td->tce", SLOPES, predicted)
@@ -469,7 +471,7 @@ class PlateEvidence:
             residual = (target - columns @ values).reshape(count, 6) / weight
             predicted = wrench - residual
             free = 1 - np.einsum("ti,ti->t", columns @ covariance, columns).reshape(count, 6)
-            free, square = (uniform_filter1d(x, AROUND, axis=0) for x in (free, residual**2))
+            free, square = (uniform_filter1d(x, around, axis=0) for x in (free, residual**2))
             weight = np.sqrt(np.maximum(free, 1e-9) / np.maximum(square, 1e-24))
             odd = float(np.abs(values[:parameters]).max())
             precision[:parameters] = 1 / np.clip(odd, 1.0, LOOSEST) ** 2
