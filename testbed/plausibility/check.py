@@ -37,6 +37,7 @@ from testbed.plausibility.recording_diagnostics import (
     still_joints,
     undecided,
     unexplained_plate,
+    unsaid_pedestal,
     wrong_mapping,
 )
 from testbed.plausibility.remedies import (
@@ -202,7 +203,7 @@ def _judge(
         said.append(wrong_mapping(tree, remedies, others, gain, certain=clear))
     if not foreign:
         if best.has_plate:
-            said += negative_weight(best, tare)
+            said += [*negative_weight(best, tare), *unsaid_pedestal(best, mapping)]
         if zero is not None and not wrong:
             said.append(other_zero(remedies[-1]))
         sized = any(each.kind == "torque_size" for each in best.hypotheses)
@@ -245,6 +246,7 @@ def zero_hypothesis(
     zero, sigma = best.fit.plate.zero(best.plate)
     smallest = least * prior.weight * np.repeat([1.0, ARM], 3)
     moved = np.abs(zero - prior.zero(tare)) > np.maximum(smallest, CLEAR * sigma)
+    zero = np.where(moved, zero, prior.zero(tare))
     return Hypothesis("tare", (), tuple(np.round(zero, 3).tolist())) if moved.any() else None
 
 

@@ -20,7 +20,7 @@ from testbed.plausibility.check import Assessment, assess, zero_hypothesis
 from testbed.plausibility.explanation import Explanation
 from testbed.plausibility.plate import WrenchFit, frame_of
 from testbed.plausibility.plate_map import LATE, RATIO, SHIFT, TURN, rotation_vector
-from testbed.plausibility.recording_diagnostics import CLEARLY, share
+from testbed.plausibility.recording_diagnostics import CLEARLY, removed, share, weights
 from testbed.plausibility.remedies import in_words
 from testbed.plausibility.search import Progress
 from testbed.plausibility.time_offset import alignment, time_offsets
@@ -215,9 +215,16 @@ def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
     """What the assessment says instead; the same where it finds nothing wrong."""
     codes, best = {each.code for each in assessment.certain}, assessment.best
     plate = best is not None and best.has_plate
+    foreign = bool(codes & {"plate.foreign", "plate.crosstalk"})
     zero_open = "wrench" in draft.tables and "tare" not in draft.tables["wrench"]
     if best is not None and codes == {"plate.weight"} and zero_open:
         return _with_zero(draft, best)  # the plate's zero is not the model's pedestal
+    if best is not None and zero_open and "pedestal" not in draft.tables["wrench"]:
+        weighed = weights(best)
+        if weighed is not None and not foreign:
+            draft = _with_pedestal(draft, weighed)
+            rest = tuple(each for each in assessment.remedies if each.kind != "tare")
+            return _with_remedies(draft, replace(assessment, remedies=rest))
     if assessment.remedies:
         return _with_remedies(draft, assessment)
     if "torque.size" in codes and plate and draft.notes.get(("torque", "unit")) == ASSUMED:
@@ -232,6 +239,14 @@ def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
         note = f"{by}; torque of one unit, joint by joint [N m]"
         return draft.saying("torque", "gain", gains, note)
     return draft
+
+
+def _with_pedestal(draft: Draft, weighed: tuple[float, float, float]) -> Draft:
+    """Whether a plate's reading contains the pedestal, by the model file's masses."""
+    included, without, file = weighed
+    value = "removed" if removed(*weighed) else "included"
+    note = f"{ASSUMED}: the robot weighs {included:.3g} kg if it is included, {without:.3g} kg if "
+    return draft.saying("wrench", "pedestal", value, f"{note}not; the model file says {file:.3g}")
 
 
 def _with_remedies(draft: Draft, assessment: Assessment) -> Draft:
@@ -341,11 +356,13 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
 
 def _with_zero(draft: Draft, best: Explanation) -> Draft:
     """What the plate shows without the robot, where that is clear."""
-    tare = draft.tables["wrench"].get("tare")
-    zero = zero_hypothesis(best, None if tare is None else np.array(tare), least=0.0)
+    table = MappingFile.model_validate(draft.content).wrench
+    zero = None if table is None else zero_hypothesis(best, table.static(None), least=0.0)
     if zero is None:
         return draft
-    note = "solved: Fz, Mx and My, as far as they are of weight, by the model file's masses"
+    if draft.tables["wrench"].get("pedestal") == "included":
+        draft = draft.saying("wrench", "pedestal", None)  # the tare contains it
+    note = "solved: where it is clear; of Fz, Mx and My, what is of weight, by the file's masses"
     return draft.saying("wrench", "tare", list(zero.values), note)
 
 

@@ -40,6 +40,9 @@ NOISY = 3.0
 PULLED = -0.1
 """Parts of the robot's weight below which a robot weighs less than nothing."""
 
+LIGHT = 0.03
+"""Part of the robot's mass below which nobody sees whether a pedestal was weighed."""
+
 SMALL, LARGE = 0.4, 2.5
 """Times what the model file says beyond which torques are doubted."""
 
@@ -205,12 +208,59 @@ def negative_weight(best: Explanation, tare: Array | None) -> Iterator[Diagnosti
         best: What explains the recording best; with a wrench.
         tare: What the recording says that it shows without the robot, as of `Prior.zero`.
     """
+    carried, force = carried_mass(best, tare)
+    tree = best.fit.prior.tree
+    if carried * np.linalg.norm(tree.gravity) < PULLED * best.fit.prior.weight:
+        yield diagnose("plate.weight", "the plate", carried, force=components(force))
+
+
+def carried_mass(best: Explanation, tare: Array | None) -> tuple[float, Array]:
+    """What a plate carries besides what is known [kg], and the mean force of it, (3,) [N].
+
+    Args:
+        best: What explains the recording best; with a wrench.
+        tare: As of `negative_weight`.
+    """
     prior = best.fit.prior
     force = (best.fit.plate.wrench(best.plate).mean(axis=0) - prior.zero(tare))[:3]
     size = float(np.linalg.norm(prior.tree.gravity))
-    carried = float(-force @ prior.tree.gravity / size**2) if size else 0.0
-    if carried * size < PULLED * prior.weight:
-        yield diagnose("plate.weight", "the plate", carried, force=components(force))
+    return (float(-force @ prior.tree.gravity / size**2) if size else 0.0), force
+
+
+def weights(best: Explanation) -> tuple[float, float, float] | None:
+    """The robot with the pedestal in a plate's reading, without it, and by the file [kg].
+
+    None where the model's pedestal is no weight, or there is no plate.
+
+    Args:
+        best: What explains the recording best.
+    """
+    tree = best.fit.prior.tree
+    file, pedestal = sum(each.mass for each in tree.inertias), tree.pedestal.mass
+    if not best.has_plate or pedestal < LIGHT * file:
+        return None
+    return *(carried_mass(best, tare)[0] for tare in (None, np.zeros(6))), file
+
+
+def unsaid_pedestal(best: Explanation, mapping: Mapping[str, Any]) -> Iterator[Diagnostic]:
+    """A plate that seems to be read without the pedestal, of which its mapping says nothing.
+
+    Args:
+        best: What explains the recording best.
+        mapping: What the recording's mapping file says; empty if it has none.
+    """
+    table = mapping.get("wrench")
+    found = weights(best) if table and not {"pedestal", "tare"} & table.keys() else None
+    if found is not None and removed(*found):
+        pedestal = best.fit.prior.tree.pedestal.mass
+        yield diagnose("plate.pedestal", "the plate", found[0], pedestal=pedestal,
+                       other=found[1], file=found[2])  # fmt: skip
+
+
+def removed(included: float, without: float, file: float) -> bool:
+    """Whether a weight is nearer the model file's without the pedestal in the plate's reading."""
+    ratios = np.maximum([included, without], 1e-9) / file
+    return bool(np.diff(np.abs(np.log(ratios)))[0] < 0)
 
 
 def other_zero(remedy: Remedy) -> Diagnostic:
