@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, zip_longest
 from pathlib import Path
@@ -78,6 +78,9 @@ ALONG = 1e-3
 MOVED, CLEAR, ARM = 0.03, 5.0, 1.0
 """Parts of the robot's weight, and sigmas, from which a plate's zero is another one; lever by which
 a weight counts as a moment [m]."""
+
+RobotOf = Tree | Callable[[Recording], tuple[Tree, Source]]
+"""A robot, or what it is for a recording, whose joints may be held, and the recording as its."""
 
 MOST_SAMPLES = 200_000
 """Samples that are looked at, from the recording's middle."""
@@ -380,14 +383,15 @@ def _base_motion(source: Source) -> Iterator[Diagnostic]:
 
 
 def import_and_check(
-    path: Path, tree: Tree, *, align: bool = False, unchecked: bool = False,
+    path: Path, robot_of: RobotOf, *, align: bool = False, unchecked: bool = False,
     progress: Progress | None = None,
 ) -> tuple[tuple[Recording, ...], list[Diagnostic], CheckReport]:  # fmt: skip
     """Recordings made by a mapping file, the longest of which is held against its robot.
 
     Args:
         path: The mapping file.
-        tree: The robot, its masses right within a factor of a few.
+        robot_of: The robot of a recording, its masses right within a factor of a few, and the
+            recording as its; or a tree.
         align: Whether delays and drifts of clocks are taken back.
         unchecked: Whether to accept them without a search for what is wrong.
         progress: Called with how much of the search is done.
@@ -402,7 +406,8 @@ def import_and_check(
     """
     recordings, cuts = pieces(path)
     longest = max(recordings, key=lambda each: each.samples)
-    report = check_recording(tree, longest, align=align, unchecked=unchecked, progress=progress)
+    tree, own = _as_its(longest, robot_of)
+    report = check_recording(tree, own, align=align, unchecked=unchecked, progress=progress)
     if align:
         lines = chain.from_iterable(lines for _, lines in _alignments(report.offsets, longest))
         mapping = with_lines(longest.facts["mapping"], lines)
@@ -413,10 +418,17 @@ def import_and_check(
     if not unchecked:
         most = max(each.samples for each in recordings)
         recordings = tuple(
-            _with_verdict(each, tree, report) if each.samples == most else each
+            _with_verdict(each, robot_of, report) if each.samples == most else each
             for each in recordings
         )
     return recordings, cuts, report
+
+
+def _as_its(recording: Recording, robot_of: RobotOf) -> tuple[Tree, Source]:
+    """A robot, and a recording as its."""
+    if isinstance(robot_of, Tree):
+        return robot_of, on_its_base(recording, robot_of)
+    return robot_of(recording)
 
 
 def _alignments(
@@ -429,9 +441,9 @@ def _alignments(
             yield each, [*alignment(each, mapping, source.facts)]
 
 
-def _with_verdict(recording: Recording, tree: Tree, report: CheckReport) -> Recording:
+def _with_verdict(recording: Recording, robot_of: RobotOf, report: CheckReport) -> Recording:
     """A recording that keeps what was said of it."""
-    of = digest(tree, on_its_base(recording, tree))
+    of = digest(*_as_its(recording, robot_of))
     verdict = {"of": of, "diagnostics": [each.as_dict() for each in report.diagnostics]}
     return replace(recording, facts={**recording.facts, FACT: verdict})
 

@@ -175,8 +175,8 @@ def best_hypotheses(
     turn, ratio = _best_turn(plate, frame, order)
     own = MOMENTS[frame.units[1]] / FORCES[frame.units[0]]
     for units in product(FORCES, MOMENTS):
-        near = abs(MOMENTS[units[1]] / FORCES[units[0]] / (ratio * own) - 1) < NEAR
-        if not near and units != frame.units:  # as read always: forces may be noise
+        apart = abs(MOMENTS[units[1]] / FORCES[units[0]] / (ratio * own) - 1)
+        if apart > NEAR and units != frame.units:  # as read always: forces may be noise
             continue
         exact, sigma = _refine(plate, frame, turn, units, order)
         angles = [round(angle / STEPS[-1]) * STEPS[-1] for angle in to_rpy(exact)]
@@ -250,7 +250,6 @@ class PlateExplanation:
             share: Part of a channel's variance that may be left.
         """
         return bool((self.unexplained < share + 3 * self.noise).all())
-
 
     @property
     def shown(self) -> bool:

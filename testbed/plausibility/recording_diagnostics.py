@@ -16,13 +16,14 @@ from testbed.plausibility.instants import Instants
 from testbed.plausibility.plate import MIXED, UNEXPLAINED, WrenchFit
 from testbed.plausibility.remedies import KINDS, Hypothesis, Remedy, in_mapping, own_joints
 from testbed.recordings.columns import AXES
+from testbed.recordings.held import STILL
 from testbed.recordings.importing.import_report import in_toml
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 
-RESTS, NOISE_RESTS, ROUNDING = 1e-3, 1e-2, 1e-9
-"""Motion of joints below which they rest, and below which noise is no motion [rad or m]; part of a
-value that a filter's rounding changes at most."""
+NOISE_RESTS, ROUNDING = 1e-2, 1e-9
+"""Motion of joints below which noise is no motion [rad or m]; part of a value that a filter's
+rounding changes at most."""
 
 RARE, FEWEST, APART = 1e-3, 5, 3
 """Part of the samples, and number, that may be spikes; samples after which one is over."""
@@ -147,7 +148,7 @@ def at_rest(tree: Tree, instants: Instants) -> Iterator[Diagnostic]:
     moved, wrench = np.ptp(position, axis=0).max(initial=0.0), instants.wrench
     # in a wrong unit noise may be larger: it changes from instant to instant, as no motion does
     noise = (np.diff(position, axis=0).var(axis=0) > position.var(axis=0)).all()
-    if position.size and moved < (NOISE_RESTS if noise else RESTS):
+    if position.size and moved < (NOISE_RESTS if noise else STILL):
         yield diagnose("robot.rest", "the robot", moved)
     elif wrench.size and np.ptp(wrench, axis=0).max() <= ROUNDING * np.abs(wrench).max():
         yield diagnose("plate.silent", "the plate", 0.0, wrench=components(wrench[0]))
@@ -161,12 +162,14 @@ def still_joints(tree: Tree, as_read: Explanation) -> Iterator[Diagnostic]:
         as_read: The recording as it is.
     """
     position, odd = as_read.fit.instants.position, as_read.odd_torques()
-    still = [k for k in own_joints(tree) if np.ptp(position[:, k]) < RESTS]
+    still = [k for k in own_joints(tree) if np.ptp(position[:, k]) < STILL]
     dead = [k for k in still if k in odd]
-    if still:
-        names = few([tree.names[k] for k in dead or still])
-        causes = [*["joint-at-rest"] * (not dead), "dead-encoder", "other-column", "braked"]
-        yield diagnose("position.still", names, len(dead), causes=causes, unexplained=bool(dead))
+    if dead:
+        yield diagnose("position.still", few([tree.names[k] for k in dead]), len(dead))
+    elif still:
+        places = position[:, still].mean(axis=0)
+        pairs = zip(still, places, strict=True)
+        yield diagnose("position.held", few([f"{tree.names[k]} at {q:.4g}" for k, q in pairs]))
 
 
 def unexplained_plate(best: Explanation) -> Iterator[Diagnostic]:
@@ -239,7 +242,8 @@ def weights(best: Explanation) -> tuple[float, float, float] | None:
     file, pedestal = sum(each.mass for each in tree.inertias), tree.pedestal.mass
     if not best.has_plate or pedestal < LIGHT * file:
         return None
-    return *(carried_mass(best, tare)[0] for tare in (None, np.zeros(6))), file
+    included, without = (carried_mass(best, tare)[0] for tare in (None, np.zeros(6)))
+    return included, without, float(file)
 
 
 def unsaid_pedestal(best: Explanation, mapping: Mapping[str, Any]) -> Iterator[Diagnostic]:

@@ -132,7 +132,12 @@ def with_base_joints(recording: Recording) -> Recording:
     Raises:
         RecordingError: It has none, or a pose is none.
     """
-    position = np.hstack([coordinates(recording.measured("base")), recording.position])
+    if recording.base is None:
+        raise RecordingError(
+            "the recording has no base/x ... base/qz, which a robot with robot.base = "
+            '"measured" needs'
+        )
+    position = np.hstack([coordinates(recording.base), recording.position])
     return replace(
         recording,
         names=(*NAMES, *recording.names),
@@ -195,11 +200,6 @@ def on_its_base(source: Source, tree: Tree) -> Source:
         RecordingError: The recording lacks a joint of the robot, or the base's pose.
     """
     if tree.floating and NAMES[0] not in source.names:
-        if "base" not in source.signals:
-            raise RecordingError(
-                "the recording has no base/x ... base/qz, which a robot with robot.base = "
-                '"measured" needs'
-            )
         source = _seen(source, (*NAMES, *source.names), with_base_joints)
     if tree.sensor is not None and source.names != tree.names:
         source = _seen(source, tree.names, partial(with_joints, names=tree.names))
