@@ -19,7 +19,14 @@ from testbed.errors import round_significant
 from testbed.plausibility.check import Assessment, assess, zero_hypothesis
 from testbed.plausibility.explanation import Explanation
 from testbed.plausibility.plate import WrenchFit, frame_of
-from testbed.plausibility.plate_map import LATE, RATIO, SHIFT, TURN, rotation_vector
+from testbed.plausibility.plate_map import (
+    LATE,
+    RATIO,
+    SHIFT,
+    TURN,
+    rotation_vector,
+    transform,
+)
 from testbed.plausibility.recording_diagnostics import CLEARLY, removed, share, weights
 from testbed.plausibility.remedies import in_words
 from testbed.plausibility.search import Progress
@@ -259,6 +266,9 @@ def _with_remedies(draft: Draft, assessment: Assessment) -> Draft:
             note += f"; the runner-up leaves {others.times:.3g} times more"
         note += f"; equally explained by {', '.join(others.equals)}" if others.equals else ""
         for table, key, value in each.lines:
+            if (table, key) == ("wrench", "tare"):
+                draft = _with_tare(draft, value, note)
+                continue
             draft = draft.saying(table, key, value, note)
             if (table, key) == ("position", "unit"):
                 draft = _with_rates(draft, value)
@@ -351,7 +361,11 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     late, late_sigma = float(moves[LATE]), float(sigma[LATE])
     if own_clock or "delay" in table or abs(late) > CLEAR * late_sigma:
         draft = _delayed(draft, "wrench", table.get("delay", 0.0) + late, late_sigma)
-    return _with_zero(draft, best)
+    placed = transform(from_rpy(plain or rpy), xyz) @ np.linalg.inv(
+        transform(frame.turn, frame.place)
+    )
+    plate = replace(best.plate, map=placed @ best.plate.map)
+    return _with_zero(draft, replace(best, plate=plate))
 
 
 def _with_zero(draft: Draft, best: Explanation) -> Draft:
@@ -360,10 +374,15 @@ def _with_zero(draft: Draft, best: Explanation) -> Draft:
     zero = None if table is None else zero_hypothesis(best, table.static(None), least=0.0)
     if zero is None:
         return draft
-    if draft.tables["wrench"].get("pedestal") == "included":
-        draft = draft.saying("wrench", "pedestal", None)  # the tare contains it
     note = "solved: where it is clear; of Fz, Mx and My, what is of weight, by the file's masses"
-    return draft.saying("wrench", "tare", list(zero.values), note)
+    return _with_tare(draft, list(zero.values), note)
+
+
+def _with_tare(draft: Draft, tare: list[float], note: str) -> Draft:
+    """With all that a plate shows of others than the robot, its pedestal too."""
+    included = draft.tables["wrench"].get("pedestal") == "included"
+    draft = draft.saying("wrench", "pedestal", None) if included else draft
+    return draft.saying("wrench", "tare", tare, note)
 
 
 def _plain_angles(turn: Array, covariance: Array) -> tuple[float, float, float] | None:

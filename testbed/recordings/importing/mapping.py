@@ -170,8 +170,8 @@ class WrenchTable(MappingTable):
     for a plate that was zeroed with the pedestal on it. Default: the model's pedestal."""
     pedestal: Literal["removed", "included"] | NotNegative | None = None
     """What the reading contains of what stands on the plate besides the robot: nothing, the model's
-    pedestal (the default), or so much, with its centre above the bedplate's origin [kg]. `tare` is
-    what it shows besides."""
+    pedestal (the default), or so much, with its centre above the bedplate's origin [kg]. Beside a
+    `tare`, which is all that is not the robot's, it can only be removed."""
 
     def static(self, gravity: Sequence[float] | None) -> Array | None:
         """What of the reading is not the robot's, (6,) [N, N m]; None for the model's pedestal.
@@ -179,12 +179,12 @@ class WrenchTable(MappingTable):
         Args:
             gravity: (3,) [m/s^2]; None for the vertical.
         """
-        tare = None if self.tare is None else np.array(self.tare)
-        if self.pedestal in (None, "included"):
-            return tare
-        mass = 0.0 if self.pedestal == "removed" else float(self.pedestal)
-        weight = -mass * np.array(gravity or VERTICAL)
-        return np.append(weight, np.zeros(3)) + (0.0 if tare is None else tare)
+        if self.tare is not None:
+            return np.array(self.tare)
+        if self.pedestal is None or self.pedestal == "included":
+            return None
+        mass = 0.0 if self.pedestal == "removed" else self.pedestal
+        return np.append(-mass * np.array(gravity or VERTICAL), np.zeros(3))
 
 
 class BaseTable(MappingTable):
@@ -361,7 +361,7 @@ def _check_wrench(table: WrenchTable) -> None:
     """
     check_unit("force", table.units[0])
     check_unit("moment", table.units[1])
-    if table.pedestal == "included" and table.tare is not None:
+    if table.pedestal not in (None, "removed") and table.tare is not None:
         raise ValueError("wrench: a tare is all that is not the robot's: no pedestal beside it")
     columns = len(table.columns)
     if table.matrix is None and columns != 6:
