@@ -40,6 +40,17 @@ def is_of_motors(source: Source) -> bool:
     return isinstance(efforts, Mapping) and any(kind != "torque" for kind in efforts.values())
 
 
+def pedestal_said(source: Source) -> bool:
+    """Whether a mapping says what of a plate's reading is the pedestal's, by its key.
+
+    Args:
+        source: The recording.
+    """
+    mapping = source.facts.get("mapping")
+    table = mapping.get("wrench") if isinstance(mapping, Mapping) else None
+    return isinstance(table, Mapping) and "pedestal" in table
+
+
 def with_gear(tree: Tree, source: Source) -> Tree:
     """The robot with the shafts that a recording's gear couples, unless it has some already.
 
