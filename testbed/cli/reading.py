@@ -365,7 +365,8 @@ class Reading:
         from testbed.recordings.held import hold_still
 
         kept = [each for each in said if each.code != "position.held"]
-        if any(each.code == "position.still" for each in said):
+        tree, doubted = self.tree(model), any(each.code == "position.still" for each in said)
+        if doubted or tree.floating or tree.sensor is not None:
             return self, source, kept
         file, fewer, held = hold_still(self.model_file(model), source)
         reading = self if fewer is source else self.with_lock(file)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, diagnose
@@ -62,15 +61,16 @@ def hold_still(
                 f"{low[k]:.4g} to {high[k]:.4g}"
             )
         places[name] = place
-    resting = [] if lock_only else [*_resting(file, source, high - low < STILL, asked)]
-    said = []
-    if resting:
-        tree = file.tree()
+    still = high - low < STILL
+    said: list[Diagnostic] = []
+    if not (lock_only or still.all()):
+        tree, names = file.tree(), np.array(source.names)[still].tolist()
+        resting = [name for name in names if name in tree.names and name not in file.lock]
         for name in resting:
             least, most = tree.joints[tree.index(name)].position_range
             places[name] = float(np.clip(mean[source.names.index(name)], least, most))
         where = few([f"{name} at {places[name]:.4g}" for name in resting])
-        said.append(diagnose("position.held", where))
+        said = [diagnose("position.held", where)] if resting else []
     found = replace(file, lock={**file.lock, **places})
     return found, without(source, places), tuple(said)
 
@@ -95,17 +95,6 @@ def without(source: Source, names: Collection[str]) -> Source:
         return replace(recording, names=own, truth=None, facts=facts, **columns)
 
     return fewer(source) if isinstance(source, Recording) else Seen(source, own, fewer)
-
-
-def _resting(
-    file: ModelFile, source: Source, still: NDArray[np.bool_], asked: Collection[str]
-) -> Iterator[str]:
-    """Joints that rest and are not held yet; none where all rest, or the base moves."""
-    if still.all() or "base" in source.signals:
-        return
-    lock: Mapping[str, float | None] = file.lock
-    yield from (n for n, rests in zip(source.names, still, strict=True)
-                if rests and n not in asked and n not in lock)  # fmt: skip
 
 
 def _ranges(source: Source) -> tuple[Array, Array, Array]:
