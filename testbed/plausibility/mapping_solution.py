@@ -30,7 +30,7 @@ from testbed.plausibility.plate_map import (
 from testbed.plausibility.recording_diagnostics import CLEARLY, removed, share, weights
 from testbed.plausibility.remedies import in_words
 from testbed.plausibility.search import Progress
-from testbed.plausibility.time_offset import alignment, time_offsets
+from testbed.plausibility.time_offset import alignment, moving_average, time_offsets
 from testbed.recordings.importing.convert import clock_ranges
 from testbed.recordings.importing.foreign_table import FORCES, MOMENTS
 from testbed.recordings.importing.import_report import Draft, in_toml
@@ -138,7 +138,7 @@ def solve_mapping(
     if in_time is not draft:
         draft, assessment = in_time, assess(tree, _recording(in_time, out, tree), progress)
     if assessment.best is not None:
-        draft = _with_plate(draft, assessment.best)
+        draft = _with_average(_with_plate(draft, assessment.best), source)
     said = (*assessment.likely, *_too_short(assessment.best))
     if any(each.code in ("plate.foreign", "recording.short") for each in said):
         draft = _doubted(draft)
@@ -321,6 +321,19 @@ def _delayed(draft: Draft, signal: str, delay: float, sigma: float) -> Draft:
         value = round(draft.tables[table].get("offset", 0.0) - delay, 7)
         draft = draft.saying(signal, "delay", None)
     return draft.saying(table, key, value, f"solved: {1e3 * value:.3f} +- {1e3 * sigma:.3f} ms")
+
+
+def _with_average(draft: Draft, source: Source) -> Draft:
+    """Of what a plate's delay is half, where its spectra show a moving average of about that."""
+    delay = draft.tables.get("wrench", {}).get("delay")
+    if delay is None:
+        return draft
+    window = moving_average(source.part(0, source.samples).measured("wrench"), source.rate)
+    if not 0.5 * delay < window / 2 < 1.5 * delay:
+        return draft
+    note = f"{draft.notes['wrench', 'delay']}; the recorder averages over about "
+    note += f"{1e3 * window:.0f} ms (minima of all spectra at multiples of {1 / window:.3g} Hz)"
+    return draft.saying("wrench", "delay", delay, note)
 
 
 def _with_plate(draft: Draft, best: Explanation) -> Draft:
