@@ -71,6 +71,7 @@ from .parameters.symbols import (
 from .parameters.symbols import (
     standard as standard,
 )
+from .recordings.held import hold_still as hold_still
 from .recordings.joined import Joined as Joined
 from .recordings.recording import (
     Recording as Recording,

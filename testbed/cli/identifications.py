@@ -249,8 +249,9 @@ def identify(
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms, sensor)
     writing = Writing(consistent, write, fixed, in_place)
     writing.check(reading, model, recordings)
-    table, tree = reading.tables().identification, reading.tree(model)
-    source, accepted = reading.joined(recordings, tree, unchecked=unchecked)
+    table = reading.tables().identification
+    reading, source, accepted = reading.joined(recordings, model, unchecked=unchecked)
+    tree = reading.tree(model)
     if reading.prior_error and not (writing.wanted or is_imported(source)):
         raise SettingsError("--set consistent... needs --consistent, or an imported recording")
     doubt = reading.doubt(tree)
@@ -348,7 +349,7 @@ def validate(
     from testbed.reporting import output, terminal
 
     kept = read_result(result, model, settings or ())
-    source = corrected_source(opened(recording), kept.tree, plate)
+    source = corrected_source(kept.without_held(opened(recording)), kept.tree, plate)
     there = [e for e in kept.estimates if SIGNAL_OF[e.method] in source.signals]
     lacking = [e.method for e in kept.estimates if e not in there]
     said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking]

@@ -148,8 +148,8 @@ def import_(
     _check_out(out, [*files, model], guess=guess)
     _check_page(page, [*files, model, out], said=bool(guess and model))
     reading = Reading(settings, False, weld_root, lock, lock_mimic)
-    tree = None if model is None else reading.tree(model)
     if guess:
+        tree = None if model is None else reading.tree(model)
         write_mapping(files, out, model, tree, page, reading.model_words)
         return
     if len(files) > 1:
@@ -165,13 +165,16 @@ def import_(
         raise typer.BadParameter("--align needs --model: delays are found by the robot's motion")
     lines: list[str] = []
     checked: list[Diagnostic] = []
-    if tree is None:
+    if model is None:
         with output.Progress("importing"):
             made, cuts = pieces(mapping)
     else:
         with output.Progress("importing, checking against the robot") as bar:
             options = {"align": align, "unchecked": unchecked}
-            made, cuts, found = import_and_check(mapping, tree, **options, progress=bar)
+            made, cuts, found = import_and_check(
+                mapping, lambda one: reading.robot_of(one, model)[1:], **options, progress=bar
+            )
+            tree = reading.robot_of(made[0], model)[1]
         taken = " (corrected)" if align else ""
         lines = [
             each.diagnostic().text + (taken if each.matters else ", not significant")

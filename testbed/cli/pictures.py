@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -29,7 +30,7 @@ from testbed.diagnostics import Diagnostic, diagnose, of_recording, ordered
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
     from testbed.recordings.recording import Recording
-    from testbed.robot.tree import Tree
+    from testbed.recordings.source import Source
 
 
 @app.command()
@@ -235,11 +236,12 @@ def _run_at(path: Path, model: Path | None, reading: Reading, *, unchecked: bool
         return read_run(path)
     if model is None:
         raise ExperimentError(f"'{path}' is no run folder; a recording needs --model")
+    reading, recording, accepted = _loaded(path, model, reading, unchecked=unchecked)
+    reading, source, accepted = reading.holding(recording, model, accepted)
     tree = reading.tree(model)
-    recording, accepted = _loaded(path, tree, reading, unchecked=unchecked)
     run = assemble_run(
         tree,
-        recording,
+        _in_memory(source),
         name=path.stem,
         settings=reading.tables().identification,
         model=reading.model_file(model),
@@ -261,27 +263,31 @@ def _alike(path: Path) -> str:
 
 
 def _loaded(
-    path: Path, tree: Tree, reading: Reading, *, unchecked: bool
-) -> tuple[Recording, tuple[Diagnostic, ...]]:
+    path: Path, model: Path, reading: Reading, *, unchecked: bool
+) -> tuple[Reading, Recording, Sequence[Diagnostic]]:
     """A recording in memory, the plate's faults taken back, and what to doubt of it."""
     from testbed.recordings.recording import Recording
-    from testbed.recordings.views import with_base_joints
 
-    source = Recording.from_mapping(path) if path.suffix == ".toml" else Recording.load(path)
-    if tree.floating:
-        source = with_base_joints(source)
+    whole = Recording.from_mapping(path) if path.suffix == ".toml" else Recording.load(path)
+    reading, tree, source = reading.robot_of(whole, model)
     accepted = reading.accepted(source, tree, unchecked=unchecked)
-    if reading.plate is None:
-        return source, accepted
-    corrected = corrected_source(source, tree, reading.plate)
-    return corrected.part(0, corrected.samples), accepted
+    return reading, _in_memory(corrected_source(source, tree, reading.plate)), accepted
+
+
+def _in_memory(source: Source) -> Recording:
+    """A source as a recording, which may have a truth."""
+    from testbed.recordings.recording import Recording
+
+    return source if isinstance(source, Recording) else source.part(0, source.samples)
 
 
 def _judged_on(run: Run, path: Path, reading: Reading, *, unchecked: bool) -> Run:
     """A run with its estimates held against another recording."""
     from testbed.experiment.carry_out import validated
 
-    other, doubted = _loaded(path, run.tree, reading, unchecked=unchecked)
+    assert run.model is not None
+    held = reading.with_lock(run.model)
+    _, other, doubted = _loaded(path, run.model.path, held, unchecked=unchecked)
     said = (*of_recording(other.facts), *doubted)
     return validated(run, other).with_diagnostics(replace(d, recording=path.name) for d in said)
 

@@ -155,7 +155,7 @@ Lock = Annotated[
     typer.Option(
         "--lock",
         metavar="JOINT[=q]",
-        help="Fix a joint at q [rad or m], default at its rest position; repeatable.",
+        help="Fix a joint at q [rad or m], default as recorded, or at rest; repeatable.",
         rich_help_panel=ROBOT,
     ),
 ]
@@ -303,32 +303,79 @@ class Reading:
 
     @stage("reading and plausibility")
     def joined(
-        self, paths: Sequence[Path], tree: Tree, *, unchecked: bool
-    ) -> tuple[Source, list[Diagnostic]]:
+        self, paths: Sequence[Path], model: Path, *, unchecked: bool
+    ) -> tuple[Reading, Source, list[Diagnostic]]:
         """Recordings as one source, each held against the robot, and what to doubt of them.
 
         Of one that is cut where a source was silent, the longest piece is.
+
+        Returns:
+            How the model is read, with joints held that do not move; the source; doubts.
 
         Raises:
             RecordingError: One of them cannot be true of this robot, or they are not alike.
         """
         from testbed.recordings.joined import joined
-        from testbed.recordings.views import on_its_base
         from testbed.reporting import output
 
         _require_different(paths)
         several = len(paths) > 1
         sources: list[Source] = []
         said: list[Diagnostic] = []
+        reading = self
         for path in paths:
             with output.Progress("checking the recording against the robot"):
                 pieces, cuts = opened_pieces(path)
-                made = [corrected_source(on_its_base(p, tree), tree, self.plate) for p in pieces]
+                made = []
+                for piece in pieces:
+                    reading, tree, source = reading.robot_of(piece, model)
+                    made.append(corrected_source(source, tree, self.plate))
                 longest = max(made, key=lambda source: source.samples)
                 own = [*cuts, *self.accepted(longest, tree, unchecked=unchecked)]
             said += [replace(each, recording=path.name) for each in own] if several else own
             sources += made
-        return joined(sources), said
+        return reading.holding(joined(sources), model, said)
+
+    def robot_of(self, source: Source, model: Path) -> tuple[Reading, Tree, Source]:
+        """How the model is read for a recording, the robot, and the recording as its.
+
+        Joints of --lock are held where the recording has them; their columns are left out.
+
+        Raises:
+            RecordingError: The recording moves a joint of --lock.
+        """
+        from testbed.recordings.held import hold_still
+        from testbed.recordings.views import on_its_base
+
+        file, fewer, _ = hold_still(self.model_file(model), source, lock_only=True)
+        reading = self if fewer is source else self.with_lock(file)
+        tree = reading.tree(model)
+        return reading, tree, on_its_base(fewer, tree)
+
+    def holding(
+        self, source: Source, model: Path, said: Sequence[Diagnostic]
+    ) -> tuple[Reading, Source, list[Diagnostic]]:
+        """The same with joints held that do not move, unless their encoders are doubted.
+
+        Args:
+            source: The recording.
+            model: The model file.
+            said: What its check has said.
+        """
+        from testbed.recordings.held import hold_still
+
+        kept = [each for each in said if each.code != "position.held"]
+        tree, doubted = self.tree(model), any(each.code == "position.still" for each in said)
+        if doubted or tree.floating or tree.sensor is not None:
+            return self, source, kept
+        file, fewer, held = hold_still(self.model_file(model), source)
+        reading = self if fewer is source else self.with_lock(file)
+        return reading, fewer, [*kept, *held]
+
+    def with_lock(self, file: ModelFile) -> Reading:
+        """The same with the joints held that a model file's lock names."""
+        words = [name if q is None else f"{name}={float(q)!r}" for name, q in file.lock.items()]
+        return replace(self, lock=words)
 
     def accepted(self, source: Source, tree: Tree, *, unchecked: bool) -> tuple[Diagnostic, ...]:
         """What to doubt of an imported recording; nothing is said of others.

@@ -28,6 +28,8 @@ from testbed.identification.sensor.estimates import NuisanceEstimate
 from testbed.identification.settings import Settings
 from testbed.parameters.minimal_set import minimal_set
 from testbed.parameters.rules import Model
+from testbed.recordings.held import hold_still
+from testbed.recordings.source import Source
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 from testbed.toml_text import Finite, checked, override, read_toml
@@ -45,12 +47,22 @@ class KeptResult:
         settings: How the signals were treated.
         estimates: One a method.
         models: Values of the same unknowns by what else says them, by method.
+        file: The robot's, with the joints that are held; None of a run.
     """
 
     tree: Tree
     settings: Settings
     estimates: tuple[EstimateSummary, ...]
     models: Mapping[str, Mapping[str, Array]] = field(default_factory=dict)
+    file: ModelFile | None = None
+
+    def without_held(self, source: Source) -> Source:
+        """A recording without the columns of the joints that are held.
+
+        Raises:
+            RecordingError: It has one of them elsewhere.
+        """
+        return source if self.file is None else hold_still(self.file, source, lock_only=True)[1]
 
 
 class _Model(Table):
@@ -109,7 +121,7 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
         _stated(every[method], method, f"{path}: {method}") for method in METHODS if method in every
     )
     of = _of_run if content.get("settings") is None else _of_recording
-    tree, identification = of(content, path, model, settings)
+    tree, identification, file = of(content, path, model, settings)
     for each in found:
         count = len(channels_of(tree, each.method))
         if len(each.residual) != count:
@@ -118,7 +130,7 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
                 f"{plural(count, 'channel')}"
             )
     models = {str(each.method): _added(content, each, path) for each in found}
-    return KeptResult(tree, identification, found, models)
+    return KeptResult(tree, identification, found, models, file)
 
 
 def _added(content: dict[str, Any], beside: EstimateSummary, path: Path) -> dict[str, Array]:
@@ -186,7 +198,7 @@ def _stated(content: Any, method: Method, source: str) -> EstimateSummary:
 
 def _of_recording(
     content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
-) -> tuple[Tree, Settings]:
+) -> tuple[Tree, Settings, ModelFile]:
     """Robot and settings of a recording's estimates."""
     kept = checked(_Model, content.get("model", {}), f"{path}: model")
     said = content["settings"]
@@ -197,12 +209,12 @@ def _of_recording(
     place = _checked_model(model or Path(kept.path), kept.sha256, path)
     held = kept.lock | tables.robot.lock
     file = ModelFile(place, kept.weld_root, tables.robot.bodies or None, held)
-    return tables.robot.sensed(tables.robot.on(file.tree()), file), tables.identification
+    return tables.robot.sensed(tables.robot.on(file.tree()), file), tables.identification, file
 
 
 def _of_run(
     content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
-) -> tuple[Tree, Settings]:
+) -> tuple[Tree, Settings, None]:
     """Robot and settings of a run's estimates: they stand beside them."""
     beside = path.parent / EXPERIMENT
     if not beside.is_file():
@@ -215,7 +227,7 @@ def _of_run(
     sha256 = used.get("sha256") if isinstance(used, dict) else content.get("model_sha256")
     place = _checked_model(model or Path(experiment.model), sha256, path)
     experiment = experiment.model_copy(update={"model": str(place)})
-    return robot_of(experiment), experiment.identification
+    return robot_of(experiment), experiment.identification, None
 
 
 def _checked_model(place: Path, sha256: object, path: Path) -> Path:

@@ -38,6 +38,7 @@ from testbed.identification.sensor.sensor_model import LinearFit, SensorModel, g
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.kernel.records import Question
 from testbed.recordings.source import RecordingLike, Source, segments_of
+from testbed.recordings.views import pedestal_said
 from testbed.robot.friction import BACKWARD, FORWARD, LAWS, ROTOR
 from testbed.robot.tree import Tree
 from testbed.stages import stage
@@ -195,6 +196,8 @@ def _estimate_of(
             raise RecordingError("the recording holds numbers too large to compute with")
         estimate = _estimate(problem, equations, fit, model, sensor.values)
         of_data = diagnostics(estimate, problem.tree, passes.surveyor.survey(), problem.tare)
+    if pedestal_said(problem.source):  # else a tare that is not its weight is odd
+        of_data = tuple(each for each in of_data if each.code != "plate.tare")
     every = [*_of_problem(problem), *of_data, *model.diagnostics(sensor), *quality(estimate)]
     estimate = replace(estimate, choice=choice, diagnostics=ordered(every))
     zero = {*zero_unknown(estimate.noise), *model.with_unknown_zero}

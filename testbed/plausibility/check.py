@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, zip_longest
 from pathlib import Path
@@ -37,6 +37,7 @@ from testbed.plausibility.recording_diagnostics import (
     still_joints,
     undecided,
     unexplained_plate,
+    unsaid_pedestal,
     wrong_mapping,
 )
 from testbed.plausibility.remedies import (
@@ -77,6 +78,9 @@ ALONG = 1e-3
 MOVED, CLEAR, ARM = 0.03, 5.0, 1.0
 """Parts of the robot's weight, and sigmas, from which a plate's zero is another one; lever by which
 a weight counts as a moment [m]."""
+
+RobotOf = Tree | Callable[[Recording], tuple[Tree, Source]]
+"""A robot, or what it is for a recording, whose joints may be held, and the recording as its."""
 
 MOST_SAMPLES = 200_000
 """Samples that are looked at, from the recording's middle."""
@@ -202,7 +206,7 @@ def _judge(
         said.append(wrong_mapping(tree, remedies, others, gain, certain=clear))
     if not foreign:
         if best.has_plate:
-            said += negative_weight(best, tare)
+            said += [*negative_weight(best, tare), *unsaid_pedestal(best, mapping)]
         if zero is not None and not wrong:
             said.append(other_zero(remedies[-1]))
         sized = any(each.kind == "torque_size" for each in best.hypotheses)
@@ -245,6 +249,7 @@ def zero_hypothesis(
     zero, sigma = best.fit.plate.zero(best.plate)
     smallest = least * prior.weight * np.repeat([1.0, ARM], 3)
     moved = np.abs(zero - prior.zero(tare)) > np.maximum(smallest, CLEAR * sigma)
+    zero = np.where(moved, zero, prior.zero(tare))
     return Hypothesis("tare", (), tuple(np.round(zero, 3).tolist())) if moved.any() else None
 
 
@@ -378,14 +383,15 @@ def _base_motion(source: Source) -> Iterator[Diagnostic]:
 
 
 def import_and_check(
-    path: Path, tree: Tree, *, align: bool = False, unchecked: bool = False,
+    path: Path, robot_of: RobotOf, *, align: bool = False, unchecked: bool = False,
     progress: Progress | None = None,
 ) -> tuple[tuple[Recording, ...], list[Diagnostic], CheckReport]:  # fmt: skip
     """Recordings made by a mapping file, the longest of which is held against its robot.
 
     Args:
         path: The mapping file.
-        tree: The robot, its masses right within a factor of a few.
+        robot_of: The robot of a recording, its masses right within a factor of a few, and the
+            recording as its; or a tree.
         align: Whether delays and drifts of clocks are taken back.
         unchecked: Whether to accept them without a search for what is wrong.
         progress: Called with how much of the search is done.
@@ -400,7 +406,8 @@ def import_and_check(
     """
     recordings, cuts = pieces(path)
     longest = max(recordings, key=lambda each: each.samples)
-    report = check_recording(tree, longest, align=align, unchecked=unchecked, progress=progress)
+    tree, own = _as_its(longest, robot_of)
+    report = check_recording(tree, own, align=align, unchecked=unchecked, progress=progress)
     if align:
         lines = chain.from_iterable(lines for _, lines in _alignments(report.offsets, longest))
         mapping = with_lines(longest.facts["mapping"], lines)
@@ -411,10 +418,17 @@ def import_and_check(
     if not unchecked:
         most = max(each.samples for each in recordings)
         recordings = tuple(
-            _with_verdict(each, tree, report) if each.samples == most else each
+            _with_verdict(each, robot_of, report) if each.samples == most else each
             for each in recordings
         )
     return recordings, cuts, report
+
+
+def _as_its(recording: Recording, robot_of: RobotOf) -> tuple[Tree, Source]:
+    """A robot, and a recording as its."""
+    if isinstance(robot_of, Tree):
+        return robot_of, on_its_base(recording, robot_of)
+    return robot_of(recording)
 
 
 def _alignments(
@@ -427,9 +441,9 @@ def _alignments(
             yield each, [*alignment(each, mapping, source.facts)]
 
 
-def _with_verdict(recording: Recording, tree: Tree, report: CheckReport) -> Recording:
+def _with_verdict(recording: Recording, robot_of: RobotOf, report: CheckReport) -> Recording:
     """A recording that keeps what was said of it."""
-    of = digest(tree, on_its_base(recording, tree))
+    of = digest(*_as_its(recording, robot_of))
     verdict = {"of": of, "diagnostics": [each.as_dict() for each in report.diagnostics]}
     return replace(recording, facts={**recording.facts, FACT: verdict})
 

@@ -10,8 +10,9 @@ from testbed.arrays import Array
 from testbed.identification.regression.windows import motion_taps
 from testbed.recordings.recording import Recording
 
-CUTOFF = 8.0
-"""Of the low-pass [Hz]; a sixth of the rate where the recording is slower."""
+CUTOFF, SLOW = 8.0, 2.0
+"""Of the low-pass [Hz], a sixth of the rate where the recording is slower; of another one, for
+signals that are noise above it."""
 
 MOST, A_SECOND = 400, 16.0
 """Instants that are kept, in all and a second: no more than the low-pass lets be independent."""
@@ -47,7 +48,7 @@ class Instants:
         wrench: (T, 6) [N, N m]; (T, 0) where it was not measured.
         wrench_rate: Its derivative, (T, 6) [N/s, N m/s], or (T, 0).
         torque_noise: Variance of the noise that is left in the torques, (n,) or (0,).
-        wrench_noise: The same of the wrench, (6,) or (0,).
+        wrench_noise: The same of the wrench, by the octave above, (6,) or (0,).
         spacing: From one instant to the next [s].
     """
 
@@ -76,18 +77,20 @@ class Instants:
         )
 
 
-def sample(recording: Recording, late: float = 0.0) -> Instants | None:
+def sample(recording: Recording, late: float = 0.0, cutoff: float = CUTOFF) -> Instants | None:
     """Signals of a recording at a few hundred instants; None where it is too short.
 
     Args:
         recording: Of M samples.
         late: How late the wrench is [s].
+        cutoff: Of the low-pass [Hz].
     """
     rate, torque, wrench = recording.rate, recording.torque, recording.wrench
-    taps = motion_taps(rate, min(CUTOFF, rate / 6))
+    passed = min(cutoff, rate / 6)
+    taps, octave = motion_taps(rate, passed), motion_taps(rate, 2 * passed)[0]
     lost = taps.shape[1] // 2
     inside = recording.samples - 2 * lost
-    count = min(MOST, int(inside / rate * A_SECOND))
+    count = min(MOST, int(inside / rate * A_SECOND * cutoff / CUTOFF))
     if count < LEAST:
         return None
     later = round(late * rate)
@@ -100,6 +103,10 @@ def sample(recording: Recording, late: float = 0.0) -> Instants | None:
         return values
 
     smoothing = float((taps[0] ** 2).sum())
+    above = np.zeros(0)  # what lies in the octave above the low-pass no smooth motion makes
+    if wrench is not None:
+        low, high = (decimate(wrench, each[::-1], lost, 1) for each in (taps[0], octave))
+        above = (high - low).var(axis=0)
     return Instants(
         position=filtered(recording.position, 0),
         velocity=filtered(recording.position, 1),
@@ -108,7 +115,7 @@ def sample(recording: Recording, late: float = 0.0) -> Instants | None:
         wrench=filtered(wrench, 0, later),
         wrench_rate=filtered(wrench, 1, later),
         torque_noise=_noise(torque) * smoothing,
-        wrench_noise=_noise(wrench) * smoothing,
+        wrench_noise=above,
         spacing=(inside - abs(later)) / rate / count,
     )
 

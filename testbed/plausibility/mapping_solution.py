@@ -19,11 +19,18 @@ from testbed.errors import round_significant
 from testbed.plausibility.check import Assessment, assess, zero_hypothesis
 from testbed.plausibility.explanation import Explanation
 from testbed.plausibility.plate import WrenchFit, frame_of
-from testbed.plausibility.plate_map import LATE, RATIO, SHIFT, TURN, rotation_vector
-from testbed.plausibility.recording_diagnostics import CLEARLY, share
+from testbed.plausibility.plate_map import (
+    LATE,
+    RATIO,
+    SHIFT,
+    TURN,
+    rotation_vector,
+    transform,
+)
+from testbed.plausibility.recording_diagnostics import CLEARLY, removed, share, weights
 from testbed.plausibility.remedies import in_words
 from testbed.plausibility.search import Progress
-from testbed.plausibility.time_offset import alignment, time_offsets
+from testbed.plausibility.time_offset import alignment, moving_average, time_offsets
 from testbed.recordings.importing.convert import clock_ranges
 from testbed.recordings.importing.foreign_table import FORCES, MOMENTS
 from testbed.recordings.importing.import_report import Draft, in_toml
@@ -131,7 +138,7 @@ def solve_mapping(
     if in_time is not draft:
         draft, assessment = in_time, assess(tree, _recording(in_time, out, tree), progress)
     if assessment.best is not None:
-        draft = _with_plate(draft, assessment.best)
+        draft = _with_average(_with_plate(draft, assessment.best), source)
     said = (*assessment.likely, *_too_short(assessment.best))
     if any(each.code in ("plate.foreign", "recording.short") for each in said):
         draft = _doubted(draft)
@@ -215,9 +222,16 @@ def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
     """What the assessment says instead; the same where it finds nothing wrong."""
     codes, best = {each.code for each in assessment.certain}, assessment.best
     plate = best is not None and best.has_plate
+    foreign = bool(codes & {"plate.foreign", "plate.crosstalk"})
     zero_open = "wrench" in draft.tables and "tare" not in draft.tables["wrench"]
     if best is not None and codes == {"plate.weight"} and zero_open:
         return _with_zero(draft, best)  # the plate's zero is not the model's pedestal
+    if best is not None and zero_open and "pedestal" not in draft.tables["wrench"]:
+        weighed = weights(best)
+        if weighed is not None and not foreign:
+            draft = _with_pedestal(draft, weighed)
+            rest = tuple(each for each in assessment.remedies if each.kind != "tare")
+            return _with_remedies(draft, replace(assessment, remedies=rest))
     if assessment.remedies:
         return _with_remedies(draft, assessment)
     if "torque.size" in codes and plate and draft.notes.get(("torque", "unit")) == ASSUMED:
@@ -234,6 +248,14 @@ def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
     return draft
 
 
+def _with_pedestal(draft: Draft, weighed: tuple[float, float, float]) -> Draft:
+    """Whether a plate's reading contains the pedestal, by the model file's masses."""
+    included, without, file = weighed
+    value = "removed" if removed(*weighed) else "included"
+    note = f"{ASSUMED}: the robot weighs {included:.3g} kg if it is included, {without:.3g} kg if "
+    return draft.saying("wrench", "pedestal", value, f"{note}not; the model file says {file:.3g}")
+
+
 def _with_remedies(draft: Draft, assessment: Assessment) -> Draft:
     """What the assessment says, and what for."""
     others = assessment.alternatives
@@ -244,6 +266,9 @@ def _with_remedies(draft: Draft, assessment: Assessment) -> Draft:
             note += f"; the runner-up leaves {others.times:.3g} times more"
         note += f"; equally explained by {', '.join(others.equals)}" if others.equals else ""
         for table, key, value in each.lines:
+            if (table, key) == ("wrench", "tare"):
+                draft = _with_tare(draft, value, note)
+                continue
             draft = draft.saying(table, key, value, note)
             if (table, key) == ("position", "unit"):
                 draft = _with_rates(draft, value)
@@ -298,6 +323,19 @@ def _delayed(draft: Draft, signal: str, delay: float, sigma: float) -> Draft:
     return draft.saying(table, key, value, f"solved: {1e3 * value:.3f} +- {1e3 * sigma:.3f} ms")
 
 
+def _with_average(draft: Draft, source: Source) -> Draft:
+    """Of what a plate's delay is half, where its spectra show a moving average of about that."""
+    delay = draft.tables.get("wrench", {}).get("delay")
+    if delay is None:
+        return draft
+    window = moving_average(source.part(0, source.samples).measured("wrench"), source.rate)
+    if not 0.5 * delay < window / 2 < 1.5 * delay:
+        return draft
+    note = f"{draft.notes['wrench', 'delay']}; the recorder averages over about "
+    note += f"{1e3 * window:.0f} ms (minima of all spectra at multiples of {1 / window:.3g} Hz)"
+    return draft.saying("wrench", "delay", delay, note)
+
+
 def _with_plate(draft: Draft, best: Explanation) -> Draft:
     """Frame, clock and zero of a plate as the data determine them."""
     table = draft.tables.get("wrench")
@@ -306,6 +344,9 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     frame = frame_of(draft.content)
     moves, covariance = best.fit.plate.correction(best.plate)
     sigma = np.sqrt(np.diagonal(covariance))
+    loose = [k for k in SHIFT if sigma[k] > FAR]  # at zero, and the others as they are then
+    gain = np.linalg.solve(covariance[np.ix_(loose, loose)], covariance[loose])
+    moves = moves - (moves[loose] + frame.place[loose]) @ gain
     shift, spread = moves[list(SHIFT)], sigma[list(SHIFT)]
     moved = from_vector(moves[list(TURN)])
     turn, xyz = moved @ frame.turn, moved @ frame.place + shift
@@ -333,17 +374,28 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     late, late_sigma = float(moves[LATE]), float(sigma[LATE])
     if own_clock or "delay" in table or abs(late) > CLEAR * late_sigma:
         draft = _delayed(draft, "wrench", table.get("delay", 0.0) + late, late_sigma)
-    return _with_zero(draft, best)
+    placed = transform(from_rpy(plain or rpy), xyz) @ np.linalg.inv(
+        transform(frame.turn, frame.place)
+    )
+    plate = replace(best.plate, map=placed @ best.plate.map)
+    return _with_zero(draft, replace(best, plate=plate))
 
 
 def _with_zero(draft: Draft, best: Explanation) -> Draft:
     """What the plate shows without the robot, where that is clear."""
-    tare = draft.tables["wrench"].get("tare")
-    zero = zero_hypothesis(best, None if tare is None else np.array(tare), least=0.0)
+    table = MappingFile.model_validate(draft.content).wrench
+    zero = None if table is None else zero_hypothesis(best, table.static(None), least=0.0)
     if zero is None:
         return draft
-    note = "solved: Fz, Mx and My, as far as they are of weight, by the model file's masses"
-    return draft.saying("wrench", "tare", list(zero.values), note)
+    note = "solved: where it is clear; of Fz, Mx and My, what is of weight, by the file's masses"
+    return _with_tare(draft, list(zero.values), note)
+
+
+def _with_tare(draft: Draft, tare: list[float], note: str) -> Draft:
+    """With all that a plate shows of others than the robot, its pedestal too."""
+    included = draft.tables["wrench"].get("pedestal") == "included"
+    draft = draft.saying("wrench", "pedestal", None) if included else draft
+    return draft.saying("wrench", "tare", tare, note)
 
 
 def _plain_angles(turn: Array, covariance: Array) -> tuple[float, float, float] | None:

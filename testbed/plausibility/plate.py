@@ -21,13 +21,15 @@ from testbed.arrays import Array
 from testbed.blas import eigh
 from testbed.plausibility.instants import Instants, delay
 from testbed.plausibility.plate_map import (
+    LASTS,
     LATE,
+    QUIET,
     RATIO,
     SHIFT,
     SLOPES,
     TURN,
     PlateRows,
-    model_directions,
+    near_file,
     transform,
 )
 from testbed.plausibility.prior import Prior
@@ -52,11 +54,14 @@ SNAP = 0.02
 NEAR = 0.1
 """By how much the ratio of gains may be off for a pair of units to be tried."""
 
+SIGMAS = 4.0
+"""By which a turn may be off where a plate is noise."""
+
 WEIGHT = 2.5
 """Of the logarithm of a channel's unexplained share [nats]: what is left lasts, and is no noise."""
 
-LEAST_LEFT, LASTS = 1e-4, 10.0
-"""Share of a channel's variance that models leave at least, and instants over which it lasts."""
+LEAST_LEFT = 1e-4
+"""Share of a channel's variance that models leave at least."""
 
 TINY = 1e-5
 """Share below which what is left says nothing more."""
@@ -66,6 +71,9 @@ ROUGH = 0.35
 
 EXPLAINED = 1e-3
 """Share below which, noise aside, nothing is odd about a channel."""
+
+UNEXPLAINED = 0.05
+"""Share of a channel that no reading of a right recording leaves, noise aside."""
 
 MIXED, GAP = 3e-3, 10.0
 """Share that a matrix leaves at most where a plate mixes its channels, and times less than others.
@@ -77,12 +85,13 @@ SHIFTED, CLEAR, MOST_SHIFT = 5e-3, 5.0, 50.0
 MOST_MAPS = 40
 """Maps that are judged together with the torques, the best first."""
 
-WIDE = np.repeat([0.2, 1.0], [3, 5])
+WIDE = np.repeat([0.2, 1.0, 0.02], [3, 4, 1])
 """Standard deviations of a correction before the data: of the place [m], of the delay [s], of the
 turn [rad] and of the ratio."""
 
-CORRECTIONS, AROUND = 4, 61
-"""Steps of Gauss and Newton to a correction; frequencies over which what is left is averaged."""
+CORRECTIONS, AROUND = 4, 0.15
+"""Steps of Gauss and Newton to a correction; part of the frequencies over which what is left is
+averaged."""
 
 LOOSEST = 10.0
 """Times that a prior's sigmas are wider at most, where data depart from it by as many sigmas."""
@@ -166,12 +175,13 @@ def best_hypotheses(
     turn, ratio = _best_turn(plate, frame, order)
     own = MOMENTS[frame.units[1]] / FORCES[frame.units[0]]
     for units in product(FORCES, MOMENTS):
-        if abs(MOMENTS[units[1]] / FORCES[units[0]] / (ratio * own) - 1) > NEAR:
+        apart = abs(MOMENTS[units[1]] / FORCES[units[0]] / (ratio * own) - 1)
+        if apart > NEAR and units != frame.units:  # as read always: forces may be noise
             continue
-        exact = _refine(plate, frame, turn, units, order)
+        exact, sigma = _refine(plate, frame, turn, units, order)
         angles = [round(angle / STEPS[-1]) * STEPS[-1] for angle in to_rpy(exact)]
-        plainer = (from_rpy(angles), frame.turn)
-        near = [each for each in plainer if np.linalg.norm(exact - each) < SNAP]
+        plainer, most = (from_rpy(angles), frame.turn), max(SNAP, SIGMAS * sigma)
+        near = [each for each in plainer if np.linalg.norm(exact - each) < most]
         for each in (exact, *near):
             hypotheses = [Hypothesis("plate_order", (), tuple(order))] * (tuple(order) != AS_READ)
             hypotheses += [Hypothesis("units", (), units)] * (units != frame.units)
@@ -191,8 +201,8 @@ def _best_turn(plate: PlateRows, frame: Frame, order: Sequence[int]) -> tuple[Ar
     for _ in range(ROUNDS):
         pairs = zip(turns, ratios, strict=True)
         maps = [frame.map(turn, frame.units, order, ratio) for turn, ratio in pairs]
-        fits = plate.fit(maps, (*SHIFT, LATE, *TURN, RATIO))
-        best = int(np.argmin(fits.unexplained.sum(axis=1)))
+        fits = plate.fit(maps, (*SHIFT, LATE, *TURN, RATIO), likely=True)
+        best = int(np.argmin(np.log(fits.unexplained + TINY).sum(axis=1)))
         steps = fits.extras[:, list(TURN)]
         size = np.linalg.norm(steps, axis=1, keepdims=True)
         steps = steps * np.minimum(1, LARGEST_TURN / np.maximum(size, LARGEST_TURN))
@@ -204,12 +214,13 @@ def _best_turn(plate: PlateRows, frame: Frame, order: Sequence[int]) -> tuple[Ar
 
 def _refine(
     plate: PlateRows, frame: Frame, turn: Array, units: tuple[str, str], order: Sequence[int]
-) -> Array:
-    """The turn with gains of these units, (3, 3)."""
+) -> tuple[Array, float]:
+    """The turn with gains of these units, (3, 3), and its largest sigma [rad]."""
     for _ in range(3):
-        fits = plate.fit([frame.map(turn, units, order)], (*SHIFT, LATE, *TURN))
+        maps = [frame.map(turn, units, order)]
+        fits = plate.fit(maps, (*SHIFT, LATE, *TURN), likely=True)
         turn = from_vector(fits.extras[0, list(TURN)]) @ turn
-    return turn
+    return turn, float(fits.sigma[0, list(TURN)].max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,6 +250,12 @@ class PlateExplanation:
             share: Part of a channel's variance that may be left.
         """
         return bool((self.unexplained < share + 3 * self.noise).all())
+
+    @property
+    def shown(self) -> bool:
+        """Whether it explains the plate, two channels or more of which are no noise."""
+        heard = self.noise < UNEXPLAINED
+        return bool(heard.sum() >= 2 and self.explained(UNEXPLAINED))
 
 
 NO_PLATE = PlateExplanation((), np.eye(6), 0.0, np.zeros(0), np.zeros(0), 0.0)
@@ -281,13 +298,7 @@ class PlateEvidence:
         self._prior, self._frame, self.rows, self._instants = prior, frame, rows, instants
         self.measured = instants.wrench.size > 0
         if self.measured:
-            self._products = PlateRows(self._wrench_rows, rows @ prior.mean, instants)
-
-    @property
-    def _wrench_rows(self) -> Array:
-        """On the parameters that the base's wrench identifies, (T, 6, N)."""
-        rows: Array = self.rows @ self._prior.lift
-        return rows
+            self._products = PlateRows(rows @ prior.root, rows @ prior.mean, instants)
 
     @cached_property
     def least(self) -> float:
@@ -446,6 +457,7 @@ class PlateEvidence:
         before = np.zeros(len(precision))
         before[own][list(SHIFT)] = -self._frame.place  # where the prior has its mean
         left = np.maximum(each.unexplained * data.wrench.var(axis=0), 1e-30)
+        around = 1 + int(AROUND * count)
         weight, predicted = np.tile(1 / np.sqrt(left), (count, 1)), wrench
         for _ in range(CORRECTIONS):
             slopes = -np.einsum("ecd,td->tce", SLOPES, predicted)
@@ -458,7 +470,7 @@ class PlateEvidence:
             residual = (target - columns @ values).reshape(count, 6) / weight
             predicted = wrench - residual
             free = 1 - np.einsum("ti,ti->t", columns @ covariance, columns).reshape(count, 6)
-            free, square = (uniform_filter1d(x, AROUND, axis=0) for x in (free, residual**2))
+            free, square = (uniform_filter1d(x, around, axis=0) for x in (free, residual**2))
             weight = np.sqrt(np.maximum(free, 1e-9) / np.maximum(square, 1e-24))
             odd = float(np.abs(values[:parameters]).max())
             precision[:parameters] = 1 / np.clip(odd, 1.0, LOOSEST) ** 2
@@ -471,9 +483,10 @@ class PlateEvidence:
             each: Of the plate.
         """
         wrench = self.wrench(each)
-        size = np.maximum(wrench.std(axis=0), 1e-12)
-        basis = model_directions(self._wrench_rows, 1 / size)
-        fit = (basis @ (basis.T @ (wrench / size).ravel())).reshape(wrench.shape) * size
-        unexplained = ((wrench - fit) ** 2).mean(axis=0) / size**2
+        variance = np.maximum(wrench.var(axis=0), 1e-24)
+        sigma = np.sqrt(variance * (QUIET + LASTS * each.noise))
+        target = (wrench - self.rows @ self._prior.mean)[..., None]
+        left = near_file(self.rows @ self._prior.root, target, sigma)[1][..., 0]
+        unexplained = (left**2).mean(axis=0) / variance
         time = self._instants.spacing * np.arange(len(wrench), dtype=np.float64)
-        return WrenchFit(time, wrench, fit, unexplained)
+        return WrenchFit(time, wrench, wrench - left, unexplained)

@@ -20,7 +20,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array, skew
-from testbed.plausibility.instants import Instants, directions
+from testbed.plausibility.instants import Instants
+
+HALVES = (slice(0, 3), slice(3, 6))
+"""Forces, moments."""
+
+LASTS = 10.0
+"""Instants over which what models leave lasts: it is no white noise."""
+
+QUIET = 1e-3
+"""Part of a channel's variance that counts as noise besides its own."""
+
+NOISY, FREE = 0.1, 1e-3
+"""Part of forces' or moments' variance from which they are noise; where neither are, the sigma of
+what is left that leaves parameters free."""
 
 SILENT = 0.02
 """Part of the mean variance of forces, or of moments, that a channel counts with at least."""
@@ -67,16 +80,25 @@ def _slopes() -> Array:
 SLOPES = _slopes()
 
 
-def model_directions(rows: Array, weight: Array) -> Array:
-    """Orthonormal directions of all that parameters and constants make of the plate, (6 T, k).
+def near_file(rows: Array, target: Array, sigma: Array) -> tuple[Array, Array]:
+    """Parameters that explain signals, with any constants, and what they leave.
+
+    Ridge regression: where the plate is noise, parameters remain near the model file's.
 
     Args:
-        rows: On the parameters that the base's wrench identifies, (T, 6, N).
-        weight: Of the channels, (6,).
+        rows: On the parameters in sigmas of the prior, (T, 6, N).
+        target: Less what the file predicts, (T, 6, k).
+        sigma: Of what is left of the channels, (6,).
+
+    Returns:
+        Departures in sigmas of the prior, (N, k); what is left, (T, 6, k).
     """
-    constants = np.broadcast_to(np.eye(6), (len(rows), 6, 6))
-    columns = np.concatenate([rows, constants], axis=2) * weight[:, None]
-    return directions(columns.reshape(6 * len(rows), -1))
+    columns = ((rows - rows.mean(axis=0)) / sigma[:, None]).reshape(-1, rows.shape[2])
+    varied = target - target.mean(axis=0)
+    scaled = (varied / sigma[:, None]).reshape(len(columns), -1)
+    normal = columns.T @ columns + np.eye(columns.shape[1])
+    departure = np.linalg.solve(normal, columns.T @ scaled)
+    return departure, varied - (columns @ departure).reshape(varied.shape) * sigma[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,38 +126,43 @@ class PlateRows:
         """The products.
 
         Args:
-            rows: On the parameters that the base's wrench identifies, (T, 6, N).
+            rows: On the parameters in sigmas of the prior, (T, 6, N).
             expected: The wrench by the model file's masses, (T, 6) [N, N m].
             instants: With a wrench.
         """
         varied = expected - expected.mean(axis=0)
-        size = np.sqrt([(varied[:, part] ** 2).mean() for part in (slice(0, 3), slice(3, 6))])
+        size = np.sqrt([(varied[:, part] ** 2).mean() for part in HALVES])
         weight = np.repeat(1 / np.where(size > 0, size, 1.0), 3)
         channels = np.hstack([instants.wrench, instants.wrench_rate])  # (T, 12)
         count = len(channels)
-        basis = model_directions(rows, weight).reshape(count, 6, -1)
-        weighted = np.einsum("tcr,tk->rck", basis * weight[:, None], channels, optimize=True)
-        explained = weighted.reshape(basis.shape[2], 72)
-        self._residual, self._whole = np.zeros((6, 72, 72)), np.zeros((6, 72, 72))
         centred = channels - channels.mean(axis=0)
+        self.expected = varied * weight
+        sigma = _sigma(instants)
+        certain = self.expected / sigma**2
+        self._model = np.einsum("tc,tk,c->ck", certain, centred, weight).ravel()
+        self._model_size = float((self.expected * certain).sum())
+        signals = np.einsum("tk,cd->tcdk", channels, np.diag(weight)).reshape(count, 6, 72)
+        # of each map's size, in which the file predicts
+        signals -= self.expected[..., None] * (self._model / self._model_size)
+        departure, signals = near_file(rows * weight[:, None], signals, sigma)
+        self._departure = departure.T @ departure
+        self._residual = np.einsum("tcx,tcy->cxy", signals, signals, optimize=True)
+        self._whole = np.zeros((6, 72, 72))
         for channel in range(6):
             own = slice(12 * channel, 12 * channel + 12)
-            residual = -basis[:, channel] @ explained
-            residual[:, own] += weight[channel] * channels
-            self._residual[channel] = residual.T @ residual
             self._whole[channel][own, own] = weight[channel] ** 2 * centred.T @ centred
-        self.expected = varied * weight
-        self._model = np.einsum("tc,tk,c->ck", self.expected, centred, weight).ravel()
-        self._model_size = float((self.expected**2).sum())
         self.weight, self._count = weight, count
         self._noise = instants.wrench_noise * count
 
-    def fit(self, maps: Sequence[Array], free: Sequence[int] = (*SHIFT, LATE)) -> MapFits:
+    def fit(
+        self, maps: Sequence[Array], free: Sequence[int] = (*SHIFT, LATE), *, likely: bool = False
+    ) -> MapFits:
         """What each map leaves, with what is free fitted beside it.
 
         Args:
             maps: From what was recorded to the bedplate's wrench, (6, 6) each.
             free: Places of what may be fitted.
+            likely: Whether parameters far from the model file's count against what is fitted.
         """
         stacked = np.stack(maps)
         count, free = len(stacked), list(free)
@@ -156,7 +183,12 @@ class PlateRows:
             ],
             axis=1,
         )  # (M, 6, 1 + k, 1 + k)
-        total = (residual / whole[:, :, None, None]).sum(axis=1)
+        weight = QUIET / (QUIET + self._noise_variance(stacked) / whole)
+        total = (residual * (weight / whole)[:, :, None, None]).sum(axis=1)
+        if likely:
+            departure = (flat.reshape(-1, 72) @ self._departure).reshape(flat.shape)
+            part = QUIET / whole.mean(axis=1)
+            total += part[:, None, None] * (departure @ flat.transpose(0, 2, 1))
         size = np.sqrt(np.einsum("maa->ma", total)[:, 1:]) + 1e-300
         normal = total[:, 1:, 1:] / size[:, :, None] / size[:, None, :] + 1e-9 * np.eye(len(free))
         best = -np.linalg.solve(normal, (total[:, 1:, 0] / size)[..., None])[..., 0] / size
@@ -169,7 +201,8 @@ class PlateRows:
         along = np.einsum("ma,max->mx", weights, flat) @ self._model / self._model_size
         extras, sigma = np.zeros((count, EXTRAS)), np.zeros((count, EXTRAS))
         extras[:, free] = best
-        sigma[:, free] = spread * np.sqrt(shares.sum(axis=1, keepdims=True) / (6 * self._count))
+        left = (weight * shares).sum(axis=1, keepdims=True)
+        sigma[:, free] = spread * np.sqrt(left / (6 * self._count))
         return MapFits(np.maximum(shares, 0.0), extras, sigma, along)
 
     def gain_ratio(self, each: Array) -> float:
@@ -193,9 +226,13 @@ class PlateRows:
         Args:
             each: The map, (6, 6).
         """
-        noise = self.weight**2 * (each**2 @ self._noise)
-        share: Array = noise / _at_least(self._variance(each))
+        share: Array = self._noise_variance(each) / _at_least(self._variance(each))
         return share
+
+    def _noise_variance(self, maps: Array) -> Array:
+        """Of the plate's own noise after maps, (..., 6, 6), in parts of the model's, (..., 6)."""
+        noise: Array = self.weight**2 * (maps**2 @ self._noise)
+        return noise
 
     def least_share(self, *, late: bool = False) -> float:
         """What the best of all maps leaves, crosstalk and all.
@@ -214,6 +251,15 @@ class PlateRows:
         scaled = whole / size + 1e-10 * np.eye(len(size))
         least = eigh(residual / size, scaled, eigvals_only=True, subset_by_index=[0, 0])
         return max(float(least[0]), 1e-12)
+
+
+def _sigma(instants: Instants) -> Array:
+    """Of what is left of the channels, in parts of forces or moments, (6,)."""
+    variance = instants.wrench.var(axis=0)
+    noise = [instants.wrench_noise[k].sum() / max(variance[k].sum(), 1e-30) for k in HALVES]
+    if max(noise) < NOISY:
+        return np.full(6, FREE)
+    return np.repeat(np.sqrt(QUIET + LASTS * np.array(noise)), 3)
 
 
 def _at_least(variance: Array) -> Array:

@@ -13,16 +13,17 @@ from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import components, few, round_significant
 from testbed.plausibility.explanation import Explanation
 from testbed.plausibility.instants import Instants
-from testbed.plausibility.plate import MIXED, WrenchFit
+from testbed.plausibility.plate import MIXED, UNEXPLAINED, WrenchFit
 from testbed.plausibility.remedies import KINDS, Hypothesis, Remedy, in_mapping, own_joints
 from testbed.recordings.columns import AXES
+from testbed.recordings.held import STILL
 from testbed.recordings.importing.import_report import in_toml
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 
-RESTS, NOISE_RESTS, ROUNDING = 1e-3, 1e-2, 1e-9
-"""Motion of joints below which they rest, and below which noise is no motion [rad or m]; part of a
-value that a filter's rounding changes at most."""
+NOISE_RESTS, ROUNDING = 1e-2, 1e-9
+"""Motion of joints below which noise is no motion [rad or m]; part of a value that a filter's
+rounding changes at most."""
 
 RARE, FEWEST, APART = 1e-3, 5, 3
 """Part of the samples, and number, that may be spikes; samples after which one is over."""
@@ -34,11 +35,14 @@ signal's channels that each has at least."""
 OUTSIDE = 1.0
 """Ranges of a joint by which its positions must leave it to be certainly wrong."""
 
-UNEXPLAINED, NOISY = 0.05, 3.0
-"""Share of a channel that no reading of a right recording leaves; times the noise's own besides."""
+NOISY = 3.0
+"""Times a channel's noise that may be left besides."""
 
 PULLED = -0.1
 """Parts of the robot's weight below which a robot weighs less than nothing."""
+
+LIGHT = 0.03
+"""Part of the robot's mass below which nobody sees whether a pedestal was weighed."""
 
 SMALL, LARGE = 0.4, 2.5
 """Times what the model file says beyond which torques are doubted."""
@@ -144,7 +148,7 @@ def at_rest(tree: Tree, instants: Instants) -> Iterator[Diagnostic]:
     moved, wrench = np.ptp(position, axis=0).max(initial=0.0), instants.wrench
     # in a wrong unit noise may be larger: it changes from instant to instant, as no motion does
     noise = (np.diff(position, axis=0).var(axis=0) > position.var(axis=0)).all()
-    if position.size and moved < (NOISE_RESTS if noise else RESTS):
+    if position.size and moved < (NOISE_RESTS if noise else STILL):
         yield diagnose("robot.rest", "the robot", moved)
     elif wrench.size and np.ptp(wrench, axis=0).max() <= ROUNDING * np.abs(wrench).max():
         yield diagnose("plate.silent", "the plate", 0.0, wrench=components(wrench[0]))
@@ -158,12 +162,14 @@ def still_joints(tree: Tree, as_read: Explanation) -> Iterator[Diagnostic]:
         as_read: The recording as it is.
     """
     position, odd = as_read.fit.instants.position, as_read.odd_torques()
-    still = [k for k in own_joints(tree) if np.ptp(position[:, k]) < RESTS]
+    still = [k for k in own_joints(tree) if np.ptp(position[:, k]) < STILL]
     dead = [k for k in still if k in odd]
-    if still:
-        names = few([tree.names[k] for k in dead or still])
-        causes = [*["joint-at-rest"] * (not dead), "dead-encoder", "other-column", "braked"]
-        yield diagnose("position.still", names, len(dead), causes=causes, unexplained=bool(dead))
+    if dead:
+        yield diagnose("position.still", few([tree.names[k] for k in dead]), len(dead))
+    elif still:
+        places = position[:, still].mean(axis=0)
+        pairs = zip(still, places, strict=True)
+        yield diagnose("position.held", few([f"{tree.names[k]} at {q:.4g}" for k, q in pairs]))
 
 
 def unexplained_plate(best: Explanation) -> Iterator[Diagnostic]:
@@ -205,12 +211,60 @@ def negative_weight(best: Explanation, tare: Array | None) -> Iterator[Diagnosti
         best: What explains the recording best; with a wrench.
         tare: What the recording says that it shows without the robot, as of `Prior.zero`.
     """
+    carried, force = carried_mass(best, tare)
+    tree = best.fit.prior.tree
+    if carried * np.linalg.norm(tree.gravity) < PULLED * best.fit.prior.weight:
+        yield diagnose("plate.weight", "the plate", carried, force=components(force))
+
+
+def carried_mass(best: Explanation, tare: Array | None) -> tuple[float, Array]:
+    """What a plate carries besides what is known [kg], and the mean force of it, (3,) [N].
+
+    Args:
+        best: What explains the recording best; with a wrench.
+        tare: As of `negative_weight`.
+    """
     prior = best.fit.prior
     force = (best.fit.plate.wrench(best.plate).mean(axis=0) - prior.zero(tare))[:3]
     size = float(np.linalg.norm(prior.tree.gravity))
-    carried = float(-force @ prior.tree.gravity / size**2) if size else 0.0
-    if carried * size < PULLED * prior.weight:
-        yield diagnose("plate.weight", "the plate", carried, force=components(force))
+    return (float(-force @ prior.tree.gravity / size**2) if size else 0.0), force
+
+
+def weights(best: Explanation) -> tuple[float, float, float] | None:
+    """The robot with the pedestal in a plate's reading, without it, and by the file [kg].
+
+    None where the model's pedestal is no weight, or there is no plate.
+
+    Args:
+        best: What explains the recording best.
+    """
+    tree = best.fit.prior.tree
+    file, pedestal = sum(each.mass for each in tree.inertias), tree.pedestal.mass
+    if not best.has_plate or pedestal < LIGHT * file:
+        return None
+    included, without = (carried_mass(best, tare)[0] for tare in (None, np.zeros(6)))
+    return included, without, float(file)
+
+
+def unsaid_pedestal(best: Explanation, mapping: Mapping[str, Any]) -> Iterator[Diagnostic]:
+    """A plate that seems to be read without the pedestal, of which its mapping says nothing.
+
+    Args:
+        best: What explains the recording best.
+        mapping: What the recording's mapping file says; empty if it has none.
+    """
+    table = mapping.get("wrench")
+    found = weights(best) if table and not {"pedestal", "tare"} & table.keys() else None
+    if found is not None and removed(*found):
+        pedestal = best.fit.prior.tree.pedestal.mass
+        yield diagnose("plate.pedestal", "the plate", found[0], pedestal=pedestal,
+                       other=found[1], file=found[2])  # fmt: skip
+
+
+def removed(included: float, without: float, file: float) -> bool:
+    """Whether a weight is nearer the model file's without the pedestal in the plate's reading."""
+    ratios = np.maximum([included, without], 1e-9) / file
+    return bool(np.diff(np.abs(np.log(ratios)))[0] < 0)
 
 
 def other_zero(remedy: Remedy) -> Diagnostic:

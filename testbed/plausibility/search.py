@@ -17,8 +17,8 @@ from testbed.plausibility.explanation import (
     HypothesisFit,
     ranked,
 )
-from testbed.plausibility.instants import LATE, Instants, sample
-from testbed.plausibility.plate import EXPLAINED, frame_of
+from testbed.plausibility.instants import CUTOFF, LATE, SLOW, Instants, sample
+from testbed.plausibility.plate import EXPLAINED, PlateExplanation, frame_of
 from testbed.plausibility.prior import prior_of
 from testbed.plausibility.remedies import (
     Hypothesis,
@@ -91,14 +91,13 @@ class Search:
         self.frame = frame_of(mapping)
         self.instants = sample(recording)
         self.fits: dict[tuple[Hypothesis, ...], HypothesisFit] = {}
-        self._recording, self._progress = recording, progress
+        self._recording, self._progress, self._cutoff = recording, progress, CUTOFF
         self._offset = position_offset(tree, mapping)
         self._has_plate = recording.wrench is not None
 
     def best(self) -> tuple[Explanation, list[Explanation]]:
         """The recording as it is, and what explains it, the best first."""
-        assert self.instants is not None
-        first = self._fit((), self.instants)
+        first = self._first()
         as_recorded = first.as_read.after_plate().as_recorded()
         if first.fine:
             return as_recorded, [as_recorded]
@@ -108,6 +107,21 @@ class Search:
             several = ranked([*several, *self._refine(nearest).explanations])
         several = list({each.hypotheses: each for each in several[::-1]}.values())[::-1]
         return as_recorded, ranked(each.after_plate() for each in several[:MOST])
+
+    def _first(self) -> HypothesisFit:
+        """The recording as it is; below a lower frequency where noise hides it above."""
+        assert self.instants is not None
+        first = self._fit((), self.instants)
+        if not self._has_plate or first.as_read.explained or _nearest(first).shown:
+            return first
+        slow = sample(self._recording, cutoff=SLOW)
+        if slow is None:
+            return first
+        calm = HypothesisFit(self.prior, self.frame, (), slow)
+        if not _nearest(calm).shown or _nearest(calm).cost > _nearest(first).cost - APART:
+            return first
+        self.instants, self._cutoff, self.fits[()] = slow, SLOW, calm
+        return calm
 
     def undecided(self) -> list[Hypothesis]:
         """Those about positions alone by which the recording is about as likely as it is.
@@ -156,7 +170,7 @@ class Search:
                 except RecordingError:  # the base would stand on its head
                     return None
                 recording = replace(recording, position=position)
-        instants = sample(recording, late)
+        instants = sample(recording, late, self._cutoff)
         for each in hypotheses:
             if instants is not None and each.kind not in AFRESH:
                 instants = self._transform(instants, each)
@@ -272,6 +286,11 @@ class Search:
                 if nearer:
                     fit, last = trial, moved
         return fit
+
+
+def _nearest(fit: HypothesisFit) -> PlateExplanation:
+    """The plate's best explanation, the positions being as they are."""
+    return min(fit.plate.explanations, key=lambda each: each.cost)
 
 
 def _moves_zero(fit: HypothesisFit) -> bool:

@@ -50,6 +50,10 @@ MOST_SKEW = 5e-4
 CLEAR = 5.0
 """Sigmas from which a delay or a drift of clocks is no noise."""
 
+SEGMENT, DEEP, MINIMA = 2.56, 1.0, 3
+"""Length of a spectrum's segments [s]; depth of minima that are a moving average's, logarithm, and
+how many are looked at."""
+
 Remainder = Callable[[Array], Array]
 """What of a signal, (T, C), no unknowns of the rows explain, weighed."""
 
@@ -158,6 +162,31 @@ def alignment(
             delay = (lead + delay - offset.skew * offset.middle) / (1 + offset.skew) - lead
             yield f"sources.{source}", "skew", round((1 + own) / (1 + offset.skew) - 1, 10)
         yield name, "delay", round(delay, 8)
+
+
+def moving_average(signal: Array, rate: float) -> float:
+    """The window of a moving average through which a recorder passed a signal [s]; 0 for none.
+
+    All its channels' spectra have minima at the multiples of its inverse, two at least.
+
+    Args:
+        signal: (M, C).
+        rate: Samples a second [Hz].
+    """
+    from scipy.signal import welch
+
+    frequency, power = welch(signal, rate, nperseg=min(int(SEGMENT * rate), len(signal)), axis=0)
+    frequency, level = frequency[1:], np.log(power[1:] + 1e-300).mean(axis=1)
+    step = frequency[0]
+    for first in frequency[(frequency > 4 * step) & (frequency < rate / 5)]:  # longest first
+        depths = []
+        for centre in np.arange(first, rate / 2 - first / 2, first)[:MINIMA]:
+            away = np.abs(frequency - centre)
+            beside = level[(away < first / 2) & (away > first / 4)].mean()
+            depths.append(beside - level[away <= max(first / 20, step)].min())
+        if len(depths) > 1 and min(depths) > DEEP:
+            return float(1 / first)
+    return 0.0
 
 
 def _offset(

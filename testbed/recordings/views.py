@@ -40,6 +40,17 @@ def is_of_motors(source: Source) -> bool:
     return isinstance(efforts, Mapping) and any(kind != "torque" for kind in efforts.values())
 
 
+def pedestal_said(source: Source) -> bool:
+    """Whether a mapping says what of a plate's reading is the pedestal's, by its key.
+
+    Args:
+        source: The recording.
+    """
+    mapping = source.facts.get("mapping")
+    table = mapping.get("wrench") if isinstance(mapping, Mapping) else None
+    return isinstance(table, Mapping) and "pedestal" in table
+
+
 def with_gear(tree: Tree, source: Source) -> Tree:
     """The robot with the shafts that a recording's gear couples, unless it has some already.
 
@@ -132,7 +143,12 @@ def with_base_joints(recording: Recording) -> Recording:
     Raises:
         RecordingError: It has none, or a pose is none.
     """
-    position = np.hstack([coordinates(recording.measured("base")), recording.position])
+    if recording.base is None:
+        raise RecordingError(
+            "the recording has no base/x ... base/qz, which a robot with robot.base = "
+            '"measured" needs'
+        )
+    position = np.hstack([coordinates(recording.base), recording.position])
     return replace(
         recording,
         names=(*NAMES, *recording.names),
@@ -195,11 +211,6 @@ def on_its_base(source: Source, tree: Tree) -> Source:
         RecordingError: The recording lacks a joint of the robot, or the base's pose.
     """
     if tree.floating and NAMES[0] not in source.names:
-        if "base" not in source.signals:
-            raise RecordingError(
-                "the recording has no base/x ... base/qz, which a robot with robot.base = "
-                '"measured" needs'
-            )
         source = _seen(source, (*NAMES, *source.names), with_base_joints)
     if tree.sensor is not None and source.names != tree.names:
         source = _seen(source, tree.names, partial(with_joints, names=tree.names))

@@ -10,7 +10,6 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import printable
-from testbed.experiment.comparison import Predictions
 from testbed.identification.drives.friction_curves import FrictionCurve
 from testbed.identification.drives.identify_drives import DriveFindings
 from testbed.identification.estimate import number_with_sigma
@@ -18,6 +17,7 @@ from testbed.reporting.figures import Panel, named_panels, thinned
 from testbed.reporting.section import Section, Table
 
 if TYPE_CHECKING:
+    from testbed.experiment.comparison import Predictions
     from testbed.identification.drives.friction_curves import Choice, DriveEstimate
 
 BAND = 2.0

@@ -12,8 +12,6 @@ from rich.panel import Panel
 
 from testbed.diagnostics import Diagnostic
 from testbed.errors import plural, printable
-from testbed.experiment.comparison import Compared, Comparison
-from testbed.experiment.run import Run
 from testbed.experiment.summary import (
     accuracy_lines,
     data_lines,
@@ -42,6 +40,7 @@ from testbed.reporting.posterior import errors_table, posterior_table
 from testbed.reporting.section import Table
 
 if TYPE_CHECKING:
+    from testbed.experiment.comparison import Compared, Comparison
     from testbed.experiment.run import Run
     from testbed.identification.calibration import Calibration
     from testbed.identification.consistency.consistent import Consistent

@@ -279,8 +279,8 @@ def test_a_joint_that_rests_indeed_is_none_with_a_dead_encoder() -> None:
         made.tree.names, time, made.position, made.torque, made.wrench, tare=np.zeros(6)
     )
     found = assess(made.tree, recording)
-    assert (found.certain, found.remedies) == ((), ())
-    (rests,) = found.likely
+    assert (found.certain, found.likely, found.remedies) == ((), (), ())
+    (rests,) = (each for each in found.diagnostics if each.code == "position.held")
     assert made.tree.names[3] in rests.subject
 
 

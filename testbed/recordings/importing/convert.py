@@ -438,6 +438,6 @@ def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
     if mapping.gravity is not None:
         facts["gravity"] = list(mapping.gravity)
     plates = [each for each in mapping.others.values() if isinstance(each, WrenchTable)]
-    tares = [each.tare for each in plates if each.tare is not None]
+    tares = [t for each in plates if (t := each.static(mapping.gravity)) is not None]
     tare = np.sum(tares, axis=0).tolist() if tares else None
     return {"tare": tare, "facts": facts}

@@ -42,6 +42,9 @@ Three = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Six = Annotated[list[Finite], Field(min_length=6, max_length=6)]
 Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
 Sign = Literal[1, -1]
+VERTICAL = (0.0, 0.0, -9.81)
+"""Gravity where nothing is said of it, as of model files [m/s^2]."""
+
 Columns = Annotated[list[str], Field(min_length=1, max_length=1000)]
 
 
@@ -163,8 +166,25 @@ class WrenchTable(MappingTable):
     delay: Finite = 0.0
     """How late the signal is, besides its source's clock [s]."""
     tare: Six | None = None
-    """What of the recording's wrench is the pedestal's, in the bedplate's frame [N, N m]; zeros
+    """What of the recording's wrench is not the robot's, in the bedplate's frame [N, N m]; zeros
     for a plate that was zeroed with the pedestal on it. Default: the model's pedestal."""
+    pedestal: Literal["removed", "included"] | NotNegative | None = None
+    """What the reading contains of what stands on the plate besides the robot: nothing, the model's
+    pedestal (the default), or so much, with its centre above the bedplate's origin [kg]. Beside a
+    `tare`, which is all that is not the robot's, it can only be removed."""
+
+    def static(self, gravity: Sequence[float] | None) -> Array | None:
+        """What of the reading is not the robot's, (6,) [N, N m]; None for the model's pedestal.
+
+        Args:
+            gravity: (3,) [m/s^2]; None for the vertical.
+        """
+        if self.tare is not None:
+            return np.array(self.tare)
+        if self.pedestal is None or self.pedestal == "included":
+            return None
+        mass = 0.0 if self.pedestal == "removed" else self.pedestal
+        return np.append(-mass * np.array(gravity or VERTICAL), np.zeros(3))
 
 
 class BaseTable(MappingTable):
@@ -341,6 +361,8 @@ def _check_wrench(table: WrenchTable) -> None:
     """
     check_unit("force", table.units[0])
     check_unit("moment", table.units[1])
+    if table.pedestal not in (None, "removed") and table.tare is not None:
+        raise ValueError("wrench: a tare is all that is not the robot's: no pedestal beside it")
     columns = len(table.columns)
     if table.matrix is None and columns != 6:
         raise ValueError(
