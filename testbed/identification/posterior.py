@@ -9,10 +9,10 @@ the prior is left out, and the estimate is that of least squares.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
@@ -47,6 +47,9 @@ OFFERED = (0.05, 0.1, 0.2, 0.5, 1.0)
 DETERMINED = 0.9
 """Share of the prior's variance that the data remove of a parameter that they determine."""
 
+WIDE = 1e3
+"""Times a prior that is none, nearly."""
+
 ROUNDS = 6
 """Times that the noise of the channels is estimated anew."""
 
@@ -73,6 +76,8 @@ class Posterior(Diagnosed):
         values: (p,).
         covariance: (p, p).
         share: Part of the prior's variance that the data remove, (p,).
+        alone: Which of them the data alone determine: with nothing else known of any, their
+            variance is at most a tenth of the prior's, (p,).
         worth: How many parameters the data are worth: the trace of the resolution matrix.
         prior_error: Of the model file's bodies, in parts of themselves.
         tried: By prior error, rms of what it leaves of held-out parts over what the file with its
@@ -92,6 +97,7 @@ class Posterior(Diagnosed):
     values: Array
     covariance: Array
     share: Array
+    alone: tuple[bool, ...]
     worth: float
     prior_error: float
     tried: Mapping[float, float]
@@ -118,9 +124,9 @@ class Posterior(Diagnosed):
 
     @property
     def determined(self) -> tuple[str, ...]:
-        """Minimal parameters of bodies that the data determine."""
-        pairs = zip(self.names[: self.count], self.share[: self.count].tolist(), strict=True)
-        return tuple(name for name, share in pairs if share >= DETERMINED)
+        """Minimal parameters of bodies that the data alone determine."""
+        pairs = zip(self.names[: self.count], self.alone[: self.count], strict=True)
+        return tuple(name for name, alone in pairs if alone)
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
@@ -226,6 +232,7 @@ def posterior(
             values=values,
             covariance=covariance,
             share=np.clip(1 - np.diagonal(covariance) / variance, 0.0, 1.0),
+            alone=tuple(alone_determined(parts.whole, before).tolist()),
             worth=before.worth(covariance),
             prior_error=error,
             tried=tried,
@@ -332,6 +339,21 @@ def with_prior(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
         left = np.diagonal(equations.residual(z)) / np.maximum(used - lost, FEWEST * used)
         variance = np.maximum(left, prior.noise)
     return prior.mean + prior.root @ z, prior.root @ after @ prior.root.T
+
+
+def alone_determined(rows: RowProducts, prior: LinearPrior) -> NDArray[np.bool_]:
+    """Which unknowns the data alone determine: nearly nothing else is known of any, (p,).
+
+    The prior's bodies hold mass, centre and inertia together; what it carries from one parameter to
+    another is not the data's.
+
+    Args:
+        rows: Products of the rows that are used.
+        prior: Of the unknowns.
+    """
+    _, covariance = with_prior(rows, replace(prior, root=WIDE * prior.root))
+    found: NDArray[np.bool_] = np.diagonal(covariance) <= (1 - DETERMINED) * prior.variance
+    return found
 
 
 def determines(estimate: Estimate, prior: LinearPrior) -> bool:

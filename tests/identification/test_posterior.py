@@ -21,6 +21,7 @@ from testbed.identification.estimate import Method
 from testbed.identification.posterior import (
     LinearPrior,
     Posterior,
+    alone_determined,
     errors_of_another,
     posterior,
     with_prior,
@@ -109,6 +110,20 @@ def test_the_variance_is_that_of_many_robots(memory: float) -> None:
         z.append(np.linalg.solve(np.linalg.cholesky(covariance), values - truth))
     size = np.sqrt(np.mean(np.square(z), axis=0))
     assert ((size > (0.7 if memory else 0.85)) & (size < 1.15)).all(), size
+
+
+@given(rngs)
+def test_what_a_prior_carries_to_another_parameter_is_not_the_datas(
+    rng: np.random.Generator,
+) -> None:
+    """Two that the prior nearly holds together, one of which the data see."""
+    columns = rng.normal(size=(1, 300, 1)) * [1.0, 1e-4]
+    rows = products(columns, columns[..., 0] + 0.1 * rng.normal(size=(1, 300)))
+    root = np.array([[1.0, 0.0], [0.999, 0.04]])
+    prior = LinearPrior(np.zeros(2), root, np.array([1e-6]))
+    _, covariance = with_prior(rows, prior)
+    assert (np.diagonal(covariance) < 0.1 * prior.variance).all()
+    assert alone_determined(rows, prior).tolist() == [True, False]
 
 
 @given(rngs)
