@@ -22,7 +22,7 @@ from testbed.identification.payload.tool import (
     tool_at_rest,
     tool_of,
 )
-from testbed.robot.force_sensor import beyond_sensor
+from testbed.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.robot.inertia import Inertia
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
@@ -137,3 +137,41 @@ def test_a_table_is_read_as_people_write_it_and_refused_in_one_line(tmp_path: Pa
     words = ("tool", str(file), "--at-rest", "--model", str(UR5), "--sensor", "b6")
     bad = command_line(*words, cwd=tmp_path)
     assert (bad.returncode, bad.stderr.count("\n")) == (2, 1)
+
+
+@pytest.mark.slow
+def test_a_sensors_mapping_is_checked_and_its_frame_is_solved(tmp_path: Path) -> None:
+    """Of a recording whose sensor is turned by 30 degrees, or shows the opposite sense."""
+    rng = np.random.default_rng(5)
+    tree = tb.load_tree(UR5)
+    cut = beyond_sensor(tree, links_of(tree), ForceSensor(tree.joints[-1].body))
+    t = np.arange(6000) / 300
+    speed = 0.3 * np.arange(1.0, 7.0)
+    phase = np.outer(t, speed) + np.arange(6)
+    q, qd, qdd = np.sin(phase), speed * np.cos(phase), -(speed**2) * np.sin(phase)
+    wrench = tb.base_wrench(cut, tb.Motion(t, q, np.array(qd), np.array(qdd)))
+    wrench = wrench + 0.1 * NOISE * rng.normal(size=wrench.shape)
+    turn = Rotation.from_euler("z", 30, degrees=True).as_matrix()
+    names = [f"q{k}" for k in range(6)]
+    heads = ["t", *names, "Fx", "Fy", "Fz", "Mx", "My", "Mz"]
+    said = [
+        "rate = 300",
+        f"joints = {list(cut.names)}",
+        '[sources.log]\nfile = "log.csv"\ntime = "t"\ntime_unit = "s"',
+        f'[position]\nsource = "log"\nunit = "rad"\ncolumns = {names}',
+        f'[wrench]\nsource = "log"\nsense = "on_robot"\ncolumns = {heads[7:]}',
+        'units = ["N", "N m"]',
+    ]
+    (tmp_path / "map.toml").write_text("\n".join(said).replace("'", '"'))
+    words = ["import", "map.toml", "--out", "x.parquet", "--model", str(UR5)]
+    words += ["--set", f"robot.sensor.link={tree.joints[-1].body}"]
+    for shown, code, remedy in (
+        (wrench, 0, ""),
+        (-wrench, 2, 'sense = "on_plate"'),
+        (np.hstack([wrench[:, :3] @ turn, wrench[:, 3:] @ turn]), 2, "rpy = [0, 0, 0.5236]"),
+    ):
+        table = np.column_stack([t, q, shown])
+        np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=",".join(heads), comments="")
+        done = command_line(*words, cwd=tmp_path)
+        assert done.returncode == code, done.stderr
+        assert remedy in done.stderr
