@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import RecordingError, SettingsError
+from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.instruments.fault import (
     FULL_SCALE,
     Fault,
@@ -28,6 +28,7 @@ from testbed.instruments.joints import (
     TorqueNoise,
 )
 from testbed.instruments.plate import MeasuredTare, PlateNoise
+from testbed.instruments.plates import PLATES
 from testbed.kind_table import AsTable
 from testbed.recordings.recording import Recording, Truth
 
@@ -50,6 +51,7 @@ class Instrument:
         torque_noise: Standard deviation of the reported motor torque [N m or N].
         torque_constant_error: Relative error of the drives' torque constants by joint
             name: 0.08 reports 8 % too much.
+        plate: Model of the plate, for its noise and range where these are not said.
         force_noise: Standard deviation of the plate's forces [N].
         moment_noise: Standard deviation of the plate's moments [N m].
         full_scale: Largest values that the plate's channels can show [N, N m]. Crosstalk and
@@ -64,6 +66,7 @@ class Instrument:
     encoder_noise: float = 0.0
     torque_noise: float = 0.0
     torque_constant_error: Mapping[str, float] = field(default_factory=dict)
+    plate: str = ""
     force_noise: float = 0.0
     moment_noise: float = 0.0
     full_scale: tuple[float, float, float, float, float, float] = FULL_SCALE
@@ -72,6 +75,8 @@ class Instrument:
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True, "allow_inf_nan": False}
 
     def __post_init__(self) -> None:
+        if self.plate:
+            self._take_from(self.plate)
         if not 0 < self.rate < np.inf:
             raise SettingsError(f"rate is a positive frequency [Hz], found {self.rate}")
         for name in ("encoder_resolution", "encoder_noise", "torque_noise", *_PLATE):
@@ -93,6 +98,14 @@ class Instrument:
                 "encoder_instant_sampling makes instants of means, and with averaged = false all "
                 "samples are instants; leave one of them out"
             )
+
+    def _take_from(self, plate: str) -> None:
+        """Noise and range of a model of plate, where these are not said."""
+        if plate not in PLATES:
+            raise SettingsError(str(UnknownName("plate", plate, PLATES)))
+        for name in (*_PLATE, "full_scale"):
+            if getattr(self, name) == type(self).__dataclass_fields__[name].default:
+                object.__setattr__(self, name, getattr(PLATES[plate], name))
 
     @property
     def plate_noise(self) -> Array:

@@ -38,6 +38,7 @@ from testbed.instruments.plate import (
     PlatePose,
 )
 from testbed.instruments.plate_clock import PlateAntiAliasFilter, PlateDroppedSamples
+from testbed.instruments.plates import PLATES
 from testbed.kind_table import in_words
 from testbed.recordings.recording import Recording, Truth
 from tests.helpers.ideal import ideal
@@ -242,3 +243,14 @@ def test_what_no_instrument_can_be_is_refused_before_anything_is_simulated() -> 
         with refuses(SettingsError, culprit):
             Instrument(**keys)
     assert Instrument(rate=100.0, fault=(PlateAntiAliasFilter(1e-3),)).fault
+
+
+def test_a_plate_by_name_gives_what_is_not_said_beside_it() -> None:
+    named = Instrument(plate="ati-axia80-m20", moment_noise=0.5)
+    known = PLATES["ati-axia80-m20"]
+    assert named.force_noise == known.force_noise > 0
+    assert (named.moment_noise, named.full_scale) == (0.5, known.full_scale)
+    again = tb.Experiment(name="x", model="x.urdf", measurement=named).as_toml()
+    assert f"force_noise = {known.force_noise}" in again
+    with refuses(SettingsError, "ati-axia80-m20"):
+        Instrument(plate="axia80")
