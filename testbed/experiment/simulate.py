@@ -130,6 +130,7 @@ def prepare(
     tree, sampling = robot_of(experiment), _sampling(experiment)
     simulation = experiment.simulation
     experiment.measurement.stages(tree.names)  # refuses what names other joints before work
+    experiment.robot.sensed(tree, model_of(experiment))  # or another link
     path = motion or motion_of(experiment, tree)
     reference, begin, end, facts = _course(experiment, tree, path)
     known = {} if plants is None else plants

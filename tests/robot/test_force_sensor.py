@@ -108,6 +108,9 @@ def test_links_that_are_not_there_and_the_root_are_refused() -> None:
         beyond_sensor(model.tree(), model.links(), ForceSensor("link9"))
     with pytest.raises(ModelError):
         beyond_sensor(model.tree(), model.links(), ForceSensor(model.links()[0].name))
+    file = ROOT / "experiments/force_sensor.toml"
+    with pytest.raises(UnknownName):
+        simulate(Experiment.load(file, ["robot.sensor.link=link9"]))
 
 
 @pytest.mark.parametrize("link", ["base", "link2", "link3"])
