@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.signal import butter, sosfiltfilt
 
 import testbed as tb
 from docs.pictures.drawing import (
@@ -26,8 +27,10 @@ from docs.pictures.drawing import (
     turn,
     words,
 )
+from testbed.identification.posterior import posterior
 from testbed.instruments.chain import measured_again
 from testbed.parameters.identifiability import identifiability
+from testbed.parameters.prior import prior_of
 from testbed.parameters.symbols import STANDARD
 from testbed.reporting.figures import Panel
 from testbed.reporting.run_page import GLYPHS
@@ -52,6 +55,7 @@ def main() -> None:
     save_errors()
     save_overview()
     save_sigma()
+    save_real_arm()
 
 
 def save_forces() -> None:
@@ -290,3 +294,49 @@ def save_sigma() -> None:
 
 if __name__ == "__main__":
     main()
+
+
+def save_real_arm() -> None:
+    """The wrench of a real arm below 2 Hz: measured, by the model file, with the file as prior."""
+    folder = HERE.parent.parent / "examples/ur5e_plate"
+    recording = tb.Recording.from_mapping(folder / "ur5e.toml")
+    file, source, _ = tb.hold_still(tb.ModelFile(folder / "ur5e_arm.urdf"), recording)
+    tree, settings = file.tree(), tb.Settings(cutoff=2.0)
+    found = posterior(tree, source, prior_of(tree), settings=settings)
+    low = butter(4, 2.0 / (source.rate / 2), output="sos")
+    part = source.part(0, source.samples).ordered(tree)
+    q, measured = (
+        sosfiltfilt(low, each, axis=0) for each in (part.position, part.measured("wrench"))
+    )
+    qd = np.gradient(q, 1 / source.rate, axis=0)
+    motion = tb.Motion(part.time, q, qd, np.gradient(qd, 1 / source.rate, axis=0))
+    minimal = tb.minimal_set(tree, "reaction")
+    phi = tb.regressor(tree, motion, minimal)
+    curves = {"measured": measured}
+    for colour, values in (("internal", found.file), ("external", found.values)):
+        wrench = phi @ values[: minimal.count]
+        curves[colour] = wrench + (measured - wrench).mean(axis=0)  # the plate's zero
+    parts = []
+    labels = ("measured", "model file", "with the recording")
+    for k, (colour, label) in enumerate(zip(curves, labels, strict=True)):
+        parts.append(line((90 + 190 * k, 16, 120 + 190 * k, 16), colour, 3))
+        parts.append(words(128 + 190 * k, 21, label))
+    for row, (channel, name) in enumerate(((3, "Mx [N m]"), (4, "My [N m]"), (2, "Fz [N]"))):
+        top, height = 40 + 150 * row, 120
+        every = np.concatenate([each[:, channel] for each in curves.values()])
+        least, most = float(every.min()), float(every.max())
+        parts.append(words(8, top + 66, name))
+        for value, y in ((most, top), (least, top + height)):
+            parts.append(line((90, y, 690, y), "faint", 0.5))
+            parts.append(words(84, y + 5, f"{value:.3g}", "end", SMALL, "faint"))
+        x = 90 + 600 * (part.time - part.time[0]) / (part.time[-1] - part.time[0])
+        for colour, each in curves.items():
+            y = top + height * (most - each[:, channel]) / (most - least)
+            points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x[::6], y[::6], strict=True))
+            parts.append(
+                f'<polyline points="{points}" fill="none" stroke="var(--{colour})" '
+                f'stroke-width="{3 if colour == "measured" else 1.6}"/>'
+            )
+    parts.append(words(390, 488, "18.5 s", "middle", SMALL, "faint"))
+    save("real_arm", 720, 500, parts, "Moments and vertical force of a real UR5e: measured, by "
+         "the model file, and by the model file with the recording")  # fmt: skip
