@@ -25,12 +25,8 @@ from testbed.plausibility.plate_map import transform
 from testbed.plausibility.remedies import Remedy, with_lines
 from testbed.recordings.columns import AXES
 from testbed.recordings.importing.foreign_table import FORCES, MOMENTS
-from testbed.recordings.importing.mapping import (
-    SignalTable,
-    WrenchTable,
-    bedplate_wrench,
-    joint_signal,
-)
+from testbed.recordings.importing.mapping import SignalTable, WrenchTable
+from testbed.recordings.importing.signal_maps import bedplate_wrench, joint_signal
 from testbed.robot.inertia import from_vector, to_rpy
 
 ARMS = ("puma562", "ur5", "xarm7", "panda")

@@ -296,7 +296,7 @@ def sensor_poses(tree: Tree, q: Array) -> tuple[Array, Array]:
     if tree.sensor is None:
         return turn, place
     if tree.lead:
-        turn, place = poses(tree, q)[tree.lead - 1]
+        turn, place = poses(tree, q)[tree.sensor_body]
     return turn @ tree.sensor.rotation, place + turn @ tree.sensor.position
 
 
@@ -425,6 +425,6 @@ def linear(
     for part in blocks(motion.samples):
         moving = kinematics(tree, motion.q[part], motion.qd[part], motion.qdd[part], g, NUMBERS)
         joints[part], base[part] = transmitted(
-            tree, moving, theta, NUMBERS, tree.sensor, tree.lead - 1 if tree.sensor else -1
+            tree, moving, theta, NUMBERS, tree.sensor, tree.sensor_body
         )
     return joints, base

@@ -57,7 +57,7 @@ def base_wrench_derivatives(
         per rad or m, and with s and s^2].
     """
     bodies = list(with_standard(tree, to_standard(tree, theta)).inertias)
-    bodies[: max(tree.lead - 1, 0)] = [NOTHING] * max(tree.lead - 1, 0)
+    bodies[: tree.massless] = [NOTHING] * tree.massless
     g = tree.gravity_or(gravity)
     wrench = np.empty((motion.samples, 6))
     slopes = np.empty((tree.n, 3, motion.samples, 6))
@@ -70,7 +70,7 @@ def base_wrench_derivatives(
             for j in range(tree.lead):  # the sensor itself turns and moves with these
                 force, moment = _cross_force(states[j].screw, whole)
                 slopes[j, 0, part] -= np.concatenate([force, moment]).T
-            turn, place = _sensor_pose(tree.sensor, states[tree.lead - 1] if tree.lead else None)
+            turn, place = _sensor_pose(tree.sensor, states[tree.sensor_body] if tree.lead else None)
             for found in (wrench[part], *(each[part] for three in slopes for each in three)):
                 found[:, 3:] -= np.cross(place, found[:, :3])
                 found[:, :3] = apply(turn, found[:, :3])

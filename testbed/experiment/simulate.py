@@ -26,7 +26,7 @@ from testbed.instruments.fault import stream
 from testbed.recordings.columns import COUNTED
 from testbed.recordings.geometry import geometry
 from testbed.recordings.recording import Recording
-from testbed.recordings.views import with_joints
+from testbed.recordings.views import felt_by_sensor
 from testbed.robot.tree import Tree
 from testbed.simulation.controller import Reference, believed
 from testbed.simulation.effect import StepForces
@@ -53,6 +53,7 @@ class Prepared:
     Attributes:
         experiment: What is to be done.
         tree: Its robot.
+        seen: What its wrench is of: the robot, or what lies beyond its force sensor.
         plant: The robot on its bedplate.
         model: The robot as its drive believes it to be.
         path: The periodic motion, under way or part of one from rest to rest.
@@ -65,6 +66,7 @@ class Prepared:
 
     experiment: Experiment
     tree: Tree
+    seen: Tree
     plant: Plant
     model: Tree
     path: Fourier
@@ -130,7 +132,7 @@ def prepare(
     tree, sampling = robot_of(experiment), _sampling(experiment)
     simulation = experiment.simulation
     experiment.measurement.stages(tree.names)  # refuses what names other joints before work
-    experiment.robot.sensed(tree, model_of(experiment))  # or another link
+    seen = experiment.robot.sensed(tree, model_of(experiment))
     path = motion or motion_of(experiment, tree)
     reference, begin, end, facts = _course(experiment, tree, path)
     known = {} if plants is None else plants
@@ -148,6 +150,7 @@ def prepare(
     return Prepared(
         experiment,
         tree,
+        seen,
         known[words],
         _drives_model(experiment, tree),
         path,
@@ -286,14 +289,13 @@ def simulate(
 
 def _measured(ready: Prepared, happened: Rollout, installed: int | None = None) -> Recording:
     """What the instrument shows of it."""
-    experiment, tree, seed = ready.experiment, ready.tree, ready.experiment.seed
+    experiment, tree, seen = ready.experiment, ready.tree, ready.seen
     facts, tare = _facts(experiment, tree, happened) | dict(ready.facts), ready.plant.tare
-    seen = experiment.robot.sensed(tree, model_of(experiment))
     if seen.sensor is not None:
         tare = pedestal_wrench(seen)
-    instrument, names = experiment.measurement, tree.names
+    instrument, names, seed = experiment.measurement, tree.names, experiment.seed
     found = measure(instrument, names, happened.time, happened.truth, tare, facts, seed, installed)
-    return found if seen.sensor is None else with_joints(found, seen.names)
+    return found if seen.sensor is None else felt_by_sensor(found, seen)
 
 
 def simulate_together(experiments: Sequence[Experiment]) -> Iterator[Recording | Exception]:

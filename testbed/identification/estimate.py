@@ -120,6 +120,16 @@ SIGNAL_OF: Mapping[Method, str] = {"external": "wrench", "internal": "torque"}
 """What a method needs of a recording besides positions."""
 
 
+def instrument_of(minimal: MinimalSet, method: Method) -> str:
+    """What a person calls that by which a minimal set was measured.
+
+    Args:
+        minimal: The set.
+        method: By which it was estimated.
+    """
+    return "force sensor" if minimal.of_sensor else NAMES[method]
+
+
 MATTERS = 1e-4
 """Part of the like channels' signals below which a residual is of no matter."""
 
@@ -345,7 +355,7 @@ class Estimate(Diagnosed):
     @property
     def instrument(self) -> str:
         """What it was measured by."""
-        return "force sensor" if self.minimal.of_sensor else NAMES[self.method]
+        return instrument_of(self.minimal, self.method)
 
     @property
     def words(self) -> Words:

@@ -18,7 +18,7 @@ from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
 from testbed.codec import with_properties
 from testbed.diagnostics import Diagnosed, Diagnostic
-from testbed.identification.estimate import NAMES, Estimate, Method
+from testbed.identification.estimate import Estimate, Method, instrument_of
 from testbed.identification.estimate_summary import corrected_by, summary_of
 from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import scaled_solve
@@ -216,13 +216,16 @@ def posterior(
             error = min(reversed(tried), key=lambda each: tried[each])
             before = linear_prior(problem, prior, error, parts.whole)
         values, covariance = with_prior(parts.whole, before)
-        if not used:
+        if used:
+            alone = tuple(alone_determined(parts.whole, before).tolist())
+        else:
             values, covariance = made[0].values, np.array(made[0].covariance)
+            alone = (True,) * len(values)
         count = problem.minimal.count
         variance = np.maximum(before.variance, np.finfo(float).tiny)
         return Posterior(
             method=method,
-            instrument="force sensor" if problem.minimal.of_sensor else NAMES[method],
+            instrument=instrument_of(problem.minimal, method),
             names=problem.names,
             units=problem.units,
             count=count,
@@ -232,7 +235,7 @@ def posterior(
             values=values,
             covariance=covariance,
             share=np.clip(1 - np.diagonal(covariance) / variance, 0.0, 1.0),
-            alone=tuple(alone_determined(parts.whole, before).tolist()),
+            alone=alone,
             worth=before.worth(covariance),
             prior_error=error,
             tried=tried,

@@ -116,7 +116,7 @@ def canonical(tree: Tree) -> Canonical:
         angle = float(np.arctan2(rest[1, 0], rest[0, 0]))
         place.append(len(links))
         links.append(Link(j, parent, not joint.revolute, offset, lean, angle))
-        if tree.sensor is not None and j == tree.lead - 1:  # what it feels rests on the cut
+        if j == tree.sensor_body:  # what it feels rests on the cut
             links.append(Link(-1, place[j], True, np.zeros(3), (1.0, 0.0), 0.0))
             place[j] += 1
     return Canonical(tuple(links), tuple(place), np.stack(frames[1:]), frames[0])
@@ -395,7 +395,7 @@ def layout(
     for column, parameter in enumerate(picked):
         entry = ORDER.index(parameter % 10)
         places[frames.place[parameter // 10]].append((entry, column))
-    base = frames.place[tree.lead - 1] if tree.sensor and tree.lead else -1
+    base = frames.place[tree.sensor_body] if tree.sensor_body >= 0 else -1
     draft = Draft(frames, [sorted(each) for each in places], base)
     turn = shares(tree)
     if minimal.model == "dynamic":
@@ -438,7 +438,7 @@ def _robot(frames: Canonical, gravity: Array, tree: Tree) -> Robot:
     for k in range(len(links)):
         places.append(shelf.put(0, k))
     seeds = np.zeros((SEEDS, 6))
-    here = frames.frames[tree.lead - 1] if tree.sensor and tree.lead else frames.bedplate
+    here = frames.bedplate if tree.sensor_body < 0 else frames.frames[tree.sensor_body]
     seeds[:3, 3:] = seeds[3:6, :3] = here  # row k: axis k of the bedplate, or of the base
     if tree.sensor is not None:
         seeds[:6] = sensor_transform(tree.sensor) @ seeds[:6]

@@ -138,7 +138,7 @@ def recursive_space(
     seen = [each.whole for each in seen_wrenches(tree, model, g, static)]
     if tree.sensor is not None:  # what leads to the base has no matter
         seen[: tree.lead] = [np.zeros((0, 10))] * tree.lead
-        rows = _on_barycentric(tree, seen, static, tree.lead - 1)
+        rows = _on_barycentric(tree, seen, static, tree.sensor_body)
         return row_space(rows, NEW, known_zero)
     return row_space(_on_barycentric(tree, seen, static), NEW, known_zero)
 
@@ -339,7 +339,7 @@ def regroup(tree: Tree, model: Model, gravity: Array, *, tared: bool = False) ->
     """
     bodies = []
     for j, (joint, ahead) in enumerate(zip(tree.joints, mobilities(tree, gravity), strict=True)):
-        if j < tree.lead - 1:
+        if j < tree.massless:
             row = NOTHING_KEPT
         elif j == tree.lead - 1:
             row = base_rule(base_functionals(tree, gravity, tared=tared))

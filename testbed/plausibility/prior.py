@@ -10,7 +10,6 @@ from testbed.arrays import Array
 from testbed.dynamics.newton_euler import pedestal_wrench
 from testbed.parameters.minimal_set import minimal_set
 from testbed.parameters.symbols import barycentric, standard, to_barycentric
-from testbed.robot.free_base import FREE
 from testbed.robot.tree import Tree
 
 MASS, REACH, LIGHT = 0.4, 0.03, 0.1
@@ -70,8 +69,7 @@ def _root(tree: Tree) -> Array:
     sigma[:, 0] = MASS * mass
     sigma[:, 1:4] = (mass * reach)[:, None]
     sigma[:, 4:] = MASS * np.abs(own[:, 4:]) + (mass * reach**2)[:, None]
-    if tree.floating:
-        sigma[: FREE - 1] = 0.0  # what carries a free base's coordinates has no matter
+    sigma[: tree.massless] = 0.0
     spread = np.diag(sigma.ravel()).reshape(tree.n, 10, 10 * tree.n)
     root: Array = to_barycentric(tree, spread).reshape(10 * tree.n, 10 * tree.n)
     return root

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import RecordingError, few
-from testbed.recordings.columns import JOINT_SIGNALS
-from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, segments_of
-from testbed.recordings.views import Seen
+from testbed.recordings.views import of_joints, seen
 from testbed.robot.model_file import ModelFile
 
 STILL = 1e-3
@@ -82,19 +79,10 @@ def without(source: Source, names: Collection[str]) -> Source:
         source: The recording.
         names: Of joints; those that it does not have change nothing.
     """
-    kept = [k for k, name in enumerate(source.names) if name not in names]
-    if len(kept) == len(source.names):
+    own = tuple(name for name in source.names if name not in names)
+    if own == tuple(source.names):
         return source
-
-    own = tuple(source.names[k] for k in kept)
-
-    def fewer(recording: Recording) -> Recording:
-        there = [signal for signal in JOINT_SIGNALS if signal in recording.signals]
-        columns: dict[str, Any] = {s: recording.measured(s)[:, kept] for s in there}
-        facts = {k: v for k, v in recording.facts.items() if k != "geometry"}
-        return replace(recording, names=own, truth=None, facts=facts, **columns)
-
-    return fewer(source) if isinstance(source, Recording) else Seen(source, own, fewer)
+    return seen(source, own, lambda recording: replace(of_joints(recording, own), truth=None))
 
 
 def _ranges(source: Source) -> tuple[Array, Array, Array]:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from testbed.arrays import Array
 from testbed.errors import RecordingError
+from testbed.recordings.columns import JOINT_SIGNALS, TRUE_SIGNALS
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, segments_of
 from testbed.robot.free_base import COORDINATES, coordinates
@@ -163,41 +163,41 @@ def with_base_joints(recording: Recording) -> Recording:
     )
 
 
-def with_joints(recording: Recording, names: Sequence[str]) -> Recording:
-    """A recording of some of its joints, and of what a force sensor beyond them felt.
+def of_joints(recording: Recording, names: Sequence[str]) -> Recording:
+    """A recording of some of its joints.
+
+    Args:
+        recording: With more.
+        names: Of those that are kept, in the order of their columns.
+    """
+    own = [recording.names.index(name) for name in names]
+    there = [signal for signal in JOINT_SIGNALS if signal in recording.signals]
+    columns: dict[str, Any] = {signal: recording.measured(signal)[:, own] for signal in there}
+    truth = recording.truth
+    if truth is not None:
+        joints = [signal for signal in TRUE_SIGNALS if signal != "wrench"]
+        truth = replace(truth, **{signal: getattr(truth, signal)[:, own] for signal in joints})
+    facts = {k: v for k, v in recording.facts.items() if k != "geometry"}
+    return replace(recording, names=tuple(names), truth=truth, facts=facts, **columns)
+
+
+def felt_by_sensor(recording: Recording, tree: Tree) -> Recording:
+    """A recording of the joints that matter to a force sensor; torques are of more than it feels.
 
     Args:
         recording: Its wrench is the sensor's.
-        names: Of the joints.
+        tree: What lies beyond the sensor, and the joints before it.
 
     Raises:
-        RecordingError: It lacks one of them.
+        RecordingError: It lacks one of the joints.
     """
-    missing = [name for name in names if name not in recording.names]
+    missing = [name for name in tree.names if name not in recording.names]
     if missing:
         raise RecordingError(
             f"the recording has no joint '{missing[0]}', which moves what the force sensor feels; "
             f"it has {', '.join(recording.names)}"
         )
-    own = [recording.names.index(name) for name in names]
-
-    def of(values: Array | None) -> Array | None:
-        return None if values is None else values[:, own]
-
-    truth = recording.truth
-    if truth is not None:
-        joints = ("position", "velocity", "acceleration", "torque", "friction")
-        truth = replace(truth, **{name: getattr(truth, name)[:, own] for name in joints})
-    return replace(
-        recording,
-        names=tuple(names),
-        position=recording.position[:, own],
-        velocity=of(recording.velocity),
-        acceleration=of(recording.acceleration),
-        torque=None,
-        truth=truth,
-        facts={k: v for k, v in recording.facts.items() if k != "geometry"},
-    )
+    return replace(of_joints(recording, tree.names), torque=None, temperature=None)
 
 
 def on_its_base(source: Source, tree: Tree) -> Source:
@@ -211,11 +211,18 @@ def on_its_base(source: Source, tree: Tree) -> Source:
         RecordingError: The recording lacks a joint of the robot, or the base's pose.
     """
     if tree.floating and NAMES[0] not in source.names:
-        source = _seen(source, (*NAMES, *source.names), with_base_joints)
+        source = seen(source, (*NAMES, *source.names), with_base_joints)
     if tree.sensor is not None and source.names != tree.names:
-        source = _seen(source, tree.names, partial(with_joints, names=tree.names))
+        source = seen(source, tree.names, partial(felt_by_sensor, tree=tree))
     return source
 
 
-def _seen(source: Source, names: Sequence[str], change: Callable[[Recording], Recording]) -> Source:
+def seen(source: Source, names: Sequence[str], change: Callable[[Recording], Recording]) -> Source:
+    """A source of changed recordings: at once of one in memory, else part by part.
+
+    Args:
+        source: The recording.
+        names: Of the joints that it has then.
+        change: What is made of it.
+    """
     return change(source) if isinstance(source, Recording) else Seen(source, names, change)

@@ -128,7 +128,7 @@ def print_sets(console: Console, found: Findings, lengths: Lengths) -> None:
         )
     for line in _verdicts(found):
         console.print(line, soft_wrap=True)
-    beyond = parameter_names(found.tree)[10 * max(found.tree.lead - 1, 0) :]
+    beyond = parameter_names(found.tree)[10 * found.tree.massless :]
     never = [each.never for each in found.sets]
     lost = [name for name in beyond if all(name in each for each in never)]
     if lost:
@@ -164,7 +164,7 @@ def map_table(tree: Tree, seen: Sequence[Visibility]) -> Table:
         sensor = {"tared bedplate": "plate, tared"}.get(each.instrument, each.instrument)
         sensor = sensor.replace("bedplate", "plate")
         table.add_column(f"{sensor} ({each.count})", width=len(STANDARD))
-    for j, joint in list(enumerate(tree.joints))[max(tree.lead - 1, 0) :]:
+    for j, joint in list(enumerate(tree.joints))[tree.massless :]:
         cells = ["".join(GLYPHS[level] for level in each.standard[j]) for each in seen]
         table.add_row(joint.body, *cells)
     return table
@@ -308,7 +308,7 @@ def _summary(found: Findings) -> str:
         if drives is not None
         else ""
     )
-    bodies = found.tree.n - max(found.tree.lead - 1, 0)
+    bodies = found.tree.n - found.tree.massless
     return f"{found.tree.name}: {10 * bodies} parameters; {phrase}{terms}"
 
 

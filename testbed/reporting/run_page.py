@@ -243,12 +243,13 @@ def _maps(tree: Tree, zeros: bool | Sequence[str]) -> list[dict[str, Any]]:
     """Which of each link's ten parameters joint torques, and the force plate, can identify."""
     tables = []
     maps = identifiability(tree, zeros=zeros)[:2]
-    first = FREE - 1 if tree.floating else 0  # what carries a base's coordinates has no matter
-    names = [tree.joints[k].body if k < FREE else name for k, name in enumerate(tree.names)]
+    names = [*tree.names]
+    if tree.floating:
+        names[:FREE] = [joint.body for joint in tree.joints[:FREE]]
     for seen in maps[1:] if tree.floating else maps:
         rows = []
-        shown = names[first:] if tree.floating else tree.names
-        for name, codes in zip(shown, seen.standard[first:], strict=True):
+        beyond = slice(tree.massless, None)
+        for name, codes in zip(names[beyond], seen.standard[beyond], strict=True):
             cells = [{"glyph": GLYPHS[k], "kind": KINDS[k], "says": SAYS[k]} for k in codes]
             rows.append((name, cells))
         title = f"{seen.instrument}: {plural(seen.count, 'combination')}"

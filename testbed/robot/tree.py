@@ -223,6 +223,16 @@ class Tree(Diagnosed):
         """Number of moving bodies, which is the number of joints."""
         return len(self.joints)
 
+    @property
+    def massless(self) -> int:
+        """How many of the first bodies have no matter: those that lead to a base that moves."""
+        return max(self.lead - 1, 0)
+
+    @property
+    def sensor_body(self) -> int:
+        """Index of the body that what measures the wrench moves with, -1 for the bedplate."""
+        return -1 if self.sensor is None else self.lead - 1
+
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Joint names; the order of all columns."""

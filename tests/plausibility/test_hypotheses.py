@@ -28,7 +28,8 @@ from testbed.plausibility.remedies import (
 )
 from testbed.plausibility.time_offset import TimeOffset, alignment
 from testbed.recordings.importing.foreign_table import FORCES, MOMENTS
-from testbed.recordings.importing.mapping import WrenchTable, bedplate_wrench
+from testbed.recordings.importing.mapping import WrenchTable
+from testbed.recordings.importing.signal_maps import bedplate_wrench
 from testbed.robot.free_base import on_free_base
 from testbed.robot.inertia import to_rpy
 from tests.helpers.foreign_files import npz, some_log

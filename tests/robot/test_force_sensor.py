@@ -17,14 +17,16 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.dynamics.drive_set import verify
 from testbed.dynamics.newton_euler import poses
-from testbed.errors import ModelError, UnknownName
+from testbed.errors import ModelError, RecordingError, UnknownName
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.simulate import simulate
+from testbed.recordings.views import on_its_base
 from testbed.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.robot.free_base import FREE, on_free_base
 from testbed.robot.model_file import ModelFile
 from tests.helpers.paths import ROOT
+from tests.helpers.refusals import refuses
 from tests.helpers.sensors import links_of, random_cut
 from tests.helpers.strategies import few, motions, rngs, trees
 
@@ -127,3 +129,20 @@ def test_mujocos_own_sensor_gives_the_parameters_to_rounding(link: str) -> None:
     run = evaluate(experiment, simulate(experiment), methods=("external",))
     assert run.score is not None
     assert run.score.metrics["external_max_relative_error"] < 1e-10
+
+
+def test_a_recording_keeps_what_moves_the_sensor() -> None:
+    """Other joints' columns go, temperatures and torques, too; a joint that lacks is named."""
+    model = ModelFile(URDF)
+    tree = beyond_sensor(model.tree(), model.links(), ForceSensor("link1"))
+    other = beyond_sensor(model.tree(), model.links(), ForceSensor("base"))
+    names = ("spare", *reversed(tree.names))
+    q = np.arange(12.0).reshape(3, 4)
+    recording = tb.Recording(
+        names, np.arange(3.0), q, torque=q, wrench=np.zeros((3, 6)), temperature=q
+    )
+    found = on_its_base(recording, tree)
+    assert (found.names, found.signals) == (tree.names, ("time", "position", "wrench"))
+    np.testing.assert_array_equal(found.part(0, 3).position, q[:, :0:-1])
+    with refuses(RecordingError, other.names[0]):
+        on_its_base(replace(recording, names=("a", "b", "c", "d")), other)

@@ -7,7 +7,6 @@ are found together by Gauss-Newton, from linear fits of the forces and then of t
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,11 +14,12 @@ import numpy as np
 from scipy import stats
 
 from testbed.arrays import Array, readonly, skew
-from testbed.dynamics.newton_euler import poses
+from testbed.dynamics.newton_euler import sensor_poses
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.estimate import Estimate
 from testbed.identification.payload.payload import PayloadEstimate, payload_from, seen_of_payload
 from testbed.recordings.columns import AXES
+from testbed.recordings.importing.readers.delimited_text import read_file
 from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Placement, Tree
 
@@ -46,9 +46,9 @@ def tool_of(tree: Tree, estimate: Estimate) -> PayloadEstimate:
     Raises:
         SettingsError: The estimate is by no force sensor, or joints lie beyond it.
     """
-    if tree.sensor is None or not tree.lead or not estimate.minimal.of_sensor:
+    if tree.sensor is None or tree.sensor_body < 0 or not estimate.minimal.of_sensor:
         raise SettingsError("a tool is what a force sensor in the robot carries: --sensor LINK")
-    if tree.children(tree.lead - 1):
+    if tree.children(tree.sensor_body):
         raise SettingsError(
             "joints lie beyond the force sensor, so that what it carries is no single body: hold "
             "them with --lock"
@@ -94,36 +94,26 @@ def read_static_poses(path: Path, tree: Tree, *, degrees: bool = False) -> Stati
     """A table of poses: a row a pose, a heading with the joints' names and Fx ... Mz.
 
     Args:
-        path: Text, separated by commas, semicolons, tabs or blanks.
+        path: Text, as the importer of recordings reads it.
         tree: What the sensor feels.
         degrees: Whether angles are in degrees.
 
     Raises:
         RecordingError: It is no such table.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordingError(f"'{path}' cannot be read as a table of poses: {error}") from None
-    lines = [line for line in text.splitlines() if line.strip()]
-    if not lines:
-        raise RecordingError(f"'{path}' is empty")
-    mark = next((mark for mark in (";", ",", "\t") if mark in lines[0]), None)
-    rows = list(csv.reader(lines, delimiter=mark)) if mark else [line.split() for line in lines]
-    names = [name.strip() for name in rows[0]]
+    found = read_file(path, None)
+    if found.cut:
+        raise RecordingError(f"'{path}': the last row of the table is not complete")
+    known = {name.lower(): name for name in found.shapes}
     wanted = [*tree.names, *AXES]
-    known = {name.lower(): k for k, name in enumerate(names)}
     missing = [name for name in wanted if name.lower() not in known]
     if missing:
         raise RecordingError(
             f"'{path}' has no column '{missing[0]}': a table of poses has a heading with the "
-            f"joints' names and {', '.join(AXES)}, found {', '.join(names)[:200]}"
+            f"joints' names and {', '.join(AXES)}, found {', '.join(found.shapes)[:200]}"
         )
-    columns = [known[name.lower()] for name in wanted]
-    try:
-        table = np.array([[float(row[k]) for k in columns] for row in rows[1:]])
-    except (ValueError, IndexError):
-        raise RecordingError(f"'{path}': a row of the table is not all numbers") from None
+    columns = found.read(known[name.lower()] for name in wanted)
+    table = np.column_stack([columns[known[name.lower()]] for name in wanted])
     if len(table) < LEAST or not np.isfinite(table).all():
         raise RecordingError(
             f"'{path}' holds {len(table)} poses; {LEAST} of finite numbers are the least"
@@ -175,11 +165,11 @@ def tool_at_rest(tree: Tree, table: StaticPoses) -> ToolEstimate:
         SettingsError: There is no force sensor in the robot, or no gravity.
         RecordingError: The sensor shows no weight.
     """
-    if tree.sensor is None or not tree.lead:
+    if tree.sensor_body < 0:
         raise SettingsError("a tool is what a force sensor in the robot carries: --sensor LINK")
     if not tree.gravity.any():
         raise SettingsError("without gravity there is nothing to weigh a tool by")
-    turns = poses(tree, table.position)[tree.lead - 1][0] @ tree.sensor.rotation
+    turns, _ = sensor_poses(tree, table.position)
     back = np.swapaxes(turns, 1, 2)
     force, moment = table.wrench[:, :3], table.wrench[:, 3:]
     weight, zero, centre, zero_moment = _start(back, force, moment)

@@ -24,16 +24,18 @@ from testbed.recordings.importing.mapping import (
     Mapping,
     SignalTable,
     WrenchTable,
+    read_mapping,
+)
+from testbed.recordings.importing.readers import open_foreign
+from testbed.recordings.importing.signal_maps import (
     base_pose,
     bedplate_wrench,
     check_file_units,
     effort_kinds,
     joint_kinds,
     joint_signal,
-    read_mapping,
     without_turnovers,
 )
-from testbed.recordings.importing.readers import open_foreign
 from testbed.recordings.importing.source_clock import (
     ClockReport,
     Times,

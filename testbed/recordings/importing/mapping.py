@@ -14,19 +14,13 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from testbed.arrays import Array
-from testbed.errors import ExperimentError, RecordingError, plural
+from testbed.errors import ExperimentError, plural
 from testbed.recordings.importing.foreign_table import (
     KINDS,
-    UNITS,
-    ForeignTable,
     Kind,
     check_unit,
-    factor,
-    plain,
     slides,
 )
-from testbed.robot.free_base import UNIT
-from testbed.robot.inertia import from_rpy
 from testbed.toml_text import KNOWN_KEYS, Finite, NotNegative, Positive, checked, read_toml
 
 
@@ -372,138 +366,3 @@ def _check_wrench(table: WrenchTable) -> None:
         len(table.matrix) != 6 or any(len(row) != columns for row in table.matrix)
     ):
         raise ValueError(f"wrench.matrix: six rows of {columns} numbers are wanted")
-
-
-def joint_signal(kind: Kind, table: SignalTable, gear: GearTable | None, columns: Array) -> Array:
-    """A signal at the joints in SI units, (M, n).
-
-    Args:
-        kind: What is measured.
-        table: What the mapping says of it.
-        gear: Between motors and joints, if there is one.
-        columns: As the file holds them, (M, k).
-    """
-    units = table.unit if isinstance(table.unit, list) else [table.unit] * columns.shape[1]
-    scale = np.array([factor(kind, unit) for unit in units])
-    for given in (table.gain, table.sign):
-        if given is not None:
-            scale = scale * np.asarray(given, dtype=np.float64)
-    found: Array = np.asarray(columns * scale, dtype=np.float64)
-    if table.matrix is not None:
-        found = found @ np.array(table.matrix, dtype=np.float64).T
-    if gear is not None and table.side == "motor":
-        motor = gear.motor_of_joint
-        found = found @ motor if kind == "torque" else np.asarray(np.linalg.solve(motor, found.T).T)
-    return found if table.offset is None else found + np.array(table.offset, dtype=np.float64)
-
-
-def bedplate_wrench(table: WrenchTable, columns: Array) -> Array:
-    """The bedplate's wrench on the robot, (M, 6) [N, N m], bedplate frame, moment about O^0.
-
-    Args:
-        table: What the mapping says of it.
-        columns: As the file holds them, (M, k).
-    """
-    if table.matrix is not None:
-        columns = columns @ np.array(table.matrix, dtype=np.float64).T
-    sense = 1.0 if table.sense == "on_robot" else -1.0
-    force = sense * factor("force", table.units[0]) * columns[:, :3]
-    moment = sense * factor("moment", table.units[1]) * columns[:, 3:]
-    if table.place is not None:
-        turn = from_rpy(table.place.rpy)
-        force, moment = force @ turn.T, moment @ turn.T
-        moment = moment + np.cross(np.array(table.place.xyz), force)
-    return np.hstack([force, moment])
-
-
-def without_turnovers(quaternions: Array) -> Array:
-    """The same turns without jumps of sign: q and -q are one, (M, 4).
-
-    Args:
-        quaternions: Sample by sample, (M, 4).
-    """
-    along = np.einsum("mi,mi->m", quaternions[1:], quaternions[:-1])
-    signs = np.cumprod(np.where(along < 0, -1.0, 1.0))
-    return np.vstack([quaternions[:1], quaternions[1:] * signs[:, None]])
-
-
-def base_pose(table: BaseTable, columns: Array) -> Array:
-    """A base's position and quaternion, (M, 7) [m].
-
-    Args:
-        table: What the mapping says of it.
-        columns: As the file holds them, (M, 7).
-
-    Raises:
-        RecordingError: A quaternion is none.
-    """
-    turn = columns[:, 3:]
-    size = np.linalg.norm(turn, axis=1, keepdims=True)
-    if not (np.abs(size - 1) <= UNIT).all():
-        raise RecordingError(
-            f"base.quaternion: its length is {float(size.min()):.3g} to {float(size.max()):.3g}, "
-            "that of a quaternion is one: are the columns w, x, y, z?"
-        )
-    return np.hstack([factor("position", table.unit) * columns[:, :3], turn / size])
-
-
-def joint_kinds(table: SignalTable, joints: Sequence[str]) -> dict[str, dict[str, str]]:
-    """Whether each joint turns or slides, by the positions' units, as recordings keep it.
-
-    Joints of columns that a matrix mixes, in units of both kinds, are left open.
-
-    Args:
-        table: Of positions.
-        joints: Their names.
-    """
-    units = table.unit if isinstance(table.unit, list) else [table.unit] * len(joints)
-    sliding = [slides(unit) for unit in units]
-    if table.matrix is not None:
-        if len(set(sliding)) > 1:
-            return {}
-        sliding = sliding[:1] * len(joints)
-    return {
-        name: {"kind": "prismatic" if slide else "revolute"}
-        for name, slide in zip(joints, sliding, strict=True)
-    }
-
-
-EFFORTS = {"pwm": "pwm", "A": "current", "mA": "current"}
-"""What a torque is made of, by its unit."""
-
-
-def effort_kinds(mapping: Mapping) -> dict[str, str]:
-    """What each joint's torque is made of: current, pwm or motor, which move rotors, or torque.
-
-    Args:
-        mapping: Of which columns that a matrix mixes are taken for the first.
-    """
-    if (table := mapping.torque) is None:
-        return {}
-    units = [table.unit] if isinstance(table.unit, str) else table.unit
-    if len(units) != len(mapping.joints) or table.matrix is not None:
-        units = units[:1] * len(mapping.joints)
-    other = "motor" if table.side == "motor" else "torque"
-    return {j: EFFORTS.get(plain(u), other) for j, u in zip(mapping.joints, units, strict=True)}
-
-
-def check_file_units(label: str, kind: str, columns: Sequence[str], units: Sequence[str],
-                     table: ForeignTable) -> None:  # fmt: skip
-    """Whether what the file says of units is what the mapping says.
-
-    Args:
-        label: Of the mapping's table.
-        kind: What is measured, a key of `UNITS`.
-        columns: Their names.
-        units: By the mapping, one a column.
-        table: The file.
-
-    Raises:
-        RecordingError: They differ.
-    """
-    for column, unit in zip(columns, units, strict=True):
-        said = plain(table.unit(column) or "")
-        if said in UNITS[kind] and said != plain(unit) and plain(unit) in UNITS[kind]:
-            raise RecordingError(
-                f"{label}: the file says that '{column}' is in {said}, the mapping says {unit}"
-            )
