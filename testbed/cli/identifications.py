@@ -257,7 +257,7 @@ def identify(
     doubt = reading.doubt(tree)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
-    lacking = [name for name in wanted if name not in there and not tree.lead]
+    lacking = [name for name in wanted if name not in there and not tree.is_part]
     said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking]
     said += [*tree.diagnostics, *accepted]
 

@@ -269,7 +269,7 @@ class Reading:
             listed = self.terms if self.terms == "auto" else self.terms.split(",")
             said.append(f"identification.terms={json.dumps(listed)}")
         if self.sensor is not None:
-            said.append(f"robot.sensor.link={json.dumps(self.sensor)}")
+            said.append(f"robot.sensor={json.dumps(self.sensor)}")
         return RecordingTables.of([*(self.settings or ()), *said])
 
     @property
@@ -366,7 +366,7 @@ class Reading:
 
         kept = [each for each in said if each.code != "position.held"]
         tree, doubted = self.tree(model), any(each.code == "position.still" for each in said)
-        if doubted or tree.floating or tree.sensor is not None:
+        if doubted or tree.floating or tree.is_part:
             return self, source, kept
         file, fewer, held = hold_still(self.model_file(model), source)
         reading = self if fewer is source else self.with_lock(file)
@@ -403,8 +403,8 @@ class Reading:
         file = self.model_file(path)
         if not self.settings and self.sensor is None:
             return file.tree()
-        robot = self.tables().robot
-        return robot.sensed(robot.on(file.tree()), file)
+        tables = self.tables()
+        return tables.sensed(tables.robot.on(file.tree()), file)
 
 
 def _require_different(paths: Sequence[Path]) -> None:

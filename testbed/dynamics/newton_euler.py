@@ -292,12 +292,39 @@ def sensor_poses(tree: Tree, q: Array) -> tuple[Array, Array]:
         tree: The robot.
         q: Joint positions, (M, n) [rad or m].
     """
+    return _placed(tree, q, tree.sensor)
+
+
+def _placed(tree: Tree, q: Array, at: Placement | None) -> tuple[Array, Array]:
+    """Rotation to the bedplate's axes and origin of a sensor; None is the bedplate's."""
     turn, place = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
-    if tree.sensor is None:
+    if at is None:
         return turn, place
-    if tree.lead:
-        turn, place = poses(tree, q)[tree.sensor_body]
-    return turn @ tree.sensor.rotation, place + turn @ tree.sensor.position
+    if at.body >= 0:
+        turn, place = poses(tree, q)[at.body]
+    return turn @ at.rotation, place + turn @ at.position
+
+
+def wrench_transforms(tree: Tree, q: Array) -> dict[str, Array]:
+    """What each of a tree's next sensors measures as what measures the tree's wrench would.
+
+    Args:
+        tree: What lies between force sensors.
+        q: Joint positions, (M, n) [rad or m].
+
+    Returns:
+        By sensor, (M, 6, 6): takes a wrench about its origin in its axes, force first.
+    """
+    turn, place = _placed(tree, q, tree.sensor)
+    back = np.swapaxes(turn, 1, 2)
+    found = {}
+    for cut in tree.cuts:
+        own, there = _placed(tree, q, cut)
+        each = np.zeros((len(q), 6, 6))
+        each[:, :3, :3] = each[:, 3:, 3:] = back @ own
+        each[:, 3:, :3] = back @ skew(there - place) @ own
+        found[cut.name] = each
+    return found
 
 
 def sensor_transform(sensor: Placement) -> Array:

@@ -23,6 +23,7 @@ from testbed.identification.payload.payload import payload
 from testbed.identification.regression.passes import Progress
 from testbed.identification.validate import validate
 from testbed.recordings.recording import Recording
+from testbed.recordings.views import on_its_base
 from testbed.simulation.bodies import Payload
 from testbed.simulation.rollout import Watch
 
@@ -81,6 +82,7 @@ def validated(run: Run, recording: Recording) -> Run:
         run: The run.
         recording: Another one of the same robot and instrument.
     """
+    recording = on_its_base(recording, run.tree)
     run = replace(run, unseen=recording)
     try:
         found = {

@@ -125,7 +125,7 @@ def robot_of(experiment: Experiment) -> Tree:
 
 def sensed_robot(experiment: Experiment) -> Tree:
     """What an experiment's wrench is of: its robot, or what lies beyond its force sensor."""
-    return experiment.robot.sensed(robot_of(experiment), model_of(experiment))
+    return experiment.sensed(robot_of(experiment), model_of(experiment))
 
 
 def effects_of(experiment: Experiment, tree: Tree) -> list[Effect]:

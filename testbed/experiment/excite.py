@@ -239,8 +239,8 @@ def _rows(experiment: Experiment, tree: Tree, rules: Rules) -> dict[Model, Sampl
     zeros = experiment.identification.zeros
     order: tuple[Model, ...] = ("reaction", "dynamic")
     found = {m: SampledRows(tree, minimal_set(tree, m, zeros=zeros)) for m in order if m in wanted}
-    if experiment.robot.sensor is not None:
-        seen = experiment.robot.sensed(tree, model_of(experiment))
+    if experiment.robot.sensor:
+        seen = experiment.sensed(tree, model_of(experiment))
         joints = [tree.index(name) for name in seen.names]
         found["reaction"] = SampledRows(seen, minimal_set(seen, "reaction"), joints)
     return found

@@ -20,22 +20,21 @@ from testbed.experiment.experiment_tables import (
     Expectations,
     MotionTable,
     PriorTable,
-    RobotTable,
+    RobotTables,
     RunName,
+    SensorTable,
     SimulationTable,
-    Table,
 )
 from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.settings import Settings
 from testbed.instruments.chain import Instrument
+from testbed.robot.inertia import to_rpy
 from testbed.toml_text import Finite, checked, complaints, override, read_toml
 
 
-class RecordingTables(Table):
+class RecordingTables(RobotTables):
     """What can be said about a recording that no experiment made, by `--set`."""
 
-    robot: RobotTable = RobotTable()
-    """How the model file is read."""
     identification: Settings = Settings()
     """How the estimates are made."""
     consistent: ConsistencyOptions = ConsistencyOptions()
@@ -53,7 +52,7 @@ class RecordingTables(Table):
         return checked(RecordingTables, content, "--set")
 
 
-class ExperimentTables(Table):
+class ExperimentTables(RobotTables):
     """What an experiment file says."""
 
     name: RunName
@@ -68,7 +67,6 @@ class ExperimentTables(Table):
     """(gx, gy, gz) [m/s^2], bedplate frame; default the model file's."""
     weld_root: bool = False
     """Weld a floating root to the bedplate."""
-    robot: RobotTable = RobotTable()
     motion: MotionTable = MotionTable()
     excitation: ExcitationTable = ExcitationTable()
     simulation: SimulationTable = SimulationTable()
@@ -150,6 +148,35 @@ class Experiment(ExperimentTables):
     def as_toml(self) -> str:
         """The experiment with every default written out."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+
+    @property
+    def sensor_instruments(self) -> dict[str, Instrument]:
+        """How well each of the robot's force sensors measures, with the plate's clock."""
+        how, found = self.measurement, {}
+        for name in self.force_sensors:
+            table = self.sensors.get(name, SensorTable())
+            found[name] = Instrument(
+                rate=how.rate,
+                averaged=how.averaged,
+                plate=table.plate,
+                force_noise=table.force_noise,
+                moment_noise=table.moment_noise,
+                full_scale=table.full_scale,
+                fault=table.fault,
+            )
+        return found
+
+    @property
+    def sensor_places(self) -> dict[str, dict[str, Any]]:
+        """Where they are, as a recording keeps it."""
+        return {
+            name: {
+                "link": each.link,
+                "position": each.position.tolist(),
+                "rpy": list(to_rpy(each.rotation)),
+            }
+            for name, each in self.force_sensors.items()
+        }
 
     @property
     def joint_tables(self) -> Mapping[str, Iterable[str]]:

@@ -10,8 +10,10 @@ from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from testbed.errors import UnknownName
 from testbed.identification.estimate import METHODS, Method
+from testbed.instruments.fault import FULL_SCALE, Fault
+from testbed.instruments.faults import fault_of
 from testbed.kind_table import AsTable
-from testbed.robot.force_sensor import ForceSensor, beyond_sensor
+from testbed.robot.force_sensor import ForceSensor, before_sensors, beyond_sensor
 from testbed.robot.free_base import on_free_base
 from testbed.robot.inertia import Inertia, from_rpy
 from testbed.robot.locks import with_shafts
@@ -112,19 +114,39 @@ class BodyTable(Table):
 
 
 class SensorTable(Table):
-    """A six-axis force sensor between a link and the one that carries it."""
+    """A six-axis force sensor between a link and the one that carries it, by a name of your own."""
 
-    link: str
-    """The first link beyond it."""
+    link: str = ""
+    """The first link beyond it; default the sensor's name."""
     position: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
     """Of its origin in that link's frame [m]."""
     rpy: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw of its axes in that link's frame [rad]."""
+    plate: str = ""
+    """Model of sensor, as `measurement.plate`, for its noise and range where these are not said."""
+    force_noise: NotNegative = 0.0
+    """Standard deviation of its forces [N]."""
+    moment_noise: NotNegative = 0.0
+    """Standard deviation of its moments [N m]."""
+    full_scale: tuple[Positive, Positive, Positive, Positive, Positive, Positive] = FULL_SCALE
+    """Largest values that it can show [N, N m], as `measurement.full_scale`."""
+    fault: tuple[Annotated[Fault, AsTable(fault_of)], ...] = ()
+    """What else is wrong with it, `[[sensors.NAME.fault]]`: as of the plate."""
 
-    @property
-    def sensor(self) -> ForceSensor:
-        """As a value."""
-        return ForceSensor(self.link, np.array(self.position), from_rpy(self.rpy))
+    @model_validator(mode="after")
+    def _faults_are_of_its_wrench(self) -> SensorTable:
+        for fault in self.fault:
+            if fault.signal != "wrench":
+                raise ValueError(f"fault: {fault.kind} is no fault of a force sensor's wrench")
+        return self
+
+    def sensor(self, name: str) -> ForceSensor:
+        """As a value.
+
+        Args:
+            name: Of the sensor.
+        """
+        return ForceSensor(self.link or name, np.array(self.position), from_rpy(self.rpy), name)
 
 
 class RobotTable(Table):
@@ -139,9 +161,10 @@ class RobotTable(Table):
     model file with such bodies is refused without."""
     base: Literal["fixed", "measured"] = "fixed"
     """Whether the root is welded to the bedplate, or free and its pose in the recording."""
-    sensor: SensorTable | None = None
-    """A force sensor in the robot: the recording's wrench is what it shows, the estimate is of the
-    links beyond it. Default: the force plate."""
+    sensor: str = ""
+    """Which force sensor the estimate is by, a name in `sensors` or a link: it is of the links
+    beyond it, up to the next sensor. "plate" is the force plate up to the next; default: the force
+    plate under the whole robot."""
     joint: dict[str, JointTable] = {}
     """By joint: limits and friction, instead of the model file's."""
     coupling: dict[str, dict[str, Finite]] = {}
@@ -175,6 +198,42 @@ class RobotTable(Table):
         whole = on_free_base(tree) if self.base == "measured" else tree
         return with_shafts(whole.with_joints(self.settings), self.coupling)
 
+    @property
+    def spins(self) -> dict[str, float]:
+        """Spin of rotors, by joint."""
+        given = {name: table.rotor_spin for name, table in self.joint.items()}
+        return {name: spin for name, spin in given.items() if spin is not None}
+
+
+PLATE = "plate"
+"""What `robot.sensor` calls the force plate."""
+
+
+def _named(name: str) -> str:
+    if name == PLATE or not name.isprintable() or "/" in name:
+        raise ValueError(f"'{name}' is no name of a force sensor")
+    return name
+
+
+SensorName = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_named)]
+
+
+class RobotTables(Table):
+    """A robot and its force sensors."""
+
+    robot: RobotTable = RobotTable()
+    """How the model file is read."""
+    sensors: dict[SensorName, SensorTable] = {}
+    """Force sensors in the robot, besides the force plate under it."""
+
+    @property
+    def force_sensors(self) -> dict[str, ForceSensor]:
+        """Those of `sensors`, and the one that `robot.sensor` names by its link."""
+        own, about = self.sensors, self.robot.sensor
+        if about and about != PLATE and about not in own:
+            own = own | {about: SensorTable()}
+        return {name: table.sensor(name) for name, table in own.items()}
+
     def sensed(self, tree: Tree, model: ModelFile) -> Tree:
         """What the wrench is of: the whole robot, or what lies beyond a force sensor.
 
@@ -186,15 +245,13 @@ class RobotTable(Table):
             UnknownName: The model file has no such link.
             ModelError: The link is the root.
         """
-        return (
-            tree if self.sensor is None else beyond_sensor(tree, model.links(), self.sensor.sensor)
-        )
-
-    @property
-    def spins(self) -> dict[str, float]:
-        """Spin of rotors, by joint."""
-        given = {name: table.rotor_spin for name, table in self.joint.items()}
-        return {name: spin for name, spin in given.items() if spin is not None}
+        about, sensors = self.robot.sensor, self.force_sensors
+        if not about:
+            return tree
+        if about == PLATE:
+            return before_sensors(tree, model.links(), sensors.values())
+        own = sensors.pop(about)
+        return beyond_sensor(tree, model.links(), own, sensors.values())
 
 
 class MotionTable(Table):

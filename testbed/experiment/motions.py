@@ -245,7 +245,7 @@ def rules_of(
     margin = table.margin if designed else 1.0
     terms: list[SmoothTerm] = []
     reach = table.plate_range or (experiment.measurement.full_scale if designed else None)
-    on_plate = experiment.robot.sensor is None  # else the wrench is not the plate's
+    on_plate = not experiment.robot.sensor  # else the wrench is not the plate's
     if on_plate and (reach is not None or table.pressure_area is not None):
         wrench = np.full(6, np.inf) if reach is None else np.array(reach)
         area = None if table.pressure_area is None else np.array(table.pressure_area)

@@ -209,7 +209,7 @@ def _of_recording(
     place = _checked_model(model or Path(kept.path), kept.sha256, path)
     held = kept.lock | tables.robot.lock
     file = ModelFile(place, kept.weld_root, tables.robot.bodies or None, held)
-    return tables.robot.sensed(tables.robot.on(file.tree()), file), tables.identification, file
+    return tables.sensed(tables.robot.on(file.tree()), file), tables.identification, file
 
 
 def _of_run(

@@ -31,7 +31,7 @@ from testbed.recordings.columns import AXES
 from testbed.recordings.geometry import in_its_gravity
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
-from testbed.recordings.views import is_imported, with_gear
+from testbed.recordings.views import is_imported, on_its_base, with_gear
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 
@@ -293,13 +293,13 @@ def assemble_run(
     Raises:
         RecordingError: The recording is of another robot.
     """
-    recording = recording.ordered(tree)
+    recording = on_its_base(recording, tree).ordered(tree)
     tree = with_gear(in_its_gravity(tree, recording), recording)
     estimates: dict[Method, Estimate] = {}
     failures: dict[Method, str] = {}
     undetermined: dict[Method, None] = {}
     for method in methods:
-        if tree.lead and method == "internal":
+        if tree.is_part and method == "internal":
             continue  # nothing is missing: joint torques are of more than what moves on the base
         try:
             estimates[method] = identify(

@@ -11,7 +11,6 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.diagnostics import diagnose
-from testbed.dynamics.newton_euler import pedestal_wrench
 from testbed.errors import ExperimentError
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.rest_to_rest import rest_to_rest
@@ -21,12 +20,11 @@ from testbed.experiment.motions import FAST, motion_of, rules_of
 from testbed.experiment.results import versions
 from testbed.files import fingerprint
 from testbed.identification.regression.passes import Progress
-from testbed.instruments.chain import measure
+from testbed.instruments.chain import measure, with_sensors
 from testbed.instruments.fault import stream
 from testbed.recordings.columns import COUNTED
 from testbed.recordings.geometry import geometry
 from testbed.recordings.recording import Recording
-from testbed.recordings.views import felt_by_sensor
 from testbed.robot.tree import Tree
 from testbed.simulation.controller import Reference, believed
 from testbed.simulation.effect import StepForces
@@ -53,7 +51,6 @@ class Prepared:
     Attributes:
         experiment: What is to be done.
         tree: Its robot.
-        seen: What its wrench is of: the robot, or what lies beyond its force sensor.
         plant: The robot on its bedplate.
         model: The robot as its drive believes it to be.
         path: The periodic motion, under way or part of one from rest to rest.
@@ -66,7 +63,6 @@ class Prepared:
 
     experiment: Experiment
     tree: Tree
-    seen: Tree
     plant: Plant
     model: Tree
     path: Fourier
@@ -132,7 +128,7 @@ def prepare(
     tree, sampling = robot_of(experiment), _sampling(experiment)
     simulation = experiment.simulation
     experiment.measurement.stages(tree.names)  # refuses what names other joints before work
-    seen = experiment.robot.sensed(tree, model_of(experiment))
+    experiment.sensed(tree, model_of(experiment))  # so does a sensor at a link that is not there
     path = motion or motion_of(experiment, tree)
     reference, begin, end, facts = _course(experiment, tree, path)
     known = {} if plants is None else plants
@@ -145,12 +141,11 @@ def prepare(
             changed=experiment.robot.joint,
             friction=simulation.friction,
             effects=effects_of(experiment, tree),
-            sensor=None if experiment.robot.sensor is None else experiment.robot.sensor.sensor,
+            sensors=list(experiment.force_sensors.values()),
         )
     return Prepared(
         experiment,
         tree,
-        seen,
         known[words],
         _drives_model(experiment, tree),
         path,
@@ -181,8 +176,10 @@ def _course(
 
 def _plant_words(experiment: Experiment) -> str:
     """All that an experiment says of its plant and drive, as one text."""
+    said = experiment.force_sensors
     parts = {"model", "gravity", "weld_root", "robot", "simulation"}
-    return experiment.model_dump_json(include=parts)
+    sensors = [(s.name, s.link, s.position.tolist(), s.rotation.tolist()) for s in said.values()]
+    return f"{experiment.model_dump_json(include=parts)} {sensors}"
 
 
 def _forces(experiment: Experiment, tree: Tree, more: StepForces | None) -> StepForces | None:
@@ -289,13 +286,13 @@ def simulate(
 
 def _measured(ready: Prepared, happened: Rollout, installed: int | None = None) -> Recording:
     """What the instrument shows of it."""
-    experiment, tree, seen = ready.experiment, ready.tree, ready.seen
-    facts, tare = _facts(experiment, tree, happened) | dict(ready.facts), ready.plant.tare
-    if seen.sensor is not None:
-        tare = pedestal_wrench(seen)
+    experiment, tree, time = ready.experiment, ready.tree, happened.time
+    facts = _facts(experiment, tree, happened) | dict(ready.facts)
     instrument, names, seed = experiment.measurement, tree.names, experiment.seed
-    found = measure(instrument, names, happened.time, happened.truth, tare, facts, seed, installed)
-    return found if seen.sensor is None else felt_by_sensor(found, seen)
+    tare, truth = ready.plant.tare, happened.truth
+    found = measure(instrument, names, time, truth, tare, facts, seed, installed)
+    sensors = experiment.sensor_instruments
+    return with_sensors(found, sensors, seed, installed) if sensors else found
 
 
 def simulate_together(experiments: Sequence[Experiment]) -> Iterator[Recording | Exception]:
@@ -345,4 +342,5 @@ def _facts(experiment: Experiment, tree: Tree, run: Rollout) -> dict[str, Any]:
         "versions": versions(),
         "tracking_rms": dict(zip(tree.names, run.tracking.tolist(), strict=True)),
         "diagnostics": saturated,
+        **({"sensors": experiment.sensor_places} if experiment.force_sensors else {}),
     }

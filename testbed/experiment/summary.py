@@ -58,14 +58,14 @@ def headline(run: Run) -> str:
     phrases = []
     for name in ("wrench", "torque"):
         shares = {m: getattr(found, name) for m, found in run.score.accuracy.items()}
-        if run.tree.sensor is not None and name == "torque":
+        if run.tree.is_part and name == "torque":
             continue  # of joints that carry more than what the sensor feels
         by = [
             f"{percent(x)} by the {run.estimates[m].instrument}"
             for m, x in shares.items()
             if x is not None
         ]
-        signal = "sensor wrench" if run.tree.sensor is not None else SIGNALS[name]
+        signal = "sensor wrench" if run.tree.is_part else SIGNALS[name]
         phrases += [f"{signal} {', '.join(by)}"] if by else []
     if not phrases:
         return f"From {_data(run)} nothing can be predicted: the robot makes no force."

@@ -133,7 +133,7 @@ class Instrument:
         return {s: tuple(fault for fault in every if fault.signal == s) for s in _SIGNALS}
 
     def installed(
-        self, names: tuple[str, ...], position: Array, seed: int
+        self, names: tuple[str, ...], position: Array, seed: int, sensor: str = ""
     ) -> dict[Signal, tuple[Fault, ...]]:
         """The stages with all that chance decides once: signs, phases, crosstalk.
 
@@ -141,11 +141,12 @@ class Instrument:
             names: Joint names.
             position: True positions, (M, n) [rad or m].
             seed: Of the recording.
+            sensor: Name of the force sensor that it stands for; "" for the plate.
         """
-        rig = Rig(names, self.full_scale, position)
+        rig, once = Rig(names, self.full_scale, position), f"once {sensor}".strip()
         return {
             signal: tuple(
-                fault.on(rig).sample(rig, stream(fault.kind, seed, number, "once"))
+                fault.on(rig).sample(rig, stream(fault.kind, seed, number, once))
                 for fault, number in number_kinds(stages)
             )
             for signal, stages in self.stages(names).items()
@@ -200,6 +201,34 @@ def measure(
         shown = apply_chain(chains["wrench"], still, instants, seed, _TARE)
         seen["tare"] = fault.apply(shown, instants, stream(fault.kind, seed))[0]
     return replace(exact, **seen)
+
+
+def with_sensors(
+    recording: Recording,
+    instruments: Mapping[str, Instrument],
+    seed: int,
+    installed: int | None = None,
+) -> Recording:
+    """A simulated recording with what force sensors in the robot show.
+
+    Args:
+        recording: Its truth has their wrenches, in this order.
+        instruments: By sensor; what they say of a plate is of it.
+        seed: Of the noise.
+        installed: Seed of what chance decides once; default `seed`.
+
+    Raises:
+        RecordingError: The recording has no truth of them.
+    """
+    truth = recording.truth
+    if truth is None or truth.sensors is None:
+        raise RecordingError("only a simulated recording, with truth, is measured again")
+    once, shown = seed if installed is None else installed, []
+    for k, (name, instrument) in enumerate(instruments.items()):
+        chain = instrument.installed(recording.names, truth.position, once, name)["wrench"]
+        true = truth.sensors[:, 6 * k : 6 * k + 6]
+        shown.append(apply_chain(chain, true, recording.time, seed, f"sensor {name}"))
+    return replace(recording, sensors=np.hstack(shown), sensor_names=tuple(instruments))
 
 
 def measured_again(recording: Recording, instrument: Instrument, seed: int) -> Recording:

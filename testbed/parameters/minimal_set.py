@@ -287,9 +287,11 @@ def known_zeros(tree: Tree, zeros: bool | Sequence[str]) -> NDArray[np.bool_]:
     Raises:
         UnknownName: The list names a parameter that there is not.
     """
-    known = np.zeros(10 * tree.n, dtype=bool)
+    bare = np.zeros((tree.n, 10), dtype=bool)
+    bare[list(tree.bare)] = True
     if isinstance(zeros, bool):
-        return _zeros_of_the_file(tree) if zeros else known.reshape(tree.n, 10)
+        return bare | _zeros_of_the_file(tree) if zeros else bare
+    known = bare.ravel()
     names = parameter_names(tree)
     for name in [zeros] if isinstance(zeros, str) else zeros:
         if name not in names:

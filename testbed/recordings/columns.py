@@ -4,8 +4,8 @@ A file format knows nothing of robots: it yields columns and metadata (`Table`),
 rest of this room makes a recording of them.
 
 Columns   time, position/JOINT, velocity/JOINT, acceleration/JOINT, torque/JOINT,
-          temperature/JOINT, wrench/Fx ... wrench/Mz, base/x ... base/qz; in simulated
-          recordings truth/..., which no estimator reads
+          temperature/JOINT, wrench/Fx ... wrench/Mz, sensors/NAME/Fx ... sensors/NAME/Mz,
+          base/x ... base/qz; in simulated recordings truth/..., which no estimator reads
 """
 
 from __future__ import annotations
@@ -32,10 +32,12 @@ JOINT_SIGNALS = ("position", "velocity", "acceleration", "torque", "temperature"
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Of a base that moves: position [m] and quaternion of its frame on the ground."""
 
-SIGNALS = ("time", *JOINT_SIGNALS, "wrench", "base")
+SIGNALS = ("time", *JOINT_SIGNALS, "wrench", "sensors", "base")
 """What is measured."""
 
-TRUE_SIGNALS = ("position", "velocity", "acceleration", "torque", "friction", "wrench")
+TRUE_JOINT_SIGNALS = ("position", "velocity", "acceleration", "torque", "friction")
+
+TRUE_SIGNALS = (*TRUE_JOINT_SIGNALS, "wrench", "sensors")
 """What a simulation knows besides."""
 
 UNITS = {
@@ -87,8 +89,8 @@ def unit_of(column: str, kinds: Mapping[str, str]) -> str:
     if column == "time":
         return "s"
     signal, _, member = column.removeprefix("truth/").partition("/")
-    if signal == "wrench":
-        return axis_unit(member)
+    if signal in ("wrench", "sensors"):
+        return axis_unit(member.rpartition("/")[2])
     if signal == "base":
         return "1" if member.startswith("q") else "m"
     return UNITS[kinds.get(member, "revolute")][signal]
@@ -100,19 +102,30 @@ def signal_of(column: str) -> str:
     return "/".join(parts[:2]) if parts[0] == "truth" else parts[0]
 
 
-def members_of(signal: str, joints: tuple[str, ...]) -> tuple[str, ...]:
-    """What a signal's columns are of: the plate's channels, a pose's numbers, or joints.
+def members_of(
+    signal: str, joints: tuple[str, ...], sensors: tuple[str, ...] = ()
+) -> tuple[str, ...]:
+    """What a signal's columns are of: the plate's channels, sensors', a pose's numbers, or joints.
 
     Args:
         signal: Of `SIGNALS`, those of the truth too.
         joints: Their names.
+        sensors: Names of force sensors.
     """
-    return {"wrench": AXES, "base": POSE}.get(signal.removeprefix("truth/"), joints)
+    of_sensors = tuple(f"{name}/{axis}" for name in sensors for axis in AXES)
+    own = {"wrench": AXES, "sensors": of_sensors, "base": POSE}
+    return own.get(signal.removeprefix("truth/"), joints)
 
 
 def joints_in(columns: Sequence[str]) -> tuple[str, ...]:
     """Joint names: those that have a position."""
     return tuple(c.split("/", 1)[1] for c in columns if c.startswith("position/"))
+
+
+def sensors_in(columns: Sequence[str]) -> tuple[str, ...]:
+    """Names of force sensors besides the plate."""
+    own = (c.split("/", 1)[1].rpartition("/")[0] for c in columns if c.startswith("sensors/"))
+    return tuple(dict.fromkeys(own))
 
 
 LARGEST = 1e12

@@ -19,11 +19,13 @@ from testbed.files import replacing
 from testbed.recordings.columns import (
     JOINT_SIGNALS,
     SIGNALS,
+    TRUE_JOINT_SIGNALS,
     TRUE_SIGNALS,
     check_columns,
     checked_metadata,
     joints_in,
     members_of,
+    sensors_in,
     signal_of,
     unit_of,
 )
@@ -48,6 +50,7 @@ class Truth:
         torque: What the motors delivered, (M, n) [N m or N].
         friction: What friction took from it, (M, n) [N m or N].
         wrench: (M, 6) [N, N m].
+        sensors: Of the robot's force sensors, (M, 6 S) [N, N m]; None where there are none.
     """
 
     position: Array
@@ -56,6 +59,7 @@ class Truth:
     torque: Array
     friction: Array
     wrench: Array
+    sensors: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +77,9 @@ class Recording:
         acceleration: Where the instrument senses it, (M, n) [rad/s^2 or m/s^2].
         tare: Known static wrench of the pedestal that stands on the plate, (6,) [N, N m];
             None if the recording does not say: the model's pedestal is then assumed.
+        sensors: Wrenches of force sensors in the robot, one after the other, (M, 6 S) [N, N m]:
+            what each exerts on the links beyond it, about its origin in its axes.
+        sensor_names: Their names; `facts["sensors"]` says where they are.
         base: Position and quaternion (w, x, y, z) of a base that moves, on the ground, (M, 7)
             [m]; the wrench is then the ground's, about the ground's origin.
         temperature: Of the joints' drives, (M, n) [degC].
@@ -88,6 +95,8 @@ class Recording:
     velocity: Array | None = None
     acceleration: Array | None = None
     tare: Array | None = None
+    sensors: Array | None = None
+    sensor_names: tuple[str, ...] = ()
     base: Array | None = None
     temperature: Array | None = None
     truth: Truth | None = None
@@ -96,6 +105,7 @@ class Recording:
     def __post_init__(self) -> None:
         samples, n = len(self.time), len(self.names)
         shapes = {"time": (samples,), "wrench": (samples, 6), "tare": (6,), "base": (samples, 7)}
+        shapes["sensors"] = (samples, 6 * len(self.sensor_names))
         for name in (*SIGNALS, "tare"):
             value = getattr(self, name)
             if value is not None:
@@ -159,7 +169,7 @@ class Recording:
         picked: dict[str, Any] = {s: self.measured(s)[:, order] for s in there}
         truth = self.truth
         if truth is not None:
-            joints = {s: getattr(truth, s)[:, order] for s in TRUE_SIGNALS if s != "wrench"}
+            joints = {s: getattr(truth, s)[:, order] for s in TRUE_JOINT_SIGNALS}
             truth = replace(truth, **joints)
         return replace(self, names=tree.names, truth=truth, **picked)
 
@@ -167,7 +177,7 @@ class Recording:
         """Measured channels by column name, (M,) each."""
         found: dict[str, Array] = {}
         for signal in self.signals:
-            found |= _split(signal, self.measured(signal), self.names)
+            found |= _split(signal, self.measured(signal), self.names, self.sensor_names)
         return found
 
     def true_columns(self) -> dict[str, Array]:
@@ -175,7 +185,10 @@ class Recording:
         found: dict[str, Array] = {}
         for signal in TRUE_SIGNALS if self.truth is not None else ():
             values = getattr(self.truth, signal)
-            found |= {f"truth/{k}": v for k, v in _split(signal, values, self.names).items()}
+            if values is None:
+                continue
+            own = _split(signal, values, self.names, self.sensor_names)
+            found |= {f"truth/{k}": v for k, v in own.items()}
         return found
 
     def units(self) -> dict[str, str]:
@@ -205,7 +218,7 @@ class Recording:
         Raises:
             RecordingError: A channel is missing, or the metadata are not what they should be.
         """
-        names = joints_in(list(columns))
+        names, sensors = joints_in(list(columns)), sensors_in(list(columns))
         if "time" not in columns:
             raise RecordingError(f"{source}: channel 'time' is missing")
         if not names:
@@ -216,17 +229,18 @@ class Recording:
             raise RecordingError(f"{source}: not a recording: {error}") from None
         known = {signal_of(column) for column in columns}
         signals: dict[str, Any] = {
-            s: _joined(s, columns, names, source) for s in SIGNALS if s in known
+            s: _joined(s, columns, names, sensors, source) for s in SIGNALS if s in known
         }
         true = {
-            s: _joined(f"truth/{s}", columns, names, source)
+            s: _joined(f"truth/{s}", columns, names, sensors, source)
             for s in TRUE_SIGNALS
             if f"truth/{s}" in known
         }
         return Recording(
             names=names,
             tare=None if tare is None else np.array(tare),
-            truth=Truth(**true) if len(true) == len(TRUE_SIGNALS) else None,
+            truth=Truth(**true) if {*TRUE_SIGNALS} - {*true} <= {"sensors"} else None,
+            sensor_names=sensors,
             facts=facts,
             **signals,
         )
@@ -297,16 +311,22 @@ def import_recording(path: str | Path) -> Recording:
     return Recording.from_mapping(path)
 
 
-def _split(signal: str, values: Array, joints: tuple[str, ...]) -> dict[str, Array]:
+def _split(
+    signal: str, values: Array, joints: tuple[str, ...], sensors: tuple[str, ...]
+) -> dict[str, Array]:
     """A signal's columns by name."""
     if signal == "time":
         return {signal: values}
-    members = members_of(signal, joints)
+    members = members_of(signal, joints, sensors)
     return {f"{signal}/{member}": values[:, k] for k, member in enumerate(members)}
 
 
 def _joined(
-    signal: str, columns: Mapping[str, Array], joints: tuple[str, ...], source: str
+    signal: str,
+    columns: Mapping[str, Array],
+    joints: tuple[str, ...],
+    sensors: tuple[str, ...],
+    source: str,
 ) -> Array:
     """A signal of its columns.
 
@@ -315,7 +335,7 @@ def _joined(
     """
     if signal == "time":
         return columns[signal]
-    keys = [f"{signal}/{member}" for member in members_of(signal, joints)]
+    keys = [f"{signal}/{member}" for member in members_of(signal, joints, sensors)]
     missing = [key for key in keys if key not in columns]
     if missing:
         raise RecordingError(f"{source}: channel '{missing[0]}' is missing")

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
+from testbed.arrays import Array, apply
+from testbed.dynamics.newton_euler import pedestal_wrench, wrench_transforms
 from testbed.errors import RecordingError
-from testbed.recordings.columns import JOINT_SIGNALS, TRUE_SIGNALS
+from testbed.recordings.columns import JOINT_SIGNALS, TRUE_JOINT_SIGNALS
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, segments_of
 from testbed.robot.free_base import COORDINATES, coordinates
@@ -116,7 +118,7 @@ class Seen:
         first = change(source.part(0, min(1, source.samples)))
         self._source, self._change = source, change
         self.names = tuple(names)
-        self.samples, self.rate, self.tare = source.samples, source.rate, source.tare
+        self.samples, self.rate, self.tare = source.samples, source.rate, first.tare
         self.facts, self.signals = first.facts, first.signals
         self.senses_kinematics = first.velocity is not None
 
@@ -175,21 +177,28 @@ def of_joints(recording: Recording, names: Sequence[str]) -> Recording:
     columns: dict[str, Any] = {signal: recording.measured(signal)[:, own] for signal in there}
     truth = recording.truth
     if truth is not None:
-        joints = [signal for signal in TRUE_SIGNALS if signal != "wrench"]
-        truth = replace(truth, **{signal: getattr(truth, signal)[:, own] for signal in joints})
+        joints = {signal: getattr(truth, signal)[:, own] for signal in TRUE_JOINT_SIGNALS}
+        truth = replace(truth, **joints)
     facts = {k: v for k, v in recording.facts.items() if k != "geometry"}
     return replace(recording, names=tuple(names), truth=truth, facts=facts, **columns)
 
 
-def felt_by_sensor(recording: Recording, tree: Tree) -> Recording:
-    """A recording of the joints that matter to a force sensor; torques are of more than it feels.
+SEGMENT = "segment"
+"""Fact of a recording: of which sensor its wrench is, and those beyond which nothing is in it."""
+
+
+def of_segment(recording: Recording, tree: Tree) -> Recording:
+    """A recording of what lies between force sensors: the wrench of the bodies there alone.
+
+    That of the first sensor, less those of the next, moved to its place; torques are of more.
 
     Args:
-        recording: Its wrench is the sensor's.
-        tree: What lies beyond the sensor, and the joints before it.
+        recording: With the sensors' wrenches; its own wrench is the plate's, or that of the only
+            sensor.
+        tree: What lies between them, and the joints before.
 
     Raises:
-        RecordingError: It lacks one of the joints.
+        RecordingError: It lacks one of the joints, or of the sensors.
     """
     missing = [name for name in tree.names if name not in recording.names]
     if missing:
@@ -197,7 +206,64 @@ def felt_by_sensor(recording: Recording, tree: Tree) -> Recording:
             f"the recording has no joint '{missing[0]}', which moves what the force sensor feels; "
             f"it has {', '.join(recording.names)}"
         )
-    return replace(of_joints(recording, tree.names), torque=None, temperature=None)
+    found = of_joints(recording, tree.names)
+    own, gravity, truth = _segment_of(tree)[0], recording.facts.get("gravity"), found.truth
+    whole = tree.sensor is None and all(cut.body >= 0 for cut in tree.cuts)
+    tare = recording.tare if whole or own not in recording.sensor_names else None
+    if recording.tare is not None and tare is None:
+        tare = pedestal_wrench(tree, gravity)
+    if truth is not None:
+        true = _between(tree, truth.position, _wrenches(recording, truth.wrench, truth.sensors))
+        truth = None if true is None else replace(truth, wrench=true, sensors=None)
+    shown = _wrenches(recording, recording.wrench, recording.sensors)
+    return replace(
+        found,
+        wrench=_between(tree, found.position, shown),
+        tare=tare,
+        truth=truth,
+        torque=None,
+        temperature=None,
+        sensors=None,
+        sensor_names=(),
+        facts={**found.facts, SEGMENT: _segment_of(tree)},
+    )
+
+
+def _segment_of(tree: Tree) -> list[str]:
+    """The sensor's name, "" for the plate, and those of the next."""
+    return [tree.sensor.name if tree.sensor else "", *(cut.name for cut in tree.cuts)]
+
+
+def _wrenches(recording: Recording, plate: Array | None, sensors: Array | None) -> dict[str, Array]:
+    """By sensor, the plate's called ""."""
+    found = {} if plate is None else {"": plate}
+    if sensors is not None:
+        names = recording.sensor_names
+        found |= {name: sensors[:, 6 * k : 6 * k + 6] for k, name in enumerate(names)}
+    return found
+
+
+def _between(tree: Tree, position: Array, wrenches: Mapping[str, Array]) -> Array | None:
+    """The first sensor's wrench less those of the next, (M, 6); None where it has none."""
+    first, *following = _segment_of(tree)
+    lacking = [name for name in following if name not in wrenches]
+    if lacking:
+        raise RecordingError(f"the recording has no wrench of the force sensor '{lacking[0]}'")
+    alone = wrenches.get("") if len(wrenches) == 1 else None  # a recording's only wrench is it
+    felt = wrenches.get(first, alone)
+    if felt is None or not following:
+        return felt
+    moved = wrench_transforms(tree, position)
+    beyond = np.sum([apply(moved[name], wrenches[name]) for name in following], axis=0)
+    return np.asarray(felt - beyond)
+
+
+@overload
+def on_its_base(source: Recording, tree: Tree) -> Recording: ...
+
+
+@overload
+def on_its_base(source: Source, tree: Tree) -> Source: ...
 
 
 def on_its_base(source: Source, tree: Tree) -> Source:
@@ -208,12 +274,12 @@ def on_its_base(source: Source, tree: Tree) -> Source:
         tree: The robot.
 
     Raises:
-        RecordingError: The recording lacks a joint of the robot, or the base's pose.
+        RecordingError: The recording lacks a joint of the robot, the base's pose, or a sensor.
     """
     if tree.floating and NAMES[0] not in source.names:
         source = seen(source, (*NAMES, *source.names), with_base_joints)
-    if tree.sensor is not None and source.names != tree.names:
-        source = seen(source, tree.names, partial(felt_by_sensor, tree=tree))
+    if tree.is_part and source.facts.get(SEGMENT) != _segment_of(tree):
+        source = seen(source, tree.names, partial(of_segment, tree=tree))
     return source
 
 

@@ -166,12 +166,16 @@ class Placement:
     """Where a wrench is measured, if not on the bedplate.
 
     Attributes:
-        position: Of its origin in the base's frame, (3,) [m].
-        rotation: From its axes to the base's, (3, 3).
+        position: Of the sensor's origin in the body's frame, (3,) [m].
+        rotation: From its axes to the body's, (3, 3).
+        name: Of the sensor.
+        body: Index of the body that it moves with, -1 for the bedplate.
     """
 
     position: Array
     rotation: Array
+    name: str = ""
+    body: int = -1
 
     def __post_init__(self) -> None:
         freeze(self, position=(3,), rotation=(3, 3))
@@ -193,6 +197,9 @@ class Tree(Diagnosed):
         lead: How many of the first joints, one after the other, move the base, which is the last
             one's body: the bodies before have no matter. 0 where the bedplate is the base.
         sensor: Where the wrench is measured, on the base; None for the bedplate.
+        cuts: The next force sensors: what hangs beyond them is no part of the tree, its wrench
+            is measured.
+        bare: Bodies without matter of their own: all of it lies beyond such a sensor.
     """
 
     name: str
@@ -205,6 +212,8 @@ class Tree(Diagnosed):
     floating: bool = False
     lead: int = 0
     sensor: Placement | None = None
+    cuts: tuple[Placement, ...] = ()
+    bare: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, gravity=(3,))
@@ -229,9 +238,14 @@ class Tree(Diagnosed):
         return max(self.lead - 1, 0)
 
     @property
+    def is_part(self) -> bool:
+        """Whether it is what lies between force sensors, not the whole robot."""
+        return self.sensor is not None or bool(self.cuts)
+
+    @property
     def sensor_body(self) -> int:
         """Index of the body that what measures the wrench moves with, -1 for the bedplate."""
-        return -1 if self.sensor is None else self.lead - 1
+        return -1 if self.sensor is None else self.sensor.body
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -50,6 +50,7 @@ class Plant:
         plate: Where the plate's force and moment stand among the sensor data, (6,).
         plate_turn: Rotation from the sensor's axes to the bedplate's, (3, 3).
         plate_origin: The sensor's origin in the bedplate frame, (3,) [m].
+        sensors: Where those of the robot's force sensors stand, (6 S,).
         tare: Static wrench of what stands on the plate without moving, (6,) [N, N m],
             bedplate axes, about O^0.
     """
@@ -63,6 +64,7 @@ class Plant:
     plate_turn: Array
     plate_origin: Array
     tare: Array
+    sensors: NDArray[np.int64]
 
     def bedplate_wrench(self, sensed: Array) -> Array:
         """From the sensor's axes and origin to the bedplate's, (..., 6) [N, N m]."""
@@ -196,7 +198,7 @@ def _unit(tree: Tree, joint: int) -> str:
 
 
 _PLATE = "testbed/bedplate"
-_SENSOR = "testbed/sensor"
+_SENSOR = "testbed/sensor/"
 _PREFIX = "testbed/robot/"  # of the names in a robot that is put on a plate of its own
 
 
@@ -208,7 +210,7 @@ def build_plant(
     changed: Collection[str] = (),
     friction: bool = True,
     effects: Sequence[Effect] = (),
-    sensor: ForceSensor | None = None,
+    sensors: Sequence[ForceSensor] = (),
 ) -> Plant:
     """Put the robot of a model file on its sensing bedplate.
 
@@ -220,7 +222,7 @@ def build_plant(
         changed: Joints whose friction and rotor inertia are the tree's, not the file's.
         friction: Keep the joints' friction.
         effects: What else is in the plant, on the robot.
-        sensor: Whose wrench is read; None for the bedplate's.
+        sensors: In the robot, besides the bedplate's.
 
     Raises:
         ModelError: MuJoCo refuses the model, or an effect departs from its law.
@@ -235,7 +237,7 @@ def build_plant(
         _equip(spec, tree, step, prefix, changed)
         for effect in effects:
             effect.equip(spec, tree, prefix)
-        if sensor is not None:
+        for sensor in sensors:
             _add_sensor(spec, sensor, prefix)
         plant = _plant_of(compile_spec(spec, path), tree, path, prefix)
         check_plant(plant, tree, path)
@@ -243,8 +245,7 @@ def build_plant(
             effect.disturb(spec, tree, prefix)
         if effects:
             plant = _plant_of(compile_spec(spec, path), tree, path, prefix)
-        if sensor is not None:
-            plant = _read_by_sensor(plant)
+        plant = replace(plant, sensors=_addresses(plant.model, sensors))
     for effect in effects:
         flaw = effect.flaw(plant, tree)
         if flaw:
@@ -315,8 +316,8 @@ def _add_sensor(spec: mujoco.MjSpec, sensor: ForceSensor, prefix: str) -> None:
     body = next(each for each in spec.bodies if each.name == prefix + sensor.link)
     turn = np.zeros(4)
     mujoco.mju_mat2Quat(turn, sensor.rotation.ravel())
-    body.add_site(name=_SENSOR, pos=sensor.position, quat=turn)
-    _add_sensors(spec, _SENSOR)
+    body.add_site(name=_SENSOR + sensor.name, pos=sensor.position, quat=turn)
+    _add_sensors(spec, _SENSOR + sensor.name)
 
 
 def _add_sensors(spec: mujoco.MjSpec, site: str) -> None:
@@ -328,15 +329,12 @@ def _add_sensors(spec: mujoco.MjSpec, site: str) -> None:
         spec.add_sensor(name=f"{site}/{name}", type=kind, **at)
 
 
-def _read_by_sensor(plant: Plant) -> Plant:
-    """The same plant, whose wrench is that of the sensor in the robot."""
-    at = [plant.model.sensor(f"{_SENSOR}/{name}").adr[0] for name in ("force", "torque")]
-    return replace(
-        plant,
-        plate=np.concatenate([first + np.arange(3) for first in at]),
-        plate_turn=np.eye(3),
-        plate_origin=np.zeros(3),
-    )
+def _addresses(model: mujoco.MjModel, sensors: Sequence[ForceSensor]) -> NDArray[np.int64]:
+    """Where the force and moment of each stand among the sensor data, (6 S,)."""
+    parts = [f"{_SENSOR}{each.name}/{what}" for each in sensors for what in ("force", "torque")]
+    first = np.array([model.sensor(name).adr[0] for name in parts], dtype=np.int64)
+    found: NDArray[np.int64] = (first[:, None] + np.arange(3)).ravel()
+    return found
 
 
 def _plant_of(model: mujoco.MjModel, tree: Tree, path: Path, prefix: str) -> Plant:
@@ -363,6 +361,7 @@ def _plant_of(model: mujoco.MjModel, tree: Tree, path: Path, prefix: str) -> Pla
         plate_turn=data.site_xmat[site].reshape(3, 3).copy(),
         plate_origin=data.site_xpos[site].copy(),
         tare=_tare(model, data, int(model.site_bodyid[site]), model.opt.gravity),
+        sensors=np.zeros(0, dtype=np.int64),
     )
 
 

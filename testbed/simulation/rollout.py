@@ -138,6 +138,7 @@ class SampledLoop:
             torque=torque,
             friction=-lost @ plant.dofs,
             wrench=plant.bedplate_wrench(sensed[:, plant.plate]),
+            sensors=sensed[:, plant.sensors],
         )
 
 

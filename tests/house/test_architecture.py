@@ -36,7 +36,7 @@ PLAN = {
         "kernel": ROBOT,
         "symbolic": ROBOT,
         "excitation": f"{ROBOT} kernel",
-        "recordings": f"{BASE} toml_text robot",
+        "recordings": f"{ROBOT} toml_text",
         "instruments": f"{BASE} kind_table robot recordings",
         "simulation": f"{BASE} kind_table robot dynamics kernel excitation recordings",
         "identification": f"{ROBOT} kernel recordings stages",

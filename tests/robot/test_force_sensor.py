@@ -112,7 +112,7 @@ def test_links_that_are_not_there_and_the_root_are_refused() -> None:
         beyond_sensor(model.tree(), model.links(), ForceSensor(model.links()[0].name))
     file = ROOT / "experiments/force_sensor.toml"
     with pytest.raises(UnknownName):
-        simulate(Experiment.load(file, ["robot.sensor.link=link9"]))
+        simulate(Experiment.load(file, ["robot.sensor=link9"]))
 
 
 @pytest.mark.parametrize("link", ["base", "link2", "link3"])
@@ -120,12 +120,12 @@ def test_mujocos_own_sensor_gives_the_parameters_to_rounding(link: str) -> None:
     """Simulated with MuJoCo's sensors at the cut, exact kinematics, no noise."""
     sensor = {"link": link, "position": (0.01, 0.02, -0.03), "rpy": (0.1, -0.2, 0.3)}
     file = ROOT / "experiments/noise_free.toml"
-    words = [f"robot.sensor.{key}={json.dumps(value)}" for key, value in sensor.items()]
+    words = [f"sensors.cut.{key}={json.dumps(value)}" for key, value in sensor.items()]
+    words += ["robot.sensor=cut"]
     words += ["motion.duration=4", "simulation.step=1e-3", "simulation.friction=false"]
     words += ["identification.zeros=false"]
     experiment = Experiment.load(file, words)
-    assert experiment.robot.sensor is not None
-    assert experiment.robot.sensor.model_dump() == sensor
+    assert experiment.sensor_places["cut"]["link"] == link
     run = evaluate(experiment, simulate(experiment), methods=("external",))
     assert run.score is not None
     assert run.score.metrics["external_max_relative_error"] < 1e-10

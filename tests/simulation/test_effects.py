@@ -145,6 +145,8 @@ def test_a_sample_that_is_integrated_at_once_is_that_of_its_small_steps(
             for forces in (None, lambda t, q, v, motor: np.zeros(tree.n))
         )
         for name, values in vars(all_steps).items():
+            if not values.size:
+                continue  # no force sensors
             off = np.abs(getattr(short, name) - values).max()
             assert off <= 2e-6 * np.abs(values).max(), name
 
