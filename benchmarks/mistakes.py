@@ -26,7 +26,7 @@ from testbed.plausibility.remedies import Remedy, with_lines
 from testbed.recordings.columns import AXES
 from testbed.recordings.importing.foreign_table import FORCES, MOMENTS
 from testbed.recordings.importing.mapping import SignalTable, WrenchTable
-from testbed.recordings.importing.signal_maps import bedplate_wrench, joint_signal
+from testbed.recordings.importing.signal_maps import joint_signal, wrench_of
 from testbed.robot.inertia import from_vector, to_rpy
 
 ARMS = ("puma562", "ur5", "xarm7", "panda")
@@ -131,7 +131,7 @@ def recorded(made: Truth, columns: dict[str, Array], mapping: dict[str, Any]) ->
         return np.column_stack([columns[name] for name in table["columns"]])
 
     said = mapping.get("wrench")
-    wrench = None if said is None else bedplate_wrench(WrenchTable(**said), of(said))
+    wrench = None if said is None else wrench_of(WrenchTable(**said), of(said))
     tare = None if said is None else np.array(said.get("tare") or np.zeros(6))
     signals = {kind: joint_signal(kind, SignalTable(**mapping[kind]), None, of(mapping[kind]))
                for kind in ("position", "torque")}  # fmt: skip

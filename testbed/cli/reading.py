@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -163,8 +163,9 @@ Sensor = Annotated[
     str | None,
     typer.Option(
         "--sensor",
-        metavar="LINK",
-        help="The wrench is of a force sensor that carries this link, not of the force plate.",
+        metavar="NAME|LINK",
+        help="Use the wrench of this force sensor, or of the one that carries this link; plate: of "
+        "the force plate, without what lies beyond the sensors.",
         rich_help_panel=ROBOT,
     ),
 ]
@@ -348,9 +349,26 @@ class Reading:
         from testbed.recordings.views import on_its_base
 
         file, fewer, _ = hold_still(self.model_file(model), source, lock_only=True)
-        reading = self if fewer is source else self.with_lock(file)
+        reading = (self if fewer is source else self.with_lock(file)).with_sensors(source)
         tree = reading.tree(model)
         return reading, tree, on_its_base(fewer, tree)
+
+    def with_sensors(self, source: Source) -> Reading:
+        """The same with the force sensors that a recording has, where --set says nothing of them.
+
+        The only one is meant where there is neither plate nor torque.
+        """
+        places, said = source.facts.get("sensors"), list(self.settings or ())
+        if not isinstance(places, Mapping) or "sensors" not in source.signals:
+            return self
+        for name, place in places.items():
+            key = f"sensors.{name}" if name.isidentifier() else f"sensors.{json.dumps(name)}"
+            if not any(word.startswith(f"{key}.") for word in said):
+                said += [f"{key}.{what}={json.dumps(value)}" for what, value in place.items()]
+        sensor = self.sensor
+        if sensor is None and len(places) == 1 and not {"wrench", "torque"} & {*source.signals}:
+            (sensor,) = places
+        return replace(self, settings=said, sensor=sensor)
 
     def holding(
         self, source: Source, model: Path, said: Sequence[Diagnostic]

@@ -33,7 +33,7 @@ from testbed.plausibility.plate_map import (
     transform,
 )
 from testbed.plausibility.prior import Prior
-from testbed.plausibility.remedies import STEPS, Hypothesis
+from testbed.plausibility.remedies import STEPS, Hypothesis, wrench_tables
 from testbed.recordings.importing.foreign_table import FORCES, MOMENTS, plain
 from testbed.robot.inertia import from_rpy, from_vector, to_rpy
 
@@ -143,7 +143,8 @@ def frame_of(mapping: Mapping[str, Any]) -> Frame:
     Args:
         mapping: What the recording's mapping file says; empty if it has none.
     """
-    table = mapping.get("wrench") or {}
+    tables = wrench_tables(mapping)
+    table = next((each for name, each in tables.items() if not name.startswith("plates.")), {})
     place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
     force, moment = (plain(each) for each in table.get("units", ("N", "N m")))
     return Frame(from_rpy(place["rpy"]), np.array(place["xyz"], float), (force, moment))

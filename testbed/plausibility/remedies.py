@@ -346,16 +346,27 @@ def _lines(tree: Tree, hypothesis: Hypothesis, mapping: Mapping[str, Any]) -> It
     name = KINDS[hypothesis.kind].table
     table = mapping.get(name) or {}
     if name == "wrench":
-        plates = mapping.get("plates") or {}
-        tables = {f"plates.{plate}": each for plate, each in plates.items()} or {name: table}
-        for plate, each in tables.items():
-            yield (plate, *_plate_line(hypothesis, each, alone=not plates))
+        for plate, each in wrench_tables(mapping).items():
+            alone = not plate.startswith("plates.")
+            yield (plate, *_plate_line(hypothesis, each, alone=alone))
     elif name == "base":
         yield (name, *_base_line(hypothesis, table))
     else:
         order = [tree.names.index(joint) for joint in mapping.get("joints", tree.names)]
         for key, value in _joint_lines(tree, hypothesis, table, order):
             yield name, key, value
+
+
+def wrench_tables(mapping: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Tables of which a recording's wrench was made: the plate's, several plates', or a sensor's.
+
+    Args:
+        mapping: As a recording keeps it.
+    """
+    for group in ("plates", "sensors"):
+        if mapping.get(group) and not mapping.get("wrench"):
+            return {f"{group}.{name}": table for name, table in mapping[group].items()}
+    return {"wrench": mapping.get("wrench") or {}}
 
 
 def _plate_line(

@@ -19,7 +19,7 @@ from testbed.dynamics.newton_euler import Motion, regressor
 from testbed.identification.regression.windows import motion_taps, row_weights
 from testbed.parameters.minimal_set import minimal_set
 from testbed.plausibility.instants import ENOUGH, LATE, decimate, delay, directions
-from testbed.plausibility.remedies import Line
+from testbed.plausibility.remedies import Line, wrench_tables
 from testbed.recordings.geometry import check_robot, in_its_gravity
 from testbed.recordings.importing.import_report import ImportReport
 from testbed.recordings.source import Source
@@ -153,10 +153,10 @@ def alignment(
         facts: Of the recording that it made.
     """
     clocks = ImportReport.from_dict(facts["import"]).clocks if "import" in facts else {}
-    plates = mapping.get("plates", {}) if offset.signal == "wrench" else {}
-    tables = {f"plates.{name}": table for name, table in plates.items()}
-    for name, table in (tables or {offset.signal: mapping.get(offset.signal, {})}).items():
-        source, delay = table.get("source"), float(table.get("delay", 0.0)) + offset.delay
+    own = {offset.signal: mapping.get(offset.signal, {})}
+    tables = wrench_tables(mapping) if offset.signal == "wrench" else own
+    for name, table in tables.items():
+        source, delay = str(table.get("source")), float(table.get("delay", 0.0)) + offset.delay
         if offset.drifts and source != mapping["position"]["source"]:
             lead, own = clocks[source].lead, mapping["sources"][source].get("skew", 0.0)
             delay = (lead + delay - offset.skew * offset.middle) / (1 + offset.skew) - lead

@@ -249,6 +249,9 @@ def checked_metadata(found: Any) -> tuple[tuple[float, ...] | None, dict[str, An
     if facts.get(COUNTED) is not None:
         _numbers(facts[COUNTED], (2,), f"'{COUNTED}'")
     of_recording(facts)
+    sensors = facts.get("sensors", {})
+    if not isinstance(sensors, dict) or not all(isinstance(s, dict) for s in sensors.values()):
+        raise ValueError("its 'sensors' are not a table by sensor")
     geometry = facts.get("geometry", {})
     if not isinstance(geometry, dict):
         raise ValueError("its 'geometry' is not a table by joint")

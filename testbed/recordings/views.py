@@ -225,8 +225,18 @@ def of_segment(recording: Recording, tree: Tree) -> Recording:
         temperature=None,
         sensors=None,
         sensor_names=(),
-        facts={**found.facts, SEGMENT: _segment_of(tree)},
+        facts={**_facts_of(found, own), SEGMENT: _segment_of(tree)},
     )
+
+
+def _facts_of(recording: Recording, sensor: str) -> dict[str, Any]:
+    """Facts whose mapping says of wrenches only what it says of one sensor's, if it names it."""
+    facts, mapping = dict(recording.facts), recording.facts.get("mapping")
+    own = mapping.get("sensors", {}).get(sensor) if isinstance(mapping, Mapping) else None
+    if isinstance(mapping, Mapping) and own is not None:
+        kept = {k: v for k, v in mapping.items() if k not in ("wrench", "plates")}
+        facts["mapping"] = {**kept, "sensors": {sensor: own}}
+    return facts
 
 
 def _segment_of(tree: Tree) -> list[str]:

@@ -29,7 +29,7 @@ from testbed.plausibility.remedies import (
 from testbed.plausibility.time_offset import TimeOffset, alignment
 from testbed.recordings.importing.foreign_table import FORCES, MOMENTS
 from testbed.recordings.importing.mapping import WrenchTable
-from testbed.recordings.importing.signal_maps import bedplate_wrench
+from testbed.recordings.importing.signal_maps import wrench_of
 from testbed.robot.free_base import on_free_base
 from testbed.robot.inertia import to_rpy
 from tests.helpers.foreign_files import npz, some_log
@@ -97,7 +97,7 @@ def test_a_plates_lines_are_the_map_that_was_judged(rng: np.random.Generator, tu
 
     def made(table: dict[str, Any]) -> Array:
         read = WrenchTable.model_validate(table)
-        return bedplate_wrench(read, np.column_stack([by_name[name] for name in read.columns]))
+        return wrench_of(read, np.column_stack([by_name[name] for name in read.columns]))
 
     frame, orders = frame_of(mapping), (AS_READ, *PLATE_ORDERS)
     for _ in range(10):

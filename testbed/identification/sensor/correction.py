@@ -27,6 +27,7 @@ from testbed.identification.sensor.plate import (
     GAINS,
     HEIGHT,
     MATRIX,
+    NEXT_BIAS,
     POSE,
     SKEW,
     SLOPE,
@@ -37,7 +38,17 @@ from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, segments_of
 from testbed.robot.tree import Tree
 
-NUISANCES: tuple[Nuisance, ...] = (SKEW, BIAS, TARE, SLOPE, MATRIX, POSE, HEIGHT, JOINT_ZEROS)
+NUISANCES: tuple[Nuisance, ...] = (
+    SKEW,
+    BIAS,
+    NEXT_BIAS,
+    TARE,
+    SLOPE,
+    MATRIX,
+    POSE,
+    HEIGHT,
+    JOINT_ZEROS,
+)
 """Those that can be estimated, in the order in which they are taken back: last made, first."""
 
 TESTED: tuple[Nuisance, ...] = (
@@ -157,7 +168,7 @@ class Corrected:
         time = (number - (self._source.samples - 1) / 2) / self.rate
         for nuisance in NUISANCES:
             if nuisance.kind in self._values and nuisance.undo is not None:
-                found = nuisance.undo(found, self._values[nuisance.kind], time)
+                found = nuisance.undo(found, self._values[nuisance.kind], time, self._tree)
         return found.part(self._ends, self._ends + last - first)
 
 

@@ -85,8 +85,8 @@ def _cosine(q: Array, qd: Array, qdd: Array) -> tuple[Number, Number, Number]:
     return np.cos(q), -np.sin(q) * qd, -np.sin(q) * qdd - np.cos(q) * qd**2
 
 
-def _back(recording: Recording, values: Array, time: Array) -> Recording:
-    del time
+def _back(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
+    del time, tree
     return replace(recording, position=recording.position - values)
 
 

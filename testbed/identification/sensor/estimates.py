@@ -124,9 +124,9 @@ def always(*parts: Part) -> Numbers:
 Effect = Callable[[PredictedWrench], Array]
 """What the measured wrench grows by with each of them, (rows, 6, k)."""
 
-Undo = Callable[[Recording, Array, Array], Recording]
-"""A recording as it would be without: of a recording, the nuisance's numbers, (k,), and the
-samples' times from the middle of the whole recording, (M,) [s]."""
+Undo = Callable[[Recording, Array, Array, Tree], Recording]
+"""A recording as it would be without: of a recording, the nuisance's numbers, (k,), the samples'
+times from the middle of the whole recording, (M,) [s], and the robot."""
 
 
 Unmix = Callable[[Array], Array]

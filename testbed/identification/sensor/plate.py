@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from testbed.arrays import Array
+from testbed.arrays import Array, apply
+from testbed.dynamics.newton_euler import wrench_transforms
 from testbed.identification.sensor.estimates import Nuisance, Numbers, Part, always
 from testbed.identification.sensor.predicted_wrench import PredictedWrench
 from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.recordings.recording import Recording
 from testbed.robot.inertia import from_vector
+from testbed.robot.tree import Tree
 
 _POINTS = 8
 """Samples that an interpolated one is made of: exact for polynomials below that degree."""
@@ -25,7 +27,8 @@ def _late_as_measured(predicted: PredictedWrench) -> Array:
     return -predicted.shown_rate[..., None]
 
 
-def _earlier(recording: Recording, values: Array, time: Array) -> Recording:
+def _earlier(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
+    del tree
     late = float(values[0]) * (len(time) - 1) / float(time[-1] - time[0])
     return replace(recording, wrench=shifted(recording.measured("wrench"), late))
 
@@ -106,8 +109,8 @@ def _columns(predicted: PredictedWrench) -> Array:
     return found
 
 
-def _felt(recording: Recording, values: Array, time: Array) -> Recording:
-    del time
+def _felt(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
+    del time, tree
     return replace(recording, wrench=recording.measured("wrench") @ _unmixed(values).T)
 
 
@@ -167,12 +170,13 @@ def _trend(predicted: PredictedWrench) -> Array:
     return np.asarray(predicted.time[:, None, None] * np.eye(6))
 
 
-def _without_constant(recording: Recording, values: Array, time: Array) -> Recording:
-    del time
+def _without_constant(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
+    del time, tree
     return replace(recording, wrench=recording.measured("wrench") - values)
 
 
-def _without_trend(recording: Recording, values: Array, time: Array) -> Recording:
+def _without_trend(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
+    del tree
     return replace(recording, wrench=recording.measured("wrench") - time[:, None] * values)
 
 
@@ -189,6 +193,36 @@ BIAS = Nuisance(
     passing=True,
     added=True,
 )
+
+
+def _of_next(tree: Tree) -> tuple[Part, ...]:
+    return tuple(part for cut in tree.cuts for part in _channels(f"bias/{cut.name}")(tree))
+
+
+def _moving_constants(predicted: PredictedWrench) -> Array:
+    moved = [*wrench_transforms(predicted.tree, predicted.motion.q).values()]
+    none = np.zeros((predicted.motion.samples, 6, 0))
+    return predicted.rows(-np.concatenate([none, *moved], axis=2))
+
+
+def _without_moving_constants(
+    recording: Recording, values: Array, time: Array, tree: Tree
+) -> Recording:
+    del time
+    moved = wrench_transforms(tree, recording.position).values()
+    each = zip(moved, values.reshape(-1, 6), strict=True)
+    taken = sum((apply(to, zero) for to, zero in each), np.zeros(6))
+    return replace(recording, wrench=recording.measured("wrench") + taken)
+
+
+NEXT_BIAS = Nuisance(
+    "next_bias",
+    _of_next,
+    _moving_constants,
+    _without_moving_constants,
+    added=True,
+)
+"""What the next force sensors show too much: taken off the wrench, it turns with them."""
 
 SLOPE = Nuisance(
     "slope",
@@ -236,8 +270,8 @@ def _height_of_measured(predicted: PredictedWrench) -> Array:
     return _pose_of_measured(predicted)[..., 5:]
 
 
-def _moved_back(recording: Recording, values: Array, time: Array) -> Recording:
-    del time
+def _moved_back(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
+    del time, tree
     wrench = recording.measured("wrench")
     turn = from_vector(values[:3])
     force = wrench[:, :3] @ turn.T
@@ -245,8 +279,8 @@ def _moved_back(recording: Recording, values: Array, time: Array) -> Recording:
     return replace(recording, wrench=np.hstack([force, moment]))
 
 
-def _lowered(recording: Recording, values: Array, time: Array) -> Recording:
-    return _moved_back(recording, np.array([0.0, 0.0, 0.0, 0.0, 0.0, values[0]]), time)
+def _lowered(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
+    return _moved_back(recording, np.array([0.0, 0.0, 0.0, 0.0, 0.0, values[0]]), time, tree)
 
 
 POSE = Nuisance(

@@ -31,7 +31,7 @@ from testbed.identification.sensor.correction import (
     Corrected,
 )
 from testbed.identification.sensor.estimates import NuisanceEstimate, TraceTest, in_order
-from testbed.identification.sensor.plate import BIAS, SLOPE, TARE
+from testbed.identification.sensor.plate import BIAS, NEXT_BIAS, SLOPE, TARE
 from testbed.identification.sensor.predicted_wrench import row_filter
 from testbed.identification.sensor.unknowns import (
     Columns,
@@ -106,9 +106,19 @@ class SensorModel:
         settings, names = problem.settings, problem.names
         tree, none = problem.layout.tree, unknowns_of(problem.layout.tree, ())
         plate = problem.method == "external"
-        asked = [n for n in NUISANCES if plate and n.kind in settings.nuisances]
+        kinds = {
+            *settings.nuisances,
+            *([NEXT_BIAS.kind] if BIAS.kind in settings.nuisances else ()),
+        }
+        asked = [n for n in NUISANCES if plate and n.kind in kinds]
         calibrated = doubt.nuisances(tree, asked) if plate and doubt is not None else []
         asked = [n for n in NUISANCES if n in asked or n in calibrated]
+        mixed = [n.kind for n in asked if tree.cuts and (not n.added or n.unmixed)]
+        if mixed:
+            raise SettingsError(
+                f"{', '.join(mixed)}: of a wrench that is a difference of two sensors' only zeros "
+                "and trends can be estimated; calibrate each sensor with all that it carries"
+            )
         every = unknowns_of(tree, asked)
         given = {n: v for n, v in settings.facts.items() if plate or n in names}
         known = facts(tree, problem.minimal, names, every.names, given)

@@ -21,20 +21,22 @@ from testbed.recordings.importing.import_report import ImportReport, SignalRepor
 from testbed.recordings.importing.mapping import (
     AnyTable,
     BaseTable,
+    ForceSensorTable,
     Mapping,
     SignalTable,
+    SixAxisTable,
     WrenchTable,
     read_mapping,
 )
 from testbed.recordings.importing.readers import open_foreign
 from testbed.recordings.importing.signal_maps import (
     base_pose,
-    bedplate_wrench,
     check_file_units,
     effort_kinds,
     joint_kinds,
     joint_signal,
     without_turnovers,
+    wrench_of,
 )
 from testbed.recordings.importing.source_clock import (
     ClockReport,
@@ -401,14 +403,17 @@ def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, fl
 def _mapped(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
     """A signal on the grid as the recording's columns."""
     table = mapping.others.get(label)
-    if isinstance(table, WrenchTable):
-        signal, found = "wrench", bedplate_wrench(table, raw)
+    sensors: tuple[str, ...] = ()
+    if isinstance(table, SixAxisTable):
+        signal, found = "wrench", wrench_of(table, raw)
+        if isinstance(table, ForceSensorTable):
+            signal, sensors = "sensors", (label.removeprefix("sensors."),)
     elif isinstance(table, BaseTable):
         signal, found = "base", base_pose(table, raw)
     else:
         (kind,) = (kind for kind in mapping.signals if kind == label)
         signal, found = label, joint_signal(kind, mapping.signals[kind], mapping.gear, raw)
-    members = members_of(signal, tuple(mapping.joints))
+    members = members_of(signal, tuple(mapping.joints), sensors)
     return {f"{signal}/{member}": found[:, k] for k, member in enumerate(members)}
 
 
@@ -432,6 +437,9 @@ def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
     facts: dict[str, Any] = {"import": report.as_dict(), "mapping": said}
     if report.diagnostics:
         facts["diagnostics"] = [each.as_dict() for each in report.diagnostics]
+    if mapping.sensors:
+        links = {name: table.link or name for name, table in mapping.sensors.items()}
+        facts["sensors"] = {name: {"link": link} for name, link in links.items()}
     kinds = joint_kinds(mapping.position, mapping.joints)
     if kinds:
         facts["geometry"] = kinds

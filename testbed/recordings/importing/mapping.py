@@ -141,8 +141,8 @@ class PlaceTable(MappingTable):
     """Roll, pitch, yaw [rad]: fixed axes x, then y, then z, as in URDF."""
 
 
-class WrenchTable(MappingTable):
-    """Six columns that become the bedplate's wrench."""
+class SixAxisTable(MappingTable):
+    """Six columns that become a wrench."""
 
     source: str
     """Of which source."""
@@ -152,13 +152,25 @@ class WrenchTable(MappingTable):
     """Of forces and of moments, after the matrix if there is one."""
     sense: Literal["on_robot", "on_plate"]
     """Whether the sensor shows what the plate does to the robot (at rest: upwards), or what the
-    robot does to the plate."""
+    robot does to the plate. Of a sensor in the robot: what it does to the links beyond it."""
     place: PlaceTable | None = None
-    """Of the sensor; default the bedplate's frame."""
+    """Of the sensor; default the bedplate's frame, or that of the first link beyond it."""
     matrix: Rows | None = None
     """Six rows: from the columns to forces and moments, as of a sensor's calibration."""
     delay: Finite = 0.0
     """How late the signal is, besides its source's clock [s]."""
+
+
+class ForceSensorTable(SixAxisTable):
+    """Six columns that become the wrench of a force sensor in the robot, by a name of your own."""
+
+    link: str = ""
+    """The first link beyond it; default the sensor's name."""
+
+
+class WrenchTable(SixAxisTable):
+    """Six columns that become the bedplate's wrench."""
+
     tare: Six | None = None
     """What of the recording's wrench is not the robot's, in the bedplate's frame [N, N m]; zeros
     for a plate that was zeroed with the pedestal on it. Default: the model's pedestal."""
@@ -201,7 +213,7 @@ class BaseTable(MappingTable):
         return [*self.position, *self.quaternion]
 
 
-AnyTable = SignalTable | WrenchTable | BaseTable
+AnyTable = SignalTable | SixAxisTable | BaseTable
 
 
 class Mapping(MappingTable):
@@ -229,13 +241,16 @@ class Mapping(MappingTable):
     wrench: WrenchTable | None = None
     plates: Annotated[dict[str, WrenchTable], Field(max_length=100)] = {}
     """Several plates in place of [wrench], by names of your own: the wrench is their sum."""
+    sensors: Annotated[dict[Name, ForceSensorTable], Field(max_length=100)] = {}
+    """Force sensors in the robot, by names of your own."""
     base: BaseTable | None = None
     """Where the robot's base is, if it moves (`robot.base = "measured"`)."""
 
     @property
     def others(self) -> dict[str, AnyTable]:
-        """What is measured besides joint by joint, by its label: wrench, plates.NAME, base."""
+        """What is measured besides joint by joint: wrench, plates.NAME, sensors.NAME, base."""
         found: dict[str, AnyTable] = {f"plates.{k}": each for k, each in self.plates.items()}
+        found |= {f"sensors.{k}": each for k, each in self.sensors.items()}
         found |= {"wrench": self.wrench} if self.wrench is not None else {}
         return found | ({"base": self.base} if self.base is not None else {})
 
@@ -250,8 +265,8 @@ class Mapping(MappingTable):
         n = len(self.joints)
         if len(set(self.joints)) < n:
             raise ValueError("joints: a name is there twice")
-        if self.torque is None and self.wrench is None and not self.plates:
-            raise ValueError("a recording has a [torque] or a [wrench] or both")
+        if self.torque is None and self.wrench is None and not (self.plates or self.sensors):
+            raise ValueError("a recording has a [torque], a [wrench] or [sensors.NAME]")
         if self.wrench is not None and self.plates:
             raise ValueError("say [wrench], or all plates under [plates], not both")
         if self.stop is not None and self.stop <= self.start:
@@ -261,7 +276,7 @@ class Mapping(MappingTable):
         for kind, table in self.signals.items():
             _check_signal(kind, table, n, self.gear is not None)
         for plate in self.others.values():
-            if isinstance(plate, WrenchTable):
+            if isinstance(plate, SixAxisTable):
                 _check_wrench(plate)
         if self.base is not None and not slides(self.base.unit):
             raise ValueError(f"base.unit: '{self.base.unit}' is no length (m, cm, mm, inch)")
@@ -347,7 +362,7 @@ def _check_signal(kind: Kind, table: SignalTable, joints: int, geared: bool) -> 
         raise ValueError(f"{kind}.side: {said}")
 
 
-def _check_wrench(table: WrenchTable) -> None:
+def _check_wrench(table: SixAxisTable) -> None:
     """Whether the wrench's lists are of one length and its units fit.
 
     Raises:
@@ -355,7 +370,7 @@ def _check_wrench(table: WrenchTable) -> None:
     """
     check_unit("force", table.units[0])
     check_unit("moment", table.units[1])
-    if table.pedestal not in (None, "removed") and table.tare is not None:
+    if isinstance(table, WrenchTable) and table.tare and table.pedestal not in (None, "removed"):
         raise ValueError("wrench: a tare is all that is not the robot's: no pedestal beside it")
     columns = len(table.columns)
     if table.matrix is None and columns != 6:

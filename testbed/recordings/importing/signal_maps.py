@@ -21,7 +21,7 @@ from testbed.recordings.importing.mapping import (
     GearTable,
     Mapping,
     SignalTable,
-    WrenchTable,
+    SixAxisTable,
 )
 from testbed.robot.free_base import UNIT
 from testbed.robot.inertia import from_rpy
@@ -50,8 +50,10 @@ def joint_signal(kind: Kind, table: SignalTable, gear: GearTable | None, columns
     return found if table.offset is None else found + np.array(table.offset, dtype=np.float64)
 
 
-def bedplate_wrench(table: WrenchTable, columns: Array) -> Array:
-    """The bedplate's wrench on the robot, (M, 6) [N, N m], bedplate frame, moment about O^0.
+def wrench_of(table: SixAxisTable, columns: Array) -> Array:
+    """The wrench on the robot, or on the links beyond a sensor, (M, 6) [N, N m].
+
+    In the bedplate's frame, about its origin, or in that of the first link beyond the sensor.
 
     Args:
         table: What the mapping says of it.
