@@ -61,7 +61,8 @@ def beyond_sensor(
 
     Raises:
         UnknownName: The model file has no such link.
-        ModelError: The link is the root: that sensor is the bedplate; or two sensors are one.
+        ModelError: The link is the root: that sensor is the bedplate; or two sensors are one; or
+            no joint moves what lies between them.
     """
     first = _link(links, sensor)
     if not first.parent and first.body < 0 and not tree.floating:
@@ -105,6 +106,9 @@ def _segment(
     path = tree.chain(start)
     carried = {link.body + shift for link in ours} | {end.body + shift for _, end in ends}
     kept = [*path, *sorted(carried - {*path, -1})]
+    if not kept:
+        first = f"force sensor '{sensor.name}'" if sensor else "the force plate"
+        raise ModelError(f"nothing that moves lies between {first} and the next force sensors")
     place = {-1: -1} | {old: new for new, old in enumerate(kept)}
     divided = {*(end.body + shift for _, end in ends), *([start] if sensor else [])}
     own = {

@@ -21,12 +21,21 @@ def links_of(tree: tb.Tree) -> tuple[Link, ...]:
     )
 
 
-def random_sensor(tree: tb.Tree, rng: np.random.Generator) -> ForceSensor:
-    """Before any body, anywhere on it, any way round."""
-    link = tree.joints[rng.integers(tree.n)].body
-    return ForceSensor(link, rng.uniform(-0.3, 0.3, 3), Rotation.random(rng=rng).as_matrix())
+def random_sensors(tree: tb.Tree, rng: np.random.Generator) -> list[ForceSensor]:
+    """One to three, before some bodies, anywhere on them, any way round."""
+    count = int(rng.integers(1, min(tree.n, 3) + 1))
+    return [
+        ForceSensor(
+            tree.joints[body].body,
+            rng.uniform(-0.3, 0.3, 3),
+            Rotation.random(rng=rng).as_matrix(),
+            f"sensor {body}",
+        )
+        for body in rng.choice(tree.n, count, replace=False)
+    ]
 
 
 def random_cut(tree: tb.Tree, rng: np.random.Generator) -> tb.Tree:
-    """What a force sensor somewhere in the robot feels."""
-    return beyond_sensor(tree, links_of(tree), random_sensor(tree, rng))
+    """What lies between a force sensor somewhere in the robot and the next, if there are any."""
+    own, *others = random_sensors(tree, rng)
+    return beyond_sensor(tree, links_of(tree), own, others)

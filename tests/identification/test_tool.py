@@ -26,7 +26,7 @@ from testbed.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.robot.inertia import Inertia
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
-from tests.helpers.sensors import links_of, random_sensor
+from tests.helpers.sensors import links_of, random_sensors
 from tests.helpers.strategies import few, rngs
 
 UR5 = ROOT / "tests/golden/robots/ur5.urdf"
@@ -40,7 +40,7 @@ def wrist(rng: np.random.Generator, mass: float = 0.28) -> tuple[tb.Tree, Array]
     place = rng.uniform(-0.05, 0.05, 3)
     tool = Inertia.about_centre(mass, place, 1e-3 * mass * np.eye(3))
     tree = replace(tree, inertias=(*tree.inertias[:-1], tool))
-    sensor = replace(random_sensor(tree, rng), link=tree.joints[-1].body)
+    sensor = replace(random_sensors(tree, rng)[0], link=tree.joints[-1].body)
     cut = beyond_sensor(tree, links_of(tree), sensor)
     return cut, sensor.rotation.T @ (place - sensor.position)
 

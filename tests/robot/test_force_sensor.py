@@ -5,7 +5,6 @@ If one fails, parameters by a wrist, hip or shoulder sensor are wrong.
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,19 +14,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
+from testbed.arrays import Array
 from testbed.dynamics.drive_set import verify
 from testbed.dynamics.newton_euler import poses
 from testbed.errors import ModelError, RecordingError, UnknownName
-from testbed.experiment.evaluate import evaluate
+from testbed.experiment.evaluate import evaluate, sensed_robot
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.simulate import simulate
 from testbed.recordings.views import on_its_base
-from testbed.robot.force_sensor import ForceSensor, beyond_sensor
+from testbed.robot.force_sensor import ForceSensor, before_sensors, beyond_sensor
 from testbed.robot.free_base import FREE, on_free_base
 from testbed.robot.model_file import ModelFile
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
-from tests.helpers.sensors import links_of, random_cut
+from tests.helpers.sensors import links_of, random_cut, random_sensors
 from tests.helpers.strategies import few, motions, rngs, trees
 
 URDF = ROOT / "models/puma562.urdf"
@@ -115,20 +115,59 @@ def test_links_that_are_not_there_and_the_root_are_refused() -> None:
         simulate(Experiment.load(file, ["robot.sensor=link9"]))
 
 
-@pytest.mark.parametrize("link", ["base", "link2", "link3"])
-def test_mujocos_own_sensor_gives_the_parameters_to_rounding(link: str) -> None:
-    """Simulated with MuJoCo's sensors at the cut, exact kinematics, no noise."""
-    sensor = {"link": link, "position": (0.01, 0.02, -0.03), "rpy": (0.1, -0.2, 0.3)}
-    file = ROOT / "experiments/noise_free.toml"
-    words = [f"sensors.cut.{key}={json.dumps(value)}" for key, value in sensor.items()]
-    words += ["robot.sensor=cut"]
+@pytest.mark.parametrize("about", ["base", "link2", "link3", "plate"])
+@pytest.mark.parametrize("farther", [False, True], ids=["alone", "before-others"])
+def test_mujocos_own_sensors_give_the_parameters_to_rounding(about: str, farther: bool) -> None:
+    """Simulated with MuJoCo's sensors at the cuts, exact kinematics, no noise."""
+    links = {"base", "link2", "link3"} if farther else {about} - {"plate"}
+    words = [f"sensors.{each}.position=[0.01, 0.02, -0.03]" for each in links]
+    words += [f"sensors.{each}.rpy=[0.1, -0.2, 0.3]" for each in links]
     words += ["motion.duration=4", "simulation.step=1e-3", "simulation.friction=false"]
-    words += ["identification.zeros=false"]
-    experiment = Experiment.load(file, words)
-    assert experiment.sensor_places["cut"]["link"] == link
+    words += ["identification.zeros=false", f"robot.sensor={about}"]
+    experiment = Experiment.load(ROOT / "experiments/noise_free.toml", words)
+    assert set(experiment.sensor_places) == links
+    if about == "plate" and farther:  # all that moves lies beyond the first sensor
+        with pytest.raises(ModelError):
+            sensed_robot(experiment)
+        return
     run = evaluate(experiment, simulate(experiment), methods=("external",))
     assert run.score is not None
     assert run.score.metrics["external_max_relative_error"] < 1e-10
+
+
+@few(25)
+@given(st.data(), rngs)
+def test_between_two_sensors_is_the_difference_of_their_wrenches(
+    data: st.DataObject, rng: np.random.Generator
+) -> None:
+    """Of one plate or sensor less the next, in a recording: the wrench of the bodies between."""
+    tree = data.draw(trees((2, 7)))
+    motion, links, sensors = data.draw(motions(tree)), links_of(tree), random_sensors(tree, rng)
+    part = {"": tree} | {each.name: beyond_sensor(tree, links, each) for each in sensors}
+
+    def felt(some: tb.Tree) -> Array:
+        own = [tree.index(name) for name in some.names]
+        columns = (each[:, own] for each in (motion.q, motion.qd, motion.qdd))
+        return tb.base_wrench(some, tb.Motion(motion.t, *columns))
+
+    recording = tb.Recording(
+        tree.names,
+        motion.t,
+        motion.q,
+        wrench=felt(tree),
+        sensors=np.hstack([felt(part[each.name]) for each in sensors]),
+        sensor_names=tuple(each.name for each in sensors),
+    )
+    for own in (None, *sensors):
+        others = [each for each in sensors if each is not own]
+        between = (
+            beyond_sensor(tree, links, own, others) if own else before_sensors(tree, links, others)
+        )
+        found = on_its_base(recording, between)
+        size = np.abs(felt(part[own.name if own else ""])).max()
+        assert found.wrench is not None
+        np.testing.assert_allclose(found.wrench, felt(between), atol=1e-9 * size)
+        assert on_its_base(found, between) is found
 
 
 def test_a_recording_keeps_what_moves_the_sensor() -> None:
