@@ -179,7 +179,10 @@ def _plant_words(experiment: Experiment) -> str:
     said = experiment.force_sensors
     parts = {"model", "gravity", "weld_root", "robot", "simulation"}
     sensors = [(s.name, s.link, s.position.tolist(), s.rotation.tolist()) for s in said.values()]
-    return f"{experiment.model_dump_json(include=parts)} {sensors}"
+    whole = experiment.model_copy(
+        update={"robot": experiment.robot.model_copy(update={"sensor": ""})}
+    )
+    return f"{whole.model_dump_json(include=parts)} {sensors}"
 
 
 def _forces(experiment: Experiment, tree: Tree, more: StepForces | None) -> StepForces | None:
