@@ -18,6 +18,7 @@ from testbed.cli.reading import (
     Threads,
     Weld,
     app,
+    opened,
 )
 
 
@@ -29,7 +30,10 @@ def tool(
     ],
     model: RobotModel,
     sensor: Annotated[
-        str, typer.Option("--sensor", metavar="LINK", help="First link beyond the force sensor.")
+        str,
+        typer.Option(
+            "--sensor", metavar="NAME|LINK", help="The force sensor, or the first link beyond it."
+        ),
     ],
     at_rest: Annotated[
         bool,
@@ -65,15 +69,16 @@ def tool(
     from testbed.reporting import output, terminal
 
     reading = Reading(settings, False, weld_root, lock, lock_mimic, sensor=sensor)
-    tree = reading.tree(model).with_gravity(gravity)
     if at_rest:
+        tree = reading.tree(model).with_gravity(gravity)
         still = tool_at_rest(tree, read_static_poses(recording, tree, degrees=degrees))
         if as_json:
             output.print_json(encode(still))
         else:
             output.print_lines(shown.tool_lines(still), tree.diagnostics)
         return
-    source = reading.source(recording, tree)
+    reading, tree, source = reading.robot_of(opened(recording), model)
+    tree = tree.with_gravity(gravity)
     with output.Progress("identifying") as progress:
         estimate = identify(
             tree, source, gravity=gravity, settings=reading.tables().identification,
