@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,10 +18,12 @@ from testbed.cli.reading import (
     Reading,
     RecordingSet,
     RobotModel,
+    Sensor,
     Threads,
     Weld,
     Zeros,
     app,
+    opened,
 )
 
 if TYPE_CHECKING:
@@ -117,6 +120,7 @@ def drives(
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     plate: Plate = None,
+    sensor: Sensor = None,
     choose_terms: Annotated[
         bool,
         typer.Option("--choose-terms", help="Choose the terms of each joint by cross-validation."),
@@ -137,12 +141,14 @@ def drives(
     from testbed.identification.identify import identify
     from testbed.reporting import output, terminal
 
-    reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate)
-    tree, table = reading.tree(model), reading.tables().identification
+    reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, sensor=sensor)
+    reading = reading.with_sensors(opened(recording), alone=True)
+    felt, table = reading.tree(model), reading.tables().identification
+    tree = replace(reading, sensor=None).tree(model)
     source = reading.source(recording, tree)
-    with output.Progress("identifying by the force plate") as progress:
+    with output.Progress("identifying by the wrench") as progress:
         bodies = identify(
-            tree,
+            felt,
             source,
             gravity=gravity,
             settings=table,

@@ -353,15 +353,21 @@ class Reading:
         tree = reading.tree(model)
         return reading, tree, on_its_base(fewer, tree)
 
-    def with_sensors(self, source: Source) -> Reading:
+    def with_sensors(self, source: Source, *, alone: bool = False) -> Reading:
         """The same with the force sensors that a recording has, where --set says nothing of them.
 
         The only one is meant where there is neither plate nor torque.
+
+        Args:
+            source: The recording.
+            alone: Only the one of --sensor: with all that it carries.
         """
         places, said = source.facts.get("sensors"), list(self.settings or ())
         if not isinstance(places, Mapping) or "sensors" not in source.signals:
             return self
         for name, place in places.items():
+            if alone and name != self.sensor:
+                continue
             key = f"sensors.{name}" if name.isidentifier() else f"sensors.{json.dumps(name)}"
             if not any(word.startswith(f"{key}.") for word in said):
                 said += [f"{key}.{what}={json.dumps(value)}" for what, value in place.items()]

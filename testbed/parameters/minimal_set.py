@@ -64,6 +64,16 @@ class MinimalSet:
         """Whether a force sensor in the robot measures the wrench, not the bedplate."""
         return self.model == "reaction" and self._tree.sensor is not None
 
+    @property
+    def lead(self) -> int:
+        """How many joints move the base of what a force sensor feels; 0 for the bedplate."""
+        return self._tree.lead
+
+    @property
+    def cuts(self) -> int:
+        """How many force sensors' wrenches are taken off the one that it is of."""
+        return len(self._tree.cuts)
+
     @cached_property
     def _entries(self) -> tuple[Entry, ...]:
         return tuple(self._candidates[k] for k in self._elimination.kept)

@@ -18,6 +18,7 @@ from testbed.identification.problem import Problem
 from testbed.identification.selection.held_out import Parts, grown, stretches
 from testbed.identification.selection.term_choice import choose_terms
 from testbed.recordings.recording import Recording
+from testbed.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.robot.friction import QUADRATIC, ROTOR, stribeck
 from testbed.robot.locks import with_shafts
 from tests.helpers.ideal import EXACT, ideal, plus
@@ -25,6 +26,7 @@ from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import robot, without
+from tests.helpers.sensors import links_of
 
 TERMS = ("coulomb", "viscous", "rotor")
 SETTINGS = tb.Settings(terms=TERMS)
@@ -86,6 +88,32 @@ def test_constants_friction_and_rotors_are_found(name: str) -> None:
     assert np.abs((both.constants - constants(tree)) / both.constant_sigma).max() < 4.5
     assert both.disagreement.chance > 0.003
     assert both.disagreement.diagnostics == ()
+
+
+@pytest.mark.parametrize("name", ["puma", "ur5", "gantry"])
+def test_a_force_sensor_shows_the_drives_beyond_it(name: str) -> None:
+    """Exactly of exact data: those of the joints before it have nothing to be held against."""
+    tree = driven(name)
+    recording, lead = reported(tree, ideal(tree)), tree.n // 2
+    cut = beyond_sensor(tree, links_of(tree), ForceSensor(tree.joints[lead - 1].body, name="s"))
+    columns = (each[:, [tree.index(n) for n in cut.names]] for each in _kinematics(recording))
+    felt = tb.base_wrench(cut, tb.Motion(recording.time, *columns))
+    both = replace(recording, sensors=felt, sensor_names=("s",))
+    bodies = tb.identify(cut, both, settings=EXACT)
+    found = identify_drives(tree, both, bodies, settings=replace(EXACT, terms=TERMS))
+    assert [each.joint for each in found.estimates] == list(cut.names[cut.lead :])
+    for each in found.estimates:
+        joint, k = tree.joints[tree.index(each.joint)], tree.index(each.joint)
+        true = [constants(tree)[k], joint.coulomb, joint.viscous, joint.rotor_inertia]
+        obtained = [each.constant, *(term.value for term in each.terms)]
+        np.testing.assert_allclose(obtained, true, atol=1e-5)
+    tip = beyond_sensor(tree, links_of(tree), ForceSensor(tree.joints[-1].body, name="s"))
+    with refuses(SettingsError):
+        identify_drives(tree, both, tb.identify(tip, both, settings=EXACT), settings=EXACT)
+
+
+def _kinematics(recording: Recording) -> tuple[Array, ...]:
+    return tuple(recording.measured(s) for s in ("position", "velocity", "acceleration"))
 
 
 @pytest.mark.slow

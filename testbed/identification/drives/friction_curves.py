@@ -142,7 +142,7 @@ def friction_curves(problem: Problem, bodies: Estimate) -> tuple[FrictionCurve, 
         return _straight_between(nodes[joint], joint, drives)
 
     found = regressions(torques, bodies, pick)
-    return tuple(_curve(tree, each, own) for each, own in zip(found, nodes, strict=True))
+    return tuple(_curve(tree, each, nodes[each.joint]) for each in found)
 
 
 def _straight_between(nodes: list[tuple[int, int]], joint: int, drives: DriveSet) -> Array:

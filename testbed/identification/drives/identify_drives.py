@@ -93,8 +93,8 @@ class Combined:
         names: Of the plate's minimal parameters, (N_r,).
         values: (N_r,).
         sigma: (N_r,).
-        constants: Torque constants as reported over what they are, (n,).
-        constant_sigma: (n,).
+        constants: Torque constants as reported over what they are, one an estimate of a joint.
+        constant_sigma: Likewise.
         disagreement: Where plate and torques differ.
     """
 
@@ -264,7 +264,8 @@ def identify_drives(
     Args:
         tree: The robot; its inertias are not used, except for `settings.zeros`.
         recording: With joint torques, as for `identify`.
-        bodies: The external estimate: of this recording or of another.
+        bodies: The external estimate: of this recording or of another. By a force sensor in the
+            robot that has all beyond it: the joints beyond are held against it.
         gravity: (3,) [m/s^2], bedplate frame; default as for `identify`.
         settings: How the signals are treated, and which terms are looked for.
         choose: Choose each joint's terms by held-out data; of those in the settings, only a

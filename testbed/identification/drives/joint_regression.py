@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -156,6 +156,7 @@ class Torques:
         passes: Over the rows.
         equations: Of all rows.
         lift: How the plate's parameters make the unknowns, (p, N_r).
+        joints: Indices of those whose torque the wrench contains: all, or those beyond a sensor.
         combined: How unknowns combine to the columns of a regression, (p, 1 + asked): the
             torque that the bodies need, and the terms.
     """
@@ -164,6 +165,7 @@ class Torques:
     passes: Passes
     equations: NormalEquations
     lift: Array
+    joints: tuple[int, ...]
     combined: Array
 
 
@@ -178,7 +180,8 @@ def torques_beside(
         laws: Of the joints' own torque; default those of the settings.
 
     Raises:
-        SettingsError: The estimate is not the plate's, or not of these parameters.
+        SettingsError: The estimate is not the plate's or a force sensor's, or not of these
+            parameters.
     """
     if problem.tree.shafts:
         raise SettingsError(
@@ -193,7 +196,10 @@ def torques_beside(
     with one_blas_thread():
         equations = problem.equations(passes)
     combined = np.column_stack([lift @ bodies.values, problem.drives.columns])
-    return Torques(problem.drives, passes, equations, lift, combined)
+    joints = tuple(problem.tree.index(name) for name in bodies.joints[bodies.minimal.lead :])
+    if not joints:
+        raise SettingsError("no joint lies beyond the force sensor: it says nothing of a drive")
+    return Torques(problem.drives, passes, equations, lift, joints, combined)
 
 
 def regressions(
@@ -210,15 +216,14 @@ def regressions(
         RecordingError: The rows of a joint do not distinguish its coefficients.
     """
     drives, equations = torques.drives, torques.equations
-    n = len(equations.channels)
-    picked = [pick(joint, drives, equations) for joint in range(n)]
-    own = [block_diag(1.0, terms) for terms in picked]
-    for joint, each in enumerate(own):
+    picked = {joint: pick(joint, drives, equations) for joint in torques.joints}
+    own = {joint: block_diag(1.0, terms) for joint, terms in picked.items()}
+    for joint, each in own.items():
         _refuse_dependent(equations, joint, torques.combined @ each)
     with one_blas_thread():
         fits = _fits(torques.passes, torques.combined, own)
     found = []
-    for joint, (fit, squares) in enumerate(fits):
+    for joint, (fit, squares) in fits.items():
         lead = torques.combined @ own[joint]
         used = int(equations.used[joint])
         residual = float(np.sqrt(squares / max(used, 1)))
@@ -260,6 +265,19 @@ def _refuse_dependent(equations: NormalEquations, joint: int, lead: Array) -> No
 
 def _lift(tree: Tree, bodies: Estimate, drives: DriveSet, settings: Settings) -> Array:
     """How the plate's parameters make the internal unknowns without terms, (p, N_r)."""
+    if bodies.minimal.of_sensor:
+        if not {*bodies.joints} <= {*tree.names} or bodies.minimal.cuts:
+            raise SettingsError(
+                "drives are held against the wrench of all that a force sensor carries, of the "
+                "same robot"
+            )
+        theta = np.zeros((tree.n, 10, bodies.minimal.count))  # of the bodies beyond the sensor
+        theta[[tree.index(name) for name in bodies.joints]] = bodies.minimal.lift.reshape(
+            -1, 10, bodies.minimal.count
+        )
+        found = np.zeros((drives.count, bodies.minimal.count))
+        found[: drives.minimal.count] = drives.minimal.matrix @ theta.reshape(10 * tree.n, -1)
+        return found
     reaction = minimal_set(tree, "reaction", zeros=settings.zeros)
     if bodies.method != "external" or bodies.names != reaction.names:
         raise SettingsError(
@@ -270,31 +288,35 @@ def _lift(tree: Tree, bodies: Estimate, drives: DriveSet, settings: Settings) ->
     return found
 
 
-def _fits(passes: Passes, combined: Array, own: Sequence[Array]) -> list[tuple[NoiseFit, float]]:
+def _fits(
+    passes: Passes, combined: Array, own: Mapping[int, Array]
+) -> dict[int, tuple[NoiseFit, float]]:
     """The regression of every joint, sigma corrected by bootstrap, and the squares it leaves."""
-    sums = [LaggedSums(HIGHEST) for _ in own]
+    sums = {joint: LaggedSums(HIGHEST) for joint in own}
     for joint, part in _parts(passes, combined, own):
         sums[joint].add(part)
-    given = [each.finish() for each in sums]
-    sizes = [_left(each.products[0, 0]) for each in given]
-    scaled = [_in_units(each, size) for each, size in zip(given, sizes, strict=True)]
-    found = [weighted_fits(each)[0] for each in scaled]
-    replicas = [Replicas(fit.noise, each) for fit, each in zip(found, scaled, strict=True)]
+    given = {joint: each.finish() for joint, each in sums.items()}
+    sizes = {joint: _left(each.products[0, 0]) for joint, each in given.items()}
+    scaled = {joint: _in_units(each, sizes[joint]) for joint, each in given.items()}
+    found = {joint: weighted_fits(each)[0] for joint, each in scaled.items()}
+    replicas = {joint: Replicas(fit.noise, scaled[joint]) for joint, fit in found.items()}
     for joint, part in _parts(passes, combined, own):
         replicas[joint].add(part[..., :-2] / sizes[joint], part[..., -1])
-    corrected = []
-    for fit, each, made, size in zip(found, scaled, replicas, sizes, strict=True):
-        factor = made.factor(weighted_fits, np.eye(len(fit.values)))
-        squares = _square(each.products[0, 0], fit.values) * size**2
-        corrected.append((replace(fit, covariance=factor**2 * fit.covariance), squares))
+    corrected = {}
+    for joint, fit in found.items():
+        factor = replicas[joint].factor(weighted_fits, np.eye(len(fit.values)))
+        squares = _square(scaled[joint].products[0, 0], fit.values) * sizes[joint] ** 2
+        corrected[joint] = replace(fit, covariance=factor**2 * fit.covariance), squares
     return corrected
 
 
-def _parts(passes: Passes, combined: Array, own: Sequence[Array]) -> Iterator[tuple[int, Array]]:
+def _parts(
+    passes: Passes, combined: Array, own: Mapping[int, Array]
+) -> Iterator[tuple[int, Array]]:
     """Blocks of a joint's rows: its columns, the torque, and ones where a row counts, (1, k, q)."""
     for columns, measured in passes.rows(combined):
         ones = counted(columns, measured)
-        for joint, which in enumerate(own):
+        for joint, which in own.items():
             last = np.stack([measured[joint], ones[joint]], axis=1)
             part = [columns[joint] @ which, last]
             yield joint, np.concatenate(part, axis=1)[None]
