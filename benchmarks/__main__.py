@@ -34,17 +34,22 @@ def minimal(
     robots: Annotated[
         bool, typer.Option("--robots", help="Verify those of example-robot-data besides.")
     ] = False,
+    cuts: Annotated[
+        bool, typer.Option("--cuts", help="Verify force sensors at all of their joints besides.")
+    ] = False,
     zeros: Annotated[
         bool, typer.Option("--zeros", help="Verify with parameters that are known to be zero.")
     ] = False,
 ) -> None:
     """Cost of a minimal set over joints; asked, witnesses: exit code 1 if they disagree."""
     from benchmarks.minimal import agreement, scaling
+    from benchmarks.minimal import cuts as cut
     from benchmarks.minimal import robots as real
 
     _print(scaling())
     lines = [agreement(trees, zeros)] if trees else []
     lines += [real(zeros)] if robots else []
+    lines += [cut()] if cuts else []
     for line in lines:
         _print(line)
     raise typer.Exit(int(any(line["disagreements"] for line in lines)))
