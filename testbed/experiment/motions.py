@@ -206,7 +206,7 @@ def another_motion(experiment: Experiment, tree: Tree) -> Fourier:
 
 
 def plate_noise_of(experiment: Experiment) -> Array:
-    """Standard deviation of the channels of plate or sensor, (6,) [N, N m]; if none, of a quiet one."""
+    """Standard deviation of the wrench, (6,) [N, N m]; of a quiet plate if it has none."""
     own = experiment.sensor_instruments.get(experiment.robot.sensor, experiment.measurement)
     return own.plate_noise if own.plate_noise.all() else QUIET_PLATE
 

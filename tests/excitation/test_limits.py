@@ -262,10 +262,8 @@ def test_a_force_sensor_is_a_plate_that_moves(tree: tb.Tree, rng: np.random.Gene
     samples = Samples(at.q, at.qd, at.qdd, {}, stencil(tree))
     np.testing.assert_allclose(term.values(samples), shares(at), atol=1e-12)
     away, slopes = rng.normal(size=(3, tree.n)), term.slopes(samples)
-    there = [
-        tb.Motion(at.t, *(np.stack([at.q, at.qd, at.qdd]) + h * away[:, None]))
-        for h in (1e-5, -1e-5)
-    ]
+    here = np.stack([at.q, at.qd, at.qdd])
+    there = [tb.Motion(at.t, *(here + h * away[:, None])) for h in (1e-5, -1e-5)]
     along = np.einsum("ksg,s->kg", slopes, away.ravel())
     size = np.abs(along).max(initial=1.0)
     near = (shares(there[0]) - shares(there[1])) / 2e-5
