@@ -273,10 +273,6 @@ def weighed_lines(payload: MassEstimate, robot: MassEstimate) -> list[str]:
     ]
 
 
-DOUBTFUL = 0.03
-"""Part of a tool's weight in the residuals above which the poses are not of this sensor."""
-
-
 def tool_lines(found: ToolEstimate) -> list[str]:
     """A tool by static poses, a sentence each.
 
@@ -299,17 +295,6 @@ def tool_lines(found: ToolEstimate) -> list[str]:
     }
     lines = [line for name, line in parts.items() if name not in found.unidentifiable]
     lines.append(f"{found.poses} poses; residuals {force:.3g} N, {moment:.3g} N m rms.")
-    if found.share > DOUBTFUL:
-        lines.append(
-            f"warning: the residuals are {100 * found.share:.2g} % of the tool's weight. Check "
-            "units, order and signs of the joints, and the sensor's axes "
-            "(--set robot.sensor.rpy=[roll,pitch,yaw])."
-        )
-    if found.unidentifiable:
-        lines.append(
-            f"Not identifiable by these poses: {', '.join(found.unidentifiable)}. Add poses in "
-            "which the sensor is turned about other axes: each of its axes up, down and level."
-        )
     return lines
 
 
