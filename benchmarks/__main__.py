@@ -258,11 +258,15 @@ def coverage(
 def squatting(
     runs: Annotated[int, typer.Option(min=1, help="Recordings of 40 s.")] = 12,
     first: Annotated[int, typer.Option(help="The first seed.")] = 7200,
+    noise: Annotated[float, typer.Option(help="Times that of the instruments.")] = 1.0,
+    joint: Annotated[
+        str, typer.Option(help="In the air, with a force sensor at it, e.g. left_hip_yaw_joint.")
+    ] = "",
 ) -> None:
     """Errors in sigmas of a humanoid on plates with a measured pose, beside normal ones."""
     from benchmarks.squatting import scores
 
-    for line in scores(first, runs):
+    for line in scores(first, runs, noise, joint):
         _print(line)
 
 
