@@ -17,9 +17,7 @@ from testbed.robot.model_file import ModelFile
 from tests.helpers.humanoid import G1, humanoid
 
 
-def scores(
-    first: int, runs: int, noise: float = 1.0, joint: str = ""
-) -> Iterator[dict[str, Any]]:
+def scores(first: int, runs: int, noise: float = 1.0, joint: str = "") -> Iterator[dict[str, Any]]:
     """A line a recording of 40 s at 50 Hz, then all of them beside normal errors.
 
     Args:

@@ -340,8 +340,9 @@ def _of_estimate(estimate: Estimate) -> Iterator[TraceTable]:
         rows = [[n.name, n.unit, f"{n.value:.4g}", f"{n.sigma:.2g}"] for n in estimate.nuisances]
         yield TraceTable(["what", "unit", "value", "std"], rows, "Estimated with the parameters")
     tested = sorted(estimate.trace_tests, key=lambda test: test.chance)
-    clear = [_test(test) for test in tested if test.chance <= CLEAR]
-    others = [[phrase(t.nuisance.kind), _chance(t.chance)] for t in tested[len(clear) :]]
+    sensor = estimate.instrument if estimate.minimal.of_sensor else ""
+    clear = [_test(test, sensor) for test in tested if test.chance <= CLEAR]
+    others = [[phrase(t.nuisance.kind, sensor), _chance(t.chance)] for t in tested[len(clear) :]]
     if clear:
         heads = ["fault", "chance", "would change", "size"]
         yield TraceTable(heads, clear, "Faults with significant effect, the most significant first")
@@ -364,10 +365,10 @@ def _chance(chance: float) -> str:
     return "below 1e-99" if chance < 1e-99 else f"{chance:.2g}"
 
 
-def _test(test: TraceTest) -> list[str]:
+def _test(test: TraceTest, sensor: str) -> list[str]:
     shift = f"{test.parameter} by {test.shift:.2g} standard deviations"
     return [
-        phrase(test.nuisance.kind),
+        phrase(test.nuisance.kind, sensor),
         _chance(test.chance),
         shift,
         "; ".join(test.largest(LARGEST)),

@@ -21,7 +21,8 @@ def by_pinocchio(
 ) -> tuple[Array, Array]:
     """The ground's wrench about its origin along a motion, (M, 6), and poses, (M, 7).
 
-    With a joint, what its carrier exerts on the link beyond it, in that link's frame. Velocities and accelerations are differences of configurations so many seconds apart.
+    With a joint, what its carrier exerts on the link beyond it, in that link's frame. Velocities
+    and accelerations are differences of configurations so many seconds apart.
     """
     model = pin.buildModelFromUrdf(str(G1), pin.JointModelFreeFlyer())
     data = model.createData()

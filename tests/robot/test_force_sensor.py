@@ -5,6 +5,7 @@ If one fails, parameters by a wrist, hip or shoulder sensor are wrong.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.diagnostics import sentences
 from testbed.dynamics.drive_set import verify
 from testbed.dynamics.newton_euler import poses
 from testbed.errors import ModelError, RecordingError, UnknownName
@@ -168,6 +170,19 @@ def test_between_two_sensors_is_the_difference_of_their_wrenches(
         assert found.wrench is not None
         np.testing.assert_allclose(found.wrench, felt(between), atol=1e-9 * size)
         assert on_its_base(found, between) is found
+
+
+def test_sentences_about_it_name_no_plate() -> None:
+    """The same codes as of a plate, its own name in texts, likely causes and remedies."""
+    fault = 'sensors.shoulder.fault=[{kind="plate_crosstalk"}, {kind="plate_bias"}]'
+    words = ["motion.duration=10", "motion.candidates=1", "simulation.step=1e-3"]
+    experiment = Experiment.load(ROOT / "experiments/force_sensor.toml", [*words, fault])
+    run = evaluate(experiment, simulate(experiment), methods=("external",))
+    codes = {each.code for each in run.diagnostics}
+    assert codes & {"sensor.crosstalk", "sensor.gains", "sensor.pose"}
+    said = " ".join(sentences(run.diagnostics))
+    assert "force sensor" in said
+    assert not re.search(r"\bplate\b", said)
 
 
 def test_a_recording_keeps_what_moves_the_sensor() -> None:
