@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +67,18 @@ def test_three_witnesses_agree_on_its_minimal_set(
     for tared in (False, True):
         found = verify(cut, tb.minimal_set(cut, "reaction", tared=tared))
         assert found.holds, found
+
+
+@pytest.mark.parametrize("name", ["humanoid_pelvis", "gantry_ppp_rrr", "kuka_lwr4"])
+def test_they_agree_at_every_joint_of_known_robots(name: str) -> None:
+    """Directions, too; `python -m benchmarks minimal --cuts` looks at 66 real robots."""
+    model = ModelFile(ROOT / f"tests/golden/robots/{name}.urdf")
+    tree, links = model.tree(), model.links()
+    for joint, base in product(tree.joints, (tree, on_free_base(tree))):
+        cut = beyond_sensor(base, links, ForceSensor(joint.body))
+        found = verify(cut, tb.minimal_set(cut, "reaction"))
+        assert found.holds, (joint.name, found)
+        assert max(found.recursion_distance, found.sampled_distance) < 1e-9
 
 
 def _free_cut(tree: tb.Tree, rng: np.random.Generator) -> tb.Tree:

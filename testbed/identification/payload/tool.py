@@ -158,12 +158,12 @@ class ToolEstimate(Diagnosed):
                 diagnose(
                     "tool.axes", value=angle, sigma=sigma, residual=self.residual[0],
                     left=self.axes.residual, before=self.axes.held_out[0],
-                    after=self.axes.held_out[1], rpy=",".join(f"{x:.4g}" for x in self.axes.rpy),
+                    after=self.axes.held_out[1], rpy=",".join(f"{round(x, 4) + 0.0:g}" for x in self.axes.rpy),
                 )
             )  # fmt: skip
         elif self.share > DOUBTFUL:
             said.append(diagnose("tool.residual", value=self.share))
-        if self.upwards:
+        if self.upwards and (self.axes is not None or self.share <= DOUBTFUL):
             said.append(diagnose("tool.upwards"))
         if self.unidentifiable:
             said.append(diagnose("tool.poses", ", ".join(self.unidentifiable)))
