@@ -72,7 +72,7 @@ def tool(
     if at_rest:
         tree = reading.tree(model).with_gravity(gravity)
         table = read_static_poses(recording, tree, degrees=degrees)
-        still = tool_at_rest(tree, table)
+        still = tool_at_rest(tree, table, reading.tables().force_sensors[sensor])
         if as_json:
             output.print_json(encode(still))
         else:

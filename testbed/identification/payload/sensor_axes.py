@@ -14,7 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from testbed.arrays import Array
 from testbed.identification.payload.static_fit import UNKNOWNS, RestFit, rest_fit
+from testbed.robot.force_sensor import ForceSensor
 from testbed.robot.inertia import from_rpy, to_rpy
+from testbed.robot.tree import Placement
 
 ENOUGH = 6
 """Poses from which a turn can be tried on some of them."""
@@ -40,6 +42,7 @@ class AxesTurn:
     """Axes of a force sensor that explain its readings at rest.
 
     Attributes:
+        sensor: Its name; "" for none.
         rpy: Roll, pitch, yaw of them in the link's frame [rad].
         angle: From those that were said to them [rad], and its standard deviation.
         residual: Rms of forces with them [N].
@@ -47,6 +50,7 @@ class AxesTurn:
         weight: Of the tool with them, along the base's axes [N].
     """
 
+    sensor: str
     rpy: tuple[float, float, float]
     angle: tuple[float, float]
     residual: float
@@ -54,13 +58,13 @@ class AxesTurn:
     weight: tuple[float, float, float]
 
 
-def axes_turn(back: Array, wrench: Array, said: Array) -> AxesTurn | None:
+def axes_turn(back: Array, wrench: Array, said: ForceSensor | Placement) -> AxesTurn | None:
     """The turn of a sensor's axes that is proposed; None where those that were said will do.
 
     Args:
         back: From the base's axes to the sensor's as they were said, (P, 3, 3).
         wrench: The readings, (P, 6) [N, N m].
-        said: From the sensor's axes to the link's, as was said, (3, 3).
+        said: The sensor as it was said.
     """
     if len(back) < ENOUGH:
         return None
@@ -74,12 +78,13 @@ def axes_turn(back: Array, wrench: Array, said: Array) -> AxesTurn | None:
     if best.open or not small or (after > BETTER * before).any():
         return None
     sigma = float(np.sqrt(np.linalg.eigvalsh(doubt)[-1]))
-    exact = said @ turn
+    exact = said.rotation @ turn
     plain = from_rpy([round(angle / PLAIN) * PLAIN for angle in to_rpy(exact)])
     if Rotation.from_matrix(plain.T @ exact).magnitude() < NEAR * sigma:
         exact = plain
     angle = float(Rotation.from_matrix(turn).magnitude())
     return AxesTurn(
+        sensor=said.name,
         rpy=to_rpy(exact),
         angle=(angle, sigma),
         residual=float(best.scale[0]),

@@ -18,6 +18,7 @@ from testbed.identification.payload.sensor_axes import DOUBTFUL, AxesTurn, axes_
 from testbed.identification.payload.static_fit import RestFit, rest_fit
 from testbed.recordings.columns import AXES
 from testbed.recordings.importing.readers.delimited_text import read_file
+from testbed.robot.force_sensor import ForceSensor
 from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Placement, Tree
 
@@ -158,7 +159,8 @@ class ToolEstimate(Diagnosed):
                 diagnose(
                     "tool.axes", value=angle, sigma=sigma, residual=self.residual[0],
                     left=self.axes.residual, before=self.axes.held_out[0],
-                    after=self.axes.held_out[1], rpy=",".join(f"{round(x, 4) + 0.0:g}" for x in self.axes.rpy),
+                    after=self.axes.held_out[1], sensor=self.axes.sensor or "NAME",
+                    rpy=",".join(f"{round(x, 4) + 0.0:g}" for x in self.axes.rpy),
                 )
             )  # fmt: skip
         elif self.share > DOUBTFUL:
@@ -170,13 +172,13 @@ class ToolEstimate(Diagnosed):
         return tuple(said)
 
 
-def tool_at_rest(tree: Tree, table: StaticPoses, said: Array | None = None) -> ToolEstimate:
+def tool_at_rest(tree: Tree, table: StaticPoses, sensor: ForceSensor | None = None) -> ToolEstimate:
     """Mass, centre, the sensor's zero and the direction of gravity by poses at rest.
 
     Args:
         tree: What the sensor feels, under a gravity of known size.
         table: The poses.
-        said: From the sensor's axes to its link's, as was said, (3, 3); default as in the tree.
+        sensor: As it was said; default with the axes that it has in the tree.
 
     Raises:
         SettingsError: There is no force sensor in the robot, or no gravity.
@@ -188,7 +190,7 @@ def tool_at_rest(tree: Tree, table: StaticPoses, said: Array | None = None) -> T
         raise SettingsError("without gravity there is nothing to weigh a tool by")
     back = np.swapaxes(sensor_poses(tree, table.position)[0], 1, 2)
     fit = rest_fit(back, table.wrench)
-    axes = axes_turn(back, table.wrench, tree.sensor.rotation if said is None else said)
+    axes = axes_turn(back, table.wrench, sensor or tree.sensor)
     return _estimate(tree.gravity, fit, axes, len(back))
 
 
