@@ -34,17 +34,22 @@ def minimal(
     robots: Annotated[
         bool, typer.Option("--robots", help="Verify those of example-robot-data besides.")
     ] = False,
+    cuts: Annotated[
+        bool, typer.Option("--cuts", help="Verify force sensors at all of their joints besides.")
+    ] = False,
     zeros: Annotated[
         bool, typer.Option("--zeros", help="Verify with parameters that are known to be zero.")
     ] = False,
 ) -> None:
     """Cost of a minimal set over joints; asked, witnesses: exit code 1 if they disagree."""
     from benchmarks.minimal import agreement, scaling
+    from benchmarks.minimal import cuts as cut
     from benchmarks.minimal import robots as real
 
     _print(scaling())
     lines = [agreement(trees, zeros)] if trees else []
     lines += [real(zeros)] if robots else []
+    lines += [cut()] if cuts else []
     for line in lines:
         _print(line)
     raise typer.Exit(int(any(line["disagreements"] for line in lines)))
@@ -253,11 +258,15 @@ def coverage(
 def squatting(
     runs: Annotated[int, typer.Option(min=1, help="Recordings of 40 s.")] = 12,
     first: Annotated[int, typer.Option(help="The first seed.")] = 7200,
+    noise: Annotated[float, typer.Option(help="Times that of the instruments.")] = 1.0,
+    joint: Annotated[
+        str, typer.Option(help="In the air, with a force sensor at it, e.g. left_hip_yaw_joint.")
+    ] = "",
 ) -> None:
     """Errors in sigmas of a humanoid on plates with a measured pose, beside normal ones."""
     from benchmarks.squatting import scores
 
-    for line in scores(first, runs):
+    for line in scores(first, runs, noise, joint):
         _print(line)
 
 

@@ -9,13 +9,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 import testbed as tb
 from testbed.dynamics.drive_set import verify, verify_drives
 from testbed.parameters.joint_terms import with_joint_terms
+from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.symbols import parameter_names
+from testbed.robot.force_sensor import ForceSensor, beyond_sensor
+from testbed.robot.free_base import on_free_base
 from testbed.robot.friction import LAWS
-from testbed.robot.model_file import mimic_joints
+from testbed.robot.model_file import ModelFile, mimic_joints
 from testbed.robot.tree import Tree
 from tests.helpers.paths import REAL
 from tests.helpers.robots import random_robot, with_zeros
@@ -78,6 +82,28 @@ def robots(zeros: bool) -> dict[str, Any]:
     return tally.said(f"{read} robots") | {"benchmark": "robots", "robots": read, "zeros": zeros}
 
 
+def cuts() -> dict[str, Any]:
+    """Force sensors at all joints of those robots, on welded roots and on roots that move."""
+    tally, read, rng = Tally(), 0, np.random.default_rng(42)
+    for path in sorted(REAL.rglob("*.urdf")):
+        try:
+            model = ModelFile(path, weld_root=True, lock=dict.fromkeys(mimic_joints(path)))
+            tree = model.tree()
+        except tb.TestbedError:
+            continue
+        read, links = read + 1, model.links()
+        for joint in tree.joints:
+            place, turn = rng.uniform(-0.3, 0.3, 3), Rotation.random(rng=rng).as_matrix()
+            sensor = ForceSensor(joint.body, place, turn)
+            for base in (tree, on_free_base(tree)):
+                cut = beyond_sensor(base, links, sensor)
+                for tared in (False, True):
+                    minimal = tb.minimal_set(cut, "reaction", tared=tared)
+                    tally.compare(f"{path.name}, {joint.name}", cut, minimal)
+    said = tally.said(f"force sensors in {read} robots")
+    return said | {"benchmark": "cuts", "robots": read}
+
+
 @dataclass
 class Tally:
     """What has been checked, and the worst that was found."""
@@ -96,15 +122,19 @@ class Tally:
             s = tb.selection(dynamic, plate)
             self.count(f"{name}: S", s.shape == (dynamic.count, plate.count))
         for minimal in (dynamic, *plates):
-            found = verify(tree, minimal)
-            alone = not minimal.lift[minimal.known_zero.ravel()].any()
-            self.count(f"{name}: {found}", found.holds and alone)
-            for field_name in ("recursion_distance", "sampled_distance", "change", "inverse"):
-                self.largest(field_name, getattr(found, field_name))
+            self.compare(name, tree, minimal)
         for laws in (("rotor",), LAWS):
             drives = verify_drives(tree, with_joint_terms(tree, dynamic, laws))
             self.count(f"{name}: {drives}", drives.holds)
             self.largest("drives_change", drives.change)
+
+    def compare(self, name: str, tree: Tree, minimal: MinimalSet) -> None:
+        """One set by all witnesses."""
+        found = verify(tree, minimal)
+        alone = not minimal.lift[minimal.known_zero.ravel()].any()
+        self.count(f"{name}: {found}", found.holds and alone)
+        for field_name in ("recursion_distance", "sampled_distance", "change", "inverse"):
+            self.largest(field_name, getattr(found, field_name))
 
     def count(self, what: str, holds: bool) -> None:
         """One more check; said if it fails."""

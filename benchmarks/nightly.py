@@ -24,7 +24,7 @@ CHECKS: dict[str, tuple[str, ...]] = {
     "solved mappings": (*BENCHMARKS, "mappings", "--count", "20"),
     "odd mappings": (*BENCHMARKS, "mappings", "--odd"),
     "robots": (*BENCHMARKS, "robots", "--only", ".urdf"),
-    "minimal sets": (*BENCHMARKS, "minimal", "--trees", "200", "--robots"),
+    "minimal sets": (*BENCHMARKS, "minimal", "--trees", "200", "--robots", "--cuts"),
     "hostile inputs": (*BENCHMARKS, "hostile", "--inputs", "200", "--kills", "20"),
     "mutants": (*BENCHMARKS, "mutation", "--mutants", "100"),
 }

@@ -1,4 +1,4 @@
-"""How far estimates of a squatting humanoid are from the truth, in sigmas."""
+"""How far estimates of a humanoid on a base that moves are from the truth, in sigmas."""
 
 from __future__ import annotations
 
@@ -10,22 +10,30 @@ from scipy import stats
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.recordings.views import on_its_base
+from testbed.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.robot.free_base import on_free_base
-from tests.helpers.humanoid import humanoid
+from testbed.robot.model_file import ModelFile
+from tests.helpers.humanoid import G1, humanoid
 
 
-def scores(first: int, runs: int) -> Iterator[dict[str, Any]]:
+def scores(first: int, runs: int, noise: float = 1.0, joint: str = "") -> Iterator[dict[str, Any]]:
     """A line a recording of 40 s at 50 Hz, then all of them beside normal errors.
 
     Args:
         first: The first seed, of motion and noise.
         runs: How many.
+        noise: Times that of the instruments.
+        joint: With a force sensor at it, the robot in the air; default on plates.
     """
     every = []
     for seed in range(first, first + runs):
-        tree, recording = humanoid(40.0, 50.0, seed, 1.0)
+        tree, recording = humanoid(40.0, 50.0, seed, noise, joint)
         free = on_free_base(tree)
-        found = tb.identify(free, recording)
+        if joint:
+            sensor = ForceSensor(tree.joints[tree.index(joint)].body)
+            free = beyond_sensor(free, ModelFile(G1, weld_root=True).links(), sensor)
+        found = tb.identify(free, on_its_base(recording, free))
         z = (found.values - found.minimal.values(tb.barycentric(free))) / found.sigma
         every.append(z)
         yield {"seed": seed, **_summary(z)}

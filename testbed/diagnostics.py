@@ -7,6 +7,7 @@ warnings, what limits a result; infos, what was done.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
@@ -42,6 +43,7 @@ class Diagnostic:
         remedy: What to do.
         follows: Code of the diagnostic that explains it.
         recording: Name of the recording, where there are several.
+        instrument: The force sensor that it is of; "" where that is the plate.
     """
 
     code: str
@@ -56,6 +58,7 @@ class Diagnostic:
     remedy: str = ""
     follows: str = ""
     recording: str = ""
+    instrument: str = ""
 
     def __str__(self) -> str:
         return ". ".join(_parts([self], ()))
@@ -140,6 +143,30 @@ def diagnose(
         method=method,
         causes=message.causes if causes is None else tuple(causes),
         remedy=message.remedy.format(**shown),
+    )
+
+
+_PLATE = re.compile(r"(?<![-\w])(force )?plate(?!\w)")
+
+
+def of_instrument(diagnostics: Iterable[Diagnostic], name: str) -> tuple[Diagnostic, ...]:
+    """The same of another force sensor: its name stands where sentences say "plate".
+
+    Args:
+        diagnostics: As the table words them.
+        name: Of the sensor; "" for the plate.
+    """
+    if not name:
+        return tuple(diagnostics)
+    return tuple(
+        replace(
+            each,
+            text=_PLATE.sub(name, each.text),
+            subject=_PLATE.sub(name, each.subject),
+            remedy=_PLATE.sub(name, each.remedy),
+            instrument=name,
+        )
+        for each in diagnostics
     )
 
 
@@ -266,13 +293,15 @@ def messages() -> Mapping[str, Message]:
     return found
 
 
-def phrase(cause: str) -> str:
+def phrase(cause: str, instrument: str = "") -> str:
     """What a cause is called.
 
     Args:
         cause: Its code, or the phrase itself.
+        instrument: As of the diagnostic.
     """
-    return str(_table()["causes"].get(cause, cause))
+    said = str(_table()["causes"].get(cause, cause))
+    return _PLATE.sub(instrument, said) if instrument else said
 
 
 @cache
@@ -288,7 +317,7 @@ def _message(code: str) -> Message:
 def _kind(each: Diagnostic) -> tuple[str, ...]:
     """What diagnostics have in common that share a sentence."""
     own = (each.text,) if each.code == NOTE or not (each.causes or each.remedy) else ()
-    return (each.code, each.recording, each.level, each.remedy, *own, *each.causes)
+    return (each.code, each.recording, each.instrument, each.level, each.remedy, *own, *each.causes)
 
 
 def _parts(group: list[Diagnostic], symptoms: Iterable[str]) -> tuple[str, ...]:
@@ -297,7 +326,7 @@ def _parts(group: list[Diagnostic], symptoms: Iterable[str]) -> tuple[str, ...]:
     shown += [f"and {len(group) - ALIKE} similar"] * (len(group) > ALIKE)
     text = f"{first.recording}: " * bool(first.recording) + "; ".join(shown)
     labels = {
-        "Likely cause": ", or ".join(map(phrase, first.causes)),
+        "Likely cause": ", or ".join(phrase(each, first.instrument) for each in first.causes),
         "Consequence": ", ".join(symptoms),
         "Remedy": first.remedy,
     }

@@ -82,6 +82,14 @@ def dot(x: float, y: float, radius: float, colour: str, more: str = "") -> str:
     return f'<circle cx="{x:g}" cy="{y:g}" r="{radius:g}" fill="var(--{colour})" {more}/>'
 
 
+def square(x: float, y: float, side: float, share: float) -> str:
+    """A square in the colour of the plate's estimates, more or less full."""
+    return (
+        f'<rect x="{x:g}" y="{y:g}" width="{side:g}" height="{side:g}" rx="3" '
+        f'fill="var(--external)" fill-opacity="{share:g}" stroke="var(--line)"/>'
+    )
+
+
 def arrow(x0: float, y0: float, x1: float, y1: float, colour: str, width: float = 3) -> str:
     """A line with a head."""
     length = math.hypot(x1 - x0, y1 - y0)

@@ -23,19 +23,23 @@ from docs.pictures.drawing import (
     line,
     placed,
     save,
+    square,
     table,
     turn,
     words,
 )
 from testbed.identification.posterior import posterior
 from testbed.instruments.chain import measured_again
-from testbed.parameters.identifiability import identifiability
+from testbed.parameters.identifiability import ALONE, COMBINED, identifiability
 from testbed.parameters.prior import prior_of
 from testbed.parameters.symbols import STANDARD
 from testbed.reporting.figures import Panel
 from testbed.reporting.run_page import GLYPHS
 
 MODEL, EXPERIMENT = "models/puma562.xml", "experiments/table6.toml"
+UR5 = "tests/golden/robots/ur5.urdf"
+SIDE, FILLS = 21, (0.0, 0.3, 1.0)
+"""Of a square [pixels]; how full it is: never, in combination, alone."""
 BOLD = "font-weight: 600"
 SMALL = "font-size: 12px"
 METHODS = {"external": "force plate", "internal": "joint torques"}
@@ -52,6 +56,7 @@ def main() -> None:
     save_augmented()
     save_same_forces()
     save_map()
+    save_sensors()
     save_errors()
     save_overview()
     save_sigma()
@@ -162,6 +167,39 @@ def save_map() -> None:
     )
     save("map", LEFT + 40 * len(STANDARD) + 8, top + 14, parts, "Which of the ten parameters "
          "of each link are identifiable from joint torques and with the plate")  # fmt: skip
+
+
+def save_sensors() -> None:
+    """What four instruments identify of a UR5, a square a parameter."""
+    wrist = tb.ForceSensor("b6")
+    torques, plate = identifiability(tb.load_tree(UR5))[:2]
+    tool = identifiability(tb.load_tree(UR5, sensor=wrist))[0]
+    scaled = np.minimum(torques.standard, COMBINED)  # constants are unknown: ratios only
+    panels = (
+        ("Force plate", f"{plate.count} base parameters", plate.standard),
+        ("Force sensor at the wrist", f"all {tool.count} of what it carries", tool.standard),
+        ("Joint torques", f"{torques.count} base parameters, friction", torques.standard),
+        ("Motor currents", f"ratios of the {torques.count}, friction", scaled),
+    )
+    parts: list[str] = []
+    for k, (title, says, seen) in enumerate(panels):
+        x, y = 8 + SIDE * 13.5 * (k % 2), 24 + SIDE * 9.8 * (k // 2)
+        parts += [words(x, y, title, "start", BOLD), words(x, y + 18, says, colour="faint")]
+        for place, name in enumerate(STANDARD):
+            at = x + 20 + SIDE * (place + 0.45)
+            parts.append(words(at, y + 38, name, "middle", "font-size: 10px", "faint"))
+        for row, codes in enumerate(seen):
+            level = y + 44 + SIDE * row
+            parts.append(words(x + 4, level + 15, str(row + 1), "start", SMALL, "faint"))
+            parts += [
+                square(x + 20 + SIDE * place, level, SIDE - 3, FILLS[code])
+                for place, code in enumerate(codes)
+            ]
+    y = 24 + SIDE * 19.6
+    for x, code, says in ((8, ALONE, "alone"), (90, COMBINED, "in combination"), (230, 0, "never")):
+        parts += [square(x, y - 13, SIDE - 5, FILLS[code]), words(x + 22, y, says, colour="faint")]
+    save("sensors", SIDE * 27, y + 12, parts, "Which of the ten parameters of each link of a UR5 "
+         "a force plate, a wrist sensor, joint torques and currents identify")  # fmt: skip
 
 
 def fourier(tree: tb.Tree) -> tb.Motion:

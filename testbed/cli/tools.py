@@ -71,11 +71,12 @@ def tool(
     reading = Reading(settings, False, weld_root, lock, lock_mimic, sensor=sensor)
     if at_rest:
         tree = reading.tree(model).with_gravity(gravity)
-        still = tool_at_rest(tree, read_static_poses(recording, tree, degrees=degrees))
+        table = read_static_poses(recording, tree, degrees=degrees)
+        still = tool_at_rest(tree, table, reading.tables().force_sensors[sensor])
         if as_json:
             output.print_json(encode(still))
         else:
-            output.print_lines(shown.tool_lines(still), tree.diagnostics)
+            output.print_lines(shown.tool_lines(still), [*tree.diagnostics, *still.diagnostics])
         return
     reading, tree, source = reading.robot_of(opened(recording), model)
     tree = tree.with_gravity(gravity)

@@ -121,8 +121,8 @@ class ForceBounds:
 
     Attributes:
         joints: Of the joints' forces, drives and friction aside, (n, W) [N m/s^2 or N/s^2].
-        force: Of the bedplate's force, (W,) [N/s^2].
-        moment: Of its moment about O^0, (W,) [N m/s^2].
+        force: Of the bedplate's force, or of a force sensor's, (W,) [N/s^2].
+        moment: Of its moment about O^0, or about the sensor's origin, (W,) [N m/s^2].
         motion: Of the joints' derivatives of order 0 to 4 themselves, (5, n, W).
     """
 
@@ -159,7 +159,10 @@ def force_bounds(tree: Tree, motion: Array) -> ForceBounds:
         passed = _times(here.rotation, force[j])
         force[joint.parent] += passed
         moment[joint.parent] += _times(here.rotation, moment[j]) + _times(here.lever, passed)
-    return ForceBounds(joints, force[-1, 2], moment[-1, 2], motion)
+    felt, turned = force[tree.sensor_body, 2], moment[tree.sensor_body, 2]
+    if tree.sensor is not None:
+        turned = turned + float(np.linalg.norm(tree.sensor.position)) * felt
+    return ForceBounds(joints, felt, turned, motion)
 
 
 @dataclass(frozen=True, eq=False)

@@ -317,7 +317,8 @@ class ExcitationTable(Table):
     """Boxes around the robot, `[[excitation.obstacle]]`."""
     plate_range: tuple[Positive, Positive, Positive, Positive, Positive, Positive] | None = None
     """Largest magnitudes of the plate's wrench, pedestal included [N, N m]; default
-    `measurement.full_scale` for designed motions, none for random ones."""
+    `measurement.full_scale` for designed motions, none for random ones or without a plate. Force
+    sensors have their own `full_scale`."""
     pressure_area: tuple[Positive, Positive] | None = None
     """Half lengths along x and y of the area in which the centre of pressure stays [m]; default
     none: the plate is bolted down."""

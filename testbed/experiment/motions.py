@@ -28,10 +28,12 @@ from testbed.excitation.limits import (
 )
 from testbed.excitation.proof import Proof, Rules, prove, seems_to_hold
 from testbed.excitation.random_motion import best_motion
+from testbed.excitation.sensor_range import SensorTerm
 from testbed.experiment.evaluate import model_of, robot_of, with_nearest_bodies
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.experiment_tables import Table
+from testbed.experiment.experiment_tables import PLATE, Table
 from testbed.parameters.minimal_set import minimal_set
+from testbed.robot.force_sensor import beyond_sensor
 from testbed.robot.tree import Tree
 from testbed.robot.visuals.appearance import load_shapes
 from testbed.robot.visuals.shapes import Shape, bounds, poses_at_zero
@@ -204,9 +206,9 @@ def another_motion(experiment: Experiment, tree: Tree) -> Fourier:
 
 
 def plate_noise_of(experiment: Experiment) -> Array:
-    """Standard deviation of the plate's channels, (6,) [N, N m]; of a quiet one if it has none."""
-    noise = experiment.measurement.plate_noise
-    return noise if noise.all() else QUIET_PLATE
+    """Standard deviation of the wrench, (6,) [N, N m]; of a quiet plate if it has none."""
+    own = experiment.sensor_instruments.get(experiment.robot.sensor, experiment.measurement)
+    return own.plate_noise if own.plate_noise.all() else QUIET_PLATE
 
 
 def _of_file(experiment: Experiment, tree: Tree, like: Rules | None) -> Fourier:
@@ -244,12 +246,24 @@ def rules_of(
     limits = limits_of(tree, motion.max_velocity, motion.max_acceleration)
     margin = table.margin if designed else 1.0
     terms: list[SmoothTerm] = []
-    reach = table.plate_range or (experiment.measurement.full_scale if designed else None)
-    on_plate = not experiment.robot.sensor  # else the wrench is not the plate's
-    if on_plate and (reach is not None or table.pressure_area is not None):
+    about = experiment.robot.sensor
+    on_plate = designed and about in ("", PLATE)  # else its range matters only where it is said
+    reach = table.plate_range or (experiment.measurement.full_scale if on_plate else None)
+    if reach is not None or table.pressure_area is not None:
         wrench = np.full(6, np.inf) if reach is None else np.array(reach)
         area = None if table.pressure_area is None else np.array(table.pressure_area)
-        terms.append(PlateTerm(PlateRange(wrench, area), pedestal_wrench(tree), margin))
+        plate = PlateRange(wrench, area)
+        terms.append(
+            SensorTerm(tree, tree, plate, margin)  # what is sampled is a sensor's
+            if about
+            else PlateTerm(plate, pedestal_wrench(tree), margin)
+        )
+    if designed and experiment.force_sensors:
+        links = model_of(experiment).links()
+        for name, sensor in experiment.force_sensors.items():
+            reach = experiment.sensor_instruments[name].full_scale
+            beyond = beyond_sensor(tree, links, sensor)
+            terms.append(SensorTerm(tree, beyond, PlateRange(np.array(reach)), margin, name))
     if np.isfinite(limits.effort).any():
         terms.append(EffortTerm(tree, limits, margin))
     if like is not None:

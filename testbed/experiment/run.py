@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
-from testbed.diagnostics import Diagnosed, Diagnostic, diagnose, of_recording, ordered
+from testbed.diagnostics import (
+    Diagnosed,
+    Diagnostic,
+    diagnose,
+    of_instrument,
+    of_recording,
+    ordered,
+)
 from testbed.dynamics.newton_euler import Motion
 from testbed.errors import RecordingError, TestbedError, UnseenParameters, plural
 from testbed.experiment.experiment import Experiment
@@ -18,7 +25,7 @@ from testbed.experiment.score import Errors, Score, drive_metrics, score
 from testbed.identification.consistency.consistent import Consistent
 from testbed.identification.diagnostics.residuals import diagnostics_of
 from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
-from testbed.identification.estimate import METHODS, NAMES, Estimate, Method
+from testbed.identification.estimate import METHODS, NAMES, Estimate, Method, sensor_of
 from testbed.identification.identify import identify
 from testbed.identification.posterior import Posterior, posterior
 from testbed.identification.regression.passes import Progress
@@ -96,7 +103,8 @@ def diagnostics_of_run(
         found += systematic_errors(estimates[method], errors[method])
     for estimate in estimates.values():
         found += correlated(estimate)
-    return ordered([*missing, *tree.diagnostics, *of_recording(recording.facts), *found])
+    every = ordered([*missing, *tree.diagnostics, *of_recording(recording.facts), *found])
+    return of_instrument(every, sensor_of(tree))
 
 
 def correlated(estimate: Estimate) -> Iterator[Diagnostic]:

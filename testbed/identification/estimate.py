@@ -120,6 +120,19 @@ SIGNAL_OF: Mapping[Method, str] = {"external": "wrench", "internal": "torque"}
 """What a method needs of a recording besides positions."""
 
 
+SENSOR = "force sensor"
+"""What people call one that is in the robot."""
+
+
+def sensor_of(tree: Tree) -> str:
+    """What a person calls the force sensor that is not the plate; "" for the plate.
+
+    Args:
+        tree: What the wrench is of.
+    """
+    return "" if tree.sensor is None else SENSOR
+
+
 def instrument_of(minimal: MinimalSet, method: Method) -> str:
     """What a person calls that by which a minimal set was measured.
 
@@ -127,7 +140,7 @@ def instrument_of(minimal: MinimalSet, method: Method) -> str:
         minimal: The set.
         method: By which it was estimated.
     """
-    return "force sensor" if minimal.of_sensor else NAMES[method]
+    return SENSOR if minimal.of_sensor else NAMES[method]
 
 
 MATTERS = 1e-4

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
-from testbed.diagnostics import Diagnostic, diagnose, of_recording, ordered
+from testbed.diagnostics import Diagnostic, diagnose, of_instrument, of_recording, ordered
 from testbed.errors import RecordingError, SettingsError, TestbedError, UnseenParameters
 from testbed.identification.diagnostics.diagnosis import diagnostics, quality
 from testbed.identification.diagnostics.residuals import zero_unknown
-from testbed.identification.estimate import Estimate, Method, channel_units
+from testbed.identification.estimate import Estimate, Method, channel_units, sensor_of
 from testbed.identification.noise.coloured_noise import GlsFit, generalized_least_squares
 from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import NormalEquations
@@ -148,8 +148,8 @@ def estimate_of(problem: Problem, doubt: CalibrationCovariance | None = None) ->
         if fewer.names == problem.names:
             raise
         problem, estimate = fewer, _estimate_of(fewer, choice, doubt)
-    said = tuple(_rotors_first(each, problem) for each in estimate.diagnostics)
-    return replace(estimate, diagnostics=(*said, *filtered))
+    said = [*(_rotors_first(each, problem) for each in estimate.diagnostics), *filtered]
+    return replace(estimate, diagnostics=of_instrument(said, sensor_of(problem.tree)))
 
 
 def _rotors_first(given: Diagnostic, problem: Problem) -> Diagnostic:

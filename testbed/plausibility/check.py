@@ -18,10 +18,12 @@ from testbed.diagnostics import (
     Diagnostic,
     Level,
     diagnose,
+    of_instrument,
     of_recording,
     sentences,
 )
 from testbed.errors import RecordingError
+from testbed.identification.estimate import sensor_of
 from testbed.parameters.symbols import standard
 from testbed.plausibility.explanation import Explanation
 from testbed.plausibility.plate import WrenchFit
@@ -168,10 +170,11 @@ def assess(tree: Tree, source: Source, progress: Progress | None = None) -> Asse
     beyond = tuple(out_of_range(tree, part.position))
     if search.instants is None:
         return Assessment(beyond)
-    rest = tuple(at_rest(tree, search.instants))
+    rest = of_instrument(at_rest(tree, search.instants), sensor_of(tree))
     if rest:
         return Assessment((*beyond, *rest))
-    return _judge(tree, mapping, source.tare, beyond, search)
+    found = _judge(tree, mapping, source.tare, beyond, search)
+    return replace(found, diagnostics=of_instrument(found.diagnostics, sensor_of(tree)))
 
 
 def _judge(

@@ -208,7 +208,7 @@ LISTED = 20
 """Cells or failures that are listed one by one."""
 
 SHOWN_METRICS = (
-    ("force plate: error [%]", "external_rms_relative_error", 100.0),
+    ("wrench: error [%]", "external_rms_relative_error", 100.0),
     ("largest z", "external_max_z", 1.0),
     ("joint torques: error [%]", "internal_rms_relative_error", 100.0),
     ("its largest z", "internal_max_z", 1.0),
@@ -220,7 +220,7 @@ SHOWN = ("external_rms_relative_error", "internal_rms_relative_error")
 """Metrics that are compared on one scale."""
 
 CAPTIONS = {
-    **dict(zip(SHOWN, ("Force plate", "Joint torques"), strict=True)),
+    **dict(zip(SHOWN, ("Wrench", "Joint torques"), strict=True)),
     "consistent_rms_relative_error": "Consistent bodies",
 }
 """Metrics that have a table over two factors, all on one scale."""

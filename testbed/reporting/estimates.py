@@ -273,10 +273,6 @@ def weighed_lines(payload: MassEstimate, robot: MassEstimate) -> list[str]:
     ]
 
 
-DOUBTFUL = 0.03
-"""Part of a tool's weight in the residuals above which the poses are not of this sensor."""
-
-
 def tool_lines(found: ToolEstimate) -> list[str]:
     """A tool by static poses, a sentence each.
 
@@ -299,17 +295,6 @@ def tool_lines(found: ToolEstimate) -> list[str]:
     }
     lines = [line for name, line in parts.items() if name not in found.unidentifiable]
     lines.append(f"{found.poses} poses; residuals {force:.3g} N, {moment:.3g} N m rms.")
-    if found.share > DOUBTFUL:
-        lines.append(
-            f"warning: the residuals are {100 * found.share:.2g} % of the tool's weight. Check "
-            "units, order and signs of the joints, and the sensor's axes "
-            "(--set robot.sensor.rpy=[roll,pitch,yaw])."
-        )
-    if found.unidentifiable:
-        lines.append(
-            f"Not identifiable by these poses: {', '.join(found.unidentifiable)}. Add poses in "
-            "which the sensor is turned about other axes: each of its axes up, down and level."
-        )
     return lines
 
 
@@ -355,8 +340,9 @@ def _of_estimate(estimate: Estimate) -> Iterator[TraceTable]:
         rows = [[n.name, n.unit, f"{n.value:.4g}", f"{n.sigma:.2g}"] for n in estimate.nuisances]
         yield TraceTable(["what", "unit", "value", "std"], rows, "Estimated with the parameters")
     tested = sorted(estimate.trace_tests, key=lambda test: test.chance)
-    clear = [_test(test) for test in tested if test.chance <= CLEAR]
-    others = [[phrase(t.nuisance.kind), _chance(t.chance)] for t in tested[len(clear) :]]
+    sensor = estimate.instrument if estimate.minimal.of_sensor else ""
+    clear = [_test(test, sensor) for test in tested if test.chance <= CLEAR]
+    others = [[phrase(t.nuisance.kind, sensor), _chance(t.chance)] for t in tested[len(clear) :]]
     if clear:
         heads = ["fault", "chance", "would change", "size"]
         yield TraceTable(heads, clear, "Faults with significant effect, the most significant first")
@@ -379,10 +365,10 @@ def _chance(chance: float) -> str:
     return "below 1e-99" if chance < 1e-99 else f"{chance:.2g}"
 
 
-def _test(test: TraceTest) -> list[str]:
+def _test(test: TraceTest, sensor: str) -> list[str]:
     shift = f"{test.parameter} by {test.shift:.2g} standard deviations"
     return [
-        phrase(test.nuisance.kind),
+        phrase(test.nuisance.kind, sensor),
         _chance(test.chance),
         shift,
         "; ".join(test.largest(LARGEST)),

@@ -315,7 +315,7 @@ def _of_experiment(experiment: Experiment) -> Lines:
             f"{plate.rate:g} samples a second, resolution {plate.encoder_resolution:g}, noise "
             f"{plate.encoder_noise:g} [rad or m]",
         ),
-        ("bedplate", f"noise {plate.force_noise:g} N and {plate.moment_noise:g} N m a sample"),
+        ("wrench", f"noise {plate.force_noise:g} N and {plate.moment_noise:g} N m a sample"),
         ("faults", ", ".join(fault.kind for fault in plate.fault) or "none"),
         (
             "drives",

@@ -123,7 +123,8 @@ def notes_of_plate(run: Run) -> list[str]:
         return []
     rows = [[n.name, f"{n.value:.4g} +- {n.sigma:.2g}", n.unit] for n in external.nuisances]
     table = Table(["number", "value", "unit"], rows)
-    return ["## The plate, estimated with the parameters", table.markdown]
+    name = run.instruments["external"]
+    return [f"## The {name}, estimated with the parameters", table.markdown]
 
 
 CAP = 0.08

@@ -30,10 +30,12 @@ from testbed.excitation.limits import (
 from testbed.excitation.proof import SPANS, Rules, prove, seems_to_hold, slack, spans_of, suprema
 from testbed.excitation.random_motion import MARGIN, best_motion, random_motion, relative_sigma
 from testbed.excitation.rest_to_rest import RestToRest, Start, start_of
-from testbed.excitation.samples import Computed
+from testbed.excitation.samples import Computed, Samples, stencil
+from testbed.excitation.sensor_range import SensorTerm
 from tests.helpers.chains import Z, chain
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
+from tests.helpers.sensors import random_cut
 from tests.helpers.shapes import ball
 from tests.helpers.strategies import few, rngs, trees
 
@@ -242,6 +244,36 @@ def test_bounds_between_samples_are_those_of_motions_and_forces(
     assert (slack * bounds.joints >= curved(tb.joint_forces(tree, at))).all()
     assert (slack * bounds.force >= wrench[:3]).all()
     assert (slack * bounds.moment >= wrench[3:]).all()
+
+
+@few(8)
+@given(trees((2, 6)), rngs)
+def test_a_force_sensor_is_a_plate_that_moves(tree: tb.Tree, rng: np.random.Generator) -> None:
+    """Shares of its ranges, derivatives by the whole robot's motion, bounds in every span."""
+    cut = random_cut(tree, rng)
+    own = [tree.index(name) for name in cut.names]
+    term, motion = SensorTerm(tree, cut, PlateRange(RANGE), 0.9), random_series(rng, tree.n, 3)
+
+    def shares(at: tb.Motion) -> Array:
+        wrench = tb.base_wrench(cut, tb.Motion(at.t, at.q[:, own], at.qd[:, own], at.qdd[:, own]))
+        return np.array([s * wrench[:, k] / RANGE[k] for k in (0, 2, 3, 4) for s in (1, -1)]) - 0.9
+
+    at = motion.at(np.linspace(0, motion.period, 40))
+    samples = Samples(at.q, at.qd, at.qdd, {}, stencil(tree))
+    np.testing.assert_allclose(term.values(samples), shares(at), atol=1e-12)
+    away, slopes = rng.normal(size=(3, tree.n)), term.slopes(samples)
+    here = np.stack([at.q, at.qd, at.qdd])
+    there = [tb.Motion(at.t, *(here + h * away[:, None])) for h in (1e-5, -1e-5)]
+    along = np.einsum("ksg,s->kg", slopes, away.ravel())
+    size = np.abs(along).max(initial=1.0)
+    near = (shares(there[0]) - shares(there[1])) / 2e-5
+    np.testing.assert_allclose(along, near, atol=1e-7 * size)
+    count = spans_of(motion.period)
+    step = motion.period / count
+    bounds = term.curvatures(force_bounds(tree, suprema(motion, count)))
+    second = np.abs(np.diff(shares(motion.at(step * np.arange(-1.0, count + 1))), 2)) / step**2
+    most = second[:, :count].reshape(len(second), SPANS, -1).max(axis=2)
+    assert ((1 + 1e-3) * bounds >= most - 1e-6).all()
 
 
 @pytest.mark.slow

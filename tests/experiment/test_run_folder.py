@@ -311,10 +311,13 @@ def test_a_designed_motion_comes_back_from_its_file_and_is_proven_again(tmp_path
         assert table["position"] == [kept.low[j], kept.high[j]]
         assert table["velocity"] == kept.velocity[j]
         assert table.get("effort", np.inf) == kept.effort[j]
-    word = f'motion.file="{file}"'
+    word, wrist = f'motion.file="{file}"', "sensors.wrist.link=link3"
+    tips = "excitation.pressure_area=[0.01,0.01]"
     for name, kind, words, culprit in (
         ("puma", InfeasibleMotion, ["motion.max_velocity={waist=0.2}"], "velocity of 'waist'"),
         ("puma", InfeasibleMotion, ["measurement.full_scale=[5,5,5,5,5,5]"], "plate"),
+        ("puma", InfeasibleMotion, [wrist, "sensors.wrist.full_scale=[5,5,5,5,5,5]"], "wrist"),
+        ("puma", InfeasibleMotion, [wrist, "robot.sensor=wrist", tips], "pressure"),
         ("puma", ExperimentError, ["measurement.rate=5", "simulation.bandwidth=2"], "rate"),
         ("ur5", ExperimentError, [], "waist"),
     ):

@@ -1,4 +1,4 @@
-"""A humanoid that squats on plates with a measured pose; the ground's wrench is Pinocchio's."""
+"""A humanoid that squats with a measured pose; what carries it, or a part of it, is Pinocchio's."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ G1 = REAL / "g1_description/urdf/g1_29dof_rev_1_0.urdf"
 
 
 def by_pinocchio(
-    names: tuple[str, ...], path: Fourier, time: Array, step: float = 1e-4
+    names: tuple[str, ...], path: Fourier, time: Array, step: float = 1e-4, joint: str = ""
 ) -> tuple[Array, Array]:
     """The ground's wrench about its origin along a motion, (M, 6), and poses, (M, 7).
 
-    Velocities and accelerations are differences of configurations so many seconds apart.
+    With a joint, what its carrier exerts on the link beyond it, in that link's frame. Velocities
+    and accelerations are differences of configurations so many seconds apart.
     """
     model = pin.buildModelFromUrdf(str(G1), pin.JointModelFreeFlyer())
     data = model.createData()
@@ -38,6 +39,9 @@ def by_pinocchio(
     for q, before, after in zip(now, configurations(-step), configurations(step), strict=True):
         back, on = (pin.difference(model, q, other) for other in (before, after))
         own = pin.rnea(model, data, q, (on - back) / (2 * step), (on + back) / step**2)[:6]
+        if joint:
+            wrenches.append(np.array(data.f[model.getJointId(joint)].vector))
+            continue
         turn = pin.Quaternion(q[3:7]).matrix()
         force = turn @ own[:3]
         wrenches.append(np.concatenate([force, turn @ own[3:] + np.cross(q[:3], force)]))
@@ -74,11 +78,16 @@ def within(tree: tb.Tree, motion: Fourier) -> Fourier:
     return Fourier(motion.fundamental, offset, every * motion.sine, every * motion.cosine)
 
 
-def humanoid(duration: float, rate: float, seed: int, noise: float) -> tuple[tb.Tree, Recording]:
-    """Encoders, pose and the sum of two plates, all with noise; the wrench is Pinocchio's."""
+def humanoid(
+    duration: float, rate: float, seed: int, noise: float, joint: str = ""
+) -> tuple[tb.Tree, Recording]:
+    """Encoders, pose and the sum of two plates, all with noise; the wrench is Pinocchio's.
+
+    With a joint it hangs in the air, and a force sensor at that joint takes the plates' place.
+    """
     tree = tb.load_tree(G1, weld_root=True)
     path, time = squatting(tree, seed), np.arange(0, duration, 1 / rate)
-    motion, (wrench, base) = path.at(time), by_pinocchio(tree.names, path, time)
+    motion, (wrench, base) = path.at(time), by_pinocchio(tree.names, path, time, joint=joint)
     rng = np.random.default_rng(seed + 1)
     rough = rng.normal(size=wrench.shape) * ([0.5] * 3 + [0.05] * 3)
     return tree, Recording(
@@ -86,6 +95,6 @@ def humanoid(duration: float, rate: float, seed: int, noise: float) -> tuple[tb.
         time,
         motion.q[:, FREE:] + noise * 1e-5 * rng.normal(size=(len(time), tree.n)),
         wrench=wrench + noise * rough,
-        tare=np.zeros(6),
+        tare=None if joint else np.zeros(6),
         base=base + noise * 1e-5 * rng.normal(size=base.shape),
     )

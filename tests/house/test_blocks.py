@@ -12,7 +12,10 @@ from tests.helpers.paths import ROOT
 
 HOW_TO = [
     ROOT / f"docs/{name}.md"
-    for name in ("your-robot", "your-recording", "your-plate", "drives", "instruments", "extending")
+    for name in (
+        *("which-sensor", "your-robot", "your-recording", "your-plate", "drives"),
+        *("instruments", "extending"),
+    )
 ]
 """Pages whose blocks run with all tests."""
 ELSEWHERE = ("README.md", "CONTRIBUTING.md", "architecture.md")

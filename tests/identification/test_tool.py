@@ -23,7 +23,7 @@ from testbed.identification.payload.tool import (
     tool_of,
 )
 from testbed.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.robot.inertia import Inertia
+from testbed.robot.inertia import Inertia, from_rpy
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 from tests.helpers.sensors import links_of, random_sensors
@@ -69,6 +69,35 @@ def test_static_poses_give_mass_centre_zero_and_gravity(rng: np.random.Generator
     assert found.unidentifiable == ()
     assert np.cross(found.gravity, gravity / 9.81) == pytest.approx(0, abs=5e-3)
     assert found.tilt[0] == pytest.approx(np.arccos(np.clip(-gravity[2] / 9.81, -1, 1)), abs=5e-3)
+
+
+@few(10)
+@given(rngs)
+def test_axes_that_nobody_said_are_proposed_and_no_others(rng: np.random.Generator) -> None:
+    """Turned anyhow by 5 degrees or more; right tables, and joints of opposite sign, have none."""
+    cut, centre = wrist(rng)
+    sensor = cut.sensor
+    assert sensor is not None
+    gravity = Rotation.random(rng=rng).apply([0, 0, -9.81])
+    cut, table = cut.with_gravity(gravity), at_rest(cut, 12, gravity, rng)
+    assert tool_at_rest(cut, table).diagnostics == ()
+    away = rng.normal(size=3)
+    away *= np.deg2rad(rng.uniform(5, 175)) / np.linalg.norm(away)
+    turn = Rotation.from_rotvec(away).as_matrix()
+    turned = np.hstack([table.wrench[:, :3] @ turn, table.wrench[:, 3:] @ turn])
+    found = tool_at_rest(cut, replace(table, wrench=turned))
+    assert [each.code for each in found.diagnostics] == ["tool.axes"]
+    assert found.axes is not None
+    assert abs(found.axes.angle[0] - np.linalg.norm(away)) < 5 * found.axes.angle[1]
+    right = replace(cut, sensor=replace(sensor, rotation=from_rpy(found.axes.rpy)))
+    again = tool_at_rest(right, replace(table, wrench=turned))
+    assert again.diagnostics == ()
+    np.testing.assert_allclose([c for c, _ in again.centre], turn.T @ centre, atol=2e-3)
+    signs = np.where(np.arange(cut.n) == rng.integers(1, cut.n - 1), -1, 1)
+    wrong = tool_at_rest(cut, replace(table, position=signs * table.position))
+    assert wrong.diagnostics[0].code == "tool.residual"
+    opposite = tool_at_rest(cut, replace(table, wrench=-table.wrench))
+    assert [each.code for each in opposite.diagnostics] == ["tool.upwards"]
 
 
 def test_its_standard_deviations_hold_with_few_poses() -> None:

@@ -5,7 +5,9 @@ If one fails, parameters by a wrist, hip or shoulder sensor are wrong.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.diagnostics import sentences
 from testbed.dynamics.drive_set import verify
 from testbed.dynamics.newton_euler import poses
 from testbed.errors import ModelError, RecordingError, UnknownName
@@ -64,6 +67,18 @@ def test_three_witnesses_agree_on_its_minimal_set(
     for tared in (False, True):
         found = verify(cut, tb.minimal_set(cut, "reaction", tared=tared))
         assert found.holds, found
+
+
+@pytest.mark.parametrize("name", ["humanoid_pelvis", "gantry_ppp_rrr", "kuka_lwr4"])
+def test_they_agree_at_every_joint_of_known_robots(name: str) -> None:
+    """Directions, too; `python -m benchmarks minimal --cuts` looks at 66 real robots."""
+    model = ModelFile(ROOT / f"tests/golden/robots/{name}.urdf")
+    tree, links = model.tree(), model.links()
+    for joint, base in product(tree.joints, (tree, on_free_base(tree))):
+        cut = beyond_sensor(base, links, ForceSensor(joint.body))
+        found = verify(cut, tb.minimal_set(cut, "reaction"))
+        assert found.holds, (joint.name, found)
+        assert max(found.recursion_distance, found.sampled_distance) < 1e-9
 
 
 def _free_cut(tree: tb.Tree, rng: np.random.Generator) -> tb.Tree:
@@ -168,6 +183,19 @@ def test_between_two_sensors_is_the_difference_of_their_wrenches(
         assert found.wrench is not None
         np.testing.assert_allclose(found.wrench, felt(between), atol=1e-9 * size)
         assert on_its_base(found, between) is found
+
+
+def test_sentences_about_it_name_no_plate() -> None:
+    """The same codes as of a plate, its own name in texts, likely causes and remedies."""
+    fault = 'sensors.shoulder.fault=[{kind="plate_crosstalk"}, {kind="plate_bias"}]'
+    words = ["motion.duration=10", "motion.candidates=1", "simulation.step=1e-3"]
+    experiment = Experiment.load(ROOT / "experiments/force_sensor.toml", [*words, fault])
+    run = evaluate(experiment, simulate(experiment), methods=("external",))
+    codes = {each.code for each in run.diagnostics}
+    assert codes & {"sensor.crosstalk", "sensor.gains", "sensor.pose"}
+    said = " ".join(sentences(run.diagnostics))
+    assert "force sensor" in said
+    assert not re.search(r"\bplate\b", said)
 
 
 def test_a_recording_keeps_what_moves_the_sensor() -> None:

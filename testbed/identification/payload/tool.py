@@ -1,9 +1,4 @@
-"""A tool by the force sensor that carries it: from one recording in motion, or from static poses.
-
-At rest the sensor shows F = F0 - R' G and M = M0 - c x R' G, with R from the sensor's axes to the
-ground's, G the tool's weight on the ground, c its centre, and a zero F0, M0. All twelve unknowns
-are found together by Gauss-Newton, from linear fits of the forces and then of the moments.
-"""
+"""A tool by the force sensor that carries it: by a recording in motion, or by static poses."""
 
 from __future__ import annotations
 
@@ -11,29 +6,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy import stats
 
-from testbed.arrays import Array, readonly, skew
+from testbed.arrays import Array, readonly
+from testbed.codec import with_properties
+from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.dynamics.newton_euler import sensor_poses
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.estimate import Estimate
 from testbed.identification.payload.payload import PayloadEstimate, payload_from, seen_of_payload
+from testbed.identification.payload.sensor_axes import DOUBTFUL, AxesTurn, axes_turn
+from testbed.identification.payload.static_fit import RestFit, rest_fit
 from testbed.recordings.columns import AXES
 from testbed.recordings.importing.readers.delimited_text import read_file
+from testbed.robot.force_sensor import ForceSensor
 from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Placement, Tree
 
-UNKNOWNS = 12
-"""Zero of force and moment, weight, centre: three each."""
-
 LEAST = 4
 """Poses that leave more numbers than unknowns, in forces and in moments."""
-
-SMALLEST = 1e-6
-"""Singular values below this share of the largest are rounding, or poses that are all alike."""
-
-STEPS = 20
-"""Of Gauss-Newton at most."""
 
 
 def tool_of(tree: Tree, estimate: Estimate) -> PayloadEstimate:
@@ -126,7 +116,7 @@ def read_static_poses(path: Path, tree: Tree, *, degrees: bool = False) -> Stati
 
 
 @dataclass(frozen=True)
-class ToolEstimate:
+class ToolEstimate(Diagnosed):
     """A tool by its weight.
 
     Attributes:
@@ -140,6 +130,8 @@ class ToolEstimate:
         poses: How many there were.
         unidentifiable: What these poses leave open; its numbers are one choice among many.
         share: Rms residual of forces over the tool's weight.
+        axes: Other axes of the sensor that explain the readings; None where those said will do.
+        upwards: Whether the tool would be pulled against the model's gravity, by these axes.
     """
 
     mass: tuple[float, float]
@@ -152,126 +144,79 @@ class ToolEstimate:
     poses: int
     unidentifiable: tuple[str, ...]
     share: float
+    axes: AxesTurn | None = None
+    upwards: bool = False
+
+    __get_pydantic_core_schema__ = with_properties("diagnostics")
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """Axes other than those said, large residuals, poses that are missing."""
+        said: list[Diagnostic] = []
+        if self.axes is not None:
+            angle, sigma = np.rad2deg(self.axes.angle).tolist()
+            said.append(
+                diagnose(
+                    "tool.axes", value=angle, sigma=sigma, residual=self.residual[0],
+                    left=self.axes.residual, before=self.axes.held_out[0],
+                    after=self.axes.held_out[1], sensor=self.axes.sensor or "NAME",
+                    rpy=",".join(f"{round(x, 4) + 0.0:g}" for x in self.axes.rpy),
+                )
+            )  # fmt: skip
+        elif self.share > DOUBTFUL:
+            said.append(diagnose("tool.residual", value=self.share))
+        if self.upwards and (self.axes is not None or self.share <= DOUBTFUL):
+            said.append(diagnose("tool.upwards"))
+        if self.unidentifiable:
+            said.append(diagnose("tool.poses", ", ".join(self.unidentifiable)))
+        return tuple(said)
 
 
-def tool_at_rest(tree: Tree, table: StaticPoses) -> ToolEstimate:
+def tool_at_rest(tree: Tree, table: StaticPoses, sensor: ForceSensor | None = None) -> ToolEstimate:
     """Mass, centre, the sensor's zero and the direction of gravity by poses at rest.
 
     Args:
         tree: What the sensor feels, under a gravity of known size.
         table: The poses.
+        sensor: As it was said; default with the axes that it has in the tree.
 
     Raises:
         SettingsError: There is no force sensor in the robot, or no gravity.
         RecordingError: The sensor shows no weight.
     """
-    if tree.sensor_body < 0:
+    if tree.sensor is None or tree.sensor_body < 0:
         raise SettingsError("a tool is what a force sensor in the robot carries: --sensor LINK")
     if not tree.gravity.any():
         raise SettingsError("without gravity there is nothing to weigh a tool by")
-    turns, _ = sensor_poses(tree, table.position)
-    back = np.swapaxes(turns, 1, 2)
-    force, moment = table.wrench[:, :3], table.wrench[:, 3:]
-    weight, zero, centre, zero_moment = _start(back, force, moment)
-    found = np.concatenate([zero, weight, zero_moment, centre])
-    scale = np.ones(2)
-    for _ in range(STEPS):
-        rows, rest = _linearised(back, force, moment, found)
-        scale = _scale(rest)
-        weighted = rows / np.tile(np.repeat(scale, 3), len(back))[:, None]
-        left, sizes, right = _svd(weighted)
-        step = right.T @ (left.T @ (rest / np.tile(np.repeat(scale, 3), len(back))) / sizes)
-        found = found + step
-        if np.abs(step).max() < 1e-12 * np.abs(found).max():
-            break
-    covariance = (right.T / sizes**2) @ right
-    open_part = 1 - np.sum(right**2, axis=0)
-    freedom = len(rest) - len(sizes)
-    widened = float(stats.t.ppf(0.975, max(freedom, 1)) / stats.norm.ppf(0.975))
-    return _estimate(tree, found, covariance * widened**2, open_part, scale, len(back))
+    back = np.swapaxes(sensor_poses(tree, table.position)[0], 1, 2)
+    fit = rest_fit(back, table.wrench)
+    axes = axes_turn(back, table.wrench, sensor or tree.sensor)
+    return _estimate(tree.gravity, fit, axes, len(back))
 
 
-def _start(back: Array, force: Array, moment: Array) -> tuple[Array, Array, Array, Array]:
-    """Linear fits: weight and zero by the forces, centre and zero by the moments."""
-    ones = np.tile(np.eye(3), (len(back), 1))
-    by_force = np.hstack([ones, -back.reshape(-1, 3)])
-    zero_and_weight = np.array(np.linalg.lstsq(by_force, force.ravel(), rcond=SMALLEST)[0])
-    weight = zero_and_weight[3:]
-    if not np.linalg.norm(weight) > 0:
-        raise RecordingError("the force sensor shows no weight in these poses")
-    lever = skew(back @ weight).reshape(-1, 3)
-    by_moment = np.hstack([ones, lever])
-    zero_and_centre = np.array(np.linalg.lstsq(by_moment, moment.ravel(), rcond=SMALLEST)[0])
-    return weight, zero_and_weight[:3], zero_and_centre[3:], zero_and_centre[:3]
-
-
-def _linearised(back: Array, force: Array, moment: Array, found: Array) -> tuple[Array, Array]:
-    """Derivatives of all that is shown by the unknowns, (6 P, 12), and what they leave, (6 P,)."""
-    zero, weight, zero_moment, centre = found.reshape(4, 3)
-    pull = back @ weight
-    rows = np.zeros((len(back), 6, UNKNOWNS))
-    rows[:, :3, :3] = rows[:, 3:, 6:9] = np.eye(3)
-    rows[:, :3, 3:6] = -back
-    rows[:, 3:, 3:6] = -skew(centre) @ back
-    rows[:, 3:, 9:] = skew(pull)
-    shown = np.hstack([zero - pull, zero_moment - np.cross(centre, pull)])
-    return rows.reshape(-1, UNKNOWNS), (np.hstack([force, moment]) - shown).ravel()
-
-
-def _scale(rest: Array) -> Array:
-    """Noise of forces and of moments by what is left, each with six unknowns of its own, (2,)."""
-    parts = rest.reshape(-1, 2, 3)
-    count = max(3 * len(parts) - UNKNOWNS // 2, 1)
-    sizes = np.sqrt((parts**2).sum(axis=(0, 2)) / count)
-    return np.asarray(np.maximum(sizes, 1e-9 * max(sizes.max(), 1e-9)))
-
-
-def _svd(rows: Array) -> tuple[Array, Array, Array]:
-    """Of what is seen only: singular values, and vectors to either side."""
-    left, sizes, right = np.linalg.svd(rows, full_matrices=False)
-    rank = int((sizes > SMALLEST * sizes[0]).sum())
-    found: tuple[Array, Array, Array] = left[:, :rank], sizes[:rank], right[:rank]
-    return found
-
-
-NAMES = ("force zero", "mass and gravity", "moment zero", "centre")
-"""Of the unknowns, three by three."""
-
-OPEN = 1e-6
-"""Part of an unknown that no combination of the readings holds, above which it is open."""
-
-
-def _estimate(
-    tree: Tree, found: Array, covariance: Array, open_part: Array, scale: Array, count: int
-) -> ToolEstimate:
+def _estimate(gravity: Array, fit: RestFit, axes: AxesTurn | None, poses: int) -> ToolEstimate:
     """What is said of a tool, from the unknowns and their covariance."""
-    zero, weight, zero_moment, centre = (
-        [(float(v), float(s)) for v, s in zip(values, sigma, strict=True)]
-        for values, sigma in zip(
-            found.reshape(4, 3), np.sqrt(np.diagonal(covariance)).reshape(4, 3), strict=True
-        )
+    sigmas = np.sqrt(np.diagonal(fit.covariance)).reshape(4, 3)
+    zero, _, zero_moment, centre = (
+        tuple((float(v), float(s)) for v, s in zip(values, sigma, strict=True))
+        for values, sigma in zip(fit.found.reshape(4, 3), sigmas, strict=True)
     )
-    del weight
-    size, gravity = float(np.linalg.norm(tree.gravity)), tree.gravity
-    pull, doubt = found[3:6], covariance[3:6, 3:6]
+    size, pull, doubt = float(np.linalg.norm(gravity)), fit.found[3:6], fit.covariance[3:6, 3:6]
     length = float(np.linalg.norm(pull))
-    along = pull / length
-    expected = gravity / size
+    along, expected = pull / length, gravity / size
     across = np.eye(3) - np.outer(along, along)
     tilt = float(np.arctan2(np.linalg.norm(np.cross(along, expected)), along @ expected))
     return ToolEstimate(
         mass=(length / size, float(np.sqrt(along @ doubt @ along)) / size),
-        centre=tuple(centre),
-        force_zero=tuple(zero),
-        moment_zero=tuple(zero_moment),
+        centre=centre,
+        force_zero=zero,
+        moment_zero=zero_moment,
         gravity=(float(along[0]), float(along[1]), float(along[2])),
         tilt=(tilt, float(np.sqrt(np.trace(across @ doubt @ across) / 2)) / length),
-        residual=(float(scale[0]), float(scale[1])),
-        poses=count,
-        unidentifiable=tuple(
-            name
-            for name, part in zip(NAMES, open_part.reshape(4, 3), strict=True)
-            if part.max() > OPEN
-        ),
-        share=float(scale[0]) / length,
+        residual=(float(fit.scale[0]), float(fit.scale[1])),
+        poses=poses,
+        unidentifiable=fit.open,
+        share=float(fit.scale[0]) / length,
+        axes=axes,
+        upwards=bool((pull if axes is None else np.array(axes.weight)) @ gravity < 0),
     )
