@@ -34,7 +34,7 @@ from testbed.recordings.importing.foreign_table import (
     Kind,
     plain,
 )
-from testbed.recordings.importing.readers import open_foreign, reader_of
+from testbed.recordings.importing.readers import open_foreign, topics
 from testbed.recordings.importing.source_clock import GAP, Times
 
 EPOCH = 1e9
@@ -295,12 +295,11 @@ def in_order(source: LikelySource, joints: int) -> LikelySource:
 
 def _tables(path: Path, name: str) -> Iterator[LikelySource]:
     """A file's tables: one, or of a bag one a topic of numbers."""
-    if reader_of(path) != "ros_bag":
+    parts = topics(path)
+    if parts == [None]:
         yield from _source(name or "log", path, None, open_foreign(path))
         return
-    from testbed.recordings.importing.readers.ros_bag import topics
-
-    for number, topic in enumerate(topics(path)):
+    for number, topic in enumerate(parts):
         try:
             table = open_foreign(path, topic)
         except RecordingError:

@@ -1,9 +1,9 @@
-"""ROS bags of version 1 and 2; numbers of messages by the definitions of their types."""
+"""ROS bags of version 1, and of version 2 in folders and SQLite; numbers of messages by the definitions of their types."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,14 @@ LISTS_OF_NAMES = ("name", "names", "joint_names")
 
 MOST_STEPS = 200_000
 """Parts of a message."""
+
+Numbers = Mapping[str, float]
+"""Of a message, by their paths."""
+
+
+class Nanoseconds(int):
+    """A time among a message's numbers, which has more digits than they."""
+
 
 Definitions = Mapping[str, tuple[Any, Sequence[tuple[str, tuple[Any, Any]]]]]
 """Fields by the name of a type, as rosbags gives them."""
@@ -103,7 +111,8 @@ def _fields(message: Message, kind: str, definitions: Definitions, before: str) 
     if kind in TIMES:
         second, nanosecond = definitions[kind][1]
         whole = int(message.number(second[1][1][0])) * 1_000_000_000
-        return {before.rstrip("/"): whole + int(message.number(nanosecond[1][1][0]))}
+        count = whole + int(message.number(nanosecond[1][1][0]))
+        return {before.rstrip("/"): Nanoseconds(count)}
     found: dict[str, float] = {}
     names: list[str] = []
     for name, (node, what) in definitions[kind][1]:
@@ -175,14 +184,11 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         known = [each for each in bag.connections if each.topic == topic]
         if not known:
             raise UnknownName("topic", str(topic), sorted({c.topic for c in bag.connections}))
-        columns = _columns(path, bag, known)
-    times = {name: "ns" for name, values in columns.items() if values.dtype.kind == "i"}
-    shapes = {name: values.shape for name, values in columns.items() if len(values) > 1}
-    return ForeignTable(path, shapes, columns.__getitem__, times)
+        return table_of(path, _messages(path, bag, known))
 
 
-def topics(path: Path) -> dict[str, tuple[str, int]]:
-    """Type and number of messages of every topic of a bag.
+def topics(path: Path) -> dict[str, int]:
+    """Number of messages of every topic of a bag.
 
     Args:
         path: The bag.
@@ -191,7 +197,7 @@ def topics(path: Path) -> dict[str, tuple[str, int]]:
         RecordingError: The bag is damaged, or rosbags is not installed.
     """
     with readable(path), _opened(path) as bag:
-        return {each.topic: (str(each.msgtype), int(each.msgcount)) for each in bag.connections}
+        return {each.topic: int(each.msgcount) for each in bag.connections}
 
 
 @contextmanager
@@ -208,47 +214,77 @@ def _version(path: Path) -> int:
     return 1 if path.suffix.lower() == ".bag" else 2
 
 
-def _columns(path: Path, bag: Any, connections: list[Any]) -> dict[str, NDArray[Any]]:
-    """Numbers of all messages by path, and their times."""
-    version, definitions = _version(path), {c.id: _definitions(path, c) for c in connections}
-    fields: tuple[str, ...] = ()
-    rows: list[list[float]] = []
-    whole: set[str] = set()
-    received: list[int] = []
+def _messages(path: Path, bag: Any, connections: list[Any]) -> Iterator[tuple[int, Numbers]]:
+    """When each message was received [ns], and its numbers."""
+    from rosbags.interfaces import MessageDefinitionFormat
+
+    version, known = _version(path), {}
+    for each in connections:
+        idl = each.msgdef.format == MessageDefinitionFormat.IDL
+        known[each.id] = definitions_of(each.msgtype, each.msgdef.data, version, idl=idl)
     for connection, when, data in bag.messages(connections=connections):
-        found = numbers_of(data, connection.msgtype, definitions[connection.id], version)
-        if not rows:
-            fields = tuple(found)
-            whole = {name for name, value in found.items() if isinstance(value, int)}
-        if found.keys() != set(fields):
-            other = sorted(set(fields) ^ found.keys())[:4]
+        yield when, numbers_of(data, *known[connection.id], version)
+
+
+def table_of(path: Path, messages: Iterable[tuple[int, Numbers]]) -> ForeignTable:
+    """Numbers of a topic's messages as columns by path, and their times.
+
+    Args:
+        path: The file.
+        messages: When each was received [ns], and its numbers.
+
+    Raises:
+        RecordingError: They have different fields, or there are too many.
+    """
+    first: Numbers = {}
+    rows: list[list[float]] = []
+    received: list[int] = []
+    for when, found in messages:
+        first = first if rows else found
+        if found.keys() != first.keys():
+            other = sorted(first.keys() ^ found.keys())[:4]
             raise RecordingError(
                 f"{path}: messages of one topic have different fields ({', '.join(other)})"
             )
-        rows.append([found[name] for name in fields])
+        rows.append([found[name] for name in first])
         received.append(when)
-        if len(rows) * (len(fields) + 1) > MOST_NUMBERS:
+        if len(rows) * (len(first) + 1) > MOST_NUMBERS:
             raise RecordingError(f"{path}: more than {MOST_NUMBERS:.0e} numbers")
+    order = np.argsort(np.array(received, dtype=np.int64), kind="stable")
     columns: dict[str, NDArray[Any]] = {}
-    for k, name in enumerate(fields):
-        kind = np.int64 if name in whole else np.float64
-        columns[name] = np.array([row[k] for row in rows], dtype=kind)
+    for k, name in enumerate(first):
+        made = np.array([row[k] for row in rows])
+        columns[name] = (made if made.dtype.kind in "if" else made.astype(np.float64))[order]
     if STAMP in columns:
         columns = {"stamp": columns.pop(STAMP)} | columns
-    return columns | {"received": np.array(received, dtype=np.int64)}
+    columns["received"] = np.array(received, dtype=np.int64)[order]
+    times = {name: "ns" for name, value in first.items() if isinstance(value, Nanoseconds)}
+    units = times | {"received": "ns"} | ({"stamp": "ns"} if STAMP in times else {})
+    shapes = {name: values.shape for name, values in columns.items() if len(values) > 1}
+    return ForeignTable(path, shapes, columns.__getitem__, units)
 
 
-def _definitions(path: Path, connection: Any) -> Definitions:
-    """Fields of a topic's type and of all that it holds, by the bag's word or the standard's."""
-    from rosbags.interfaces import MessageDefinitionFormat
-    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+def definitions_of(
+    kind: str, text: str, version: int, *, idl: bool = False
+) -> tuple[str, Definitions]:
+    """A type's name, and the fields of it and of all that it holds, by a text or the standard's.
 
-    standard = get_typestore(Stores.ROS1_NOETIC if _version(path) == 1 else Stores.ROS2_HUMBLE)
-    known: dict[str, Any] = dict(standard.fielddefs)
-    if connection.msgdef.format == MessageDefinitionFormat.MSG:
-        known |= get_types_from_msg(connection.msgdef.data, connection.msgtype)
-    elif connection.msgdef.format == MessageDefinitionFormat.IDL:
-        known |= get_types_from_idl(connection.msgdef.data)
-    if connection.msgtype not in known:
-        raise RecordingError(f"{path}: it does not say what a '{connection.msgtype}' is")
-    return known
+    Args:
+        kind: Name of the type.
+        text: Its definition; empty where the file has none.
+        version: Of ROS, 1 or 2.
+        idl: Whether the text is in IDL.
+
+    Raises:
+        RecordingError: Neither defines it, or rosbags is not installed.
+    """
+    with library("rosbags"):
+        from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+        from rosbags.typesys.msg import normalize_msgtype
+    standard = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
+    kind, known = normalize_msgtype(kind), dict[str, Any](standard.fielddefs)
+    if text:
+        known |= get_types_from_idl(text) if idl else get_types_from_msg(text, kind)
+    if kind not in known:
+        raise RecordingError(f"the file does not say what a '{kind}' is")
+    return kind, known
