@@ -68,7 +68,8 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
     for each in sources:
         name = f"sources.{each.name}"
         file = os.path.relpath(each.file.resolve(), folder.resolve())
-        draft = draft.remarking(name, *_listed(each.table)).saying(name, "file", file)
+        known = [f"# {each.logger} names its columns like this"] if each.logger else []
+        draft = draft.remarking(name, *known, *_listed(each.table)).saying(name, "file", file)
         if each.topic is not None:
             draft = draft.saying(name, "topic", each.topic)
         for said in each.clock.said():

@@ -34,6 +34,7 @@ from testbed.recordings.importing.foreign_table import (
     Kind,
     plain,
 )
+from testbed.recordings.importing.known_layouts import Layout, layout_of
 from testbed.recordings.importing.readers import open_foreign, topics
 from testbed.recordings.importing.source_clock import GAP, Times
 
@@ -103,13 +104,24 @@ class Clock:
             yield "time_unit", self.unit or "", self.because if self.unit else ", ".join(TIMES)
 
 
-def clock_of(table: ForeignTable) -> Clock:
+def clock_of(table: ForeignTable, layout: Layout | None = None) -> Clock:
     """The likely clock of a table.
 
     Args:
         table: Of a file of another program.
+        layout: Its logger's, if that is known.
     """
-    likely = sorted((c for c in table.columns if like_time(c) < len(TIME_WORDS)), key=like_time)
+    known = layout.times(table.columns) if layout else []
+    if layout and (layout.rate or len(known) > 1):
+        because = f"of {layout.logger}"
+        if known:
+            seconds, rest = (table.stamps(each) for each in known)
+            since = (seconds - seconds[0]) + (rest - rest[0]) * TIMES["ns"]
+            return Clock(None, rate=rate_of(since), because=f"by {' and '.join(known)}")
+        return Clock(None, rate=layout.rate, because=because)
+    said = [c for c in table.columns if plain(table.unit(c) or "") in TIMES]
+    named = [c for c in table.columns if c in said or like_time(c) < len(TIME_WORDS)]
+    likely = known or sorted(named, key=like_time)
     unnamed = not any(re.search("[A-Za-z]", column) for column in table.columns)
     for column in table.columns[:1] if unnamed else likely[:LOOKED_AT]:
         stamps = table.stamps(column)
@@ -120,6 +132,7 @@ def clock_of(table: ForeignTable) -> Clock:
         said = plain(table.unit(column) or "")
         given = said in TIMES
         unit, because = (said, "") if given else _unit(column, stamps)
+        unit = (layout.unit if layout and known else None) or unit
         rate = rate_of(stamps) / (TIMES[unit] if unit else 1.0)
         return Clock(column, unit, given, rounded(rate, 1e-12) if unit else rate, because)
     return Clock(None)
@@ -191,6 +204,7 @@ class LikelySource:
         table: What it holds.
         columns: What their names say, without that of the times.
         clock: Its likely clock.
+        logger: Whose names the columns have, if that is known.
     """
 
     name: str
@@ -199,6 +213,7 @@ class LikelySource:
     table: ForeignTable
     columns: tuple[ColumnName, ...]
     clock: Clock
+    logger: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,9 +327,13 @@ def _source(
 ) -> Iterator[LikelySource]:
     """A table with its likely clock, unless it is empty."""
     if table.columns:
-        clock = clock_of(table)
-        read = (read_name(each, table.unit(each)) for each in table.columns if each != clock.column)
-        yield LikelySource(name, path, topic, table, tuple(read), clock)
+        layout = layout_of(table.columns)
+        clock = clock_of(table, layout)
+        names = [each for each in table.columns if each != clock.column]
+        read = tuple(read_name(each, table.unit(each)) for each in names)
+        read = layout.read(read) if layout else read
+        logger = layout.logger if layout else ""
+        yield LikelySource(name, path, topic, table, read, clock, logger)
 
 
 def likely_signals(

@@ -11,19 +11,18 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError, UnknownName
 from testbed.recordings.importing.foreign_table import MOST_COLUMNS, ForeignTable, readable
+from testbed.recordings.importing.readers.parquet_columns import read_column
 
 VERSIONS = ("v2", "v3")
 """Beginnings of the formats' versions that are known."""
@@ -54,9 +53,9 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         files = sorted(each for each in (path / "data").rglob("*.parquet") if each.is_file())
         if not files or len(files) > MOST_FILES:
             raise RecordingError(f"{path}: {len(files)} Parquet files in its folder 'data'")
-        rows = [_read(file, ["episode_index", "timestamp"]) for file in files]
-        episode = np.concatenate([each["episode_index"][:, 0].astype(np.int64) for each in rows])
-        stamp = np.concatenate([each["timestamp"][:, 0] for each in rows])
+        episodes = [read_column(file, "episode_index") for file in files]
+        episode = np.concatenate(episodes).astype(np.int64)
+        stamp = np.concatenate([read_column(file, "timestamp") for file in files]).astype(float)
         wanted, time = _chosen(path, topic, episode, stamp, fps)
         names = pq.read_schema(files[0]).names
         columns = {
@@ -70,12 +69,12 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
     def values(feature: str) -> Array:
         """A feature of the wanted rows, (M, k)."""
         parts, first = [], 0
-        for file, each in zip(files, rows, strict=True):
-            here = wanted[first : first + len(each["timestamp"])]
-            first += len(here)
+        for file, own in zip(files, episodes, strict=True):
+            here = wanted[first : first + len(own)]
+            first += len(own)
             if here.any():
-                parts.append(_read(file, [feature])[feature][here])
-        return np.concatenate(parts)
+                parts.append(read_column(file, feature).reshape(len(own), -1)[here])
+        return np.concatenate(parts).astype(np.float64)
 
     def load(name: str) -> Array:
         if name == "timestamp":
@@ -94,7 +93,9 @@ def _info(path: Path) -> tuple[dict[str, Any], float]:
     if len(text) > LONGEST_INFO:
         raise RecordingError(f"{path}: meta/info.json has more than {LONGEST_INFO} bytes")
     info = json.loads(text)
-    features, fps = (info.get(key) if isinstance(info, dict) else None for key in ("features", "fps"))
+    features, fps = (
+        info.get(key) if isinstance(info, dict) else None for key in ("features", "fps")
+    )
     if not isinstance(features, dict) or not isinstance(fps, int | float) or not 0 < fps < 1e6:
         raise RecordingError(f"{path}: meta/info.json says no `features` and `fps`")
     if not str(version := info.get("codebase_version")).startswith(VERSIONS):
@@ -128,7 +129,9 @@ def _chosen(
 
 def _columns(feature: str, about: Any) -> list[str]:
     """Names of a feature's elements; none if it is no row of numbers."""
-    shape, kind = (about.get(key) if isinstance(about, dict) else None for key in ("shape", "dtype"))
+    shape, kind = (
+        about.get(key) if isinstance(about, dict) else None for key in ("shape", "dtype")
+    )
     row = isinstance(shape, list) and len(shape) == 1 and isinstance(shape[0], int)
     if not row or not re.fullmatch(r"u?int\d+|float\d+|bool", str(kind)):
         return []
@@ -142,21 +145,3 @@ def _columns(feature: str, about: Any) -> list[str]:
         made = [f"{feature}/{name}" for name in names]
         return made if len(set(made)) == count else [f"{feature}[{k}]" for k in range(count)]
     return [feature] if count == 1 else [f"{feature}[{k}]" for k in range(count)]
-
-
-def _read(file: Path, names: list[str]) -> dict[str, Array]:
-    """Columns of a file, (M, k) each: lists are of one length."""
-    found = {}
-    table = pq.ParquetFile(file, pre_buffer=False).read(names)
-    for name in names:
-        column = table.column(name).combine_chunks()
-        array = pa.concat_arrays(column.chunks) if isinstance(column, pa.ChunkedArray) else column
-        count = len(array)
-        if pa.types.is_list(array.type) or pa.types.is_fixed_size_list(array.type):
-            lengths = np.unique(array.value_lengths().to_numpy(zero_copy_only=False))
-            array = array.flatten() if len(lengths) == 1 else array
-        if array.null_count or pa.types.is_list(array.type):
-            raise ValueError(f"'{name}' of '{file.name}' is not numbers, as many in each row")
-        values = np.asarray(array.to_numpy(zero_copy_only=False), dtype=np.float64)
-        found[name] = values.reshape(count, -1)
-    return found

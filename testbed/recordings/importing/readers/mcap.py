@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from testbed.errors import RecordingError, UnknownName
+from testbed.errors import UnknownName
 from testbed.recordings.importing.foreign_table import ForeignTable, library, readable
 from testbed.recordings.importing.readers.ros_bag import (
     LISTS_OF_NAMES,
@@ -228,5 +228,7 @@ def _walk(content: Any, path: str, names: tuple[str, ...]) -> Iterator[tuple[str
 
 def _texts(value: Any) -> tuple[str, ...]:
     """A list of texts that are not alike; else nothing."""
-    texts = value if isinstance(value, list) and all(isinstance(each, str) for each in value) else []
+    texts = (
+        value if isinstance(value, list) and all(isinstance(each, str) for each in value) else []
+    )
     return tuple(texts) if len(set(texts)) == len(texts) else ()

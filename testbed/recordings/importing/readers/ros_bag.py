@@ -1,4 +1,7 @@
-"""ROS bags of version 1, and of version 2 in folders and SQLite; numbers of messages by the definitions of their types."""
+"""ROS bags of version 1, and of version 2 in folders and SQLite.
+
+Numbers of messages by the definitions of their types; MCAP's messages are tables in the same way.
+"""
 
 from __future__ import annotations
 
