@@ -90,7 +90,8 @@ def _show(draft: Draft) -> None:
     from testbed.reporting import output
     from testbed.reporting.mapping import solved_table
 
-    output.print_tables(output.console(), [solved_table(draft)])
+    if (table := solved_table(draft)).rows:
+        output.print_tables(output.console(), [table])
     if sys.stdin.isatty() and sys.stdout.isatty():
         typer.confirm("Write it so?", default=True, abort=True)
 
@@ -181,7 +182,7 @@ def import_(
             for each in found.offsets
         ]
         checked = [*tree.diagnostics, *found.diagnostics]
-    paths = _paths(out, len(made))
+    paths = numbered(out, len(made))
     for recording, path in zip(made, paths, strict=True):
         recording.save(path)
     reports = [ImportReport.from_dict(recording.facts["import"]) for recording in made]
@@ -221,8 +222,13 @@ def _check_page(page: Path | None, others: list[Path | None], *, said: bool) -> 
     check_writable(page, read=tuple(others))
 
 
-def _paths(out: Path, count: int) -> list[Path]:
-    """Where recordings go: `out`, or its name with a number each."""
+def numbered(out: Path, count: int) -> list[Path]:
+    """Where recordings go: `out`, or its name with a number each.
+
+    Args:
+        out: Of one.
+        count: How many there are.
+    """
     if count == 1:
         return [out]
     return [out.with_name(f"{out.stem}-{k}{out.suffix}") for k in range(1, count + 1)]

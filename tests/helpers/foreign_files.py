@@ -95,7 +95,7 @@ def csv(folder: Path, log: Log) -> str:
 
 def npz(folder: Path, log: Log) -> str:
     """NumPy's archive."""
-    np.savez(folder / "log.npz", **log.arrays)
+    np.savez(folder / "log.npz", **log.arrays)  # type: ignore[arg-type]
     return by_arrays("log.npz")
 
 
@@ -223,7 +223,7 @@ def mcap_json(folder: Path, log: Log) -> str:
             for channel, content in zip(channels, (state, plate), strict=True):
                 data = json.dumps(content(k, when)).encode()
                 writer.add_message(channel, when, data, when)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return _topics("log.mcap")
 
 
@@ -244,11 +244,11 @@ def protobuf_schema() -> FileDescriptorSet:
         state.field.add(name=name, number=k + 2, type=kind.TYPE_DOUBLE, label=1,
                         proto3_optional=True, oneof_index=k)  # fmt: skip
     states = file.message_type.add(name="JointStates")
-    states.field.add(name="timestamp", number=1, **time)  # type: ignore[arg-type]
+    states.field.add(name="timestamp", number=1, **time)
     states.field.add(name="joints", number=2, type=kind.TYPE_MESSAGE, label=3,
                      type_name=".foxglove.JointState")  # fmt: skip
     plate = file.message_type.add(name="Plate")
-    plate.field.add(name="timestamp", number=1, **time)  # type: ignore[arg-type]
+    plate.field.add(name="timestamp", number=1, **time)
     plate.field.add(name="wrench", number=2, type=kind.TYPE_DOUBLE, label=3)
     return FileDescriptorSet(file=[stamp, file])
 
@@ -279,7 +279,7 @@ def mcap_protobuf(folder: Path, log: Log) -> str:
             for channel, message in zip(channels, (states, plate), strict=True):
                 message.timestamp.FromNanoseconds(when)
                 writer.add_message(channel, when, message.SerializeToString(), when)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     sources = "\n".join(
         f'[sources.{name}]\nfile = "log.mcap"\ntopic = "{topic}"\ntime = "timestamp"'
         for name, topic in (("log", "/joint_states"), ("plate", "/plate"))

@@ -159,6 +159,7 @@ class ForeignTable:
         load: Gives an array by name.
         units: What the file says of columns' or arrays' units, as it says it.
         cut: Whether a last sample was incomplete and is left out.
+        about: What a person should know of the file, if anything.
     """
 
     path: Path
@@ -166,6 +167,7 @@ class ForeignTable:
     load: Callable[[str], Any]
     units: Mapping[str, str] = field(default_factory=dict)
     cut: bool = False
+    about: str = ""
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -63,7 +63,9 @@ class Layout:
             if found := re.fullmatch(pattern, column.name):
                 part = found.groupdict().get("part") or ""
                 if first.setdefault(kind, part) == part:
-                    return replace(column, kind=kind, unit=column.unit or unit, role=None)
+                    words = (kind, re.findall(r"\d+", column.name)[-1])
+                    unit = column.unit or unit
+                    return ColumnName(column.name, "".join(words), words, unit, kind, None)
         other = column.kind in KINDS or re.fullmatch(self.beside, column.name)
         return replace(column, kind=None, role=None) if other else column
 
@@ -83,6 +85,7 @@ LAYOUTS: tuple[Layout, ...] = (
         {"position": (f"{FRANKA}q{K}", "rad"), "velocity": (f"{FRANKA}dq{K}", "rad/s"),
          "torque": (f"{FRANKA}tau_J{K}", "N m")},
         beside=f".*_F_ext_hat_K{K}",
+        time=("time|duration",),
     ),
     *(
         Layout("UR's RTDE", {**UR, "torque": torque}, beside=f"(?:actual_TCP_|ft_raw_|tcp_).*{K}")

@@ -96,7 +96,7 @@ class Clock:
     def said(self) -> Iterator[tuple[str, Any, str]]:
         """Keys of the source in a mapping, their values and what is said beside them."""
         if self.column is None:
-            known = f"{self.because}; the file has no times".removeprefix("; ")
+            known = f"{self.because}; no single column is times".removeprefix("; ")
             yield "rate", self.rate, known if self.rate else "no column looks like times [Hz]"
             return
         yield "time", self.column, f"{self.rate:.9g} a second" if self.unit else ""
@@ -119,8 +119,8 @@ def clock_of(table: ForeignTable, layout: Layout | None = None) -> Clock:
             since = (seconds - seconds[0]) + (rest - rest[0]) * TIMES["ns"]
             return Clock(None, rate=rate_of(since), because=f"by {' and '.join(known)}")
         return Clock(None, rate=layout.rate, because=because)
-    said = [c for c in table.columns if plain(table.unit(c) or "") in TIMES]
-    named = [c for c in table.columns if c in said or like_time(c) < len(TIME_WORDS)]
+    timed = {c for c in table.columns if plain(table.unit(c) or "") in TIMES}
+    named = [c for c in table.columns if c in timed or like_time(c) < len(TIME_WORDS)]
     likely = known or sorted(named, key=like_time)
     unnamed = not any(re.search("[A-Za-z]", column) for column in table.columns)
     for column in table.columns[:1] if unnamed else likely[:LOOKED_AT]:
@@ -189,6 +189,16 @@ def _unit(column: str, stamps: Array | NDArray[np.int64]) -> tuple[str | None, s
     return (usual[0], "by its steps") if len(usual) == 1 else (None, "")
 
 
+BY_SIZE = "by their size"
+DEGREES = (4 * np.pi, 720.0)
+"""Largest positions that are rather degrees than radians, and the largest that are degrees."""
+
+PER_CENT = (99.0, 100.5)
+"""Largest positions that are rather parts of a calibrated range, as LeRobot's of SO arms."""
+
+COUNTS, COUNTED = 4096, 1000
+"""Of a turn of servos (Dynamixel's X, Feetech's STS); from which whole numbers on they are seen."""
+
 BY_BOTH = "by velocity and position"
 """How a unit or a sign is known that no name says."""
 
@@ -227,6 +237,7 @@ class LikelySignal:
         units: Column by column; None where unknown.
         sign: 1 or -1 a column; empty if all count the same way.
         because: What shows the units, if not the columns' names.
+        counts: Of a turn, if the columns are a servo's whole numbers.
     """
 
     source: LikelySource
@@ -235,6 +246,7 @@ class LikelySignal:
     units: tuple[str | None, ...]
     sign: tuple[int, ...] = ()
     because: str = ""
+    counts: int = 0
 
 
 _Pair = tuple[str | None, str | None]
@@ -363,7 +375,7 @@ def likely_signals(
         units = tuple(column.unit for column in kept.columns)
         found[kind] = LikelySignal(source, kept, tuple(others), units)
         count = count or len(kept.columns)
-    return _with_derivatives(found)
+    return _with_sizes(_with_derivatives(found))
 
 
 def _is(column: ColumnName, kind: str) -> bool:
@@ -424,6 +436,19 @@ def _pair(position: str | None, velocity: str | None, ratio: float) -> _Pair:
 def _in_units(signal: LikelySignal, units: Sequence[str | None]) -> LikelySignal:
     same = tuple(units) == signal.units
     return signal if same else replace(signal, units=tuple(units), because=BY_BOTH)
+
+
+def _with_sizes(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySignal]:
+    """What the size of positions shows where nothing else does: degrees, counts of a servo."""
+    if (q := signals.get("position")) is None or any(q.units):
+        return signals
+    values = values_of(q)
+    largest, whole = float(np.nanmax(np.abs(values))), bool((values == np.round(values)).all())
+    if whole and COUNTED <= largest < COUNTS and values.min() >= 0:
+        q = replace(_in_units(q, ["turn"] * len(q.units)), because=BY_SIZE, counts=COUNTS)
+    elif DEGREES[0] < largest <= DEGREES[1] and not PER_CENT[0] <= largest <= PER_CENT[1]:
+        q = replace(_in_units(q, ["deg"] * len(q.units)), because=BY_SIZE)
+    return {**signals, "position": q}
 
 
 def values_of(signal: LikelySignal) -> Array:

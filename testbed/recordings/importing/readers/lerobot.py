@@ -83,7 +83,10 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         return values(feature)[:, k]
 
     shapes = dict.fromkeys(("timestamp", *columns), time.shape)
-    return ForeignTable(path, shapes, load, {"timestamp": "s"})
+    count = len(np.unique(episode))
+    about = f'{count} episodes, one after the other; topic = "episode {episode[0]}" takes one'
+    about = about if topic is None and count > 1 else ""
+    return ForeignTable(path, shapes, load, {"timestamp": "s"}, about=about)
 
 
 def _info(path: Path) -> tuple[dict[str, Any], float]:
@@ -129,19 +132,16 @@ def _chosen(
 
 def _columns(feature: str, about: Any) -> list[str]:
     """Names of a feature's elements; none if it is no row of numbers."""
-    shape, kind = (
-        about.get(key) if isinstance(about, dict) else None for key in ("shape", "dtype")
-    )
-    row = isinstance(shape, list) and len(shape) == 1 and isinstance(shape[0], int)
-    if not row or not re.fullmatch(r"u?int\d+|float\d+|bool", str(kind)):
+    about = about if isinstance(about, dict) else {}
+    kind, shape, names = (about.get(key) for key in ("dtype", "shape", "names"))
+    if not re.fullmatch(r"u?int\d+|float\d+|bool", str(kind)) or not isinstance(shape, list):
         return []
-    count = int(shape[0])
+    count = shape[0] if len(shape) == 1 and isinstance(shape[0], int) else 0
     if not 1 <= count <= MOST_COLUMNS:
         return []
-    names = about.get("names")
-    while isinstance(names, dict | list) and len(names) == 1 and count > 1:
-        (names,) = names.values() if isinstance(names, dict) else names
-    if isinstance(names, list) and len(names) == count and all(isinstance(n, str) for n in names):
-        made = [f"{feature}/{name}" for name in names]
-        return made if len(set(made)) == count else [f"{feature}[{k}]" for k in range(count)]
+    if isinstance(names, dict) and len(names) == 1:  # as {"motors": [...]}
+        (names,) = names.values()
+    texts = {each for each in names if isinstance(each, str)} if isinstance(names, list) else ()
+    if isinstance(names, list) and len(texts) == len(names) == count > 1:
+        return [f"{feature}/{name}" for name in names]
     return [feature] if count == 1 else [f"{feature}[{k}]" for k in range(count)]

@@ -209,9 +209,9 @@ def _numbers(content: Any) -> Numbers:
 def _walk(content: Any, path: str, names: tuple[str, ...]) -> Iterator[tuple[str, float]]:
     if isinstance(content, dict):
         for keys in SECONDS:
-            parts = [content.get(key) for key in keys]
-            if all(isinstance(part, int) for part in parts):
-                yield path or "time", Nanoseconds(parts[0] * 1_000_000_000 + parts[1])
+            second, rest = (content.get(key) for key in keys)
+            if isinstance(second, int) and isinstance(rest, int):
+                yield path or "time", Nanoseconds(second * 1_000_000_000 + rest)
                 return
         lists = (_texts(content.get(key)) for key in LISTS_OF_NAMES)
         own = next((each for each in lists if each), ())

@@ -42,8 +42,10 @@ def _width(field: pa.Field, metadata: Any) -> int:
     if pa.types.is_list(kind) and _is_number(kind.value_type):
         groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
         parts = (each.column(k) for each in groups for k in range(each.num_columns))
-        values = sum(p.num_values for p in parts if p.path_in_schema.startswith(f"{field.name}."))
-        return values // max(metadata.num_rows, 1)
+        values = sum(
+            int(p.num_values) for p in parts if p.path_in_schema.startswith(f"{field.name}.")
+        )
+        return values // max(int(metadata.num_rows), 1)
     return int(_is_number(kind) or pa.types.is_timestamp(kind) or pa.types.is_duration(kind))
 
 
