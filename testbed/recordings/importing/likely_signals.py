@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
-from testbed.errors import RecordingError, round_significant
+from testbed.errors import round_significant
 from testbed.recordings.importing.column_names import (
     ColumnName,
     Group,
@@ -35,7 +35,7 @@ from testbed.recordings.importing.foreign_table import (
     plain,
 )
 from testbed.recordings.importing.known_layouts import Layout, layout_of
-from testbed.recordings.importing.readers import open_foreign, topics
+from testbed.recordings.importing.readers import tables
 from testbed.recordings.importing.source_clock import GAP, Times
 
 EPOCH = 1e9
@@ -322,16 +322,14 @@ def in_order(source: LikelySource, joints: int) -> LikelySource:
 
 def _tables(path: Path, name: str) -> Iterator[LikelySource]:
     """A file's tables: one, or of a bag one a topic of numbers."""
-    parts = topics(path)
-    if parts == [None]:
-        yield from _source(name or "log", path, None, open_foreign(path))
-        return
-    for number, topic in enumerate(parts):
-        try:
-            table = open_foreign(path, topic)
-        except RecordingError:
-            continue  # a topic of texts or pictures
-        yield from _source(f"{name}_topic{number}".strip("_"), path, topic, table)
+    found = tables(path)
+    readable = {topic: each for topic, each in found.items() if isinstance(each, ForeignTable)}
+    for error in found.values():
+        if not readable and isinstance(error, Exception):
+            raise error
+    for number, (topic, table) in enumerate(readable.items()):
+        own = f"{name}_topic{number}".strip("_") if topic else name or "log"
+        yield from _source(own, path, topic or None, table)
 
 
 def _source(
@@ -387,9 +385,11 @@ def _followed(signals: Mapping[Kind, LikelySignal]) -> Array | None:
     q, v = signals.get("position"), signals.get("velocity")
     if q is None or v is None or q.source is not v.source or len(q.units) != len(v.units):
         return None
-    positions = values_of(q)
+    positions, velocities = values_of(q), values_of(v)
     time = q.source.clock.time(q.source.table, len(positions))
-    found = slopes(positions, values_of(v), time)
+    if not len(positions) == len(velocities) == len(time):
+        return None
+    found = slopes(positions, velocities, time)
     return np.diagonal(found.slope) if np.diagonal(found.fit).min() > SURE else None
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from testbed.errors import RecordingError, UnknownName
-from testbed.recordings.importing.foreign_table import ForeignTable
+from testbed.recordings.importing.foreign_table import ForeignTable, Tables
 
 READERS = {
     "delimited_text": (".csv", ".tsv", ".txt", ".dat"),
@@ -43,16 +44,18 @@ def open_foreign(path: Path, topic: str | None = None) -> ForeignTable:
         raise RecordingError(f"there is no file '{path}'")
     module = _reader_of(path)
     if topic is not None and module not in PARTED:
-        raise RecordingError(f"{path}: `topic` is for {', '.join(PARTED)}")
-    reader = import_module(f"{__name__}.{module}")  # one of READERS, not the file's word
-    if topic is None and len(names := topics(path)) != 1:
-        raise RecordingError(f"{path}: say `topic`: {', '.join(map(str, names))}")
-    found: ForeignTable = reader.read_file(path, topic or names[0])
-    return found
+        raise RecordingError(f"{path}: `topic` is for bags, MCAP, .rrd and datasets of LeRobot")
+    if topic is None and hasattr(_reader(path), "tables"):
+        (found, *others) = tables(path).items()
+        if others:
+            raise RecordingError(f"{path}: say `topic`: {', '.join((found[0], *dict(others)))}")
+        topic = found[0]
+    table: ForeignTable = _reader(path).read_file(path, topic)
+    return table
 
 
-def topics(path: Path) -> list[str | None]:
-    """What of a file `open_foreign` takes as a table; None alone where that is the file.
+def tables(path: Path) -> Tables:
+    """All tables of a file by what `open_foreign` takes as its topic; "" where it is one.
 
     Args:
         path: The file or folder.
@@ -61,8 +64,17 @@ def topics(path: Path) -> list[str | None]:
         RecordingError: It is damaged, or a library is not installed.
         UnknownName: The ending is that of no known format.
     """
-    reader = import_module(f"{__name__}.{_reader_of(path)}")
-    return [*reader.topics(path)] if hasattr(reader, "topics") else [None]
+    reader = _reader(path)
+    if not hasattr(reader, "tables"):
+        return {"": open_foreign(path)}
+    found: Tables = reader.tables(path)
+    if not found:
+        raise RecordingError(f"{path}: there are no messages or numbers in it")
+    return found
+
+
+def _reader(path: Path) -> Any:
+    return import_module(f"{__name__}.{_reader_of(path)}")  # one of READERS, not the file's word
 
 
 PARTED = ("ros_bag", "mcap", "rerun_log", "lerobot")

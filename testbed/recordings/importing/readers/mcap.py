@@ -16,16 +16,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from testbed.errors import UnknownName
-from testbed.recordings.importing.foreign_table import ForeignTable, library, readable
+from testbed.errors import RecordingError, UnknownName
+from testbed.recordings.importing.foreign_table import (
+    MOST_NUMBERS,
+    ForeignTable,
+    Tables,
+    library,
+    readable,
+    refusal,
+)
 from testbed.recordings.importing.readers.ros_bag import (
     LISTS_OF_NAMES,
     MOST_STEPS,
     Nanoseconds,
     Numbers,
+    Rows,
     definitions_of,
     numbers_of,
-    table_of,
 )
 
 MOST_BYTES = 250_000_000
@@ -56,11 +63,14 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         UnknownName: There is no such topic.
     """
     with readable(path):
-        return table_of(path, _messages(path, str(topic)))
+        found = _tables(path, topic)[str(topic)]
+    if isinstance(found, Exception):
+        raise found
+    return found
 
 
-def topics(path: Path) -> dict[str, int]:
-    """Number of messages of every topic.
+def tables(path: Path) -> Tables:
+    """Every topic.
 
     Args:
         path: The file.
@@ -68,35 +78,49 @@ def topics(path: Path) -> dict[str, int]:
     Raises:
         RecordingError: The file is damaged, or mcap is not installed.
     """
-    names: dict[int, str] = {}
-    found: dict[str, int] = {}
     with readable(path):
-        for record in _records(path):
-            if (kind := type(record).__name__) == "Channel":
-                found.setdefault(names.setdefault(record.id, record.topic), 0)
-            elif kind == "Message":
-                found[names[record.channel_id]] += 1
-    return found
+        return _tables(path, None)
 
 
-def _messages(path: Path, topic: str) -> Iterator[tuple[int, Numbers]]:
-    """When each message of a topic was received [ns], and its numbers."""
+def _tables(path: Path, wanted: str | None) -> Tables:
+    """One topic or all of them, in one pass."""
     known: dict[str, dict[int, Any]] = {"Schema": {}, "Channel": {}}
     decoders: dict[int, Decoder] = {}
+    rows: dict[str, Rows] = {}
+    failed: Tables = {}
+    count = 0
     for record in _records(path):
         if (kind := type(record).__name__) in known:
             known[kind][record.id] = record
-        elif kind == "Message" and known["Channel"][record.channel_id].topic == topic:
-            channel = known["Channel"][record.channel_id]
+        if kind != "Message":
+            continue
+        channel = known["Channel"][record.channel_id]
+        if wanted not in (None, channel.topic) or channel.topic in failed:
+            continue
+        try:
             if channel.id not in decoders:
-                if channel.message_encoding not in DECODERS:
-                    raise UnknownName("encoding of messages", channel.message_encoding, DECODERS)
-                schema = known["Schema"].get(channel.schema_id)
-                decoders[channel.id] = DECODERS[channel.message_encoding](schema)
-            yield record.log_time, decoders[channel.id](record.data)
-    listed = {each.topic for each in known["Channel"].values()}
-    if topic not in listed:
-        raise UnknownName("topic", topic, sorted(listed))
+                decoders[channel.id] = _decoder(channel, known["Schema"].get(channel.schema_id))
+            numbers = decoders[channel.id](record.data)
+            rows.setdefault(channel.topic, Rows(path)).add(record.log_time, numbers)
+        except Exception as error:  # whatever a damaged message makes a library raise
+            failed[channel.topic] = refusal(path, error)
+            rows.pop(channel.topic, None)
+            continue
+        count += len(numbers) + 1
+        if count > MOST_NUMBERS:
+            raise RecordingError(f"{path}: more than {MOST_NUMBERS:.0e} numbers")
+    topics = {each.topic for each in known["Channel"].values()}
+    if wanted is not None and wanted not in topics:
+        raise UnknownName("topic", wanted, sorted(topics))
+    empty = {topic: Rows(path) for topic in topics if wanted in (None, topic)}
+    return {topic: each.table() for topic, each in (empty | rows).items()} | failed
+
+
+def _decoder(channel: Any, schema: Any) -> Decoder:
+    """What decodes a channel's messages."""
+    if channel.message_encoding not in DECODERS:
+        raise UnknownName("encoding of messages", channel.message_encoding, DECODERS)
+    return DECODERS[channel.message_encoding](schema)
 
 
 def _records(path: Path) -> Iterator[Any]:

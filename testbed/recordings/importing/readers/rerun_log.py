@@ -15,7 +15,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from testbed.errors import RecordingError, UnknownName
-from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable, readable
+from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable, Tables, readable
 
 OWN = ("log_time", "log_tick")
 """Timelines that Rerun adds: when it was told, and how many times before."""
@@ -39,17 +39,16 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         UnknownName: There is no such entity.
     """
     with readable(path):
-        tables = _tables(path)
-    for columns, units in tables:
+        found = _tables(path)
+    for columns, units in found:
         if topic in columns:
-            shapes = {name: values.shape for name, values in columns.items()}
-            return ForeignTable(path, shapes, columns.__getitem__, units)
-    known = [name for columns, units in tables for name in columns if name not in units]
+            return _table(path, columns, units)
+    known = [name for columns, units in found for name in columns if name not in units]
     raise UnknownName("entity", str(topic), known)
 
 
-def topics(path: Path) -> list[str]:
-    """An entity of each table, the largest table first.
+def tables(path: Path) -> Tables:
+    """What was logged at the same times, by an entity of it; the largest first.
 
     Args:
         path: The file.
@@ -58,11 +57,16 @@ def topics(path: Path) -> list[str]:
         RecordingError: It is damaged.
     """
     with readable(path):
-        tables = _tables(path)
-    first = [next(name for name in columns if name not in units) for columns, units in tables]
-    if not first:
-        raise RecordingError(f"{path}: no entity in it has numbers at more than one time")
-    return first
+        found = _tables(path)
+    return {
+        next(name for name in columns if name not in units): _table(path, columns, units)
+        for columns, units in found
+    }
+
+
+def _table(path: Path, columns: dict[str, NDArray[Any]], units: dict[str, str]) -> ForeignTable:
+    shapes = {name: values.shape for name, values in columns.items()}
+    return ForeignTable(path, shapes, columns.__getitem__, units)
 
 
 def _tables(path: Path) -> list[tuple[dict[str, NDArray[Any]], dict[str, str]]]:
@@ -84,13 +88,13 @@ def _tables(path: Path) -> list[tuple[dict[str, NDArray[Any]], dict[str, str]]]:
                 count += values.size + len(stamps) * len(values)
                 if count > MOST_NUMBERS:
                     raise RecordingError(f"{path}: more than {MOST_NUMBERS:.0e} numbers")
-    tables: dict[tuple[Any, ...], dict[str, NDArray[Any]]] = {}
+    alike: dict[tuple[Any, ...], dict[str, NDArray[Any]]] = {}
     for name, pieces in parts.items():
         stamps, values = _joined(pieces)
         if len(values) > 1:
             same = tuple((line, times.tobytes()) for line, times in stamps.items())
-            tables.setdefault(same, dict(stamps))[name] = values
-    found = sorted(tables.values(), key=len, reverse=True)
+            alike.setdefault(same, dict(stamps))[name] = values
+    found = sorted(alike.values(), key=len, reverse=True)
     return [(each, {n: units[n] for n in each if n in units}) for each in found]
 
 

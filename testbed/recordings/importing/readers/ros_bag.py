@@ -6,7 +6,7 @@ Numbers of messages by the definitions of their types; MCAP's messages are table
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.errors import RecordingError, UnknownName
-from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable, library, readable
+from testbed.recordings.importing.foreign_table import (
+    MOST_NUMBERS,
+    ForeignTable,
+    Tables,
+    library,
+    readable,
+    refusal,
+)
 
 BASE, NAME, ARRAY, SEQUENCE = 1, 2, 3, 4
 """Kinds of nodes in a type's definition."""
@@ -187,11 +194,11 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         known = [each for each in bag.connections if each.topic == topic]
         if not known:
             raise UnknownName("topic", str(topic), sorted({c.topic for c in bag.connections}))
-        return table_of(path, _messages(path, bag, known))
+        return _table(path, bag, known)
 
 
-def topics(path: Path) -> dict[str, int]:
-    """Number of messages of every topic of a bag.
+def tables(path: Path) -> Tables:
+    """Every topic of a bag.
 
     Args:
         path: The bag.
@@ -199,8 +206,14 @@ def topics(path: Path) -> dict[str, int]:
     Raises:
         RecordingError: The bag is damaged, or rosbags is not installed.
     """
+    found: Tables = {}
     with readable(path), _opened(path) as bag:
-        return {each.topic: int(each.msgcount) for each in bag.connections}
+        for topic in dict.fromkeys(each.topic for each in bag.connections):
+            try:
+                found[topic] = _table(path, bag, [c for c in bag.connections if c.topic == topic])
+            except Exception as error:  # whatever a damaged message makes a library raise
+                found[topic] = refusal(path, error)
+    return found
 
 
 @contextmanager
@@ -217,54 +230,69 @@ def _version(path: Path) -> int:
     return 1 if path.suffix.lower() == ".bag" else 2
 
 
-def _messages(path: Path, bag: Any, connections: list[Any]) -> Iterator[tuple[int, Numbers]]:
-    """When each message was received [ns], and its numbers."""
+def _table(path: Path, bag: Any, connections: list[Any]) -> ForeignTable:
+    """Numbers of a topic's messages."""
     from rosbags.interfaces import MessageDefinitionFormat
 
-    version, known = _version(path), {}
+    version, known, rows = _version(path), {}, Rows(path)
     for each in connections:
         idl = each.msgdef.format == MessageDefinitionFormat.IDL
         known[each.id] = definitions_of(each.msgtype, each.msgdef.data, version, idl=idl)
     for connection, when, data in bag.messages(connections=connections):
-        yield when, numbers_of(data, *known[connection.id], version)
+        rows.add(when, numbers_of(data, *known[connection.id], version))
+    return rows.table()
 
 
-def table_of(path: Path, messages: Iterable[tuple[int, Numbers]]) -> ForeignTable:
-    """Numbers of a topic's messages as columns by path, and their times.
+class Rows:
+    """Numbers of a topic's messages, one after the other.
 
-    Args:
+    Attributes:
         path: The file.
-        messages: When each was received [ns], and its numbers.
-
-    Raises:
-        RecordingError: They have different fields, or there are too many.
     """
-    first: Numbers = {}
-    rows: list[list[float]] = []
-    received: list[int] = []
-    for when, found in messages:
-        first = first if rows else found
-        if found.keys() != first.keys():
-            other = sorted(first.keys() ^ found.keys())[:4]
+
+    def __init__(self, path: Path) -> None:
+        """Without a message."""
+        self.path = path
+        self._first: Numbers = {}
+        self._rows: list[list[float]] = []
+        self._received: list[int] = []
+
+    def add(self, when: int, found: Numbers) -> None:
+        """A message.
+
+        Args:
+            when: It was received [ns].
+            found: Its numbers.
+
+        Raises:
+            RecordingError: It has other fields than the first, or there are too many.
+        """
+        self._first = self._first if self._rows else found
+        if found.keys() != self._first.keys():
+            other = sorted(self._first.keys() ^ found.keys())[:4]
             raise RecordingError(
-                f"{path}: messages of one topic have different fields ({', '.join(other)})"
+                f"{self.path}: messages of one topic have different fields ({', '.join(other)})"
             )
-        rows.append([found[name] for name in first])
-        received.append(when)
-        if len(rows) * (len(first) + 1) > MOST_NUMBERS:
-            raise RecordingError(f"{path}: more than {MOST_NUMBERS:.0e} numbers")
-    order = np.argsort(np.array(received, dtype=np.int64), kind="stable")
-    columns: dict[str, NDArray[Any]] = {}
-    for k, name in enumerate(first):
-        made = np.array([row[k] for row in rows])
-        columns[name] = (made if made.dtype.kind in "if" else made.astype(np.float64))[order]
-    if STAMP in columns:
-        columns = {"stamp": columns.pop(STAMP)} | columns
-    columns["received"] = np.array(received, dtype=np.int64)[order]
-    times = {name: "ns" for name, value in first.items() if isinstance(value, Nanoseconds)}
-    units = times | {"received": "ns"} | ({"stamp": "ns"} if STAMP in times else {})
-    shapes = {name: values.shape for name, values in columns.items() if len(values) > 1}
-    return ForeignTable(path, shapes, columns.__getitem__, units)
+        self._rows.append([found[name] for name in self._first])
+        self._received.append(when)
+        if len(self._rows) * (len(found) + 1) > MOST_NUMBERS:
+            raise RecordingError(f"{self.path}: more than {MOST_NUMBERS:.0e} numbers")
+
+    def table(self) -> ForeignTable:
+        """Columns by path, and their times, in the order of these."""
+        received = np.array(self._received, dtype=np.int64)
+        order = np.argsort(received, kind="stable")
+        columns: dict[str, NDArray[Any]] = {}
+        for k, name in enumerate(self._first):
+            made = np.array([row[k] for row in self._rows])
+            columns[name] = (made if made.dtype.kind in "if" else made.astype(np.float64))[order]
+        if STAMP in columns:
+            columns = {"stamp": columns.pop(STAMP)} | columns
+        columns["received"] = received[order]
+        times = {name: "ns" for name, each in self._first.items() if isinstance(each, Nanoseconds)}
+        units = times | {"received": "ns"} | ({"stamp": "ns"} if STAMP in times else {})
+        shapes = {name: values.shape for name, values in columns.items() if len(values) > 1}
+        return ForeignTable(self.path, shapes, columns.__getitem__, units)
 
 
 def definitions_of(
