@@ -133,7 +133,7 @@ def import_(
     lock_mimic: LockMimic = False,
     as_json: Json = False,
 ) -> None:
-    """Make a recording of other programs' files: CSV, MATLAB, HDF5, ROS bags, C3D and others.
+    """Make a recording of other programs' files: CSV, MATLAB, HDF5, ROS bags, MCAP, LeRobot, others.
 
     With --model, signs, units, order, encoder zeros and clocks are checked against the robot. With
     --guess a mapping file is written from the column names; with --guess and --model what these do
@@ -146,6 +146,11 @@ def import_(
     from testbed.recordings.joined import pieces
     from testbed.reporting import output
 
+    for each in files:
+        if not guess and each.suffix.lower() != ".toml":
+            raise typer.BadParameter(
+                f"'{each}' is no mapping file (.toml): testbed new --recording {each} writes one"
+            )
     _check_out(out, [*files, model], guess=guess)
     _check_page(page, [*files, model, out], said=bool(guess and model))
     reading = Reading(settings, False, weld_root, lock, lock_mimic)
@@ -156,10 +161,6 @@ def import_(
     if len(files) > 1:
         raise typer.BadParameter(f"one mapping at a time, not {len(files)}; it may name many files")
     (mapping,) = files
-    if mapping.suffix.lower() != ".toml":
-        raise typer.BadParameter(
-            f"'{mapping}' is no mapping file (.toml): testbed new --recording {mapping} writes one"
-        )
     if out is None:
         raise typer.BadParameter("--out is missing, e.g. --out recording.parquet")
     if model is None and align:

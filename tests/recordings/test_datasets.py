@@ -49,6 +49,8 @@ def test_episodes_are_recordings_of_their_own(version: str, tmp_path: Path) -> N
         column = f"observation.state/{JOINTS[1]}.pos"
         np.testing.assert_array_equal(alone.read([column])[column], log.q[rows, 1])
         np.testing.assert_allclose(alone.read(["timestamp"])["timestamp"], log.t[:200], atol=1e-6)
+    (file, *_) = sorted((tmp_path / "log/data").rglob("*.parquet"))
+    assert open_foreign(file).columns == open_foreign(tmp_path / "log").columns
     draft = guessed([tmp_path / "log"], tmp_path, JOINTS).tables
     assert draft["position"]["columns"] == [f"observation.state/{j}.pos" for j in JOINTS]
     assert draft["torque"]["columns"] == [f"observation.effort/{j}" for j in JOINTS]

@@ -96,6 +96,9 @@ def _reader_of(path: Path) -> str:
         raise RecordingError(f"'{path}' is a folder without {marks}: no dataset and no ROS 2 bag")
     if not path.is_file():
         raise RecordingError(f"'{path}' is no file")
+    above = path.absolute().parents
+    if path.suffix == ".parquet" and len(above) > 2 and (above[2] / FOLDERS["lerobot"]).is_file():
+        return "lerobot"  # a file of a dataset
     name = path.name.lower().removesuffix(".gz")
     ending = Path(name).suffix
     packed = path.name.lower().endswith(".gz")

@@ -41,7 +41,7 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
     """Columns of a dataset.
 
     Args:
-        path: The folder.
+        path: The folder, or one of its Parquet files.
         topic: One of its episodes, as "episode 3"; None for all of them.
 
     Raises:
@@ -49,8 +49,9 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         UnknownName: There is no such episode.
     """
     with readable(path):
-        features, fps = _info(path)
-        files = sorted(each for each in (path / "data").rglob("*.parquet") if each.is_file())
+        features, fps = _info(path if path.is_dir() else path.absolute().parents[2])
+        found = (path / "data").rglob("*.parquet") if path.is_dir() else [path]
+        files = sorted(each for each in found if each.is_file())
         if not files or len(files) > MOST_FILES:
             raise RecordingError(f"{path}: {len(files)} Parquet files in its folder 'data'")
         episodes = [read_column(file, "episode_index") for file in files]

@@ -109,7 +109,7 @@ def _tables(path: Path, wanted: str | None) -> Tables:
         count += len(numbers) + 1
         if count > MOST_NUMBERS:
             raise RecordingError(f"{path}: more than {MOST_NUMBERS:.0e} numbers")
-    topics = {each.topic for each in known["Channel"].values()}
+    topics = dict.fromkeys(each.topic for each in known["Channel"].values())
     if wanted is not None and wanted not in topics:
         raise UnknownName("topic", wanted, sorted(topics))
     empty = {topic: Rows(path) for topic in topics if wanted in (None, topic)}
