@@ -133,7 +133,7 @@ def import_(
     lock_mimic: LockMimic = False,
     as_json: Json = False,
 ) -> None:
-    """Make a recording of other programs' files: CSV, MATLAB, HDF5, ROS bags, MCAP, LeRobot, others.
+    """Make a recording of other programs' files: CSV, MATLAB, HDF5, ROS, LeRobot, and others.
 
     With --model, signs, units, order, encoder zeros and clocks are checked against the robot. With
     --guess a mapping file is written from the column names; with --guess and --model what these do

@@ -1,4 +1,4 @@
-"""Rerun's recordings (.rrd): numbers of an entity are columns of its path, timelines are times.
+"""Rerun's recordings (.rrd): scalars of an entity are columns of its path, timelines are times.
 
 A table is all that was logged at the same times.
 """
@@ -6,7 +6,6 @@ A table is all that was logged at the same times.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +17,10 @@ from testbed.errors import RecordingError, UnknownName
 from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable, Tables, readable
 
 OWN = ("log_time", "log_tick")
-"""Timelines that Rerun adds: when it was told, and how many times before."""
+"""Timelines that Rerun adds: when something was logged, and how much before it."""
 
 SCALARS = "Scalars:scalars"
-"""The component that is a number; it is named by its entity alone."""
+"""The component that is read: numbers, one or several."""
 
 Stamps = dict[str, NDArray[np.int64]]
 """Times by timeline, (M,) each."""
@@ -79,61 +78,43 @@ def _tables(path: Path) -> list[tuple[dict[str, NDArray[Any]], dict[str, str]]]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of files without a table of contents, which are read
         for chunk in RrdReader(path).stream().to_chunks():
-            if chunk.is_static or chunk.entity_path.startswith("/__"):
-                continue
             batch = chunk.to_record_batch()
-            units |= _units(batch)
-            for name, stamps, values in _components(chunk.entity_path.lstrip("/"), batch):
-                parts.setdefault(name, []).append((stamps, values))
-                count += values.size + len(stamps) * len(values)
-                if count > MOST_NUMBERS:
-                    raise RecordingError(f"{path}: more than {MOST_NUMBERS:.0e} numbers")
+            if chunk.is_static or SCALARS not in batch.schema.names:
+                continue
+            stamps, values = _scalars(batch, units)
+            parts.setdefault(chunk.entity_path.lstrip("/"), []).append((stamps, values))
+            count += values.size + len(stamps) * len(values)
+            if count > MOST_NUMBERS:
+                raise RecordingError(f"{path}: more than {MOST_NUMBERS:.0e} numbers")
     alike: dict[tuple[Any, ...], dict[str, NDArray[Any]]] = {}
     for name, pieces in parts.items():
         stamps, values = _joined(pieces)
-        if len(values) > 1:
+        if len(values) > 1 and values.size:
             same = tuple((line, times.tobytes()) for line, times in stamps.items())
             alike.setdefault(same, dict(stamps))[name] = values
     found = sorted(alike.values(), key=len, reverse=True)
     return [(each, {n: units[n] for n in each if n in units}) for each in found]
 
 
-def _units(batch: Any) -> dict[str, str]:
-    """Units of a chunk's timelines; that of one that counts is none."""
-    lines = (field for field in batch.schema if _kind(field) == b"index")
-    return {field.name: getattr(field.type, "unit", "") for field in lines}
-
-
-def _components(entity: str, batch: Any) -> Iterator[tuple[str, Stamps, NDArray[Any]]]:
-    """Name, times and values of every component of a chunk that is numbers, (M, k) each."""
-    lines = [field.name for field in batch.schema if _kind(field) == b"index"]
-    own = [name for name in lines if name not in OWN] or lines
-    for field in batch.schema:
-        column = batch.column(field.name)
-        if _kind(field) != b"data" or not pa.types.is_list(field.type):
-            continue
-        sent = column.is_valid().to_numpy(zero_copy_only=False)
-        values, rows = column.drop_null().flatten(), int(sent.sum())
-        while pa.types.is_fixed_size_list(values.type):
-            values = values.flatten()
-        numbers = pa.types.is_floating(values.type) or pa.types.is_integer(values.type)
-        widths = np.diff(column.drop_null().offsets.to_numpy())
-        if not numbers or not rows or widths.min() != widths.max() or not len(values):
-            continue
-        stamps = {line: batch.column(line).cast(pa.int64()).to_numpy()[sent] for line in own}
-        name = entity if field.name == SCALARS else f"{entity}/{field.name}"
-        yield name, stamps, values.to_numpy(zero_copy_only=False).reshape(rows, -1)
-
-
-def _kind(field: Any) -> bytes:
-    """What a column is for Rerun: index, data, control."""
-    return bytes((field.metadata or {}).get(b"rerun:kind", b""))
+def _scalars(batch: Any, units: dict[str, str]) -> tuple[Stamps, NDArray[Any]]:
+    """Times and values, (M, k), of a chunk; none where rows differ in length."""
+    lines = [f for f in batch.schema if (f.metadata or {}).get(b"rerun:kind") == b"index"]
+    lines = [line for line in lines if line.name not in OWN] or lines
+    units |= {line.name: getattr(line.type, "unit", "") for line in lines}
+    column = batch.column(SCALARS)
+    sent = column.is_valid().to_numpy(zero_copy_only=False)
+    values, rows = column.drop_null().flatten().to_numpy(zero_copy_only=False), int(sent.sum())
+    widths = np.unique(np.diff(column.drop_null().offsets.to_numpy()))
+    if len(widths) != 1:
+        sent, rows, values = np.zeros_like(sent), 0, values[:0]
+    stamps = {f.name: batch.column(f.name).cast(pa.int64()).to_numpy()[sent] for f in lines}
+    return stamps, values.reshape(rows, len(values) // max(rows, 1))
 
 
 def _joined(pieces: list[tuple[Stamps, NDArray[Any]]]) -> tuple[Stamps, NDArray[Any]]:
     """Chunks in one, in the order of their times; those on other timelines are left out."""
-    lines = [*pieces[0][0]]
-    alike = [(s, v) for s, v in pieces if [*s] == lines and v.shape[1] == pieces[0][1].shape[1]]
+    lines, width = [*pieces[0][0]], pieces[0][1].shape[1]
+    alike = [(s, v) for s, v in pieces if [*s] == lines and v.shape[1] == width]
     stamps = {line: np.concatenate([s[line] for s, _ in alike]) for line in lines}
     order = np.argsort(stamps[lines[0]], kind="stable") if lines else slice(0)
     values = np.concatenate([v for _, v in alike])[order]
