@@ -55,6 +55,8 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         if not files or len(files) > MOST_FILES:
             raise RecordingError(f"{path}: {len(files)} Parquet files in its folder 'data'")
         episodes = [read_column(file, "episode_index") for file in files]
+        if any(each.dtype.kind not in "iu" for each in episodes):
+            raise RecordingError(f"{path}: 'episode_index' is not whole numbers")
         episode = np.concatenate(episodes).astype(np.int64)
         stamp = np.concatenate([read_column(file, "timestamp") for file in files]).astype(float)
         wanted, time = _chosen(path, topic, episode, stamp, fps)
