@@ -21,7 +21,12 @@ from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError, UnknownName
-from testbed.recordings.importing.foreign_table import MOST_COLUMNS, ForeignTable, readable
+from testbed.recordings.importing.foreign_table import (
+    MOST_COLUMNS,
+    MOST_NUMBERS,
+    ForeignTable,
+    readable,
+)
 from testbed.recordings.importing.readers.parquet_columns import read_column
 
 VERSIONS = ("v2", "v3")
@@ -54,6 +59,10 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         files = sorted(each for each in found if each.is_file())
         if not files or len(files) > MOST_FILES:
             raise RecordingError(f"{path}: {len(files)} Parquet files in its folder 'data'")
+        if sum(pq.read_metadata(file).num_rows for file in files) > MOST_NUMBERS:
+            raise RecordingError(
+                f"{path}: more than {MOST_NUMBERS:.0e} rows; name an episode's file"
+            )
         episodes = [read_column(file, "episode_index") for file in files]
         if any(each.dtype.kind not in "iu" for each in episodes):
             raise RecordingError(f"{path}: 'episode_index' is not whole numbers")

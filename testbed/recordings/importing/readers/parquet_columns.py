@@ -10,7 +10,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from testbed.recordings.importing.foreign_table import ForeignTable, readable
+from testbed.recordings.importing.foreign_table import (
+    MOST_COLUMNS,
+    MOST_NUMBERS,
+    ForeignTable,
+    readable,
+)
 
 
 def read_file(path: Path, topic: str | None) -> ForeignTable:
@@ -30,7 +35,8 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         names = list(schema.names)
         widths = {f.name: _width(f, file.metadata) for f in schema if names.count(f.name) == 1}
         units = {f.name: u for f in schema if widths.get(f.name) and (u := _unit(f))}
-        shapes = {n: (rows, k) if k > 1 else (rows,) for n, k in widths.items() if k and rows > 1}
+        kept = {n: k for n, k in widths.items() if 0 < k <= MOST_COLUMNS and rows > 1}
+        shapes = {n: (rows, k) if k > 1 else (rows,) for n, k in kept.items()}
     return ForeignTable(path, shapes, lambda name: read_column(path, name), units)
 
 
@@ -71,7 +77,11 @@ def read_column(path: Path, name: str) -> NDArray[Any]:
     Raises:
         ValueError: A value is missing, or lists are of different lengths.
     """
-    array = pq.ParquetFile(path, pre_buffer=False).read([name]).column(0).combine_chunks()
+    file = pq.ParquetFile(path, pre_buffer=False)
+    width = _width(file.schema_arrow.field(name), file.metadata)
+    if width * file.metadata.num_rows > MOST_NUMBERS:  # a small file can hold as many equal ones
+        raise ValueError(f"column '{name}' has more than {MOST_NUMBERS:.0e} numbers")
+    array = file.read([name]).column(0).combine_chunks()
     array = array.combine_chunks() if isinstance(array, pa.ChunkedArray) else array
     rows, kind = len(array), array.type
     missing, listed = array.null_count, pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind)
