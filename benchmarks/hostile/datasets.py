@@ -270,7 +270,7 @@ def _static(stream: rr.RecordingStream) -> None:
 
 def _words(stream: rr.RecordingStream) -> None:
     for k in range(9):
-        stream.set_time("t", sequence=k)
+        stream.set_time("step", sequence=k)
         stream.log("notes", rr.TextLog("\x1b[31m" * k))
         stream.log("cloud", rr.Points3D(np.zeros((k, 3))))
         stream.log("picture", rr.Image(np.zeros((9, 9, 3), np.uint8)))
