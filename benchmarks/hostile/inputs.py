@@ -22,6 +22,7 @@ from hypothesis.strategies import DrawFn, SearchStrategy
 import testbed as tb
 from benchmarks.hostile.bombs import BOMBS
 from benchmarks.hostile.case import Case
+from benchmarks.hostile.datasets import datasets
 from testbed.recordings.formats.parquet import KEY, write_table
 from tests.helpers.foreign_files import FORMATS, some_log
 from tests.helpers.paths import GOLDEN, ROOT
@@ -327,6 +328,7 @@ KINDS: dict[str, SearchStrategy[Case]] = {
     "models": models(),
     "recordings": recordings(),
     "foreign": foreign(),
+    "datasets": datasets(),
     "experiments": experiments(),
     "listings": listings(),
 }

@@ -33,6 +33,7 @@ class Worker:
     def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
         self._count = 0
+        self.refused = 0
 
     def __enter__(self) -> Worker:
         return self
@@ -48,9 +49,11 @@ class Worker:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             for file, data in case.files.items():
+                (folder / file).parent.mkdir(parents=True, exist_ok=True)
                 (folder / file).write_bytes(data)
             before = _content(folder)
             done = self._run(folder, case.words)
+            self.refused += done.get("code") == 2
             return complaints(case, done, before, _content(folder))
 
     def _run(self, folder: Path, words: Iterable[str]) -> dict[str, Any]:
@@ -115,7 +118,8 @@ def hostile(kind: str, count: int, seed: int) -> dict[str, Any]:
             is_treated_well()
         except AssertionError as error:
             wrong = str(error)
-    return {"bench": f"hostile {kind}", "inputs": met, "seed": seed, "not treated well": wrong}
+    return {"bench": f"hostile {kind}", "inputs": met, "refused": worker.refused, "seed": seed,
+            "not treated well": wrong}  # fmt: skip
 
 
 def _content(folder: Path) -> dict[str, bytes]:

@@ -90,7 +90,8 @@ def _show(draft: Draft) -> None:
     from testbed.reporting import output
     from testbed.reporting.mapping import solved_table
 
-    output.print_tables(output.console(), [solved_table(draft)])
+    if (table := solved_table(draft)).rows:
+        output.print_tables(output.console(), [table])
     if sys.stdin.isatty() and sys.stdout.isatty():
         typer.confirm("Write it so?", default=True, abort=True)
 
@@ -132,7 +133,7 @@ def import_(
     lock_mimic: LockMimic = False,
     as_json: Json = False,
 ) -> None:
-    """Make a recording of other programs' files: CSV, MATLAB, HDF5, ROS bags, C3D and others.
+    """Make a recording of other programs' files: CSV, MATLAB, HDF5, ROS, LeRobot, and others.
 
     With --model, signs, units, order, encoder zeros and clocks are checked against the robot. With
     --guess a mapping file is written from the column names; with --guess and --model what these do
@@ -145,6 +146,11 @@ def import_(
     from testbed.recordings.joined import pieces
     from testbed.reporting import output
 
+    for each in files:
+        if not guess and each.suffix.lower() != ".toml":
+            raise typer.BadParameter(
+                f"'{each}' is no mapping file (.toml): testbed new --recording {each} writes one"
+            )
     _check_out(out, [*files, model], guess=guess)
     _check_page(page, [*files, model, out], said=bool(guess and model))
     reading = Reading(settings, False, weld_root, lock, lock_mimic)
@@ -155,10 +161,6 @@ def import_(
     if len(files) > 1:
         raise typer.BadParameter(f"one mapping at a time, not {len(files)}; it may name many files")
     (mapping,) = files
-    if mapping.suffix.lower() != ".toml":
-        raise typer.BadParameter(
-            f"'{mapping}' is no mapping file (.toml): testbed new --recording {mapping} writes one"
-        )
     if out is None:
         raise typer.BadParameter("--out is missing, e.g. --out recording.parquet")
     if model is None and align:
@@ -181,7 +183,7 @@ def import_(
             for each in found.offsets
         ]
         checked = [*tree.diagnostics, *found.diagnostics]
-    paths = _paths(out, len(made))
+    paths = numbered(out, len(made))
     for recording, path in zip(made, paths, strict=True):
         recording.save(path)
     reports = [ImportReport.from_dict(recording.facts["import"]) for recording in made]
@@ -221,8 +223,13 @@ def _check_page(page: Path | None, others: list[Path | None], *, said: bool) -> 
     check_writable(page, read=tuple(others))
 
 
-def _paths(out: Path, count: int) -> list[Path]:
-    """Where recordings go: `out`, or its name with a number each."""
+def numbered(out: Path, count: int) -> list[Path]:
+    """Where recordings go: `out`, or its name with a number each.
+
+    Args:
+        out: Of one.
+        count: How many there are.
+    """
     if count == 1:
         return [out]
     return [out.with_name(f"{out.stem}-{k}{out.suffix}") for k in range(1, count + 1)]

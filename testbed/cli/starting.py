@@ -16,7 +16,7 @@ from typing import Annotated
 import typer
 from packaging.requirements import Requirement
 
-from testbed.cli.importing import write_mapping
+from testbed.cli.importing import numbered, write_mapping
 from testbed.cli.reading import Json, app
 from testbed.installation import DISTRIBUTION, own_or_shipped
 from testbed.installation import version as own_version
@@ -204,13 +204,15 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None) -> None:
     if not write_mapping(files, mapping, robot, tree) or tree is None:
         return
     with output.Progress("importing, checking against the robot") as bar:
-        several, _, found = import_and_check(mapping, tree, progress=bar)
-    recording = max(several, key=lambda each: each.samples)
-    recording.save(made)
-    last = f"{made}: testbed identify {made} --model {robot}"
-    if recording.wrench is not None:  # the plate's frame and clock are known to a sigma only
+        several, cuts, found = import_and_check(mapping, tree, progress=bar)
+    paths = numbered(made, len(several))
+    for recording, path in zip(several, paths, strict=True):
+        recording.save(path)
+    listed, taken = (made, made) if len(paths) == 1 else (f"{paths[0]} to {paths[-1]}", mapping)
+    last = f"{listed}: testbed identify {taken} --model {robot}"
+    if several[0].wrench is not None:  # the plate's frame and clock are known to a sigma only
         last += """ --set 'identification.nuisances=["pose","skew"]'"""
-    output.print_lines([last], found.diagnostics)
+    output.print_lines([last], [*cuts, *found.diagnostics])
 
 
 def _check_free(path: Path) -> None:

@@ -13,6 +13,17 @@ import h5py
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import rerun as rr
+from google.protobuf import timestamp_pb2
+from google.protobuf.descriptor_pb2 import (
+    FieldDescriptorProto,
+    FileDescriptorProto,
+    FileDescriptorSet,
+)
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -34,6 +45,12 @@ class Log:
     q: Array
     tau: Array
     w: Array
+    names: tuple[str, ...] = JOINTS
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """What was measured, by name."""
+        return {"t": self.t, "q": self.q, "tau": self.tau, "w": self.w}
 
 
 def some_log(samples: int = 60) -> Log:
@@ -78,13 +95,13 @@ def csv(folder: Path, log: Log) -> str:
 
 def npz(folder: Path, log: Log) -> str:
     """NumPy's archive."""
-    np.savez(folder / "log.npz", **vars(log))
+    np.savez(folder / "log.npz", **log.arrays)  # type: ignore[arg-type]
     return by_arrays("log.npz")
 
 
 def mat(folder: Path, log: Log) -> str:
     """MATLAB 5, packed, in a struct."""
-    savemat(folder / "log.mat", {"log": dict(vars(log))}, do_compression=True)
+    savemat(folder / "log.mat", {"log": log.arrays}, do_compression=True)
     return by_arrays("log.mat", "log/")
 
 
@@ -92,7 +109,7 @@ def mat73(folder: Path, log: Log) -> str:
     """MATLAB 7.3: HDF5 with a head of its own, axes the other way round."""
     path = folder / "log.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
-        for name, values in vars(log).items():
+        for name, values in log.arrays.items():
             made = file.create_dataset(f"log/{name}", data=np.atleast_2d(values.T))
             made.attrs["MATLAB_class"] = np.bytes_("double")
     data = bytearray(path.read_bytes())
@@ -104,7 +121,7 @@ def mat73(folder: Path, log: Log) -> str:
 def hdf5(folder: Path, log: Log) -> str:
     """HDF5."""
     with h5py.File(folder / "log.h5", "w") as file:
-        for name, values in vars(log).items():
+        for name, values in log.arrays.items():
             file.create_dataset(f"log/{name}", data=values)
     return by_arrays("log.h5", "log/")
 
@@ -180,9 +197,171 @@ def imported(folder: Path, text: str) -> tb.Recording:
     return tb.Recording.from_mapping(folder / "map.toml")
 
 
+def mcap_json(folder: Path, log: Log) -> str:
+    """MCAP with JSON, packed by zstd: names in a list, a plate that is a list."""
+    states = {"type": "object", "properties": {"name": {"type": "array"}}}
+    head = {"stamp": {"sec": EPOCH // 10**9, "nanosec": 0}}
+
+    def state(k: int, when: int) -> dict[str, Any]:
+        head["stamp"] = {"sec": when // 10**9, "nanosec": when % 10**9}
+        motion = {"position": log.q[k].tolist(), "effort": log.tau[k].tolist()}
+        return {"header": head, "name": log.names, **motion}
+
+    def plate(k: int, when: int) -> dict[str, Any]:
+        force, torque = (
+            dict(zip("xyz", part.tolist(), strict=True)) for part in log.w[k].reshape(2, 3)
+        )
+        return {"header": head, "wrench": {"force": force, "torque": torque}}
+
+    with (folder / "log.mcap").open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        schema = writer.register_schema("State", "jsonschema", json.dumps(states).encode())
+        channels = [writer.register_channel(t, "json", schema) for t in ("/joint_states", "/plate")]
+        for k, t in enumerate(log.t):
+            when = EPOCH + round(t * 1e9)
+            for channel, content in zip(channels, (state, plate), strict=True):
+                data = json.dumps(content(k, when)).encode()
+                writer.add_message(channel, when, data, when)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return _topics("log.mcap")
+
+
+def protobuf_schema() -> FileDescriptorSet:
+    """Foxglove's JointStates and a plate: what a recorder keeps of their definitions."""
+    kind = FieldDescriptorProto
+    stamp = FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(stamp)
+    file = FileDescriptorProto(
+        name="foxglove/JointStates.proto", package="foxglove", syntax="proto3",
+        dependency=[stamp.name],
+    )  # fmt: skip
+    time = {"type": kind.TYPE_MESSAGE, "type_name": ".google.protobuf.Timestamp", "label": 1}
+    state = file.message_type.add(name="JointState")
+    state.field.add(name="name", number=1, type=kind.TYPE_STRING, label=1)
+    for k, name in enumerate(("position", "velocity", "acceleration", "effort")):
+        state.oneof_decl.add(name=f"_{name}")
+        state.field.add(name=name, number=k + 2, type=kind.TYPE_DOUBLE, label=1,
+                        proto3_optional=True, oneof_index=k)  # fmt: skip
+    states = file.message_type.add(name="JointStates")
+    states.field.add(name="timestamp", number=1, **time)
+    states.field.add(name="joints", number=2, type=kind.TYPE_MESSAGE, label=3,
+                     type_name=".foxglove.JointState")  # fmt: skip
+    plate = file.message_type.add(name="Plate")
+    plate.field.add(name="timestamp", number=1, **time)
+    plate.field.add(name="wrench", number=2, type=kind.TYPE_DOUBLE, label=3)
+    return FileDescriptorSet(file=[stamp, file])
+
+
+def mcap_protobuf(folder: Path, log: Log) -> str:
+    """MCAP with Protobuf, packed by lz4: Foxglove's joint states, and a plate that is a list."""
+    schema = protobuf_schema()
+    pool = DescriptorPool()
+    for file in schema.file:
+        pool.Add(file)
+    kinds: list[Any] = [
+        GetMessageClass(pool.FindMessageTypeByName(f"foxglove.{name}"))
+        for name in ("JointStates", "Plate")
+    ]
+    with (folder / "log.mcap").open("wb") as stream:
+        writer = McapWriter(stream, compression=CompressionType.LZ4)
+        writer.start()
+        channels = [
+            writer.register_channel(topic, "protobuf", writer.register_schema(
+                kind.DESCRIPTOR.full_name, "protobuf", schema.SerializeToString()))
+            for topic, kind in zip(("/joint_states", "/plate"), kinds, strict=True)
+        ]  # fmt: skip
+        for k, t in enumerate(log.t):
+            when = EPOCH + round(t * 1e9)
+            states, plate = kinds[0](), kinds[1](wrench=log.w[k])
+            for j, name in enumerate(log.names):
+                states.joints.add(name=name, position=log.q[k, j], effort=log.tau[k, j])
+            for channel, message in zip(channels, (states, plate), strict=True):
+                message.timestamp.FromNanoseconds(when)
+                writer.add_message(channel, when, message.SerializeToString(), when)
+        writer.finish()  # type: ignore[no-untyped-call]
+    sources = "\n".join(
+        f'[sources.{name}]\nfile = "log.mcap"\ntopic = "{topic}"\ntime = "timestamp"'
+        for name, topic in (("log", "/joint_states"), ("plate", "/plate"))
+    )
+    position, torque = (
+        [f"joints/{j}/{what}" for j in log.names] for what in ("position", "effort")
+    )
+    return mapping(sources, position, torque, [f"wrench[{k}]" for k in range(6)], plate="plate")
+
+
+def rrd(folder: Path, log: Log) -> str:
+    """Rerun's recording: an entity a joint's signal, a plate of six numbers, a step that counts."""
+    stream = rr.RecordingStream("log", recording_id="log")
+    stream.save(folder / "log.rrd")
+    times = [rr.TimeColumn("t", duration=log.t), rr.TimeColumn("step", sequence=range(len(log.t)))]
+    for name, values in (("position", log.q), ("effort", log.tau)):
+        for j, joint in enumerate(log.names):
+            columns = rr.Scalars.columns(scalars=values[:, j])
+            stream.send_columns(f"{name}/{joint}", indexes=times, columns=columns)
+    columns = rr.Scalars.columns(scalars=log.w)
+    stream.send_columns("plate/wrench", indexes=times, columns=columns)
+    stream.log("position", rr.SeriesLines(names="q"), static=True)
+    stream.flush()
+    stream.disconnect()
+    position, torque = ([f"{name}/{j}" for j in log.names] for name in ("position", "effort"))
+    source = '[sources.log]\nfile = "log.rrd"\ntopic = "position/j1"\ntime = "t"'
+    return mapping(source, position, torque, [f"plate/wrench[{k}]" for k in range(6)])
+
+
+def lerobot(folder: Path, log: Log, version: str = "v3.0", episodes: int = 1) -> str:
+    """LeRobot's dataset: lists in a Parquet file of all episodes (3.0), or one of each (2.1)."""
+    n, place, motors = len(log.t) // episodes, folder / "log", [f"{j}.pos" for j in log.names]
+    lists = {"observation.state": log.q, "observation.effort": log.tau,
+             "observation.wrench": log.w, "action": log.q + 0.1}  # fmt: skip
+    names: dict[str, Any] = {
+        "observation.state": motors, "observation.effort": {"motors": [*log.names]},
+        "observation.wrench": None, "action": motors,
+    }  # fmt: skip
+    features: dict[str, Any] = {
+        name: {"dtype": "float64", "shape": [values.shape[1]], "names": names[name]}
+        for name, values in lists.items()
+    }
+    video = {"dtype": "video", "shape": [48, 64, 3], "names": ["height", "width", "channel"]}
+    features["observation.images.top"] = video
+    counts = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+    for name in counts:
+        kind = "float32" if name == "timestamp" else "int64"
+        features[name] = {"dtype": kind, "shape": [1], "names": None}
+    tables = []
+    for episode in range(episodes):
+        rows = slice(episode * n, (episode + 1) * n)
+        columns: dict[str, Any] = {
+            name: pa.array(values[rows].tolist(), pa.list_(pa.float64()))
+            for name, values in lists.items()
+        }
+        columns["timestamp"] = pa.array(log.t[:n].astype(np.float32))
+        own = np.arange(n), np.full(n, episode), np.arange(n) + episode * n, np.zeros(n, int)
+        columns |= dict(zip(counts[1:], own, strict=True))
+        tables.append(pa.table(columns))
+    data = place / "data/chunk-000"
+    data.mkdir(parents=True)
+    (place / "meta").mkdir()
+    old = version.startswith("v2")
+    files = [f"episode_{k:06d}.parquet" for k in range(episodes)] if old else ["file-000.parquet"]
+    for name, table in zip(files, tables if old else [pa.concat_tables(tables)], strict=True):
+        pq.write_table(table, data / name)
+    pattern = ("data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet" if old
+               else "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet")  # fmt: skip
+    info = {"codebase_version": version, "robot_type": "two", "features": features,
+            "total_episodes": episodes, "total_frames": n * episodes, "data_path": pattern,
+            "fps": round(1 / float(np.median(np.diff(log.t))))}  # fmt: skip
+    (place / "meta/info.json").write_text(json.dumps(info))
+    position = [f"observation.state/{j}.pos" for j in log.names]
+    torque = [f"observation.effort/{j}" for j in log.names]
+    source = '[sources.log]\nfile = "log"\ntime = "timestamp"'
+    return mapping(source, position, torque, [f"observation.wrench[{k}]" for k in range(6)])
+
+
 FORMATS: dict[str, Callable[[Path, Log], str]] = {
     "csv": csv, "npz": npz, "mat": mat, "mat73": mat73, "hdf5": hdf5, "parquet": parquet,
     "bare_mcap": bare_mcap, "db3": db3, "bag": bag, "c3d": c3d,
+    "mcap_json": mcap_json, "mcap_protobuf": mcap_protobuf, "rrd": rrd,
 }  # fmt: skip
 """Each writes its file into a folder and returns the mapping."""
 

@@ -37,7 +37,7 @@ def open_table(path: Path) -> Table:
     if not path.exists():
         raise RecordingError(f"there is no recording '{path}'")
     if not path.is_file():
-        raise RecordingError(f"'{path}' is no file; a recording is one")
+        raise RecordingError(f"'{path}' is no file; testbed new --recording makes one of a dataset")
     ending, known = path.suffix.lower(), formats()
     if ending not in known:  # a file's name never names code: only one of ours is imported
         if ending and not is_parquet(path):

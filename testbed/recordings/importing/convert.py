@@ -345,6 +345,10 @@ def _read(
     low, high = np.searchsorted(np.maximum.accumulate(time), window)
     part = slice(max(0, low - 1), min(high + 2, len(time)))
     part = without_gaps(source, time, part, window)
+    if part.stop <= part.start:
+        raise RecordingError(
+            f"sources.{name}: time does not increase; say `rate` instead of `time`"
+        )
     values = np.stack([columns[each][part] for each in wanted], axis=1)
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):

@@ -159,6 +159,7 @@ class ForeignTable:
         load: Gives an array by name.
         units: What the file says of columns' or arrays' units, as it says it.
         cut: Whether a last sample was incomplete and is left out.
+        about: What a person should know of the file, if anything.
     """
 
     path: Path
@@ -166,6 +167,7 @@ class ForeignTable:
     load: Callable[[str], Any]
     units: Mapping[str, str] = field(default_factory=dict)
     cut: bool = False
+    about: str = ""
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -251,6 +253,10 @@ class ForeignTable:
         return found
 
 
+Tables = dict[str, ForeignTable | RecordingError | UnknownName]
+"""Of a file that holds several, by topic; or why one cannot be read."""
+
+
 def is_column(shape: tuple[int, ...], kind: str) -> bool:
     """Whether an array can be columns.
 
@@ -275,10 +281,22 @@ def readable(path: Path) -> Iterator[None]:
     except (RecordingError, UnknownName, MemoryError):
         raise
     except Exception as error:  # libraries raise whatever a damaged file makes them
-        said = " ".join(str(error).split())
-        plain = isinstance(error, ValueError | OSError) and said
-        reason = said if plain else f"it is damaged ({type(error).__name__}: {said})"
-        raise RecordingError(f"{path}: not readable: {reason}") from None
+        raise refusal(path, error) from None
+
+
+def refusal(path: Path, error: Exception) -> RecordingError | UnknownName:
+    """What a library finds wrong with a file, as an error for people.
+
+    Args:
+        path: The file.
+        error: Whatever was raised.
+    """
+    if isinstance(error, RecordingError | UnknownName):
+        return error
+    said = " ".join(str(error).split())
+    plain = isinstance(error, ValueError | OSError) and said
+    reason = said if plain else f"it is damaged ({type(error).__name__}: {said})"
+    return RecordingError(f"{path}: not readable: {reason}")
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from testbed.recordings.importing.foreign_table import KINDS, RAW, UNITS, Foreig
 from testbed.recordings.importing.import_report import Draft
 from testbed.recordings.importing.likely_signals import (
     BY_BOTH,
+    PER_CENT,
     LikelySignal,
     LikelySource,
     likely_plates,
@@ -68,7 +69,9 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
     for each in sources:
         name = f"sources.{each.name}"
         file = os.path.relpath(each.file.resolve(), folder.resolve())
-        draft = draft.remarking(name, *_listed(each.table)).saying(name, "file", file)
+        known = [f"# {each.table.about}"] if each.table.about else []
+        known += [f"# {each.logger} names its columns like this"] if each.logger else []
+        draft = draft.remarking(name, *known, *_listed(each.table)).saying(name, "file", file)
         if each.topic is not None:
             draft = draft.saying(name, "topic", each.topic)
         for said in each.clock.said():
@@ -157,6 +160,13 @@ def _with_signal(
     draft = draft.saying(kind, "columns", [each.name for each in found.group.columns], others)
     for said in _unit(kind, found):
         draft = draft.saying(kind, *said)
+    if found.counts:
+        turns, n = 1 / found.counts, len(found.units)
+        rows = [[turns if j == k else 0.0 for k in range(n)] for j in range(n)]
+        about = f"{found.counts} counts a turn, as of Dynamixel's and Feetech's servos"
+        draft = draft.saying(kind, "matrix", rows, about)
+        half = [round(-np.pi, 6)] * n
+        draft = draft.saying(kind, "offset", half, "ASSUMED: zero is in the middle of a turn")
     return draft.saying(kind, "sign", list(found.sign), BY_BOTH) if found.sign else draft
 
 
@@ -169,6 +179,8 @@ def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
         more = "; or A, V, raw with gain = [N m each]" if kind == "torque" else ""
         large = float(np.nanmax(np.abs(values_of(found)))) if kind == "position" else 0.0
         more += f"; {large:.4g} rad would be more than a turn" if large > 2 * np.pi else ""
+        if PER_CENT[0] <= large <= PER_CENT[1]:
+            more += "; per cent of each joint's range, as of SO arms: deg, matrix of ranges / 200"
         yield "unit", "", f"{', '.join(UNITS[kind])}{more}"
         return
     yield "unit", taken[0] if len(set(taken)) == 1 else taken, found.because

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
-from testbed.errors import RecordingError, round_significant
+from testbed.errors import round_significant
 from testbed.recordings.importing.column_names import (
     ColumnName,
     Group,
@@ -34,7 +34,8 @@ from testbed.recordings.importing.foreign_table import (
     Kind,
     plain,
 )
-from testbed.recordings.importing.readers import open_foreign, reader_of
+from testbed.recordings.importing.known_layouts import Layout, layout_of
+from testbed.recordings.importing.readers import tables
 from testbed.recordings.importing.source_clock import GAP, Times
 
 EPOCH = 1e9
@@ -95,7 +96,7 @@ class Clock:
     def said(self) -> Iterator[tuple[str, Any, str]]:
         """Keys of the source in a mapping, their values and what is said beside them."""
         if self.column is None:
-            known = f"{self.because}; the file has no times".removeprefix("; ")
+            known = f"{self.because}; no single column is times".removeprefix("; ")
             yield "rate", self.rate, known if self.rate else "no column looks like times [Hz]"
             return
         yield "time", self.column, f"{self.rate:.9g} a second" if self.unit else ""
@@ -103,13 +104,24 @@ class Clock:
             yield "time_unit", self.unit or "", self.because if self.unit else ", ".join(TIMES)
 
 
-def clock_of(table: ForeignTable) -> Clock:
+def clock_of(table: ForeignTable, layout: Layout | None = None) -> Clock:
     """The likely clock of a table.
 
     Args:
         table: Of a file of another program.
+        layout: Its logger's, if that is known.
     """
-    likely = sorted((c for c in table.columns if like_time(c) < len(TIME_WORDS)), key=like_time)
+    known = layout.times(table.columns) if layout else []
+    if layout and (layout.rate or len(known) > 1):
+        because = f"of {layout.logger}"
+        if known:
+            seconds, rest = (table.stamps(each) for each in known)
+            since = (seconds - seconds[0]) + (rest - rest[0]) * TIMES["ns"]
+            return Clock(None, rate=rate_of(since), because=f"by {' and '.join(known)}")
+        return Clock(None, rate=layout.rate, because=because)
+    timed = {c for c in table.columns if plain(table.unit(c) or "") in TIMES}
+    named = [c for c in table.columns if c in timed or like_time(c) < len(TIME_WORDS)]
+    likely = known or sorted(named, key=like_time)
     unnamed = not any(re.search("[A-Za-z]", column) for column in table.columns)
     for column in table.columns[:1] if unnamed else likely[:LOOKED_AT]:
         stamps = table.stamps(column)
@@ -120,6 +132,7 @@ def clock_of(table: ForeignTable) -> Clock:
         said = plain(table.unit(column) or "")
         given = said in TIMES
         unit, because = (said, "") if given else _unit(column, stamps)
+        unit = (layout.unit if layout and known else None) or unit
         rate = rate_of(stamps) / (TIMES[unit] if unit else 1.0)
         return Clock(column, unit, given, rounded(rate, 1e-12) if unit else rate, because)
     return Clock(None)
@@ -176,6 +189,16 @@ def _unit(column: str, stamps: Array | NDArray[np.int64]) -> tuple[str | None, s
     return (usual[0], "by its steps") if len(usual) == 1 else (None, "")
 
 
+BY_SIZE = "by their size"
+DEGREES = (4 * np.pi, 720.0)
+"""Largest positions that are rather degrees than radians, and the largest that are degrees."""
+
+PER_CENT = (99.0, 100.5)
+"""Largest positions that are rather parts of a calibrated range, as LeRobot's of SO arms."""
+
+COUNTS, COUNTED = 4096, 1000
+"""Of a turn of servos (Dynamixel's X, Feetech's STS); from which whole numbers on they are seen."""
+
 BY_BOTH = "by velocity and position"
 """How a unit or a sign is known that no name says."""
 
@@ -191,6 +214,7 @@ class LikelySource:
         table: What it holds.
         columns: What their names say, without that of the times.
         clock: Its likely clock.
+        logger: Whose names the columns have, if that is known.
     """
 
     name: str
@@ -199,6 +223,7 @@ class LikelySource:
     table: ForeignTable
     columns: tuple[ColumnName, ...]
     clock: Clock
+    logger: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,6 +237,7 @@ class LikelySignal:
         units: Column by column; None where unknown.
         sign: 1 or -1 a column; empty if all count the same way.
         because: What shows the units, if not the columns' names.
+        counts: Of a turn, if the columns are a servo's whole numbers.
     """
 
     source: LikelySource
@@ -220,6 +246,7 @@ class LikelySignal:
     units: tuple[str | None, ...]
     sign: tuple[int, ...] = ()
     because: str = ""
+    counts: int = 0
 
 
 _Pair = tuple[str | None, str | None]
@@ -295,17 +322,14 @@ def in_order(source: LikelySource, joints: int) -> LikelySource:
 
 def _tables(path: Path, name: str) -> Iterator[LikelySource]:
     """A file's tables: one, or of a bag one a topic of numbers."""
-    if reader_of(path) != "ros_bag":
-        yield from _source(name or "log", path, None, open_foreign(path))
-        return
-    from testbed.recordings.importing.readers.ros_bag import topics
-
-    for number, topic in enumerate(topics(path)):
-        try:
-            table = open_foreign(path, topic)
-        except RecordingError:
-            continue  # a topic of texts or pictures
-        yield from _source(f"{name}_topic{number}".strip("_"), path, topic, table)
+    found = tables(path)
+    readable = {topic: each for topic, each in found.items() if isinstance(each, ForeignTable)}
+    for error in found.values():
+        if not readable and isinstance(error, Exception):
+            raise error
+    for number, (topic, table) in enumerate(readable.items()):
+        own = f"{name}_topic{number}".strip("_") if topic else name or "log"
+        yield from _source(own, path, topic or None, table)
 
 
 def _source(
@@ -313,9 +337,13 @@ def _source(
 ) -> Iterator[LikelySource]:
     """A table with its likely clock, unless it is empty."""
     if table.columns:
-        clock = clock_of(table)
-        read = (read_name(each, table.unit(each)) for each in table.columns if each != clock.column)
-        yield LikelySource(name, path, topic, table, tuple(read), clock)
+        layout = layout_of(table.columns)
+        clock = clock_of(table, layout)
+        names = [each for each in table.columns if each != clock.column]
+        read = tuple(read_name(each, table.unit(each)) for each in names)
+        read = layout.read(read) if layout else read
+        logger = layout.logger if layout else ""
+        yield LikelySource(name, path, topic, table, read, clock, logger)
 
 
 def likely_signals(
@@ -345,7 +373,7 @@ def likely_signals(
         units = tuple(column.unit for column in kept.columns)
         found[kind] = LikelySignal(source, kept, tuple(others), units)
         count = count or len(kept.columns)
-    return _with_derivatives(found)
+    return _with_sizes(_with_derivatives(found))
 
 
 def _is(column: ColumnName, kind: str) -> bool:
@@ -357,9 +385,11 @@ def _followed(signals: Mapping[Kind, LikelySignal]) -> Array | None:
     q, v = signals.get("position"), signals.get("velocity")
     if q is None or v is None or q.source is not v.source or len(q.units) != len(v.units):
         return None
-    positions = values_of(q)
+    positions, velocities = values_of(q), values_of(v)
     time = q.source.clock.time(q.source.table, len(positions))
-    found = slopes(positions, values_of(v), time)
+    if not len(positions) == len(velocities) == len(time):
+        return None
+    found = slopes(positions, velocities, time)
     return np.diagonal(found.slope) if np.diagonal(found.fit).min() > SURE else None
 
 
@@ -406,6 +436,19 @@ def _pair(position: str | None, velocity: str | None, ratio: float) -> _Pair:
 def _in_units(signal: LikelySignal, units: Sequence[str | None]) -> LikelySignal:
     same = tuple(units) == signal.units
     return signal if same else replace(signal, units=tuple(units), because=BY_BOTH)
+
+
+def _with_sizes(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySignal]:
+    """What the size of positions shows where nothing else does: degrees, counts of a servo."""
+    if (q := signals.get("position")) is None or any(q.units):
+        return signals
+    values = values_of(q)
+    largest, whole = float(np.nanmax(np.abs(values))), bool((values == np.round(values)).all())
+    if whole and COUNTED <= largest < COUNTS and values.min() >= 0:
+        q = replace(_in_units(q, ["turn"] * len(q.units)), because=BY_SIZE, counts=COUNTS)
+    elif DEGREES[0] < largest <= DEGREES[1] and not PER_CENT[0] <= largest <= PER_CENT[1]:
+        q = replace(_in_units(q, ["deg"] * len(q.units)), because=BY_SIZE)
+    return {**signals, "position": q}
 
 
 def values_of(signal: LikelySignal) -> Array:

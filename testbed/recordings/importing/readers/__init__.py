@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from testbed.errors import RecordingError, UnknownName
-from testbed.recordings.importing.foreign_table import ForeignTable
+from testbed.recordings.importing.foreign_table import ForeignTable, Tables
 
 READERS = {
     "delimited_text": (".csv", ".tsv", ".txt", ".dat"),
@@ -14,10 +15,15 @@ READERS = {
     "parquet_columns": (".parquet",),
     "matlab": (".mat",),
     "hdf5": (".h5", ".hdf5", ".hdf"),
-    "ros_bag": (".bag", ".mcap", ".db3"),
+    "ros_bag": (".bag", ".db3"),
+    "mcap": (".mcap",),
+    "rerun_log": (".rrd",),
     "c3d": (".c3d",),
 }
 """Modules of this room, and the endings of their files."""
+
+FOLDERS = {"lerobot": "meta/info.json", "ros_bag": "metadata.yaml"}
+"""Modules that read a folder, and the file in it by which it is known."""
 
 ENDINGS = {ending: module for module, endings in READERS.items() for ending in endings}
 
@@ -26,8 +32,9 @@ def open_foreign(path: Path, topic: str | None = None) -> ForeignTable:
     """What a file of another program holds.
 
     Args:
-        path: The file, of one of `ENDINGS`, text also packed as .gz; or a ROS 2 bag's folder.
-        topic: Of a ROS bag, else None.
+        path: The file, of one of `ENDINGS`, text also packed as .gz; or a folder that holds one of
+            `FOLDERS`.
+        topic: Which of a file's tables: a topic, an entity of Rerun, an episode; None if it is one.
 
     Raises:
         RecordingError: The file is missing or damaged, or a library is not installed.
@@ -35,16 +42,46 @@ def open_foreign(path: Path, topic: str | None = None) -> ForeignTable:
     """
     if "\0" in str(path) or not path.exists():
         raise RecordingError(f"there is no file '{path}'")
-    module = reader_of(path)
-    if (topic is not None) != (module == "ros_bag"):
-        said = "say `topic`" if topic is None else "`topic` is for ROS bags"
-        raise RecordingError(f"{path}: {said}")
-    read = import_module(f"{__name__}.{module}").read_file  # one of READERS, not the file's word
-    found: ForeignTable = read(path, topic)
+    module = _reader_of(path)
+    if topic is not None and module not in PARTED:
+        raise RecordingError(f"{path}: `topic` is for bags, MCAP, .rrd and datasets of LeRobot")
+    if topic is None and hasattr(_reader(path), "tables"):
+        (found, *others) = tables(path).items()
+        if others:
+            raise RecordingError(f"{path}: say `topic`: {', '.join((found[0], *dict(others)))}")
+        topic = found[0]
+    table: ForeignTable = _reader(path).read_file(path, topic)
+    return table
+
+
+def tables(path: Path) -> Tables:
+    """All tables of a file by what `open_foreign` takes as its topic; "" where it is one.
+
+    Args:
+        path: The file or folder.
+
+    Raises:
+        RecordingError: It is damaged, or a library is not installed.
+        UnknownName: The ending is that of no known format.
+    """
+    reader = _reader(path)
+    if not hasattr(reader, "tables"):
+        return {"": open_foreign(path)}
+    found: Tables = reader.tables(path)
+    if not found:
+        raise RecordingError(f"{path}: there are no messages or numbers in it")
     return found
 
 
-def reader_of(path: Path) -> str:
+def _reader(path: Path) -> Any:
+    return import_module(f"{__name__}.{_reader_of(path)}")  # one of READERS, not the file's word
+
+
+PARTED = ("ros_bag", "mcap", "rerun_log", "lerobot")
+"""Modules whose files may hold several tables."""
+
+
+def _reader_of(path: Path) -> str:
     """The module that reads a file.
 
     Raises:
@@ -52,11 +89,16 @@ def reader_of(path: Path) -> str:
         UnknownName: Its ending is that of no known format.
     """
     if path.is_dir():
-        if (path / "metadata.yaml").is_file():
-            return "ros_bag"
-        raise RecordingError(f"'{path}' is a folder, and no ROS 2 bag")
+        for module, mark in FOLDERS.items():
+            if (path / mark).is_file():
+                return module
+        marks = " or ".join(FOLDERS.values())
+        raise RecordingError(f"'{path}' is a folder without {marks}: no dataset and no ROS 2 bag")
     if not path.is_file():
         raise RecordingError(f"'{path}' is no file")
+    above = path.absolute().parents
+    if path.suffix == ".parquet" and len(above) > 2 and (above[2] / FOLDERS["lerobot"]).is_file():
+        return "lerobot"  # a file of a dataset
     name = path.name.lower().removesuffix(".gz")
     ending = Path(name).suffix
     packed = path.name.lower().endswith(".gz")

@@ -10,7 +10,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from testbed.recordings.importing.foreign_table import ForeignTable, readable
+from testbed.recordings.importing.foreign_table import (
+    MOST_COLUMNS,
+    MOST_NUMBERS,
+    ForeignTable,
+    readable,
+)
 
 
 def read_file(path: Path, topic: str | None) -> ForeignTable:
@@ -28,18 +33,31 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         file = pq.ParquetFile(path, pre_buffer=False)
         schema, rows = file.schema_arrow, file.metadata.num_rows
         names = list(schema.names)
-        fields = [f for f in schema if names.count(f.name) == 1 and _width(f.type) and rows > 1]
-        units = {f.name: u for f in fields if (u := _unit(f))}
-        shapes = {f.name: (rows, _width(f.type)) if _width(f.type) > 1 else (rows,) for f in fields}
-    return ForeignTable(path, shapes, lambda name: _column(path, name), units)
+        widths = {f.name: _width(f, file.metadata) for f in schema if names.count(f.name) == 1}
+        units = {f.name: u for f in schema if widths.get(f.name) and (u := _unit(f))}
+        kept = {n: k for n, k in widths.items() if 0 < k <= MOST_COLUMNS and rows > 1}
+        shapes = {n: (rows, k) if k > 1 else (rows,) for n, k in kept.items()}
+    return ForeignTable(path, shapes, lambda name: read_column(path, name), units)
 
 
-def _width(kind: pa.DataType) -> int:
+def _width(field: pa.Field, metadata: Any) -> int:
     """How many columns a column is; 0 if it is none."""
+    kind = field.type
     if pa.types.is_fixed_size_list(kind):
-        return int(kind.list_size) * bool(_width(kind.value_type) == 1)
+        return int(kind.list_size) * _is_number(kind.value_type)
+    if pa.types.is_list(kind) and _is_number(kind.value_type):
+        groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+        parts = (each.column(k) for each in groups for k in range(each.num_columns))
+        values = sum(
+            int(p.num_values) for p in parts if p.path_in_schema.startswith(f"{field.name}.")
+        )
+        return values // max(int(metadata.num_rows), 1)
+    return int(_is_number(kind) or pa.types.is_timestamp(kind) or pa.types.is_duration(kind))
+
+
+def _is_number(kind: pa.DataType) -> bool:
     numbers = (pa.types.is_floating(kind), pa.types.is_integer(kind), pa.types.is_boolean(kind))
-    return int(any(numbers) or pa.types.is_timestamp(kind) or pa.types.is_duration(kind))
+    return any(numbers)
 
 
 def _unit(field: pa.Field) -> str:
@@ -49,19 +67,33 @@ def _unit(field: pa.Field) -> str:
     return str((field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace"))
 
 
-def _column(path: Path, name: str) -> NDArray[Any]:
-    """A column, (M,) or (M, k)."""
-    column = pq.ParquetFile(path, pre_buffer=False).read([name]).column(0)
-    if column.null_count:
-        raise ValueError(f"column '{name}' has {column.null_count} places without a value")
-    kind, array = column.type, column.combine_chunks()
+def read_column(path: Path, name: str) -> NDArray[Any]:
+    """A column, (M,), or (M, k) of lists.
+
+    Args:
+        path: The file.
+        name: Of the column.
+
+    Raises:
+        ValueError: A value is missing, or lists are of different lengths.
+    """
+    file = pq.ParquetFile(path, pre_buffer=False)
+    width = _width(file.schema_arrow.field(name), file.metadata)
+    if width * file.metadata.num_rows > MOST_NUMBERS:  # a small file can hold as many equal ones
+        raise ValueError(f"column '{name}' has more than {MOST_NUMBERS:.0e} numbers")
+    array = file.read([name]).column(0).combine_chunks()
     array = array.combine_chunks() if isinstance(array, pa.ChunkedArray) else array
-    if pa.types.is_fixed_size_list(kind):
-        values = array.flatten()
-        if values.null_count:
-            raise ValueError(f"column '{name}' has {values.null_count} places without a value")
-        return np.array(values.to_numpy(zero_copy_only=False), float).reshape(-1, kind.list_size)
+    rows, kind = len(array), array.type
+    missing, listed = array.null_count, pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind)
+    if listed:
+        lengths = np.unique(array.value_lengths().drop_null().to_numpy())
+        if len(lengths) > 1:
+            raise ValueError(f"lists of column '{name}' have {lengths[0]} to {lengths[-1]} values")
+        array = array.flatten()
+        missing += array.null_count
+    if missing:
+        raise ValueError(f"column '{name}' has {missing} places without a value")
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
-        whole = array.cast(pa.int64()).to_numpy()
-        return np.array(whole)
-    return np.array(array.to_numpy(zero_copy_only=False))
+        array = array.cast(pa.int64())
+    values = np.array(array.to_numpy(zero_copy_only=False))
+    return values.reshape(rows, -1) if listed and values.size > rows else values

@@ -1,4 +1,7 @@
-"""ROS bags of version 1 and 2; numbers of messages by the definitions of their types."""
+"""ROS bags of version 1, and of version 2 in folders and SQLite.
+
+Numbers of messages by the definitions of their types; MCAP's messages are tables in the same way.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.errors import RecordingError, UnknownName
-from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable, library, readable
+from testbed.recordings.importing.foreign_table import (
+    MOST_NUMBERS,
+    ForeignTable,
+    Tables,
+    library,
+    readable,
+    refusal,
+)
 
 BASE, NAME, ARRAY, SEQUENCE = 1, 2, 3, 4
 """Kinds of nodes in a type's definition."""
@@ -32,6 +42,14 @@ LISTS_OF_NAMES = ("name", "names", "joint_names")
 
 MOST_STEPS = 200_000
 """Parts of a message."""
+
+Numbers = Mapping[str, float]
+"""Of a message, by their paths."""
+
+
+class Nanoseconds(int):
+    """A time among a message's numbers, which has more digits than they."""
+
 
 Definitions = Mapping[str, tuple[Any, Sequence[tuple[str, tuple[Any, Any]]]]]
 """Fields by the name of a type, as rosbags gives them."""
@@ -103,7 +121,8 @@ def _fields(message: Message, kind: str, definitions: Definitions, before: str) 
     if kind in TIMES:
         second, nanosecond = definitions[kind][1]
         whole = int(message.number(second[1][1][0])) * 1_000_000_000
-        return {before.rstrip("/"): whole + int(message.number(nanosecond[1][1][0]))}
+        count = whole + int(message.number(nanosecond[1][1][0]))
+        return {before.rstrip("/"): Nanoseconds(count)}
     found: dict[str, float] = {}
     names: list[str] = []
     for name, (node, what) in definitions[kind][1]:
@@ -175,14 +194,11 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         known = [each for each in bag.connections if each.topic == topic]
         if not known:
             raise UnknownName("topic", str(topic), sorted({c.topic for c in bag.connections}))
-        columns = _columns(path, bag, known)
-    times = {name: "ns" for name, values in columns.items() if values.dtype.kind == "i"}
-    shapes = {name: values.shape for name, values in columns.items() if len(values) > 1}
-    return ForeignTable(path, shapes, columns.__getitem__, times)
+        return _table(path, bag, known)
 
 
-def topics(path: Path) -> dict[str, tuple[str, int]]:
-    """Type and number of messages of every topic of a bag.
+def tables(path: Path) -> Tables:
+    """Every topic of a bag.
 
     Args:
         path: The bag.
@@ -190,8 +206,14 @@ def topics(path: Path) -> dict[str, tuple[str, int]]:
     Raises:
         RecordingError: The bag is damaged, or rosbags is not installed.
     """
+    found: Tables = {}
     with readable(path), _opened(path) as bag:
-        return {each.topic: (str(each.msgtype), int(each.msgcount)) for each in bag.connections}
+        for topic in dict.fromkeys(each.topic for each in bag.connections):
+            try:
+                found[topic] = _table(path, bag, [c for c in bag.connections if c.topic == topic])
+            except Exception as error:  # whatever a damaged message makes a library raise
+                found[topic] = refusal(path, error)
+    return found
 
 
 @contextmanager
@@ -208,47 +230,92 @@ def _version(path: Path) -> int:
     return 1 if path.suffix.lower() == ".bag" else 2
 
 
-def _columns(path: Path, bag: Any, connections: list[Any]) -> dict[str, NDArray[Any]]:
-    """Numbers of all messages by path, and their times."""
-    version, definitions = _version(path), {c.id: _definitions(path, c) for c in connections}
-    fields: tuple[str, ...] = ()
-    rows: list[list[float]] = []
-    whole: set[str] = set()
-    received: list[int] = []
-    for connection, when, data in bag.messages(connections=connections):
-        found = numbers_of(data, connection.msgtype, definitions[connection.id], version)
-        if not rows:
-            fields = tuple(found)
-            whole = {name for name, value in found.items() if isinstance(value, int)}
-        if found.keys() != set(fields):
-            other = sorted(set(fields) ^ found.keys())[:4]
-            raise RecordingError(
-                f"{path}: messages of one topic have different fields ({', '.join(other)})"
-            )
-        rows.append([found[name] for name in fields])
-        received.append(when)
-        if len(rows) * (len(fields) + 1) > MOST_NUMBERS:
-            raise RecordingError(f"{path}: more than {MOST_NUMBERS:.0e} numbers")
-    columns: dict[str, NDArray[Any]] = {}
-    for k, name in enumerate(fields):
-        kind = np.int64 if name in whole else np.float64
-        columns[name] = np.array([row[k] for row in rows], dtype=kind)
-    if STAMP in columns:
-        columns = {"stamp": columns.pop(STAMP)} | columns
-    return columns | {"received": np.array(received, dtype=np.int64)}
-
-
-def _definitions(path: Path, connection: Any) -> Definitions:
-    """Fields of a topic's type and of all that it holds, by the bag's word or the standard's."""
+def _table(path: Path, bag: Any, connections: list[Any]) -> ForeignTable:
+    """Numbers of a topic's messages."""
     from rosbags.interfaces import MessageDefinitionFormat
-    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-    standard = get_typestore(Stores.ROS1_NOETIC if _version(path) == 1 else Stores.ROS2_HUMBLE)
-    known: dict[str, Any] = dict(standard.fielddefs)
-    if connection.msgdef.format == MessageDefinitionFormat.MSG:
-        known |= get_types_from_msg(connection.msgdef.data, connection.msgtype)
-    elif connection.msgdef.format == MessageDefinitionFormat.IDL:
-        known |= get_types_from_idl(connection.msgdef.data)
-    if connection.msgtype not in known:
-        raise RecordingError(f"{path}: it does not say what a '{connection.msgtype}' is")
-    return known
+    version, known, rows = _version(path), {}, Rows(path)
+    for each in connections:
+        idl = each.msgdef.format == MessageDefinitionFormat.IDL
+        known[each.id] = definitions_of(each.msgtype, each.msgdef.data, version, idl=idl)
+    for connection, when, data in bag.messages(connections=connections):
+        rows.add(when, numbers_of(data, *known[connection.id], version))
+    return rows.table()
+
+
+class Rows:
+    """Numbers of a topic's messages, one after the other.
+
+    Attributes:
+        path: The file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Without a message."""
+        self.path = path
+        self._first: Numbers = {}
+        self._rows: list[list[float]] = []
+        self._received: list[int] = []
+
+    def add(self, when: int, found: Numbers) -> None:
+        """A message.
+
+        Args:
+            when: It was received [ns].
+            found: Its numbers.
+
+        Raises:
+            RecordingError: It has other fields than the first, or there are too many.
+        """
+        self._first = self._first if self._rows else found
+        if found.keys() != self._first.keys():
+            other = sorted(self._first.keys() ^ found.keys())[:4]
+            raise RecordingError(
+                f"{self.path}: messages of one topic have different fields ({', '.join(other)})"
+            )
+        self._rows.append([found[name] for name in self._first])
+        self._received.append(when)
+        if len(self._rows) * (len(found) + 1) > MOST_NUMBERS:
+            raise RecordingError(f"{self.path}: more than {MOST_NUMBERS:.0e} numbers")
+
+    def table(self) -> ForeignTable:
+        """Columns by path, and their times, in the order of these."""
+        received = np.array(self._received, dtype=np.int64)
+        order = np.argsort(received, kind="stable")
+        columns: dict[str, NDArray[Any]] = {}
+        for k, name in enumerate(self._first):
+            made = np.array([row[k] for row in self._rows])
+            columns[name] = (made if made.dtype.kind in "if" else made.astype(np.float64))[order]
+        if STAMP in columns:
+            columns = {"stamp": columns.pop(STAMP)} | columns
+        columns["received"] = received[order]
+        times = {name: "ns" for name, each in self._first.items() if isinstance(each, Nanoseconds)}
+        units = times | {"received": "ns"} | ({"stamp": "ns"} if STAMP in times else {})
+        shapes = {name: values.shape for name, values in columns.items() if len(values) > 1}
+        return ForeignTable(self.path, shapes, columns.__getitem__, units)
+
+
+def definitions_of(
+    kind: str, text: str, version: int, *, idl: bool = False
+) -> tuple[str, Definitions]:
+    """A type's name, and the fields of it and of all that it holds, by a text or the standard's.
+
+    Args:
+        kind: Name of the type.
+        text: Its definition; empty where the file has none.
+        version: Of ROS, 1 or 2.
+        idl: Whether the text is in IDL.
+
+    Raises:
+        RecordingError: Neither defines it, or rosbags is not installed.
+    """
+    with library("rosbags"):
+        from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+        from rosbags.typesys.msg import normalize_msgtype
+    standard = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
+    kind, known = normalize_msgtype(kind), dict[str, Any](standard.fielddefs)
+    if text:
+        known |= get_types_from_idl(text) if idl else get_types_from_msg(text, kind)
+    if kind not in known:
+        raise RecordingError(f"the file does not say what a '{kind}' is")
+    return kind, known

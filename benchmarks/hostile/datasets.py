@@ -1,0 +1,424 @@
+"""Hostile files of LeRobot, MCAP, Rerun and known HDF5 layouts: good ones spoiled, and traps."""
+
+from __future__ import annotations
+
+import io
+import json
+import tempfile
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import rerun as rr
+from google.protobuf import struct_pb2
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
+from hypothesis import strategies as st
+from hypothesis.strategies import DrawFn
+from mcap.writer import CompressionType, Writer
+
+from benchmarks.hostile.case import Case
+from tests.helpers.foreign_files import FORMATS, Log, lerobot, protobuf_schema, some_log
+
+Files = dict[str, bytes]
+"""By their paths in the case's folder."""
+
+IMPORT = ("import", "map.toml", "--out", "out.parquet")
+OUTPUTS = ("out.parquet", "guess.toml")
+
+
+def files_of(write: Callable[[Path], object]) -> Files:
+    """What a function writes into a folder."""
+    with tempfile.TemporaryDirectory() as place:
+        write(Path(place))
+        paths = [path for path in Path(place).rglob("*") if path.is_file()]
+        return {path.relative_to(place).as_posix(): path.read_bytes() for path in paths}
+
+
+@cache
+def good(kind: str) -> tuple[Files, str]:
+    """A good file of a format, and its mapping."""
+    made: list[str] = []
+    write: Mapping[str, Callable[[Path, Log], str]] = FORMATS | {
+        "v2.1": lambda place, log: lerobot(place, log, "v2.1", 3),
+        "v3.0": lambda place, log: lerobot(place, log, "v3.0", 2),
+    }
+    files = files_of(lambda place: made.append(write[kind](place, some_log())))
+    return files, made[0]
+
+
+INFOS: tuple[tuple[str, Any], ...] = (
+    ("data_path", "../../../etc/passwd"), ("data_path", "/etc/passwd"), ("data_path", "/dev/zero"),
+    ("data_path", "{episode_index.__class__.__mro__}"), ("data_path", "data/{x:99999999999d}"),
+    ("data_path", {}), ("video_path", "../../../../dev/zero"), ("fps", float("nan")), ("fps", -1),
+    ("fps", 1e-300), ("fps", 1e300), ("fps", "30"), ("fps", None), ("fps", True), ("fps", 10**400),
+    ("codebase_version", "v1.6"), ("codebase_version", "v9"), ("codebase_version", ["v3.0"]),
+    ("codebase_version", "\x1b[31mv3"), ("features", []), ("features", {}),
+    ("features", "x" * 10**6),
+    ("features", {"observation.state": None}), ("features", {"../../x": {"shape": [2]}}),
+    ("total_episodes", 10**18), ("total_frames", -1), ("chunks_size", 0), ("splits", "../"),
+)  # fmt: skip
+"""Keys of `meta/info.json` and what they say."""
+
+ABOUT: tuple[tuple[str, Any], ...] = (
+    ("shape", [10**12]), ("shape", [-2]), ("shape", [2, 10**9]), ("shape", [2.0]), ("shape", "2"),
+    ("shape", []), ("shape", [True]), ("shape", [3]), ("shape", [1]), ("dtype", "object"),
+    ("dtype", "float32" + "0" * 10**5), ("dtype", "pickle"), ("dtype", 7), ("names", 7),
+    ("names", ["a", "a"]), ("names", ["../a", "/b"]), ("names", [None, {}]),
+    ("names", {"a": {"b": []}}),
+    ("names", ["\x1b[2J", "\u202eb"]), ("names", ["x" * 10**6, "y"]), ("names", ["timestamp", "t"]),
+    ("names", ["__class__", "{0}"]), ("names", [[]]), ("names", {}), ("names", ["a\nb", "\0"]),
+)  # fmt: skip
+"""Keys of a feature and what they say."""
+
+COLUMNS: tuple[Callable[[int], pa.Array], ...] = (
+    pa.nulls, lambda n: pa.array(["x"] * n), lambda n: pa.array([[]] * n),
+    lambda n: pa.array([[1.0]] * (n - 1) + [[1.0, 2.0]]), lambda n: pa.array([[1.0, 2.0]] * n),
+    lambda n: pa.array([[None, 1.0]] * n), lambda n: pa.array([[1.0, 2.0]] * (n - 1) + [None]),
+    lambda n: pa.array([[[1.0]], *[[]] * (n - 1)]), lambda n: pa.array([{"a": 1.0}] * n),
+    lambda n: pa.array([float("nan")] * n), lambda n: pa.array([2**63 - 1] * n),
+    lambda n: pa.array([1e308] * n), lambda n: pa.array(range(n, 0, -1)),
+    lambda n: pa.array([7] * n),
+    lambda n: pa.array([0] * (n // 2) + [1] * (n - n // 2 - 1) + [0]),
+    lambda n: pa.array([[10.0**300, -1e300]] * n), lambda n: pa.array([["a", "b"]] * n),
+    lambda n: pa.array([b"\0"] * n), lambda n: pa.array(range(n), pa.timestamp("ns")),
+)  # fmt: skip
+"""In the place of a column."""
+
+
+def _info(draw: DrawFn, files: Files) -> Files:
+    """What the dataset says of itself, otherwise."""
+    content = json.loads(files["log/meta/info.json"])
+    for _ in range(draw(st.integers(1, 2))):
+        if draw(st.booleans()):
+            key, value = draw(st.sampled_from(INFOS))
+            content[key] = value
+        elif isinstance(content.get("features"), dict) and content["features"]:
+            feature = draw(st.sampled_from(sorted(content["features"])))
+            key, value = draw(st.sampled_from(ABOUT))
+            if isinstance(content["features"][feature], dict):
+                content["features"][feature][key] = value
+    return files | {"log/meta/info.json": json.dumps(content).encode()}
+
+
+def _columns(draw: DrawFn, files: Files) -> Files:
+    """A Parquet file with another column, fewer or none."""
+    name = draw(st.sampled_from(sorted(name for name in files if name.endswith(".parquet"))))
+    table = pq.read_table(io.BytesIO(files[name]))
+    place = draw(st.integers(0, table.num_columns - 1))
+    made = draw(st.sampled_from(COLUMNS))(table.num_rows)
+    how = draw(st.sampled_from(["other", "other", "without", "twice", "few"]))
+    if how == "other":
+        table = table.set_column(place, table.column_names[place], made)
+    elif how == "without":
+        table = table.remove_column(place)
+    elif how == "twice":
+        table = table.append_column(table.column_names[place], made)
+    else:
+        table = table.slice(0, draw(st.integers(0, 3)))
+    sink = io.BytesIO()
+    pq.write_table(table, sink)
+    return files | {name: sink.getvalue()}
+
+
+def _missing(draw: DrawFn, files: Files) -> Files:
+    """Files that are not there, or are of something else."""
+    name = draw(st.sampled_from(sorted(files)))
+    rest = {each: data for each, data in files.items() if each != name}
+    junk = draw(
+        st.sampled_from([b"", b"PAR1", b"{", b"[" * 10**5, b"null", b"\xff\xfe" * 9, b"0" * 10**6])
+    )
+    return rest | draw(
+        st.sampled_from([{}, {name: junk}, {f"{name}/x": junk}, {name + ".part": junk}])
+    )
+
+
+def _mcap(
+    write: Callable[[Writer], None], compression: CompressionType = CompressionType.NONE,
+    **options: Any,
+) -> Files:  # fmt: skip
+    """A file of records."""
+    sink = io.BytesIO()
+    writer = Writer(sink, compression=compression, enable_crcs=False, **options)
+    writer.start()
+    write(writer)
+    writer.finish()  # type: ignore[no-untyped-call]
+    return {"log.mcap": sink.getvalue()}
+
+
+def _messages(encoding: str, name: str, schema: bytes, messages: list[bytes]) -> Files:
+    """A topic of messages, the first alike."""
+
+    def write(writer: Writer) -> None:
+        kind = writer.register_schema(name, {"json": "jsonschema"}.get(encoding, encoding), schema)
+        channel = writer.register_channel("/joint_states", encoding, kind)
+        for k, data in enumerate(messages):
+            writer.add_message(channel, k * 10**7, data, k * 10**7)
+
+    return _mcap(write)
+
+
+def _json_of(*texts: str) -> Files:
+    return _messages("json", "x", b"{}", [text.encode() for text in texts])
+
+
+def _described(change: Callable[[FileDescriptorSet], None], name: str = "foxglove.Plate") -> Files:
+    """Messages of a schema that is changed."""
+    schema = protobuf_schema()
+    change(schema)
+    return _messages("protobuf", name, schema.SerializeToString(), [b"\x12\x08" + bytes(8)] * 5)
+
+
+def _recursive(schema: FileDescriptorSet) -> None:
+    schema.file[1].message_type[2].field.add(
+        name="again", number=3, type=FieldDescriptorProto.TYPE_MESSAGE, label=1,
+        type_name=".foxglove.Plate",
+    )  # fmt: skip
+
+
+def _nested(depth: int) -> bytes:
+    """A message in a message in a message, of `_recursive`."""
+    data = b""
+    for _ in range(depth):
+        size, length = b"", len(data)
+        while length > 127:
+            size, length = size + bytes([length & 127 | 128]), length >> 7
+        data = b"\x1a" + size + bytes([length]) + data
+    return data
+
+
+def _deep(depth: int) -> Files:
+    schema = protobuf_schema()
+    _recursive(schema)
+    return _messages("protobuf", "foxglove.Plate", schema.SerializeToString(), [_nested(depth)] * 5)
+
+
+def _needs(name: str) -> Callable[[FileDescriptorSet], None]:
+    return lambda schema: schema.file[1].dependency.append(name)
+
+
+def _many(schema: FileDescriptorSet) -> None:
+    for k in range(20_000):
+        schema.file[1].message_type.add(name=f"M{k}")
+
+
+def _chained(schema: FileDescriptorSet) -> None:
+    for k in range(3000):
+        schema.file.add(name=f"f{k}.proto", dependency=[f"f{k + 1}.proto"])
+
+
+def _bomb(size: int, compression: CompressionType) -> Files:
+    """A chunk of zeros."""
+
+    def write(writer: Writer) -> None:
+        channel = writer.register_channel("/joint_states", "json", 0)
+        for k in range(5):
+            writer.add_message(channel, k, b'{"a":1}' + b" " * (size // 5), k)
+
+    return _mcap(write, compression, chunk_size=2 * size)
+
+
+def _topics(count: int) -> Callable[[Writer], None]:
+    """Topics without a message."""
+
+    def write(writer: Writer) -> None:
+        for k in range(count):
+            writer.register_channel(f"/{k}", "json", 0)
+
+    return write
+
+
+def _lied(offset: int, value: int) -> Files:
+    """A chunk that says something else of itself: at 16 its size unpacked, at 37 its length."""
+    data = bytearray(_bomb(10_000, CompressionType.ZSTD)["log.mcap"])
+    place = 8
+    while data[place] != 6:
+        place += 9 + int.from_bytes(data[place + 1 : place + 9], "little")
+    data[place + 9 + offset : place + 17 + offset] = value.to_bytes(8, "little")
+    return {"log.mcap": bytes(data)}
+
+
+def _rrd(log: Callable[[rr.RecordingStream], None]) -> Files:
+    """What is logged."""
+
+    def write(place: Path) -> None:
+        stream = rr.RecordingStream("log", recording_id="log")
+        stream.save(place / "log.rrd")
+        log(stream)
+        stream.flush()
+        stream.disconnect()
+
+    return files_of(write)
+
+
+def _steps(values: Callable[[int], Any], entity: str = "position/j1", count: int = 20) -> Files:
+    def log(stream: rr.RecordingStream) -> None:
+        for k in range(count):
+            stream.set_time("t", duration=k * 0.01)
+            stream.log(entity, rr.Scalars(values(k)))
+
+    return _rrd(log)
+
+
+def _static(stream: rr.RecordingStream) -> None:
+    stream.log("position/j1", rr.Scalars(1.0), static=True)
+
+
+def _words(stream: rr.RecordingStream) -> None:
+    for k in range(9):
+        stream.set_time("step", sequence=k)
+        stream.log("notes", rr.TextLog("\x1b[31m" * k))
+        stream.log("cloud", rr.Points3D(np.zeros((k, 3))))
+        stream.log("picture", rr.Image(np.zeros((9, 9, 3), np.uint8)))
+
+
+def _h5(**arrays: Any) -> Files:
+    """An ALOHA file of these."""
+
+    def write(place: Path) -> None:
+        with h5py.File(place / "log.h5", "w") as file:
+            for name, values in arrays.items():
+                file.create_dataset(f"observations/{name}", data=values)
+
+    return files_of(write)
+
+
+FEW, ALOHA = np.zeros((9, 3)), ("qpos", "qvel", "effort")
+NAN, DEEP = "NaN", "[" * 100_000 + "]" * 100_000
+TRAPS: dict[str, Callable[[], Files]] = {
+    "json: no object": lambda: _json_of("3", "4", "5", "6"),
+    "json: deep": lambda: _json_of(DEEP, DEEP),
+    "json: deep objects": lambda: _json_of('{"a":' * 50_000 + "1" + "}" * 50_000),
+    "json: huge whole numbers": lambda: _json_of(*[f'{{"a": {"9" * 4000}}}'] * 5),
+    "json: too many digits": lambda: _json_of(*[f'{{"a": {"9" * 5000}}}'] * 5),
+    "json: above counters": lambda: _json_of(*[f'{{"a": {2**63 + k}, "q": 1}}' for k in range(9)]),
+    "json: not numbers": lambda: _json_of(*[f'{{"q": [{NAN}, Infinity], "t": {NAN}}}'] * 5),
+    "json: fields that change": lambda: _json_of('{"a": 1}', '{"b": 1}', '{"a": 2}'),
+    "json: lists that grow": lambda: _json_of(*[f'{{"q": {[1] * k}}}' for k in range(9)]),
+    "json: a list without end": lambda: _json_of(f'{{"q": {[0] * 300_000}}}', "{}"),
+    "json: odd names": lambda: _json_of(*['{"name": ["__class__", "../x"], "q": [1, 2]}'] * 9),
+    "json: a terminal": lambda: _json_of(*['{"\\u001b[2J\\u202e": 1, "q\\n": [2, 3]}'] * 9),
+    "json: names alike": lambda: _json_of(*['{"name": ["a", "a"], "position": [1, 2]}'] * 9),
+    "json: a stamp of texts": lambda: _json_of(*['{"t": {"sec": "1", "nsec": 2.5}, "q": 1}'] * 9),
+    "json: a stamp of the year 10^300": lambda: _json_of(
+        *[f'{{"t": {{"sec": 1{"0" * 300}, "nsec": 2}}}}'] * 9
+    ),
+    "json: no text": lambda: _messages("json", "x", b"", [b"\xff\xfe\0", b"\x80"]),
+    "no encoding": lambda: _messages("", "x", b"", [b"1"]),
+    "an encoding of pickles": lambda: _messages("pickle", "x", b"", [b"cos\nsystem\n(S'id'\ntR."]),
+    "ros: no definition": lambda: _messages("cdr", "x/msg/Y", b"", [bytes(40)] * 5),
+    "ros: a definition of itself": lambda: _messages("cdr", "x/msg/Y", b"x/Y y\n", [bytes(40)] * 5),
+    "ros: a definition of words": lambda: _messages("cdr", "x/msg/Y", b"\xff((", [bytes(9)] * 5),
+    "ros 1: short": lambda: _messages("ros1", "std_msgs/Float64", b"float64 data", [b"12"] * 5),
+    "protobuf: a type in itself": lambda: _described(_recursive),
+    "protobuf: 90 deep": lambda: _deep(90),
+    "protobuf: 5000 deep": lambda: _deep(5000),
+    "protobuf: no such type": lambda: _described(lambda _: None, "foxglove.Nothing"),
+    "protobuf: no types": lambda: _described(lambda schema: schema.Clear()),
+    "protobuf: needs itself": lambda: _described(_needs("foxglove/JointStates.proto")),
+    "protobuf: needs others": lambda: _described(_needs("../../etc/passwd")),
+    "protobuf: 3000 files in a row": lambda: _described(_chained),
+    "protobuf: 20000 types": lambda: _described(_many),
+    "protobuf: the same twice": lambda: _described(lambda s: s.file.add().CopyFrom(s.file[1])),
+    "protobuf: fields with names of methods": lambda: _described(
+        lambda s: setattr(s.file[1].message_type[2].field[1], "name", "__class__")
+    ),
+    "protobuf: one number twice": lambda: _described(
+        lambda s: setattr(s.file[1].message_type[2].field[0], "number", 2)
+    ),
+    "protobuf: a schema of noise": lambda: _messages("protobuf", "x", b"\x0a\xff\xff" * 9, [b""]),
+    "protobuf: messages of noise": lambda: _messages(
+        "protobuf", "foxglove.Plate", protobuf_schema().SerializeToString(), [b"\xff" * 99] * 5
+    ),
+    "protobuf: any content": lambda: _messages(
+        "protobuf", "google.protobuf.Struct",
+        FileDescriptorSet(file=[_copied(struct_pb2.DESCRIPTOR)]).SerializeToString(),
+        [b"\x0a\x05\x0a\x01a\x12\x00"] * 5,
+    ),
+    "zstd: 200 MB of blanks": lambda: _bomb(200_000_000, CompressionType.ZSTD),
+    "lz4: 200 MB of blanks": lambda: _bomb(200_000_000, CompressionType.LZ4),
+    "zstd: 3 MB of blanks": lambda: _bomb(3_000_000, CompressionType.ZSTD),
+    "a chunk of 2^50 bytes": lambda: _lied(16, 2**50),
+    "a chunk of 10 bytes": lambda: _lied(16, 10),
+    "a chunk of no bytes": lambda: _lied(16, 0),
+    "a packed length of 2^60": lambda: _lied(32, 2**60),
+    "topics without messages": lambda: _mcap(_topics(9)),
+    "20000 topics": lambda: _mcap(_topics(20_000)),
+    "rrd: not numbers": lambda: _steps(lambda _: np.nan),
+    "rrd: lists that grow": lambda: _steps(lambda k: [1.0] * (k + 1)),
+    "rrd: an entity of a terminal": lambda: _steps(float, "\x1b[2J/\u202ex"),
+    "rrd: an entity of dots": lambda: _steps(float, "../../etc"),
+    "rrd: one sample": lambda: _steps(float, count=1),
+    "rrd: static": lambda: _rrd(_static),
+    "rrd: nothing": lambda: _rrd(lambda _: None),
+    "rrd: words and pictures": lambda: _rrd(_words),
+    "h5: texts": lambda: _h5(qpos=np.array([[b"a"] * 3] * 9), qvel=FEW, effort=FEW),
+    "h5: volumes": lambda: _h5(qpos=np.zeros((9, 3, 3)), qvel=FEW, effort=FEW),
+    "h5: other lengths": lambda: _h5(qpos=FEW, qvel=FEW[:7], effort=FEW[:8, :2]),
+    "h5: not numbers": lambda: _h5(**dict.fromkeys(ALOHA, FEW * np.nan)),
+    "h5: two samples": lambda: _h5(**dict.fromkeys(ALOHA, FEW[:2])),
+    "h5: complex": lambda: _h5(**dict.fromkeys(ALOHA, FEW * 1j)),
+    "h5: whole and huge": lambda: _h5(**dict.fromkeys(ALOHA, np.full((9, 3), 2**63 - 1))),
+}  # fmt: skip
+"""Small files that would harm a reader."""
+
+
+def _copied(descriptor: Any) -> Any:
+    from google.protobuf.descriptor_pb2 import FileDescriptorProto
+
+    made = FileDescriptorProto()
+    descriptor.CopyToProto(made)
+    return made
+
+
+trap = cache(lambda name: TRAPS[name]())
+"""A trap's files, made once."""
+
+
+def mapping_of(name: str) -> str:
+    """A mapping that reads what a trap may hold."""
+    topics = {"mcap": 'topic = "/joint_states"', "rrd": 'topic = "position/j1"'}
+    topic = topics.get(name.rpartition(".")[2], "")
+    return (
+        f'rate = 100\njoints = ["j1"]\n[sources.log]\nfile = "{name}"\n{topic}\nrate = 100\n'
+        '[position]\nsource = "log"\ncolumns = ["q"]\nunit = "rad"\n'
+        '[torque]\nsource = "log"\ncolumns = ["a"]\nunit = "N m"\n'
+    )
+
+
+@st.composite
+def datasets(draw: DrawFn) -> Case:
+    """Hostile datasets, and mappings or guesses of them."""
+    from benchmarks.hostile.inputs import edited, spoiled
+
+    kind = draw(
+        st.sampled_from(["v2.1", "v3.0", "v2.1", "v3.0", "trap", "trap", "trap", "file", "file"])
+    )
+    if kind == "trap":
+        files = trap(draw(st.sampled_from(sorted(TRAPS))))
+        name = next(iter(files))
+        text = mapping_of(name)
+    elif kind == "file":
+        own, text = good(draw(st.sampled_from(["mcap_json", "mcap_protobuf", "rrd"])))
+        ((name, data),) = own.items()
+        files = {name: draw(spoiled(data))}
+    else:
+        files, text = good(kind)
+        name = "log"
+        for _ in range(draw(st.integers(1, 2))):
+            change = draw(st.sampled_from([_info, _info, _columns, _columns, _missing]))
+            if "log/meta/info.json" in files and any(n.endswith(".parquet") for n in files):
+                try:
+                    files = change(draw, files)
+                except (pa.ArrowException, ValueError, OSError):
+                    continue  # the change before has left nothing to change
+    if draw(st.integers(0, 5)) == 0:
+        text = draw(
+            edited([text, text.replace("[sources.log]", '[sources.log]\ntopic = "episode 1"')])
+        ).decode(errors="replace")
+    command = IMPORT if draw(st.booleans()) else ("import", "--guess", name, "--out", "guess.toml")
+    return Case(command, files | {"map.toml": text.encode("utf-8", "replace")}, OUTPUTS)

@@ -1,0 +1,241 @@
+"""Datasets of robot learning and columns of known loggers are read without a word of a person.
+
+If one fails, somebody's dataset is read as other joints, other units or other times, or a file
+from somebody else harms the machine.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import rerun as rr
+from mcap.writer import Writer
+
+from benchmarks.hostile.datasets import TRAPS, trap
+from testbed.arrays import Array
+from testbed.errors import RecordingError, UnknownName
+from testbed.recordings.importing.foreign_table import ForeignTable
+from testbed.recordings.importing.guess import guessed
+from testbed.recordings.importing.known_layouts import LAYOUTS
+from testbed.recordings.importing.readers import open_foreign, tables
+from testbed.recordings.joined import pieces
+from tests.helpers.foreign_files import EPOCH, FORMATS, JOINTS, Log, lerobot, some_log
+from tests.helpers.refusals import refuses
+
+
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_episodes_are_recordings_of_their_own(version: str, tmp_path: Path) -> None:
+    """A file each or one of all: each to the last bit, also alone; paths that it states are not."""
+    log = some_log(600)
+    (tmp_path / "map.toml").write_text(lerobot(tmp_path, log, version, 3))
+    info = tmp_path / "log/meta/info.json"
+    said = json.loads(info.read_text())
+    info.write_text(json.dumps(said | {"data_path": "../../../../{episode_index.__class__}"}))
+    found, cuts = pieces(tmp_path / "map.toml")
+    assert [each.samples for each in found] == [200, 200, 200]
+    assert [each.code for each in cuts] == ["import.cut"] * 2
+    for k, each in enumerate(found):
+        rows = slice(200 * k, 200 * (k + 1))
+        for signal, wanted in (("position", log.q), ("torque", log.tau), ("wrench", log.w)):
+            np.testing.assert_allclose(each.measured(signal), wanted[rows], atol=1e-4)
+        alone = open_foreign(tmp_path / "log", f"episode {k}")
+        column = f"observation.state/{JOINTS[1]}.pos"
+        np.testing.assert_array_equal(alone.read([column])[column], log.q[rows, 1])
+        np.testing.assert_allclose(alone.read(["timestamp"])["timestamp"], log.t[:200], atol=1e-6)
+    (file, *_) = sorted((tmp_path / "log/data").rglob("*.parquet"))
+    assert open_foreign(file).columns == open_foreign(tmp_path / "log").columns
+    draft = guessed([tmp_path / "log"], tmp_path, JOINTS).tables
+    assert draft["position"]["columns"] == [f"observation.state/{j}.pos" for j in JOINTS]
+    assert draft["torque"]["columns"] == [f"observation.effort/{j}" for j in JOINTS]
+    for wrong in ("episode 3", "3", "../0", "-1"):
+        with refuses(UnknownName, wrong, "episode 0"):
+            open_foreign(tmp_path / "log", wrong)
+    info.write_text(json.dumps(said | {"codebase_version": "v1.6"}))
+    with refuses(RecordingError, "v1.6"):
+        open_foreign(tmp_path / "log")
+
+
+def columns_of(name: str, values: Array, form: str = "{}[{}]") -> dict[str, Array]:
+    return {form.format(name, k): values[:, k] for k in range(values.shape[1])}
+
+
+def logged(logger: str, log: Log, rates: Array) -> tuple[str, dict[str, Array], dict[str, Any]]:
+    """A logger's file, its columns, and what the mapping of them says."""
+    rtde, iiwa, t = "{}_{}", "_LBR_iiwa_7_R800_1", 1_700_000_000 + log.t
+    droid, aloha, demo = "observation/robot_state", "observations", "data/demo_{}/obs/robot0_joint"
+    junk = np.random.default_rng(1).normal(size=(len(log.t), 6))
+    kinova = {
+        f"{name}{k}": values[:, k - 1]
+        for name, values in (("Position", log.q), ("Velocity", rates), ("Torque", log.tau),
+                             ("TorqueSm", log.tau), ("PositionCmptd", log.q))
+        for k in (1, 2)
+    }  # fmt: skip
+    common = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
+    robot: Mapping[str, tuple[str, dict[str, Array], dict[str, Any]]] = {
+        "libfranka": ("log.csv", {
+            "duration": 1e3 * log.t, **columns_of("state.q", log.q),
+            **columns_of("state.q_d", log.q), **columns_of("state.dq", rates),
+            **columns_of("state.tau_J", log.tau), **columns_of("state.tau_J_d", log.tau),
+            **columns_of("state.tau_ext_hat_filtered", log.tau),
+            **columns_of("state.O_F_ext_hat_K", junk)}, common),
+        "UR's RTDE": ("log.csv", {
+            "timestamp": t, **columns_of("target_q", log.q, rtde),
+            **columns_of("actual_q", log.q, rtde), **columns_of("actual_qd", rates, rtde),
+            **columns_of("actual_current", log.tau, rtde),
+            **columns_of("actual_TCP_force", junk, rtde)}, common | {"torque": "A"}),
+        "DROID": ("log.h5", {
+            **columns_of(f"{droid}/joint_positions", log.q),
+            **columns_of(f"{droid}/joint_velocities", rates),
+            **columns_of(f"{droid}/motor_torques_measured", log.tau),
+            **columns_of(f"{droid}/joint_torques_computed", log.tau),
+            "observation/timestamp/robot_state/robot_timestamp_nanos": 1e9 * (t % 1),
+            "observation/timestamp/robot_state/read_start": np.round(1e3 * t)}, common),
+        "ALOHA": ("log.hdf5", {
+            **columns_of(f"{aloha}/qpos", log.q), **columns_of(f"{aloha}/qvel", rates),
+            **columns_of(f"{aloha}/effort", log.tau), **columns_of("action", log.q)},
+            common | {"torque": "mA"}),
+        "robomimic": ("log.hdf5", {
+            name: values for k in range(3)
+            for name, values in (*columns_of(f"{demo.format(k)}_pos", log.q).items(),
+                                 *columns_of(f"{demo.format(k)}_vel", rates).items())},
+            {"position": "rad", "velocity": "rad/s"}),
+        "KUKA's iiwa": ("log.csv", {
+            "ZeitInSec": np.floor(t), "ZeitInNanoSec": np.round(1e9 * (t % 1), -3),
+            **columns_of(f"axisQMsr{iiwa}", log.q), **columns_of(f"axisQCmd{iiwa}", log.q),
+            **columns_of(f"axisTauMsr{iiwa}", log.tau),
+            **columns_of(f"axisTauExtMsr{iiwa}", log.tau)}, {"position": "rad", "torque": "N m"}),
+        "Kinova's Gen3": ("log.csv", {"Time": 1e3 * log.t, **kinova}, common),
+    }  # fmt: skip
+    return robot[logger]
+
+
+@pytest.mark.parametrize("logger", dict.fromkeys(each.logger for each in LAYOUTS))
+def test_a_logger_is_known_by_its_columns(logger: str, tmp_path: Path) -> None:
+    """Signals, units and rate; what it commands or estimates is left out."""
+    log = some_log(400)
+    rates = np.gradient(log.q, 0.01, axis=0)
+    name, columns, units = logged(logger, log, rates)
+    if name.endswith(".csv"):
+        table = np.column_stack([*columns.values()])
+        np.savetxt(tmp_path / name, table, "%.9f", ",", header=",".join(columns), comments="")
+    else:
+        with h5py.File(tmp_path / name, "w") as file:
+            for array in dict.fromkeys(each.partition("[")[0] for each in columns):
+                parts = [v for column, v in columns.items() if column.partition("[")[0] == array]
+                data = np.column_stack(parts) if len(parts) > 1 else parts[0]
+                file[array] = data.astype(np.int64) if "timestamp" in array else data
+    found = guessed([tmp_path / name], tmp_path, JOINTS).tables
+    assert {kind: found[kind]["unit"] for kind in units} == units
+    signals = {"position": log.q, "velocity": rates, "torque": log.tau}
+    read = open_foreign(tmp_path / name)
+    for kind in units:
+        listed = found[kind]["columns"]
+        values = np.column_stack([*read.read(listed).values()])
+        np.testing.assert_allclose(values, signals[kind], atol=1e-8)
+        wrong = ("Cmd", "target", "Ext", "computed", "_d[", "action", "demo_1", "Sm")
+        assert not any(word in column for column in listed for word in wrong)
+    assert {kind for kind in (*signals, "wrench") if found.get(kind)} == set(units)
+    stated = {"ALOHA": 50, "robomimic": 20}  # files without times
+    assert found[""]["rate"] == stated.get(logger, 100)
+
+
+def test_the_size_of_positions_shows_degrees_and_counts(tmp_path: Path) -> None:
+    """Not per cent of a calibrated range, which no unit makes an angle; not radians."""
+    turns = some_log(400)
+    cases = {
+        "deg": (np.degrees(turns.q) + 90, "deg"),
+        "rad": (turns.q, ""),
+        "counts": (np.round(turns.q / (2 * np.pi) * 4096) + 2048, "turn"),
+        "per cent": (100 * np.sin(turns.q * 20), ""),
+    }
+    for name, (values, unit) in cases.items():
+        (tmp_path / name).mkdir()
+        lerobot(tmp_path / name, replace(turns, q=values))
+        position = guessed([tmp_path / name / "log"], tmp_path, JOINTS).tables["position"]
+        assert position["unit"] == unit, name
+        if name == "counts":
+            angle = values * 2 * np.pi @ np.array(position["matrix"]) + position["offset"]
+            np.testing.assert_allclose(angle, turns.q, atol=np.pi / 4096 + 1e-6)
+
+
+def test_a_topic_that_cannot_be_read_hides_no_other(tmp_path: Path) -> None:
+    """Numbers of Protobuf that are zero are not sent; times keep their nanoseconds."""
+    log = some_log()
+    log.tau[:, 1] = 0.0
+    FORMATS["mcap_protobuf"](tmp_path, log)
+    table = open_foreign(tmp_path / "log.mcap", "/joint_states")
+    assert not table.read(["joints/j2/effort"])["joints/j2/effort"].any()
+    assert table.stamps("timestamp")[1] - EPOCH == 10**7
+    with refuses(RecordingError, "/joint_states", "/plate"):
+        open_foreign(tmp_path / "log.mcap")
+    with (tmp_path / "odd.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        encodings = {"/odd": "pickle", "/joints": "json", "/grows": "json", "/none": "json"}
+        channels = {t: writer.register_channel(t, e, 0) for t, e in encodings.items()}
+        for k in range(30):
+            state = {"name": JOINTS, "position": [k, 0.5], "effort": [0, 2 * k]}
+            said = {"/odd": b"cos\n", "/joints": state, "/grows": {"q": [1] * k}}
+            for topic, content in said.items():
+                data = content if isinstance(content, bytes) else json.dumps(content).encode()
+                writer.add_message(channels[topic], EPOCH + k * 10**7, data, EPOCH)
+        writer.finish()  # type: ignore[no-untyped-call]
+    kinds = {topic: type(each) for topic, each in tables(tmp_path / "odd.mcap").items()}
+    assert kinds == {"/odd": UnknownName, "/joints": ForeignTable, "/grows": RecordingError,
+                     "/none": ForeignTable}  # fmt: skip
+    draft = guessed([tmp_path / "odd.mcap"], tmp_path, JOINTS).tables
+    assert draft["torque"]["columns"] == ["effort/j1", "effort/j2"]
+    assert draft[""]["rate"] == 100
+
+
+def test_what_was_logged_to_rerun_at_other_times_is_another_table(tmp_path: Path) -> None:
+    """In the order of time; what Rerun adds, and what has no time, is no column."""
+    stream = rr.RecordingStream("log", recording_id="log")
+    stream.save(tmp_path / "log.rrd")
+    order = np.random.default_rng(0).permutation(50)
+    for k in order:
+        stream.set_time("t", duration=0.01 * k)
+        for j, joint in enumerate(JOINTS):
+            stream.log(f"arm/position/{joint}", rr.Scalars(float(k + 100 * j)))
+        if k % 2 == 0:
+            stream.log("plate", rr.Scalars(np.arange(6.0) + k))
+    stream.log("arm", rr.SeriesLines(names="q"), static=True)
+    stream.flush()
+    stream.disconnect()
+    found = tables(tmp_path / "log.rrd")
+    assert [*found] == ["arm/position/j1", "plate"]
+    arm = open_foreign(tmp_path / "log.rrd", "arm/position/j2")
+    assert set(arm.columns) == {"t", "arm/position/j1", "arm/position/j2"}
+    read = arm.read(arm.columns)
+    np.testing.assert_array_equal(read["t"], 1e7 * np.arange(50))
+    np.testing.assert_array_equal(read["arm/position/j2"], np.arange(50) + 100)
+    plate = open_foreign(tmp_path / "log.rrd", "plate").read(["plate[5]"])["plate[5]"]
+    np.testing.assert_array_equal(plate, np.arange(0, 50, 2) + 5)
+
+
+def test_traps_of_new_formats_are_read_or_refused(tmp_path: Path) -> None:
+    """Descriptors of themselves, chunks that lie, lists that grow: nothing but our own errors."""
+    refused = 0
+    for name in TRAPS:
+        if "200 MB" in name:  # `python -m benchmarks hostile` makes these
+            continue
+        for file, data in trap(name).items():
+            (tmp_path / file).write_bytes(data)
+            try:
+                found = tables(tmp_path / file)
+            except (RecordingError, UnknownName):
+                refused += 1
+                continue
+            for each in found.values():
+                if isinstance(each, ForeignTable):
+                    each.read(each.columns)
+                else:
+                    refused += 1
+    assert refused > len(TRAPS) // 2
