@@ -143,7 +143,7 @@ class Writing:
             SettingsError: No bodies are as is wished.
         """
         from testbed.experiment.evaluate import prior_from
-        from testbed.identification.consistency.consistent import consistent_by_held_out
+        from testbed.identification.consistency.consistent import consistent_with_likely_prior
         from testbed.identification.problem import samples_of
         from testbed.recordings.views import with_gear
         from testbed.reporting import output
@@ -157,7 +157,7 @@ class Writing:
         table = reading.tables().identification
         part = samples_of(source, table)
         with output.Progress("computing consistent bodies"):
-            return consistent_by_held_out(tree, estimates, prior, options, part, table)
+            return consistent_with_likely_prior(tree, estimates, prior, options, part, table)
 
     def written(
         self, found: Consistent, reading: Reading, model: Path, recordings: Sequence[Path]
@@ -293,7 +293,7 @@ def identify(
         )
     bodies = None
     if writing.wanted:
-        chosen = [each.prior_error for each in added.values() if each.tried]
+        chosen = [each.prior_error for each in added.values() if each.used]
         bodies = writing.bodies(reading, model, source, estimates, chosen)
         said += [*bodies.diagnostics, *writing.written(bodies, reading, model, recordings)]
     if as_json:

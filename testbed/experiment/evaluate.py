@@ -15,7 +15,10 @@ from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import BodyTable, SimulationTable
 from testbed.experiment.run import Run, assemble_run
 from testbed.experiment.score import relative_errors, root_mean_square, shared_errors
-from testbed.identification.consistency.consistent import Consistent, consistent_by_held_out
+from testbed.identification.consistency.consistent import (
+    Consistent,
+    consistent_with_likely_prior,
+)
 from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.identify import identify
@@ -236,7 +239,9 @@ def _with_bodies(run: Run, believed: Tree, options: ConsistencyOptions) -> Run:
     estimates = list(run.estimates.values())
     blind = samples_of(run.recording.blind(), run.settings)
     try:
-        found = consistent_by_held_out(run.tree, estimates, prior, options, blind, run.settings)
+        found = consistent_with_likely_prior(
+            run.tree, estimates, prior, options, blind, run.settings
+        )
     except TestbedError as error:
         return run.with_diagnostics([diagnose("bodies.missing", reason=error)])
     return replace(run, consistent=found).with_diagnostics(found.diagnostics)

@@ -1,9 +1,9 @@
 """What a recording adds to its model file: least squares with the file's bodies as a prior.
 
 Every body's pseudo-inertia is J = U Y U' with that of the file U U'; the coordinates of Y are
-those of one with a standard deviation of `PRIOR_ERROR` each: the linear form of the prior of
-consistent bodies. Friction and offsets are free. Where the data alone determine all parameters
-the prior is left out, and the estimate is that of least squares.
+those of one with the same standard deviation each: the linear form of the prior of consistent
+bodies. The joints' own terms are free, but friction is not negative. Where the data alone determine
+all parameters the prior is left out, and the estimate is that of least squares.
 """
 
 from __future__ import annotations
@@ -39,10 +39,13 @@ from testbed.recordings.source import RecordingLike, Source
 from testbed.robot.tree import Tree
 
 PRIOR_ERROR = 0.5
-"""Of the model file's bodies, in parts of themselves, unless held-out parts ask for another."""
+"""Of the model file's bodies, in parts of themselves: before the data, as one coordinate counts."""
 
-OFFERED = (0.05, 0.1, 0.2, 0.5, 1.0)
-"""Errors of the model file's bodies that are tried where none is said."""
+ITERATIONS = 50
+"""Of the prior's error at most."""
+
+SETTLED = 1e-3
+"""Relative change of the prior's error that is none."""
 
 DETERMINED = 0.9
 """Share of the prior's variance that the data remove of a parameter that they determine."""
@@ -80,8 +83,6 @@ class Posterior(Diagnosed):
             variance is at most a tenth of the prior's, (p,).
         worth: How many parameters the data are worth: the trace of the resolution matrix.
         prior_error: Of the model file's bodies, in parts of themselves.
-        tried: By prior error, rms of what it leaves of held-out parts over what the file with its
-            friction fitted leaves; {} where it was given, or is not needed.
         used: Whether the prior is needed; else the values are those of least squares.
         errors: What it leaves of held-out parts, and what others do.
     """
@@ -100,7 +101,6 @@ class Posterior(Diagnosed):
     alone: tuple[bool, ...]
     worth: float
     prior_error: float
-    tried: Mapping[float, float]
     used: bool
     errors: tuple[PredictionErrors, ...]
 
@@ -148,18 +148,31 @@ class LinearPrior:
 
     Attributes:
         mean: (p,).
-        root: (p, r).
+        root: (p, r), those of the bodies first.
+        bodies: How many of z are of bodies.
         noise: Variance of each channel's noise at least, (C,) [N^2, N^2 m^2].
+        least: Of z, (r,): friction is not negative; -inf for no bound.
     """
 
     mean: Array
     root: Array
+    bodies: int
     noise: Array
+    least: Array
 
     @property
     def variance(self) -> Array:
         """(p,)."""
         return np.asarray((self.root**2).sum(axis=1))
+
+    def times(self, factor: float) -> LinearPrior:
+        """The same with another error of the bodies.
+
+        Args:
+            factor: Over the one that it has.
+        """
+        of_bodies = np.arange(self.root.shape[1]) < self.bodies
+        return replace(self, root=np.where(of_bodies, factor, 1.0) * self.root)
 
     def worth(self, covariance: Array) -> float:
         """How many parameters data are worth: the trace of the resolution, 1 - C P^-1.
@@ -194,9 +207,7 @@ def posterior(
         prior: The bodies of the model file (`prior_of`).
         method: As for `identify`.
         estimate: By least squares, with the same settings; None where the data determine none.
-        prior_error: Of the file's bodies, in parts of themselves; None for the one that predicts
-            the fast parts by the slow ones best, or, of a steady motion, each half by the other:
-            motion of another kind alone can ask for more than `PRIOR_ERROR`.
+        prior_error: Of the file's bodies, in parts of themselves; None for the likeliest.
         gravity: As for `identify`.
         settings: As for `identify`.
         threads: How many to use; default one a processor.
@@ -207,14 +218,12 @@ def posterior(
     made = [] if estimate is None else [estimate]
     problem, parts = _parts(tree, recording, method, made, gravity, settings, threads)
     with one_blas_thread():
-        error, tried = prior_error or PRIOR_ERROR, dict[float, float]()
+        error = prior_error or PRIOR_ERROR
         before = linear_prior(problem, prior, error, parts.whole)
         used = not any(determines(each, before) for each in made)
         if used and prior_error is None:
-            offered = [e for e in OFFERED if e <= PRIOR_ERROR or len(parts.splits) > 1]
-            tried = errors_of_held_out(problem, prior, parts, offered)
-            error = min(reversed(tried), key=lambda each: tried[each])
-            before = linear_prior(problem, prior, error, parts.whole)
+            error = likeliest([(parts.whole, before)])
+            before = before.times(error / PRIOR_ERROR)
         values, covariance = with_prior(parts.whole, before)
         if used:
             alone = tuple(alone_determined(parts.whole, before).tolist())
@@ -230,7 +239,7 @@ def posterior(
             units=problem.units,
             count=count,
             file=before.mean,
-            refitted=_refitted(parts.whole, before.mean, count),
+            refitted=_refitted(parts.whole, before),
             prior_sigma=np.sqrt(before.variance),
             values=values,
             covariance=covariance,
@@ -238,37 +247,56 @@ def posterior(
             alone=alone,
             worth=before.worth(covariance),
             prior_error=error,
-            tried=tried,
             used=used,
             errors=_held_out(problem, before, parts, used=used),
         )
 
 
-def chosen_prior_error(
+def likeliest_prior_error(
     tree: Tree,
     recording: RecordingLike,
     prior: Prior,
     estimates: Sequence[Estimate],
-    offered: Sequence[float],
     settings: Settings = DEFAULTS,
-) -> dict[float, float]:
-    """By error of the bodies, rms of what it leaves of held-out parts over what the file leaves.
+) -> float:
+    """The error of the model file's bodies, in parts of themselves, that makes data likeliest.
 
     Args:
         tree: The robot.
         recording: That of the estimates.
         prior: The bodies of the model file.
         estimates: By least squares, one a method, with the same settings.
-        offered: Errors, in parts of the bodies.
         settings: As for `identify`.
     """
-    squares = dict.fromkeys(offered, 0.0)
+    data = []
     for each in estimates:
         problem, parts = _parts(tree, recording, each.method, [each], each.gravity, settings, None)
-        with one_blas_thread():
-            for error, left in errors_of_held_out(problem, prior, parts, offered).items():
-                squares[error] += left**2 / len(estimates)
-    return {error: float(np.sqrt(square)) for error, square in squares.items()}
+        data.append((parts.whole, linear_prior(problem, prior, PRIOR_ERROR, parts.whole)))
+    with one_blas_thread():
+        return likeliest(data)
+
+
+def likeliest(data: Sequence[tuple[RowProducts, LinearPrior]]) -> float:
+    """The error of the bodies that makes data likeliest: the evidence's fixed point.
+
+    Coordinates that the data determine have this error on average; `PRIOR_ERROR` counts as one.
+
+    Source    D. J. C. MacKay, Bayesian interpolation (Neural Computation 4, 1992)
+
+    Args:
+        data: Rows, and the prior of their unknowns with `PRIOR_ERROR`.
+    """
+    error = PRIOR_ERROR
+    for _ in range(ITERATIONS):
+        square, count = PRIOR_ERROR**2, 1.0
+        for rows, prior in data:
+            z, after = _linear(rows, prior.times(error / PRIOR_ERROR))
+            square += float(error**2 * z[: prior.bodies] @ z[: prior.bodies])
+            count += float((1 - np.diagonal(after)[: prior.bodies]).sum())
+        before, error = error, float(np.sqrt(square / count))
+        if abs(error - before) < SETTLED * before:
+            break
+    return error
 
 
 def _parts(
@@ -305,28 +333,48 @@ def linear_prior(problem: Problem, prior: Prior, error: float, rows: RowProducts
     mean[:count], root[:count] = bodies @ prior.standard.ravel(), error * bodies @ prior.root
     if drives is not None:
         equations = rows.equations(drives.columns, np.zeros(len(mean)))
-        size, largest = np.einsum("cii->ci", equations.normal), equations.squares[:, None]
-        scale = np.sqrt((largest / np.where(size > 0, size, np.inf)).max(axis=0))
+        size = np.einsum("cii->ci", equations.normal)
+        most = size.argmax(axis=0), np.arange(size.shape[1])  # the channel where each shows most
+        scale = np.sqrt(equations.squares[most[0]] / np.where(size[most] > 0, size[most], np.inf))
         mean += drives.values(np.zeros((problem.tree.n, 10)), problem.tree)
         root = np.hstack([root, drives.columns * scale])
-    left = _refitted(rows, mean, count)
+    tiny = np.full(len(rows.channels), np.finfo(float).tiny)
+    before = LinearPrior(mean, root, bodies.shape[1], tiny, _bounds(problem, mean, root))
+    left = _refitted(rows, before)
     noise = LEAST**2 * rows.squares(left, rows.constants(left)) / np.maximum(rows.rows, 1.0)
-    return LinearPrior(mean, root, np.maximum(noise, np.finfo(float).tiny))
+    return replace(before, noise=np.maximum(noise, tiny))
+
+
+def _bounds(problem: Problem, mean: Array, root: Array) -> Array:
+    """Least coordinates, (r,), of mean + root z without negative friction."""
+    least = np.full(root.shape[1], -np.inf)
+    terms = () if problem.drives is None else problem.drives.terms
+    for k, term in enumerate(terms, start=problem.minimal.count):
+        (own,) = np.nonzero(root[k])
+        if term.law.resists and len(own) == 1:  # else it is a sum with terms of other shafts
+            least[own] = -mean[k] / root[k, own]
+    return least
 
 
 def with_prior(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
     """Least squares with a prior, under noise that its own residuals show.
 
     A channel's noise is as strong as what is left, and (1 + r) / (1 - r) rows of a correlation r
-    from one to the next say as much as one alone.
+    from one to the next say as much as one alone. Friction that would drive the motion is zero.
 
     Args:
         rows: Products of the rows that are used.
         prior: Of the unknowns.
 
     Returns:
-        Values, (p,), and their covariance, (p, p).
+        Values, (p,), and their covariance, (p, p): that without the bounds of friction.
     """
+    z, after = _linear(rows, prior)
+    return prior.mean + prior.root @ z, prior.root @ after @ prior.root.T
+
+
+def _linear(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
+    """The same: z, (r,), and its covariance, (r, r)."""
     equations = rows.equations(prior.root, prior.mean)
     used = np.maximum(equations.used, 1.0)
     variance = np.maximum(equations.squares / used, prior.noise)
@@ -334,14 +382,20 @@ def with_prior(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
     after: Array = np.eye(len(z))
     for _ in range(ROUNDS):
         weights = np.diag(np.where(equations.used > 0, 1 / (variance * repeated), 0.0))
-        after = np.asarray(np.linalg.inv(equations.matrix(weights) + np.eye(len(z))))
-        z = after @ equations.vector(weights)
+        matrix, vector = equations.matrix(weights) + np.eye(len(z)), equations.vector(weights)
+        after = np.asarray(np.linalg.inv(matrix))
+        z = after @ vector
+        if (z < prior.least).any():
+            from scipy.optimize import lsq_linear
+
+            half = np.linalg.cholesky(matrix)
+            z = lsq_linear(half.T, np.linalg.solve(half, vector), (prior.least, np.inf), "bvls").x
         correlation = rows.correlation(prior.mean + prior.root @ z, prior.noise * used)
         repeated = (1 + correlation) / (1 - correlation)
         lost = np.einsum("cij,ji->c", equations.normal, after) / variance
         left = np.diagonal(equations.residual(z)) / np.maximum(used - lost, FEWEST * used)
         variance = np.maximum(left, prior.noise)
-    return prior.mean + prior.root @ z, prior.root @ after @ prior.root.T
+    return z, after
 
 
 def alone_determined(rows: RowProducts, prior: LinearPrior) -> NDArray[np.bool_]:
@@ -370,33 +424,15 @@ def determines(estimate: Estimate, prior: LinearPrior) -> bool:
     return bool((np.diagonal(estimate.covariance) < most).all())
 
 
-def errors_of_held_out(
-    problem: Problem, prior: Prior, parts: Parts, offered: Sequence[float]
-) -> dict[float, float]:
-    """By error of the bodies, what it leaves of parts of another kind, or of halves.
-
-    Args:
-        problem: The recording.
-        prior: The bodies of the model file.
-        parts: Of the recording.
-        offered: Errors, in parts of the bodies.
-    """
-    tried = {each: linear_prior(problem, prior, each, parts.whole) for each in offered}
-    return {
-        each: _held_out(problem, before, parts)[-1].over_file(POSTERIOR)
-        for each, before in tried.items()
-    }
-
-
 def _held_out(
     problem: Problem, prior: LinearPrior, parts: Parts, *, used: bool = True
 ) -> tuple[PredictionErrors, ...]:
     """What the model file and fits of some parts leave of others, split by split."""
-    count, none, found = problem.minimal.count, np.zeros(len(problem.channels)), []
+    none, found = np.zeros(len(problem.channels)), []
     for kind, split in parts.splits.items():
         pairs = []
         for seen, rest in split:
-            fits = {REFITTED: _refitted(seen, prior.mean, count), PLAIN: _plain(seen)}
+            fits = {REFITTED: _refitted(seen, prior), PLAIN: _plain(seen)}
             fits[POSTERIOR] = with_prior(seen, prior)[0] if used else fits[PLAIN]
             said = {name: (values, seen.constants(values)) for name, values in fits.items()}
             pairs.append(({FILE: (prior.mean, none), **said}, rest))
@@ -404,15 +440,9 @@ def _held_out(
     return tuple(found)
 
 
-def _refitted(rows: RowProducts, start: Array, count: int) -> Array:
+def _refitted(rows: RowProducts, prior: LinearPrior) -> Array:
     """The model file's values, the joints' own terms fitted, (p,)."""
-    lead = np.eye(len(start))[:, count:]
-    found = np.array(start)
-    if lead.shape[1]:
-        equations = rows.equations(lead, start)
-        weights = noise_weights(equations, None)
-        found[count:] += scaled_solve(equations.matrix(weights), equations.vector(weights))
-    return found
+    return with_prior(rows, prior.times(0.0))[0]
 
 
 def _plain(rows: RowProducts) -> Array:

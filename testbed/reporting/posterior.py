@@ -45,7 +45,7 @@ def posterior_table(found: Posterior, most: int | None = None) -> Table:
         for k in order
     ]
     title = (
-        f"{found.instrument}: bodies of the model file, wrong by {found.prior_error:g} of "
+        f"{found.instrument}: bodies of the model file, wrong by {found.prior_error:.2g} of "
         "themselves (std), and what the data make of them; data: share of that variance which "
         "the data remove; std for motions like this one"
     )
