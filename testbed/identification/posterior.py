@@ -466,10 +466,11 @@ def errors_of_another(
         source: The same, faults of the instrument taken back.
         models: Values of the unknowns by what says them.
     """
-    unseen = products_of(problem, source, problem.method == "external").whole
+    parts = products_of(problem, source, problem.method == "external")
+    unseen = parts.whole
     none = np.zeros(len(problem.channels))
     said = {
         name: (values, none if name == FILE else unseen.constants(values))
         for name, values in models.items()
     }
-    return prediction_errors(problem, "another", [(said, unseen)])
+    return prediction_errors(problem, "another", [(said, parts.each)])

@@ -196,7 +196,7 @@ def test_where_the_data_determine_all_nothing_moves() -> None:
 
 @pytest.mark.slow
 def test_where_they_do_not_the_file_is_not_made_worse() -> None:
-    """Slow motion, torques: nearer to the truth than least squares, and held-out parts, too."""
+    """Slow motion, torques: nearer to the truth than least squares, and fast motion, too."""
     estimate, found = added(0.1, "internal")
     truth = estimate.minimal.values(tb.barycentric(robot("puma")))
     errors = [np.abs(each[: found.count] - truth) for each in (found.values, estimate.values)]
@@ -207,8 +207,11 @@ def test_where_they_do_not_the_file_is_not_made_worse() -> None:
     assert 0 < found.worth < len(found.names)
     assert 0.15 < found.prior_error < 0.6
     assert not found.diagnostics
-    plain = {d.code for d in found.worse_than_file("plain")}
-    assert plain == {"estimate.worse-than-file"}
+    problem = Problem.of(robot("puma"), measured(robot("puma"), 6), "internal", estimate.settings)
+    models = found.models | {"plain": estimate.values}
+    fast = errors_of_another(problem, problem.source, models)
+    assert {d.code for d in fast.worse_than_file("plain")} == {"estimate.worse-than-file"}
+    assert not [*fast.worse_than_file("posterior")]
     again = decode(Posterior, encode(found), {})
     np.testing.assert_array_equal(again.values, found.values)
     assert again.errors[0].best == found.errors[0].best
