@@ -19,6 +19,7 @@ from testbed.identification.consistency.consistent import (
     Consistent,
     consistent_with_likely_prior,
 )
+from testbed.identification.consistency.held_out import beside_consistent
 from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.identify import identify
@@ -244,7 +245,10 @@ def _with_bodies(run: Run, believed: Tree, options: ConsistencyOptions) -> Run:
         )
     except TestbedError as error:
         return run.with_diagnostics([diagnose("bodies.missing", reason=error)])
-    return replace(run, consistent=found).with_diagnostics(found.diagnostics)
+    beside = beside_consistent(
+        run.posterior, found, run.tree, blind, prior, estimates, options, run.settings
+    )
+    return replace(run, consistent=found, posterior=beside).with_diagnostics(found.diagnostics)
 
 
 def wrong_prior(tree: Tree, experiment: Experiment) -> Tree:

@@ -24,6 +24,7 @@ from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import scaled_solve
 from testbed.identification.regression.solvers import noise_weights
 from testbed.identification.selection.prediction_errors import (
+    CONSISTENT,
     FILE,
     PLAIN,
     POSTERIOR,
@@ -85,6 +86,7 @@ class Posterior(Diagnosed):
         prior_error: Of the model file's bodies, in parts of themselves.
         used: Whether the prior is needed; else the values are those of least squares.
         errors: What it leaves of held-out parts, and what others do.
+        consistent: Of consistent bodies, (p,); None where they were not asked for.
     """
 
     method: Method
@@ -103,6 +105,7 @@ class Posterior(Diagnosed):
     prior_error: float
     used: bool
     errors: tuple[PredictionErrors, ...]
+    consistent: Array | None = None
 
     __get_pydantic_core_schema__ = with_properties("sigma", "determined", "diagnostics")
 
@@ -120,7 +123,8 @@ class Posterior(Diagnosed):
     @property
     def models(self) -> dict[str, Array]:
         """Values of the unknowns by what says them, for predictions."""
-        return {FILE: self.file, REFITTED: self.refitted, POSTERIOR: self.values}
+        found = {FILE: self.file, REFITTED: self.refitted, POSTERIOR: self.values}
+        return found if self.consistent is None else {**found, CONSISTENT: self.consistent}
 
     @property
     def determined(self) -> tuple[str, ...]:
@@ -131,13 +135,13 @@ class Posterior(Diagnosed):
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Channels of held-out parts that the model file predicts better."""
-        return self.worse_than_file(POSTERIOR)
+        return (*self.worse_than_file(POSTERIOR), *self.worse_than_file(CONSISTENT))
 
     def worse_than_file(self, which: str) -> tuple[Diagnostic, ...]:
         """Channels of held-out parts that the model file predicts better than an estimate does.
 
         Args:
-            which: "plain" or "posterior".
+            which: "plain", "posterior" or "consistent".
         """
         return tuple(said for errors in self.errors for said in errors.worse_than_file(which))
 
@@ -216,7 +220,7 @@ def posterior(
         RecordingError: As `identify`.
     """
     made = [] if estimate is None else [estimate]
-    problem, parts = _parts(tree, recording, method, made, gravity, settings, threads)
+    problem, parts = parts_of(tree, recording, method, made, gravity, settings, threads)
     with one_blas_thread():
         error = prior_error or PRIOR_ERROR
         before = linear_prior(problem, prior, error, parts.whole)
@@ -239,7 +243,7 @@ def posterior(
             units=problem.units,
             count=count,
             file=before.mean,
-            refitted=_refitted(parts.whole, before),
+            refitted=refitted(parts.whole, before),
             prior_sigma=np.sqrt(before.variance),
             values=values,
             covariance=covariance,
@@ -270,7 +274,9 @@ def likeliest_prior_error(
     """
     data = []
     for each in estimates:
-        problem, parts = _parts(tree, recording, each.method, [each], each.gravity, settings, None)
+        problem, parts = parts_of(
+            tree, recording, each.method, [each], each.gravity, settings, None
+        )
         data.append((parts.whole, linear_prior(problem, prior, PRIOR_ERROR, parts.whole)))
     with one_blas_thread():
         return likeliest(data)
@@ -299,7 +305,7 @@ def likeliest(data: Sequence[tuple[RowProducts, LinearPrior]]) -> float:
     return error
 
 
-def _parts(
+def parts_of(
     tree: Tree,
     recording: RecordingLike,
     method: Method,
@@ -308,7 +314,17 @@ def _parts(
     settings: Settings,
     threads: int | None,
 ) -> tuple[Problem, Parts]:
-    """A problem, and its rows, faults of the instrument that an estimate found taken back."""
+    """A problem, and its rows, faults of the instrument that an estimate found taken back.
+
+    Args:
+        tree: The robot.
+        recording: As for `identify`.
+        method: By plate or by torques.
+        made: The estimate by least squares, if there is one.
+        gravity: As for `identify`.
+        settings: As for `identify`.
+        threads: How many to use; default one a processor.
+    """
     settings = with_chosen_settings(settings, made)
     problem = Problem.of(tree, recording, method, settings, gravity=gravity, threads=threads)
     source, free = problem.source, "bias" in problem.settings.nuisances or not made
@@ -340,7 +356,7 @@ def linear_prior(problem: Problem, prior: Prior, error: float, rows: RowProducts
         root = np.hstack([root, drives.columns * scale])
     tiny = np.full(len(rows.channels), np.finfo(float).tiny)
     before = LinearPrior(mean, root, bodies.shape[1], tiny, _bounds(problem, mean, root))
-    left = _refitted(rows, before)
+    left = refitted(rows, before)
     noise = LEAST**2 * rows.squares(left, rows.constants(left)) / np.maximum(rows.rows, 1.0)
     return replace(before, noise=np.maximum(noise, tiny))
 
@@ -432,7 +448,7 @@ def _held_out(
     for kind, split in parts.splits.items():
         pairs = []
         for seen, rest in split:
-            fits = {REFITTED: _refitted(seen, prior), PLAIN: _plain(seen)}
+            fits = {REFITTED: refitted(seen, prior), PLAIN: _plain(seen)}
             fits[POSTERIOR] = with_prior(seen, prior)[0] if used else fits[PLAIN]
             said = {name: (values, seen.constants(values)) for name, values in fits.items()}
             pairs.append(({FILE: (prior.mean, none), **said}, rest))
@@ -440,8 +456,13 @@ def _held_out(
     return tuple(found)
 
 
-def _refitted(rows: RowProducts, prior: LinearPrior) -> Array:
-    """The model file's values, the joints' own terms fitted, (p,)."""
+def refitted(rows: RowProducts, prior: LinearPrior) -> Array:
+    """The model file's values, the joints' own terms fitted, (p,).
+
+    Args:
+        rows: Products of the rows that are used.
+        prior: Of the unknowns.
+    """
     return with_prior(rows, prior.times(0.0))[0]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,9 +14,10 @@ from testbed.identification.estimate import Method, channel_label, channel_units
 from testbed.identification.problem import Problem
 from testbed.identification.selection.row_products import RowProducts, sum_of
 
-FILE, REFITTED, PLAIN, POSTERIOR = "file", "refitted", "plain", "posterior"
+FILE, REFITTED, PLAIN = "file", "refitted", "plain"
+POSTERIOR, CONSISTENT = "posterior", "consistent"
 """The model file as it is; with the plate's zero, or friction and offsets, fitted; least squares;
-with the file as prior."""
+with the file as prior; consistent bodies."""
 
 WORSE = 1.05
 """Error over that of the model file with its friction that is worth a word."""
@@ -40,7 +41,7 @@ class PredictionErrors:
         units: One each, N or N m.
         signal: Rms of the channels, of a plate with an unknown zero about their mean, (C,).
         residual: Rms of what is left, (C,) [N, N m], by what predicts: "file", "refitted",
-            "plain", "posterior".
+            "plain", "posterior", "consistent".
         chance: Of errors so much above those of the file with friction, where parts only scatter,
             (C,), by what predicts; for the largest of all channels.
     """
@@ -59,6 +60,15 @@ class PredictionErrors:
     def best(self) -> str:
         """What leaves least."""
         return min(self.residual, key=self.over_file)
+
+    def beside(self, other: PredictionErrors) -> PredictionErrors:
+        """The same with what others leave of the same data.
+
+        Args:
+            other: By them.
+        """
+        residual, chance = {**other.residual, **self.residual}, {**other.chance, **self.chance}
+        return replace(self, residual=residual, chance=chance)
 
     def over_file(self, which: str) -> float:
         """Rms over channels of what is left, over what the file with its friction fitted leaves.
