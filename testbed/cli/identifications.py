@@ -246,9 +246,9 @@ def identify(
     Example: testbed identify recording.parquet --model robot.urdf --write identified.urdf
     """
     from testbed.errors import SettingsError, UnseenParameters
-    from testbed.experiment.run import posteriors
     from testbed.identification.estimate import METHODS, NAMES, SIGNAL_OF
     from testbed.identification.identify import identify as identified
+    from testbed.identification.posterior import posteriors
     from testbed.recordings.views import is_imported
     from testbed.reporting import output, terminal
 

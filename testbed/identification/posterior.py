@@ -9,10 +9,11 @@ all parameters the prior is left out, and the estimate is that of least squares.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
@@ -23,6 +24,16 @@ from testbed.identification.estimate_summary import corrected_by, summary_of
 from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import scaled_solve
 from testbed.identification.regression.solvers import noise_weights
+from testbed.identification.selection.linear_prior import (
+    DETERMINED,
+    PRIOR_ERROR,
+    LinearPrior,
+    alone_determined,
+    likeliest,
+    linear_prior,
+    refitted,
+    with_prior,
+)
 from testbed.identification.selection.prediction_errors import (
     CONSISTENT,
     FILE,
@@ -35,33 +46,10 @@ from testbed.identification.selection.prediction_errors import (
 from testbed.identification.selection.row_products import Parts, RowProducts, products_of
 from testbed.identification.selection.term_choice import with_chosen_settings
 from testbed.identification.settings import DEFAULTS, Settings
-from testbed.parameters.prior import Prior
+from testbed.parameters.prior import Prior, prior_of
 from testbed.recordings.source import RecordingLike, Source
+from testbed.recordings.views import is_imported, with_gear
 from testbed.robot.tree import Tree
-
-PRIOR_ERROR = 0.5
-"""Of the model file's bodies, in parts of themselves: before the data, as one coordinate counts."""
-
-ITERATIONS = 50
-"""Of the prior's error at most."""
-
-SETTLED = 1e-3
-"""Relative change of the prior's error that is none."""
-
-DETERMINED = 0.9
-"""Share of the prior's variance that the data remove of a parameter that they determine."""
-
-WIDE = 1e3
-"""Times a prior that is none, nearly."""
-
-ROUNDS = 6
-"""Times that the noise of the channels is estimated anew."""
-
-FEWEST = 0.1
-"""Part of a channel's rows that parameters leave at least to estimate its noise."""
-
-LEAST = 0.1
-"""Part of what the model file with its friction fitted leaves that noise is at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,51 +134,6 @@ class Posterior(Diagnosed):
         return tuple(said for errors in self.errors for said in errors.worse_than_file(which))
 
 
-@dataclass(frozen=True, eq=False)
-class LinearPrior:
-    """Unknowns before the data: mean + root z, z of independent numbers of variance one.
-
-    Attributes:
-        mean: (p,).
-        root: (p, r), those of the bodies first.
-        bodies: How many of z are of bodies.
-        noise: Variance of each channel's noise at least, (C,) [N^2, N^2 m^2].
-        least: Of z, (r,): friction is not negative; -inf for no bound.
-    """
-
-    mean: Array
-    root: Array
-    bodies: int
-    noise: Array
-    least: Array
-
-    @property
-    def variance(self) -> Array:
-        """(p,)."""
-        return np.asarray((self.root**2).sum(axis=1))
-
-    def times(self, factor: float) -> LinearPrior:
-        """The same with another error of the bodies.
-
-        Args:
-            factor: Over the one that it has.
-        """
-        of_bodies = np.arange(self.root.shape[1]) < self.bodies
-        return replace(self, root=np.where(of_bodies, factor, 1.0) * self.root)
-
-    def worth(self, covariance: Array) -> float:
-        """How many parameters data are worth: the trace of the resolution, 1 - C P^-1.
-
-        Args:
-            covariance: C after the data, (p, p).
-        """
-        size = np.sqrt(np.where(self.variance > 0, self.variance, 1.0))
-        root, after = self.root / size[:, None], covariance / np.outer(size, size)
-        inverse = np.linalg.pinv(root)
-        left = np.einsum("ij,jk,ik", inverse, after, inverse)
-        return float(np.linalg.matrix_rank(root) - left)
-
-
 def posterior(
     tree: Tree,
     recording: RecordingLike,
@@ -256,6 +199,37 @@ def posterior(
         )
 
 
+def posteriors(
+    tree: Tree,
+    source: Source,
+    estimates: Mapping[Method, Estimate | None],
+    settings: Settings,
+    *,
+    prior_error: float | None = None,
+    gravity: ArrayLike | None = None,
+    threads: int | None = None,
+) -> dict[Method, Posterior]:
+    """What an imported recording adds to its model file, by method.
+
+    Args:
+        tree: The robot as the model file has it.
+        source: The recording; of one that a simulation made the model file is the truth.
+        estimates: By least squares; None where the data do not determine all parameters.
+        settings: How the signals are treated.
+        prior_error: As for `posterior`.
+        gravity: As for `identify`.
+        threads: How many to use; default one a processor.
+    """
+    if not is_imported(source):
+        return {}
+    prior = prior_of(with_gear(tree, source))
+    how: dict[str, Any] = {"gravity": gravity, "settings": settings, "threads": threads}
+    return {
+        method: posterior(tree, source, prior, method, each, prior_error=prior_error, **how)
+        for method, each in estimates.items()
+    }
+
+
 def likeliest_prior_error(
     tree: Tree,
     recording: RecordingLike,
@@ -280,29 +254,6 @@ def likeliest_prior_error(
         data.append((parts.whole, linear_prior(problem, prior, PRIOR_ERROR, parts.whole)))
     with one_blas_thread():
         return likeliest(data)
-
-
-def likeliest(data: Sequence[tuple[RowProducts, LinearPrior]]) -> float:
-    """The error of the bodies that makes data likeliest: the evidence's fixed point.
-
-    Coordinates that the data determine have this error on average; `PRIOR_ERROR` counts as one.
-
-    Source    D. J. C. MacKay, Bayesian interpolation (Neural Computation 4, 1992)
-
-    Args:
-        data: Rows, and the prior of their unknowns with `PRIOR_ERROR`.
-    """
-    error = PRIOR_ERROR
-    for _ in range(ITERATIONS):
-        square, count = PRIOR_ERROR**2, 1.0
-        for rows, prior in data:
-            z, after = _linear(rows, prior.times(error / PRIOR_ERROR))
-            square += float(error**2 * z[: prior.bodies] @ z[: prior.bodies])
-            count += float((1 - np.diagonal(after)[: prior.bodies]).sum())
-        before, error = error, float(np.sqrt(square / count))
-        if abs(error - before) < SETTLED * before:
-            break
-    return error
 
 
 def parts_of(
@@ -334,101 +285,6 @@ def parts_of(
     return problem, products_of(problem, source, free and method == "external")
 
 
-def linear_prior(problem: Problem, prior: Prior, error: float, rows: RowProducts) -> LinearPrior:
-    """Unknowns by the model file; terms of the joints are free: as large as the torques allow.
-
-    Args:
-        problem: Says which unknowns.
-        prior: The file's bodies.
-        error: Of these, in parts of themselves.
-        rows: Products of all rows.
-    """
-    count, drives = problem.minimal.count, problem.drives
-    bodies = problem.minimal.standard_matrix
-    mean, root = np.zeros(len(problem.names)), np.zeros((len(problem.names), 10 * problem.tree.n))
-    mean[:count], root[:count] = bodies @ prior.standard.ravel(), error * bodies @ prior.root
-    if drives is not None:
-        equations = rows.equations(drives.columns, np.zeros(len(mean)))
-        size = np.einsum("cii->ci", equations.normal)
-        most = size.argmax(axis=0), np.arange(size.shape[1])  # the channel where each shows most
-        scale = np.sqrt(equations.squares[most[0]] / np.where(size[most] > 0, size[most], np.inf))
-        mean += drives.values(np.zeros((problem.tree.n, 10)), problem.tree)
-        root = np.hstack([root, drives.columns * scale])
-    tiny = np.full(len(rows.channels), np.finfo(float).tiny)
-    before = LinearPrior(mean, root, bodies.shape[1], tiny, _bounds(problem, mean, root))
-    left = refitted(rows, before)
-    noise = LEAST**2 * rows.squares(left, rows.constants(left)) / np.maximum(rows.rows, 1.0)
-    return replace(before, noise=np.maximum(noise, tiny))
-
-
-def _bounds(problem: Problem, mean: Array, root: Array) -> Array:
-    """Least coordinates, (r,), of mean + root z without negative friction."""
-    least = np.full(root.shape[1], -np.inf)
-    terms = () if problem.drives is None else problem.drives.terms
-    for k, term in enumerate(terms, start=problem.minimal.count):
-        (own,) = np.nonzero(root[k])
-        if term.law.resists and len(own) == 1:  # else it is a sum with terms of other shafts
-            least[own] = -mean[k] / root[k, own]
-    return least
-
-
-def with_prior(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
-    """Least squares with a prior, under noise that its own residuals show.
-
-    A channel's noise is as strong as what is left, and (1 + r) / (1 - r) rows of a correlation r
-    from one to the next say as much as one alone. Friction that would drive the motion is zero.
-
-    Args:
-        rows: Products of the rows that are used.
-        prior: Of the unknowns.
-
-    Returns:
-        Values, (p,), and their covariance, (p, p): that without the bounds of friction.
-    """
-    z, after = _linear(rows, prior)
-    return prior.mean + prior.root @ z, prior.root @ after @ prior.root.T
-
-
-def _linear(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
-    """The same: z, (r,), and its covariance, (r, r)."""
-    equations = rows.equations(prior.root, prior.mean)
-    used = np.maximum(equations.used, 1.0)
-    variance = np.maximum(equations.squares / used, prior.noise)
-    repeated, z = np.ones(len(used)), np.zeros(prior.root.shape[1])
-    after: Array = np.eye(len(z))
-    for _ in range(ROUNDS):
-        weights = np.diag(np.where(equations.used > 0, 1 / (variance * repeated), 0.0))
-        matrix, vector = equations.matrix(weights) + np.eye(len(z)), equations.vector(weights)
-        after = np.asarray(np.linalg.inv(matrix))
-        z = after @ vector
-        if (z < prior.least).any():
-            from scipy.optimize import lsq_linear
-
-            half = np.linalg.cholesky(matrix)
-            z = lsq_linear(half.T, np.linalg.solve(half, vector), (prior.least, np.inf), "bvls").x
-        correlation = rows.correlation(prior.mean + prior.root @ z, prior.noise * used)
-        repeated = (1 + correlation) / (1 - correlation)
-        lost = np.einsum("cij,ji->c", equations.normal, after) / variance
-        left = np.diagonal(equations.residual(z)) / np.maximum(used - lost, FEWEST * used)
-        variance = np.maximum(left, prior.noise)
-    return z, after
-
-
-def alone_determined(rows: RowProducts, prior: LinearPrior) -> NDArray[np.bool_]:
-    """Which unknowns the data alone determine: nearly nothing else is known of any, (p,).
-
-    The prior's bodies hold mass, centre and inertia together; what it carries from one parameter to
-    another is not the data's.
-
-    Args:
-        rows: Products of the rows that are used.
-        prior: Of the unknowns.
-    """
-    _, covariance = with_prior(rows, replace(prior, root=WIDE * prior.root))
-    found: NDArray[np.bool_] = np.diagonal(covariance) <= (1 - DETERMINED) * prior.variance
-    return found
-
-
 def determines(estimate: Estimate, prior: LinearPrior) -> bool:
     """Whether the data alone determine every parameter: then no prior is needed.
 
@@ -454,16 +310,6 @@ def _held_out(
             pairs.append(({FILE: (prior.mean, none), **said}, rest))
         found.append(prediction_errors(problem, kind, pairs))
     return tuple(found)
-
-
-def refitted(rows: RowProducts, prior: LinearPrior) -> Array:
-    """The model file's values, the joints' own terms fitted, (p,).
-
-    Args:
-        rows: Products of the rows that are used.
-        prior: Of the unknowns.
-    """
-    return with_prior(rows, prior.times(0.0))[0]
 
 
 def _plain(rows: RowProducts) -> Array:

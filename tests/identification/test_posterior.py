@@ -16,17 +16,14 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.codec import decode, encode
 from testbed.experiment.evaluate import wrong_bodies
-from testbed.experiment.run import posteriors
 from testbed.identification.estimate import Method
-from testbed.identification.posterior import (
+from testbed.identification.posterior import Posterior, errors_of_another, posterior, posteriors
+from testbed.identification.problem import Problem
+from testbed.identification.selection.linear_prior import (
     LinearPrior,
-    Posterior,
     alone_determined,
-    errors_of_another,
-    posterior,
     with_prior,
 )
-from testbed.identification.problem import Problem
 from testbed.identification.selection.row_products import RowProducts, products_of
 from testbed.parameters.prior import coordinates, prior_of
 from tests.helpers.ideal import ideal

@@ -12,15 +12,14 @@ from testbed.errors import TestbedError
 from testbed.identification.consistency.consistent import Consistent, consistent
 from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.posterior import (
+from testbed.identification.posterior import Posterior, parts_of
+from testbed.identification.problem import Problem
+from testbed.identification.selection.linear_prior import (
     WIDE,
-    Posterior,
     linear_prior,
-    parts_of,
     refitted,
     with_prior,
 )
-from testbed.identification.problem import Problem
 from testbed.identification.selection.prediction_errors import (
     CONSISTENT,
     REFITTED,
