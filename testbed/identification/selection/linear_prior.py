@@ -210,7 +210,7 @@ def likeliest(data: Sequence[tuple[RowProducts, LinearPrior]]) -> float:
 
     Coordinates that the data determine have this error on average; `PRIOR_ERROR` counts as one.
 
-    Source    D. J. C. MacKay, Bayesian interpolation (Neural Computation 4, 1992)
+    Source    [Mac92]
 
     Args:
         data: Rows, and the prior of their unknowns with `PRIOR_ERROR`.
