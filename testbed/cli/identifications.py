@@ -144,7 +144,7 @@ class Writing:
             SettingsError: No bodies are as is wished.
         """
         from testbed.experiment.evaluate import prior_from
-        from testbed.identification.consistency.consistent import consistent_with_likely_prior
+        from testbed.identification.consistency.consistent import consistent_by_held_out
         from testbed.identification.consistency.held_out import beside_consistent
         from testbed.identification.problem import samples_of
         from testbed.recordings.views import with_gear
@@ -160,7 +160,7 @@ class Writing:
         table = reading.tables().identification
         part = samples_of(source, table)
         with output.Progress("computing consistent bodies"):
-            found = consistent_with_likely_prior(tree, estimates, prior, options, part, table)
+            found = consistent_by_held_out(tree, estimates, prior, options, part, table)
             return found, beside_consistent(
                 posteriors, found, tree, part, prior, estimates, options, table
             )

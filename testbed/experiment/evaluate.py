@@ -17,7 +17,7 @@ from testbed.experiment.run import Run, assemble_run
 from testbed.experiment.score import relative_errors, root_mean_square, shared_errors
 from testbed.identification.consistency.consistent import (
     Consistent,
-    consistent_with_likely_prior,
+    consistent_by_held_out,
 )
 from testbed.identification.consistency.held_out import beside_consistent
 from testbed.identification.consistency.options import ConsistencyOptions
@@ -240,9 +240,7 @@ def _with_bodies(run: Run, believed: Tree, options: ConsistencyOptions) -> Run:
     estimates = list(run.estimates.values())
     blind = samples_of(run.recording.blind(), run.settings)
     try:
-        found = consistent_with_likely_prior(
-            run.tree, estimates, prior, options, blind, run.settings
-        )
+        found = consistent_by_held_out(run.tree, estimates, prior, options, blind, run.settings)
     except TestbedError as error:
         return run.with_diagnostics([diagnose("bodies.missing", reason=error)])
     beside = beside_consistent(

@@ -230,30 +230,33 @@ def posteriors(
     }
 
 
-def likeliest_prior_error(
+def chosen_prior_error(
     tree: Tree,
     recording: RecordingLike,
     prior: Prior,
     estimates: Sequence[Estimate],
+    offered: Sequence[float],
     settings: Settings = DEFAULTS,
-) -> float:
-    """The error of the model file's bodies, in parts of themselves, that makes data likeliest.
+) -> dict[float, float]:
+    """By error of the bodies, rms of what it leaves of held-out parts over what the file leaves.
 
     Args:
         tree: The robot.
         recording: That of the estimates.
         prior: The bodies of the model file.
         estimates: By least squares, one a method, with the same settings.
+        offered: Errors, in parts of the bodies.
         settings: As for `identify`.
     """
-    data = []
+    squares = dict.fromkeys(offered, 0.0)
     for each in estimates:
         problem, parts = parts_of(
             tree, recording, each.method, [each], each.gravity, settings, None
         )
-        data.append((parts.whole, linear_prior(problem, prior, PRIOR_ERROR, parts.whole)))
-    with one_blas_thread():
-        return likeliest(data)
+        with one_blas_thread():
+            for error, left in errors_of_held_out(problem, prior, parts, offered).items():
+                squares[error] += left**2 / len(estimates)
+    return {error: float(np.sqrt(square)) for error, square in squares.items()}
 
 
 def parts_of(
@@ -294,6 +297,24 @@ def determines(estimate: Estimate, prior: LinearPrior) -> bool:
     """
     most = (1 / DETERMINED - 1) * prior.variance
     return bool((np.diagonal(estimate.covariance) < most).all())
+
+
+def errors_of_held_out(
+    problem: Problem, prior: Prior, parts: Parts, offered: Sequence[float]
+) -> dict[float, float]:
+    """By error of the bodies, what it leaves of parts of another kind, or of eighths.
+
+    Args:
+        problem: The recording.
+        prior: The bodies of the model file.
+        parts: Of the recording.
+        offered: Errors, in parts of the bodies.
+    """
+    tried = {each: linear_prior(problem, prior, each, parts.whole) for each in offered}
+    return {
+        each: _held_out(problem, before, parts)[-1].over_file(POSTERIOR)
+        for each, before in tried.items()
+    }
 
 
 def _held_out(

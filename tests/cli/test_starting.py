@@ -30,7 +30,7 @@ LONG = {
     "identification.identify:identify": (
         f"identify {PUMA}", f"drives {PUMA}", "payload one.parquet " + PUMA,
     ),
-    "identification.consistency.consistent:consistent_with_likely_prior": (
+    "identification.consistency.consistent:consistent_by_held_out": (
         f"identify {PUMA} --consistent",
     ),
     "identification.calibration:calibrate": (f"calibrate {PUMA} --known mass=20",),

@@ -21,8 +21,8 @@ from tests.helpers.paths import ROOT
 
 GEN3 = ROOT / "examples/kinova_gen3"
 TREE = tb.load_tree(GEN3 / "gen3.urdf")
-SENSORS = {"unit": "N m"}
-CURRENTS = {
+SENSORS: dict[str, object] = {"unit": "N m"}
+CURRENTS: dict[str, object] = {
     "columns": [f"Cur{k}" for k in range(1, 8)], "unit": "A", "gain": [9.13] * 4 + [5.852] * 3
 }  # fmt: skip
 """All that a person writes of the torques; 9.13 and 5.852 N m/A are the authors'."""

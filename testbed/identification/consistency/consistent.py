@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +24,7 @@ from testbed.identification.consistency.likelihood import (
 from testbed.identification.consistency.options import ConsistencyOptions, Metric, conditions
 from testbed.identification.consistency.program import Scaled, scaled, solve
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.posterior import likeliest_prior_error
+from testbed.identification.posterior import chosen_prior_error
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.parameters.prior import Prior, matrices
 from testbed.parameters.symbols import with_standard
@@ -119,6 +119,8 @@ class Consistent(Diagnosed):
         binding: Conditions at their limits, in words.
         unsettled: Sigmas that the program could still gain: far below one where it has ended.
         prior_error: That was used, in parts of the prior's bodies.
+        tried: By prior error, rms of what it leaves of held-out parts over what the file with its
+            friction fitted leaves; {} where it was given.
         diagnostics: What a careful reader should know.
     """
 
@@ -138,6 +140,7 @@ class Consistent(Diagnosed):
     binding: tuple[str, ...]
     unsettled: float
     prior_error: float
+    tried: Mapping[float, float]
     diagnostics: tuple[Diagnostic, ...]
 
     def __post_init__(self) -> None:
@@ -154,6 +157,8 @@ def consistent(
     estimates: Sequence[Estimate],
     prior: Prior,
     options: ConsistencyOptions | None = None,
+    *,
+    tried: Mapping[float, float] | None = None,
 ) -> Consistent:
     """Bodies that could exist, fit what was measured, and are near the model file's otherwise.
 
@@ -162,6 +167,7 @@ def consistent(
         estimates: Of one recording, one a method; what each says of x counts by itself.
         prior: The bodies before the data.
         options: What is asked besides, the prior error a number; default `ConsistencyOptions()`.
+        tried: How it was chosen, if it was (`prior_weight`).
 
     Raises:
         SettingsError: No bodies obey all that is asked; or the prior error is yet to be chosen.
@@ -173,7 +179,7 @@ def consistent(
     if isinstance(error, str):
         raise SettingsError("consistent bodies need a prior error that is a number")
     with one_blas_thread():
-        return _consistent(tree, estimates, prior, options, error)
+        return _consistent(tree, estimates, prior, options, error, tried or {})
 
 
 def _consistent(
@@ -182,6 +188,7 @@ def _consistent(
     prior: Prior,
     options: ConsistencyOptions,
     error: float,
+    tried: Mapping[float, float],
 ) -> Consistent:
     """The same, the prior error a number."""
     used, blind = _usable(estimates), tree.without_inertias()
@@ -215,6 +222,7 @@ def _consistent(
         binding=(*(f"'{name}' a possible body" for name in edge), *_at_limits(problem, z)),
         unsettled=left,
         prior_error=error,
+        tried=tried,
         diagnostics=tuple(_diagnostics(prior, estimates, used, bent, left)),
     )
 
@@ -366,7 +374,11 @@ def _negative(estimate: Estimate) -> Iterator[Diagnostic]:
             )
 
 
-def consistent_with_likely_prior(
+OFFERED = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+"""Prior errors that are tried."""
+
+
+def consistent_by_held_out(
     tree: Tree,
     estimates: Sequence[Estimate],
     prior: Prior,
@@ -374,7 +386,7 @@ def consistent_with_likely_prior(
     source: Source,
     settings: Settings = DEFAULTS,
 ) -> Consistent:
-    """Consistent bodies, the prior's error that which makes the data likeliest where that is asked.
+    """Consistent bodies, the prior's error chosen by held-out parts where that is asked.
 
     Args:
         tree: The robot.
@@ -389,5 +401,6 @@ def consistent_with_likely_prior(
     """
     if options.prior_error != "chosen":
         return consistent(tree, estimates, prior, options)
-    error = likeliest_prior_error(tree, source, prior, estimates, settings)
-    return consistent(tree, estimates, prior, replace(options, prior_error=error))
+    tried = chosen_prior_error(tree, source, prior, estimates, OFFERED, settings)
+    best = min(tried, key=lambda error: tried[error])
+    return consistent(tree, estimates, prior, replace(options, prior_error=best), tried=tried)
