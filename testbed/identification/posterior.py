@@ -123,15 +123,15 @@ class Posterior(Diagnosed):
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Channels of held-out parts that the model file predicts better."""
-        return (*self.worse_than_file(POSTERIOR), *self.worse_than_file(CONSISTENT))
+        return self.worse_than_file(POSTERIOR, CONSISTENT)
 
-    def worse_than_file(self, which: str) -> tuple[Diagnostic, ...]:
-        """Channels of held-out parts that the model file predicts better than an estimate does.
+    def worse_than_file(self, *names: str) -> tuple[Diagnostic, ...]:
+        """Channels of held-out parts that the model file predicts better than estimates do.
 
         Args:
-            which: "plain", "posterior" or "consistent".
+            *names: "plain", "posterior", "consistent".
         """
-        return tuple(said for errors in self.errors for said in errors.worse_than_file(which))
+        return tuple(d for name in names for e in self.errors for d in e.worse_than_file(name))
 
 
 def posterior(
@@ -169,7 +169,7 @@ def posterior(
         before = linear_prior(problem, prior, error, parts.whole)
         used = not any(determines(each, before) for each in made)
         if used and prior_error is None:
-            error = likeliest([(parts.whole, before)])
+            error = likeliest(parts.whole, before)
             before = before.times(error / PRIOR_ERROR)
         values, covariance = with_prior(parts.whole, before)
         if used:
@@ -254,7 +254,9 @@ def chosen_prior_error(
             tree, recording, each.method, [each], each.gravity, settings, None
         )
         with one_blas_thread():
-            for error, left in errors_of_held_out(problem, prior, parts, offered).items():
+            for error in offered:
+                before = linear_prior(problem, prior, error, parts.whole)
+                left = _held_out(problem, before, parts)[-1].over_file(POSTERIOR)
                 squares[error] += left**2 / len(estimates)
     return {error: float(np.sqrt(square)) for error, square in squares.items()}
 
@@ -297,24 +299,6 @@ def determines(estimate: Estimate, prior: LinearPrior) -> bool:
     """
     most = (1 / DETERMINED - 1) * prior.variance
     return bool((np.diagonal(estimate.covariance) < most).all())
-
-
-def errors_of_held_out(
-    problem: Problem, prior: Prior, parts: Parts, offered: Sequence[float]
-) -> dict[float, float]:
-    """By error of the bodies, what it leaves of parts of another kind, or of eighths.
-
-    Args:
-        problem: The recording.
-        prior: The bodies of the model file.
-        parts: Of the recording.
-        offered: Errors, in parts of the bodies.
-    """
-    tried = {each: linear_prior(problem, prior, each, parts.whole) for each in offered}
-    return {
-        each: _held_out(problem, before, parts)[-1].over_file(POSTERIOR)
-        for each, before in tried.items()
-    }
 
 
 def _held_out(

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from testbed.recordings.importing.source_clock import slow_device
-from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, segments_of
 
 MOST = 200_000
@@ -38,14 +36,10 @@ def without_repeated_poses(source: Source) -> tuple[Source, float]:
     regular = typical > 1 and np.mean(lengths == typical) > REGULAR
     if not regular or not np.isfinite(recording.position).all():
         return source, 0.0
-    news = np.flatnonzero(slow_device(recording.position))
-    return _interpolated(recording, news), float(1 - changed.mean())
-
-
-def _interpolated(recording: Recording, news: NDArray[np.intp]) -> Recording:
-    """The poses of some samples by splines through them, up to the last one."""
     from scipy.interpolate import make_interp_spline
 
+    news = np.flatnonzero(slow_device(recording.position))
     kept = recording.part(0, int(news[-1]) + 1)
     curve = make_interp_spline(news, kept.position[news], k=DEGREE)
-    return replace(kept, position=curve(np.arange(kept.samples)))
+    found = replace(kept, position=curve(np.arange(kept.samples)))
+    return found, float(1 - changed.mean())

@@ -83,12 +83,7 @@ def print_estimates(
     out.print(Panel(printable("\n".join(said)), box=ROUNDED))
     most = None if everything else 1
     shown = PLAIN if plain else POSTERIOR
-    worse = [
-        said
-        for each in posteriors
-        for which in (shown, CONSISTENT)
-        for said in each.worse_than_file(which)
-    ]
+    worse = [said for each in posteriors for said in each.worse_than_file(shown, CONSISTENT)]
     print_diagnostics(out, [*worse, *diagnostics, *diagnostics_of(estimates)], most)
     needed = [each for each in first if each.used]
     rows = None if everything else ROWS

@@ -56,45 +56,28 @@ def beside_consistent(
         settings: As for `identify`.
     """
     options = replace(options, prior_error=bodies.prior_error)
-    made = {
-        each.method: _beside(
-            posteriors[each.method], bodies, tree, recording, prior, each, options, settings
-        )
-        for each in estimates
-        if each.method in posteriors
-    }
-    return {**posteriors, **made}
-
-
-def _beside(
-    found: Posterior,
-    bodies: Consistent,
-    tree: Tree,
-    recording: RecordingLike,
-    prior: Prior,
-    estimate: Estimate,
-    options: ConsistencyOptions,
-    settings: Settings,
-) -> Posterior:
-    """The same by one method."""
-    gravity = estimate.gravity
-    problem, parts = parts_of(tree, recording, found.method, [estimate], gravity, settings, None)
-    before = linear_prior(problem, prior, found.prior_error, parts.whole)
-    errors = []
-    for split, known in zip(parts.splits.values(), found.errors, strict=True):
-        pairs = []
-        for seen, rest in split:
-            values, covariance = with_prior(seen, before.times(WIDE))
-            sigma = np.sqrt(np.diagonal(covariance))
-            own = replace(estimate, values=values, sigma=sigma, covariance=covariance)
-            try:
-                unknowns = unknowns_of(consistent(tree, [own], prior, options), problem)
-            except TestbedError:  # too few rows: those of the file
-                unknowns = found.file
-            fits = {REFITTED: refitted(seen, before), CONSISTENT: unknowns}
-            pairs.append(({name: (x, seen.constants(x)) for name, x in fits.items()}, rest))
-        errors.append(known.beside(prediction_errors(problem, known.of, pairs)))
-    return replace(found, consistent=unknowns_of(bodies, problem), errors=tuple(errors))
+    made = dict(posteriors)
+    for estimate in (each for each in estimates if each.method in posteriors):
+        method, gravity, found = estimate.method, estimate.gravity, made[estimate.method]
+        problem, parts = parts_of(tree, recording, method, [estimate], gravity, settings, None)
+        before = linear_prior(problem, prior, found.prior_error, parts.whole)
+        errors = []
+        for split, known in zip(parts.splits.values(), found.errors, strict=True):
+            pairs = []
+            for seen, rest in split:
+                values, covariance = with_prior(seen, before.times(WIDE))
+                sigma = np.sqrt(np.diagonal(covariance))
+                own = replace(estimate, values=values, sigma=sigma, covariance=covariance)
+                try:
+                    unknowns = unknowns_of(consistent(tree, [own], prior, options), problem)
+                except TestbedError:  # too few rows: those of the file
+                    unknowns = found.file
+                fits = {REFITTED: refitted(seen, before), CONSISTENT: unknowns}
+                pairs.append(({name: (x, seen.constants(x)) for name, x in fits.items()}, rest))
+            errors.append(known.beside(prediction_errors(problem, known.of, pairs)))
+        own_bodies = unknowns_of(bodies, problem)
+        made[method] = replace(found, consistent=own_bodies, errors=tuple(errors))
+    return made
 
 
 def unknowns_of(bodies: Consistent, problem: Problem) -> Array:

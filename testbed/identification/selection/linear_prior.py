@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -205,7 +204,7 @@ def refitted(rows: RowProducts, prior: LinearPrior) -> Array:
     return with_prior(rows, prior.times(0.0))[0]
 
 
-def likeliest(data: Sequence[tuple[RowProducts, LinearPrior]]) -> float:
+def likeliest(rows: RowProducts, prior: LinearPrior) -> float:
     """The error of the bodies that makes data likeliest: the evidence's fixed point.
 
     Coordinates that the data determine have this error on average; `PRIOR_ERROR` counts as one.
@@ -213,16 +212,14 @@ def likeliest(data: Sequence[tuple[RowProducts, LinearPrior]]) -> float:
     Source    [Mac92]
 
     Args:
-        data: Rows, and the prior of their unknowns with `PRIOR_ERROR`.
+        rows: Products of the rows that are used.
+        prior: Of their unknowns, with `PRIOR_ERROR`.
     """
     error = PRIOR_ERROR
     for _ in range(ITERATIONS):
-        square, count = PRIOR_ERROR**2, 1.0
-        for rows, prior in data:
-            z, after = _linear(rows, prior.times(error / PRIOR_ERROR))
-            square += float(error**2 * z[: prior.bodies] @ z[: prior.bodies])
-            count += float((1 - np.diagonal(after)[: prior.bodies]).sum())
-        before, error = error, float(np.sqrt(square / count))
+        z, after = (x[: prior.bodies] for x in _linear(rows, prior.times(error / PRIOR_ERROR)))
+        square = PRIOR_ERROR**2 + error**2 * z @ z
+        before, error = error, float(np.sqrt(square / (1 + (1 - np.diagonal(after)).sum())))
         if abs(error - before) < SETTLED * before:
             break
     return error

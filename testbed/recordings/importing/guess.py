@@ -200,14 +200,14 @@ def _temperatures(
     sources: Sequence[LikelySource], joints: Sequence[str], signals: Mapping[Kind, LikelySignal]
 ) -> Iterator[Said]:
     """Keys of the drives' temperatures, if every joint has one."""
-    known = signals.get("position")
+    position = signals.get("position")
+    names = list(joints) if position is None else list(position.group.names)
     for source in sources:
         columns = [c for c in source.columns if not WARMTH.isdisjoint(c.words)]
-        for group in (each.of(joints) for each in grouped(columns, joints)):
-            if known is not None and len(group.names) == len(known.group.names):
-                own = group.like(known.group.names)
+        for group in (each.of(names).like(names) for each in grouped(columns, names)):
+            if list(group.names) == names:
                 yield "source", source.name, ""
-                yield "columns", [each.name for each in own.columns], ""
+                yield "columns", [each.name for each in group.columns], ""
                 yield "unit", "degC", "the only one that is known"
                 return
 
