@@ -102,12 +102,13 @@ def consistency(
 @app.command()
 def posterior(
     seeds: Annotated[int, typer.Option(help="Simulated robots of each kind.")] = 20,
+    first: Annotated[int, typer.Option(help="The first seed.")] = 3900,
 ) -> None:
     """Fast motion by a slow one with the model file as prior: errors, coverage."""
     from benchmarks.posterior import slow_to_fast
 
     for friction in (0.0, 1.0, 3.0):
-        _print(slow_to_fast(range(740, 740 + seeds), friction))
+        _print(slow_to_fast(range(first, first + seeds), friction))
 
 
 @app.command("answer")
@@ -273,7 +274,7 @@ def squatting(
 @app.command()
 def twins(
     runs: Annotated[int, typer.Option(min=1, help="Recordings of each group.")] = 20,
-    first: Annotated[int, typer.Option(help="The first seed.")] = 3800,
+    first: Annotated[int, typer.Option(help="The first seed.")] = 3900,
     only: Annotated[str, typer.Option(help="Only groups whose names hold this.")] = "",
 ) -> None:
     """Twins of real recordings: motors, payload, a joint that hardly moves, coarse poses."""

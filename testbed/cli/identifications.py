@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from testbed.diagnostics import Diagnostic
     from testbed.identification.consistency.consistent import Consistent
     from testbed.identification.estimate import Estimate, Method
+    from testbed.identification.posterior import Posterior
     from testbed.recordings.source import Source
 
 
@@ -128,22 +129,23 @@ class Writing:
         model: Path,
         source: Source,
         estimates: Sequence[Estimate],
-        chosen: Iterable[float],
-    ) -> Consistent:
-        """The consistent bodies.
+        posteriors: Mapping[Method, Posterior],
+    ) -> tuple[Consistent, dict[Method, Posterior]]:
+        """The consistent bodies, and posteriors with them beside.
 
         Args:
             reading: How the model file is read, and what is wished.
             model: The model file.
             source: The recording.
             estimates: Of the recording.
-            chosen: Errors of the model file that held-out data choose, where none is said.
+            posteriors: By method; the least error of the model file is theirs, where none is said.
 
         Raises:
             SettingsError: No bodies are as is wished.
         """
         from testbed.experiment.evaluate import prior_from
         from testbed.identification.consistency.consistent import consistent_by_held_out
+        from testbed.identification.consistency.held_out import beside_consistent
         from testbed.identification.problem import samples_of
         from testbed.recordings.views import with_gear
         from testbed.reporting import output
@@ -151,13 +153,17 @@ class Writing:
         tree = with_gear(reading.tree(model), source)
         options = reading.tables().consistent
         if reading.prior_error is None and options.prior_error != "chosen":
-            options = replace(options, prior_error=min(chosen, default=options.prior_error))
+            likely = [each.prior_error for each in posteriors.values() if each.used]
+            options = replace(options, prior_error=min(likely, default=options.prior_error))
         file = reading.model_file(model)
         prior = prior_from(tree, file, shapes=options.centres_in_shapes)
         table = reading.tables().identification
         part = samples_of(source, table)
         with output.Progress("computing consistent bodies"):
-            return consistent_by_held_out(tree, estimates, prior, options, part, table)
+            found = consistent_by_held_out(tree, estimates, prior, options, part, table)
+            return found, beside_consistent(
+                posteriors, found, tree, part, prior, estimates, options, table
+            )
 
     def written(
         self, found: Consistent, reading: Reading, model: Path, recordings: Sequence[Path]
@@ -240,9 +246,9 @@ def identify(
     Example: testbed identify recording.parquet --model robot.urdf --write identified.urdf
     """
     from testbed.errors import SettingsError, UnseenParameters
-    from testbed.experiment.run import posteriors
     from testbed.identification.estimate import METHODS, NAMES, SIGNAL_OF
     from testbed.identification.identify import identify as identified
+    from testbed.identification.posterior import posteriors
     from testbed.recordings.views import is_imported
     from testbed.reporting import output, terminal
 
@@ -293,8 +299,7 @@ def identify(
         )
     bodies = None
     if writing.wanted:
-        chosen = [each.prior_error for each in added.values() if each.tried]
-        bodies = writing.bodies(reading, model, source, estimates, chosen)
+        bodies, added = writing.bodies(reading, model, source, estimates, added)
         said += [*bodies.diagnostics, *writing.written(bodies, reading, model, recordings)]
     if as_json:
         from testbed.experiment.results import identified as result_of

@@ -15,7 +15,11 @@ from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import BodyTable, SimulationTable
 from testbed.experiment.run import Run, assemble_run
 from testbed.experiment.score import relative_errors, root_mean_square, shared_errors
-from testbed.identification.consistency.consistent import Consistent, consistent_by_held_out
+from testbed.identification.consistency.consistent import (
+    Consistent,
+    consistent_by_held_out,
+)
+from testbed.identification.consistency.held_out import beside_consistent
 from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.identify import identify
@@ -239,7 +243,10 @@ def _with_bodies(run: Run, believed: Tree, options: ConsistencyOptions) -> Run:
         found = consistent_by_held_out(run.tree, estimates, prior, options, blind, run.settings)
     except TestbedError as error:
         return run.with_diagnostics([diagnose("bodies.missing", reason=error)])
-    return replace(run, consistent=found).with_diagnostics(found.diagnostics)
+    beside = beside_consistent(
+        run.posterior, found, run.tree, blind, prior, estimates, options, run.settings
+    )
+    return replace(run, consistent=found, posterior=beside).with_diagnostics(found.diagnostics)
 
 
 def wrong_prior(tree: Tree, experiment: Experiment) -> Tree:

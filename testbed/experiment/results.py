@@ -68,7 +68,7 @@ def provenance(found: Consistent, model: ModelFile, recordings: Sequence[Path]) 
         f"ones by the {methods} method from",
         *(f"{each.name} (sha256 {fingerprint(each)[:DIGITS]})," for each in recordings),
         f"prior {model.path.name} (sha256",
-        f"{fingerprint(model.path)[:DIGITS]}) taken to be wrong by {found.prior_error:g}; all else",
+        f"{fingerprint(model.path)[:DIGITS]}) wrong by {found.prior_error:.2g}; all else",
         "is that file, unchanged",
     ]
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
 from testbed.diagnostics import (
@@ -27,18 +25,16 @@ from testbed.identification.diagnostics.residuals import diagnostics_of
 from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
 from testbed.identification.estimate import METHODS, NAMES, Estimate, Method, sensor_of
 from testbed.identification.identify import identify
-from testbed.identification.posterior import Posterior, posterior
+from testbed.identification.posterior import Posterior, posteriors
 from testbed.identification.regression.passes import Progress
 from testbed.identification.selection.term_choice import with_chosen_settings
 from testbed.identification.sensor.correction import CalibrationCovariance
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.identification.validate import Validation, motion_in
-from testbed.parameters.prior import prior_of
 from testbed.recordings.columns import AXES
 from testbed.recordings.geometry import in_its_gravity
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source
-from testbed.recordings.views import is_imported, on_its_base, with_gear
+from testbed.recordings.views import on_its_base, with_gear
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 
@@ -236,37 +232,6 @@ class Run(Diagnosed):
     def as_expected(self) -> bool:
         """Whether every claim holds."""
         return all(self.verdicts.values())
-
-
-def posteriors(
-    tree: Tree,
-    source: Source,
-    estimates: Mapping[Method, Estimate | None],
-    settings: Settings,
-    *,
-    prior_error: float | None = None,
-    gravity: ArrayLike | None = None,
-    threads: int | None = None,
-) -> dict[Method, Posterior]:
-    """What an imported recording adds to its model file, by method.
-
-    Args:
-        tree: The robot as the model file has it.
-        source: The recording; of one that a simulation made the model file is the truth.
-        estimates: By least squares; None where the data do not determine all parameters.
-        settings: How the signals are treated.
-        prior_error: As for `posterior`.
-        gravity: As for `identify`.
-        threads: How many to use; default one a processor.
-    """
-    if not is_imported(source):
-        return {}
-    prior = prior_of(with_gear(tree, source))
-    how: dict[str, Any] = {"gravity": gravity, "settings": settings, "threads": threads}
-    return {
-        method: posterior(tree, source, prior, method, each, prior_error=prior_error, **how)
-        for method, each in estimates.items()
-    }
 
 
 def assemble_run(

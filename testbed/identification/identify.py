@@ -209,6 +209,8 @@ def _of_problem(problem: Problem) -> Iterator[Diagnostic]:
     source, settings, tare = problem.source, problem.settings, problem.tare
     plate = problem.method == "external"
     yield from of_recording(source.facts)
+    if problem.repeated:
+        yield diagnose("encoder.interpolated", "the poses", problem.repeated)
     if plate and source.tare is None and tare.any():
         yield diagnose("plate.no-tare", "the tare", tare[2], method="external")
     if problem.drives is not None:

@@ -33,6 +33,7 @@ from testbed.kernel.records import products_wanted
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.recordings.geometry import check_robot, in_its_gravity
+from testbed.recordings.repeats import without_repeated_poses
 from testbed.recordings.source import RecordingLike, Source, counted, open_source, segments_of
 from testbed.recordings.views import is_imported, is_of_motors, on_its_base, with_gear
 from testbed.robot.friction import OFFSET, ROTOR, JointLaw
@@ -53,6 +54,7 @@ class Problem:
         threads: How many to use; None for one a processor.
         progress: Called with samples done and samples in all.
         open_filter: Whether data may choose the filter on positions: nobody has said it.
+        repeated: Part of the poses that a slow device repeated, which are interpolated.
     """
 
     tree: Tree
@@ -62,6 +64,7 @@ class Problem:
     threads: int | None = None
     progress: Progress = lambda done, total: None
     open_filter: bool = False
+    repeated: float = 0.0
 
     @classmethod
     def of(
@@ -93,7 +96,9 @@ class Problem:
         """
         if method not in METHODS:
             raise UnknownName("method", method, METHODS)
-        source = on_its_base(samples_of(recording, settings), tree)
+        source, repeated = without_repeated_poses(
+            on_its_base(samples_of(recording, settings), tree)
+        )
         check_source(source, tree, method)
         tree = with_gear(in_its_gravity(tree, source, gravity), source)
         open_filter = settings.position_cutoff == FIT and not source.senses_kinematics
@@ -101,7 +106,7 @@ class Problem:
         lacking = {law.by for law in settings.laws} - {"", *source.signals}
         if lacking:
             raise RecordingError(f"the recording has no {lacking.pop()}, which the terms need")
-        return cls(tree, source, method, settings, threads, progress, open_filter)
+        return cls(tree, source, method, settings, threads, progress, open_filter, repeated)
 
     def with_settings(self, **changes: Any) -> Problem:
         """The same with some settings changed.

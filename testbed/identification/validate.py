@@ -39,6 +39,7 @@ from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.regression.passes import Progress
 from testbed.identification.regression.windows import motion_taps
 from testbed.identification.selection.prediction_errors import (
+    CONSISTENT,
     PLAIN,
     POSTERIOR,
     PredictionErrors,
@@ -244,7 +245,11 @@ class Validation(Diagnosed):
         """Channels that are predicted worse than by the model file, or than sigma says."""
         worse: list[Diagnostic] = []
         if self.errors is not None:
-            worse = [d for name in (POSTERIOR, PLAIN) for d in self.errors.worse_than_file(name)]
+            worse = [
+                d
+                for name in (POSTERIOR, PLAIN, CONSISTENT)
+                for d in self.errors.worse_than_file(name)
+            ]
         return (*worse, *_diagnostics(self))
 
 

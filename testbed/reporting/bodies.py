@@ -100,7 +100,7 @@ def consistent_lines(found: Consistent) -> list[str]:
         lines.append(f"Error on held-out parts over the model file's, by prior error: {tried}.")
     lines.append(
         f"Prior: the model file's bodies, with a relative standard deviation of "
-        f"{found.prior_error:g}; data is the share of that variance which the data remove."
+        f"{found.prior_error:.2g}; data is the share of that variance which the data remove."
     )
     return lines
 

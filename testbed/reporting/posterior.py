@@ -8,6 +8,7 @@ from testbed.diagnostics import phrase
 from testbed.identification.estimate import number_with_sigma
 from testbed.identification.posterior import Posterior
 from testbed.identification.selection.prediction_errors import (
+    CONSISTENT,
     FILE,
     PLAIN,
     POSTERIOR,
@@ -21,6 +22,7 @@ HEADS = {
     REFITTED: "file, friction fitted",
     PLAIN: "least squares",
     POSTERIOR: "with prior",
+    CONSISTENT: "consistent",
 }
 
 
@@ -45,7 +47,7 @@ def posterior_table(found: Posterior, most: int | None = None) -> Table:
         for k in order
     ]
     title = (
-        f"{found.instrument}: bodies of the model file, wrong by {found.prior_error:g} of "
+        f"{found.instrument}: bodies of the model file, wrong by {found.prior_error:.2g} of "
         "themselves (std), and what the data make of them; data: share of that variance which "
         "the data remove; std for motions like this one"
     )
@@ -58,11 +60,12 @@ def errors_table(found: PredictionErrors) -> Table:
     Args:
         found: By one method.
     """
+    residual = {name: found.residual[name] for name in HEADS if name in found.residual}
     rows = [
-        [name, unit, f"{found.signal[c]:.3g}", *(f"{x[c]:.3g}" for x in found.residual.values())]
+        [name, unit, f"{found.signal[c]:.3g}", *(f"{x[c]:.3g}" for x in residual.values())]
         for c, (name, unit) in enumerate(zip(found.channels, found.units, strict=True))
     ]
     names = HEADS | ({REFITTED: "file, zero fitted"} if found.method == "external" else {})
-    heads = ["channel", "unit", "signal", *(names[name] for name in found.residual)]
+    heads = ["channel", "unit", "signal", *(names[name] for name in residual)]
     title = f"rms error of predictions of {phrase(found.of)}"
     return Table(heads, rows, title, ["unit"])

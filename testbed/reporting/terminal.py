@@ -22,7 +22,7 @@ from testbed.experiment.summary import (
 )
 from testbed.identification.diagnostics.residuals import diagnostics_of
 from testbed.identification.estimate import METHODS, OPEN_ZERO, Method
-from testbed.identification.selection.prediction_errors import PLAIN, POSTERIOR
+from testbed.identification.selection.prediction_errors import CONSISTENT, PLAIN, POSTERIOR
 from testbed.reporting.bodies import consistent_lines, consistent_tables
 from testbed.reporting.drives import drive_lines, drive_table
 from testbed.reporting.estimates import (
@@ -83,7 +83,7 @@ def print_estimates(
     out.print(Panel(printable("\n".join(said)), box=ROUNDED))
     most = None if everything else 1
     shown = PLAIN if plain else POSTERIOR
-    worse = [said for each in posteriors for said in each.worse_than_file(shown)]
+    worse = [said for each in posteriors for said in each.worse_than_file(shown, CONSISTENT)]
     print_diagnostics(out, [*worse, *diagnostics, *diagnostics_of(estimates)], most)
     needed = [each for each in first if each.used]
     rows = None if everything else ROWS

@@ -117,7 +117,7 @@ def shell(text: str, place: Path, code: int = 0) -> str:
         lines = [shlex.split(line, comments=True)[1:] for line in whole.splitlines()]
         all_done = [command_line(*words, cwd=place) for words in lines]
     else:
-        tool = f'testbed() {{ "{sys.executable}" -m testbed.cli "$@"; }}\n'
+        tool = f'testbed() {{ "{sys.executable}" -m testbed "$@"; }}\n'
         around = os.environ | {"PYTHONPATH": str(ROOT)}
         all_done = [
             subprocess.run(

@@ -10,16 +10,16 @@ ADVICE = {
     "motors": set[str](),
     "a joint that hardly moves": {"drives.one-way"},
     "payload": set[str](),
-    "coarse poses": {"encoder.held", "encoder.filter", "sensor.skew"},
+    "coarse poses": {"encoder.interpolated"},
     "coarse poses, advice followed": set[str](),
 }
 
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_an_estimate_is_better_than_the_file_and_says_what_helps(group: str) -> None:
-    """Intervals of 95 % hold where the advice was followed; then there is none left."""
+    """Intervals of 95 % hold; where the advice was followed, there is none left."""
     found = GROUPS[group](1)
     assert found.error < found.file
     assert ADVICE[group] <= {*found.advice}
-    assert found.inside > (0.5 if group == "coarse poses" else 0.8)
+    assert found.inside > 0.8
     assert not (group == "coarse poses, advice followed" and found.advice)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,14 +12,21 @@ from testbed.codec import with_properties
 from testbed.diagnostics import Diagnostic, diagnose, phrase
 from testbed.identification.estimate import Method, channel_label, channel_units
 from testbed.identification.problem import Problem
-from testbed.identification.selection.row_products import RowProducts
+from testbed.identification.selection.row_products import RowProducts, sum_of
 
-FILE, REFITTED, PLAIN, POSTERIOR = "file", "refitted", "plain", "posterior"
+FILE, REFITTED, PLAIN = "file", "refitted", "plain"
+POSTERIOR, CONSISTENT = "posterior", "consistent"
 """The model file as it is; with the plate's zero, or friction and offsets, fitted; least squares;
-with the file as prior."""
+with the file as prior; consistent bodies."""
 
 WORSE = 1.05
 """Error over that of the model file with its friction that is worth a word."""
+
+CHANCE = 0.01
+"""Of such an error by the scatter of parts alone, below which it is worth one."""
+
+TINY = float(np.finfo(float).tiny)
+"""Square that is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,13 +35,15 @@ class PredictionErrors:
 
     Attributes:
         method: By plate or by torques.
-        of: "halves": both halves of the recording, each by the other one; "faster": its fast
-            parts by the slow ones; "another": another recording.
+        of: "like": eighths of the recording, each by all others; "faster": its fast parts by the
+            slow ones; "another": another recording.
         channels: The measured channels, (C,).
         units: One each, N or N m.
         signal: Rms of the channels, of a plate with an unknown zero about their mean, (C,).
         residual: Rms of what is left, (C,) [N, N m], by what predicts: "file", "refitted",
-            "plain", "posterior".
+            "plain", "posterior", "consistent".
+        chance: Of errors so much above those of the file with friction, where parts only scatter,
+            (C,), by what predicts; for the largest of all channels.
     """
 
     method: Method
@@ -43,6 +52,7 @@ class PredictionErrors:
     units: tuple[str, ...]
     signal: Array
     residual: Mapping[str, Array]
+    chance: Mapping[str, Array]
 
     __get_pydantic_core_schema__ = with_properties("best")
 
@@ -51,27 +61,39 @@ class PredictionErrors:
         """What leaves least."""
         return min(self.residual, key=self.over_file)
 
+    def beside(self, other: PredictionErrors) -> PredictionErrors:
+        """The same with what others leave of the same data.
+
+        Args:
+            other: By them.
+        """
+        residual, chance = {**other.residual, **self.residual}, {**other.chance, **self.chance}
+        return replace(self, residual=residual, chance=chance)
+
     def over_file(self, which: str) -> float:
         """Rms over channels of what is left, over what the file with its friction fitted leaves.
 
         Args:
             which: What predicts.
         """
-        file = np.maximum(self.residual[REFITTED], np.finfo(float).tiny)
+        file = np.maximum(self.residual[REFITTED], TINY)
         return float(np.sqrt(np.nanmean((self.residual[which] / file) ** 2)))
 
     def worse_than_file(self, which: str) -> Iterator[Diagnostic]:
-        """Channels that are predicted worse than by the model file with its friction fitted.
+        """Channels that are significantly worse predicted than by the file with friction fitted.
 
         Args:
             which: What predicts.
         """
-        file, own = self.residual[REFITTED], self.residual.get(which, self.residual[REFITTED])
-        for c in np.flatnonzero(own > WORSE * file).tolist():
+        if which not in self.residual:
+            return
+        file, own = self.residual[REFITTED], self.residual[which]
+        worse = (own > WORSE * file) & (self.chance[which] < CHANCE)
+        for c in np.flatnonzero(worse).tolist():
             yield diagnose(
                 "estimate.worse-than-file",
                 channel_label(self.method, self.channels[c]),
-                float(own[c] / max(file[c], np.finfo(float).tiny)),
+                float(own[c] / max(file[c], TINY)),
                 method=self.method,
                 predicts=phrase(which),
                 of=phrase(self.of),
@@ -88,29 +110,52 @@ Prediction = tuple[Array, Array]
 
 
 def prediction_errors(
-    problem: Problem, of: str, pairs: Iterable[tuple[Mapping[str, Prediction], RowProducts]]
+    problem: Problem,
+    of: str,
+    pairs: Iterable[tuple[Mapping[str, Prediction], Sequence[RowProducts]]],
 ) -> PredictionErrors:
     """What predictions leave of rows.
 
     Args:
         problem: Whose unknowns and channels.
         of: As of the errors.
-        pairs: Predictions by what makes them, and the rows that these are held against.
+        pairs: Predictions by what makes them, and parts of the rows that they are held against.
     """
-    count = len(problem.channels)
-    squares: dict[str, Array] = {}
-    signal, rows = np.zeros((2, count))
-    for predictions, unseen in pairs:
-        none = np.zeros(len(problem.names))
+    none = np.zeros(len(problem.names))
+    squares: dict[str, list[Array]] = {}
+    signal, rows = [], []
+    for predictions, parts in pairs:
         for name, (values, constants) in predictions.items():
-            squares[name] = squares.get(name, np.zeros(count)) + unseen.squares(values, constants)
-        signal, rows = signal + unseen.squares(none, unseen.constants(none)), rows + unseen.rows
-    rows = np.where(rows > 0, rows, np.nan)
+            squares.setdefault(name, []).extend(part.squares(values, constants) for part in parts)
+        zero = sum_of(parts).constants(none)
+        signal += [part.squares(none, zero) for part in parts]
+        rows += [part.rows for part in parts]
+    used = np.sum(rows, axis=0)
+    used = np.where(used > 0, used, np.nan)
     return PredictionErrors(
         method=problem.method,
         of=of,
         channels=problem.channels,
         units=channel_units(problem.tree, problem.method),
-        signal=np.sqrt(signal / rows),
-        residual={name: np.sqrt(each / rows) for name, each in squares.items()},
+        signal=np.sqrt(np.sum(signal, axis=0) / used),
+        residual={name: np.sqrt(np.sum(each, axis=0) / used) for name, each in squares.items()},
+        chance={name: _chance(each, squares[REFITTED]) for name, each in squares.items()},
     )
+
+
+def _chance(squares: Sequence[Array], file: Sequence[Array]) -> Array:
+    """Of ratios of squares, part by part, whose logarithms are so large on average, (C,).
+
+    By Student's t over the parts, for the largest of all channels.
+
+    Args:
+        squares: What is left of every part, (parts, C).
+        file: What the model file with its friction fitted leaves.
+    """
+    from scipy.special import stdtr
+
+    ratio = np.log(np.add(squares, TINY) / np.add(file, TINY))
+    count = len(ratio)
+    error = ratio.std(axis=0, ddof=1) / np.sqrt(count)
+    alone = stdtr(count - 1, -ratio.mean(axis=0) / np.where(error > 0, error, np.inf))
+    return np.asarray(np.minimum(alone * ratio.shape[1], 1.0))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -126,31 +126,48 @@ class Parts:
     offset: bool
     speed: Array
 
-    def of(self, numbers: Iterable[int]) -> RowProducts:
-        """Of some parts together."""
-        products, lagged = self.sums[:, list(numbers)].sum(axis=1)
-        return RowProducts(self.unknowns, self.channels, products, lagged, self.offset)
+    @property
+    def each(self) -> list[RowProducts]:
+        """One by one."""
+        return [
+            RowProducts(self.unknowns, self.channels, products, lagged, self.offset)
+            for products, lagged in zip(*self.sums, strict=True)
+        ]
 
     @property
     def whole(self) -> RowProducts:
         """Of all of them."""
-        return self.of(range(len(self.speed)))
+        return sum_of(self.each)
 
     @property
-    def splits(self) -> dict[str, list[tuple[RowProducts, RowProducts]]]:
-        """Rows that are seen, and those to be predicted: by time, and by speed where that differs.
+    def splits(self) -> dict[str, list[tuple[RowProducts, list[RowProducts]]]]:
+        """Rows that are seen, and parts to be predicted: by time, and by speed if that differs.
 
-        "halves" are each predicted by the other, the "faster" half of the parts by the slower one.
+        "like": each part by all others; "faster": the faster half of the parts by the slower one.
         """
-        half = len(self.speed) // 2
-        first, second = (self.of(each) for each in (range(half), range(half, 2 * half)))
-        found = {"halves": [(first, second), (second, first)]}
+        parts = self.each
+        found = {
+            "like": [(sum_of([*parts[:k], *parts[k + 1 :]]), [own]) for k, own in enumerate(parts)]
+        }
         size = np.maximum(self.speed.mean(axis=0), np.finfo(float).tiny)
         pace = (self.speed / size).mean(axis=1)
         slow, fast = np.split(np.argsort(pace, kind="stable"), 2)
         if pace[fast].mean() > FASTER**2 * pace[slow].mean():
-            found["faster"] = [(self.of(slow), self.of(fast))]
+            found["faster"] = [(sum_of([parts[k] for k in slow]), [parts[k] for k in fast])]
         return found
+
+
+def sum_of(parts: Sequence[RowProducts]) -> RowProducts:
+    """Of several parts of a recording together.
+
+    Args:
+        parts: One or more.
+    """
+    return replace(
+        parts[0],
+        products=np.sum([part.products for part in parts], axis=0),
+        lagged=np.sum([part.lagged for part in parts], axis=0),
+    )
 
 
 def products_of(problem: Problem, source: Source, offset: bool) -> Parts:

@@ -41,8 +41,11 @@ COMMANDS = {
 }  # fmt: skip
 """Words of what was wanted, and not measured."""
 
-BESIDE = COMMANDS | {
-    "err", "error", "temp", "temperature", "limit", "std", "cov", "covariance", "voltage", "status",
+WARMTH = {"temp", "temperature", "temperatures"}
+"""Words of drives' temperatures."""
+
+BESIDE = COMMANDS | WARMTH | {
+    "err", "error", "limit", "std", "cov", "covariance", "voltage", "status",
 }  # fmt: skip
 """Words of columns that are no signal of the joints or of the plate, whatever else they say."""
 

@@ -13,7 +13,13 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError, printable
-from testbed.recordings.importing.column_names import ColumnName, at_the_hand, base_columns
+from testbed.recordings.importing.column_names import (
+    WARMTH,
+    ColumnName,
+    at_the_hand,
+    base_columns,
+    grouped,
+)
 from testbed.recordings.importing.foreign_table import KINDS, RAW, UNITS, ForeignTable, Kind, plain
 from testbed.recordings.importing.import_report import Draft
 from testbed.recordings.importing.likely_signals import (
@@ -78,6 +84,8 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
             draft = draft.saying(name, *said)
     for kind in KINDS:
         draft = _with_signal(draft, kind, signals, sources)
+    for said in _temperatures(sources, joints, signals):
+        draft = draft.saying("temperature", *said)
     plates = likely_plates(sources)
     names = [name for name, _, _ in plates]
     for name, source, columns in plates:
@@ -186,6 +194,22 @@ def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
     yield "unit", taken[0] if len(set(taken)) == 1 else taken, found.because
     if raw:
         yield "gain", "", f"torque of one {raw[0]}, joint by joint [N m]"
+
+
+def _temperatures(
+    sources: Sequence[LikelySource], joints: Sequence[str], signals: Mapping[Kind, LikelySignal]
+) -> Iterator[Said]:
+    """Keys of the drives' temperatures, if every joint has one."""
+    position = signals.get("position")
+    names = list(joints) if position is None else list(position.group.names)
+    for source in sources:
+        columns = [c for c in source.columns if not WARMTH.isdisjoint(c.words)]
+        for group in (each.of(names).like(names) for each in grouped(columns, names)):
+            if list(group.names) == names:
+                yield "source", source.name, ""
+                yield "columns", [each.name for each in group.columns], ""
+                yield "unit", "degC", "the only one that is known"
+                return
 
 
 def _key(name: str) -> str:

@@ -182,7 +182,7 @@ class ImportReport:
 
     def _of_signals(self) -> Iterator[Diagnostic]:
         for name, signal in self.signals.items():
-            if signal.held > HELD and not signal.dropped:
+            if signal.held > HELD and not signal.dropped and name != "temperature":
                 yield diagnose("import.held", name, signal.held, source=signal.source)
             yield from signal.diagnostics
 
