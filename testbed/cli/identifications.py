@@ -423,16 +423,20 @@ def sample(
     from testbed.identification.consistency.robots import robots
     from testbed.reporting import bodies as shown
     from testbed.reporting import output
-    from testbed.robot.write_model import write_models
+    from testbed.robot.write_model import ARCHIVE, write_models
 
     check_writable(out, folder=True, read=(result, model))
-    if out.exists() and any(out.iterdir()):
-        raise SettingsError(f"'{out}' is not empty: name a new folder with --out")
     kept = read_result(result, model, settings or ())
     if kept.file is None:
         raise SettingsError(f"'{result}' is of a run, whose model file is the truth: no prior")
     if kept.tree.sensor is not None:
         raise SettingsError(f"'{result}' is of a force sensor: robots need plate or joint torques")
+    there = [each.name for each in out.iterdir()] if out.exists() else []
+    ours = (ARCHIVE, *(name for name in there if name.startswith(f"{kept.file.path.stem}_")))
+    if others := sorted({*there} - {*ours}):
+        raise SettingsError(
+            f"'{out}' holds {others[0]}, not robots alone: --out names a new folder"
+        )
     prior = prior_from(kept.tree, kept.file, shapes=kept.options.centres_in_shapes)
     rng = np.random.default_rng(seed)
     with output.Progress("drawing robots"):
