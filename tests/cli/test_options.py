@@ -23,6 +23,8 @@ WRITERS = {
     ("excite", "--trajectory"): (".csv", "two.urdf"),
     ("excite", "--page"): (".html", "two.urdf"),
     ("identify", "--write"): (".xml", f"one.parquet {ROBOT}"),
+    ("drives", "--write"): (".xml", f"one.parquet {ROBOT}"),
+    ("sample", "--out"): ("", "result.json"),
     ("calibrate", "--out"): (".toml", f"one.parquet {ROBOT} --known mass=20"),
     ("report", "--out"): (".html", f"one.parquet {ROBOT}"),
     ("view", "--save"): (".rrd", f"one.parquet {ROBOT}"),
@@ -34,7 +36,7 @@ WRITERS = {
     ("new", "--out"): (".toml", "two.urdf"),
 }
 """Every option that names what is to be written; its ending, none of folders; what is read."""
-READ = {"--model", "--prior", "--plate", "--loaded", "--validate", "--against", "--recording"}
+READ = {"--model", "--prior", "--unseen", "--plate", "--loaded", "--validate", "--against", "--recording"}
 READ |= {"--tls-ca", "--tls-cert", "--tls-key"}
 
 
