@@ -190,7 +190,7 @@ def drives(
     said = [*tree.diagnostics, *bodies.diagnostics, *found.diagnostics]
     lines = []
     if write is not None:
-        links = writing.bodies(reading, model, source, [bodies], ())
+        links, _ = writing.bodies(reading, model, source, [bodies], {})
         said += writing.written(links, reading, model, [recording], found)
         lines.append(f"model file: {write}")
         if unseen is not None:

@@ -228,7 +228,7 @@ def _of_recording(
     tree, options = tables.sensed(tables.robot.on(file.tree()), file), tables.consistent
     if not any(word.startswith("consistent.prior_error") for word in words):
         parts = [content.get("consistent") or {}, *(content.get("posterior") or {}).values()]
-        chosen = [part["prior_error"] for part in parts if part.get("tried")]
+        chosen = [part["prior_error"] for part in parts if part.get("used") or part.get("tried")]
         options = replace(options, prior_error=min(chosen, default=options.prior_error))
     return tree, tables.identification, file, options
 

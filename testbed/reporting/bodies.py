@@ -12,7 +12,7 @@ from testbed.experiment.run import Run
 from testbed.identification.consistency.consistent import Consistent, robot_of
 from testbed.identification.consistency.robots import Robots
 from testbed.identification.estimate import NAMES, number_with_sigma
-from testbed.identification.posterior import DETERMINED
+from testbed.identification.selection.linear_prior import DETERMINED
 from testbed.parameters.symbols import STANDARD, with_standard
 from testbed.reporting.portrait import view
 from testbed.reporting.section import Drawing, Section, Table
