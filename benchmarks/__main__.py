@@ -80,6 +80,20 @@ def regressor(rounds: Annotated[int, typer.Option(help="Turns that each rival ha
 
 
 @app.command()
+def sampling(
+    robots: Annotated[list[str] | None, typer.Option("--robot", help="Default three.")] = None,
+    seeds: Annotated[int, typer.Option(help="Experiments with each robot.")] = 200,
+    first: Annotated[int, typer.Option(help="The first seed.")] = 0,
+    seconds: Annotated[float, typer.Option(help="Of each recording.")] = 20.0,
+) -> None:
+    """Truth's rank among robots that `sample` draws, and bands of torque that they predict."""
+    from benchmarks.sampling import ranks
+
+    for robot in robots or ["puma", "ur5", "gantry_ppp_rrr"]:
+        _print(ranks(robot, range(first, first + seeds), seconds))
+
+
+@app.command()
 def consistency(
     seeds: Annotated[int, typer.Option(help="Simulated recordings of each length.")] = 10,
     trees: Annotated[int, typer.Option(help="Random trees.")] = 100,

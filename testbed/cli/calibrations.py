@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from testbed.cli.identifications import Write, Writing
 from testbed.cli.reading import (
     Gravity,
     Json,
@@ -125,6 +126,11 @@ def drives(
         bool,
         typer.Option("--choose-terms", help="Choose the terms of each joint by cross-validation."),
     ] = False,
+    write: Write = None,
+    unseen: Annotated[
+        Path | None,
+        typer.Option(help="With --write: another motion, whose torques drive the file in MuJoCo."),
+    ] = None,
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
@@ -134,16 +140,30 @@ def drives(
     they need and its own terms: --set 'identification.terms=["coulomb","viscous","rotor"]'.
     Friction curves are in the JSON, and drawn by report --set identification.drives=given.
 
+    --write copies the model file with consistent bodies by the plate, friction, rotors, and (MJCF)
+    motors whose gear makes true torque of what the drive reports. --unseen drives it open-loop by
+    the torques of another motion, and the model file, too.
+
     Example: testbed drives run.parquet --model robot.urdf --choose-terms
+
+    Example: testbed drives run.parquet --model arm.xml --write driven.xml --unseen other.parquet
     """
     from testbed.codec import encode
+    from testbed.errors import SettingsError
     from testbed.identification.drives.identify_drives import identify_drives
     from testbed.identification.identify import identify
+    from testbed.recordings.recording import Recording
     from testbed.reporting import output, terminal
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, sensor=sensor)
+    writing = Writing(write=write)
+    writing.check(reading, model, [recording])
+    if unseen is not None and write is None:
+        raise SettingsError("--unseen drives the file that --write writes")
     reading = reading.with_sensors(opened(recording), alone=True)
     felt, table = reading.tree(model), reading.tables().identification
+    if felt.sensor is not None and write is not None:
+        raise SettingsError("--write needs bodies by the plate, not by a force sensor")
     tree = replace(reading, sensor=None).tree(model)
     source = reading.source(recording, tree)
     with output.Progress("identifying by the wrench") as progress:
@@ -167,10 +187,24 @@ def drives(
             threads=threads,
             progress=progress,
         )
+    said = [*tree.diagnostics, *bodies.diagnostics, *found.diagnostics]
+    lines = []
+    if write is not None:
+        links, _ = writing.bodies(reading, model, source, [bodies], {})
+        said += writing.written(links, reading, model, [recording], found)
+        lines.append(f"model file: {write}")
+        if unseen is not None:
+            from testbed.reporting.drives import replay_lines
+            from testbed.simulation.replay import replay
+
+            files = (reading.model_file(model), reading.model_file(write))
+            motion = Recording.load(unseen)
+            lines += replay_lines(tree.names, *(replay(each, motion) for each in files))
     if as_json:
         output.print_json(encode(found))
     else:
-        terminal.print_drives(found, [*tree.diagnostics, *bodies.diagnostics, *found.diagnostics])
+        terminal.print_drives(found, said)
+        output.print_lines(lines, ())
 
 
 @app.command()
@@ -193,6 +227,16 @@ def payload(
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     plate: Plate = None,
+    vendor: Annotated[
+        str | None,
+        typer.Option(
+            "--as", metavar="VENDOR", help="Print it for a controller: ur, franka, kuka or ros."
+        ),
+    ] = None,
+    flange: Annotated[
+        str | None,
+        typer.Option(metavar="LINK", help="With --as: link with the flange's frame, e.g. tool0."),
+    ] = None,
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
@@ -202,8 +246,11 @@ def payload(
     a plate; for a robot at rest in some poses, mass and centre by the weight alone.
 
     Example: testbed payload empty.parquet loaded.parquet --model robot.urdf
+
+    Example: testbed payload empty.parquet loaded.parquet --model ur5e.urdf --as ur --flange tool0
     """
     from testbed.codec import encode
+    from testbed.errors import SettingsError, UnknownName
     from testbed.identification.identify import identify
     from testbed.identification.payload.payload import (
         estimate_mass,
@@ -211,12 +258,22 @@ def payload(
         poses_at_rest,
     )
     from testbed.identification.payload.payload import payload as payload_of
+    from testbed.identification.payload.vendors import VENDORS, at_flange
     from testbed.recordings.geometry import in_its_gravity
     from testbed.reporting import estimates as shown
     from testbed.reporting import output, terminal
 
     reading = Reading(settings, False, weld_root, lock, lock_mimic, plate)
+    if vendor is None and flange is not None:
+        raise SettingsError("--flange names the frame for --as: both are needed")
+    if vendor is not None and (at_rest or as_json):
+        raise SettingsError("--as needs a payload in motion, and is no JSON of ours")
+    if vendor is not None and vendor not in VENDORS:
+        raise UnknownName("controller", vendor, list(VENDORS))
     tree, table = reading.tree(model), reading.tables().identification
+    links = {} if flange is None else {x.name: x for x in reading.model_file(model).links()}
+    if flange is not None and flange not in links:
+        raise UnknownName("link", flange, list(links))
     sources = [reading.source(path, tree) for path in (without, loaded)]
     if at_rest:
         tree = in_its_gravity(tree, sources[0], gravity)
@@ -242,6 +299,12 @@ def payload(
     found = payload_of(tree, estimates[0], estimates[1], joint)
     if as_json:
         output.print_json(encode(found))
+    elif vendor is not None:
+        load = at_flange(found, tree, None if flange is None else links[flange])
+        typer.echo(VENDORS[vendor](load))
+        known = [each for estimate in estimates for each in estimate.diagnostics]
+        for said in (*tree.diagnostics, *known, *found.diagnostics):
+            typer.echo(f"warning: {said}", err=True)
     else:
         known = [each for estimate in estimates for each in estimate.diagnostics]
         terminal.print_payload(found, [*tree.diagnostics, *known, *found.diagnostics])

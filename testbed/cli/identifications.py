@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from testbed.cli.reading import Reading
     from testbed.diagnostics import Diagnostic
     from testbed.identification.consistency.consistent import Consistent
+    from testbed.identification.drives.identify_drives import DriveFindings
     from testbed.identification.estimate import Estimate, Method
     from testbed.identification.posterior import Posterior
     from testbed.recordings.source import Source
@@ -166,33 +167,42 @@ class Writing:
             )
 
     def written(
-        self, found: Consistent, reading: Reading, model: Path, recordings: Sequence[Path]
+        self,
+        found: Consistent,
+        reading: Reading,
+        model: Path,
+        recordings: Sequence[Path],
+        drives: DriveFindings | None = None,
     ) -> tuple[Diagnostic, ...]:
         """Write the file that was asked for.
 
         Args:
-            found: What is written.
+            found: Consistent bodies.
             reading: How the model file is read.
             model: The model file.
             recordings: What it was identified from.
+            drives: Their friction, rotors and torque constants are written, too.
 
         Raises:
             ModelError: The file cannot be written.
         """
         from testbed.experiment.results import provenance
         from testbed.identification.consistency.consistent import robot_of
+        from testbed.identification.drives.identify_drives import with_drives
         from testbed.robot.write_model import write_model
 
         if self.write is None:
             return ()
         file = reading.model_file(model)
+        robot = robot_of(found, file.tree())
         return write_model(
             file,
-            robot_of(found, file.tree()),
+            robot if drives is None else with_drives(robot, drives),
             self.write,
             fixed=self.fixed.value,
             note=provenance(found, file, recordings),
             over_source=self.in_place,
+            gears=None if drives is None else drives.gears,
         )
 
 
@@ -377,3 +387,67 @@ def validate(
         output.print_json({method: encode(each) for method, each in found.items()})
     else:
         terminal.print_validations(list(found.values()), said)
+
+
+@app.command()
+def sample(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT.json", help="Output of identify --json.")
+    ],
+    out: Annotated[Path, typer.Option(help="New folder for model files and robots.npz.")],
+    count: Annotated[int, typer.Option("-n", min=1, max=100_000, help="How many robots.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Of the draws.")] = 0,
+    model: Annotated[
+        Path | None, typer.Option(help="Model file; default the one in the result.")
+    ] = None,
+    settings: RecordingSet = None,
+    fixed: FixedLinks = Fixed.lump,
+    as_json: Json = False,
+) -> None:
+    """Draw robots that could be the one that was measured, as model files and MuJoCo's fields.
+
+    Draws are joint: of the estimates' covariance, and of the model file (wrong by
+    consistent.prior_error) where data do not determine a parameter. Each is a robot that can exist.
+    The table says of each parameter how much of it is the data's.
+
+    Example: testbed sample identified.json -n 1000 --out robots
+    """
+    import numpy as np
+
+    from testbed.codec import encode
+    from testbed.errors import SettingsError
+    from testbed.experiment.evaluate import prior_from
+    from testbed.experiment.read_result import read_result
+    from testbed.experiment.results import versions
+    from testbed.files import check_writable
+    from testbed.identification.consistency.robots import robots
+    from testbed.reporting import bodies as shown
+    from testbed.reporting import output
+    from testbed.robot.write_model import ARCHIVE, write_models
+
+    check_writable(out, folder=True, read=(result, model))
+    kept = read_result(result, model, settings or ())
+    if kept.file is None:
+        raise SettingsError(f"'{result}' is of a run, whose model file is the truth: no prior")
+    if kept.tree.sensor is not None:
+        raise SettingsError(f"'{result}' is of a force sensor: robots need plate or joint torques")
+    there = [each.name for each in out.iterdir()] if out.exists() else []
+    ours = (ARCHIVE, *(name for name in there if name.startswith(f"{kept.file.path.stem}_")))
+    if others := sorted({*there} - {*ours}):
+        raise SettingsError(
+            f"'{out}' holds {others[0]}, not robots alone: --out names a new folder"
+        )
+    prior = prior_from(kept.tree, kept.file, shapes=kept.options.centres_in_shapes)
+    rng = np.random.default_rng(seed)
+    with output.Progress("drawing robots"):
+        found = robots(kept.tree, kept.whole_estimates, prior, count, rng, kept.options)
+    note = [f"testbed {versions()['testbed']}: a draw by {result.name}, seed {seed}"]
+    file = kept.file.tree()
+    with output.Progress("writing model files"):
+        trees = [found.tree(k, file) for k in range(count)]
+        said = write_models(kept.file, trees, out, fixed=fixed.value, note=note)
+    if as_json:
+        output.print_json(encode(found, exclude={"values"}))
+    else:
+        output.print_tables(output.console(), [shown.draws_table(found)])
+        output.print_lines([f"{count} robots: {out}"], [*prior.diagnostics, *said])

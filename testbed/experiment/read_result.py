@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,9 @@ from testbed.experiment.experiment_tables import Table
 from testbed.experiment.results import EXPERIMENT, RESULT, versions
 from testbed.files import fingerprint, read_text, replacing
 from testbed.identification.calibration import Calibration
-from testbed.identification.estimate import METHODS, Method, channels_of
-from testbed.identification.estimate_summary import EstimateSummary
+from testbed.identification.consistency.options import ConsistencyOptions
+from testbed.identification.estimate import METHODS, Estimate, Method, channels_of
+from testbed.identification.estimate_summary import EstimateSummary, estimate_of_summary
 from testbed.identification.posterior import Posterior
 from testbed.identification.sensor.correction import NUISANCES
 from testbed.identification.sensor.estimates import NuisanceEstimate
@@ -48,6 +49,7 @@ class KeptResult:
         estimates: One a method.
         models: Values of the same unknowns by what else says them, by method.
         file: The robot's, with the joints that are held; None of a run.
+        options: What is asked of consistent bodies, the prior error that which data chose.
     """
 
     tree: Tree
@@ -55,6 +57,20 @@ class KeptResult:
     estimates: tuple[EstimateSummary, ...]
     models: Mapping[str, Mapping[str, Array]] = field(default_factory=dict)
     file: ModelFile | None = None
+    options: ConsistencyOptions = field(default_factory=ConsistencyOptions)
+
+    @property
+    def whole_estimates(self) -> list[Estimate]:
+        """The estimates with their structure.
+
+        Raises:
+            SettingsError: They are of other parameters.
+        """
+        settings = self.settings
+        return [
+            estimate_of_summary(self.tree, replace(each, settings=settings))
+            for each in self.estimates
+        ]
 
     def without_held(self, source: Source) -> Source:
         """A recording without the columns of the joints that are held.
@@ -121,7 +137,7 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
         _stated(every[method], method, f"{path}: {method}") for method in METHODS if method in every
     )
     of = _of_run if content.get("settings") is None else _of_recording
-    tree, identification, file = of(content, path, model, settings)
+    tree, identification, file, options = of(content, path, model, settings)
     for each in found:
         count = len(channels_of(tree, each.method))
         if len(each.residual) != count:
@@ -130,7 +146,7 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
                 f"{plural(count, 'channel')}"
             )
     models = {str(each.method): _added(content, each, path) for each in found}
-    return KeptResult(tree, identification, found, models, file)
+    return KeptResult(tree, identification, found, models, file, options)
 
 
 def _added(content: dict[str, Any], beside: EstimateSummary, path: Path) -> dict[str, Array]:
@@ -183,7 +199,7 @@ def _stated(content: Any, method: Method, source: str) -> EstimateSummary:
             gravity=kept.gravity,
             residual=kept.residual,
             nuisances={each.name: each.value for each in kept.nuisances},
-            zero_unknown=bool(kept.unidentifiable),
+            unidentifiable=kept.unidentifiable,
         )
     except ValueError as error:
         raise ExperimentError(f"{source}: {error}") from None
@@ -198,8 +214,8 @@ def _stated(content: Any, method: Method, source: str) -> EstimateSummary:
 
 def _of_recording(
     content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
-) -> tuple[Tree, Settings, ModelFile]:
-    """Robot and settings of a recording's estimates."""
+) -> tuple[Tree, Settings, ModelFile, ConsistencyOptions]:
+    """Robot and settings of a recording's estimates, and what is asked of consistent bodies."""
     kept = checked(_Model, content.get("model", {}), f"{path}: model")
     said = content["settings"]
     if not isinstance(said, dict):
@@ -209,13 +225,18 @@ def _of_recording(
     place = _checked_model(model or Path(kept.path), kept.sha256, path)
     held = kept.lock | tables.robot.lock
     file = ModelFile(place, kept.weld_root, tables.robot.bodies or None, held)
-    return tables.sensed(tables.robot.on(file.tree()), file), tables.identification, file
+    tree, options = tables.sensed(tables.robot.on(file.tree()), file), tables.consistent
+    if not any(word.startswith("consistent.prior_error") for word in words):
+        parts = [content.get("consistent") or {}, *(content.get("posterior") or {}).values()]
+        chosen = [part["prior_error"] for part in parts if part.get("used") or part.get("tried")]
+        options = replace(options, prior_error=min(chosen, default=options.prior_error))
+    return tree, tables.identification, file, options
 
 
 def _of_run(
     content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
-) -> tuple[Tree, Settings, None]:
-    """Robot and settings of a run's estimates: they stand beside them."""
+) -> tuple[Tree, Settings, None, ConsistencyOptions]:
+    """The same of a run's estimates: they stand beside them."""
     beside = path.parent / EXPERIMENT
     if not beside.is_file():
         raise ExperimentError(
@@ -227,7 +248,8 @@ def _of_run(
     sha256 = used.get("sha256") if isinstance(used, dict) else content.get("model_sha256")
     place = _checked_model(model or Path(experiment.model), sha256, path)
     experiment = experiment.model_copy(update={"model": str(place)})
-    return robot_of(experiment), experiment.identification, None
+    options = experiment.consistent or ConsistencyOptions()
+    return robot_of(experiment), experiment.identification, None, options
 
 
 def _checked_model(place: Path, sha256: object, path: Path) -> Path:

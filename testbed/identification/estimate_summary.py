@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array, readonly
+from testbed.dynamics.drive_set import drive_set
 from testbed.errors import SettingsError, components, few
-from testbed.identification.estimate import Estimate, Method
+from testbed.identification.estimate import Estimate, Method, channel_units, channels_of
 from testbed.identification.problem import Problem, set_of
+from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.sensor.correction import lastingly_corrected
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.recordings.source import Source
@@ -29,7 +31,7 @@ class EstimateSummary:
         gravity: That was assumed, (3,) [m/s^2], bedplate frame.
         residual: Rms of the estimate's own residuals, (channels,) [N, N m].
         nuisances: Numbers of the instrument that were estimated, by name, such as "pose/rx".
-        zero_unknown: Whether some parameters are not identifiable, the plate's zero being unknown.
+        unidentifiable: Names of parameters that are not, the plate's zero being unknown.
         settings: How its recording became equations.
     """
 
@@ -40,7 +42,7 @@ class EstimateSummary:
     gravity: Array
     residual: Array
     nuisances: Mapping[str, float]
-    zero_unknown: bool = False
+    unidentifiable: tuple[str, ...] = ()
     settings: Settings = DEFAULTS
 
     def __post_init__(self) -> None:
@@ -69,9 +71,54 @@ def summary_of(estimate: Estimate) -> EstimateSummary:
         gravity=estimate.gravity,
         residual=estimate.residual,
         nuisances={each.name: each.value for each in estimate.nuisances},
-        zero_unknown=bool(estimate.unidentifiable),
+        unidentifiable=estimate.unidentifiable,
         settings=estimate.settings,
     )
+
+
+def estimate_of_summary(tree: Tree, said: EstimateSummary) -> Estimate:
+    """An estimate with its structure again, but without the sums that it was made from.
+
+    Args:
+        tree: The robot.
+        said: The estimate; its settings say zeros and terms.
+
+    Raises:
+        SettingsError: It is of other parameters.
+    """
+    tree, p = tree.with_gravity(said.gravity), len(said.names)
+    minimal = set_of(tree, said.method, said.settings)
+    drives = drive_set(tree, minimal, said.settings.words) if said.method == "internal" else None
+    known = minimal if drives is None else drives
+    if known.names != said.names:
+        raise SettingsError(f"the {said.method} estimate is of other parameters than this robot's")
+    channels = channels_of(tree, said.method)
+    c = len(channels)
+    none = NormalEquations(
+        said.names, channels, np.zeros(c), np.zeros((c, p, p)), np.zeros((c, p)), np.zeros(c)
+    )
+    sigma = np.sqrt(np.maximum(np.diagonal(said.covariance), 0.0))
+    return Estimate(
+        method=said.method,
+        names=said.names,
+        units=known.units,
+        values=said.values,
+        sigma=sigma,
+        covariance=said.covariance,
+        gravity=said.gravity,
+        channels=channels,
+        channel_units=channel_units(tree, said.method),
+        residual=said.residual,
+        relative_residual=np.full(c, np.nan),
+        samples=(0,) * c,
+        condition=np.nan,
+        normal_equations=none,
+        diagnostics=(),
+        minimal=minimal,
+        drives=drives,
+        joints=tree.names,
+        settings=said.settings,
+    ).without(said.unidentifiable)
 
 
 def check_parameters(problem: Problem, said: EstimateSummary) -> None:

@@ -342,7 +342,7 @@ def _validation(
         mean=total / used,
         noise=np.where(np.isnan(used), np.nan, said.residual),
         spread=np.sqrt(added / used),
-        zero_unknown=said.zero_unknown,
+        zero_unknown=bool(said.unidentifiable),
     )
     numbers = [found.signal, found.residual, found.mean, found.spread]
     if not np.isfinite(numbers)[:, equations.used > 0].all():

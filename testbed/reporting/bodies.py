@@ -10,7 +10,9 @@ from testbed.arrays import Array
 from testbed.dynamics.newton_euler import poses
 from testbed.experiment.run import Run
 from testbed.identification.consistency.consistent import Consistent, robot_of
+from testbed.identification.consistency.robots import Robots
 from testbed.identification.estimate import NAMES, number_with_sigma
+from testbed.identification.selection.linear_prior import DETERMINED
 from testbed.parameters.symbols import STANDARD, with_standard
 from testbed.reporting.portrait import view
 from testbed.reporting.section import Drawing, Section, Table
@@ -67,6 +69,37 @@ def consistent_tables(found: Consistent) -> list[Table]:
         for term, value, sigma in terms
     ]
     return [*tables, *([Table(["joint's own", "estimate"], own)] if own else [])]
+
+
+def draws_table(found: Robots) -> Table:
+    """Mean and standard deviation of all that is drawn, and whose they are.
+
+    Args:
+        found: The draws.
+    """
+    rows = [
+        [
+            f"{link}, {joint}" if c == 0 else "",
+            name,
+            number_with_sigma(float(found.mean[k, c]), float(found.sigma[k, c]), short=True),
+            f"{found.share[k, c]:.0%}",
+            _origin(float(found.share[k, c])),
+        ]
+        for k, (link, joint) in enumerate(zip(found.links, found.joints, strict=True))
+        for c, name in enumerate(found.names)
+    ]
+    title = (
+        "robots drawn [kg, kg m, kg m^2, N m, N m s/rad]; data: share of the prior variance that "
+        f"the data remove; the model file is taken to be wrong by {found.prior_error:g}"
+    )
+    return Table(["link, joint", "", "draws", "data", "from"], rows, title, left=["", "from"])
+
+
+def _origin(share: float) -> str:
+    """Whose a parameter is, by the part of its variance that the data remove."""
+    if share >= DETERMINED:
+        return "data"
+    return "both" if share > 1 - DETERMINED else "model file"
 
 
 def consistent_lines(found: Consistent) -> list[str]:

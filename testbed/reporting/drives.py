@@ -49,6 +49,20 @@ def _cell(drive: DriveEstimate, head: str) -> str:
     return f"{number_with_sigma(term.value, term.sigma, short=True)} {term.unit}"
 
 
+def replay_lines(joints: Sequence[str], file: Array, written: Array) -> list[str]:
+    """How far model files are from an unseen motion, driven by its torques.
+
+    Args:
+        joints: Their names.
+        file: Distances of the model file, (M, n) [rad or m].
+        written: Of the one that was written, (M, n).
+    """
+    sizes = (np.sqrt((each**2).mean(axis=0)).tolist() for each in (written, file))
+    pairs = zip(joints, *sizes, strict=True)
+    listed = ", ".join(f"{joint} {own:.3g} ({other:.3g})" for joint, own, other in pairs)
+    return [f"rms error of the unseen motion, driven open-loop (model file's): {listed}"]
+
+
 def drive_lines(drives: DriveFindings) -> list[str]:
     """Which terms were chosen, and whether plate and torques agree, a sentence each.
 

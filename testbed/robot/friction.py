@@ -195,6 +195,11 @@ class JointTerm:
     law: JointLaw
     joint: int
 
+    @property
+    def positive(self) -> bool:
+        """Whether it cannot be negative: friction takes energy, and rotors have inertia."""
+        return self.law.resists or self.law == ROTOR
+
     def name(self, tree: Tree) -> str:
         """Name of the coefficient: rotor/waist."""
         return f"{self.law.kind}/{places(tree)[self.joint]}"

@@ -8,7 +8,7 @@ what is more than that where no bodies are given in its place.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
@@ -70,6 +70,23 @@ class Link:
     def seen_from(self, inertia: Inertia) -> Inertia:
         """An inertia about the body's frame, about and along the link's."""
         return inertia.moved(self.rotation.T, -self.rotation.T @ self.position)
+
+
+@dataclass(frozen=True, eq=False)
+class Edit:
+    """Other numbers of a model file.
+
+    Attributes:
+        links: New inertias, about and along the links' frames, by link.
+        joints: Friction and rotor inertia that change, by joint.
+        gears: True torque over what the drive reports, by joint.
+        diagnostics: What could not be shared out among links.
+    """
+
+    links: Mapping[str, Inertia]
+    joints: Mapping[str, Mapping[str, float]]
+    gears: Mapping[str, float] = field(default_factory=dict)
+    diagnostics: tuple[Diagnostic, ...] = ()
 
 
 def total(parts: Iterable[Inertia]) -> Inertia:

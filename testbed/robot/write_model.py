@@ -10,20 +10,22 @@ on held joints keep their proportion, because in the file they move.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import ModelError
 from testbed.files import check_writable, replacing
 from testbed.robot.inertia import NOTHING, Inertia, upper_root
 from testbed.robot.model_file import ModelFile, copy_model, model_format, nearest_bodies, references
 from testbed.robot.parsing import read_xml
-from testbed.robot.repair import Link, total
+from testbed.robot.repair import Edit, Link, total
 from testbed.robot.tree import Tree
 
 Fixed = Literal["lump", "share"]
@@ -37,6 +39,9 @@ EXACT = 1e-9
 LOSSES = ("coulomb", "viscous", "rotor_inertia")
 """What of a joint is written."""
 
+ARCHIVE = "robots.npz"
+"""Of many robots as MuJoCo's fields."""
+
 ENDINGS = {"mjcf": ".xml", "urdf": ".urdf"}
 
 
@@ -48,6 +53,7 @@ def write_model(
     fixed: Fixed = "lump",
     note: Sequence[str] = (),
     over_source: bool = False,
+    gears: Mapping[str, float] | None = None,
 ) -> tuple[Diagnostic, ...]:
     """Write a model file with a tree's masses, friction and rotors, all else byte for byte.
 
@@ -59,6 +65,8 @@ def write_model(
             is in proportion to what they had ("share").
         note: Lines of a comment: where the numbers come from.
         over_source: Whether `path` may be the model file itself.
+        gears: By joint, true torque over what its drive reports: into MJCF's motors, one more
+            where a joint has none.
 
     Returns:
         What the format has no place for, what readers will make otherwise.
@@ -67,32 +75,120 @@ def write_model(
         ModelError: The file cannot be edited, or is not to be overwritten, or `path` has not the
             ending of its format.
     """
-    kind, file = model_format(model.path), model.tree()
     check_place(model.path, path, over_source=over_source)
-    if kind == "mjcf":
-        from testbed.robot.formats.mjcf import edit_mjcf as edit
-    else:
-        from testbed.robot.formats.urdf import edit_urdf as edit
-    repair = nearest_bodies(
-        model.path, weld_root=model.weld_root, lock=model.lock, repair=model.repair
-    ).links
-    links = model.links()
-    links = tuple(replace(x, inertia=repair.get(x.name, x.inertia)) for x in links)
-    bodies = {}
-    for k, (old, new) in enumerate(zip(file.inertias, tree.inertias, strict=True)):
-        same = old.mass == new.mass and np.array_equal(old.first_moment, new.first_moment)
-        if not (same and np.array_equal(old.tensor, new.tensor)):
-            bodies[k] = new
-    inertias, shared = share_out(links, bodies, fixed)
-    joints = {
-        old.name: {k: getattr(new, k) for k in LOSSES if getattr(new, k) != getattr(old, k)}
-        for old, new in zip(file.joints, tree.joints, strict=True)
-    }
-    data, said = edit(model.path, {**repair, **inertias}, joints, [*note])
+    (change,) = changes_of(model, [tree], fixed)
+    change = replace(change, gears=gears or {})
+    ((data, said),) = _edited(model, [change], note)
     unread = _check(model, data, tree)
     with replacing(path) as fresh:
         fresh.write_bytes(data)
-    return (*shared, *said, *unread, *_lost_files(model.path, path))
+    return (*change.diagnostics, *said, *unread, *_lost_files(model.path, path))
+
+
+def write_models(
+    model: ModelFile,
+    trees: Sequence[Tree],
+    folder: Path,
+    *,
+    fixed: Fixed = "lump",
+    note: Sequence[str] = (),
+) -> tuple[Diagnostic, ...]:
+    """Write a copy of a model file for each of many trees, and `robots.npz` with all of them.
+
+    The archive holds MuJoCo's fields for the bodies and joints that it names (`bodies`, `joints`):
+    body_mass, body_ipos, body_inertia and body_iquat, (N, bodies, ...), dof_frictionloss,
+    dof_damping and dof_armature, (N, joints). The first file is read again before the folder takes
+    its place.
+
+    Args:
+        model: The file, and how it was read.
+        trees: Of the file's joints, with other numbers; at least one.
+        folder: Where to: NAME_0000 and so on.
+        fixed: As for `write_model`.
+        note: As for `write_model`.
+
+    Returns:
+        As `write_model`, of the first.
+
+    Raises:
+        ModelError: The file cannot be edited.
+        OSError: The folder cannot be written.
+    """
+    changes = changes_of(model, trees, fixed)
+    ending, said = ENDINGS[model_format(model.path)], list(changes[0].diagnostics)
+    with replacing(folder, folder=True) as fresh:
+        fresh.mkdir()
+        for k, (data, more) in enumerate(_edited(model, changes, note)):
+            if k == 0:
+                said += [*more, *_check(model, data, trees[0])]
+            (fresh / f"{model.path.stem}_{k:04d}{ending}").write_bytes(data)
+        np.savez(fresh / ARCHIVE, allow_pickle=False, **mujoco_fields(changes, trees))
+    return (*said, *_lost_files(model.path, folder / ARCHIVE))
+
+
+def changes_of(model: ModelFile, trees: Sequence[Tree], fixed: Fixed) -> list[Edit]:
+    """What makes trees of a model file.
+
+    Args:
+        model: The file, and how it was read.
+        trees: Of the file's joints, with other numbers.
+        fixed: As for `write_model`.
+    """
+    file = model.tree()
+    repair = nearest_bodies(
+        model.path, weld_root=model.weld_root, lock=model.lock, repair=model.repair
+    ).links
+    links = [replace(x, inertia=repair.get(x.name, x.inertia)) for x in model.links()]
+    found = []
+    for tree in trees:
+        bodies = {}
+        for k, (old, new) in enumerate(zip(file.inertias, tree.inertias, strict=True)):
+            same = old.mass == new.mass and np.array_equal(old.first_moment, new.first_moment)
+            if not (same and np.array_equal(old.tensor, new.tensor)):
+                bodies[k] = new
+        inertias, said = share_out(links, bodies, fixed)
+        joints = {
+            old.name: {k: getattr(new, k) for k in LOSSES if getattr(new, k) != getattr(old, k)}
+            for old, new in zip(file.joints, tree.joints, strict=True)
+        }
+        found.append(Edit({**repair, **inertias}, joints, diagnostics=said))
+    return found
+
+
+def mujoco_fields(changes: Sequence[Edit], trees: Sequence[Tree]) -> dict[str, Array]:
+    """What `write_models` keeps in its archive.
+
+    Args:
+        changes: One a tree, all of the same links.
+        trees: The robots.
+    """
+    bodies = list(changes[0].links)
+    central = np.array([[each.links[name].central for name in bodies] for each in changes])
+    moments, axes = np.linalg.eigh(central.reshape(len(changes), len(bodies), 3, 3))
+    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    turns = Rotation.from_matrix(axes.reshape(-1, 3, 3)).as_quat(scalar_first=True)
+    losses = np.array([[[getattr(j, k) for k in LOSSES] for j in tree.joints] for tree in trees])
+    fields = ("dof_frictionloss", "dof_damping", "dof_armature")
+    return {
+        "bodies": np.array(bodies),
+        "joints": np.array(trees[0].names),
+        "body_mass": np.array([[each.links[name].mass for name in bodies] for each in changes]),
+        "body_ipos": np.array([[each.links[name].com for name in bodies] for each in changes]),
+        "body_inertia": np.maximum(moments, 0.0),
+        "body_iquat": turns.reshape(len(changes), len(bodies), 4),
+        **dict(zip(fields, np.moveaxis(losses, 2, 0), strict=True)),
+    }
+
+
+def _edited(
+    model: ModelFile, changes: Sequence[Edit], note: Sequence[str]
+) -> Iterator[tuple[bytes, tuple[Diagnostic, ...]]]:
+    """The file's bytes with each of the changes, and what the format has no place for."""
+    if model_format(model.path) == "mjcf":
+        from testbed.robot.formats.mjcf import edit_mjcf as edit
+    else:
+        from testbed.robot.formats.urdf import edit_urdf as edit
+    return edit(model.path, changes, [*note])
 
 
 def check_place(source: Path, path: Path, *, over_source: bool = False) -> None:

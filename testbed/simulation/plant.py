@@ -229,7 +229,7 @@ def build_plant(
     """
     if not friction or any(effect.owns_friction for effect in effects):
         tree = tree.without_friction()
-    path, spec = model.path, _robot(model)
+    path, spec = model.path, robot_spec(model)
     prefix = ""
     with no_mujoco_warnings():  # attaching overrides timestep and camera, and says so
         if _plate_of(compile_spec(spec, path)) is None:
@@ -253,7 +253,15 @@ def build_plant(
     return plant
 
 
-def _robot(model: ModelFile) -> mujoco.MjSpec:
+def robot_spec(model: ModelFile) -> mujoco.MjSpec:
+    """MuJoCo's editable model of a model file, nothing added.
+
+    Args:
+        model: The file, and how it is read.
+
+    Raises:
+        ModelError: MuJoCo refuses it.
+    """
     path = model.path
     how: dict[str, Any] = {"weld_root": model.weld_root, "repair": model.repair, "lock": model.lock}
     if model_format(path) == "mjcf":

@@ -52,6 +52,10 @@ COMMANDS = {
                   "correlation estimate known matrix matrix_sigma numbers robot"),
     "drives": (f"drives one.parquet {ROBOT} --zeros --json",
                "combined curves diagnostics estimates"),
+    "drives, write": (f"drives one.parquet {ROBOT} --zeros --write OUT/driven.xml --unseen "
+                      "other.parquet --json", "combined curves diagnostics estimates"),
+    "sample": ("sample result.json -n 3 --out OUT/robots --json",
+               "joints links mean names prior_error share sigma"),
     "payload": (f"payload one.parquet other.parquet {ROBOT} --json",
                 "centre chance covariance diagnostics identifiable joint names rank sigma units "
                 "values"),

@@ -23,6 +23,8 @@ WRITERS = {
     ("excite", "--trajectory"): (".csv", "two.urdf"),
     ("excite", "--page"): (".html", "two.urdf"),
     ("identify", "--write"): (".xml", f"one.parquet {ROBOT}"),
+    ("drives", "--write"): (".xml", f"one.parquet {ROBOT}"),
+    ("sample", "--out"): ("", "result.json"),
     ("calibrate", "--out"): (".toml", f"one.parquet {ROBOT} --known mass=20"),
     ("report", "--out"): (".html", f"one.parquet {ROBOT}"),
     ("view", "--save"): (".rrd", f"one.parquet {ROBOT}"),
@@ -35,7 +37,7 @@ WRITERS = {
 }
 """Every option that names what is to be written; its ending, none of folders; what is read."""
 READ = {"--model", "--prior", "--plate", "--loaded", "--validate", "--against", "--recording"}
-READ |= {"--tls-ca", "--tls-cert", "--tls-key"}
+READ |= {"--unseen", "--tls-ca", "--tls-cert", "--tls-key"}
 
 
 def test_no_writer_is_left_out_here() -> None:

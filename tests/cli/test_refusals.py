@@ -83,6 +83,14 @@ validate one.parquet none.json | 'none.json' identify
 validate other.parquet result.json --model ur5.urdf | SHA-256
 payload one.parquet other.parquet {ROBOT} --joint hip | 'hip' elbow
 payload one.parquet other.parquet {ROBOT} --at-rest | rest
+payload one.parquet other.parquet {ROBOT} --as abb | 'abb' kuka
+payload one.parquet other.parquet {ROBOT} --as ur --flange tool0 | 'tool0' link3
+payload one.parquet other.parquet {ROBOT} --flange link3 | --as
+payload one.parquet other.parquet {ROBOT} --as ur --at-rest | --as
+sample result.json --out . | '.' working
+sample result.json --out run | 'run' --out
+sample none.json --out new | 'none.json' identify
+drives one.parquet {ROBOT} --unseen other.parquet | --write
 drives no_torque.parquet {ROBOT} | torque
 calibrate {ONE} | --known
 calibrate {ONE} --known mass=x | 'mass=x'

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -11,7 +14,12 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.drives.friction_curves import friction_curves
-from testbed.identification.drives.identify_drives import DriveFindings, combined, identify_drives
+from testbed.identification.drives.identify_drives import (
+    DriveFindings,
+    combined,
+    identify_drives,
+    with_drives,
+)
 from testbed.identification.drives.joint_regression import regressions, torques_beside
 from testbed.identification.estimate import METHODS
 from testbed.identification.problem import Problem
@@ -21,8 +29,12 @@ from testbed.recordings.recording import Recording
 from testbed.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.robot.friction import QUADRATIC, ROTOR, stribeck
 from testbed.robot.locks import with_shafts
+from testbed.robot.model_file import ModelFile
+from testbed.robot.write_model import write_model
+from testbed.simulation.replay import replay
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
+from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import robot, without
@@ -287,3 +299,54 @@ def test_the_terms_of_a_made_up_robot_are_chosen() -> None:
     assert found.after.rms < 0.3 * found.before.rms
     own = {f"quadratic/{tree.names[1]}", f"rotor/{tree.names[-1]}"}
     assert {"coulomb/shaft", "viscous/shaft", *own} <= set(found.words)
+
+
+@pytest.mark.slow
+def test_a_file_with_identified_drives_repeats_an_unseen_motion(tmp_path: Path) -> None:
+    """Plain MuJoCo, driven open-loop by what drives report, stays near what was recorded."""
+    words = ["motion.duration=8", "motion.candidates=1"]
+    seen, unseen = (
+        tb.simulate(tb.Experiment.load(ROOT / "experiments/table6.toml", [*words, f"seed={k}"]))
+        for k in (5, 6)
+    )
+    model = ModelFile(ROOT / "models/puma562.xml")
+    tree = model.tree()
+    bodies = tb.identify(tree, seen)
+    found = identify_drives(tree, seen, bodies)
+    poor = tree.with_joints({n: {"coulomb": 1.0, "viscous": 1.0} for n in tree.names})
+    written = tmp_path / "driven.xml"
+    write_model(model, with_drives(poor, found), written, gears=found.gears)
+    write_model(model, poor, tmp_path / "poor.xml")
+    compiled = mujoco.MjModel.from_xml_path(str(written))
+    gears = [compiled.actuator(name).gear[0] for name in tree.names]
+    np.testing.assert_allclose(gears, [1 / each.constant for each in found.estimates], rtol=1e-12)
+    near, far = (
+        np.sqrt((replay(ModelFile(path), unseen) ** 2).mean(axis=0))
+        for path in (written, tmp_path / "poor.xml")
+    )
+    assert (near < 0.1 * far).all()
+    assert unseen.truth is not None
+    data = mujoco.MjData(compiled)
+    data.qpos[:], data.qvel[:] = unseen.truth.position[0], unseen.truth.velocity[0]
+    compiled.opt.timestep = 1e-3
+    for k in range(1000):
+        data.ctrl[:] = unseen.measured("torque")[k]
+        mujoco.mj_step(compiled, data)
+    np.testing.assert_allclose(data.qpos, unseen.truth.position[1000], atol=0.05)
+    with refuses(RecordingError, "0.2"):
+        replay(model, unseen.part(0, 100))
+
+
+def test_joints_without_motors_get_one_and_other_actuators_stay(tmp_path: Path) -> None:
+    text = (ROOT / "models/puma562.xml").read_text()
+    bare = re.sub(r"<motor[^>]*joint=\"elbow\"[^>]*/>", "", text)
+    servo = re.sub(r"<motor([^>]*joint=\"waist\")", r"<position\1", bare)
+    source, path = tmp_path / "some.xml", tmp_path / "other.xml"
+    source.write_text(servo)
+    model = ModelFile(source)
+    said = write_model(model, model.tree(), path, gears={"waist": 2, "shoulder": 3, "elbow": 4})
+    assert [each.code for each in said] == ["model.actuators"]
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    joints = [compiled.joint(k).name for k in compiled.actuator_trnid[:, 0]]
+    found = dict(zip(joints, compiled.actuator_gear[:, 0].tolist(), strict=True))
+    assert found == {"waist": 1.0, "shoulder": 3.0, "elbow": 4.0}

@@ -14,13 +14,14 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
+from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic
 from testbed.errors import ModelError
 from testbed.experiment.evaluate import wrong_bodies
 from testbed.robot.friction import drive_torque
 from testbed.robot.inertia import Inertia
 from testbed.robot.model_file import ModelFile, mimic_joints
-from testbed.robot.write_model import Fixed, write_model
+from testbed.robot.write_model import Fixed, write_model, write_models
 from tests.helpers.mujoco_inverse import by_mj_inverse
 from tests.helpers.paths import REAL, ROOT
 from tests.helpers.pinocchio import by_pinocchio
@@ -260,3 +261,44 @@ def test_what_readers_would_make_otherwise_is_said_or_refused(tmp_path: Path) ->
         with refuses(tb.TestbedError, said, "r.xml"):
             write_model(ModelFile(source), other(ModelFile(source).tree()), path)
         assert not path.exists()
+
+
+@pytest.mark.slow
+@few(6)
+@given(robots((2, 6)), seeds)
+def test_many_robots_as_files_and_as_mujocos_fields_are_those_that_were_meant(
+    robot: Robot, seed: int
+) -> None:
+    """A batch of models from the archive moves as the files do, and both as the trees."""
+    for ending, text in (("urdf", robot.urdf()), ("xml", robot.mjcf())):
+        with TemporaryDirectory() as folder:
+            source, out = Path(folder, f"robot.{ending}"), Path(folder, "out")
+            source.write_text(text)
+            model = ModelFile(source)
+            trees = [other(model.tree(), seed + k) for k in range(3)]
+            write_models(model, trees, out, note=["a draw"])
+            draws, batch = np.load(out / "robots.npz"), mujoco.MjModel.from_xml_path(str(source))
+            names = {batch.body(k).name for k in range(batch.nbody)}
+            kept = [k for k, name in enumerate(draws["bodies"]) if name in names]
+            bodies = [batch.body(draws["bodies"][k]).id for k in kept]
+            dofs = [batch.joint(name).dofadr[0] for name in draws["joints"]]
+            for k, tree in enumerate(trees):
+                path = out / f"robot_{k:04d}.{ending}"
+                assert_same_tree(replace(tb.load_tree(path), name=tree.name), tree, 1e-9)
+                for field in ("body_mass", "body_ipos", "body_inertia", "body_iquat"):
+                    getattr(batch, field)[bodies] = draws[field][k][kept]
+                for field in ("dof_frictionloss", "dof_damping"):
+                    values = getattr(batch, field)
+                    values[dofs] = draws[field][k].reshape(-1, *[1] * (values.ndim - 1))
+                alone = mujoco.MjModel.from_xml_path(str(path))
+                one, two = (inverse(each, tree.n, seed) for each in (batch, alone))
+                np.testing.assert_allclose(one, two, atol=1e-9 * np.abs(two).max())
+
+
+def inverse(model: mujoco.MjModel, n: int, seed: int) -> Array:
+    """What MuJoCo says a state needs."""
+    data, rng = mujoco.MjData(model), np.random.default_rng(seed)
+    mujoco.mj_setConst(model, data)
+    data.qpos[:], data.qvel[:], data.qacc[:] = rng.normal(size=(3, n))
+    mujoco.mj_inverse(model, data)
+    return np.array(data.qfrc_inverse)

@@ -191,16 +191,12 @@ def _consistent(
     tried: Mapping[float, float],
 ) -> Consistent:
     """The same, the prior error a number."""
-    used, blind = _usable(estimates), tree.without_inertias()
-    terms = terms_of(used)
-    likelihoods = agreeing([evidence(blind, each, terms) for each in used])
-    asked = conditions(tree, prior, options, terms)
-    problem = scaled(blind, prior, likelihoods, asked, terms)
-    weight = 1 / error**2
+    used, likelihoods, problem = problem_of(tree, estimates, prior, options)
+    terms, weight = terms_of(used), 1 / error**2
     z, left = solve(problem, options.metric, weight)
     x = problem.lead @ z
     bodies = x[: 10 * tree.n].reshape(-1, 10)
-    spread, shares = _doubt(problem, z, options.metric, weight)
+    spread, shares = spread_at(problem, z, options.metric, weight)
     bent = tuple(_bent(each, x, spread) for each in likelihoods)
     eigenvalues, margin = _certificates(problem, z, bodies)
     sigma = np.sqrt(np.maximum(np.diagonal(spread), 0.0))
@@ -225,6 +221,20 @@ def _consistent(
         tried=tried,
         diagnostics=tuple(_diagnostics(prior, estimates, used, bent, left)),
     )
+
+
+def problem_of(
+    tree: Tree, estimates: Sequence[Estimate], prior: Prior, options: ConsistencyOptions
+) -> tuple[list[Estimate], list[Likelihood], Scaled]:
+    """Data, prior and conditions in numbers near one, and the estimates that count.
+
+    Arguments and errors are those of `consistent`.
+    """
+    used, blind = _usable(estimates), tree.without_inertias()
+    terms = terms_of(used)
+    likelihoods = agreeing([evidence(blind, each, terms) for each in used])
+    asked = conditions(tree, prior, options, terms)
+    return used, likelihoods, scaled(blind, prior, likelihoods, asked, terms)
 
 
 def _usable(estimates: Sequence[Estimate]) -> list[Estimate]:
@@ -254,8 +264,15 @@ def robot_of(found: Consistent, tree: Tree) -> Tree:
     return with_standard(tree, np.array(found.standard)).with_joints(settings)
 
 
-def _doubt(problem: Scaled, z: Array, metric: Metric, weight: float) -> tuple[Array, Array]:
-    """Covariance of x, (m, m), and the part of each variance that the data took away, (m,)."""
+def spread_at(problem: Scaled, z: Array, metric: Metric, weight: float) -> tuple[Array, Array]:
+    """Covariance of x, (m, m), and the part of each variance that the data took away, (m,).
+
+    Args:
+        problem: In numbers near one.
+        z: The unknowns, (m,).
+        metric: Of the distance to the prior.
+        weight: Of that distance.
+    """
     program = problem.program(metric, weight)
     before = program.prior_hessian(z) + problem.facts.T @ problem.facts
     rest = np.arange(10 * problem.bodies, len(z))

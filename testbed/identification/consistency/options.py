@@ -15,7 +15,7 @@ from testbed.errors import SettingsError, UnknownName
 from testbed.identification.settings import finite_number, stated_values, with_sigmas
 from testbed.parameters.prior import Prior
 from testbed.parameters.symbols import STANDARD
-from testbed.robot.friction import ROTOR, JointTerm
+from testbed.robot.friction import JointTerm
 from testbed.robot.tree import Tree
 
 Metric = Literal["log-det", "frobenius"]
@@ -249,5 +249,5 @@ def _centres(tree: Tree, prior: Prior) -> Iterator[_One]:
 def _terms(tree: Tree, terms: tuple[JointTerm, ...]) -> Iterator[_One]:
     """Friction takes energy, and rotors have inertia."""
     for k, term in enumerate(terms, start=10 * tree.n):
-        if term.law.resists or term.law == ROTOR:
+        if term.positive:
             yield _One(f"{term.name(tree)} not negative", ((k, 1.0),), least=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 from scipy.linalg import null_space
 
@@ -223,6 +224,7 @@ class Scaled:
         facts: Rows of what is known besides, noise of sigma one, (f, m).
         fact_values: What they are, (f,).
         own: Whether the file states each term, (t,): it is then drawn to it.
+        positive: Places in z of terms that cannot be negative.
         conditions: As they are on z, each of norm one.
     """
 
@@ -233,6 +235,7 @@ class Scaled:
     facts: Array
     fact_values: Array
     own: Array
+    positive: NDArray[np.int64]
     conditions: Conditions
 
     @property
@@ -303,9 +306,10 @@ def scaled(
     values = np.concatenate([doubtful.values / doubtful.sigma, np.zeros(sum(map(len, facts[1:])))])
     rows, size = _unit(asked.rows @ lead)
     on = Conditions(asked.names, rows, asked.values / size, asked.sigma / size, asked.least)
-    return Scaled(
-        prior, lead, data, right, np.vstack(facts), values, np.where(known > 0, 1.0, 0.0), on
-    )
+    own = np.where(known > 0, 1.0, 0.0)
+    positive = np.array([k for k, term in enumerate(terms) if term.positive], dtype=np.int64)
+    at = 10 * count + positive
+    return Scaled(prior, lead, data, right, np.vstack(facts), values, own, at, on)
 
 
 def solve(problem: Scaled, metric: Metric, weight: float) -> tuple[Array, float]:

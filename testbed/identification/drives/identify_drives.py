@@ -34,6 +34,7 @@ from testbed.identification.regression.passes import Progress
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
+from testbed.robot.friction import LAWS
 from testbed.robot.tree import Tree
 
 ROUNDS = 20
@@ -240,12 +241,35 @@ class DriveFindings(Diagnosed):
     curves: tuple[FrictionCurve, ...]
     combined: Combined
 
+    @property
+    def gears(self) -> dict[str, float]:
+        """True torque over what the drive reports, by joint."""
+        return {each.joint: 1 / each.constant for each in self.estimates}
+
     __get_pydantic_core_schema__ = with_properties("diagnostics")
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What a careful reader should know."""
         return self.combined.disagreement.diagnostics
+
+
+def with_drives(tree: Tree, found: DriveFindings) -> Tree:
+    """The robot with the friction and rotors of its drives; other terms have no place there.
+
+    Args:
+        tree: The robot.
+        found: Its drives.
+    """
+    settings = {
+        drive.joint: {
+            str(term.law.parameter): max(term.value, 0.0)
+            for term in drive.terms
+            if term.law in LAWS and term.law.parameter is not None
+        }
+        for drive in found.estimates
+    }
+    return tree.with_joints(settings)
 
 
 def identify_drives(

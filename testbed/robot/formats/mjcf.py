@@ -5,7 +5,7 @@ Bodies without joints are merged into those that carry them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -25,11 +25,11 @@ from testbed.robot.formats.mjcf_compile import (
     stated_inertias,
 )
 from testbed.robot.formats.mjcf_spec import VELOCITY_LIMIT, open_spec, parse
-from testbed.robot.formats.xml_bytes import Element, XmlBytes, comment
+from testbed.robot.formats.xml_bytes import Element, XmlBytes, as_tag, comment
 from testbed.robot.inertia import NOTHING, Inertia
 from testbed.robot.locks import Lock
 from testbed.robot.parsing import plain
-from testbed.robot.repair import Bodies, Link, Repair, repaired
+from testbed.robot.repair import Bodies, Edit, Link, Repair, repaired
 from testbed.robot.tree import FARTHEST, Joint, Kind, Tree
 
 _KINDS: dict[int, Kind] = {
@@ -259,20 +259,16 @@ _LOSSES = {"frictionloss": "coulomb", "damping": "viscous", "armature": "rotor_i
 
 
 def edit_mjcf(
-    path: Path,
-    links: Mapping[str, Inertia],
-    joints: Mapping[str, Mapping[str, float]],
-    note: list[str],
-) -> tuple[bytes, tuple[Diagnostic, ...]]:
-    """The file's bytes with other inertials, friction and armatures.
+    path: Path, changes: Iterable[Edit], note: list[str]
+) -> Iterator[tuple[bytes, tuple[Diagnostic, ...]]]:
+    """The file's bytes with other inertials, friction and armatures, once for each change.
 
     Args:
         path: The file.
-        links: New inertias about and along the bodies' frames, by body.
-        joints: By name, friction and rotor inertia where they have changed.
+        changes: Each makes another copy.
         note: Lines of a comment that says where the numbers come from.
 
-    Returns:
+    Yields:
         The bytes, and a line for what MuJoCo will make otherwise than they say.
 
     Raises:
@@ -291,17 +287,47 @@ def edit_mjcf(
             "file and take it out"
         )
     document = XmlBytes(path.read_bytes(), str(path))
-    document.insert(document.root, comment(note))
     world = document.root.named("worldbody")
     places = dict(_bodies(spec.worldbody, world, path))
-    for name, inertia in links.items():
-        document.put(places[name][0], "inertial", **_inertial(inertia))
-    for _, own in places.values():
-        for joint, element in own:
-            losses = joints.get(joint, {})
-            said = {key: plain([losses[what]]) for key, what in _LOSSES.items() if what in losses}
-            document.set(element, **said)
-    return document.edit(), tuple(_changed_by_compiler(spec, links))
+    for change in changes:
+        document.insert(document.root, comment(note))
+        for name, inertia in change.links.items():
+            document.put(places[name][0], "inertial", **_inertial(inertia))
+        for _, own in places.values():
+            for joint, element in own:
+                values = change.joints.get(joint, {})
+                said = {k: plain([values[what]]) for k, what in _LOSSES.items() if what in values}
+                document.set(element, **said)
+        kept = _set_gears(document, spec, change.gears)
+        yield document.edit(), (*_changed_by_compiler(spec, change.links), *kept)
+
+
+def _set_gears(
+    document: XmlBytes, spec: mujoco.MjSpec, gears: Mapping[str, float]
+) -> tuple[Diagnostic, ...]:
+    """Scale the motors of joints, and add one where a joint has none; other actuators stay."""
+    elements = [e for part in document.root.named("actuator") for e in part.children]
+    driven, kept = set(), []
+    if gears and len(spec.actuators) != len(elements):
+        raise ModelError("the actuators do not stand in this file, one by one; write without gears")
+    for actuator, element in zip(spec.actuators, elements, strict=True) if gears else ():
+        joint = actuator.target
+        if actuator.trntype != mujoco.mjtTrn.mjTRN_JOINT or joint not in gears:
+            continue
+        driven.add(joint)
+        if element.tag == "motor":
+            gear = [actuator.gear[0] * gears[joint], *actuator.gear[1:]]
+            document.set(element, gear=plain(gear))
+        else:
+            kept.append(joint)
+    motors = [
+        as_tag("motor", {"name": f"drive/{joint}", "joint": joint, "gear": plain([gear])})
+        for joint, gear in gears.items()
+        if joint not in driven
+    ]
+    if motors:
+        document.insert(document.root, f"<actuator>{''.join(motors)}</actuator>")
+    return (diagnose("model.actuators", few(kept)),) if kept else ()
 
 
 _Joints = list[tuple[str, Element]]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from testbed.robot.formats.xml_bytes import Element, XmlBytes, as_tag, comment
 from testbed.robot.inertia import NOTHING, Inertia, from_rpy, inertia_flaw
 from testbed.robot.locks import Lock
 from testbed.robot.parsing import capture_stderr, errors_of, plain, read_xml
-from testbed.robot.repair import Bodies, Link, Repair, repaired
+from testbed.robot.repair import Bodies, Edit, Link, Repair, repaired
 from testbed.robot.tree import Joint, Kind, Tree
 
 
@@ -226,14 +226,11 @@ _LOSSES = {"friction": "coulomb", "damping": "viscous"}
 
 
 def edit_urdf(
-    path: Path,
-    links: Mapping[str, Inertia],
-    joints: Mapping[str, Mapping[str, float]],
-    note: list[str],
-) -> tuple[bytes, tuple[Diagnostic, ...]]:
+    path: Path, changes: Iterable[Edit], note: list[str]
+) -> Iterator[tuple[bytes, tuple[Diagnostic, ...]]]:
     """The file's bytes with other inertials and friction; arguments are those of `edit_mjcf`.
 
-    Returns:
+    Yields:
         The bytes, and what URDF has no place for.
 
     Raises:
@@ -241,31 +238,35 @@ def edit_urdf(
     """
     document = XmlBytes(path.read_bytes(), str(path))
     root = document.root
-    document.insert(root, comment(note))
     elements = {each.attributes.get("name", ""): each for each in root.named("link")}
-    for link, inertia in links.items():
-        _set_inertial(document, elements[link], inertia, path)
-    elements = {each.attributes.get("name", ""): each for each in root.named("joint")}
-    for joint, losses in joints.items():
-        dynamics = {key: plain([losses[what]]) for key, what in _LOSSES.items() if what in losses}
-        if dynamics:
-            document.put(elements[joint], "dynamics", **dynamics)
-    rotors = [
-        f"{joint} {losses['rotor_inertia']:.6g}"
-        for joint, losses in joints.items()
-        if "rotor_inertia" in losses
-    ]
-    if not rotors:
-        return document.edit(), ()
-    return document.edit(), (diagnose("model.rotors", ", ".join(rotors)),)
+    jointed = {each.attributes.get("name", ""): each for each in root.named("joint")}
+    for change in changes:
+        document.insert(root, comment(note))
+        for link, inertia in change.links.items():
+            _set_inertial(document, elements[link], inertia, path)
+        for joint, values in change.joints.items():
+            said = {k: plain([values[what]]) for k, what in _LOSSES.items() if what in values}
+            if said:
+                document.put(jointed[joint], "dynamics", **said)
+        rotors = [
+            f"{joint} {values['rotor_inertia']:.6g}"
+            for joint, values in change.joints.items()
+            if "rotor_inertia" in values
+        ]
+        lost = [diagnose("model.rotors", ", ".join(rotors))] if rotors else []
+        if change.gears:
+            gears = ", ".join(f"{joint} {gear:.6g}" for joint, gear in change.gears.items())
+            lost.append(diagnose("model.gears", gears))
+        yield document.edit(), tuple(lost)
 
 
 def _set_inertial(document: XmlBytes, link: Element, inertia: Inertia, path: Path) -> None:
     """The mass centre, the mass, and the inertia about it, along the link's axes."""
+    central = inertia.central
     parts = {
         "origin": {"xyz": plain(inertia.com), "rpy": "0 0 0"},
         "mass": {"value": plain([inertia.mass])},
-        "inertia": {key: plain([inertia.central[at]]) for key, at in TENSOR.items()},
+        "inertia": {key: plain([central[at]]) for key, at in TENSOR.items()},
     }
     there = link.named("inertial")
     if len(there) > 1:

@@ -150,11 +150,12 @@ class XmlBytes:
             self.insert(element, as_tag(tag, values))
 
     def edit(self) -> bytes:
-        """The bytes with all changes."""
+        """The bytes with all changes, which are then forgotten."""
         pieces, last = [], 0
         for start, end, text in sorted(self._changes, key=lambda change: change[:2]):
             pieces += [self.data[last:start], text]
             last = end
+        self._changes = []
         return b"".join([*pieces, self.data[last:]])
 
 
