@@ -429,7 +429,7 @@ def sample(
     kept = read_result(result, model, settings or ())
     if kept.file is None:
         raise SettingsError(f"'{result}' is of a run, whose model file is the truth: no prior")
-    if kept.tree.sensor is not None:
+    if kept.tree.is_part:
         raise SettingsError(f"'{result}' is of a force sensor: robots need plate or joint torques")
     there = [each.name for each in out.iterdir()] if out.exists() else []
     ours = (ARCHIVE, *(name for name in there if name.startswith(f"{kept.file.path.stem}_")))
