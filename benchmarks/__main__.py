@@ -450,6 +450,24 @@ def campaign(
             raise typer.Exit(1)
 
 
+@app.command()
+def rivals(
+    folder: Annotated[Path, typer.Argument(help="Of recordings and answers; kept, and resumed.")],
+    python: Annotated[
+        list[str] | None, typer.Option(help="PACKAGE=INTERPRETER, as figaroh=/venv/bin/python.")
+    ] = None,
+    draws: Annotated[int, typer.Option(min=1, help="Of every robot and noise.")] = 20,
+    jobs: Annotated[int, typer.Option(help="Processes at a time.")] = 2,
+    docs: Annotated[bool, typer.Option("--docs", help="Write docs/rivals.md.")] = False,
+) -> None:
+    """Other tools on the same recordings: docs/rivals.md."""
+    from benchmarks.rivals.compare import rivals as compared
+
+    pythons = dict(each.split("=", 1) for each in python or ())
+    for line in compared(folder, pythons, draws, jobs, docs):
+        print(line, flush=True)
+
+
 bench = typer.Typer(no_args_is_help=True, help="Recordings for any tool, and a score of answers.")
 app.add_typer(bench, name="bench")
 

@@ -89,9 +89,7 @@ class Case:
         return f"{self.robot}-{self.fault or self.noise}-{self.draw:02d}"
 
 
-def cases(
-    draws: int, every_fault: bool, robots: Sequence[str] = tuple(ROBOTS)
-) -> Iterator[Case]:
+def cases(draws: int, every_fault: bool, robots: Sequence[str] = tuple(ROBOTS)) -> Iterator[Case]:
     """All that is recorded.
 
     Args:
@@ -121,8 +119,11 @@ def make(folder: Path, wanted: Sequence[Case], first: int = 0, jobs: int = 2) ->
         return case.robot, case.draw
 
     groups = [list(group) for _, group in groupby(sorted(wanted, key=same), same)]
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as processes:
-        list(processes.map(_make, repeat(folder), groups, repeat(first)))
+    if jobs == 1:
+        list(map(_make, repeat(folder), groups, repeat(first)))
+    else:
+        with ProcessPoolExecutor(jobs, get_context("spawn")) as processes:
+            list(processes.map(_make, repeat(folder), groups, repeat(first)))
     size = sum(each.stat().st_size for each in folder.glob("recordings/*/*"))
     return {"cases": len(wanted), "megabytes": round(size / 1e6, 1)}
 
@@ -188,7 +189,8 @@ def happen(folder: Path, robot: str, seed: int) -> Happened:
     file.write_text(_text(real))
     torque = torque + friction * (np.sign(seen.qd) + seen.qd)
     if not seed % 2:
-        table6 = tb.Experiment.load(ROOT / "experiments/table6.toml", [f"motion.duration={SECONDS}"])
+        lasting = [f"motion.duration={SECONDS}"]
+        table6 = tb.Experiment.load(ROOT / "experiments/table6.toml", lasting)
         changed = {"model": str(file), "measurement": Instrument(rate=RATE)}
         experiment = table6.model_copy(update=changed)
         made = tb.simulate(experiment, motion=path).truth
@@ -218,14 +220,19 @@ def _write(folder: Path, case: Case, made: Happened, seed: int) -> None:
     (place / "robot.urdf").write_text(made.urdf)
     names = made.tree.names
     signals = ["t", *(f"{kind}_{name}" for kind in ("q", "tau") for name in names), *CHANNELS]
-    columns = recording.time, recording.position, recording.torque, recording.wrench
+    forces = recording.measured("torque"), recording.measured("wrench")
+    columns = [recording.time, recording.position, *forces]
     with gzip.GzipFile(place / "recording.csv.gz", "wb", mtime=0) as file:
-        np.savetxt(file, np.column_stack(columns), "%.6g", ",", header=",".join(signals), comments="")
+        _table(file, signals, np.column_stack(columns), "%.6g")
     states = ["t", *(f"{kind}_{name}" for kind in ("q", "qd", "qdd") for name in names)]
-    np.savetxt(place / "unseen.csv", made.unseen, "%.9g", ",", header=",".join(states), comments="")
+    _table(place / "unseen.csv", states, made.unseen, "%.9g")
     torque, wrench = made.expected
     truth = vars(case) | {"torque": torque.tolist(), "wrench": wrench.tolist()}
     (folder / f"truth/{case.name}.json").write_text(json.dumps(truth))
+
+
+def _table(file: Any, names: Sequence[str], values: Array, digits: str) -> None:
+    np.savetxt(file, values, digits, ",", header=",".join(names), comments="")
 
 
 CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
@@ -281,17 +288,19 @@ def score(folder: Path, answers: Mapping[str, Any]) -> dict[str, Any]:
             it, and "wrench", (m, 6), by the plate alone, along the unseen motion; or "parameters"
             by joint: mass, its moments, Ixx, Ixy, Iyy, Ixz, Iyz, Izz of what the joint moves, in
             the frame of its child link. Besides, as they are known: "torque_sigma",
-            "wrench_sigma"; "said", words of warning; "cpu", seconds by signal.
+            "wrench_sigma"; "said", words of warning; "cpu", seconds by signal. In place of a
+            prediction "torque_expected", "wrench_expected": its error's standard deviation.
 
     Returns:
-        Mean errors, rms over rms (of the wrench about its mean), and shares of intervals of 95 %
-        that hold the truth, by signal, robot and noise; which faults raised words that the same
-        recording without the fault did not; CPU times.
+        Errors, rms over rms (of the wrench about its mean), rms over draws, and shares of
+        intervals of 95 % that hold the truth, by signal, robot and noise; which faults raised words
+        that the same recording without the fault did not; CPU times.
     """
     errors: dict[str, dict[str, list[float]]] = {"torque": {}, "wrench": {}}
     held: dict[str, dict[str, list[float]]] = {"torque": {}, "wrench": {}}
     cpu: dict[str, list[float]] = {"torque": [], "wrench": []}
-    noticed, missed = [], []
+    noticed: list[str] = []
+    missed: list[str] = []
     for name, answer in answers.items():
         truth = json.loads((folder / f"truth/{name}.json").read_text())
         if truth["fault"]:
@@ -304,10 +313,13 @@ def score(folder: Path, answers: Mapping[str, Any]) -> dict[str, Any]:
         if "parameters" in answer:
             found |= _predicted(folder / "recordings" / name, answer["parameters"])
         for signal in ("torque", "wrench"):
-            if signal not in found:
-                continue
             true = np.array(truth[signal])
-            off = np.array(found[signal]) - true
+            if f"{signal}_expected" in found:
+                off = np.array(found[f"{signal}_expected"])
+            elif signal in found:
+                off = np.array(found[signal]) - true
+            else:
+                continue
             about = true - true.mean(axis=0) * (signal == "wrench")
             errors[signal].setdefault(cell, []).append(float(_rms(off) / _rms(about)))
             sigma = found.get(f"{signal}_sigma")
@@ -317,7 +329,7 @@ def score(folder: Path, answers: Mapping[str, Any]) -> dict[str, Any]:
             if "cpu" in answer:
                 cpu[signal].append(answer["cpu"][signal])
     return {
-        "error": {s: {c: float(np.mean(e)) for c, e in by.items()} for s, by in errors.items()},
+        "error": {s: {c: _rms(np.array(e)) for c, e in by.items()} for s, by in errors.items()},
         "coverage": {s: {c: float(np.mean(e)) for c, e in by.items()} for s, by in held.items()},
         "noticed": noticed,
         "missed": missed,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import logging
+import re
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -82,9 +83,16 @@ def read(folder: Path) -> Case:
     signals = np.loadtxt(folder / "recording.csv.gz", delimiter=",", skiprows=1)
     t, q, torque, wrench = np.split(signals, [1, 1 + n, 1 + 2 * n], axis=1)
     joints = tuple(name.removeprefix("q_") for name in names[1 : 1 + n])
-    states = np.split(unseen[:, 1:], 3, axis=1)
+    q_new, qd_new, qdd_new = np.split(unseen[:, 1:], 3, axis=1)
     return Case(
-        folder.name, folder / "robot.urdf", joints, t[:, 0], q, torque, wrench, tuple(states)
+        folder.name,
+        folder / "robot.urdf",
+        joints,
+        t[:, 0],
+        q,
+        torque,
+        wrench,
+        (q_new, qd_new, qdd_new),
     )
 
 
@@ -115,7 +123,7 @@ def answer(settings: Mapping[str, Solver], version: str) -> None:
     given = parser.parse_args()
     found: dict[str, Any] = {}
     for place in sorted((given.folder / "recordings").iterdir()):
-        if given.only in place.name and int(place.name[-2:]) < given.draws:
+        if re.search(given.only, place.name) and int(place.name[-2:]) < given.draws:
             found[place.name] = dict(_answered(read(place), settings[given.setting]))
     given.out.write_text(json.dumps({"version": version, "answers": found}))
 
@@ -136,7 +144,8 @@ def _answered(case: Case, solve: Solver) -> Iterator[tuple[str, Any]]:
                 continue
         cpu[signal] = found.get("cpu", time.process_time() - start)
         said += [*found.get("said", ()), *(str(each.message) for each in caught)]
-        for key, name in (("prediction", signal), ("sigma", f"{signal}_sigma")):
+        names = {"prediction": signal} | {k: f"{signal}_{k}" for k in ("sigma", "expected")}
+        for key, name in names.items():
             if key in found:
                 yield name, [[float(f"{x:.7g}") for x in row] for row in found[key]]
     logging.getLogger().removeHandler(heard)

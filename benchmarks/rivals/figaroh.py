@@ -33,7 +33,7 @@ filter spreads dry friction's jump no farther."""
 
 
 # the user's lines
-class Identification(BaseIdentification):
+class Identification(BaseIdentification):  # type: ignore[misc]
     """As every example of FIGAROH makes a class of its own."""
 
     def __init__(self, robot: object, config: str, case: Case, expert: bool) -> None:
@@ -100,7 +100,9 @@ def solve(case: Case, signal: str, *, cutoff: float, expert: bool) -> Answer:
         robot = load_robot(str(case.urdf), isFext=False, loader="figaroh")
         task = Identification(robot, str(file), case, expert)
         task.initialize()
-        task.solve(decimate=True, decimation_factor=round(case.rate / 100), plotting=False, wls=True)
+        task.solve(
+            decimate=True, decimation_factor=round(case.rate / 100), plotting=False, wls=True
+        )
         # end
     cpu = time.process_time() - start
     rows = _rows(task, case)
