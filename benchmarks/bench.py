@@ -331,6 +331,7 @@ def score(folder: Path, answers: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "error": {s: {c: _rms(np.array(e)) for c, e in by.items()} for s, by in errors.items()},
         "coverage": {s: {c: float(np.mean(e)) for c, e in by.items()} for s, by in held.items()},
+        "cases": {s: sum(map(len, by.values())) for s, by in errors.items()},
         "noticed": noticed,
         "missed": missed,
         "cpu": {s: float(np.median(e)) for s, e in cpu.items() if e},

@@ -7,7 +7,6 @@ import json
 import logging
 import re
 import time
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,17 +95,6 @@ def read(folder: Path) -> Case:
     )
 
 
-class _Words(logging.Handler):
-    """Keeps what is logged as a warning."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.words: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.words.append(str(record.msg))
-
-
 def answer(settings: Mapping[str, Solver], version: str) -> None:
     """Answer the cases of a folder, as the command line says.
 
@@ -129,25 +117,26 @@ def answer(settings: Mapping[str, Solver], version: str) -> None:
 
 
 def _answered(case: Case, solve: Solver) -> Iterator[tuple[str, Any]]:
-    heard, cpu, said = _Words(), {}, []
+    cpu: dict[str, float] = {}
+    said: list[str] = []
+    heard = logging.Handler(logging.WARNING)
+    heard.emit = lambda record: said.append(str(record.msg))  # type: ignore[method-assign]
     logging.getLogger().addHandler(heard)
+    logging.captureWarnings(True)
     for signal in ("torque", "wrench"):
         start = time.process_time()
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            try:
-                found = solve(case, signal)
-            except NotImplementedError:  # the rival has no way to use this signal
-                continue
-            except Exception as error:  # as a user would see it
-                said.append(type(error).__name__)
-                continue
+        try:
+            found = solve(case, signal)
+        except NotImplementedError:  # the rival has no way to use this signal
+            continue
+        except Exception as error:  # as a user would see it
+            said.append(type(error).__name__)
+            continue
         cpu[signal] = found.get("cpu", time.process_time() - start)
-        said += [*found.get("said", ()), *(str(each.message) for each in caught)]
+        said += found.get("said", ())
         names = {"prediction": signal} | {k: f"{signal}_{k}" for k in ("sigma", "expected")}
         for key, name in names.items():
             if key in found:
                 yield name, [[float(f"{x:.7g}") for x in row] for row in found[key]]
     logging.getLogger().removeHandler(heard)
-    yield "said", [*said, *heard.words]
-    yield "cpu", cpu
+    yield from (("said", said), ("cpu", cpu))

@@ -19,6 +19,7 @@ import numpy as np
 
 from benchmarks.bench import NOISES, ROBOTS, cases, make, score
 from docs.marks import table, write
+from testbed.arrays import Array
 from tests.helpers.paths import ROOT
 
 PAGE = ROOT / "docs/rivals.md"
@@ -88,7 +89,7 @@ def rivals(
     there = [each for each in tasks if each[0].package not in absent]
     with ThreadPoolExecutor(jobs) as threads:
         yield from threads.map(lambda each: _run(folder, pythons, draws, *each), there)
-    found = Findings(folder, there)
+    found = Findings(folder, there, draws)
     lines = [*found.summary(), *found.cells(), *found.asked()]
     yield "\n".join(lines)
     yield f"{time.monotonic() - start:.0f} s"
@@ -111,7 +112,7 @@ def _run(folder: Path, pythons: Mapping[str, str], draws: int, rival: Rival, set
     words = (
         pythons.get(rival.package, sys.executable), "-m", f"benchmarks.rivals.{rival.script}",
         str(folder), str(out), "--setting", asked, "--draws", str(min(draws, rival.most)),
-        "--only", only,
+        f"--only={only}",
     )  # fmt: skip
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(
@@ -137,117 +138,128 @@ def lines_of(script: str) -> int:
 class Findings:
     """What all tools have answered."""
 
-    def __init__(self, folder: Path, tasks: Sequence[tuple[Rival, str]]) -> None:
+    def __init__(self, folder: Path, tasks: Sequence[tuple[Rival, str]], draws: int) -> None:
         self.scores: dict[tuple[str, str], dict[str, Any]] = {}
         self.said: dict[str, dict[str, Any]] = {}
-        self.versions: dict[str, str] = {}
-        self.scripts = {rival.name: rival.script for rival, _ in tasks}
+        self.titles: dict[str, str] = {}
+        self.lines = {rival.name: lines_of(rival.script) for rival, _ in tasks}
+        answers = {}
         for rival, setting in tasks:
             file = _answers(folder, rival, setting)
-            if not file.exists():
-                continue
-            held = json.loads(file.read_text())
-            self.versions[rival.name] = held["version"]
-            scored = score(folder, held["answers"])
+            if file.exists():
+                held = json.loads(file.read_text())
+                self.titles[rival.name] = f"{rival.name} {held['version']}"
+                every = held["answers"].items()
+                kept = {name: each for name, each in every if int(name[-2:]) < draws}
+                answers[rival, setting] = kept
+        bound = next(each for (rival, _), each in answers.items() if rival.script == "bound")
+        for (rival, setting), each in answers.items():
+            scored = score(folder, each)
             if setting == "faults":
                 self.said[rival.name] = scored
             else:
+                same = {name: bound[name] for name in each}  # some tools have fewer draws
+                least = score(folder, same)["error"]
+                scored["over"] = {
+                    signal: {cell: e / least[signal][cell] for cell, e in by.items()}
+                    for signal, by in scored["error"].items()
+                }
+                scored["whole"] = len(each) == len(bound)
                 self.scores[rival.name, setting] = scored
-        self.bound = self.scores.pop(("Cramer-Rao bound", "bound"))["error"]
-        self.own = self.scores["testbed", "default"]["error"]
-
-    def _over_bound(self, errors: Mapping[str, float], signal: str) -> float:
-        """Geometric mean over cells."""
-        ratios = [np.log(e / self.bound[signal][cell]) for cell, e in errors.items()]
-        return float(np.exp(np.mean(ratios)))
+        self.bound = self.scores.pop(("Cramer-Rao bound", "bound"))
+        self.own = self.scores["testbed", "default"]
 
     def best(self, signal: str) -> dict[str, tuple[float, str]]:
-        """Least error of an expert's settings of all rivals by cell, and whose."""
-        found = {}
-        for cell in self.own[signal]:
-            every = [
-                (scored["error"][signal][cell], f"{name} {setting.removeprefix('expert, ')}")
+        """By cell, least error over the bound of experts' settings with all draws, and whose."""
+        return {
+            cell: min(
+                (scored["over"][signal][cell], f"{name} {setting.removeprefix('expert, ')}")
                 for (name, setting), scored in self.scores.items()
-                if name != "testbed" and setting.startswith("expert")
-                and cell in scored["error"][signal]
-            ]  # fmt: skip
-            found[cell] = min(every)
-        return found
+                if setting.startswith("expert") and scored["whole"] and scored["over"][signal]
+            )
+            for cell in self.own["over"][signal]
+        }
 
     def summary(self) -> Iterator[str]:
         """A table of tools for each signal, the best one first."""
         for signal, words in SIGNALS.items():
             rows = []
             for (name, setting), scored in self.scores.items():
-                errors = scored["error"].get(signal)
-                if not errors:
+                over = np.array(list(scored["over"][signal].values()))
+                if not len(over):
                     continue
-                held = scored["coverage"][signal].values()
-                over = self._over_bound(errors, signal)
-                worst = max(e / self.bound[signal][cell] for cell, e in errors.items())
-                faults = self.said.get(name)
-                planted = [] if faults is None else [*faults["noticed"], *faults["missed"]]
-                rows.append(
-                    (
-                        over,
-                        (
-                            f"{name} {self.versions[name]}, {setting}",
-                            f"{over:.2f}",
-                            f"{worst:.1f}",
-                            f"{np.mean(list(held)):.2f}, {min(held):.2f} to {max(held):.2f}"
-                            if held else "gives none",
-                            f"{scored['cpu'][signal]:.2f}",
-                            str(lines_of(self.scripts[name])),
-                            f"{len(faults['noticed'])} of {len(planted)}" if faults else "-",
-                            "all" if len(errors) == len(self.own[signal]) else str(len(errors)),
-                        ),
-                    )
-                )  # fmt: skip
+                held = list(scored["coverage"][signal].values())
+                faults = self.said.get(name, {"noticed": (), "missed": ()})
+                noticed, planted = len(faults["noticed"]), sum(map(len, _lists(faults)))
+                cells = (
+                    f"{self.titles[name]}, {setting}",
+                    f"{_mean(over):.2f}",
+                    f"{over.max():.1f}",
+                    f"{np.mean(held):.2f} ({min(held):.2f} to {max(held):.2f})" if held else "none",
+                    f"{scored['cpu'][signal]:.2f}",
+                    str(self.lines[name]),
+                    f"{noticed} of {planted}" if planted else "-",
+                    str(scored["cases"][signal]),
+                )
+                rows.append((_mean(over), cells))
             head = (
-                f"by {words} | error over the bound | worst cell | intervals of 95 % that hold, "
-                "mean and cells | CPU s | lines | faults noticed | cells"
+                f"by {words} | error over the bound | worst cell | intervals of 95 % that hold | "
+                "CPU [s] | lines to write | faults noticed | recordings"
             )
-            yield from ("", *table(head, [row for _, row in sorted(rows)]))
+            yield from ("", *table(head, [cells for _, cells in sorted(rows)]))
 
     def cells(self) -> Iterator[str]:
         """Errors by robot and noise."""
-        best = {signal: self.best(signal) for signal in SIGNALS}
-        rows = []
-        for cell in self.own["torque"]:
-            row = [cell]
-            for signal in SIGNALS:
-                error, who = best[signal][cell]
-                numbers = self.bound[signal][cell], self.own[signal][cell], error
-                row += [f"{100 * number:.3g}" for number in numbers]
-                row[-1] += f" {who}"
-            rows.append(row)
-        head = "error [%] | torques: bound | testbed | best expert | plate: bound | testbed | best expert"
-        yield from ("", *table(head, rows))
+        for signal, words in SIGNALS.items():
+            best, rows = self.best(signal), []
+            for cell, bound in self.bound["error"][signal].items():
+                over, who = best[cell]
+                own = self.own["over"][signal][cell]
+                rows.append(
+                    (
+                        cell,
+                        f"{100 * bound:.3f}",
+                        f"{own:.2f}",
+                        f"{over:.2f}",
+                        who,
+                        f"{own / over:.2f}",
+                    )
+                )
+            head = (
+                f"by {words} | bound [%] | testbed over it | best expert over it | whose | "
+                "testbed over the best"
+            )
+            yield from ("", *table(head, rows))
 
     def asked(self) -> Iterator[str]:
-        """What issue and page ask for, and what is obtained."""
+        """What is asked of testbed, and what is obtained."""
         rows = []
         for signal, words in SIGNALS.items():
-            ratios = np.array(
-                [self.own[signal][cell] / error for cell, (error, _) in self.best(signal).items()]
-            )
-            mean = np.exp(np.log(ratios).mean())
-            rows.append((
-                f"by {words}, testbed over the best expert: at most 1.05 in each cell, below 1 in the mean",
-                f"{mean:.2f}; {(ratios <= 1.05).sum()} of {len(ratios)} cells, worst {ratios.max():.2f}",
-            ))  # fmt: skip
+            best, own = self.best(signal), self.own["over"][signal]
+            ratio = np.array([own[cell] / over for cell, (over, _) in best.items()])
+            held = f"{(ratio <= 1.05).sum()} of {len(ratio)} cells, worst {ratio.max():.2f}"
+            rows += [
+                (f"by {words}, over the best expert, each cell: at most 1.05", held),
+                (f"by {words}, over the best expert, mean: below 1", f"{_mean(ratio):.2f}"),
+            ]
         plain = self.scores.get(("FIGAROH", "plain"))
         if plain is not None:
-            ratio = [self.own["torque"][c] / e for c, e in plain["error"]["torque"].items()]
-            rows.append((
-                "torques, testbed over FIGAROH as documented: at most 0.2",
-                f"{np.exp(np.log(ratio).mean()):.2f}, {min(ratio):.2f} to {max(ratio):.2f}",
-            ))  # fmt: skip
+            by = plain["over"]["torque"]
+            ratio = np.array([self.own["over"]["torque"][cell] / over for cell, over in by.items()])
+            words = f"{_mean(ratio):.2f}, {ratio.min():.2f} to {ratio.max():.2f}"
+            rows.append(("by torques, over FIGAROH as documented: at most 0.2", words))
         script = self.scores.get(("iDynTree", "expert, 5 Hz"))
         if script is not None:
-            own = self.scores["testbed", "default"]["cpu"]
-            rows.append((
-                "CPU, testbed over the decimated script: at most 1.5",
-                ", ".join(f"{own[s] / script['cpu'][s]:.1f} ({w})" for s, w in SIGNALS.items()),
-            ))  # fmt: skip
-        yield from ("", *table("asked | obtained", rows))
+            ratios = {w: self.own["cpu"][s] / script["cpu"][s] for s, w in SIGNALS.items()}
+            words = ", ".join(f"{by} {ratio:.1f}" for by, ratio in ratios.items())
+            rows.append(("CPU over the decimated script: at most 1.5", words))
+        yield from ("", *table("testbed's error: asked | obtained", rows))
+
+
+def _mean(ratios: Array) -> float:
+    """Geometric."""
+    return float(np.exp(np.log(ratios).mean()))
+
+
+def _lists(faults: Mapping[str, Any]) -> tuple[Sequence[str], Sequence[str]]:
+    return faults["noticed"], faults["missed"]

@@ -13,7 +13,6 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-import yaml
 from figaroh.data.trajectory import TrajectoryData
 from figaroh.identification.base_identification import BaseIdentification
 from figaroh.tools.load_robot import load_robot
@@ -63,28 +62,18 @@ class Identification(BaseIdentification):  # type: ignore[misc]
         return TrajectoryData(case.t, case.joints, case.q, case.torque, kinds, units, mask=mask)
 
 
-def _config(case: Case, cutoff: float) -> dict[str, object]:
-    return {
-        "robot": {"name": "robot", "properties": {"joints": {"active_joints": list(case.joints)}}},
-        "tasks": {
-            "identification": {
-                "enabled": True,
-                "problem": {
-                    "model_components": {
-                        "friction": True, "actuator_inertia": False, "joint_offset": False,
-                    },
-                    "wls": True,
-                    "qr_relative_tolerance": 1e-4,
-                },
-                "signal_processing": {
-                    "sampling_frequency": case.rate, "cutoff_frequency": cutoff,
-                },
-                "coupling": {"has_coupled_wrist": False},
-            }
-        },
-    }  # fmt: skip
-
-
+CONFIG = """
+robot: {{name: robot, properties: {{joints: {{active_joints: {joints}}}}}}}
+tasks:
+  identification:
+    enabled: true
+    problem:
+      model_components: {{friction: true, actuator_inertia: false, joint_offset: false}}
+      wls: true
+      qr_relative_tolerance: 1.0e-4
+    signal_processing: {{sampling_frequency: {rate}, cutoff_frequency: {cutoff}}}
+    coupling: {{has_coupled_wrist: false}}
+"""
 # end
 
 
@@ -96,7 +85,7 @@ def solve(case: Case, signal: str, *, cutoff: float, expert: bool) -> Answer:
     with tempfile.TemporaryDirectory() as folder:
         # the user's lines
         file = Path(folder) / "robot.yaml"
-        file.write_text(yaml.safe_dump(_config(case, cutoff)))
+        file.write_text(CONFIG.format(joints=[*case.joints], rate=case.rate, cutoff=cutoff))
         robot = load_robot(str(case.urdf), isFext=False, loader="figaroh")
         task = Identification(robot, str(file), case, expert)
         task.initialize()
