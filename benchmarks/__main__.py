@@ -452,20 +452,26 @@ def campaign(
 
 @app.command()
 def rivals(
-    folder: Annotated[Path, typer.Argument(help="Of recordings and answers; kept, and resumed.")],
+    folder: Annotated[
+        Path | None, typer.Argument(help="Of recordings and answers, resumed; default none kept.")
+    ] = None,
     python: Annotated[
-        list[str] | None, typer.Option(help="PACKAGE=INTERPRETER, as figaroh=/venv/bin/python.")
+        list[str] | None, typer.Option(help="figaroh, idyntree, mujoco: NAME=INTERPRETER.")
     ] = None,
     draws: Annotated[int, typer.Option(min=1, help="Of every robot and noise.")] = 20,
     jobs: Annotated[int, typer.Option(help="Processes at a time.")] = 2,
     docs: Annotated[bool, typer.Option("--docs", help="Write docs/rivals.md.")] = False,
 ) -> None:
-    """Other tools on the same recordings: docs/rivals.md."""
+    """Other tools on the same recordings: docs/rivals.md; exit code 1 if testbed's are poor."""
+    from tempfile import TemporaryDirectory
+
+    from benchmarks.rivals.compare import GOAL
     from benchmarks.rivals.compare import rivals as compared
 
     pythons = dict(each.split("=", 1) for each in python or ())
-    for line in compared(folder, pythons, draws, jobs, docs):
-        print(line, flush=True)
+    with TemporaryDirectory() as unkept:
+        over = compared(folder or Path(unkept) / "set", pythons, draws, jobs, docs)
+    raise typer.Exit(int(over > GOAL))
 
 
 bench = typer.Typer(no_args_is_help=True, help="Recordings for any tool, and a score of answers.")

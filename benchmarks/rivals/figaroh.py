@@ -20,8 +20,8 @@ from figaroh.tools.regressor import build_regressor_basic
 
 from benchmarks.rivals.case import Answer, Array, Case, answer
 
-SETTINGS = {"plain": 10.0, "expert, 3 Hz": 3.0, "expert, 5 Hz": 5.0, "expert, 10 Hz": 10.0}
-"""Cutoffs of the filter on positions [Hz]."""
+SETTINGS = {"plain": 10.0, "expert, 3 Hz": 3.0, "expert, 5 Hz": 5.0}
+"""Cutoffs of the filter on positions [Hz]; with masks 10 Hz was worse in nearly every case."""
 
 EDGE = 0.5
 """Left out at both ends: filters start there [s]."""
