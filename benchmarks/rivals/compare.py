@@ -131,15 +131,17 @@ def _run(folder: Path, pythons: Mapping[str, str], draws: int, rival: Rival, set
     return f"{out.name}: {time.monotonic() - start:.0f} s"
 
 
-def lines_of(script: str) -> int:
-    """Lines of a script that a user writes, without comments.
+def lines_of(script: str, setting: str) -> int:
+    """Lines of a script that a user writes for a setting, without comments.
 
     Args:
         script: Module of `benchmarks.rivals`.
+        setting: Its first word may stand at a part that no other setting needs.
     """
     text = (Path(__file__).parent / f"{script}.py").read_text()
-    parts = re.findall(r"# the user's lines\n(.*?)# end\n", text, re.DOTALL)
-    code = [line.strip() for part in parts for line in part.splitlines()]
+    parts = re.findall(r"# the user's lines(?:: (\w+))?\n(.*?)# end\n", text, re.DOTALL)
+    wanted = [part for word, part in parts if word in ("", setting.partition(",")[0])]
+    code = [line.strip() for part in wanted for line in part.splitlines()]
     return sum(bool(line) and not line.startswith(("#", '"""')) for line in code)
 
 
@@ -150,7 +152,7 @@ class Findings:
         self.scores: dict[tuple[str, str], dict[str, Any]] = {}
         self.said: dict[str, dict[str, Any]] = {}
         self.titles: dict[str, str] = {}
-        self.lines = {rival.name: lines_of(rival.script) for rival, _ in tasks}
+        self.lines = {(r.name, setting): lines_of(r.script, setting) for r, setting in tasks}
         answers = {}
         for rival, setting in tasks:
             file = _answers(folder, rival, setting)
@@ -161,6 +163,7 @@ class Findings:
                 kept = {name: each for name, each in every if int(name[-2:]) < draws}
                 answers[rival, setting] = kept
         bound = next(each for (rival, _), each in answers.items() if rival.script == "bound")
+        own = answers[RIVALS[0], "default"]
         for (rival, setting), each in answers.items():
             scored = score(folder, each)
             if setting == "faults":
@@ -173,6 +176,12 @@ class Findings:
                     for signal, by in scored["error"].items()
                 }
                 scored["whole"] = len(each) == len(bound)
+                if not scored["whole"]:
+                    usual = score(folder, {name: own[name] for name in each})["error"]
+                    scored["same"] = {
+                        signal: _mean(np.array([usual[signal][c] / e for c, e in by.items()]))
+                        for signal, by in least.items()
+                    }
                 self.scores[rival.name, setting] = scored
         self.bound = self.scores.pop(("Cramer-Rao bound", "bound"))
         self.own = self.scores["testbed", "default"]
@@ -191,6 +200,22 @@ class Findings:
             for cell in self.own["over"][signal]
         }
 
+    def _same(self, scored: Mapping[str, Any], signal: str) -> float:
+        """The error of testbed over the bound for the recordings that another tool has answered."""
+        whole = _mean(np.array(list(self.own["over"][signal].values())))
+        return float(scored.get("same", {}).get(signal, whole))
+
+    def _one_setting(self, signal: str) -> float:
+        """Least mean over cells of another tool's setting with all draws."""
+        return min(
+            (
+                _mean(np.array(list(scored["over"][signal].values())))
+                for (name, _), scored in self.scores.items()
+                if name != "testbed" and scored["whole"] and scored["over"][signal]
+            ),
+            default=np.nan,
+        )
+
     def summary(self) -> Iterator[str]:
         """A table of tools for each signal, the best one first."""
         for signal, words in SIGNALS.items():
@@ -206,16 +231,17 @@ class Findings:
                     f"{self.titles[name]}, {setting}",
                     f"{_mean(over):.2f}",
                     f"{over.max():.1f}",
+                    f"{self._same(scored, signal):.2f}",
                     f"{np.mean(held):.2f} ({min(held):.2f} to {max(held):.2f})" if held else "none",
                     f"{scored['cpu'][signal]:.2f}",
-                    str(self.lines[name]),
+                    str(self.lines[name, setting]),
                     f"{noticed} of {planted}" if planted else "-",
                     str(scored["cases"][signal]),
                 )
-                rows.append((_mean(over), cells))
+                rows.append((_mean(over) / self._same(scored, signal), cells))
             head = (
-                f"by {words} | error over the bound | worst cell | intervals of 95 % that hold | "
-                "CPU [s] | lines to write | faults noticed | recordings"
+                f"by {words} | error over the bound | worst cell | testbed's on the same | "
+                "intervals of 95 % that hold | CPU [s] | lines to write | faults noticed | recordings"
             )
             yield from ("", *table(head, [cells for _, cells in sorted(rows)]))
 
@@ -252,7 +278,9 @@ class Findings:
             rows += [
                 (f"by {words}, over the best expert, each cell: at most 1.05", held),
                 (f"by {words}, over the best expert, mean: below 1", f"{_mean(ratio):.2f}"),
-            ]
+                (f"by {words}, over the best of all settings that are the same in all cells",
+                 f"{_mean(np.array(list(own.values()))) / self._one_setting(signal):.2f}"),
+            ]  # fmt: skip
         plain = self.scores.get(("FIGAROH", "plain"))
         if plain is not None:
             by = plain["over"]["torque"]

@@ -93,7 +93,7 @@ def inverse(model: mujoco.MjModel, joints: tuple[str, ...], states: tuple[Array,
 def expert(case: Case, signal: str) -> Answer:
     """By inverse dynamics of filtered motions, channels weighted by their noise."""
     start = time.process_time()
-    # the user's lines
+    # the user's lines: expert
     b, a = butter(4, CUTOFF, fs=case.rate)
     raw = case.wrench if signal == "wrench" else case.torque
     q, wanted = (filtfilt(b, a, s, axis=0) for s in (case.q, raw))
@@ -137,7 +137,7 @@ def expert(case: Case, signal: str) -> Answer:
 def rollouts(case: Case, signal: str) -> Answer:
     """By rollouts from measured torques, against positions, and the plate's sensors."""
     start = time.process_time()
-    # the user's lines
+    # the user's lines: plain
     spec = specification(case, "fixed")
     spec.option.timestep = 1 / case.rate
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
