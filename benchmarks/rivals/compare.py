@@ -241,7 +241,8 @@ class Findings:
                 rows.append((_mean(over) / self._same(scored, signal), cells))
             head = (
                 f"by {words} | error over the bound | worst cell | testbed's on the same | "
-                "intervals of 95 % that hold | CPU [s] | lines to write | faults noticed | recordings"
+                "intervals of 95 % that hold | CPU [s] | lines to write | faults noticed | "
+                "recordings"
             )
             yield from ("", *table(head, [cells for _, cells in sorted(rows)]))
 

@@ -56,7 +56,7 @@ def test_the_plate_carries_the_real_robot(folder: Path) -> None:
 
 def test_testbed_answers_and_its_intervals_hold(folder: Path) -> None:
     """The script of the comparison: an answer that is wrong or late here would blame the tool."""
-    answers = {}
+    answers: dict[str, dict[str, object]] = {}
     for case in CLEAN:
         recorded = read(folder / "recordings" / case.name)
         for signal in ("torque", "wrench"):
@@ -70,7 +70,7 @@ def test_testbed_answers_and_its_intervals_hold(folder: Path) -> None:
 
 
 def test_intervals_and_words_are_counted(folder: Path) -> None:
-    """An interval of 1.96 sigma holds what is 1.9 sigma off; words count if the clean one has none."""
+    """An interval of 1.96 sigma holds what is 1.9 off; words count that the clean one lacks."""
     name = CLEAN[0].name
     true = np.array(json.loads((folder / f"truth/{name}.json").read_text())["torque"])
     for off, share in ((1.9, 1.0), (2.0, 0.0)):
