@@ -97,7 +97,9 @@ def rivals(folder: Path, pythons: Mapping[str, str], draws: int, jobs: int, docs
         for line in threads.map(lambda each: _run(folder, pythons, draws, *each), there):
             print(line, flush=True)
     found = Findings(folder, there, draws)
-    lines = [*found.summary(), *found.cells(), *found.asked()]
+    lines = list(found.summary())
+    if len(found.scores) > 1:  # another tool is there
+        lines += [*found.cells(), *found.asked()]
     print("\n".join(lines), f"\n{time.monotonic() - start:.0f} s", flush=True)
     if docs:
         head = f"{date.today()}, {draws} draws of each robot and noise (of mujoco.sysid fewer)."
@@ -195,7 +197,7 @@ class Findings:
                     for (name, setting), scored in self.scores.items()
                     if setting.startswith("expert") and scored["whole"] and scored["over"][signal]
                 ),
-                default=(np.nan, "nobody"),
+                default=(np.nan, "nobody"),  # by plate only FIGAROH is there, which has no way
             )
             for cell in self.own["over"][signal]
         }
