@@ -450,6 +450,59 @@ def campaign(
             raise typer.Exit(1)
 
 
+@app.command()
+def rivals(
+    folder: Annotated[
+        Path | None, typer.Argument(help="Of recordings and answers, resumed; default none kept.")
+    ] = None,
+    python: Annotated[
+        list[str] | None, typer.Option(help="figaroh, idyntree, mujoco: NAME=INTERPRETER.")
+    ] = None,
+    draws: Annotated[int, typer.Option(min=1, help="Of every robot and noise.")] = 20,
+    jobs: Annotated[int, typer.Option(help="Processes at a time.")] = 2,
+    docs: Annotated[bool, typer.Option("--docs", help="Write docs/rivals.md.")] = False,
+) -> None:
+    """Other tools on the same recordings: docs/rivals.md; exit code 1 if testbed's are poor."""
+    from tempfile import TemporaryDirectory
+
+    from benchmarks.rivals.compare import GOAL
+    from benchmarks.rivals.compare import rivals as compared
+
+    pythons = dict(each.split("=", 1) for each in python or ())
+    with TemporaryDirectory() as unkept:
+        over = compared(folder or Path(unkept) / "set", pythons, draws, jobs, docs)
+    raise typer.Exit(int(over > GOAL))
+
+
+bench = typer.Typer(no_args_is_help=True, help="Recordings for any tool, and a score of answers.")
+app.add_typer(bench, name="bench")
+
+
+@bench.command()
+def make(
+    folder: Annotated[Path, typer.Argument(help="A new folder.")],
+    draws: Annotated[int, typer.Option(min=1, help="Of every robot and noise.")] = 1,
+    first: Annotated[int, typer.Option(min=0, help="Seed of the first draw.")] = 0,
+    every_fault: Annotated[bool, typer.Option("--every-fault", help="At every robot.")] = False,
+) -> None:
+    """Write recordings, and apart from them their truth: docs/rivals.md."""
+    from benchmarks.bench import cases
+    from benchmarks.bench import make as made
+
+    _print(made(folder, list(cases(draws, every_fault)), first))
+
+
+@bench.command()
+def score(
+    folder: Annotated[Path, typer.Argument(help="Of `make`.")],
+    answers: Annotated[Path, typer.Argument(help="JSON of a tool's answers.")],
+) -> None:
+    """Errors, coverage and faults noticed of a tool's answers."""
+    from benchmarks.bench import score as scored
+
+    _print(scored(folder, json.loads(answers.read_text())))
+
+
 _SETS = ("ur5", "gantry_ppp_rrr", "kuka_lwr4")
 
 

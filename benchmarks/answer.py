@@ -19,6 +19,7 @@ from scipy import signal
 
 import testbed as tb
 from benchmarks.random_recordings import ROOT, recorded
+from benchmarks.rivals.idyntree import regressor
 from benchmarks.timing import least
 from testbed.arrays import Array
 from testbed.identification.estimate import METHODS, Method
@@ -30,7 +31,6 @@ EVERY = 10
 """Samples from one row to the next."""
 CUTOFF = 5.0
 """Of the scripts' filters [Hz]."""
-GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
 def _filtered(signals: Array, rate: float) -> Array:
@@ -69,23 +69,10 @@ def idyntree_script(file: Path, recording: Recording, method: Method) -> Array:
     loader.loadReducedModelFromFile(str(file), list(recording.names))
     dynamics.loadRobotModel(loader.model())
     dynamics.setFrameVelocityRepresentation(idt.BODY_FIXED_REPRESENTATION)
-    n, links = len(recording.names), loader.model().getNrOfLinks()
-    regressor, still = idt.MatrixDynSize(6 + n, 10 * links), idt.Twist.Zero()
-    rest, here, gravity = idt.Vector6(), idt.Transform.Identity(), idt.Vector3()
-    rest.zero()
-    for axis, value in enumerate(GRAVITY):
-        gravity.setVal(axis, value)
-    rows, made = slice(6) if method == "external" else slice(6, None), []
-    s, sd, sdd = (idt.VectorDynSize(n) for _ in range(3))
-    for states in zip(*(each[::EVERY] for each in _motion(recording)), strict=True):
-        for kept, values in zip((s, sd, sdd), states, strict=True):
-            for joint, value in enumerate(values):
-                kept.setVal(joint, value)
-        dynamics.setRobotState(here, s, still, sd, gravity)
-        dynamics.inverseDynamicsInertialParametersRegressor(rest, sdd, regressor)
-        made.append(regressor.toNumPy()[rows].copy())
+    q, qd, qdd = (each[::EVERY] for each in _motion(recording))
+    made = regressor(dynamics, q, qd, qdd, "wrench" if method == "external" else "torque")
     wanted = _filtered(_measured(recording, method), recording.rate)[::EVERY]
-    return _least_squares(np.array(made), wanted)
+    return _least_squares(made, wanted)
 
 
 def _least_squares(rows: Array, wanted: Array) -> Array:

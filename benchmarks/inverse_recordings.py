@@ -28,6 +28,7 @@ ROBOTS: Mapping[str, tuple[Path, tuple[str, ...]]] = {
     "kinova": (REAL / "kinova_description/robots/kinova.urdf", ()),
     "scara": (GOLDEN / "robots/scara_rrpr.urdf", ()),
     "gantry": (GOLDEN / "robots/gantry_ppp_rrr.urdf", ()),
+    "tree": (GOLDEN / "robots/random_tree_08.urdf", ()),
 }
 """Model files, and joints that are held."""
 
@@ -119,6 +120,21 @@ def real_model(
         off: Of centres, along each axis [m].
         payload: Mass at the last link, besides [kg].
     """
+    return on_a_free_base(real_robot(name, rng, rough, off, payload))
+
+
+def real_robot(
+    name: str, rng: np.random.Generator, rough: float, off: float, payload: float = 0.0
+) -> ElementTree.Element:
+    """The URDF of `real_model`: bodies alone, without shapes, on a base without mass.
+
+    Args:
+        name: One of `ROBOTS`.
+        rng: As `real_model`.
+        rough: As `real_model`.
+        off: As `real_model`.
+        payload: As `real_model`.
+    """
     path, held = ROBOTS[name]
     robot = ElementTree.parse(path).getroot()
     links = {str(link.get("name")): link for link in robot.findall("link")}
@@ -127,25 +143,35 @@ def real_model(
     for joint in joints:
         if joint.get("name") in held:
             joint.set("type", "fixed")
-    (root,) = set(links) - {child for _, child in ends.values()}
-    base = _welded(root, joints, ends)
+    base = _welded(_root(robot), joints, ends)
     for link in links.values():
         for shown in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shown)
         _change(link, link.get("name") in base, rng, rough, off)
-    links[root].append(_inertial(1e-3, 1e-6))
-    links[root].set("name", "root")  # a name as world means MuJoCo's own
-    for parent in robot.iterfind(f"joint/parent[@link='{root}']"):
-        parent.set("link", "root")
     for other in [each for each in robot if each.tag not in ("link", "joint")]:
         robot.remove(other)
-    robot.append(ElementTree.Element("link", name="bed"))
-    robot.append(_joint("floating", "bed", "root"))
     if payload:
         last = next(j for j in joints if j.get("name") == tree_of(name).names[-1])
         load = ElementTree.Element("link", name="payload")
         load.append(_inertial(payload, 4e-3 * payload))
         robot.extend([load, _joint("fixed", ends[last][1], "payload", "0.03 0.02 0.1")])
+    return robot
+
+
+def on_a_free_base(robot: ElementTree.Element) -> mujoco.MjModel:
+    """MuJoCo's model of `real_robot` on a free joint; the URDF is changed for it.
+
+    Args:
+        robot: The URDF.
+    """
+    root = _root(robot)
+    base = next(link for link in robot.iterfind("link") if link.get("name") == root)
+    base.append(_inertial(1e-3, 1e-6))
+    base.set("name", "root")  # a name as world means MuJoCo's own
+    for parent in robot.iterfind(f"joint/parent[@link='{root}']"):
+        parent.set("link", "root")
+    robot.append(ElementTree.Element("link", name="bed"))
+    robot.append(_joint("floating", "bed", "root"))
     compiler = ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler")
     compiler.attrib |= {"fusestatic": "true", "balanceinertia": "true", "boundmass": "1e-9",
                         "boundinertia": "1e-12"}  # fmt: skip
@@ -153,6 +179,13 @@ def real_model(
     model.dof_damping[:] = model.dof_frictionloss[:] = model.dof_armature[:] = 0
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     return model
+
+
+def _root(robot: ElementTree.Element) -> str:
+    """The link that no joint carries."""
+    carried = {_link(joint, "child") for joint in robot.iterfind("joint")}
+    (root,) = {str(link.get("name")) for link in robot.iterfind("link")} - carried
+    return root
 
 
 def _link(joint: ElementTree.Element, end: str) -> str:

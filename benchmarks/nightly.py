@@ -26,6 +26,7 @@ CHECKS: dict[str, tuple[str, ...]] = {
     "robots": (*BENCHMARKS, "robots", "--only", ".urdf"),
     "minimal sets": (*BENCHMARKS, "minimal", "--trees", "200", "--robots", "--cuts"),
     "hostile inputs": (*BENCHMARKS, "hostile", "--inputs", "200", "--kills", "20"),
+    "other tools": (*BENCHMARKS, "rivals", "--draws", "2"),
     "mutants": (*BENCHMARKS, "mutation", "--mutants", "100"),
 }
 """What is run, by name."""
