@@ -6,6 +6,7 @@ same is done without the plate: each joint's torque alone, its bodies unknown.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.experiment.evaluate import robot_of
 from testbed.identification.drives.friction_curves import ChosenTerms, DriveEstimate
+from testbed.identification.drives.friction_map import friction_maps
 from testbed.identification.drives.identify_drives import identify_drives
 from testbed.identification.drives.joint_regression import regressions, torques_beside
 from testbed.identification.estimate import Estimate
@@ -27,6 +29,7 @@ from testbed.instruments.chain import measured_again
 from testbed.instruments.joints import TorqueNoise
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import COULOMB, LOADED, ROTOR, VISCOUS, JointLaw, stribeck
+from tests.helpers.measured import measured
 from tests.helpers.paths import REAL, ROOT
 
 LOSSES = (0.0, 0.05, 0.1, 0.2)
@@ -281,6 +284,90 @@ def _rounded(value: Any) -> float:
     return float(f"{value:.3g}")
 
 
+def apart(first: int, seeds: int, seconds: float) -> dict[str, Any]:
+    """A PUMA's gears that lose a tenth when driving and half of that when driven; constants known.
+
+    Args:
+        first: The first seed.
+        seeds: How many.
+        seconds: Duration.
+    """
+    share, back = 0.1, 0.05
+    effect = f"simulation.effect=[{{kind='load_friction',share={share},driven={back / share}}}]"
+    terms = 'identification.terms=["coulomb","viscous","load"]'
+    found = []
+    for recording, asked in _noisy("puma", seconds, first, seeds, effect, terms):
+        tree, settings = robot_of(asked), asked.identification
+        bodies = tb.identify(tree, recording, settings=settings, threads=1)
+        found.append([e.shares(1.0) for e in drives_of(tree, recording, bodies, settings)])
+    mean, spread = np.mean(found, axis=0), np.std(found, axis=0, ddof=1)
+    return {
+        "apart": list(tree.names),
+        "true": [share, back],
+        "found": np.round(mean, 5).tolist(),
+        "spread": np.round(spread, 5).tolist(),
+    }
+
+
+def warm(first: int, seeds: int, seconds: float, change: float) -> dict[str, Any]:
+    """A PUMA's drives that warm up by 20 K: by how many kelvins' worth viscosity is wrong.
+
+    Args:
+        first: The first seed.
+        seeds: How many.
+        seconds: Duration.
+        change: Of viscous friction a kelvin; 0 for none.
+    """
+    warmth = f"rise=20,time_constant={seconds / 3},viscous={change}"
+    effect = f"simulation.effect=[{{kind='warming_drives',{warmth}}}]"
+    chosen, off = [], []
+    for recording, asked in _noisy("puma", seconds, first, seeds, effect):
+        tree, settings = robot_of(asked), replace(asked.identification, terms=None)
+        bodies = tb.identify(tree, recording, settings=settings, threads=1)
+        drives = identify_drives(
+            tree, recording, bodies, settings=settings, choose=True, threads=1
+        ).estimates
+        warmed = [_of(drive, "warm_viscous")[0] for drive in drives]
+        chosen.append([any("warm" in t.law.kind for t in drive.terms) for drive in drives])
+        if change:
+            off.append(20 * (np.array(warmed) / VISCOUS.coefficients(tree) / change - 1))
+    return {
+        "warming": change,
+        "terms_chosen": _rounded(np.mean(chosen)),
+        "runs_with_terms": _rounded(np.mean(np.any(chosen, axis=1))),
+        "kelvins_off": _rounded(np.abs(off).max()) if off else None,
+    }
+
+
+def _noisy(
+    name: str, seconds: float, first: int, seeds: int, *words: str
+) -> Iterator[tuple[Recording, tb.Experiment]]:
+    """Recordings of one motion with other noise, 0.5 N m of it in torques."""
+    asked = experiment_of(name, 0.0, seconds, *words)
+    happened_once = tb.simulate(asked)
+    for seed in range(first, first + seeds):
+        yield measured_again(happened_once, asked.measurement, seed), asked
+
+
+def map_cost(seconds: float) -> dict[str, Any]:
+    """CPU time of the maps of seven joints, the plate's estimate and the regressions given.
+
+    Args:
+        seconds: Duration of the recording.
+    """
+    tree = robot_of(experiment_of("panda", 0.0, seconds))
+    recording = measured(tree, duration=seconds, rate=1000.0)
+    bodies = tb.identify(tree, recording, threads=1)
+    problem = Problem.of(tree, recording, "internal", threads=1, knows_load=True)
+    found = regressions(torques_beside(problem, bodies), bodies)
+    taken = []
+    for _ in range(3):
+        start = time.process_time()
+        friction_maps(problem, bodies, found)
+        taken.append(time.process_time() - start)
+    return {"map_seconds": seconds, "joints": tree.n, "cpu_seconds": round(min(taken), 3)}
+
+
 def study(seeds: int, first: int, seconds: float, only: str, jobs: int) -> Iterator[dict[str, Any]]:
     """Lines of every robot and loss.
 
@@ -292,6 +379,13 @@ def study(seeds: int, first: int, seconds: float, only: str, jobs: int) -> Itera
         jobs: Processes.
     """
     asked = [(name, loss) for name in CASES for loss in LOSSES if only in f"{name} {loss}"]
+    if only in "cost":
+        yield map_cost(60.0)
+    if only in "apart":
+        yield apart(first, seeds, seconds)
+    if only in "warm":
+        yield warm(first, seeds, seconds, -0.02)
+        yield warm(first, seeds, seconds, 0.0)
     with ProcessPoolExecutor(jobs) as pool:
         waiting = [pool.submit(line, *each, seconds, first, seeds) for each in asked]
         for each in waiting:
