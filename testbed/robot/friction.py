@@ -287,7 +287,7 @@ def joint_law(kind: str) -> JointLaw:
     if family == STRIBECK and _is_speed(speed):
         return stribeck(float(speed))
     if kind not in known:
-        named = (*LAWS, stribeck(0.1), *VARYING, *LOADED)
+        named = (stribeck(0.1), *LAWS, *VARYING, *LOADED)
         raise UnknownName("term of a joint's torque", kind, [law.kind for law in named])
     return known[kind]
 
