@@ -270,6 +270,21 @@ def coverage(
 
 
 @app.command()
+def friction(
+    seeds: Annotated[int, typer.Option(min=2, help="Recordings of each robot and loss.")] = 20,
+    first: Annotated[int, typer.Option(help="The first seed.")] = 100,
+    seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 60.0,
+    jobs: Annotated[int, typer.Option(help="Processes at a time.")] = 2,
+    only: Annotated[str, typer.Option(help="Only lines whose words hold this.")] = "",
+) -> None:
+    """Friction under load: three robots, gears that lose nothing to 20 %; and without the plate."""
+    from benchmarks.friction import study
+
+    for line in study(seeds, first, seconds, only, jobs):
+        _print(line)
+
+
+@app.command()
 def squatting(
     runs: Annotated[int, typer.Option(min=1, help="Recordings of 40 s.")] = 12,
     first: Annotated[int, typer.Option(help="The first seed.")] = 7200,

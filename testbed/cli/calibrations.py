@@ -131,6 +131,10 @@ def drives(
         Path | None,
         typer.Option(help="With --write: another motion, whose torques drive the file in MuJoCo."),
     ] = None,
+    friction: Annotated[
+        Path | None,
+        typer.Option(help="File for friction: .csv (map and law) or .json (BAM)."),
+    ] = None,
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
@@ -138,7 +142,8 @@ def drives(
 
     The bodies are known from the plate; what a drive reports is a constant times the torque that
     they need and its own terms: --set 'identification.terms=["coulomb","viscous","rotor"]'.
-    Friction curves are in the JSON, and drawn by report --set identification.drives=given.
+    Friction over velocity, and over velocity and load, is in the JSON, and drawn by report
+    --set identification.drives=given. Laws of the load are load, viscous_load and others.
 
     --write copies the model file with consistent bodies by the plate, friction, rotors, and (MJCF)
     motors whose gear makes true torque of what the drive reports. --unseen drives it open-loop by
@@ -150,11 +155,16 @@ def drives(
     """
     from testbed.codec import encode
     from testbed.errors import SettingsError
+    from testbed.files import check_writable
+    from testbed.identification.drives.friction_files import check_friction_file, write_friction
     from testbed.identification.drives.identify_drives import identify_drives
     from testbed.identification.identify import identify
     from testbed.recordings.recording import Recording
     from testbed.reporting import output, terminal
 
+    if friction is not None:
+        check_friction_file(friction)
+        check_writable(friction, read=(recording, model))
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, sensor=sensor)
     writing = Writing(write=write)
     writing.check(reading, model, [recording])
@@ -187,6 +197,8 @@ def drives(
             threads=threads,
             progress=progress,
         )
+    if friction is not None:
+        write_friction(found, friction)
     said = [*tree.diagnostics, *bodies.diagnostics, *found.diagnostics]
     lines = []
     if write is not None:

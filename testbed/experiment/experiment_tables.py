@@ -43,6 +43,7 @@ METRICS = (
     "torque_constant_max_error",
     "torque_constant_max_z",
     "coulomb_max_relative_error",
+    "load_max_relative_error",
     "rotor_max_relative_error",
     "friction_curve_rms",
     "combined_rms_relative_error",

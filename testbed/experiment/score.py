@@ -19,7 +19,7 @@ from testbed.parameters.minimal_set import MinimalSet, minimal_set, selection
 from testbed.parameters.symbols import barycentric
 from testbed.recordings.columns import PLATE_UNITS
 from testbed.recordings.recording import Recording, Truth
-from testbed.robot.friction import COULOMB, ROTOR, JointLaw, term_torque
+from testbed.robot.friction import COULOMB, LOAD, ROTOR, JointLaw, term_torque
 from testbed.robot.locks import shares
 from testbed.robot.tree import Tree
 
@@ -342,12 +342,21 @@ def drive_metrics(
     """
     constants = true_constants(experiment, recording)
     estimates = found.estimates
+    gears = [g for e in experiment.simulation.effect if (g := e.on(tree.names).gears(tree))]
+    more = {}
+    for gear in gears:  # as one loss in both directions and a constant: no torque shows more
+        constants = constants * (1 + (gear.driving - gear.driven) / 2)
+        loss = (gear.driving + gear.driven) / (2 + gear.driving - gear.driven)
+        there = zip(estimates, loss, strict=True)
+        off = [abs(_coefficient(each, LOAD) / part - 1) for each, part in there if part]
+        more = {"load_max_relative_error": float(max(off))} if off else {}
     errors = np.array([each.constant for each in estimates]) / constants - 1
     sigmas = np.array([each.sigma for each in estimates]) / constants
     metrics = {
         "torque_constant_max_error": float(np.abs(errors).max()),
         "torque_constant_max_z": float(np.abs(errors / np.maximum(sigmas, 1e-300)).max()),
         **_bodies(tree, experiment, found),
+        **more,
     }
     for law, name in ((COULOMB, "coulomb"), (ROTOR, "rotor")):
         off = list(_relative(tree, law, estimates))
@@ -373,6 +382,11 @@ def true_constants(experiment: Experiment, recording: Recording) -> Array:
         if isinstance(fault, TorqueConstantError):
             shown = shown * (1 + each_joint(fault.error))
     return shown
+
+
+def _coefficient(drive: DriveEstimate, law: JointLaw) -> float:
+    """Of a law at a joint; zero where it is none of its terms."""
+    return next((term.value for term in drive.terms if term.law == law), 0.0)
 
 
 def _relative(tree: Tree, law: JointLaw, drives: Iterable[DriveEstimate]) -> Iterator[float]:

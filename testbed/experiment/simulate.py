@@ -28,6 +28,7 @@ from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 from testbed.simulation.controller import Reference, believed
 from testbed.simulation.effect import StepForces
+from testbed.simulation.gear_friction import Gears
 from testbed.simulation.plant import Plant, build_plant
 from testbed.simulation.rollout import Rollout, Sampling, Watch, simulate_motion
 
@@ -59,6 +60,7 @@ class Prepared:
         facts: What the recording says of its motion.
         sampling: How the run is cut into samples.
         forces: On the joints, besides motors and the model's friction; None for none.
+        gears: Whose friction is solved with the motion, in place of the model's; None for none.
     """
 
     experiment: Experiment
@@ -71,6 +73,7 @@ class Prepared:
     facts: Mapping[str, Any]
     sampling: Sampling
     forces: StepForces | None
+    gears: Gears | None = None
 
     @property
     def happens(self) -> Hashable:
@@ -105,6 +108,7 @@ class Prepared:
             progress,
             watch,
             self.forces,
+            self.gears,
         )
 
 
@@ -154,6 +158,7 @@ def prepare(
         facts,
         replace(sampling, begin=begin),
         _forces(experiment, tree, forces),
+        _gears(experiment, tree),
     )
 
 
@@ -197,6 +202,25 @@ def _forces(experiment: Experiment, tree: Tree, more: StepForces | None) -> Step
         return np.asarray(sum(each(time, q, qd, motor) for each in pushes))
 
     return push
+
+
+def _gears(experiment: Experiment, tree: Tree) -> Gears | None:
+    """Whose friction is solved with the motion; None for nobody's.
+
+    Raises:
+        ExperimentError: Two effects take the place of the joints' own friction, or joints are
+            coupled, of which the solution does not know.
+    """
+    effects = effects_of(experiment, tree)
+    owners = [effect.kind for effect in effects if effect.owns_friction]
+    if len(owners) > 1:
+        raise ExperimentError(
+            f"{' and '.join(owners)} both take the place of the joints' own friction: choose one"
+        )
+    found = [gears for effect in effects if (gears := effect.gears(tree)) is not None]
+    if found and tree.shafts:
+        raise ExperimentError(f"{owners[0]} is of joints with gears of their own, not of couplings")
+    return found[0] if found else None
 
 
 def _drives_model(experiment: Experiment, tree: Tree) -> Tree:
@@ -294,6 +318,10 @@ def _measured(ready: Prepared, happened: Rollout, installed: int | None = None) 
     instrument, names, seed = experiment.measurement, tree.names, experiment.seed
     tare, truth = ready.plant.tare, happened.truth
     found = measure(instrument, names, time, truth, tare, facts, seed, installed)
+    for effect in effects_of(experiment, tree):
+        warmth = effect.temperature(time)
+        if warmth is not None:
+            found = replace(found, temperature=np.broadcast_to(warmth, found.position.shape))
     sensors = experiment.sensor_instruments
     return with_sensors(found, sensors, seed, installed) if sensors else found
 

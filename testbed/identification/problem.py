@@ -36,7 +36,7 @@ from testbed.recordings.geometry import check_robot, in_its_gravity
 from testbed.recordings.repeats import without_repeated_poses
 from testbed.recordings.source import RecordingLike, Source, counted, open_source, segments_of
 from testbed.recordings.views import is_imported, is_of_motors, on_its_base, with_gear
-from testbed.robot.friction import OFFSET, ROTOR, JointLaw
+from testbed.robot.friction import BY_LOAD, OFFSET, ROTOR, JointLaw
 from testbed.robot.tree import Tree
 from testbed.stages import stage
 
@@ -55,6 +55,7 @@ class Problem:
         progress: Called with samples done and samples in all.
         open_filter: Whether data may choose the filter on positions: nobody has said it.
         repeated: Part of the poses that a slow device repeated, which are interpolated.
+        load: What is known of the minimal parameters, (N,), for laws of the load.
     """
 
     tree: Tree
@@ -65,6 +66,7 @@ class Problem:
     progress: Progress = lambda done, total: None
     open_filter: bool = False
     repeated: float = 0.0
+    load: Array | None = None
 
     @classmethod
     def of(
@@ -77,6 +79,7 @@ class Problem:
         gravity: ArrayLike | None = None,
         threads: int | None = None,
         progress: Progress = lambda done, total: None,
+        knows_load: bool = False,
     ) -> Problem:
         """A robot and a recording made ready.
 
@@ -89,6 +92,7 @@ class Problem:
                 the tree's.
             threads: How many to use; default one a processor.
             progress: Called with samples done and samples in all.
+            knows_load: Whether the bodies will be known, for laws of the load.
 
         Raises:
             RecordingError: The recording is of another robot, or lacks what the method needs.
@@ -103,7 +107,8 @@ class Problem:
         tree = with_gear(in_its_gravity(tree, source, gravity), source)
         open_filter = settings.position_cutoff == FIT and not source.senses_kinematics
         settings = _complete(settings, source, method)
-        lacking = {law.by for law in settings.laws} - {"", *source.signals}
+        there = {"", *source.signals, *(BY_LOAD if knows_load or method == "external" else ())}
+        lacking = {law.by for law in settings.laws} - there
         if lacking:
             raise RecordingError(f"the recording has no {lacking.pop()}, which the terms need")
         return cls(tree, source, method, settings, threads, progress, open_filter, repeated)
@@ -176,6 +181,9 @@ class Problem:
             RecordingError: The recording is too short, or sampled too slowly.
         """
         plan = make_plan(source or self.source, self.layout, self.tare, self.settings)
+        if self.load is not None:
+            bodies = self.layout.theta.shape[2], self.minimal.count
+            plan = replace(plan, load=self.layout.basis[: bodies[0], : bodies[1]] @ self.load)
         return Passes(plan, self.threads, self.progress, number)
 
     def equations(self, passes: Passes) -> NormalEquations:

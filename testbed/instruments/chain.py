@@ -250,7 +250,7 @@ def measured_again(recording: Recording, instrument: Instrument, seed: int) -> R
             f"the recording has {recording.rate:g} samples a second, the instrument takes "
             f"{instrument.rate:g}; simulate again"
         )
-    return measure(
+    found = measure(
         instrument,
         recording.names,
         recording.time,
@@ -259,3 +259,4 @@ def measured_again(recording: Recording, instrument: Instrument, seed: int) -> R
         recording.facts,
         seed,
     )
+    return replace(found, temperature=recording.temperature)

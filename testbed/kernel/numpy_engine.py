@@ -9,7 +9,7 @@ from testbed.arrays import Array
 from testbed.dynamics.newton_euler import Motion, linear
 from testbed.kernel.layout import Layout
 from testbed.kernel.records import Block, Question, Signals, Sums, blocks, sums_for
-from testbed.robot.friction import JointTerm
+from testbed.robot.friction import BY_LOAD, JointTerm
 from testbed.robot.locks import at_places, shares
 
 SAMPLES = 1024
@@ -97,6 +97,8 @@ def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) ->
     turn = shares(layout.tree)
     turning = at_places(layout.tree, motion.qd), at_places(layout.tree, motion.qdd)
     own = {term.law: term.law.columns(*turning) for term in layout.terms}
+    load = phi @ signals.load if len(signals.load) else np.zeros(phi.shape[:2])
+    smooth = _smoothed(layout, signals, first, load)
     y = np.zeros((layout.rows.slots, motion.samples))
     for c, columns in enumerate(layout.channels):
         at, bodies = layout.rows.start[c], columns[columns < phi.shape[2]]
@@ -105,17 +107,42 @@ def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) ->
             term = layout.terms[column - phi.shape[2]]
             y[at + len(bodies) + k] = turn[term.joint, c] * own[term.law][:, term.joint]
             if term.law.by:
-                y[at + len(bodies) + k] *= _varying(signals, term, first, motion.samples)
+                y[at + len(bodies) + k] *= _varying(signals, term, first, load[:, c], smooth[:, c])
         y[layout.rows.measured[c]] = signals.measured[first : first + motion.samples, c]
     return y
 
 
-def _varying(signals: Signals, term: JointTerm, first: int, count: int) -> Array | float:
+def _smoothed(layout: Layout, signals: Signals, first: int, load: Array) -> Array:
+    """Means of the load around each sample, over a quarter of the row filter's reach, (M, n)."""
+    reach = len(signals.weights) // 8
+    if not reach or not len(signals.load):
+        return load
+    half, last = signals.taps.shape[1] // 2, first + len(load)
+    low, high = max(first - reach, half), min(last + reach, len(signals.position) - half)
+    ends = [
+        linear(layout.tree, _motion(signals, a, b - a), layout.theta, layout.gravity)[0]
+        @ signals.load
+        for a, b in ((low, first), (last, high))
+        if b > a
+    ]
+    every, before = np.concatenate([*ends[: first > low], load, *ends[first > low :]]), first - low
+    window = np.hanning(2 * reach + 3)[1:-1]
+    part = slice(reach + before, reach + before + len(load))
+    weight = np.convolve(np.ones(len(every)), window)[part]
+    sums = [np.convolve(column, window)[part] / weight for column in every.T]
+    return np.array(sums).T
+
+
+def _varying(
+    signals: Signals, term: JointTerm, first: int, load: Array, smooth: Array
+) -> Array | float:
     """What multiplies the column of a law that depends on more than the motion, (count,)."""
+    if term.law.by in BY_LOAD:
+        return BY_LOAD[term.law.by](load, smooth)
     if not len(signals.varying):
         return 0.0
     column = 0 if term.law.by == "time" else 1 + term.joint
-    return signals.varying[first : first + count, column]
+    return signals.varying[first : first + len(load), column]
 
 
 def _products(layout: Layout, z: Array, sums: Sums) -> None:

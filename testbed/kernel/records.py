@@ -171,6 +171,7 @@ class Signals(NamedTuple):
     step: int  # samples from row to row
     number: int  # of rows
     varying: Array = NONE  # time and temperatures, (M, 1 + n), where a law is multiplied by them
+    load: Array = NONE  # of the body columns, their values, (P',), where a law is of the load
 
 
 def sensed(q: Array, qd: Array, qdd: Array, channels: int) -> Signals:

@@ -15,6 +15,7 @@ from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
 from testbed.reporting.bodies import bodies_section
 from testbed.reporting.drives import BAND, curve_lines, drive_section
 from testbed.reporting.figures import Panel, thinned
+from testbed.reporting.friction_map import map_section
 from testbed.reporting.section import Section, Table
 
 SEGMENT = 2048
@@ -44,6 +45,8 @@ def sections(found: Predictions) -> list[Section]:
         if found.run.drives is not None:
             seconds = seconds_shown(found.motion.t)
             shown.append(drive_section(smooth, found.run.drives, CUTOFF, seconds))
+            if any(len(each.rows) for each in found.run.drives.maps):
+                shown.append(map_section(found.run.drives.maps))
     if found.run.consistent is not None:
         shown.append(bodies_section(found.run, found.run.consistent))
     return shown

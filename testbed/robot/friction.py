@@ -11,7 +11,7 @@ be there: `Settings(terms=("coulomb", my_law))` takes any `JointLaw`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -42,7 +42,8 @@ class JointLaw:
             coefficient cannot be negative.
         jumps: Whether the column jumps where the motion reverses.
         by: What of the recording multiplies the column, joint by joint: "time" since its middle
-            [s], "temperature" above 25 degC [K]; "" for nothing. Of joints only, not of shafts.
+            [s], "temperature" above 25 degC [K], one of BY_LOAD; "" for nothing. Of joints only,
+            not of shafts.
     """
 
     kind: str
@@ -151,6 +152,31 @@ ROOM = 25.0
 VARYING = (SLOPE, WARM_COULOMB, WARM_VISCOUS)
 """Laws that depend on more than the motion."""
 
+BY_LOAD: Mapping[str, Callable[[Array, Array], Array]] = {
+    "load": lambda load, smooth: load * np.sign(smooth),
+    "signed load": lambda load, smooth: load,
+    "squared load": lambda load, smooth: load * smooth,
+}
+"""What multiplies laws of the load, the torque that moves the link [N m or N]: only where the
+plate's estimate says what it is. Functions of the load and of its mean over a short time: where
+encoders are noisy, abs(load) is not zero on average where the load is."""
+
+LOAD = JointLaw("load", "1", "1", _sign, jumps=True, by="load")
+"""Dry friction that grows with the load: the part of it that a gear loses."""
+
+VISCOUS_LOAD = JointLaw("viscous_load", "s/rad", "s/m", _velocity, by="load")
+"""Viscous friction that grows with the load."""
+
+DRIVING_LOAD = JointLaw("driving_load", "s/rad", "s/m", _speed, by="signed load")
+"""The same as far as a gear that drives has more of it than one that is driven back."""
+
+QUADRATIC_LOAD = JointLaw("quadratic_load", "1/(N m)", "1/N", _sign, jumps=True, by="squared load")
+"""Dry friction that grows with the square of the load."""
+
+LOADED = (LOAD, VISCOUS_LOAD, DRIVING_LOAD, QUADRATIC_LOAD)
+"""Laws of the load. Dry friction that differs between driving and being driven is not among them:
+its column, load - sign(v) abs(load), has nothing of its own beside the torque constant's."""
+
 LAWS: tuple[JointLaw, ...] = (
     COULOMB,
     VISCOUS,
@@ -251,17 +277,17 @@ def law_of(word: str | JointLaw) -> JointLaw:
 
 
 def joint_law(kind: str) -> JointLaw:
-    """The law of that name: one of LAWS, CONSTANTS, VARYING, or stribeck@SPEED.
+    """The law of that name: one of LAWS, CONSTANTS, VARYING, LOADED, or stribeck@SPEED.
 
     Raises:
         UnknownName: There is none.
     """
-    known = {law.kind: law for law in (*LAWS, *CONSTANTS, *VARYING)}
+    known = {law.kind: law for law in (*LAWS, *CONSTANTS, *VARYING, *LOADED)}
     family, _, speed = kind.partition("@")
     if family == STRIBECK and _is_speed(speed):
         return stribeck(float(speed))
     if kind not in known:
-        named = (*LAWS, stribeck(0.1), *VARYING)
+        named = (stribeck(0.1), *LAWS, *VARYING, *LOADED)
         raise UnknownName("term of a joint's torque", kind, [law.kind for law in named])
     return known[kind]
 

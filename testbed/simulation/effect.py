@@ -18,6 +18,7 @@ from testbed.robot.tree import Tree
 if TYPE_CHECKING:
     import mujoco
 
+    from testbed.simulation.gear_friction import Gears
     from testbed.simulation.plant import Plant
 
 StepForces: TypeAlias = Callable[[float, Array, Array, Array], Array]
@@ -63,6 +64,24 @@ class Effect(KindTable):
             step: Of the integration [s].
         """
         del tree, step
+        return None
+
+    def gears(self, tree: Tree) -> Gears | None:
+        """Friction of gears that is solved with the motion at every step; None for none.
+
+        Args:
+            tree: The robot, with its friction.
+        """
+        del tree
+        return None
+
+    def temperature(self, time: Array) -> Array | None:
+        """Of the drives, (M, n) or (M, 1) [degC]; None where the effect leaves it open.
+
+        Args:
+            time: (M,) [s].
+        """
+        del time
         return None
 
     def equip(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:

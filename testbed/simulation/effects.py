@@ -14,6 +14,7 @@ from testbed.simulation.joint_friction import (
     LuGreFriction,
     PowerFriction,
     StribeckFriction,
+    WarmingDrives,
 )
 
 EFFECTS: tuple[type[Effect], ...] = (
@@ -21,6 +22,7 @@ EFFECTS: tuple[type[Effect], ...] = (
     PowerFriction,
     AsymmetricFriction,
     LoadFriction,
+    WarmingDrives,
     LuGreFriction,
     GearedRotor,
     Payload,

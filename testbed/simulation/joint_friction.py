@@ -1,7 +1,8 @@
 """Friction that no model file can state: of any speed, direction and load, and with a memory.
 
 All of it acts at the joints and none reaches the plate. What jumps where a motion reverses is
-smoothed over a small speed, since forces are held over a step: sign(v) is tanh(v / 0.01).
+smoothed over a small speed, since forces are held over a step: sign(v) is tanh(v / 0.01). Only
+friction that grows with the load is solved with the motion, and needs no such speed.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.kind_table import PerJoint, each_joint, key
-from testbed.robot.friction import COULOMB, VISCOUS
+from testbed.robot.friction import COULOMB, ROOM, VISCOUS
 from testbed.robot.tree import Tree
 from testbed.simulation.effect import Effect, StepForces
+from testbed.simulation.gear_friction import Gears
 
 SMOOTH = 0.01
 """Speed over which a sign is smoothed [rad/s or m/s]."""
@@ -116,25 +118,81 @@ class AsymmetricFriction(Effect):
 
 @dataclass(frozen=True, eq=False)
 class LoadFriction(Effect):
-    """Dry friction that grows with the load: share abs(motor torque) sign(v).
+    """Friction of gears that grows with the load, the torque T that moves the link.
 
-    Source    Our own choice: gears lose 3 to 10 % of the torque that they pass on.
+    It takes sign(v) (c + loss abs(T)) + (viscous + viscous_load abs(T)) v instead of dry and
+    viscous friction, which are the model's; the loss is another one where the motion drives the
+    gear back. Gears of efficiency e lose 1 / e - 1 of T when they drive and 1 - e when they are
+    driven. c is higher at low speed: coulomb (1 + (static - 1) exp(-(v / speed)^2)). Solved at
+    every step together with the acceleration, on which T depends.
+
+    Source    Duclusaud et al., arXiv 2410.08650 (2024), models M3 to M5. Sizes are our own choice:
+        gears lose 3 to 10 % of the torque that they pass on.
 
     Attributes:
-        share: Of the motor's torque.
+        share: Lost when the gear drives.
+        driven: Lost when it is driven, as a multiple of the share.
+        viscous_load: Viscous friction that a unit of load adds [s/rad or s/m].
+        static: Dry friction at rest over that in motion.
+        speed: Above which the difference fades out [rad/s or m/s].
     """
 
     kind: ClassVar[str] = "load_friction"
-    share: PerJoint = key(0.05, "joints", least=0, most=1)
+    owns_friction: ClassVar[bool] = True
+    share: PerJoint = key(0.05, "joints", least=0, most=0.9)
+    driven: PerJoint = key(1.0, "joints", least=0, most=1)
+    viscous_load: PerJoint = key(0.0, "joints", least=0)
+    static: PerJoint = key(1.0, "joints", least=1, most=10)
+    speed: PerJoint = key(0.08, "joints", positive=True)
+
+    def gears(self, tree: Tree) -> Gears:
+        """Of all joints."""
+        share, one = each_joint(self.share), np.ones(tree.n)
+        return Gears(
+            coulomb=COULOMB.coefficients(tree),
+            static=one * each_joint(self.static),
+            speed=one * each_joint(self.speed),
+            viscous=VISCOUS.coefficients(tree),
+            driving=one * share,
+            driven=one * share * each_joint(self.driven),
+            viscous_load=one * each_joint(self.viscous_load),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class WarmingDrives(Effect):
+    """Drives that warm up, from 25 degC, and whose viscous friction changes with it.
+
+    The recording has their temperature: 25 degC + rise (1 - exp(-t / time_constant)). The joints'
+    viscous friction is the model's, times 1 + viscous (temperature - 25 degC).
+
+    Source    Our own choice: greases lose 1 to 3 % of their viscosity a kelvin.
+
+    Attributes:
+        rise: Of the temperature [K].
+        time_constant: In which most of it happens [s].
+        viscous: Relative change of viscous friction a kelvin [1/K].
+    """
+
+    kind: ClassVar[str] = "warming_drives"
+    rise: PerJoint = key(20.0, "joints", least=-100, most=100)
+    time_constant: float = key(60.0, positive=True)
+    viscous: PerJoint = key(-0.02, "joints")
+
+    def temperature(self, time: Array) -> Array:
+        """Of the drives, (M, n) or (M, 1) [degC]."""
+        warm = -np.expm1(-np.maximum(time, 0.0) / self.time_constant)
+        return ROOM + np.outer(warm, each_joint(self.rise))
 
     def forces(self, tree: Tree, step: float) -> StepForces:
-        """Against the motion, the more the higher the load."""
-        del tree, step
-        share = each_joint(self.share)
+        """What viscous friction has more than at 25 degC."""
+        del step
+        change = VISCOUS.coefficients(tree) * each_joint(self.viscous)
 
         def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
-            del time, q
-            return np.asarray(-share * np.abs(motor) * smooth_sign(qd))
+            del q, motor
+            warmth = self.temperature(np.array([time]))[0] - ROOM
+            return np.asarray(-change * warmth * qd)
 
         return push
 

@@ -25,6 +25,7 @@ from testbed.robot.tree import Tree
 from testbed.simulation.compiled_loop import Clock, Engine, Log, State, follow, mujoco_functions
 from testbed.simulation.controller import Controller, Reference, computed_torque
 from testbed.simulation.effect import StepForces
+from testbed.simulation.gear_friction import Gears, solve_friction
 from testbed.simulation.plant import Plant
 
 SMOOTH_STEP = 1e-3
@@ -59,7 +60,12 @@ class SampledLoop:
     """One run, some samples after others."""
 
     def __init__(
-        self, plant: Plant, drive: Controller, sampling: Sampling, forces: StepForces | None = None
+        self,
+        plant: Plant,
+        drive: Controller,
+        sampling: Sampling,
+        forces: StepForces | None = None,
+        gears: Gears | None = None,
     ) -> None:
         """At the beginning of the reference.
 
@@ -68,6 +74,7 @@ class SampledLoop:
             drive: Its controller.
             sampling: How the run is cut into samples.
             forces: Asked before every step.
+            gears: Whose friction is solved before every step.
         """
         self._plant, model = plant, plant.model
         self._data = data = mujoco.MjData(model)
@@ -75,13 +82,13 @@ class SampledLoop:
         data.qvel[:] = plant.dofs @ drive.qd[0]
         mujoco.mj_forward(model, data)
         self._rate, period = sampling.rate, 1 / sampling.rate
-        smooth = 0 if forces else _smooth_steps(model, period)
+        smooth = 0 if forces or gears else _smooth_steps(model, period)
         smooth = smooth if smooth < sampling.steps else 0
         self._smooth_model = copy.copy(model)
         option = self._smooth_model.opt
         option.timestep = period / max(smooth, 1)
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_REFSAFE)  # friction as it is
-        self._push = _Push(forces, plant, data)
+        self._push = _Push(forces, gears, plant, data)
         self._engine = Engine(
             **mujoco_functions(),
             model=model._address,
@@ -153,17 +160,26 @@ def _smooth_steps(model: mujoco.MjModel, period: float) -> int:
 class _Push:
     """Forces on the joints, as C calls them; an error waits until the loop has ended."""
 
-    def __init__(self, forces: StepForces | None, plant: Plant, data: mujoco.MjData) -> None:
+    def __init__(
+        self,
+        forces: StepForces | None,
+        gears: Gears | None,
+        plant: Plant,
+        data: mujoco.MjData,
+    ) -> None:
         self.failed, self.address = np.zeros(1, dtype=bool), 0
         self._error: BaseException | None = None
-        if forces is None:
+        if forces is None and gears is None:
             return
-        order = plant.order
+        order, applied = plant.order, data.qfrc_applied
+        rub = None if gears is None else _gear_friction(gears, plant, data)
 
         def push(time: float) -> None:
             try:
                 state = data.qpos[order], data.qvel[order], data.ctrl.copy()
-                data.qfrc_applied[order] = forces(time, *state)
+                applied[order] = 0.0 if forces is None else forces(time, *state)
+                if rub is not None:
+                    applied[order] -= rub()
             except BaseException as error:
                 self._error, self.failed[0] = error, True
 
@@ -174,6 +190,26 @@ class _Push:
         """Raise what a push has raised."""
         if self._error is not None:
             raise self._error
+
+
+def _gear_friction(gears: Gears, plant: Plant, data: mujoco.MjData) -> Callable[[], Array]:
+    """What gears take over the next step, beside the forces that act otherwise, (n,)."""
+    model, order = plant.model, plant.order
+    rotor, friction = model.dof_armature[order].copy(), np.zeros(len(order))
+    masses = np.zeros((model.nv, model.nv))
+
+    def taken() -> Array:
+        mujoco.mj_fullM(model, data, masses)
+        loose = np.linalg.inv(masses)
+        force = data.qfrc_applied.copy()
+        force[order] += data.ctrl
+        free = loose @ (force + data.qfrc_passive - data.qfrc_bias)
+        own = np.ascontiguousarray(loose[np.ix_(order, order)])
+        state = data.qvel[order], free[order], own, force[order], rotor
+        solve_friction(gears, model.opt.timestep, *state, friction)
+        return friction
+
+    return taken
 
 
 _SLAB = 1000
@@ -214,6 +250,7 @@ def simulate_motion(
     progress: Callable[[int, int], None] = lambda done, total: None,
     watch: Watch = lambda time, truth: None,
     forces: StepForces | None = None,
+    gears: Gears | None = None,
 ) -> Rollout:
     """Follow a motion in closed loop.
 
@@ -228,6 +265,7 @@ def simulate_motion(
         watch: Called with every second or so of what happens, times before 0 included.
         forces: Asked before every step; what they take counts as friction. The drive does
             not know of them.
+        gears: Whose friction is solved before every step, in place of the plant's.
 
     Raises:
         SimulationDiverged: The robot did not follow.
@@ -235,7 +273,7 @@ def simulate_motion(
     lead, samples = round(sampling.warm_up * sampling.rate), round(duration * sampling.rate)
     times = np.arange(round(sampling.begin * sampling.rate) - lead, samples) / sampling.rate
     drive = computed_torque(tree, motion, times, bandwidth)
-    loop, logs = SampledLoop(plant, drive, sampling, forces), []
+    loop, logs = SampledLoop(plant, drive, sampling, forces, gears), []
     for first in range(0, len(times), _SLAB):
         last = min(first + _SLAB, len(times))
         with unwarned_steps():  # a state that blows up is found below

@@ -13,7 +13,7 @@ from testbed.experiment.assumptions import growing_errors
 from testbed.experiment.score import relative_errors
 from testbed.identification.estimate import METHODS, NAMES, Method, by_influence
 from testbed.viewer.colours import COLOURS, Colour, palette
-from testbed.viewer.drives import log_curve
+from testbed.viewer.drives import log_curve, log_map
 from testbed.viewer.robot_drawing import clock
 from testbed.viewer.scene import Scene, rounded_up, safe
 
@@ -151,6 +151,8 @@ def log_friction(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
             stream.log(f"{path}/curve", strip, static=True)
         if scene.run.drives is not None:
             log_curve(stream, path, scene.run.drives.curves[j], (width, height))
+        for cells in scene.run.drives.maps[j : j + 1] if scene.run.drives is not None else ():
+            log_map(stream, path, cells, (width, height))
 
 
 def _log_axes(

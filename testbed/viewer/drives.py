@@ -10,6 +10,7 @@ import rerun as rr
 from testbed.arrays import Array
 from testbed.experiment.run import MatrixErrors, Run
 from testbed.identification.drives.friction_curves import DriveEstimate, FrictionCurve
+from testbed.identification.drives.friction_map import FrictionMap
 from testbed.recordings.columns import AXES
 from testbed.reporting.drives import BAND, TITLE, drive_table
 from testbed.reporting.section import Table
@@ -91,6 +92,27 @@ def log_curve(
     if lines:
         strips = rr.LineStrips2D(lines, colors=[COLOURS["external"]], radii=widths)
         stream.log(f"{path}/by_plate", strips, static=True)
+
+
+def log_map(
+    stream: rr.RecordingStream, path: str, cells: FrictionMap, axes: tuple[float, float]
+) -> None:
+    """Means of a joint's map over velocity, the darker the larger the load, with what they are.
+
+    Args:
+        stream: Where to.
+        path: The plot's place among the entities.
+        cells: The joint's.
+        axes: Largest speed and torque, where the axes end.
+    """
+    if not len(cells.rows):
+        return
+    share = np.abs(cells.load)[:, None] / np.abs(cells.load).max()
+    colours = LIGHTEST + share * (np.array(COLOURS["external"][:3]) - np.array(LIGHTEST))
+    places = np.column_stack([cells.speed / axes[0], -cells.friction / axes[1]])
+    said = [f"load {load:.3g} {cells.unit}" for load in cells.load.tolist()]
+    dots = rr.Points2D(places, colors=np.rint(colours).astype(np.uint8), radii=[0.012], labels=said)
+    stream.log(f"{path}/map", dots, static=True)
 
 
 def _directions(curve: FrictionCurve) -> Iterator[slice]:

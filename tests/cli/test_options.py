@@ -24,6 +24,7 @@ WRITERS = {
     ("excite", "--page"): (".html", "two.urdf"),
     ("identify", "--write"): (".xml", f"one.parquet {ROBOT}"),
     ("drives", "--write"): (".xml", f"one.parquet {ROBOT}"),
+    ("drives", "--friction"): (".csv", f"one.parquet {ROBOT}"),
     ("sample", "--out"): ("", "result.json"),
     ("calibrate", "--out"): (".toml", f"one.parquet {ROBOT} --known mass=20"),
     ("report", "--out"): (".html", f"one.parquet {ROBOT}"),

@@ -50,7 +50,7 @@ def taken(tree: Tree, qd: Array, motor: float = 0.0, steps: int = 1, **table: ob
 
 
 def test_friction_follows_its_law(puma: Tree) -> None:
-    """Stribeck's, powers of speed, one direction, load, and LuGre's bristles: formulas by hand."""
+    """Stribeck's, powers of speed, one direction, and LuGre's bristles: formulas by hand."""
     sign, v = np.sign(SPEEDS), SPEEDS
     dip = np.exp(-((v / 0.2) ** 2))
     dry, wet = COULOMB.coefficients(puma)[0], VISCOUS.coefficients(puma)[0]
@@ -59,7 +59,6 @@ def test_friction_follows_its_law(puma: Tree) -> None:
         (3 * sign * v**2, {"kind": "power_friction", "coefficient": 3.0, "exponent": 2.0}),
         (np.where(v > 0, 1 + 0.5 * v, 0),
          {"kind": "asymmetric_friction", "coulomb": 1.0, "viscous": 0.5}),
-        (2 * sign, {"kind": "load_friction", "share": 0.1}),
     ]  # fmt: skip
     for want, said in cases:
         np.testing.assert_allclose(taken(puma, v, -20.0, **said), want, rtol=1e-8)

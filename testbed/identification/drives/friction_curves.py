@@ -6,7 +6,7 @@ the coefficient of a law of its own, so that filters, weights and sigma are thos
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -27,7 +27,7 @@ from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.selection.held_out import ALWAYS, OFFERED, Parts, Step, grown, rivals
 from testbed.parameters.joint_terms import DriveSet
-from testbed.robot.friction import ROTOR, JointLaw, JointTerm
+from testbed.robot.friction import BY_LOAD, LOAD, LOADED, ROTOR, VARYING, JointLaw, JointTerm
 from testbed.robot.tree import Tree
 
 NODES = (
@@ -122,31 +122,43 @@ LAWS = tuple(node_law(number, way) for way in (1, -1) for number in range(len(NO
 """Of all nodes, forwards and then backwards."""
 
 
-def friction_curves(problem: Problem, bodies: Estimate) -> tuple[FrictionCurve, ...]:
+def friction_curves(
+    problem: Problem, bodies: Estimate, drives: Sequence[DriveEstimate] = ()
+) -> tuple[FrictionCurve, ...]:
     """Friction over velocity, joint by joint, with the torque constant found beside it.
 
+    What a joint has besides friction over velocity is found beside it, too: a rotor, friction that
+    the load adds.
+
     Args:
-        problem: By joint torques; a rotor's inertia is looked for where it is among the terms.
+        problem: By joint torques.
         bodies: The external estimate: of this recording or of another.
+        drives: One a joint, or none: which terms it has.
 
     Raises:
         SettingsError: The estimate is not the plate's, or not of these parameters.
     """
     tree = problem.tree
-    rotors = [law for law in problem.settings.laws if law == ROTOR]
-    torques = torques_beside(problem, bodies, (*rotors, *LAWS))
+    others: list[list[JointLaw]] = [[] for _ in range(tree.n)]
+    for each in drives:
+        own = (term.law for term in each.terms if term.law in (ROTOR, *LOADED))
+        others[tree.index(each.joint)] += own
+    beside = dict.fromkeys(law for own in others for law in own)
+    torques = torques_beside(problem, bodies, (*beside, *LAWS))
     nodes = [_nodes_of(j, torques.drives, torques.equations) for j in range(tree.n)]
 
     def pick(joint: int, drives: DriveSet, equations: NormalEquations) -> Array:
         del equations
-        return _straight_between(nodes[joint], joint, drives)
+        return _straight_between(nodes[joint], others[joint], joint, drives)
 
     found = regressions(torques, bodies, pick)
     return tuple(_curve(tree, each, nodes[each.joint]) for each in found)
 
 
-def _straight_between(nodes: list[tuple[int, int]], joint: int, drives: DriveSet) -> Array:
-    """Torques at the nodes of which there are enough data make those at all; rotors stay."""
+def _straight_between(
+    nodes: list[tuple[int, int]], others: list[JointLaw], joint: int, drives: DriveSet
+) -> Array:
+    """Torques at the nodes of which there are enough data make those at all; others stay."""
     columns: list[Array] = []
     place = {term.law: k for k, term in enumerate(drives.asked) if term.joint == joint}
     for way in (-1, 1):
@@ -156,8 +168,7 @@ def _straight_between(nodes: list[tuple[int, int]], joint: int, drives: DriveSet
             full = np.zeros(len(drives.asked))
             full[[place[node_law(k, way)] for k in range(len(NODES))]] = column
             columns.append(full)
-    if ROTOR in place:
-        columns.append(np.eye(len(drives.asked))[place[ROTOR]])
+    columns += [np.eye(len(drives.asked))[place[law]] for law in others]
     return np.array(columns).reshape(-1, len(drives.asked)).T
 
 
@@ -166,7 +177,7 @@ def _nodes_of(joint: int, drives: DriveSet, equations: NormalEquations) -> list[
     normal, _, _ = equations.of_channel(joint)
     worth = {}
     for k, term in enumerate(drives.asked):
-        if term.joint == joint and term.law != ROTOR:
+        if term.joint == joint and term.law in LAWS:
             column = drives.columns[:, k]
             worth[term.law] = float(column @ normal @ column)
     return [
@@ -226,14 +237,16 @@ class Choice:
     next_best: Step | None
 
 
-def offered(laws: Sequence[JointLaw]) -> tuple[JointLaw, ...]:
+def offered(laws: Sequence[JointLaw], signals: Collection[str]) -> tuple[JointLaw, ...]:
     """All laws that a choice needs columns of; a rotor where it is asked for.
 
     Args:
         laws: What is asked for.
+        signals: Of the recording: laws of the temperature need it.
     """
     rotor = tuple(law for law in laws if law == ROTOR)
-    return (*ALWAYS, *rotor, *OFFERED)
+    warm = tuple(law for law in VARYING if law.by in signals)
+    return (*ALWAYS, *rotor, *OFFERED, *LOADED, *warm)
 
 
 def choices(torques: Torques) -> tuple[Choice, ...]:
@@ -274,11 +287,37 @@ def _choice(products: Array, place: dict[JointLaw, int]) -> Choice:
     more, how = grown(
         parts,
         [0, *(place[law] for law in laws)],
-        {law: place[law] for law in OFFERED if law in place},
+        {law: at for law, at in place.items() if law not in laws},
         lambda law: law.kind,
         rivals,
     )
     return Choice((*laws, *more), how.steps, how.next_best)
+
+
+CLEAR = 4.0
+"""Standard deviations that a chosen coefficient of the load has to have: errors of dry friction
+near reversals have some of its shape."""
+
+
+def clear_choices(
+    choices: Sequence[Choice], found: Sequence[JointRegression], drives: Sequence[DriveEstimate]
+) -> tuple[Choice, ...]:
+    """Those without laws of the load whose coefficients might be zero.
+
+    Args:
+        choices: By joint.
+        found: The regressions by these.
+        drives: The same in words.
+    """
+    clear = list(choices)
+    for regression, drive in zip(found, drives, strict=True):
+        choice = choices[regression.joint]
+        kept = {t.law for t in drive.terms if abs(t.value) >= CLEAR * t.sigma}
+        laws = tuple(law for law in choice.laws if law not in LOADED or law in kept)
+        kinds = {"", *(law.kind for law in laws)}
+        steps = tuple(step for step in choice.steps if step.kind in kinds)
+        clear[regression.joint] = replace(choice, laws=laws, steps=steps)
+    return tuple(clear)
 
 
 @dataclass(frozen=True)
@@ -322,6 +361,31 @@ class DriveEstimate:
     rows: int
     choice: Choice | None = None
 
+    def shares(self, constant: float) -> tuple[float, float]:
+        """What of the load the gear loses where it drives and where it is driven.
+
+        The torques show two slopes, not these two and the torque constant: one has to be known.
+
+        Args:
+            constant: What the drive reports over what the torque is, from elsewhere.
+        """
+        loss = next((term.value for term in self.terms if term.law == LOAD), 0.0)
+        slopes = self.constant * (1 + loss) / constant, self.constant * (1 - loss) / constant
+        return slopes[0] - 1, 1 - slopes[1]
+
+    def friction(self, speed: Array, load: Array) -> Array:
+        """What its terms take at constant speeds and 25 degC, with the offset, (M,) [N m or N].
+
+        Args:
+            speed: (M,) [rad/s or m/s].
+            load: Torque that moves the link, (M,) [N m or N].
+        """
+        found = np.zeros(np.broadcast_shapes(np.shape(speed), np.shape(load)))
+        for law, value in ((term.law, term.value) for term in self.terms):
+            by = BY_LOAD[law.by](load, load) if law.by in BY_LOAD else float(not law.by)
+            found = found + value * by * law.columns(speed, np.zeros_like(speed))
+        return found
+
 
 @dataclass(frozen=True)
 class ChosenTerms:
@@ -351,8 +415,8 @@ class ChosenTerms:
         if self.choices is None:
             return estimates
         return tuple(
-            replace(each, choice=choice)
-            for each, choice in zip(estimates, self.choices, strict=True)
+            replace(each, choice=self.choices[own.joint])
+            for each, own in zip(estimates, found, strict=True)
         )
 
 

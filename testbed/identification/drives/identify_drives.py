@@ -18,9 +18,11 @@ from testbed.identification.drives.friction_curves import (
     DriveEstimate,
     FrictionCurve,
     choices,
+    clear_choices,
     friction_curves,
     offered,
 )
+from testbed.identification.drives.friction_map import FrictionMap, friction_maps
 from testbed.identification.drives.joint_regression import (
     JointRegression,
     Torques,
@@ -235,11 +237,13 @@ class DriveFindings(Diagnosed):
         estimates: Constants and terms, one a joint.
         curves: Friction over velocity, one a joint.
         combined: The bodies by plate and torques together.
+        maps: Friction over velocity and load, one a joint.
     """
 
     estimates: tuple[DriveEstimate, ...]
     curves: tuple[FrictionCurve, ...]
     combined: Combined
+    maps: tuple[FrictionMap, ...] = ()
 
     @property
     def gears(self) -> dict[str, float]:
@@ -309,13 +313,20 @@ def identify_drives(
         gravity=gravity,
         threads=threads,
         progress=progress,
+        knows_load=True,
     )
     settings = problem.settings
     choose = choose or settings.open_speed  # which is chosen with the terms
-    torques = torques_beside(problem, bodies, offered(settings.laws) if choose else None)
+    laws = offered(settings.laws, problem.source.signals) if choose else None
+    torques = torques_beside(problem, bodies, laws)
     chosen = ChosenTerms(choices(torques) if choose else None)
     found = regressions(torques, bodies, chosen.pick)
-    curves = friction_curves(problem, bodies)
-    return DriveFindings(
-        chosen.estimates(problem.tree, torques, found), curves, combined(torques, bodies, found)
-    )
+    drives = chosen.estimates(problem.tree, torques, found)
+    if chosen.choices is not None:
+        clear = ChosenTerms(clear_choices(chosen.choices, found, drives))
+        if clear != chosen:
+            found = regressions(torques, bodies, clear.pick)
+            drives = clear.estimates(problem.tree, torques, found)
+    curves = friction_curves(problem, bodies, drives)
+    maps = friction_maps(problem, bodies, found)
+    return DriveFindings(drives, curves, combined(torques, bodies, found), maps)

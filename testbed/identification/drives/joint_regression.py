@@ -108,6 +108,7 @@ class JointRegression:
         noise: What the residual would be, were rows independent of each other and as uncertain as
             the covariance has it [N m or N].
         rows: How many counted.
+        by_bodies: How the values move with the plate's parameters, (1 + q, N_r).
         reliability: Share of the constant that is left where what the bodies need is not known
             exactly: it is put back, and below `bodies_doubt.LEAST` there is nothing to put back.
     """
@@ -119,6 +120,7 @@ class JointRegression:
     residual: float
     noise: float
     rows: int
+    by_bodies: Array
     reliability: float = 1.0
 
     @property
@@ -190,16 +192,18 @@ def torques_beside(
         )
     terms = problem.settings.words if laws is None else laws
     problem = problem.with_settings(terms=terms, weights="channels")
-    assert problem.drives is not None, "terms are those of joint torques"
-    lift = _lift(problem.tree, bodies, problem.drives, problem.settings)
+    drives = problem.drives
+    assert drives is not None, "terms are those of joint torques"
+    lift = _lift(problem.tree, bodies, drives, problem.settings)
+    problem = replace(problem, load=(lift @ bodies.values)[: problem.minimal.count])
     passes = problem.passes(3)
     with one_blas_thread():
         equations = problem.equations(passes)
-    combined = np.column_stack([lift @ bodies.values, problem.drives.columns])
+    combined = np.column_stack([lift @ bodies.values, drives.columns])
     joints = tuple(problem.tree.index(name) for name in bodies.joints[bodies.minimal.lead :])
     if not joints:
         raise SettingsError("no joint lies beyond the force sensor: it says nothing of a drive")
-    return Torques(problem.drives, passes, equations, lift, joints, combined)
+    return Torques(drives, passes, equations, lift, joints, combined)
 
 
 def regressions(
@@ -243,6 +247,7 @@ def regressions(
                 residual=residual,
                 noise=max(noise, residual),
                 rows=used,
+                by_bodies=moved,
                 reliability=undone.reliability,
             )
         )

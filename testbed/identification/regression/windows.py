@@ -19,7 +19,7 @@ from testbed.kernel.layout import Layout
 from testbed.kernel.records import NONE, Signals
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, segments_of
-from testbed.robot.friction import ROOM
+from testbed.robot.friction import BY_LOAD, ROOM
 
 POSITION_ATTENUATION = 120.0
 """Of the filter on positions [dB]: what it takes from the motion would bias the estimate."""
@@ -196,6 +196,7 @@ class Plan:
         step: Samples from row to row.
         spans: Rows that no gap of the source touches: the first of each run, and how many.
         engine: What makes the rows, as `Settings.engine` says it.
+        load: Values of the body columns, (P',), for laws of the load; None without such.
     """
 
     source: Source
@@ -208,6 +209,7 @@ class Plan:
     step: int
     spans: tuple[tuple[int, int], ...]
     engine: str
+    load: Array | None = None
 
     @property
     def rows(self) -> int:
@@ -284,7 +286,8 @@ class Plan:
             start=self.reach,
             step=self.step,
             number=window.rows,
-            varying=self._varying(part, window) if varying else NONE,
+            varying=self._varying(part, window) if varying - {*BY_LOAD} else NONE,
+            load=NONE if self.load is None else self.load,
         )
 
     def _varying(self, part: Recording, window: Window) -> Array:

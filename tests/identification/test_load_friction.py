@@ -1,0 +1,146 @@
+"""Friction over velocity and load: laws, map and files, each beside a computation of its own."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.dynamics.newton_euler import joint_forces
+from testbed.errors import SettingsError
+from testbed.identification.drives.friction_files import (
+    bam_parameters,
+    check_friction_file,
+    write_friction,
+)
+from testbed.identification.drives.friction_map import LOADS, SPEEDS
+from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
+from testbed.recordings.recording import Recording
+from tests.helpers.ideal import EXACT, ideal, plus
+from tests.helpers.refusals import refuses
+from tests.helpers.runs import robot
+
+CONSTANTS = np.array([1.05, 0.95, 1.05])
+LOADED = ("load", "viscous_load", "driving_load", "quadratic_load")
+LOSS = np.array([[0.05, 0.1, 0.2], [0.01, 0.002, 0.03], [0.004, 0.003, 0.002], [1e-3, 2e-3, 4e-3]])
+"""Of those laws, by joint."""
+
+
+def puma() -> tb.Tree:
+    """With friction of its own, which no rotor hides."""
+    joints = {
+        name: {"coulomb": 3.0 + k, "viscous": 2.0 + k} for k, name in enumerate(robot("puma").names)
+    }
+    return robot("puma").with_joints(joints)
+
+
+def loads(tree: tb.Tree, recording: Recording) -> Array:
+    """The torques that move the links, (M, n), by Newton and Euler."""
+    true = recording.truth
+    assert true is not None
+    return joint_forces(
+        tree, tb.Motion(recording.time, true.position, true.velocity, true.acceleration)
+    )
+
+
+def rubbing(tree: tb.Tree, seconds: float, loss: Array = LOSS, noise: float = 0.0) -> Recording:
+    """By drives whose gears take more under load, with constants that are off."""
+    recording = ideal(tree, seconds, seed=2)
+    assert recording.velocity is not None
+    load, v = loads(tree, recording), recording.velocity
+    more = loss[0] * np.abs(load) * np.sign(v) + loss[1] * np.abs(load) * v
+    more += loss[2] * load * np.abs(v) + loss[3] * load**2 * np.sign(v)
+    wide = noise * np.random.default_rng(1).normal(size=load.shape)
+    found = plus(recording, torque=more)
+    return replace(found, torque=found.measured("torque") * CONSTANTS + wide)
+
+
+def findings(tree: tb.Tree, recording: Recording, **how: Any) -> DriveFindings:
+    """Beside the plate's estimate from the same recording."""
+    settings = how.pop("settings", EXACT)
+    bodies = tb.identify(tree, recording, settings=settings)
+    return identify_drives(tree, recording, bodies, settings=settings, **how)
+
+
+def test_laws_of_the_load_are_found_exactly() -> None:
+    """A sample's column is the law of its own load: else coefficients of exact data are off."""
+    tree = puma()
+    settings = replace(EXACT, terms=("coulomb", "viscous", *LOADED))
+    found = findings(tree, rubbing(tree, 20.0), settings=settings)
+    for j, drive in enumerate(found.estimates):
+        true = [tree.joints[j].coulomb, tree.joints[j].viscous, *LOSS[:, j]]
+        assert drive.constant == pytest.approx(CONSTANTS[j], abs=1e-6)
+        np.testing.assert_allclose([term.value for term in drive.terms], true, rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_a_load_term_is_chosen_where_there_is_one_and_only_there() -> None:
+    """And cells of the map are the law at their mean velocity and load, which no law made."""
+    tree, none = puma(), np.zeros_like(LOSS)
+    loss = none.copy()
+    loss[0, 1] = 0.1
+    found = findings(tree, rubbing(tree, 40.0, loss, 0.5), choose=True)
+    kinds = [{term.law.kind for term in drive.terms} for drive in found.estimates]
+    assert ["load" in own for own in kinds] == [False, True, False]
+    assert not set().union(*kinds) & set(LOADED[1:])
+    (load,) = (term for term in found.estimates[1].terms if term.law.kind == "load")
+    assert abs(load.value - 0.1) < 4 * load.sigma < 0.02
+    scores = []
+    for j, cells in enumerate(found.maps):
+        assert len(cells.rows) > 20
+        assert (cells.rows >= 4).all()
+        for edges, mean in ((cells.speeds, cells.speed), (cells.loads, cells.load)):
+            inside = (edges[:, 0] <= mean) & (mean <= edges[:, 1])
+            assert inside[np.abs(edges).max(axis=1) < np.abs(edges).max()].all()
+        law = tree.joints[j].coulomb * np.sign(cells.speed) + tree.joints[j].viscous * cells.speed
+        law += loss[0, j] * np.abs(cells.load) * np.sign(cells.speed)
+        scores.append((cells.friction - law) / cells.sigma)
+    every = np.concatenate(scores)
+    assert np.abs(every).max() < 5
+    assert 0.6 < np.sqrt(np.mean(every**2)) < 1.4
+    assert len(every) < 3 * 4 * len(SPEEDS) * LOADS  # the others are empty, and stay so
+
+
+def bam_friction(values: dict[str, Any], load: float, speed: float) -> float:
+    """What BAM's M5 takes of a gear that passes on a load slowly: its formula, by hand."""
+    loss = values.get("load_friction_external", 0.0) * abs(load)
+    fade = 0.0
+    if values["model"] != "m1":
+        ratio = abs(speed / values["dtheta_stribeck"]) ** values["alpha"]
+        fade = values["friction_stribeck"] * np.exp(-ratio)
+    dry = float(values["friction_base"] + loss + fade)
+    return float(np.sign(speed) * dry + values["friction_viscous"] * speed)
+
+
+@pytest.mark.slow
+def test_friction_in_files_is_what_was_found(tmp_path: Path) -> None:
+    """Read back by a computation of BAM's formula, and as a table."""
+    tree, loss = puma(), np.zeros_like(LOSS)
+    loss[0] = 0.1
+    settings = replace(EXACT, terms=("coulomb", "viscous", "stribeck@0.1", "load"))
+    found = findings(tree, rubbing(tree, 20.0, loss), settings=settings)
+    for ending in ("csv", "json"):
+        write_friction(found, tmp_path / f"friction.{ending}")
+    bam = json.loads((tmp_path / "friction.json").read_text())
+    for drive in found.estimates:
+        for load, speed in ((12.0, 0.05), (-7.0, 1.0), (3.0, -0.2)):
+            want = drive.friction(np.array([speed]), np.array([load]))[0]
+            assert bam_friction(bam[drive.joint], load, speed) == pytest.approx(want, rel=1e-9)
+        assert bam[drive.joint]["model"] == "m5"
+    plain = replace(found.estimates[0], terms=found.estimates[0].terms[:2])
+    assert bam_parameters(plain)["model"] == "m1"
+    with (tmp_path / "friction.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == sum(len(cells.rows) for cells in found.maps)
+    assert {row["joint"] for row in rows} == set(tree.names)
+    for row in rows:
+        assert float(row["friction"]) == pytest.approx(float(row["law"]), abs=0.5)
+    with refuses(SettingsError, "friction.txt"):
+        check_friction_file(Path("friction.txt"))
