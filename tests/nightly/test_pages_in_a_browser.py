@@ -72,6 +72,7 @@ def test_the_viewer_has_nothing_to_complain_about(name: str, tmp_path: Path) -> 
         if run.recording.truth is not None:  # and while it happens
             live = Live(run.name, scene(name).appearance, port)
             for part in (slice(0, 1000), slice(1000, 2000)):
-                piece = {k: values[part] for k, values in vars(run.recording.truth).items()}
+                whole = {k: v for k, v in vars(run.recording.truth).items() if v is not None}
+                piece = {k: values[part] for k, values in whole.items()}
                 live(run.recording.time[part], Truth(**piece))
             assert [view.reports for view in settled(viewer) if view.reports] == []
