@@ -292,17 +292,22 @@ def sensor_poses(tree: Tree, q: Array) -> tuple[Array, Array]:
         tree: The robot.
         q: Joint positions, (M, n) [rad or m].
     """
-    return _placed(tree, q, tree.sensor)
+    return _placements(tree, q, [tree.sensor])[0]
 
 
-def _placed(tree: Tree, q: Array, at: Placement | None) -> tuple[Array, Array]:
-    """Rotation to the bedplate's axes and origin of a sensor; None is the bedplate's."""
-    turn, place = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
-    if at is None:
-        return turn, place
-    if at.body >= 0:
-        turn, place = poses(tree, q)[at.body]
-    return turn @ at.rotation, place + turn @ at.position
+def _placements(
+    tree: Tree, q: Array, sensors: Sequence[Placement | None]
+) -> list[tuple[Array, Array]]:
+    """Rotation to the bedplate's axes and origin of each sensor; None is the bedplate's."""
+    still = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
+    moving = poses(tree, q) if any(at and at.body >= 0 for at in sensors) else []
+    found = []
+    for at in sensors:
+        turn, place = still if at is None or at.body < 0 else moving[at.body]
+        if at is not None:
+            turn, place = turn @ at.rotation, place + turn @ at.position
+        found.append((turn, place))
+    return found
 
 
 def wrench_transforms(tree: Tree, q: Array) -> dict[str, Array]:
@@ -315,11 +320,10 @@ def wrench_transforms(tree: Tree, q: Array) -> dict[str, Array]:
     Returns:
         By sensor, (M, 6, 6): takes a wrench about its origin in its axes, force first.
     """
-    turn, place = _placed(tree, q, tree.sensor)
+    (turn, place), *following = _placements(tree, q, [tree.sensor, *tree.cuts])
     back = np.swapaxes(turn, 1, 2)
     found = {}
-    for cut in tree.cuts:
-        own, there = _placed(tree, q, cut)
+    for cut, (own, there) in zip(tree.cuts, following, strict=True):
         each = np.zeros((len(q), 6, 6))
         each[:, :3, :3] = each[:, 3:, 3:] = back @ own
         each[:, 3:, :3] = back @ skew(there - place) @ own

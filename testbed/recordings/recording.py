@@ -6,7 +6,7 @@ Times     of the first instant of each sample
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -162,16 +162,22 @@ class Recording:
             RecordingError: The recording is of another robot.
         """
         check_robot(self, tree)
-        if self.names == tree.names:
-            return self
-        order = [self.names.index(name) for name in tree.names]
+        return self if self.names == tree.names else self.of_joints(tree.names)
+
+    def of_joints(self, names: Sequence[str]) -> Recording:
+        """Columns of some joints, those of the truth too.
+
+        Args:
+            names: Of joints that it has, in the order of their columns.
+        """
+        order = [self.names.index(name) for name in names]
         there = [signal for signal in JOINT_SIGNALS if signal in self.signals]
         picked: dict[str, Any] = {s: self.measured(s)[:, order] for s in there}
         truth = self.truth
         if truth is not None:
             joints = {s: getattr(truth, s)[:, order] for s in TRUE_JOINT_SIGNALS}
             truth = replace(truth, **joints)
-        return replace(self, names=tree.names, truth=truth, **picked)
+        return replace(self, names=tuple(names), truth=truth, **picked)
 
     def columns(self) -> dict[str, Array]:
         """Measured channels by column name, (M,) each."""

@@ -12,7 +12,6 @@ import numpy as np
 from testbed.arrays import Array, apply
 from testbed.dynamics.newton_euler import pedestal_wrench, wrench_transforms
 from testbed.errors import RecordingError
-from testbed.recordings.columns import JOINT_SIGNALS, TRUE_JOINT_SIGNALS
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, segments_of
 from testbed.robot.free_base import COORDINATES, coordinates
@@ -166,21 +165,14 @@ def with_base_joints(recording: Recording) -> Recording:
 
 
 def of_joints(recording: Recording, names: Sequence[str]) -> Recording:
-    """A recording of some of its joints.
+    """A recording of some of its joints, which is no longer checked as a whole robot's.
 
     Args:
         recording: With more.
         names: Of those that are kept, in the order of their columns.
     """
-    own = [recording.names.index(name) for name in names]
-    there = [signal for signal in JOINT_SIGNALS if signal in recording.signals]
-    columns: dict[str, Any] = {signal: recording.measured(signal)[:, own] for signal in there}
-    truth = recording.truth
-    if truth is not None:
-        joints = {signal: getattr(truth, signal)[:, own] for signal in TRUE_JOINT_SIGNALS}
-        truth = replace(truth, **joints)
     facts = {k: v for k, v in recording.facts.items() if k != "geometry"}
-    return replace(recording, names=tuple(names), truth=truth, facts=facts, **columns)
+    return replace(recording.of_joints(names), facts=facts)
 
 
 SEGMENT = "segment"

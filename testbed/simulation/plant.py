@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.dynamics.newton_euler import Motion, base_wrench, joint_forces
-from testbed.errors import ModelError
+from testbed.errors import ModelError, UnknownName
 from testbed.excitation.limits import limits_of
 from testbed.robot.force_sensor import ForceSensor
 from testbed.robot.formats.mjcf import repaired_spec
@@ -226,6 +226,7 @@ def build_plant(
 
     Raises:
         ModelError: MuJoCo refuses the model, or an effect departs from its law.
+        UnknownName: A sensor is at a link that is not there.
     """
     if not friction or any(effect.owns_friction for effect in effects):
         tree = tree.without_friction()
@@ -321,7 +322,10 @@ def _equip(
 
 def _add_sensor(spec: mujoco.MjSpec, sensor: ForceSensor, prefix: str) -> None:
     """A force and a torque sensor at the cut before a link, at its place and along its axes."""
-    body = next(each for each in spec.bodies if each.name == prefix + sensor.link)
+    bodies = {each.name.removeprefix(prefix): each for each in spec.bodies[1:]}  # not the world
+    if sensor.link not in bodies:
+        raise UnknownName("link", sensor.link, sorted(bodies))
+    body = bodies[sensor.link]
     turn = np.zeros(4)
     mujoco.mju_mat2Quat(turn, sensor.rotation.ravel())
     body.add_site(name=_SENSOR + sensor.name, pos=sensor.position, quat=turn)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.experiment.run import MatrixErrors, Run
@@ -51,17 +52,24 @@ def log_matrix(stream: rr.RecordingStream, found: MatrixErrors, at: str) -> None
         _log_words(stream, f"{path}/names", places, [*AXES, *AXES], COLOURS["axis"])
 
 
-def picture(values: Array, most: float) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+def picture(values: Array, most: float) -> NDArray[np.uint8]:
     """Pixels of cells from light to dark, (6 CELL, 6 CELL, 3).
 
     Args:
         values: (6, 6).
         most: Of the darkest cell.
     """
+    return np.asarray(_shades(values, most).repeat(CELL, axis=0).repeat(CELL, axis=1))
+
+
+def _shades(values: Array, most: float) -> NDArray[np.uint8]:
+    """Colours from light to dark by size, (..., 3)."""
     share = np.abs(values)[..., None] / (most or 1.0)
     colour = np.array(COLOURS["external"][:3])
-    cells = np.rint(LIGHTEST + share * (colour - np.array(LIGHTEST))).astype(np.uint8)
-    return np.asarray(cells.repeat(CELL, axis=0).repeat(CELL, axis=1))
+    found: NDArray[np.uint8] = np.rint(LIGHTEST + share * (colour - np.array(LIGHTEST))).astype(
+        np.uint8
+    )
+    return found
 
 
 def _log_words(
@@ -107,11 +115,10 @@ def log_map(
     """
     if not len(cells.rows):
         return
-    share = np.abs(cells.load)[:, None] / np.abs(cells.load).max()
-    colours = LIGHTEST + share * (np.array(COLOURS["external"][:3]) - np.array(LIGHTEST))
+    colours = _shades(cells.load, float(np.abs(cells.load).max()))
     places = np.column_stack([cells.speed / axes[0], -cells.friction / axes[1]])
     said = [f"load {load:.3g} {cells.unit}" for load in cells.load.tolist()]
-    dots = rr.Points2D(places, colors=np.rint(colours).astype(np.uint8), radii=[0.012], labels=said)
+    dots = rr.Points2D(places, colors=colours, radii=[0.012], labels=said)
     stream.log(f"{path}/map", dots, static=True)
 
 

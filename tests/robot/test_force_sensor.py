@@ -128,6 +128,8 @@ def test_links_that_are_not_there_and_the_root_are_refused() -> None:
     file = ROOT / "experiments/force_sensor.toml"
     with pytest.raises(UnknownName):
         simulate(Experiment.load(file, ["robot.sensor=link9"]))
+    with pytest.raises(UnknownName):
+        simulate(Experiment.load(file, ["sensors.other.link=link9", "robot.sensor=''"]))
 
 
 @pytest.mark.parametrize("about", ["base", "link2", "link3", "plate"])
