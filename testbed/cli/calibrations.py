@@ -28,6 +28,7 @@ from testbed.cli.reading import (
 )
 
 if TYPE_CHECKING:
+    from testbed.diagnostics import Diagnostic
     from testbed.identification.estimate import Method
 
 
@@ -79,35 +80,38 @@ def calibrate(
     from testbed.identification.payload.calibration_by_payload import calibrate_by_payload
     from testbed.identification.payload.torque_scales import torque_scales
     from testbed.identification.regression.constraints import parse_known
-    from testbed.recordings.source import open_source
     from testbed.reporting import estimates as shown
     from testbed.reporting import output, terminal
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic)
     check_writable(out, read=(recording, loaded, model))
-    tree, facts = reading.tree(model), parse_known(known)
     if joint is not None and loaded is None:
         raise SettingsError("--joint names the link of --loaded: both are needed")
+    said: list[Diagnostic] = []
+    facts, source = parse_known(known), opened(recording)
+    if loaded is None:
+        reading, source, said = reading.holding(source, model, ())
+    tree = reading.tree(model)
     table = reading.tables().identification
     how: dict[str, Any] = {"gravity": gravity, "settings": table, "threads": threads}
-    if loaded is not None and "wrench" not in open_source(recording).signals:
+    if loaded is not None and "wrench" not in source.signals:
         with output.Progress("calibrating torques") as progress:
-            scales = torque_scales(tree, recording, loaded, facts, joint, progress=progress, **how)
+            scales = torque_scales(tree, source, loaded, facts, joint, progress=progress, **how)
         if as_json:
             output.print_json(encode(scales))
         else:
             output.print_tables(output.console(), [shown.scales_table(scales)])
         return
-    found = partial(calibrated, tree, recording)
+    found = partial(calibrated, tree, source)
     if loaded is not None:
-        found = partial(calibrate_by_payload, tree, recording, loaded, joint=joint)
+        found = partial(calibrate_by_payload, tree, source, loaded, joint=joint)
     with output.Progress("calibrating") as progress:
         plate = found(facts, progress=progress, **how)
     write_plate(plate, out)
     if as_json:
         output.print_json(encode(plate, exclude={"estimate": {"normal_equations"}}))
     else:
-        terminal.print_plate(plate, tree.diagnostics, out)
+        terminal.print_plate(plate, [*tree.diagnostics, *said], out)
 
 
 @app.command()
@@ -170,12 +174,13 @@ def drives(
     writing.check(reading, model, [recording])
     if unseen is not None and write is None:
         raise SettingsError("--unseen drives the file that --write writes")
-    reading = reading.with_sensors(opened(recording), alone=True)
+    reading, source, held = reading.holding(opened(recording), model, ())
+    reading = reading.with_sensors(source, alone=True)
     felt, table = reading.tree(model), reading.tables().identification
     if felt.sensor is not None and write is not None:
         raise SettingsError("--write needs bodies by the plate, not by a force sensor")
     tree = replace(reading, sensor=None).tree(model)
-    source = reading.source(recording, tree)
+    source = reading.source(source, tree)
     with output.Progress("identifying by the wrench") as progress:
         bodies = identify(
             felt,
@@ -199,7 +204,7 @@ def drives(
         )
     if friction is not None:
         write_friction(found, friction)
-    said = [*tree.diagnostics, *bodies.diagnostics, *found.diagnostics]
+    said = [*tree.diagnostics, *held, *bodies.diagnostics, *found.diagnostics]
     lines = []
     if write is not None:
         links, _ = writing.bodies(reading, model, source, [bodies], {})
@@ -286,7 +291,7 @@ def payload(
     links = {} if flange is None else {x.name: x for x in reading.model_file(model).links()}
     if flange is not None and flange not in links:
         raise UnknownName("link", flange, list(links))
-    sources = [reading.source(path, tree) for path in (without, loaded)]
+    sources = [reading.source(opened(path), tree) for path in (without, loaded)]
     if at_rest:
         tree = in_its_gravity(tree, sources[0], gravity)
         with output.Progress("weighing"):

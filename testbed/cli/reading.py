@@ -294,13 +294,13 @@ class Reading:
         mimic = mimic_joints(path) if follow else ()
         return ModelFile(path, welded, bodies, dict.fromkeys(mimic) | held)
 
-    def source(self, path: Path, tree: Tree) -> Source:
+    def source(self, recording: Source, tree: Tree) -> Source:
         """A recording, as a perfect plate would have made it where the plate is known."""
         from testbed.recordings.views import on_its_base
         from testbed.reporting import output
 
         with output.Progress("reading"):
-            return corrected_source(on_its_base(opened(path), tree), tree, self.plate)
+            return corrected_source(on_its_base(recording, tree), tree, self.plate)
 
     @stage("reading and plausibility")
     def joined(

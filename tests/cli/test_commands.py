@@ -243,3 +243,24 @@ def test_gravity_is_a_vector_however_it_is_written(place: Path) -> None:
     ]
     assert said[0] == said[1]
     assert json.loads(said[0])["gravity"] == [0, 0, -1.62]
+
+
+def test_drives_and_plate_are_calibrated_though_a_joint_rests(place: Path, tmp_path: Path) -> None:
+    """As of the robot that has this joint locked; witness: the recording without its column."""
+    words = [*shlex.split(QUICK.replace("--set", "")), "robot.lock={elbow=0.5}"]
+    words += ["measurement.torque_constant_error={waist=0.05}"]
+    two = tb.simulate(tb.Experiment.load(place / "table.toml", words))
+    still = np.full((len(two.time), 1), 0.5)
+    three = tb.Recording(
+        (*two.names, "elbow"), two.time, np.hstack([two.measured("position"), still]),
+        np.hstack([two.measured("torque"), 0 * still]), two.wrench, tare=two.tare,
+    )  # fmt: skip
+    three.save(tmp_path / "three.parquet")
+    two.save(tmp_path / "two.parquet")
+    model = f"--model {place / 'puma562.xml'} --json"
+    for command in ("drives", "calibrate --known mass=20 --known gain/Mx=1 --out plate.toml"):
+        said = [
+            json.loads(command_line(*shlex.split(f"{command} {each}"), cwd=tmp_path).stdout)
+            for each in (f"three.parquet {model}", f"two.parquet {model} --lock elbow=0.5")
+        ]
+        assert said[0] == said[1], command
