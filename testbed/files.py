@@ -1,38 +1,25 @@
-"""Files appear whole or not at all.
-
-What is being written stands in a hidden folder beside its place, a nest, which its writer
-holds locked. The lock goes with the process, so the next writer there can sweep the nests of
-those that were killed.
-"""
+"""Files appear whole or not at all: they are written beside their place, and renamed."""
 
 from __future__ import annotations
 
-import ctypes
 import errno
-import fcntl
 import hashlib
-import os
-import platform
-import re
-import shutil
 import stat
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
 
-NEST = f".testbed-{re.sub('[^A-Za-z0-9]', '_', platform.node())[:64]}-"
-"""How nests begin: with this machine's name, since not every file system shares its locks."""
-
-AT_FDCWD, EXCHANGE = -100, 2
-"""Of Linux' renameat2, and of renamex_np of macOS."""
+HIDDEN = ".testbed-"
+"""How temporary folders begin; one of a writer that was killed stays."""
 
 
 @contextmanager
 def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
     """A temporary path beside `path`, which takes its place if the block succeeds.
 
-    At every instant the old or the new one stands there, complete.
+    What stands there is complete at every instant; a folder that is replaced is away for one.
 
     Args:
         path: What is to appear; what stands there is replaced only if it is of its kind.
@@ -47,9 +34,18 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
             device, or the place may not be written to.
     """
     place = _place(path, folder)
-    with _nest_beside(place, path) as nest:
-        yield nest / "fresh"
-        _put(nest, place)
+    with _beside(place, path) as hidden:
+        fresh = hidden / "fresh"
+        yield fresh
+        for turn in count():
+            try:
+                fresh.replace(place)
+                return
+            except OSError as error:  # a folder cannot replace a full one
+                if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                    raise
+            with suppress(FileNotFoundError):  # another writer has moved it
+                place.rename(hidden / f"older-{turn}")
 
 
 def check_writable(
@@ -71,13 +67,13 @@ def check_writable(
             place = _place(path, folder)
             if place in kept:
                 raise OSError(f"'{path}' is read by this command; choose another name to write")
-            with _nest_beside(place, path):
+            with _beside(place, path):
                 pass
 
 
 @contextmanager
-def _nest_beside(place: Path, path: Path) -> Iterator[Path]:
-    """A nest beside a place, and the folders above it while there is something in them.
+def _beside(place: Path, path: Path) -> Iterator[Path]:
+    """A temporary folder beside a place, and the folders above it while something is in them.
 
     Raises:
         OSError: It cannot be made there; in the words of `path`.
@@ -86,14 +82,13 @@ def _nest_beside(place: Path, path: Path) -> Iterator[Path]:
     try:
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
-            _sweep(place.parent)
-            nest, lock = _new_nest(place.parent)
+            hidden = tempfile.TemporaryDirectory(
+                prefix=HIDDEN, dir=place.parent, ignore_cleanup_errors=True
+            )
         except OSError as error:
             raise OSError(f"'{path}' may not be written there: {error.strerror}") from None
-        try:
-            yield nest
-        finally:
-            _remove(nest, lock)
+        with hidden as name:
+            yield Path(name)
     finally:
         for each in missing:
             with suppress(OSError):  # what was written stands there
@@ -142,111 +137,3 @@ def _place(path: Path, folder: bool) -> Path:
     except (RuntimeError, ValueError) as error:  # of Python: links in a circle, a zero byte
         raise OSError(f"'{path}' cannot be written: {error}") from None
     return place
-
-
-def _new_nest(parent: Path) -> tuple[Path, int]:
-    """A folder for what is not whole yet, and the lock on it."""
-    while True:
-        nest = Path(tempfile.mkdtemp(prefix=NEST, dir=parent))
-        lock = _locked(nest)
-        if lock is not None:
-            return nest, lock
-
-
-def _locked(nest: Path, *, sweeping: bool = False) -> int | None:
-    """The lock on a nest; None if another process has it, or has just swept the nest away."""
-    path = nest / "lock"
-    try:
-        lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
-    except FileNotFoundError:
-        return None
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if os.path.samestat(os.fstat(lock), path.stat()):
-            return lock
-    except (BlockingIOError, FileNotFoundError):
-        pass
-    except OSError:  # a file system without locks: nobody can sweep there
-        if not sweeping:
-            return lock
-    os.close(lock)
-    return None
-
-
-def _sweep(folder: Path) -> None:
-    """Remove the nests of writers that were killed there."""
-    for nest in folder.glob(f"{NEST}*"):
-        with suppress(OSError):
-            lock = None if nest.is_symlink() else _locked(nest, sweeping=True)
-            if lock is not None:
-                try:
-                    _put_back(nest)
-                finally:  # its owner may be removing it at this moment
-                    _remove(nest, lock)
-
-
-def _remove(nest: Path, lock: int) -> None:
-    """Remove a nest; its lock is held meanwhile, so that nobody else removes it too."""
-    shutil.rmtree(nest, ignore_errors=True)
-    os.close(lock)
-    with suppress(OSError):  # gone already, unless the file system keeps what is open
-        nest.rmdir()
-
-
-def _put(nest: Path, place: Path) -> None:
-    """Put what is fresh in its place."""
-    fresh = nest / "fresh"
-    while True:
-        with _passing(errno.ENOTEMPTY, errno.EEXIST):  # a folder cannot replace a full one
-            fresh.replace(place)
-            return
-        with _passing(errno.ENOENT, errno.ENOTEMPTY, errno.EEXIST):  # another writer moved it away
-            if not _exchanged(fresh, place):
-                _in_two_steps(nest, place)
-            return
-
-
-@contextmanager
-def _passing(*codes: int) -> Iterator[None]:
-    """Errors of the system with these codes are none."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno not in codes:
-            raise
-
-
-def _exchanged(a: Path, b: Path) -> bool:
-    """Let two paths change places in one step; False if this system cannot."""
-    library, ends = ctypes.CDLL(None, use_errno=True), (os.fsencode(a), os.fsencode(b))
-    if hasattr(library, "renameat2"):  # of Linux
-        failed = library.renameat2(AT_FDCWD, ends[0], AT_FDCWD, ends[1], EXCHANGE)
-    elif hasattr(library, "renamex_np"):  # of macOS
-        failed = library.renamex_np(*ends, EXCHANGE)
-    else:
-        return False
-    code = ctypes.get_errno()
-    if failed and code not in (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP):
-        raise OSError(code, os.strerror(code), str(b))
-    return not failed
-
-
-def _in_two_steps(nest: Path, place: Path) -> None:
-    """The older one away, the fresh one there; if that fails or is killed, the older one back."""
-    older = nest / "older" / place.name
-    shutil.rmtree(older.parent, ignore_errors=True)
-    older.parent.mkdir()
-    place.rename(older)
-    try:
-        (nest / "fresh").rename(place)
-    except OSError:
-        _put_back(nest)
-        raise
-
-
-def _put_back(nest: Path) -> None:
-    """What stood in a place that is empty now goes there again."""
-    if (nest / "older").is_dir():
-        for older in (nest / "older").iterdir():
-            with suppress(OSError):  # somebody has put something there
-                older.rename(nest.parent / older.name)

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.arrays import AnyArray, Array, apply, readonly, skew
+from testbed.arrays import AnyArray, Array, apply, freeze, skew
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import Model
 from testbed.parameters.symbols import TENSOR, barycentric
@@ -33,10 +33,9 @@ class Motion:
     qdd: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t", readonly(self.t, (None,), "t"))
+        freeze(self, t=(None,))
         shape = (len(self.t), np.shape(self.q)[-1] if np.ndim(self.q) else 0)
-        for name in ("q", "qd", "qdd"):
-            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+        freeze(self, q=shape, qd=shape, qdd=shape)
 
     @property
     def samples(self) -> int:

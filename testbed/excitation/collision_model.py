@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.errors import UnknownName
 from testbed.excitation.limits import Limits
 from testbed.robot.tree import Tree
@@ -44,8 +44,7 @@ class Obstacle:
     half: Array
 
     def __post_init__(self) -> None:
-        for name in ("centre", "half"):
-            object.__setattr__(self, name, readonly(getattr(self, name), (3,), name))
+        freeze(self, centre=(3,), half=(3,))
 
 
 @dataclass(frozen=True, eq=False)

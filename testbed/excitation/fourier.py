@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.dynamics.newton_euler import Motion
 
 
@@ -28,9 +28,7 @@ class Fourier:
 
     def __post_init__(self) -> None:
         n = len(self.offset)
-        object.__setattr__(self, "offset", readonly(self.offset, (n,), "offset"))
-        object.__setattr__(self, "sine", readonly(self.sine, (n, None), "sine"))
-        object.__setattr__(self, "cosine", readonly(self.cosine, self.sine.shape, "cosine"))
+        freeze(self, offset=(n,), sine=(n, None), cosine=(n, np.shape(self.sine)[-1]))
 
     @property
     def period(self) -> float:

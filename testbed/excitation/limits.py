@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.dynamics.newton_euler import Motion, joint_forces
 from testbed.errors import InfeasibleMotion
 from testbed.excitation.samples import Instants, Samples
@@ -41,8 +41,7 @@ class Limits:
 
     def __post_init__(self) -> None:
         n = len(self.low)
-        for name in ("low", "high", "velocity", "acceleration", "effort"):
-            object.__setattr__(self, name, readonly(getattr(self, name), (n,), name))
+        freeze(self, low=(n,), high=(n,), velocity=(n,), acceleration=(n,), effort=(n,))
 
     @property
     def middle(self) -> Array:
@@ -242,9 +241,9 @@ class PlateRange:
     half: Array | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "wrench", readonly(self.wrench, (6,), "wrench"))
+        freeze(self, wrench=(6,))
         if self.half is not None:
-            object.__setattr__(self, "half", readonly(self.half, (2,), "half"))
+            freeze(self, half=(2,))
         if not (self.wrench > 0).all() or (self.half is not None and not (self.half > 0).all()):
             raise InfeasibleMotion("the plate's ranges and half lengths must be positive")
 

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.dynamics.newton_euler import Motion, base_wrench, joint_forces
 from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import Work, sensed
@@ -35,10 +35,8 @@ class Stencil:
     weights: Array
 
     def __post_init__(self) -> None:
-        shifts = readonly(self.shifts, (None, 3, None), "shifts")
-        object.__setattr__(self, "shifts", shifts)
-        shape = (3 * shifts.shape[2], len(shifts))
-        object.__setattr__(self, "weights", readonly(self.weights, shape, "weights"))
+        freeze(self, shifts=(None, 3, None))
+        freeze(self, weights=(3 * self.shifts.shape[2], len(self.shifts)))
 
     def around(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array]:
         """All looks at a motion, one after the other, (E M, n) each, of (M, n) each."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.diagnostics import (
     Diagnosed,
     Diagnostic,
@@ -363,8 +363,7 @@ class MatrixErrors:
     sigma: Array
 
     def __post_init__(self) -> None:
-        for name in ("error", "sigma"):
-            object.__setattr__(self, name, readonly(getattr(self, name), (6, 6), name))
+        freeze(self, error=(6, 6), sigma=(6, 6))
 
     @property
     def most(self) -> float:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.codec import TableSchema
 from testbed.diagnostics import Diagnosed, Diagnostic, sentences
 from testbed.errors import TestbedError, plural
@@ -306,13 +306,10 @@ class Estimate(Diagnosed):
 
     def __post_init__(self) -> None:
         p, c = len(self.names), len(self.channels)
-        shapes = {"values": (p,), "sigma": (p,), "covariance": (p, p), "gravity": (3,)}
-        shapes |= {"residual": (c,), "relative_residual": (c,)}
         s = len(self.nuisance_covariance)
-        shapes["nuisance_covariance"] = (s, s)
-        shapes["nuisance_cross"] = (p if s else len(self.nuisance_cross), s)
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+        freeze(self, values=(p,), sigma=(p,), covariance=(p, p), gravity=(3,))
+        freeze(self, residual=(c,), relative_residual=(c,), nuisance_covariance=(s, s))
+        freeze(self, nuisance_cross=(p if s else len(self.nuisance_cross), s))
 
     def without(self, unidentifiable: Sequence[str]) -> Estimate:
         """The same, some of the parameters said to be not identifiable.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.dynamics.drive_set import drive_set
 from testbed.errors import SettingsError, components, few
 from testbed.identification.estimate import Estimate, Method, channel_units, channels_of
@@ -47,14 +47,7 @@ class EstimateSummary:
 
     def __post_init__(self) -> None:
         p = len(self.names)
-        shapes: dict[str, tuple[int | None, ...]] = {
-            "values": (p,),
-            "covariance": (p, p),
-            "gravity": (3,),
-            "residual": (None,),
-        }
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+        freeze(self, values=(p,), covariance=(p, p), gravity=(3,), residual=(None,))
 
 
 def summary_of(estimate: Estimate) -> EstimateSummary:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.blas import one_blas_thread
 from testbed.codec import with_properties
 from testbed.diagnostics import Diagnosed, Diagnostic
@@ -99,9 +99,8 @@ class Posterior(Diagnosed):
 
     def __post_init__(self) -> None:
         p = len(self.names)
-        for name in ("file", "refitted", "prior_sigma", "values", "share"):
-            object.__setattr__(self, name, readonly(getattr(self, name), (p,), name))
-        object.__setattr__(self, "covariance", readonly(self.covariance, (p, p), "covariance"))
+        freeze(self, file=(p,), refitted=(p,), prior_sigma=(p,), values=(p,), share=(p,))
+        freeze(self, covariance=(p, p))
 
     @property
     def sigma(self) -> Array:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.blas import one_blas_thread
 from testbed.codec import with_properties
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
@@ -206,9 +206,8 @@ class Validation(Diagnosed):
     __get_pydantic_core_schema__ = with_properties("relative_residual", "ratio", "diagnostics")
 
     def __post_init__(self) -> None:
-        for name in ("signal", "residual", "mean", "noise", "spread"):
-            shape = (len(self.channels),)
-            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+        c = len(self.channels)
+        freeze(self, signal=(c,), residual=(c,), mean=(c,), noise=(c,), spread=(c,))
 
     @property
     def relative_residual(self) -> Array:

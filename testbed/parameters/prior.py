@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.errors import quoted
 from testbed.parameters.symbols import STANDARD, standard
@@ -119,9 +119,7 @@ class Prior(Diagnosed):
 
     def __post_init__(self) -> None:
         n = len(self.rotors)
-        shapes = {"standard": (n, 10), "rotors": (n,), "extent": (n, 2, 3)}
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+        freeze(self, standard=(n, 10), rotors=(n,), extent=(n, 2, 3))
 
     @property
     def massive(self) -> tuple[int, ...]:

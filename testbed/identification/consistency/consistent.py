@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.blas import one_blas_thread
 from testbed.codec import with_properties
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
@@ -80,9 +80,7 @@ class Reconciliation:
 
     def __post_init__(self) -> None:
         p = len(self.names)
-        shapes = {"plain": (p,), "plain_sigma": (p,), "values": (p,), "covariance": (p, p)}
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+        freeze(self, plain=(p,), plain_sigma=(p,), values=(p,), covariance=(p, p))
 
     @property
     def sigmas(self) -> Array:
@@ -146,10 +144,8 @@ class Consistent(Diagnosed):
     def __post_init__(self) -> None:
         n, t = len(self.joints), len(self.terms)
         shapes = dict.fromkeys(("standard", "sigma", "data_share", "prior"), (n, 10))
-        shapes |= {"eigenvalues": (n, 4)}
-        flat = {"margin": (n,), "coefficients": (t,), "coefficient_sigma": (t,)}
-        for name, shape in (shapes | flat).items():
-            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+        freeze(self, **shapes, eigenvalues=(n, 4), margin=(n,))
+        freeze(self, coefficients=(t,), coefficient_sigma=(t,))
 
 
 def consistent(

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.blas import one_blas_thread
 from testbed.identification.drives.joint_regression import (
     JointRegression,
@@ -78,9 +78,8 @@ class FrictionCurve:
     unit: str
 
     def __post_init__(self) -> None:
-        for name in ("speed", "torque", "sigma"):
-            values = getattr(self, name)
-            object.__setattr__(self, name, readonly(values, (len(self.speed),), name))
+        k = len(self.speed)
+        freeze(self, speed=(k,), torque=(k,), sigma=(k,))
 
     def at(self, speed: Array) -> Array:
         """Friction at speeds, straight between nodes and as at the last ones beyond, (M,).

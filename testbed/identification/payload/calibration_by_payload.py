@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 from scipy.linalg import block_diag, null_space
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.blas import eigh
 from testbed.diagnostics import Diagnostic, diagnose, ordered
 from testbed.errors import SettingsError, UnknownName
@@ -72,8 +72,7 @@ class KnownPayload:
     unknown: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        for name, shape in (("values", (10,)), ("root", (10, 4))):
-            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+        freeze(self, values=(10,), root=(10, 4))
 
 
 def known_payload(

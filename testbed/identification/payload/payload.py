@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.codec import with_properties
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.dynamics.newton_euler import Motion, linear
@@ -66,9 +66,7 @@ class PayloadEstimate(Diagnosed):
     __get_pydantic_core_schema__ = with_properties("centre")
 
     def __post_init__(self) -> None:
-        for name in ("values", "sigma"):
-            object.__setattr__(self, name, readonly(getattr(self, name), (10,), name))
-        object.__setattr__(self, "covariance", readonly(self.covariance, (10, 10), "covariance"))
+        freeze(self, values=(10,), sigma=(10,), covariance=(10, 10))
 
     @property
     def centre(self) -> tuple[Array, Array] | None:
@@ -216,9 +214,7 @@ class Pose:
     seconds: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position", readonly(self.position, (len(self.position),), "q"))
-        for name in ("wrench", "sigma"):
-            object.__setattr__(self, name, readonly(getattr(self, name), (6,), name))
+        freeze(self, position=(len(self.position),), wrench=(6,), sigma=(6,))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.codec import with_properties
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.dynamics.newton_euler import sensor_poses
@@ -75,9 +75,9 @@ class StaticPoses:
     wrench: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "wrench", readonly(self.wrench, (None, 6), "wrench"))
+        freeze(self, wrench=(None, 6))
         shape = (len(self.wrench), np.shape(self.position)[-1])
-        object.__setattr__(self, "position", readonly(self.position, shape, "position"))
+        freeze(self, position=shape)
 
 
 def read_static_poses(path: Path, tree: Tree, *, degrees: bool = False) -> StaticPoses:

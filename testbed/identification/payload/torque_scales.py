@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.blas import one_blas_thread
 from testbed.errors import SettingsError
 from testbed.identification.payload.calibration_by_payload import KnownPayload, known_payload
@@ -56,8 +56,7 @@ class TorqueScales:
 
     def __post_init__(self) -> None:
         n = len(self.joints)
-        for name, shape in (("values", (n,)), ("sigma", (n,)), ("covariance", (n, n))):
-            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+        freeze(self, values=(n,), sigma=(n,), covariance=(n, n))
 
 
 class _Half(NamedTuple):

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.errors import round_significant
 from testbed.identification.regression.normal_equations import scaled_inverse, scaled_solve
 from testbed.robot.friction import (
@@ -144,10 +144,8 @@ class HeldOut:
     rows: Array
 
     def __post_init__(self) -> None:
-        for name in ("signal", "residual", "rows"):
-            object.__setattr__(
-                self, name, readonly(getattr(self, name), (len(self.channels),), name)
-            )
+        n = len(self.channels)
+        freeze(self, signal=(n,), residual=(n,), rows=(n,))
 
     @property
     def rms(self) -> float:

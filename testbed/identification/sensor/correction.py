@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.errors import UnknownName
 from testbed.identification.regression.constraints import LinearConstraints
 from testbed.identification.sensor.encoders import (
@@ -80,7 +80,7 @@ class CalibrationCovariance:
 
     def __post_init__(self) -> None:
         shape = (len(self.names), np.shape(self.root)[-1])
-        object.__setattr__(self, "root", readonly(self.root, shape, "root"))
+        freeze(self, root=shape)
 
     def nuisances(self, tree: Tree, asked: Sequence[Nuisance]) -> list[Nuisance]:
         """Kinds whose numbers it is about, but for those that are estimated anyway.
