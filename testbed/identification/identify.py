@@ -12,12 +12,14 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
 from testbed.diagnostics import Diagnostic, diagnose, of_instrument, of_recording, ordered
+from testbed.dynamics.newton_euler import pedestal_wrench
 from testbed.errors import RecordingError, SettingsError, TestbedError, UnseenParameters
 from testbed.identification.diagnostics.diagnosis import diagnostics, quality
 from testbed.identification.diagnostics.residuals import zero_unknown
 from testbed.identification.estimate import Estimate, Method, channel_units, sensor_of
 from testbed.identification.noise.coloured_noise import GlsFit, generalized_least_squares
 from testbed.identification.problem import Problem
+from testbed.identification.regression.constraints import MASS
 from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.regression.passes import Passes, Progress
 from testbed.identification.regression.solvers import (
@@ -38,7 +40,7 @@ from testbed.identification.sensor.sensor_model import LinearFit, SensorModel, g
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.kernel.records import Question
 from testbed.recordings.source import RecordingLike, Source, segments_of
-from testbed.recordings.views import pedestal_said
+from testbed.recordings.views import is_imported, pedestal_said
 from testbed.robot.friction import BACKWARD, FORWARD, LAWS, ROTOR
 from testbed.robot.tree import Tree
 from testbed.stages import stage
@@ -206,13 +208,13 @@ def _estimate_of(
 
 def _of_problem(problem: Problem) -> Iterator[Diagnostic]:
     """What is to be known before any sample is used."""
-    source, settings, tare = problem.source, problem.settings, problem.tare
+    source, settings = problem.source, problem.settings
     plate = problem.method == "external"
     yield from of_recording(source.facts)
     if problem.repeated:
         yield diagnose("encoder.interpolated", "the poses", problem.repeated)
-    if plate and source.tare is None and tare.any():
-        yield diagnose("plate.no-tare", "the tare", tare[2], method="external")
+    if plate and MASS not in settings.facts and "bias" not in settings.nuisances:
+        yield from _of_pedestal(problem)
     if problem.drives is not None:
         yield from _missing_terms(problem.tree, settings)
         for term in problem.drives.asked:
@@ -221,6 +223,19 @@ def _of_problem(problem: Problem) -> Iterator[Diagnostic]:
     passing = [kind for kind in ("bias", "slope") if kind in settings.nuisances]
     if plate and passing and len(segments_of(source)) > 1:
         yield diagnose("plate.common-offset", " and ".join(passing), method="external")
+
+
+BY_MODEL = 2e-3
+"""Part of the model's pedestal by which a tare is not its weight."""
+
+
+def _of_pedestal(problem: Problem) -> Iterator[Diagnostic]:
+    """A pedestal whose weight nobody has measured: by the model file, or by a solved mapping."""
+    weight = float(np.linalg.norm(pedestal_wrench(problem.tree)[:3]))
+    by_model = abs(np.linalg.norm(problem.tare[:3]) - weight) <= BY_MODEL * weight
+    stated = problem.source.tare is not None and not is_imported(problem.source)
+    if weight and by_model and not stated:
+        yield diagnose("plate.no-tare", "the tare", weight, method="external")
 
 
 def _missing_terms(tree: Tree, settings: Settings) -> Iterator[Diagnostic]:

@@ -214,6 +214,24 @@ def test_where_they_do_not_the_file_is_not_made_worse() -> None:
     assert again.errors[0].best == found.errors[0].best
 
 
+def test_what_is_known_is_known_with_the_file_too() -> None:
+    """Slow motion: a total mass exactly, a first moment by its sigma, whatever the file says."""
+    tree = robot("puma")
+    wrong = wrong_bodies(tree, 0.3, np.random.default_rng(3))
+    slow = measured(tree, 5, speed=0.1)
+    known = {"mass": 21.0, "mb*1y": (1.44, 1e-3)}
+    settings = tb.Settings(known=known)
+    estimate = tb.identify(wrong, slow, settings=settings)
+    found = posterior(wrong, slow, prior_of(wrong), "external", estimate, settings=settings)
+    assert found.used
+    value = dict(zip(found.names, zip(found.values, found.sigma, strict=True), strict=True))
+    np.testing.assert_allclose(value["mbar1"], (21.0, 0.0), atol=1e-5)
+    assert abs(value["mb*1y"][0] - 1.44) < 3e-3
+    assert 0 < value["mb*1y"][1] <= 1e-3
+    prior = dict(zip(found.names, found.prior_sigma, strict=True))
+    np.testing.assert_allclose((prior["mbar1"], prior["mb*1y"]), (0, 1e-3), rtol=1e-3, atol=1e-9)
+
+
 def test_the_true_file_leaves_noise_of_another_recording() -> None:
     """And the wrong one more; a plate's zero is the recording's own."""
     tree = robot("puma")

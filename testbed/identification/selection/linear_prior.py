@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.identification.problem import Problem
+from testbed.identification.regression.constraints import CENTRE, MASS, facts
 from testbed.identification.selection.row_products import RowProducts
 from testbed.parameters.prior import Prior
 
@@ -104,9 +105,31 @@ def linear_prior(problem: Problem, prior: Prior, error: float, rows: RowProducts
         root = np.hstack([root, drives.columns * scale])
     tiny = np.full(len(rows.channels), np.finfo(float).tiny)
     before = LinearPrior(mean, root, bodies.shape[1], tiny, _bounds(problem, mean, root))
+    before = _with_facts(problem, before)
     left = refitted(rows, before)
     noise = LEAST**2 * rows.squares(left, rows.constants(left)) / np.maximum(rows.rows, 1.0)
     return replace(before, noise=np.maximum(noise, tiny))
+
+
+def _with_facts(problem: Problem, prior: LinearPrior) -> LinearPrior:
+    """The same where something of the bodies is known (`Settings.known`), by the plate.
+
+    It is as uncertain as it is said to be, whatever the error of the bodies.
+    """
+    names = {MASS, *problem.names}
+    given = {k: v for k, v in problem.settings.facts.items() if k in names or k.startswith(CENTRE)}
+    if problem.method != "external" or not given:
+        return prior
+    known = facts(problem.tree, problem.minimal, problem.names, (), given).around(prior.mean)
+    rows = known.rows @ prior.root
+    gain = np.linalg.solve(rows @ rows.T, rows).T
+    added = prior.root @ gain
+    return replace(
+        prior,
+        mean=prior.mean + added @ known.values,
+        root=np.hstack([prior.root - added @ rows, added @ known.doubt(np.zeros(len(added)))]),
+        least=np.append(prior.least, np.full(len(given), -np.inf)),
+    )
 
 
 def _bounds(problem: Problem, mean: Array, root: Array) -> Array:
