@@ -98,7 +98,8 @@ def excite(
     if as_json:
         output.print_json(found.document() | {"file": str(out)})
     else:
-        note(sentences([*found.tree.diagnostics, *found.rules.diagnostics, *found.diagnostics]))
+        every = (*found.tree.diagnostics, *found.rules.diagnostics, *found.diagnostics)
+        output.print_diagnostics(output.console(), every)
         print_excitation(output.console(), found, out, everything=everything)
 
 
@@ -195,7 +196,8 @@ def _check(file: Path, settings: list[str], *, everything: bool, as_json: bool) 
     if as_json:
         output.print_json(encode(proof))
     else:
-        note(sentences([*found.rules.tree.diagnostics, *found.rules.diagnostics]))
+        every = (*found.rules.tree.diagnostics, *found.rules.diagnostics)
+        output.print_diagnostics(output.console(), every)
         print_proof(output.console(), proof, everything=everything)
     raise typer.Exit(0 if proof.holds else 1)
 

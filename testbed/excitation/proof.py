@@ -89,7 +89,9 @@ class Margin:
     def words(self) -> str:
         """For people: how much is left, or by how much it is exceeded, and when."""
         size = f"{abs(self.left) * 1000:.3g} mm" if self.unit else f"{abs(self.left):.2%}"
-        state = f"{size} left" if self.holds else f"exceeded by {size}, or not shown to be kept"
+        state = (
+            f"{size} left" if self.holds else f"exceeded by {size} or more, or not shown to be kept"
+        )
         return f"{self.label}: {state} at t = {self.instant:.3f} s"
 
 

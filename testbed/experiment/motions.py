@@ -288,7 +288,7 @@ def _surroundings(
                 f"{model.path} has no shapes: the distance to excitation.obstacle is unknown; "
                 "give the file collision or visual geometry"
             )
-        return None, (diagnose("motion.no-shapes"),)
+        return None, (*shapes_of_model.diagnostics, diagnose("motion.no-shapes"))
     floor = None if isinstance(table.floor, str) else table.floor
     said = shapes_of_model.diagnostics
     if table.floor is None:

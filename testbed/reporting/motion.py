@@ -121,6 +121,7 @@ def print_proof(console: Console, proof: Proof, *, everything: bool = False) -> 
     console.print(
         f"verified at every instant: {plural(count, 'limit')}"
         + (f"; {held} nearly reached" if held else "")
+        + ("" if any(each.unit for each in proof.margins) else "; collisions not checked")
     )
 
 

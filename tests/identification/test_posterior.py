@@ -219,8 +219,7 @@ def test_what_is_known_is_known_with_the_file_too() -> None:
     tree = robot("puma")
     wrong = wrong_bodies(tree, 0.3, np.random.default_rng(3))
     slow = measured(tree, 5, speed=0.1)
-    known = {"mass": 21.0, "mb*1y": (1.44, 1e-3)}
-    settings = tb.Settings(known=known)
+    settings = tb.Settings(known={"mass": 21.0, "mb*1y": (1.44, 1e-3)})
     estimate = tb.identify(wrong, slow, settings=settings)
     found = posterior(wrong, slow, prior_of(wrong), "external", estimate, settings=settings)
     assert found.used
