@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
-from itertools import accumulate
+from itertools import accumulate, islice
+from pathlib import Path
 
 LONGEST_MESSAGE = 500
 """Characters of a message; more would drive everything else off the terminal.
@@ -171,6 +172,24 @@ class UnknownName(TestbedError):
         hint = f"; did you mean '{near[0]}'?" if near else ""
         listed = few(list(dict.fromkeys([*near, *short])), WIDTH)
         super().__init__(f"unknown {what} '{printable(name, WIDTH)}'{hint} (known: {listed})")
+
+
+def no_file(path: Path, what: str) -> str:
+    """What to say of a file that is none, with the name beside it that may be meant.
+
+    Args:
+        path: As a person wrote it.
+        what: Of what it should be.
+    """
+    if path.exists():
+        return f"'{path}' is a {'folder' if path.is_dir() else 'device or pipe'}, no {what}"
+    try:
+        names = [each.name for each in islice(path.parent.iterdir(), SEARCHED)]
+    except OSError:
+        names = []
+    near = get_close_matches(path.name[:LONGEST_NAME], names, 1)
+    hint = f"; did you mean '{path.with_name(near[0])}'?" if near else ""
+    return f"there is no {what} '{path}'{hint}"
 
 
 class RecordingError(TestbedError):

@@ -11,7 +11,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from testbed.errors import ExperimentError, UnknownName, few, printable
+from testbed.errors import ExperimentError, UnknownName, few, no_file, printable
 
 LARGEST_FILE = 1_000_000
 """Bytes of a TOML file."""
@@ -61,10 +61,8 @@ def read_toml(path: Path, what: str = "experiment") -> dict[str, Any]:
     Raises:
         ExperimentError: There is no such file, or it is not TOML.
     """
-    if not path.exists():
-        raise ExperimentError(f"there is no {what} file '{path}'")
     if not path.is_file():
-        raise ExperimentError(f"'{path}' is no file; {what} files are, in TOML")
+        raise ExperimentError(no_file(path, f"{what} file"))
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise ValueError(f"it has more than {LARGEST_FILE:.0e} bytes")

@@ -314,14 +314,14 @@ def payload(
                 )
             )  # fmt: skip
     found = payload_of(tree, estimates[0], estimates[1], joint)
+    every = [each for estimate in estimates for each in estimate.diagnostics]
+    known = [each for each in every if each.code != "plate.no-tare"]  # the difference has none
     if as_json:
         output.print_json(encode(found))
     elif vendor is not None:
         load = at_flange(found, tree, None if flange is None else links[flange])
         typer.echo(VENDORS[vendor](load))
-        known = [each for estimate in estimates for each in estimate.diagnostics]
         for said in (*tree.diagnostics, *known, *found.diagnostics):
             typer.echo(f"warning: {said}", err=True)
     else:
-        known = [each for estimate in estimates for each in estimate.diagnostics]
         terminal.print_payload(found, [*tree.diagnostics, *known, *found.diagnostics])

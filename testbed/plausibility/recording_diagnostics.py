@@ -17,7 +17,6 @@ from testbed.plausibility.plate import MIXED, UNEXPLAINED, WrenchFit
 from testbed.plausibility.remedies import KINDS, Hypothesis, Remedy, in_mapping, own_joints
 from testbed.recordings.columns import AXES
 from testbed.recordings.held import STILL
-from testbed.recordings.importing.import_report import in_toml
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 
@@ -343,18 +342,23 @@ def odd_sizes(
     odd = [k for k, size in enumerate(sizes) if size <= least or size >= most]
     if not odd:
         return
-    if all(sizes[k] < 1 for k in odd):
-        size, causes = "small", ("motor-side", "currents")
-        needed = in_toml([round_significant(float(np.nan_to_num(1 / x)), 5) for x in sizes])
+    unit, small = str((mapping.get("torque") or {}).get("unit")), all(sizes[k] < 1 for k in odd)
+    units = {large: little for little, large in SMALLER.items()} if small else SMALLER
+    times = np.median(finite) * (1e3 if small else 1e-3)
+    thousand = 0.5 < times < 2.0 and unit in units
+    size = "small" if small else "large"
+    causes = ("unit-n-mm",) if thousand or not small else ("motor-side", "currents")
+    if thousand:
+        lines = f'[torque] unit = "{units[unit]}"'
+    elif small:
+        gains = [f"{round_significant(float(1 / x), 5):g}" if x > 0 else "?" for x in sizes]
+        needed = f"[{', '.join(gains)}]"
         lines = (
             f'[torque] side = "motor" with a table [gear] (ratio about {needed}), or unit = "A" '
             f"with gain about {needed}"
         )
     else:
-        size, causes = "large", ("unit-n-mm", "other-masses")
-        unit = str((mapping.get("torque") or {}).get("unit"))
-        thousand = 0.5 < np.median(finite) / 1e3 < 2.0 and unit in SMALLER
-        lines = "[torque] unit" + (f' = "{SMALLER[unit]}"' if thousand else "")
+        causes, lines = (*causes, "other-masses"), "[torque] unit"
     yield diagnose(
         "torque.size",
         "the torque",

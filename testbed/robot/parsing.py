@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from testbed.errors import ModelError
+from testbed.errors import ModelError, no_file
 
 LARGEST = 64 * 2**20
 """Size of a model file [bytes]; meshes are files of their own."""
@@ -48,7 +48,7 @@ def read_xml(path: Path) -> ET.Element:
         ModelError: There is no such file, it is not XML, or it is beyond a limit.
     """
     if not path.is_file():
-        raise ModelError(f"there is no model file '{path}'")
+        raise ModelError(no_file(path, "model file"))
     with errors_of(path):
         size = path.stat().st_size
         if size > LARGEST:
@@ -60,7 +60,8 @@ def read_xml(path: Path) -> ET.Element:
                 page = file.read(_BEGINNING).lstrip(b"\xef\xbb\xbf\r\n\t ").lower()
             if page.startswith((b"<!doctype html", b"<html")):
                 raise ModelError("a web page, no model; download the raw file") from None
-            raise ModelError(f"not well-formed XML ({error})") from None
+            hint = "; an experiment file is run by testbed run" * (path.suffix.lower() == ".toml")
+            raise ModelError(f"not well-formed XML ({error}){hint}") from None
 
 
 @contextmanager

@@ -154,7 +154,7 @@ def test_sizes_of_torques_and_ranges_of_positions_name_joints_and_what_to_do() -
     tree, nan = robot("puma"), float("nan")
     cases: list[tuple[tuple[float, ...], str, str, float]] = [
         ((0.02, 1.1, 0.05), "[50, 0.90909, 20]", "N m", 0.02),
-        ((nan, 0.1, 1.0), "[0, 10, 1]", "N m", 0.1),
+        ((nan, 0.1, 1.0), "[?, 10, 1]", "N m", 0.1),
         ((1010.0, nan, 980.0), '"N mm"', "N m", 1010.0),
         ((1010.0, 990.0, 980.0), '"mA"', "A", 1010.0),
     ]

@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 
-from testbed.errors import RecordingError
+from testbed.errors import RecordingError, no_file
 from testbed.recordings.columns import Table
 
 
@@ -35,7 +35,7 @@ def open_table(path: Path) -> Table:
         RecordingError: The file is missing or damaged, or its ending is that of no known format.
     """
     if not path.exists():
-        raise RecordingError(f"there is no recording '{path}'")
+        raise RecordingError(no_file(path, "recording"))
     if not path.is_file():
         raise RecordingError(f"'{path}' is no file; testbed new --recording makes one of a dataset")
     ending, known = path.suffix.lower(), formats()
