@@ -20,6 +20,7 @@ from testbed.cli.reading import (
     Weld,
     app,
     ending,
+    note,
 )
 from testbed.diagnostics import Diagnostic, ordered
 
@@ -63,7 +64,7 @@ def write_mapping(
             files, folder, () if tree is None else [tree.names[k] for k in own_joints(tree)]
         )
     if tree is not None:
-        with output.Progress("solving the mapping") as bar:
+        with output.Progress("solving the mapping, hypotheses") as bar:
             found = solve_mapping(draft, out or folder / "mapping.toml", tree, bar)
         draft = found.draft
         output.print_lines((), found.diagnostics)
@@ -79,6 +80,8 @@ def write_mapping(
     with replacing(out) as fresh:
         fresh.write_text(draft.text, encoding="utf-8")
     empty = missing(draft)
+    notes = {f"{table}.{key}".removeprefix("."): said for (table, key), said in draft.notes.items()}
+    note(f"{key}: {notes[key]}" for key in empty if key in notes)
     fill = f"fill in what is empty ({', '.join(empty)}), then " if empty else ""
     words = ["import", out, "--out", out.with_suffix(".parquet"), "--model", model or "ROBOT"]
     typer.echo(f"{out}: {fill}testbed {shlex.join(map(str, [*words, *options]))}")

@@ -85,7 +85,7 @@ class Search:
             tree: The robot, its masses roughly right.
             recording: In the order of its joints.
             mapping: What the recording's mapping file says; empty if it has none.
-            progress: Called with how many fits are made, and of how many.
+            progress: Called with how many hypotheses are fitted, and 0: of how many is not known.
         """
         self.prior = prior_of(tree)
         self.frame = frame_of(mapping)
@@ -252,11 +252,10 @@ class Search:
         return self._apply(first, Hypothesis("late", (), (late,)))
 
     def _look(self, beside: HypothesisFit, hypotheses: Iterable[Hypothesis]) -> None:
-        several = list(hypotheses)
-        for done, each in enumerate(several, 1):
+        for each in hypotheses:
             self._apply(beside, each)
             if self._progress is not None:
-                self._progress(done, len(several))
+                self._progress(len(self.fits), 0)
 
     def _nearest(self, count: int) -> list[HypothesisFit]:
         return sorted(self.fits.values(), key=lambda each: each.bound)[:count]

@@ -188,3 +188,10 @@ def test_files_names_other_words_and_what_does_not_grow_are_understood(tmp_path:
     assert found["base"]["unit"] == ""  # to be filled in
     with pytest.raises(ExperimentError):
         tb.Recording.from_mapping(tmp_path / "map.toml")
+
+
+def test_a_column_that_is_missing_is_said_by_its_number(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("t,q1,q2,q4\n" + "".join(f"{k},1,2,{k}\n" for k in range(9)))
+    draft = guessed([tmp_path / "log.csv"], tmp_path, ("a", "b", "c", "d"))
+    assert draft.tables[""]["joints"] == [""]
+    assert "3 columns for 4 joints (none has number 3)" in draft.notes["", "joints"]

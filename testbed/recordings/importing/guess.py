@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import RecordingError, printable
+from testbed.errors import RecordingError, few, plural, printable
 from testbed.recordings.importing.column_names import (
     WARMTH,
     ColumnName,
@@ -121,7 +121,16 @@ def _joints(
         more = "" if plain or group.matched else "; these are by the columns' names"
         more += f"; no columns of {', '.join(missing)}" if missing and group.matched else ""
         return [""] if plain else list(group.names), about + more
-    return [""], f"{about}: {', '.join(joints)}"
+    found = f"{plural(len(group.names), 'column')} for {plural(len(joints), 'joint')}"
+    return [""], f"{about}, {found}{_gaps(group.names)}: {', '.join(joints)}"
+
+
+def _gaps(names: Sequence[str]) -> str:
+    """Numbers that are left out in names that end with one."""
+    ends = [re.search("[0-9]{1,3}$", name) for name in names]
+    numbers = {int(end[0]) for end in ends if end}
+    left = sorted({*range(min(numbers, default=0), max(numbers, default=0))} - numbers)
+    return f" (none has number {few([str(k) for k in left])})" if left else ""
 
 
 def _listed(table: ForeignTable) -> Iterator[str]:
