@@ -47,9 +47,9 @@ def posterior_table(found: Posterior, most: int | None = None) -> Table:
         for k in order
     ]
     title = (
-        f"{found.instrument}: bodies of the model file, wrong by {found.prior_error:.2g} of "
-        "themselves (std), and what the data make of them; data: share of that variance which "
-        "the data remove; std for motions like this one"
+        f"{found.instrument}: the model file, whose bodies are uncertain by "
+        f"{found.prior_error:.0%}, and the estimate by file and recording; data: share of the "
+        "file's variance that the recording removes; standard deviations for motions like this one"
     )
     return Table(["parameter", "unit", "model file", "estimate", "data"], rows, title, ["unit"])
 
