@@ -28,9 +28,10 @@ import testbed as tb
 from benchmarks.fault_trials import trials
 from benchmarks.inverse_recordings import inverse, on_a_free_base, real_robot
 from testbed.arrays import Array
+from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import limits_of
 from testbed.instruments.chain import Instrument
-from testbed.recordings.recording import Recording
+from testbed.recordings.recording import Recording, Truth
 from tests.helpers.paths import ROOT
 
 ROBOTS = {"puma": "puma562", "ur5": "ur5", "panda": "panda", "gantry": "gantry", "tree": "tree"}
@@ -189,14 +190,25 @@ def happen(folder: Path, robot: str, seed: int) -> Happened:
     file.write_text(_text(real))
     torque = torque + friction * (np.sign(seen.qd) + seen.qd)
     if not seed % 2:
-        lasting = [f"motion.duration={SECONDS}"]
-        table6 = tb.Experiment.load(ROOT / "experiments/table6.toml", lasting)
-        changed = {"model": str(file), "measurement": Instrument(rate=RATE)}
-        experiment = table6.model_copy(update=changed)
-        made = tb.simulate(experiment, motion=path).truth
-        assert made is not None
+        made = simulated(file, path, SECONDS)
         q, torque, wrench = made.position, made.torque, made.wrench
     return Happened(urdf, tree, t, q, torque, wrench, unseen, expected)
+
+
+def simulated(model: Path, path: Fourier, seconds: float) -> Truth:
+    """What happens along a motion, by testbed: in closed loop, with MuJoCo's own dry friction.
+
+    Args:
+        model: The real robot.
+        path: The motion.
+        seconds: Of it.
+    """
+    lasting = [f"motion.duration={seconds}"]
+    table6 = tb.Experiment.load(ROOT / "experiments/table6.toml", lasting)
+    changed = {"model": str(model), "measurement": Instrument(rate=RATE)}
+    made = tb.simulate(table6.model_copy(update=changed), motion=path).truth
+    assert made is not None
+    return made
 
 
 def _text(robot: ElementTree.Element) -> str:

@@ -41,6 +41,7 @@ from .identification.consistency.consistent import (
 from .identification.consistency.consistent import (
     robot_of as robot_of,
 )
+from .identification.consistency.robots import robots as robots
 from .identification.estimate import Estimate as Estimate
 from .identification.identify import identify as identify
 from .identification.payload.payload import payload as payload

@@ -65,8 +65,8 @@ class Case:
 
 Answer = dict[str, Any]
 Solver = Callable[[Case, str], Answer]
-"""From a case and "torque" or "wrench" to "prediction", (m, k), and perhaps "sigma", "said" and
-"cpu" of identification alone [s]."""
+"""From a case and "torque" or "wrench" to "prediction", (m, k), and perhaps "sigma", "said", "cpu" of
+identification alone [s], and "model", text of a model file with what was found."""
 
 
 def read(folder: Path) -> Case:
@@ -138,5 +138,7 @@ def _answered(case: Case, solve: Solver) -> Iterator[tuple[str, Any]]:
         for key, name in names.items():
             if key in found:
                 yield name, [[float(f"{x:.7g}") for x in row] for row in found[key]]
+        if "model" in found:
+            yield f"{signal}_model", found["model"]
     logging.getLogger().removeHandler(heard)
     yield from (("said", said), ("cpu", cpu))

@@ -186,6 +186,7 @@ def rollouts(case: Case, signal: str) -> Answer:
     return {
         "prediction": predicted(params, specification(case, "floating"), case, signal),
         "cpu": cpu,
+        "model": sysid.apply_param_modifiers_spec(params, spec).to_xml(),
     }
 
 

@@ -135,6 +135,10 @@ def drives(
         Path | None,
         typer.Option(help="With --write: another motion, whose torques drive the file in MuJoCo."),
     ] = None,
+    commands: Annotated[
+        bool,
+        typer.Option("--commands", help="Torques are commands: find the delay of the drives, too."),
+    ] = False,
     friction: Annotated[
         Path | None,
         typer.Option(help="File for friction: .csv (map and law) or .json (BAM)."),
@@ -150,8 +154,8 @@ def drives(
     --set identification.drives=given. Laws of the load are load, viscous_load and others.
 
     --write copies the model file with consistent bodies by the plate, friction, rotors, and (MJCF)
-    motors whose gear makes true torque of what the drive reports. --unseen drives it open-loop by
-    the torques of another motion, and the model file, too.
+    motors whose gear makes true torque of what the drive reports, with the delay of --commands.
+    --unseen drives it open-loop by the torques of another motion, and the model file, too.
 
     Example: testbed drives run.parquet --model robot.urdf --choose-terms
 
@@ -163,6 +167,7 @@ def drives(
     from testbed.identification.drives.friction_files import check_friction_file, write_friction
     from testbed.identification.drives.identify_drives import identify_drives
     from testbed.identification.identify import identify
+    from testbed.plausibility.time_offset import delivered
     from testbed.recordings.recording import Recording
     from testbed.reporting import output, terminal
 
@@ -177,8 +182,8 @@ def drives(
     reading, source, held = reading.holding(opened(recording), model, ())
     reading = reading.with_sensors(source, alone=True)
     felt, table = reading.tree(model), reading.tables().identification
-    if felt.sensor is not None and write is not None:
-        raise SettingsError("--write needs bodies by the plate, not by a force sensor")
+    if felt.sensor is not None and (write is not None or commands):
+        raise SettingsError("--write and --commands need bodies by the plate, not by a sensor")
     tree = replace(reading, sensor=None).tree(model)
     source = reading.source(source, tree)
     with output.Progress("identifying by the wrench") as progress:
@@ -191,6 +196,11 @@ def drives(
             threads=threads,
             progress=progress,
         )
+    lines, late = [], 0.0
+    if commands:
+        source, offset = delivered(tree, source, bodies)
+        late = -offset.delay
+        lines.append(f"delay of the drives: {1e3 * late:.3g} +- {1e3 * offset.sigma:.2g} ms")
     with output.Progress("regressing torques") as progress:
         found = identify_drives(
             tree,
@@ -205,10 +215,9 @@ def drives(
     if friction is not None:
         write_friction(found, friction)
     said = [*tree.diagnostics, *held, *bodies.diagnostics, *found.diagnostics]
-    lines = []
     if write is not None:
         links, _ = writing.bodies(reading, model, source, [bodies], {})
-        said += writing.written(links, reading, model, [recording], found)
+        said += writing.written(links, reading, model, [recording], found, late)
         lines.append(f"model file: {write}")
         if unseen is not None:
             from testbed.reporting.drives import replay_lines
@@ -218,7 +227,7 @@ def drives(
             motion = Recording.load(unseen)
             lines += replay_lines(tree.names, *(replay(each, motion) for each in files))
     if as_json:
-        output.print_json(encode(found))
+        output.print_json({**encode(found), "delay": late})
     else:
         terminal.print_drives(found, said)
         output.print_lines(lines, ())

@@ -173,6 +173,7 @@ class Writing:
         model: Path,
         recordings: Sequence[Path],
         drives: DriveFindings | None = None,
+        delay: float = 0.0,
     ) -> tuple[Diagnostic, ...]:
         """Write the file that was asked for.
 
@@ -182,6 +183,7 @@ class Writing:
             model: The model file.
             recordings: What it was identified from.
             drives: Their friction, rotors and torque constants are written, too.
+            delay: Of their commands [s].
 
         Raises:
             ModelError: The file cannot be written.
@@ -203,6 +205,7 @@ class Writing:
             note=provenance(found, file, recordings),
             over_source=self.in_place,
             gears=None if drives is None else drives.gears,
+            delay=delay,
         )
 
 
@@ -392,7 +395,8 @@ def validate(
 @app.command()
 def sample(
     result: Annotated[
-        Path, typer.Argument(metavar="RESULT.json", help="Output of identify --json.")
+        Path,
+        typer.Argument(metavar="RESULT.json", help="Output of identify --json, or a run folder."),
     ],
     out: Annotated[Path, typer.Option(help="New folder for model files and robots.npz.")],
     count: Annotated[int, typer.Option("-n", min=1, max=100_000, help="How many robots.")] = 100,
@@ -427,8 +431,6 @@ def sample(
 
     check_writable(out, folder=True, read=(result, model))
     kept = read_result(result, model, settings or ())
-    if kept.file is None:
-        raise SettingsError(f"'{result}' is of a run, whose model file is the truth: no prior")
     if kept.tree.is_part:
         raise SettingsError(f"'{result}' is of a force sensor: robots need plate or joint torques")
     there = [each.name for each in out.iterdir()] if out.exists() else []
@@ -437,7 +439,7 @@ def sample(
         raise SettingsError(
             f"'{out}' holds {others[0]}, not robots alone: --out names a new folder"
         )
-    prior = prior_from(kept.tree, kept.file, shapes=kept.options.centres_in_shapes)
+    prior = prior_from(kept.prior, kept.file, shapes=kept.options.centres_in_shapes)
     rng = np.random.default_rng(seed)
     with output.Progress("drawing robots"):
         found = robots(kept.tree, kept.whole_estimates, prior, count, rng, kept.options)

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict
 from testbed.arrays import Array
 from testbed.codec import decode, from_json
 from testbed.errors import ExperimentError, plural
-from testbed.experiment.evaluate import robot_of
+from testbed.experiment.evaluate import model_of, robot_of, wrong_prior
 from testbed.experiment.experiment import Experiment, RecordingTables
 from testbed.experiment.experiment_tables import Table
 from testbed.experiment.results import EXPERIMENT, RESULT, versions
@@ -47,16 +47,19 @@ class KeptResult:
         tree: The robot.
         settings: How the signals were treated.
         estimates: One a method.
+        file: The robot's, with the joints that are held.
+        prior: The robot with its bodies before the data: the file's; of a run, whose file is the
+            truth, those that its experiment starts from.
         models: Values of the same unknowns by what else says them, by method.
-        file: The robot's, with the joints that are held; None of a run.
         options: What is asked of consistent bodies, the prior error that which data chose.
     """
 
     tree: Tree
     settings: Settings
     estimates: tuple[EstimateSummary, ...]
+    file: ModelFile
+    prior: Tree
     models: Mapping[str, Mapping[str, Array]] = field(default_factory=dict)
-    file: ModelFile | None = None
     options: ConsistencyOptions = field(default_factory=ConsistencyOptions)
 
     @property
@@ -78,7 +81,7 @@ class KeptResult:
         Raises:
             RecordingError: It has one of them elsewhere.
         """
-        return source if self.file is None else hold_still(self.file, source, lock_only=True)[1]
+        return hold_still(self.file, source, lock_only=True)[1]
 
 
 class _Model(Table):
@@ -137,7 +140,7 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
         _stated(every[method], method, f"{path}: {method}") for method in METHODS if method in every
     )
     of = _of_run if content.get("settings") is None else _of_recording
-    tree, identification, file, options = of(content, path, model, settings)
+    tree, identification, file, prior, options = of(content, path, model, settings)
     for each in found:
         count = len(channels_of(tree, each.method))
         if len(each.residual) != count:
@@ -146,7 +149,7 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
                 f"{plural(count, 'channel')}"
             )
     models = {str(each.method): _added(content, each, path) for each in found}
-    return KeptResult(tree, identification, found, models, file, options)
+    return KeptResult(tree, identification, found, file, prior, models, options)
 
 
 def _added(content: dict[str, Any], beside: EstimateSummary, path: Path) -> dict[str, Array]:
@@ -214,8 +217,9 @@ def _stated(content: Any, method: Method, source: str) -> EstimateSummary:
 
 def _of_recording(
     content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
-) -> tuple[Tree, Settings, ModelFile, ConsistencyOptions]:
-    """Robot and settings of a recording's estimates, and what is asked of consistent bodies."""
+) -> tuple[Tree, Settings, ModelFile, Tree, ConsistencyOptions]:
+    """Of a recording's estimates robot, settings, file, prior, what is asked of consistent bodies.
+    """
     kept = checked(_Model, content.get("model", {}), f"{path}: model")
     said = content["settings"]
     if not isinstance(said, dict):
@@ -230,12 +234,12 @@ def _of_recording(
         parts = [content.get("consistent") or {}, *(content.get("posterior") or {}).values()]
         chosen = [part["prior_error"] for part in parts if part.get("used") or part.get("tried")]
         options = replace(options, prior_error=min(chosen, default=options.prior_error))
-    return tree, tables.identification, file, options
+    return tree, tables.identification, file, tree, options
 
 
 def _of_run(
     content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
-) -> tuple[Tree, Settings, None, ConsistencyOptions]:
+) -> tuple[Tree, Settings, ModelFile, Tree, ConsistencyOptions]:
     """The same of a run's estimates: they stand beside them."""
     beside = path.parent / EXPERIMENT
     if not beside.is_file():
@@ -249,7 +253,9 @@ def _of_run(
     place = _checked_model(model or Path(experiment.model), sha256, path)
     experiment = experiment.model_copy(update={"model": str(place)})
     options = experiment.consistent or ConsistencyOptions()
-    return robot_of(experiment), experiment.identification, None, options
+    tree = robot_of(experiment)
+    prior = wrong_prior(tree, experiment)
+    return tree, experiment.identification, model_of(experiment), prior, options
 
 
 def _checked_model(place: Path, sha256: object, path: Path) -> Path:

@@ -8,7 +8,7 @@ is clear is taken back by the mapping's own words.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,12 +16,16 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, diagnose
 from testbed.dynamics.newton_euler import Motion, regressor
+from testbed.errors import RecordingError
+from testbed.identification.estimate import Estimate
 from testbed.identification.regression.windows import motion_taps, row_weights
+from testbed.identification.sensor.plate import reach, shifted
 from testbed.parameters.minimal_set import minimal_set
 from testbed.plausibility.instants import ENOUGH, LATE, decimate, delay, directions
 from testbed.plausibility.remedies import Line, wrench_tables
 from testbed.recordings.geometry import check_robot, in_its_gravity
 from testbed.recordings.importing.import_report import ImportReport
+from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 
@@ -117,12 +121,15 @@ class TimeOffset:
         )
 
 
-def time_offsets(tree: Tree, source: Source) -> list[TimeOffset]:
+def time_offsets(
+    tree: Tree, source: Source, bodies: Estimate | None = None
+) -> list[TimeOffset]:
     """Of the torques and of the wrench, as far as they were measured, and determine it.
 
     Args:
         tree: The robot; its inertias are not used.
         source: The recording.
+        bodies: By the plate, where torques are held against those.
 
     Raises:
         RecordingError: It is of another robot.
@@ -133,11 +140,38 @@ def time_offsets(tree: Tree, source: Source) -> list[TimeOffset]:
     first = max(0, (source.samples - most) // 2)
     part = source.part(first, min(source.samples, first + most)).ordered(tree)
     offsets = (
-        _offset(kind, tree, part.position, part.measured(kind), part.time, source.rate)
+        _offset(kind, tree, part.position, part.measured(kind), part.time, source.rate, bodies)
         for kind in ("torque", "wrench")
         if kind in part.signals and np.ptp(part.measured(kind), axis=0).any()
     )
     return [each for each in offsets if each is not None]
+
+
+def delivered(tree: Tree, source: Source, bodies: Estimate) -> tuple[Recording, TimeOffset]:
+    """A recording of commanded torques with the torques as drives deliver them: so much later.
+
+    Args:
+        tree: The robot; its inertias are not used.
+        source: The recording.
+        bodies: By the plate.
+
+    Returns:
+        The recording without its ends, and the delay of its commands, which is negative.
+
+    Raises:
+        RecordingError: It is of another robot, or its torques are not ahead of the motion.
+    """
+    offsets = time_offsets(tree, source, bodies)
+    offset = next((each for each in offsets if each.signal == "torque"), None)
+    if offset is None or offset.delay >= 0:
+        found = "nothing" if offset is None else f"{offset.delay:.2g} s late"
+        raise RecordingError(
+            f"torques that are commands are ahead of the motion, and these are {found}: they are "
+            "what drives report, or the robot hardly moves"
+        )
+    whole, lost = source.part(0, source.samples), reach(offset.delay, source.rate)
+    torque = shifted(whole.measured("torque"), offset.delay * source.rate)
+    return replace(whole, torque=torque).part(lost, source.samples - lost), offset
 
 
 def alignment(
@@ -190,13 +224,19 @@ def moving_average(signal: Array, rate: float) -> float:
 
 
 def _offset(
-    kind: str, tree: Tree, position: Array, measured: Array, time: Array, rate: float
+    kind: str,
+    tree: Tree,
+    position: Array,
+    measured: Array,
+    time: Array,
+    rate: float,
+    bodies: Estimate | None,
 ) -> TimeOffset | None:
     """The delay of one signal, with a drift only if it is one that clocks have.
 
     None where the robot hardly moves, or so shortly that rows explain whatever is measured.
     """
-    rows, counted, smooth = _rows(kind, tree, position, rate)
+    rows, counted, smooth = _rows(kind, tree, position, rate, bodies)
     if counted.sum() < ENOUGH * rows.shape[2]:
         return None
     signal = _Signal(measured, time, smooth)
@@ -227,7 +267,7 @@ class _Signal:
 
 
 def _rows(
-    kind: str, tree: Tree, position: Array, rate: float
+    kind: str, tree: Tree, position: Array, rate: float, bodies: Estimate | None
 ) -> tuple[Array, Array, Callable[[Array], Array]]:
     """Rows of all unknowns (T, C, N), which count (T, C), and how a signal is treated as they are.
 
@@ -239,9 +279,12 @@ def _rows(
     lost, step = max(taps.shape[1], len(weights)) // 2, max(1, int(rate / FINE))
     q, qd, qdd = (decimate(position, tap[::-1], lost, step) for tap in taps)
     motion = Motion(np.arange(len(q)) * step / rate, q, qd, qdd)
-    columns = [regressor(tree, motion, minimal_set(tree, "dynamic" if kind == "torque" else
-                                                   "reaction"))]  # fmt: skip
+    minimal = minimal_set(tree, "dynamic" if kind == "torque" else "reaction")
+    columns = [regressor(tree, motion, minimal)]
     n = columns[0].shape[1]
+    if bodies is not None and kind == "torque":
+        theta = bodies.minimal.lift @ bodies.values[: bodies.minimal.count]
+        columns = [(columns[0] @ (minimal.matrix @ theta))[:, :, None] * np.eye(n)]
     own = (np.ones_like(q), np.sign(qd), qd, qdd) if kind == "torque" else (np.ones((len(q), n)),)
     columns += [signal[:, :, None] * np.eye(n) for signal in own]
     row_filter = row_weights(rate / step, slow * ROW_CUTOFF)

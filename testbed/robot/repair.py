@@ -80,12 +80,14 @@ class Edit:
         links: New inertias, about and along the links' frames, by link.
         joints: Friction and rotor inertia that change, by joint.
         gears: True torque over what the drive reports, by joint.
+        delay: From a command to its torque [s].
         diagnostics: What could not be shared out among links.
     """
 
     links: Mapping[str, Inertia]
     joints: Mapping[str, Mapping[str, float]]
     gears: Mapping[str, float] = field(default_factory=dict)
+    delay: float = 0.0
     diagnostics: tuple[Diagnostic, ...] = ()
 
 

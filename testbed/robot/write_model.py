@@ -54,6 +54,7 @@ def write_model(
     note: Sequence[str] = (),
     over_source: bool = False,
     gears: Mapping[str, float] | None = None,
+    delay: float = 0.0,
 ) -> tuple[Diagnostic, ...]:
     """Write a model file with a tree's masses, friction and rotors, all else byte for byte.
 
@@ -67,6 +68,7 @@ def write_model(
         over_source: Whether `path` may be the model file itself.
         gears: By joint, true torque over what its drive reports: into MJCF's motors, one more
             where a joint has none.
+        delay: From a command to its torque, of those motors [s].
 
     Returns:
         What the format has no place for, what readers will make otherwise.
@@ -77,7 +79,7 @@ def write_model(
     """
     check_place(model.path, path, over_source=over_source)
     (change,) = changes_of(model, [tree], fixed)
-    change = replace(change, gears=gears or {})
+    change = replace(change, gears=gears or {}, delay=delay)
     ((data, said),) = _edited(model, [change], note)
     unread = _check(model, data, tree)
     with replacing(path) as fresh:

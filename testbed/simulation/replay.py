@@ -8,7 +8,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.recordings.recording import Recording
-from testbed.robot.formats.mjcf_spec import parse
+from testbed.robot.formats.mjcf_spec import LINEAR, commands_kept, parse
 from testbed.robot.model_file import ModelFile, model_format
 from testbed.simulation.plant import robot_spec
 
@@ -22,8 +22,8 @@ START = 0.1
 def replay(model: ModelFile, recording: Recording, seconds: float = 2.0) -> Array:
     """Distance from the recorded positions in MuJoCo, driven open-loop, (M, n) [rad or m].
 
-    Motors have the gears of the file's own, one where it has none. Between samples the torque is
-    linear in time. Positions and velocities at the start are those of a cubic fit.
+    Motors have gears and delays of the file's own, one and none where it has none. Between samples
+    the torque is linear in time. Positions and velocities at the start are those of a cubic fit.
 
     Args:
         model: The model file, and how it is read.
@@ -46,16 +46,23 @@ def replay(model: ModelFile, recording: Recording, seconds: float = 2.0) -> Arra
         raise RecordingError(f"a recording that is replayed lasts more than {2 * START:g} s")
     period = float((time[last] - time[first]) / (last - first))
     steps = int(np.ceil(period / STEP))
-    spec, gears = robot_spec(model), _gears(model)
+    spec, motors = robot_spec(model), _motors(model)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.option.timestep = period / steps
     for name in tree.names:
         motor = spec.add_actuator(target=name)
         motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        motor.gear = [gears.get(name, 1.0), 0, 0, 0, 0, 0]
+        gear, delay = motors.get(name, (1.0, 0.0))
+        motor.gear = [gear, 0, 0, 0, 0, 0]
+        motor.delay, motor.interp = delay, LINEAR
+        motor.nsample = commands_kept(delay, spec.option.timestep)
     plant = spec.compile()
     data = mujoco.MjData(plant)
+    for k in np.flatnonzero(plant.actuator_delay):
+        before = plant.opt.timestep * np.arange(-plant.actuator_history[k, 0], 0.0)
+        known = np.interp(time[first] + before, time, torque[:, k])
+        mujoco.mj_initCtrlHistory(plant, data, k, before[:, None], known[:, None])
     places = [plant.joint(name) for name in tree.names]
     order = [place.qposadr[0] for place in places]
     fit = np.polynomial.polynomial.polyfit(time[:fitted] - time[first], recorded[:fitted], 3)
@@ -69,8 +76,9 @@ def replay(model: ModelFile, recording: Recording, seconds: float = 2.0) -> Arra
     return found - recorded[first:last]
 
 
-def _gears(model: ModelFile) -> dict[str, float]:
-    """Of the file's actuators, by joint."""
+def _motors(model: ModelFile) -> dict[str, tuple[float, float]]:
+    """Gears and delays [s] of the file's actuators, by joint."""
     if model_format(model.path) == "urdf":
         return {}
-    return {each.target: float(each.gear[0]) for each in parse(model.path).actuators}
+    spec = parse(model.path)
+    return {each.target: (float(each.gear[0]), float(each.delay)) for each in spec.actuators}

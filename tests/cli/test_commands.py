@@ -56,6 +56,7 @@ COMMANDS = {
                       "other.parquet --json", "combined curves diagnostics estimates maps"),
     "sample": ("sample result.json -n 3 --out OUT/robots --json",
                "joints links mean names prior_error share sigma"),
+    "sample, run": ("sample run -n 3 --out OUT/drawn", ""),
     "payload": (f"payload one.parquet other.parquet {ROBOT} --json",
                 "centre chance covariance diagnostics identifiable joint names rank sigma units "
                 "values"),

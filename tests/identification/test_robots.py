@@ -17,7 +17,6 @@ from testbed.identification.consistency.robots import (
     BODY,
     _log_prior,
     elliptical_slices,
-    robots,
 )
 from testbed.identification.estimate_summary import estimate_of_summary, summary_of
 from testbed.parameters.prior import coordinates, prior_of
@@ -70,7 +69,7 @@ def test_draws_can_exist_agree_with_the_data_and_are_the_files_elsewhere() -> No
     prior, rng = prior_of(file), np.random.default_rng(1)
     truth = prior_robots(file, prior, 0.3, 1, rng).tree(0, file)
     estimate = tb.identify(file, measured(truth, 2, duration=10.0), "internal")
-    found = robots(file, [estimate], prior, 250, rng, ConsistencyOptions(prior_error=0.3))
+    found = tb.robots(file, [estimate], prior, 250, rng, ConsistencyOptions(prior_error=0.3))
     trees = [found.tree(k, file) for k in range(250)]
     assert all(inertia_flaw("", b.mass, b.central) is None for t in trees[:50] for b in t.inertias)
     assert estimate.drives is not None
@@ -84,11 +83,11 @@ def test_draws_can_exist_agree_with_the_data_and_are_the_files_elsewhere() -> No
     assert found.share[0, 0] < 0.01
     assert found.share[:, BODY].min() > 0.9
     assert stats.kstest(logs, "norm").pvalue > UNIFORM
-    again = robots(file, [estimate], prior, 3, np.random.default_rng(4))
-    same = robots(file, [estimate], prior, 3, np.random.default_rng(4))
+    again = tb.robots(file, [estimate], prior, 3, np.random.default_rng(4))
+    same = tb.robots(file, [estimate], prior, 3, np.random.default_rng(4))
     np.testing.assert_array_equal(again.values, same.values)
     with refuses(SettingsError, "prior"):
-        robots(file, [estimate], prior, 3, rng, ConsistencyOptions(prior_error="chosen"))
+        tb.robots(file, [estimate], prior, 3, rng, ConsistencyOptions(prior_error="chosen"))
 
 
 @pytest.mark.slow
@@ -99,7 +98,7 @@ def test_draws_obey_what_is_known_and_a_summary_draws_the_same() -> None:
     weighed = ConsistencyOptions(known={"mass/link3": 6.0})
     again = estimate_of_summary(file, summary_of(estimate))
     one, other = (
-        robots(file, [each], prior, 5, np.random.default_rng(4), weighed)
+        tb.robots(file, [each], prior, 5, np.random.default_rng(4), weighed)
         for each in (estimate, again)
     )
     np.testing.assert_allclose(one.values[:, 2, 0], 6.0, rtol=1e-9)

@@ -24,7 +24,7 @@ from testbed.robot.formats.mjcf_compile import (
     set_inertia,
     stated_inertias,
 )
-from testbed.robot.formats.mjcf_spec import VELOCITY_LIMIT, open_spec, parse
+from testbed.robot.formats.mjcf_spec import VELOCITY_LIMIT, commands_kept, open_spec, parse
 from testbed.robot.formats.xml_bytes import Element, XmlBytes, as_tag, comment
 from testbed.robot.inertia import NOTHING, Inertia
 from testbed.robot.locks import Lock
@@ -298,16 +298,18 @@ def edit_mjcf(
                 values = change.joints.get(joint, {})
                 said = {k: plain([values[what]]) for k, what in _LOSSES.items() if what in values}
                 document.set(element, **said)
-        kept = _set_gears(document, spec, change.gears)
+        kept = _set_motors(document, spec, change.gears, change.delay)
         yield document.edit(), (*_changed_by_compiler(spec, change.links), *kept)
 
 
-def _set_gears(
-    document: XmlBytes, spec: mujoco.MjSpec, gears: Mapping[str, float]
+def _set_motors(
+    document: XmlBytes, spec: mujoco.MjSpec, gears: Mapping[str, float], delay: float
 ) -> tuple[Diagnostic, ...]:
-    """Scale the motors of joints, and add one where a joint has none; other actuators stay."""
+    """Scale and delay the motors of joints, add one where a joint has none; other actuators stay."""
+    kept = str(commands_kept(delay, spec.option.timestep))
+    late = {"delay": plain([delay]), "nsample": kept, "interp": "linear"} if delay else {}
     elements = [e for part in document.root.named("actuator") for e in part.children]
-    driven, kept = set(), []
+    driven, others = set(), []
     if gears and len(spec.actuators) != len(elements):
         raise ModelError("the actuators do not stand in this file, one by one; write without gears")
     for actuator, element in zip(spec.actuators, elements, strict=True) if gears else ():
@@ -317,17 +319,17 @@ def _set_gears(
         driven.add(joint)
         if element.tag == "motor":
             gear = [actuator.gear[0] * gears[joint], *actuator.gear[1:]]
-            document.set(element, gear=plain(gear))
+            document.set(element, gear=plain(gear), **late)
         else:
-            kept.append(joint)
+            others.append(joint)
     motors = [
-        as_tag("motor", {"name": f"drive/{joint}", "joint": joint, "gear": plain([gear])})
+        as_tag("motor", {"name": f"drive/{joint}", "joint": joint, "gear": plain([gear]), **late})
         for joint, gear in gears.items()
         if joint not in driven
     ]
     if motors:
         document.insert(document.root, f"<actuator>{''.join(motors)}</actuator>")
-    return (diagnose("model.actuators", few(kept)),) if kept else ()
+    return (diagnose("model.actuators", few(others)),) if others else ()
 
 
 _Joints = list[tuple[str, Element]]

@@ -22,6 +22,8 @@ from testbed.robot.locks import Coupling, Lock, Travel, lock_positions
 
 VELOCITY_LIMIT = "velocity_limit/"
 """MJCF has no element for a velocity limit: <numeric name="velocity_limit/JOINT" data=.../>."""
+LINEAR = 1
+"""A delayed actuator reads its command between two that it has kept."""
 _SUPPORTED = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 _JOINT, _SITE = mujoco.mjtWrap.mjWRAP_JOINT, mujoco.mjtWrap.mjWRAP_SITE
 _PLATE = (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE)
@@ -29,6 +31,16 @@ _PLATE = (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE)
 _Couplings: TypeAlias = dict[str, tuple[str | None, Array]]
 """By follower: whom it follows, and five coefficients; both positions are counted from the file's
 posture."""
+
+
+def commands_kept(delay: float, timestep: float) -> int:
+    """How many commands a delayed actuator keeps: MuJoCo's `nsample`, 0 without a delay.
+
+    Args:
+        delay: [s].
+        timestep: Of the simulation [s].
+    """
+    return int(np.ceil(delay / timestep)) + 2 if delay else 0
 
 
 def open_spec(

@@ -257,6 +257,8 @@ def edit_urdf(
         if change.gears:
             gears = ", ".join(f"{joint} {gear:.6g}" for joint, gear in change.gears.items())
             lost.append(diagnose("model.gears", gears))
+        if change.delay:
+            lost.append(diagnose("model.delay", f"{change.delay:.4g} s"))
         yield document.edit(), tuple(lost)
 
 
