@@ -65,8 +65,8 @@ class Case:
 
 Answer = dict[str, Any]
 Solver = Callable[[Case, str], Answer]
-"""From a case and "torque" or "wrench" to "prediction", (m, k), and perhaps "sigma", "said", "cpu" of
-identification alone [s], and "model", text of a model file with what was found."""
+"""From a case and "torque" or "wrench" to "prediction", (m, k), and perhaps "sigma", "said", "cpu"
+of identification alone [s], and "model", text of a model file with what was found."""
 
 
 def read(folder: Path) -> Case:

@@ -7,7 +7,6 @@ import os
 import subprocess
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -95,7 +94,7 @@ def _sysid(python: str, folder: Path, draws: int) -> dict[str, Any]:
 
 
 def _write(case: Case, folder: Path, methods: tuple[Method, ...], out: Path) -> float:
-    """testbed's file by its defaults, as `identify --write` makes it; processor time [s]."""
+    """Testbed's file by its defaults, as `identify --write` makes it; processor time [s]."""
     given = read(folder / f"recordings/{case.name}")
     start = time.process_time()
     file = tb.ModelFile(given.urdf)

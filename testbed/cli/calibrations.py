@@ -28,8 +28,68 @@ from testbed.cli.reading import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from testbed.diagnostics import Diagnostic
     from testbed.identification.estimate import Method
+    from testbed.identification.payload.payload import PayloadEstimate
+    from testbed.robot.model_file import ModelFile
+    from testbed.robot.repair import Link
+    from testbed.robot.tree import Tree
+
+Vendor = Annotated[
+    str | None,
+    typer.Option(
+        "--as", metavar="VENDOR", help="Print it for a controller: ur, franka, kuka or ros."
+    ),
+]
+Flange = Annotated[
+    str | None,
+    typer.Option(metavar="LINK", help="With --as: link with the flange's frame, e.g. tool0."),
+]
+NO_FORM = "--as needs a payload in motion, and is no JSON of ours"
+
+
+def flange_link(vendor: str | None, flange: str | None, file: ModelFile, tree: Tree) -> Link | None:
+    """The flange that is named for a controller, in a tree's bodies; None for none.
+
+    Raises:
+        SettingsError: A flange is named for no controller.
+        UnknownName: There is no such controller or link.
+    """
+    from testbed.errors import SettingsError, UnknownName
+    from testbed.identification.payload.vendors import VENDORS
+
+    if vendor is not None and vendor not in VENDORS:
+        raise UnknownName("controller", vendor, list(VENDORS))
+    if flange is None:
+        return None
+    if vendor is None:
+        raise SettingsError("--flange names the frame for --as: both are needed")
+    links, joints = {x.name: x for x in file.links()}, dict(enumerate(file.tree().names))
+    if flange not in links:
+        raise UnknownName("link", flange, list(links))
+    joint = joints.get(links[flange].body)
+    return replace(links[flange], body=-1 if joint not in tree.names else tree.index(joint))
+
+
+def print_for(
+    vendor: str, found: PayloadEstimate, tree: Tree, link: Link | None, said: Iterable[Diagnostic]
+) -> None:
+    """A payload as a controller takes it, and warnings.
+
+    Args:
+        vendor: Whose.
+        found: The payload.
+        tree: The robot.
+        link: The flange.
+        said: What to know of it.
+    """
+    from testbed.identification.payload.vendors import VENDORS, at_flange
+
+    typer.echo(VENDORS[vendor](at_flange(found, tree, link)))
+    for each in said:
+        typer.echo(f"warning: {each}", err=True)
 
 
 @app.command()
@@ -170,6 +230,7 @@ def drives(
     from testbed.plausibility.time_offset import delivered
     from testbed.recordings.recording import Recording
     from testbed.reporting import output, terminal
+    from testbed.reporting.drives import delay_line
 
     if friction is not None:
         check_friction_file(friction)
@@ -196,11 +257,8 @@ def drives(
             threads=threads,
             progress=progress,
         )
-    lines, late = [], 0.0
-    if commands:
-        source, offset = delivered(tree, source, bodies)
-        late = -offset.delay
-        lines.append(f"delay of the drives: {1e3 * late:.3g} +- {1e3 * offset.sigma:.2g} ms")
+    source, offset = delivered(tree, source, bodies) if commands else (source, None)
+    late, lines = (0.0, []) if offset is None else (-offset.delay, [delay_line(offset)])
     with output.Progress("regressing torques") as progress:
         found = identify_drives(
             tree,
@@ -253,16 +311,8 @@ def payload(
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     plate: Plate = None,
-    vendor: Annotated[
-        str | None,
-        typer.Option(
-            "--as", metavar="VENDOR", help="Print it for a controller: ur, franka, kuka or ros."
-        ),
-    ] = None,
-    flange: Annotated[
-        str | None,
-        typer.Option(metavar="LINK", help="With --as: link with the flange's frame, e.g. tool0."),
-    ] = None,
+    vendor: Vendor = None,
+    flange: Flange = None,
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
@@ -276,7 +326,7 @@ def payload(
     Example: testbed payload empty.parquet loaded.parquet --model ur5e.urdf --as ur --flange tool0
     """
     from testbed.codec import encode
-    from testbed.errors import SettingsError, UnknownName
+    from testbed.errors import SettingsError
     from testbed.identification.identify import identify
     from testbed.identification.payload.payload import (
         estimate_mass,
@@ -284,22 +334,15 @@ def payload(
         poses_at_rest,
     )
     from testbed.identification.payload.payload import payload as payload_of
-    from testbed.identification.payload.vendors import VENDORS, at_flange
     from testbed.recordings.geometry import in_its_gravity
     from testbed.reporting import estimates as shown
     from testbed.reporting import output, terminal
 
     reading = Reading(settings, False, weld_root, lock, lock_mimic, plate)
-    if vendor is None and flange is not None:
-        raise SettingsError("--flange names the frame for --as: both are needed")
     if vendor is not None and (at_rest or as_json):
-        raise SettingsError("--as needs a payload in motion, and is no JSON of ours")
-    if vendor is not None and vendor not in VENDORS:
-        raise UnknownName("controller", vendor, list(VENDORS))
+        raise SettingsError(NO_FORM)
     tree, table = reading.tree(model), reading.tables().identification
-    links = {} if flange is None else {x.name: x for x in reading.model_file(model).links()}
-    if flange is not None and flange not in links:
-        raise UnknownName("link", flange, list(links))
+    link = flange_link(vendor, flange, reading.model_file(model), tree)
     sources = [reading.source(opened(path), tree) for path in (without, loaded)]
     if at_rest:
         tree = in_its_gravity(tree, sources[0], gravity)
@@ -325,12 +368,10 @@ def payload(
     found = payload_of(tree, estimates[0], estimates[1], joint)
     every = [each for estimate in estimates for each in estimate.diagnostics]
     known = [each for each in every if each.code != "plate.no-tare"]  # the difference has none
+    said = [*tree.diagnostics, *known, *found.diagnostics]
     if as_json:
         output.print_json(encode(found))
     elif vendor is not None:
-        load = at_flange(found, tree, None if flange is None else links[flange])
-        typer.echo(VENDORS[vendor](load))
-        for said in (*tree.diagnostics, *known, *found.diagnostics):
-            typer.echo(f"warning: {said}", err=True)
+        print_for(vendor, found, tree, link, said)
     else:
-        terminal.print_payload(found, [*tree.diagnostics, *known, *found.diagnostics])
+        terminal.print_payload(found, said)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from testbed.cli.calibrations import NO_FORM, Flange, Vendor, flange_link, print_for
 from testbed.cli.reading import (
     Gravity,
     Json,
@@ -49,6 +50,8 @@ def tool(
     weld_root: Weld = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
+    vendor: Vendor = None,
+    flange: Flange = None,
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
@@ -60,14 +63,19 @@ def tool(
 
     Example: testbed tool run.parquet --model robot.urdf --sensor tool0
 
+    Example: testbed tool run.parquet --model robot.urdf --sensor tool0 --as ur --flange tool0
+
     Example: testbed tool poses.csv --at-rest --degrees --model robot.urdf --sensor tool0
     """
     from testbed.codec import encode
+    from testbed.errors import SettingsError
     from testbed.identification.identify import identify
     from testbed.identification.payload.tool import read_static_poses, tool_at_rest, tool_of
     from testbed.reporting import estimates as shown
     from testbed.reporting import output, terminal
 
+    if vendor is not None and (at_rest or as_json):
+        raise SettingsError(NO_FORM)
     reading = Reading(settings, False, weld_root, lock, lock_mimic, sensor=sensor)
     if at_rest:
         tree = reading.tree(model).with_gravity(gravity)
@@ -80,15 +88,18 @@ def tool(
         return
     reading, tree, source = reading.robot_of(opened(recording), model)
     tree = tree.with_gravity(gravity)
+    link = flange_link(vendor, flange, reading.model_file(model), tree)
     with output.Progress("identifying") as progress:
         estimate = identify(
             tree, source, gravity=gravity, settings=reading.tables().identification,
             threads=threads, progress=progress,
         )  # fmt: skip
     found = tool_of(tree, estimate)
+    known = [*tree.diagnostics, *estimate.diagnostics, *found.diagnostics]
     if as_json:
         output.print_json(encode(found))
+    elif vendor is not None:
+        print_for(vendor, found, tree, link, known)
     else:
         title = f"tool beyond the force sensor at {sensor}, about its origin and along its axes"
-        known = [*tree.diagnostics, *estimate.diagnostics, *found.diagnostics]
         terminal.print_payload(found, known, title)

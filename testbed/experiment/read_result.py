@@ -218,8 +218,7 @@ def _stated(content: Any, method: Method, source: str) -> EstimateSummary:
 def _of_recording(
     content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
 ) -> tuple[Tree, Settings, ModelFile, Tree, ConsistencyOptions]:
-    """Of a recording's estimates robot, settings, file, prior, what is asked of consistent bodies.
-    """
+    """Of a recording's estimates: robot, settings, file, prior, what is asked of bodies."""
     kept = checked(_Model, content.get("model", {}), f"{path}: model")
     said = content["settings"]
     if not isinstance(said, dict):

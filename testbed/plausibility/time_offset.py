@@ -121,9 +121,7 @@ class TimeOffset:
         )
 
 
-def time_offsets(
-    tree: Tree, source: Source, bodies: Estimate | None = None
-) -> list[TimeOffset]:
+def time_offsets(tree: Tree, source: Source, bodies: Estimate | None = None) -> list[TimeOffset]:
     """Of the torques and of the wrench, as far as they were measured, and determine it.
 
     Args:

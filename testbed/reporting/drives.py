@@ -19,6 +19,7 @@ from testbed.reporting.section import Section, Table
 if TYPE_CHECKING:
     from testbed.experiment.comparison import Predictions
     from testbed.identification.drives.friction_curves import Choice, DriveEstimate
+    from testbed.plausibility.time_offset import TimeOffset
 
 BAND = 2.0
 """Sigmas to either side of a curve."""
@@ -61,6 +62,15 @@ def replay_lines(joints: Sequence[str], file: Array, written: Array) -> list[str
     pairs = zip(joints, *sizes, strict=True)
     listed = ", ".join(f"{joint} {own:.3g} ({other:.3g})" for joint, own, other in pairs)
     return [f"rms error of the unseen motion, driven open-loop (model file's): {listed}"]
+
+
+def delay_line(found: TimeOffset) -> str:
+    """How late drives deliver what they are commanded.
+
+    Args:
+        found: Of the commands beside the motion.
+    """
+    return f"delay of the drives: {-1e3 * found.delay:.3g} +- {1e3 * found.sigma:.2g} ms"
 
 
 def drive_lines(drives: DriveFindings) -> list[str]:

@@ -59,10 +59,10 @@ def replay(model: ModelFile, recording: Recording, seconds: float = 2.0) -> Arra
         motor.nsample = commands_kept(delay, spec.option.timestep)
     plant = spec.compile()
     data = mujoco.MjData(plant)
-    for k in np.flatnonzero(plant.actuator_delay):
-        before = plant.opt.timestep * np.arange(-plant.actuator_history[k, 0], 0.0)
-        known = np.interp(time[first] + before, time, torque[:, k])
-        mujoco.mj_initCtrlHistory(plant, data, k, before[:, None], known[:, None])
+    for late in np.flatnonzero(plant.actuator_delay).tolist():
+        before = plant.opt.timestep * np.arange(-plant.actuator_history[late, 0], 0.0)
+        known = np.interp(time[first] + before, time, torque[:, late])
+        mujoco.mj_initCtrlHistory(plant, data, late, before[:, None], known[:, None])
     places = [plant.joint(name) for name in tree.names]
     order = [place.qposadr[0] for place in places]
     fit = np.polynomial.polynomial.polyfit(time[:fitted] - time[first], recorded[:fitted], 3)

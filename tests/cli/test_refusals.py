@@ -87,6 +87,9 @@ payload one.parquet other.parquet {ROBOT} --as abb | 'abb' kuka
 payload one.parquet other.parquet {ROBOT} --as ur --flange tool0 | 'tool0' link3
 payload one.parquet other.parquet {ROBOT} --flange link3 | --as
 payload one.parquet other.parquet {ROBOT} --as ur --at-rest | --as
+tool one.parquet {ROBOT} --sensor link3 --as ur --json | --as
+tool one.parquet {ROBOT} --sensor link3 --flange link3 | --as
+tool one.parquet {ROBOT} --sensor link3 --as ur --flange link2 | 'link2' elbow
 sample result.json --out . | '.' working
 sample result.json --out run | 'run' --out
 sample none.json --out new | 'none.json' identify

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import testbed as tb
 from testbed.arrays import Array
@@ -25,6 +27,7 @@ from testbed.identification.estimate import METHODS
 from testbed.identification.problem import Problem
 from testbed.identification.selection.held_out import Parts, grown, stretches
 from testbed.identification.selection.term_choice import choose_terms
+from testbed.plausibility.time_offset import delivered
 from testbed.recordings.recording import Recording
 from testbed.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.robot.friction import QUADRATIC, ROTOR, stribeck
@@ -37,7 +40,7 @@ from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
-from tests.helpers.runs import robot, without
+from tests.helpers.runs import MODELS, robot, without
 from tests.helpers.sensors import links_of
 
 TERMS = ("coulomb", "viscous", "rotor")
@@ -301,14 +304,20 @@ def test_the_terms_of_a_made_up_robot_are_chosen() -> None:
     assert {"coulomb/shaft", "viscous/shaft", *own} <= set(found.words)
 
 
-@pytest.mark.slow
-def test_a_file_with_identified_drives_repeats_an_unseen_motion(tmp_path: Path) -> None:
-    """Plain MuJoCo, driven open-loop by what drives report, stays near what was recorded."""
+@cache
+def two_motions() -> tuple[Recording, Recording]:
     words = ["motion.duration=8", "motion.candidates=1"]
-    seen, unseen = (
+    one, other = (
         tb.simulate(tb.Experiment.load(ROOT / "experiments/table6.toml", [*words, f"seed={k}"]))
         for k in (5, 6)
     )
+    return one, other
+
+
+@pytest.mark.slow
+def test_a_file_with_identified_drives_repeats_an_unseen_motion(tmp_path: Path) -> None:
+    """Plain MuJoCo, driven open-loop by what drives report, stays near what was recorded."""
+    seen, unseen = two_motions()
     model = ModelFile(ROOT / "models/puma562.xml")
     tree = model.tree()
     bodies = tb.identify(tree, seen)
@@ -335,6 +344,49 @@ def test_a_file_with_identified_drives_repeats_an_unseen_motion(tmp_path: Path) 
     np.testing.assert_allclose(data.qpos, unseen.truth.position[1000], atol=0.05)
     with refuses(RecordingError, "0.2"):
         replay(model, unseen.part(0, 100))
+
+
+@pytest.mark.slow
+def test_commands_that_act_late_are_written_as_a_delay(tmp_path: Path) -> None:
+    """A controller trained without the delay of its drives oscillates on the robot."""
+    late, true = 0.008, ModelFile(ROOT / "models/puma562.xml")
+    tree = true.tree()
+
+    def commanded(recording: Recording) -> Recording:
+        ahead = np.minimum(recording.time + late, recording.time[-1])
+        torque = CubicSpline(recording.time, recording.measured("torque"))(ahead)
+        return replace(recording, torque=torque)
+
+    seen, unseen = map(commanded, two_motions())
+    bodies = tb.identify(tree, seen, zeros=True)
+    acting, offset = delivered(tree, seen, bodies)
+    assert abs(offset.delay + late) < 3 * offset.sigma < 1.5e-3
+    found = identify_drives(tree, acting, bodies, settings=tb.Settings(zeros=True))
+    errors = []
+    for delay in (-offset.delay, 0.0):
+        path = tmp_path / f"{delay}.xml"
+        write_model(true, with_drives(tree, found), path, gears=found.gears, delay=delay)
+        compiled = mujoco.MjModel.from_xml_path(str(path))
+        np.testing.assert_array_equal(compiled.actuator_delay, delay)
+        errors.append(np.sqrt((replay(ModelFile(path), unseen) ** 2).mean()))
+        data, truth = mujoco.MjData(compiled), unseen.truth
+        assert truth is not None
+        data.qpos[:], data.qvel[:] = truth.position[100], truth.velocity[100]
+        compiled.opt.timestep = 1e-3  # the file's is finer: it keeps commands enough
+        before = np.arange(-compiled.actuator_history[0, 0], 0)
+        for k in range(3 * bool(delay)):
+            past = unseen.measured("torque")[100 + before, k]
+            mujoco.mj_initCtrlHistory(compiled, data, k, 1e-3 * before[:, None], past[:, None])
+        for k in range(100, 1100):
+            data.ctrl[:] = unseen.measured("torque")[k]
+            mujoco.mj_step(compiled, data)
+        errors.append(np.abs(data.qpos - truth.position[1100]).max())
+    assert (np.array(errors[:2]) < 0.5 * np.array(errors[2:])).all(), errors
+    with refuses(RecordingError, "commands"):
+        delivered(tree, replace(seen, torque=np.roll(seen.measured("torque"), 30, axis=0)), bodies)
+    urdf = ModelFile(MODELS["ur5"])
+    said = write_model(urdf, urdf.tree(), tmp_path / "late.urdf", delay=late)
+    assert [each.code for each in said] == ["model.delay"]
 
 
 def test_joints_without_motors_get_one_and_other_actuators_stay(tmp_path: Path) -> None:

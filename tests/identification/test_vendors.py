@@ -17,6 +17,7 @@ from testbed.identification.payload.vendors import VENDORS, FlangePayload, at_fl
 from testbed.parameters.symbols import STANDARD
 from testbed.robot.inertia import NOTHING
 from testbed.robot.repair import Link
+from testbed.robot.tree import Placement
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot
 
@@ -91,6 +92,22 @@ def test_every_vendor_reads_the_payload_at_the_flange() -> None:
             for k in range(3):
                 one, other = np.asarray(read[k]), np.asarray(expected[k])
                 np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14)
+
+
+def test_a_tool_of_a_force_sensor_is_seen_from_the_flange() -> None:
+    """The sensor's frame is neither the flange's nor its link's."""
+    turn, place = (
+        Rotation.from_euler("xyz", [1.0, 0.2, -0.5]).as_matrix(),
+        np.array([0.1, 0.0, 0.2]),
+    )
+    sensor = Placement(place, turn, "wrist", 2)
+    mass, seen = points()
+    tree = replace(robot("puma"), sensor=sensor)
+    for link, own in ((None, seen), (FLANGE, (seen @ turn.T + place - PLACE) @ TURN)):
+        load, expected = at_flange(estimate(), tree, link), central(mass, own)
+        assert load.frame == ("wrist" if link is None else "tool0")
+        for one, other in zip(read_back("ur", VENDORS["ur"](load)), expected, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14)
 
 
 def test_sigma_is_the_spread_of_what_is_written() -> None:

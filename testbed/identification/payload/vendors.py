@@ -70,12 +70,12 @@ class FlangePayload:
 
 
 def at_flange(found: PayloadEstimate, tree: Tree, link: Link | None = None) -> FlangePayload:
-    """A payload about and along a flange's frame.
+    """A payload, or the tool that a force sensor carries, about and along a flange's frame.
 
     Args:
-        found: About and along the frame of the link that its joint moves.
-        tree: The robot.
-        link: The flange, fixed to that link; None for that link itself.
+        found: About and along the frame of the link that its joint moves, a tool's of the sensor.
+        tree: The robot, or what the sensor feels.
+        link: The flange, fixed to that link; None for that link or sensor itself.
 
     Raises:
         SettingsError: Not all of it is identifiable, it is no body that can exist, or the flange
@@ -86,12 +86,14 @@ def at_flange(found: PayloadEstimate, tree: Tree, link: Link | None = None) -> F
         raise SettingsError(
             f"a controller wants all of a payload, and {few(lacking)} are not identifiable"
         )
-    body = tree.index(found.joint)
+    body, sensor = tree.index(found.joint), tree.sensor
     if link is not None and link.body != body:
         raise SettingsError(f"'{link.name}' does not move with joint '{found.joint}'")
 
     def seen(values: Array) -> Inertia:
         inertia = Inertia.of_pseudo(matrices(values))
+        if link is not None and sensor is not None:
+            inertia = inertia.moved(sensor.rotation, sensor.position)
         return inertia if link is None else link.seen_from(inertia)
 
     inertia = seen(found.values)
@@ -113,7 +115,8 @@ def at_flange(found: PayloadEstimate, tree: Tree, link: Link | None = None) -> F
     pairs = [(numbers(found.values + d), numbers(found.values - d)) for d in steps]
     slope = np.array([(one - other) / 2 for one, other in pairs]).T / np.diagonal(steps)
     sigma = np.sqrt(np.diagonal(slope @ found.covariance @ slope.T))
-    frame = tree.joints[body].body if link is None else link.name
+    own = tree.joints[body].body if sensor is None else sensor.name
+    frame = own if link is None else link.name
     return FlangePayload(frame, inertia, axes, sigma)
 
 

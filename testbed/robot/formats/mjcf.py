@@ -305,7 +305,7 @@ def edit_mjcf(
 def _set_motors(
     document: XmlBytes, spec: mujoco.MjSpec, gears: Mapping[str, float], delay: float
 ) -> tuple[Diagnostic, ...]:
-    """Scale and delay the motors of joints, add one where a joint has none; other actuators stay."""
+    """Scale and delay joints' motors, add one where a joint has none; other actuators stay."""
     kept = str(commands_kept(delay, spec.option.timestep))
     late = {"delay": plain([delay]), "nsample": kept, "interp": "linear"} if delay else {}
     elements = [e for part in document.root.named("actuator") for e in part.children]
