@@ -60,10 +60,10 @@ def freeze(value: object, **shapes: tuple[int | None, ...]) -> None:
 
 def skew(v: AnyArray) -> AnyArray:
     """The matrix v~ with v~ u = v x u.  v: (..., 3); returns (..., 3, 3)."""
-    x, y, z = v[..., 0], v[..., 1], v[..., 2]
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    found = np.zeros((*v.shape, 3), dtype=v.dtype)
+    found[..., [2, 0, 1], [1, 2, 0]] = v
+    found[..., [1, 2, 0], [2, 0, 1]] = -v
+    return found
 
 
 def apply(matrix: AnyArray, vector: AnyArray) -> AnyArray:

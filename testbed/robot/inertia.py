@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.arrays import Array, freeze, skew
+from testbed.arrays import Array, freeze, readonly, skew
 
 _X, _Y, _Z = np.eye(3)
 
@@ -98,11 +99,11 @@ class Inertia:
         centre: Array = self.first_moment / self.mass if self.mass else np.zeros(3)
         return centre
 
-    @property
+    @cached_property
     def central(self) -> Array:
         """Inertia about the mass centre, (3, 3) [kg m^2]."""
-        tensor: Array = self.tensor + self.mass * skew(self.com) @ skew(self.com)
-        return tensor
+        lever = skew(self.com)
+        return readonly(self.tensor + self.mass * lever @ lever, (3, 3), "central")
 
     @property
     def within_limits(self) -> bool:
