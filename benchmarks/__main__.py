@@ -489,6 +489,18 @@ def rivals(
     raise typer.Exit(int(over > GOAL))
 
 
+@app.command()
+def rollout(
+    python: Annotated[str, typer.Option(help="Interpreter that has mujoco.sysid.")],
+    draws: Annotated[int, typer.Option(min=1, help="Of bodies, motions and noise.")] = 5,
+    docs: Annotated[bool, typer.Option("--docs", help="Write docs/rivals.md.")] = False,
+) -> None:
+    """An unseen motion by written model files, beside mujoco.sysid as its documentation goes."""
+    from benchmarks.rivals.rollout import rollouts
+
+    print(rollouts(python, draws, docs))
+
+
 bench = typer.Typer(no_args_is_help=True, help="Recordings for any tool, and a score of answers.")
 app.add_typer(bench, name="bench")
 

@@ -6,7 +6,8 @@ import json
 import os
 import subprocess
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from datetime import date
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -14,16 +15,17 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from benchmarks.bench import FAST, Case, Happened, make, measured, simulated
+from benchmarks.bench import FAST, RATE, Case, Happened, make, measured, simulated
 from benchmarks.rivals.case import read
-from benchmarks.rivals.compare import FIRST
+from benchmarks.rivals.compare import FIRST, PAGE
+from docs.marks import table, write
 from testbed.excitation.limits import limits_of
 from testbed.identification.estimate import Method
 from testbed.recordings.recording import Recording
 from testbed.simulation.replay import replay
 from tests.helpers.paths import ROOT
 
-ROBOT = "puma"
+MODULE, ROBOT = "benchmarks rollout", "puma"
 UNSEEN = 4.0
 """Of the unseen motion [s]; two of them are driven."""
 
@@ -33,43 +35,63 @@ METHODS: Mapping[str, tuple[Method, ...]] = {
 }
 """testbed's, by the signal that mujoco.sysid has beside torques and positions."""
 
+WORDS = {"torque": "joint torques", "wrench": "joint torques and plate"}
 
-def rollouts(python: str, draws: int) -> dict[str, Any]:
-    """Errors of 2 s of an unseen motion, and CPU times, by signal and tool.
+
+def rollouts(python: str, draws: int, docs: bool) -> str:
+    """A table of the errors of 2 s of an unseen motion, and of processor time.
 
     Args:
         python: Interpreter that has mujoco.sysid.
-        draws: Of bodies, motions and noise, all of them simulated with MuJoCo's own dry friction.
+        draws: Of bodies, motions and noise.
+        docs: Whether the table is written into the page.
     """
     cases = [Case(ROBOT, "white", 2 * k) for k in range(draws)]  # the even ones are simulated
-    rows: dict[str, list[Any]] = {}
     with TemporaryDirectory() as place:
         folder = Path(place) / "set"
         make(folder, cases, FIRST, jobs=1)
         answers = _sysid(python, folder, 2 * draws)
-        for case in cases:
-            seed, answer = FIRST + case.draw, answers[case.name]
-            given = folder / f"recordings/{case.name}/robot.urdf"
-            real = folder / f"truth/{ROBOT}-{seed:02d}.urdf"
-            motion = _unseen(case, real, seed)
-            rows.setdefault("model file", []).append((_error(given, motion), 0.0))
-            rows.setdefault("real robot", []).append((_error(real, motion), 0.0))
-            for signal, methods in METHODS.items():
-                theirs, ours = folder / "theirs.xml", folder / "ours.urdf"
-                theirs.write_text(answer[f"{signal}_model"])
-                spent = _write(case, folder, methods, ours)
-                for name, file, cpu in (
-                    (f"mujoco.sysid, {signal}", theirs, answer["cpu"][signal]),
-                    (f"testbed, {signal}", ours, spent),
-                ):
-                    rows.setdefault(name, []).append((_error(file, motion), cpu))
-    return {
-        name: {
-            "rms error [rad]": [float(f"{x:.3g}") for x in np.array([e for e, _ in each])],
-            "cpu [s]": [round(cpu, 2) for _, cpu in each],
-        }
-        for name, each in rows.items()
-    }
+        each = [dict(_driven(folder, case, answers[case.name])) for case in cases]
+    errors, cpu = (
+        {name: np.array([found[name][k] for found in each]) for name in each[0]} for k in (0, 1)
+    )
+    rows = [
+        (name, " ".join(f"{x:.3f}" for x in own), f"{cpu[name].mean():.2f}" if cpu[name][0] else "")
+        for name, own in errors.items()
+    ]
+    lines = table("file | rms error of each draw [rad] | CPU [s]", rows)
+    asked = []
+    for words in WORDS.values():
+        ours, theirs = f"testbed, {words}", f"mujoco.sysid, {words}"
+        ratio = errors[ours] / errors[theirs]
+        asked += [
+            (f"error, {words}: at most 0.5 of mujoco.sysid's",
+             f"{np.exp(np.log(ratio).mean()):.2f}, {ratio.min():.2f} to {ratio.max():.2f}"),
+            (f"CPU, {words}: at most 1/50", f"1/{(cpu[theirs] / cpu[ours]).mean():.0f}"),
+        ]  # fmt: skip
+    lines += ["", *table("asked | obtained", asked)]
+    if docs:
+        head = f"{date.today()}, seeds {FIRST} to {FIRST + 2 * draws - 2}, every other one."
+        write(PAGE, MODULE, lambda _: "\n".join(["", head, "", *lines, "", ""]))
+    return "\n".join(lines)
+
+
+def _driven(
+    folder: Path, case: Case, answer: Mapping[str, Any]
+) -> Iterator[tuple[str, tuple[float, float]]]:
+    """By file, its error [rad] and the processor time that it took [s]."""
+    seed = FIRST + case.draw
+    real = folder / f"truth/{ROBOT}-{seed:02d}.urdf"
+    motion = _unseen(case, real, seed)
+    yield "the file handed out", (_error(folder / f"recordings/{case.name}/robot.urdf", motion), 0)
+    yield "the real robot's", (_error(real, motion), 0.0)
+    for signal, methods in METHODS.items():
+        theirs, ours = folder / "theirs.xml", folder / "ours.urdf"
+        theirs.write_text(answer[f"{signal}_model"])
+        spent = _write(case, folder, methods, ours)
+        words = WORDS[signal]
+        yield f"mujoco.sysid, {words}", (_error(theirs, motion), answer["cpu"][signal])
+        yield f"testbed, {words}", (_error(ours, motion), spent)
 
 
 def _unseen(case: Case, real: Path, seed: int) -> Recording:
@@ -77,7 +99,7 @@ def _unseen(case: Case, real: Path, seed: int) -> Recording:
     tree, rng = tb.load_tree(real), np.random.default_rng([seed, 11])
     limits = limits_of(tree, {joint.name: FAST[joint.kind] for joint in tree.joints})
     made = simulated(real, tb.random_motion(tree, limits, 0.1, 5, rng), UNSEEN)
-    t = np.arange(len(made.position)) / 500.0
+    t = np.arange(len(made.position)) / RATE
     happened = Happened("", tree, t, made.position, made.torque, made.wrench, t, (t, t))
     return measured(case, happened, seed + 1000)
 
@@ -94,7 +116,7 @@ def _sysid(python: str, folder: Path, draws: int) -> dict[str, Any]:
 
 
 def _write(case: Case, folder: Path, methods: tuple[Method, ...], out: Path) -> float:
-    """Testbed's file by its defaults, as `identify --write` makes it; processor time [s]."""
+    """The file by testbed's defaults, as `identify --write` makes it; processor time [s]."""
     given = read(folder / f"recordings/{case.name}")
     start = time.process_time()
     file = tb.ModelFile(given.urdf)

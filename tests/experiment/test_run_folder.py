@@ -21,7 +21,7 @@ from testbed.codec import json_text
 from testbed.errors import ExperimentError, InfeasibleMotion, TestbedError
 from testbed.excitation.limits import PlateTerm
 from testbed.excitation.proof import prove
-from testbed.experiment.evaluate import robot_of
+from testbed.experiment.evaluate import model_of, robot_of
 from testbed.experiment.excite import (
     Excitation,
     excite,
@@ -379,7 +379,8 @@ def test_sigma_is_as_promised_and_an_earlier_estimate_is_a_prior(tmp_path: Path)
     names, covariance = np.array(estimate.names)[order], estimate.covariance[np.ix_(order, order)]
     down, nothing = np.array([0, 0, -9.81]), np.zeros(len(ratio))
     stated = EstimateSummary("external", tuple(names), nothing, covariance, down, np.ones(6), {})
-    kept = KeptResult(found.tree, tb.Settings(), (stated,))
+    tree = found.tree
+    kept = KeptResult(tree, tb.Settings(), (stated,), model_of(asked()), tree)
     np.testing.assert_array_equal(prior_covariance(kept, asked()), estimate.covariance)
     with refuses(TestbedError, "internal"):
         prior_covariance(kept, asked("puma", "excitation.instrument=joints"))
