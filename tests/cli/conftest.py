@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import testbed as tb
@@ -58,6 +60,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_run(run, folder / "run")
     found: tb.Recording = run.recording
     found.save(folder / "one.parquet")
+    commands = np.roll(found.measured("torque"), -10, axis=0)
+    replace(found, torque=commands).save(folder / "ahead.parquet")
     measured(robot("puma"), 2, duration=8.0).save(folder / "other.parquet")
     for signal in ("torque", "wrench"):
         without(found, signal).save(folder / f"no_{signal}.parquet")

@@ -52,8 +52,9 @@ COMMANDS = {
                   "correlation estimate known matrix matrix_sigma numbers robot"),
     "drives": (f"drives one.parquet {ROBOT} --zeros --json",
                "combined curves delay diagnostics estimates maps"),
-    "drives, write": (f"drives one.parquet {ROBOT} --zeros --write OUT/driven.xml --unseen "
-                      "other.parquet --json", "combined curves delay diagnostics estimates maps"),
+    "drives, write": (f"drives ahead.parquet {ROBOT} --zeros --commands --write OUT/driven.xml "
+                      "--unseen other.parquet --json",
+                      "combined curves delay diagnostics estimates maps"),
     "sample": ("sample result.json -n 3 --out OUT/robots --json",
                "joints links mean names prior_error share sigma"),
     "sample, run": ("sample run -n 3 --out OUT/drawn", ""),
