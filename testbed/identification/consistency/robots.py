@@ -177,18 +177,17 @@ def _log_prior(bodies: Array, error: float) -> Array:
         bodies: Y, (N, bodies, 4, 4).
         error: Of the file's bodies.
     """
-    found, own = np.zeros(len(bodies)), np.zeros(bodies.shape)
+    entry = np.ascontiguousarray(bodies.transpose(2, 3, 1, 0))
+    found, own = np.zeros(len(bodies)), [[np.zeros(0)] * 4 for _ in range(4)]
     with np.errstate(invalid="ignore", divide="ignore"):
         for b in reversed(range(4)):
-            rest = own[..., b, b + 1 :]
-            size = np.sqrt(bodies[..., b, b] - (rest**2).sum(axis=-1))
+            after = range(b + 1, 4)
+            size = np.sqrt(entry[b, b] - sum(own[b][c] ** 2 for c in after))
             logs = np.log(size)  # to the power b + 1 in |dY / dL|, once more in dL / dlog L
-            found -= (0.5 * (2 * logs / error) ** 2 + (b + 2) * logs).sum(axis=-1)
-            own[..., b, b] = size
+            found -= (0.5 * (2 * logs / error) ** 2 + (b + 2) * logs).sum(axis=0)
             for a in range(b):
-                inner = (own[..., a, b + 1 :] * rest).sum(axis=-1)
-                own[..., a, b] = (bodies[..., a, b] - inner) / size
-                found -= (own[..., a, b] ** 2).sum(axis=-1) / error**2
+                own[a][b] = (entry[a, b] - sum(own[a][c] * own[b][c] for c in after)) / size
+                found -= (own[a][b] ** 2).sum(axis=0) / error**2
     return np.where(np.isfinite(found), found, -np.inf)
 
 
