@@ -69,6 +69,10 @@ class FlangePayload:
         ]
 
 
+CLEAR = 3.0
+"""Standard deviations by which a mass is none of noise."""
+
+
 def at_flange(found: PayloadEstimate, tree: Tree, link: Link | None = None) -> FlangePayload:
     """A payload, or the tool that a force sensor carries, about and along a flange's frame.
 
@@ -99,10 +103,12 @@ def at_flange(found: PayloadEstimate, tree: Tree, link: Link | None = None) -> F
     inertia = seen(found.values)
     flaw = inertia_flaw("payload", inertia.mass, inertia.central)
     if flaw:
-        raise SettingsError(
-            f"no controller should get a body that cannot exist: {flaw}; longer and faster motion "
-            "makes it more precise"
-        )
+        remedy = "longer and faster motion makes it more precise"
+        if found.values[0] < -CLEAR * found.sigma[0]:
+            remedy = "the recording without the payload comes first, the one with it second"
+        elif abs(found.values[0]) <= CLEAR * found.sigma[0]:
+            remedy = "the recordings do not differ by a payload"
+        raise SettingsError(f"no controller should get a body that cannot exist: {flaw}; {remedy}")
     _, axes = np.linalg.eigh(inertia.central)
     axes[:, 0] *= np.sign(np.linalg.det(axes))
 
