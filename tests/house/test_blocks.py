@@ -13,7 +13,7 @@ from tests.helpers.paths import ROOT
 HOW_TO = [
     ROOT / f"docs/{name}.md"
     for name in (
-        *("which-sensor", "your-robot", "your-recording", "your-plate", "drives"),
+        *("which-sensor", "your-robot", "your-recording", "your-plate", "payload", "drives"),
         *("instruments", "extending"),
     )
 ]
