@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg, special
@@ -138,8 +139,27 @@ IMITATED = 1e-9
 FREE = 2
 """Times as many rows, of all channels, as columns that the tests need."""
 
+UNCLEAR = 1e-2
+"""Chance by the F test above which it is not held against made noise, which raises it only."""
+
 PRIOR = 24.0
 """Weight of the mean over all kinds in each one's calibration, in degrees of freedom."""
+
+
+class Alone(NamedTuple):
+    """One number of a fault, the others as they should be.
+
+    Attributes:
+        square: Of the residuals' squares it explains so much, in units of the noise's variance.
+        place: Among the fault's numbers.
+        size: In its own unit.
+        sigma: Of the size.
+    """
+
+    square: float
+    place: int
+    size: float
+    sigma: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +172,7 @@ class Trace:
         free: Degrees of freedom of the noise.
         size: The fault's numbers, (k',) in their own units.
         shift: By how much the unknowns would change if they were estimated, (m,).
+        alone: The same of the one number that explains most, and how much that is.
     """
 
     square: float
@@ -159,6 +180,7 @@ class Trace:
     free: int
     size: Array
     shift: Array
+    alone: Alone
 
     def chance(self, scale: float) -> float:
         """Probability of a trace as clear as this in noise.
@@ -299,9 +321,20 @@ def _tests(squares: Array, question: Question, base: int, free: int) -> list[Tra
                 free=free,
                 size=size * scale[base:][own],
                 shift=(shift * scale[:base])[base - question.base :],
+                alone=_alone(left[own, own], left[own, -1], scale[base:][own], variance),
             )
         )
     return found
+
+
+def _alone(squares: Array, across: Array, scale: Array, variance: float) -> Alone:
+    """Of products of a kind's columns, (k, k), and with the residuals, (k,), beside the base."""
+    length = np.diagonal(squares)
+    known = length > IMITATED
+    explained = np.divide(across**2, length, out=np.zeros(len(length)), where=known)
+    k = int(explained.argmax())
+    size, sigma = np.array([across[k], np.sqrt(variance * length[k])]) * scale[k] / length[k]
+    return Alone(float(explained[k]) / variance, k, float(size), float(sigma))
 
 
 def calibrated(found: Sequence[Trace], made: Sequence[Sequence[Trace]]) -> tuple[float, ...]:
@@ -328,14 +361,15 @@ class ScoreTests:
             given: Products of the question's columns, residuals and ones.
             question: Which columns are what.
         """
-        self._question, self._replicas = question, None
+        self._question, self._replicas, self._traces = question, None, list[Trace]()
         if question.answerable(given):
             self._constants = np.eye(given.products.shape[1])
             whole = given.with_constants(self._constants)
             self._independent = independent_columns(whole, question)
             ((self._traces, noise),) = traces(whole, self._independent, question)
             self._order = noise.order
-            self._replicas = Replicas(noise, given)
+            if any(trace.chance(1.0) < UNCLEAR for trace in self._traces):
+                self._replicas = Replicas(noise, given)
 
     def add(self, columns: Array, ones: Array, looked_at: bool = True) -> None:
         """Go on with consecutive rows.
@@ -359,10 +393,10 @@ class ScoreTests:
         Args:
             lead: How the unknowns that come first make up the parameters, (p, p).
         """
+        moved = [replace(t, shift=lead @ t.shift[: lead.shape[1]]) for t in self._traces]
         if self._replicas is None:
-            return ()
+            return tuple((trace, trace.chance(1.0)) for trace in moved)
         given = self._replicas.products.with_constants(self._constants)
         asked = given, self._independent, self._question, self._order
         made = [each for each, _ in traces(*asked, quick=True)]
-        moved = [replace(t, shift=lead @ t.shift[: lead.shape[1]]) for t in self._traces]
         return tuple(zip(moved, calibrated(self._traces, made), strict=True))

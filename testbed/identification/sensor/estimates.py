@@ -49,6 +49,7 @@ class TraceTest:
         size: What they would be if it were the only fault.
         shift: By how many sigma the parameter moves that moves most if it is estimated.
         parameter: Which one that is.
+        alone: The one number that explains nearly as much, and what it would be; None if none does.
     """
 
     nuisance: Nuisance
@@ -59,13 +60,17 @@ class TraceTest:
     size: tuple[float, ...]
     shift: float
     parameter: str
+    alone: NuisanceEstimate | None = None
 
     def largest(self, count: int) -> list[str]:
-        """The fault's largest numbers in words, so many of each unit.
+        """The fault's largest numbers in words, so many of each unit; or the one that explains it.
 
         Args:
             count: How many.
         """
+        one = self.alone
+        if one is not None:
+            return [f"{one.name} {one.value:.3g} +- {one.sigma:.2g} {one.unit}".rstrip()]
         numbers = sorted(
             zip(self.names, self.units, self.size, strict=True), key=lambda n: -abs(n[2])
         )

@@ -30,7 +30,12 @@ from testbed.identification.sensor.correction import (
     CalibrationCovariance,
     Corrected,
 )
-from testbed.identification.sensor.estimates import NuisanceEstimate, TraceTest, in_order
+from testbed.identification.sensor.estimates import (
+    NEARLY,
+    NuisanceEstimate,
+    TraceTest,
+    in_order,
+)
 from testbed.identification.sensor.plate import BIAS, NEXT_BIAS, SLOPE, TARE
 from testbed.identification.sensor.predicted_wrench import row_filter
 from testbed.identification.sensor.unknowns import (
@@ -166,10 +171,8 @@ class SensorModel:
         known = self.known.around(np.concatenate([values, numbers]))
         if not any(each.kept for each in shown):
             return NuisanceColumns(facts=known)
-        cutoff = self.settings.row_low_pass
-        assert cutoff is not None, "settings refuse nuisances of rows that are not filtered"
         whole = any(n.whole for n in self.unknowns.nuisances)
-        filtered = row_filter(plan, cutoff, exact=whole)
+        filtered = row_filter(plan, self.settings, exact=whole)
         kinds = [len(n.parts(plan.layout.tree)) for n in self.tested.nuisances]
         return NuisanceColumns(
             columns=Columns(
@@ -243,12 +246,15 @@ class SensorModel:
         tests = []
         for nuisance, (trace, chance) in zip(self.tested.nuisances, fit.traces, strict=False):
             moved = np.abs(trace.shift) / sigma
-            parts = nuisance.parts(problem.layout.tree)
+            parts, one = nuisance.parts(problem.layout.tree), trace.alone
+            part, clearness = parts[one.place], trace.square - 2 * trace.count
+            named = NuisanceEstimate(nuisance.kind, part.name, part.unit, one.size, one.sigma)
             tests.append(
                 TraceTest(
                     nuisance=nuisance,
                     chance=chance,
-                    clearness=trace.square - 2 * trace.count,
+                    clearness=clearness,
+                    alone=named if one.square - 2 > NEARLY * clearness > 0 else None,
                     names=tuple(part.name for part in parts),
                     units=tuple(part.unit for part in parts),
                     size=tuple(float(x) for x in trace.size),
