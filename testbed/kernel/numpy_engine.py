@@ -12,8 +12,8 @@ from testbed.kernel.records import Block, Question, Signals, Sums, blocks, sums_
 from testbed.robot.friction import BY_LOAD, JointTerm
 from testbed.robot.locks import at_places, shares
 
-SAMPLES = 1024
-"""Samples taken at once."""
+SAMPLES = 256
+"""Samples taken at once: what a few bodies make of them fits into a cache."""
 
 
 def rows(layout: Layout, signals: Signals) -> list[Block]:
@@ -56,9 +56,11 @@ def _block(layout: Layout, signals: Signals, number: int) -> Block:
         some = min(SAMPLES, span - at)
         motion = _motion(signals, begin + at, some)
         y = _unfiltered(layout, signals, begin + at, motion)
-        offset = np.arange(some)[None] + at - np.arange(signals.number)[:, None] * signals.step
+        first, last = (at - 2 * half - 1) // signals.step + 1, (at + some - 1) // signals.step + 1
+        reached = slice(max(first, 0), min(last, signals.number))
+        offset = at + np.arange(some) - np.arange(signals.number)[reached, None] * signals.step
         inside = (offset >= 0) & (offset < len(signals.weights))
-        z += y @ np.where(inside, signals.weights[np.where(inside, offset, 0)], 0.0).T
+        z[:, reached] += y @ np.where(inside, signals.weights[np.where(inside, offset, 0)], 0.0).T
     used = np.full(layout.width, signals.number, dtype=np.float64)
     if signals.deadband > 0:
         for c, moving in enumerate(_moving(signals).T):

@@ -89,7 +89,11 @@ Fits = Callable[[LaggedProducts, int | None], list[NoiseFit]]
 
 
 def whitened_fits(
-    given: LaggedProducts, order: int | None = None, *, quick: bool = False
+    given: LaggedProducts,
+    order: int | None = None,
+    *,
+    quick: bool = False,
+    lead: Array | None = None,
 ) -> list[NoiseFit]:
     """Generalised least squares: rows without gaps.
 
@@ -98,13 +102,20 @@ def whitened_fits(
         order: Of the noise; None for what is best for the first residuals.
         quick: Whether a turn's weights go on from those of the turn before, with one step: chances
             of tests differ by a thousandth.
+        lead: How the columns make up those that are fitted, (q, r); None for the columns as they
+            are. Only products of lags that are needed are combined.
     """
-    found = _weighted(given.up_to(0), given.rows)
+
+    def up_to(lag: int) -> LaggedProducts:
+        return given.up_to(lag) if lead is None else given.up_to(lag).combined(lead)
+
+    now = up_to(0)
+    found = _weighted(now, given.rows)
     if order is None:  # by residuals as they are: of coloured noise weights alone take less
-        highest = _highest(given)
-        left = given.moments(_squares(_of_residuals(given, found.values)), highest)[0]
+        highest, left = _highest(given, now.unknowns), _of_residuals(now, found.values)
+        left = given.moments(_squares(left if lead is None else left @ lead.T), highest)[0]
         order = highest and best_order(left, given.after(highest), highest)
-    given = given.up_to(order)
+    given = up_to(order)
     for _ in range(ROUNDS if order else 1):
         coefficients = fit(_moments(given, found, order), order)
         found = _weighted(given, given.after(order), coefficients, found if quick else None)
@@ -140,9 +151,9 @@ def weighted_fits(given: LaggedProducts, order: int | None = None) -> list[Noise
     return fits
 
 
-def _highest(given: LaggedProducts) -> int:
+def _highest(given: LaggedProducts, unknowns: int) -> int:
     """Largest order that leaves rows enough for the unknowns, and for itself."""
-    needed = ENOUGH * given.unknowns // int(given.products.shape[1]) + 1
+    needed = ENOUGH * unknowns // int(given.products.shape[1]) + 1
     return max(0, min(HIGHEST, given.lags, given.rows // ROWS_PER_ORDER, given.rows - needed))
 
 

@@ -264,14 +264,18 @@ class LaggedProducts:
         first, last = (
             _times(each[None], inner) @ each.swapaxes(2, 3) for each in (self.first, self.last)
         )
-        found, size = np.zeros((*whole.shape, order + 1)), self.last.shape[2]
-        for i in range(order + 1):
-            for j in range(i, order + 1):
-                lag = j - i  # rows before t = P, and those after the last t - i, do not count
-                head = first[..., lag : order - i, : order - i - lag]
-                tail = last[..., size - i :, size - i - lag : size - lag]
-                edges = sum(np.trace(e, axis1=3, axis2=4).sum(axis=1) for e in (head, tail))
-                found[..., i, j] = found[..., j, i] = whole[..., lag] - edges
+        found = np.zeros((*whole.shape, order + 1))
+        for lag in range(
+            order + 1
+        ):  # rows before t = P, and those after the last t - i, are left out
+            at, none = np.arange(order + 1 - lag), np.zeros((*whole.shape[:2], 1))
+            head, tail = (np.diagonal(e.sum(axis=1), -lag, 2, 3) for e in (first, last))
+            heads, tails = (
+                np.cumsum(np.concatenate([none, edge[..., : order - lag]], axis=2), axis=2)
+                for edge in (head, tail[..., ::-1])
+            )
+            left = whole[..., lag, None] - heads[..., ::-1] - tails
+            found[..., at, at + lag] = found[..., at + lag, at] = left
         return found
 
     def with_constants(self, directions: Array) -> LaggedProducts:

@@ -139,7 +139,7 @@ IMITATED = 1e-9
 FREE = 2
 """Times as many rows, of all channels, as columns that the tests need."""
 
-UNCLEAR = 1e-2
+UNCLEAR = 1e-3
 """Chance by the F test above which it is not held against made noise, which raises it only."""
 
 PRIOR = 24.0
@@ -235,7 +235,8 @@ def traces(
         quick: As for `whitened_fits`.
     """
     channels, rest = given.products.shape[1], np.eye(given.responses + 1)
-    fits = whitened_fits(given.combined(linalg.block_diag(independent, rest)), order, quick=quick)
+    lead = linalg.block_diag(independent, rest)
+    fits = whitened_fits(given, order, quick=quick, lead=lead)
     noises = [fit.noise for fit in fits]
     white = Whitened(given, np.stack([noise.coefficients for noise in noises]))
     squares = white.sums(np.stack([noise.sigma for noise in noises]) ** -2.0)

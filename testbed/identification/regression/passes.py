@@ -201,10 +201,11 @@ Columns = Callable[[Signals, int], Array]
 
 Answer = TypeVar("Answer")
 
-SMALL = 0.3
-"""Seconds that NumPy may take; longer jobs are worth loading the compiled kernel for."""
+SMALL = 0.1
+"""Seconds that NumPy may take for rows; longer jobs are worth loading the compiled kernel for, which
+takes 0.4 s: few commands make rows once. Both methods do, filters that are tried, coarse encoders."""
 
-PER_SAMPLE, PER_NUMBER = 12e-6, 6e-9
+PER_SAMPLE, PER_NUMBER = 4e-6, 6e-9
 """Seconds that NumPy takes for a sample, and more for each number of `Layout.theta`; measured."""
 
 KEPT = 100e6
