@@ -119,7 +119,10 @@ class Problem:
         Args:
             **changes: Of `Settings`, by name.
         """
-        return replace(self, settings=replace(self.settings, **changes))
+        found = replace(self, settings=replace(self.settings, **changes))
+        if not {"zeros", "tare"} & changes.keys():  # all that the minimal set depends on
+            vars(found)["minimal"] = self.minimal
+        return found
 
     @cached_property
     def tare(self) -> Array:

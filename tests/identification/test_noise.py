@@ -431,7 +431,7 @@ def test_made_errors_of_counts_are_like_real_ones() -> None:
     real = np.moveaxis(around[:, :: plan.step] @ kernels.T, 3, 1)[:, :, : plan.rows]
     (window,) = plan.windows()
     counts, signals = Quantization(plan, np.full(tree.n, COUNT)), signals_of(plan, window)
-    lasting = [counts.lasting(signals, replica) for replica in range(9)]
+    lasting = counts.lasting(signals, 9)
     made = np.array([*lasting, counts.changing(signals, window.row)])
     ratio = np.sqrt((made**2).mean(axis=(0, 2)) / (real**2).mean(axis=(0, 2)))
     np.testing.assert_allclose(ratio, 1, atol=0.5)

@@ -53,14 +53,15 @@ class Quantization:
         ]
         return self.error(smooth, np.array(samples)[blocks - blocks[0]])
 
-    def lasting(self, signals: Signals, replica: int) -> Array:
-        """From zeros that stay: what repeats in the motion repeats in them, (3, rows, n).
+    def lasting(self, signals: Signals, replicas: int) -> list[Array]:
+        """From zeros that stay: what repeats in the motion repeats in them, (3, rows, n) each.
 
         Args:
             signals: The window's.
-            replica: Number of the zeros.
+            replicas: How many zeros.
         """
-        return self.error(self.smooth(signals), self._drawn(COUNTS_SEED + 1, replica))
+        smooth = self.smooth(signals)
+        return [self.error(smooth, self._drawn(COUNTS_SEED + 1, k)) for k in range(replicas)]
 
     def smooth(self, signals: Signals) -> Array:
         """Positions of coarse encoders around the rows, without counts, (samples, coarse)."""
@@ -230,7 +231,7 @@ class QuantizationReplicas:
         """Of a window's rows, replica by replica, (C, rows, ZEROS)."""
         del first
         motion = at_rows(signals)
-        each = [self._counts.lasting(signals, replica) for replica in range(ZEROS)]
+        each = self._counts.lasting(signals, ZEROS)
         return np.concatenate([changed(self._plan, motion, e, self._lead) for e in each], axis=2)
 
 

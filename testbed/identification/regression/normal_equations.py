@@ -60,7 +60,7 @@ def inverse_and_solution(matrix: Array, right: Array) -> tuple[Array, Array]:
     solution, _ = linalg.lapack.dpotrs(factor, right, lower=True)
     lower, _ = linalg.lapack.dpotri(factor, lower=True)
     inverse = lower + lower.T
-    np.fill_diagonal(inverse, np.diagonal(lower))
+    np.einsum("ii->i", inverse)[:] = lower.diagonal()
     return inverse, solution
 
 
@@ -94,8 +94,8 @@ def inverse_root(matrix: Array) -> Array:
 def _clear_factor(matrix: Array) -> Array | None:
     """Cholesky's factor, whose rounding does not depend on units; None if it is not clear."""
     factor, failed = linalg.lapack.dpotrf(matrix.T, lower=True, clean=True)
-    own = np.diagonal(factor) ** 2
-    return None if failed or (own <= CLEAR * np.diagonal(matrix)).any() else factor
+    own = factor.diagonal() ** 2
+    return None if failed or (own <= CLEAR * matrix.diagonal()).any() else factor
 
 
 def _inverse_root(matrix: Array) -> Array:
