@@ -234,7 +234,7 @@ def _write(folder: Path, case: Case, made: Happened, seed: int) -> None:
     signals = ["t", *(f"{kind}_{name}" for kind in ("q", "tau") for name in names), *CHANNELS]
     forces = recording.measured("torque"), recording.measured("wrench")
     columns = [recording.time, recording.position, *forces]
-    with gzip.GzipFile(place / "recording.csv.gz", "wb", mtime=0) as file:
+    with gzip.GzipFile(place / "recording.csv.gz", "wb", GZIP, mtime=0) as file:
         _table(file, signals, np.column_stack(columns), "%.6g")
     states = ["t", *(f"{kind}_{name}" for kind in ("q", "qd", "qdd") for name in names)]
     _table(place / "unseen.csv", states, made.unseen, "%.9g")
@@ -246,6 +246,9 @@ def _write(folder: Path, case: Case, made: Happened, seed: int) -> None:
 def _table(file: Any, names: Sequence[str], values: Array, digits: str) -> None:
     np.savetxt(file, values, digits, ",", header=",".join(names), comments="")
 
+
+GZIP = 5
+"""Level: a hundredth larger than the best, in a third of its time."""
 
 CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
 

@@ -113,7 +113,9 @@ def answer(settings: Mapping[str, Solver], version: str) -> None:
     for place in sorted((given.folder / "recordings").iterdir()):
         if re.search(given.only, place.name) and int(place.name[-2:]) < given.draws:
             found[place.name] = dict(_answered(read(place), settings[given.setting]))
-    given.out.write_text(json.dumps({"version": version, "answers": found}))
+    given.out.write_text(
+        json.dumps({"version": version, "seconds": time.process_time(), "answers": found})
+    )
 
 
 def _answered(case: Case, solve: Solver) -> Iterator[tuple[str, Any]]:

@@ -46,6 +46,7 @@ class Rival:
         most: Draws, where it is slow.
         robots: Which, where it is slower yet.
         faults: Setting that is asked about faults.
+        seconds: That a recording takes, about: the slowest begin first.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Rival:
     most: int = 10**6
     robots: tuple[str, ...] = tuple(ROBOTS)
     faults: str = ""
+    seconds: float = 0.5
 
 
 EXPERT = "expert, 3 Hz", "expert, 5 Hz", "expert, 10 Hz"
@@ -62,9 +64,9 @@ RIVALS = (
     Rival("testbed", "testbed", "testbed", ("default",), faults="both signals"),
     Rival("Cramer-Rao bound", "testbed", "bound", ("bound",)),
     Rival("iDynTree", "idyntree", "idyntree", ("plain", *EXPERT), faults="plain"),
-    Rival("FIGAROH", "figaroh", "figaroh", ("plain", *EXPERT[:2]), faults="plain"),
-    Rival("mujoco.sysid", "absl", "mujoco", ("expert",), 3, faults="expert"),
-    Rival("mujoco.sysid", "absl", "mujoco", ("plain",), 3, ("puma",)),
+    Rival("FIGAROH", "figaroh", "figaroh", ("plain", *EXPERT[:2]), faults="plain", seconds=1),
+    Rival("mujoco.sysid", "absl", "mujoco", ("expert",), 3, faults="expert", seconds=20),
+    Rival("mujoco.sysid", "absl", "mujoco", ("plain",), 3, ("puma",), seconds=70),
 )
 
 
@@ -94,7 +96,8 @@ def rivals(folder: Path, pythons: Mapping[str, str], draws: int, jobs: int, docs
     for name in dict.fromkeys(rival.script for rival, task in tasks if (rival, task) not in there):
         print(f"{name}: left out, say --python {name}=INTERPRETER")
     with ThreadPoolExecutor(jobs) as threads:
-        for line in threads.map(lambda each: _run(folder, pythons, draws, *each), there):
+        slowest_first = sorted(there, key=lambda each: -each[0].seconds)
+        for line in threads.map(lambda each: _run(folder, pythons, draws, *each), slowest_first):
             print(line, flush=True)
     found = Findings(folder, there, draws)
     lines = list(found.summary())
@@ -130,7 +133,8 @@ def _run(folder: Path, pythons: Mapping[str, str], draws: int, rival: Rival, set
     )
     if done.returncode:
         return f"{out.name}: {done.stderr.strip().splitlines()[-1]}"
-    return f"{out.name}: {time.monotonic() - start:.0f} s"
+    cpu = json.loads(out.read_text())["seconds"]
+    return f"{out.name}: {time.monotonic() - start:.0f} s, {cpu:.0f} s of a processor"
 
 
 def lines_of(script: str, setting: str) -> int:
