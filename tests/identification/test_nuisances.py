@@ -65,10 +65,11 @@ def columns_of(recording: Recording, tree: tb.Tree, kind: str, estimated: bool =
     """The nuisance's columns, (6, rows, k)."""
     minimal, settings = tb.minimal_set(tree, "reaction"), tb.Settings(position_cutoff="off")
     plan = make_plan(recording, layout(tree, minimal), TARE, settings)
-    unknowns = unknowns_of(tree, [ALL[kind]])
+    cutoff, unknowns = settings.row_low_pass, unknowns_of(tree, [ALL[kind]])
+    assert cutoff is not None
     made = Columns(
         plan,
-        row_filter(plan, settings),
+        row_filter(plan, cutoff),
         minimal.values(tb.barycentric(tree)),
         [unknowns],
         unknowns if estimated else None,

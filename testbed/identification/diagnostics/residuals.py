@@ -28,10 +28,6 @@ FALSE_ALARMS = 1e-6
 is small since noise need not be what the model of it says: of poor encoders it grows with the
 robot's inertia."""
 
-BY_COUNTS = 0.5
-"""Part of the residuals, in power, that whole counts of the encoders explain, from which tests for
-other faults say nothing: counts follow the motion, and in some motions look like such a fault."""
-
 FILTERED = 1e-5
 """Part of the largest signal that the filters may leave of a perfect recording."""
 
@@ -64,7 +60,7 @@ def fault_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
     if not noisy(estimate):
         return
     clear = [test for test in tests if test.chance * len(tests) < FALSE_ALARMS]
-    if not clear or (estimate.noise is not None and estimate.noise.by_counts > BY_COUNTS):
+    if not clear:
         yield from _repetition(estimate)
         return
     best, kinds = clear[0], [test.nuisance.kind for test in clear[:NAMED]]

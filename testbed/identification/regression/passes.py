@@ -202,8 +202,8 @@ Columns = Callable[[Signals, int], Array]
 Answer = TypeVar("Answer")
 
 SMALL = 0.1
-"""Seconds that NumPy may take for rows; longer jobs are worth loading the compiled kernel for, which
-takes 0.4 s: few commands make rows once. Both methods do, filters that are tried, coarse encoders."""
+"""Seconds that NumPy may take for rows; longer jobs are worth loading the compiled kernel, 0.4 s:
+few commands make rows once. Both methods do, filters that are tried, coarse encoders."""
 
 PER_SAMPLE, PER_NUMBER = 4e-6, 6e-9
 """Seconds that NumPy takes for a sample, and more for each number of `Layout.theta`; measured."""

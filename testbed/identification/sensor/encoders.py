@@ -90,7 +90,7 @@ def _back(recording: Recording, values: Array, time: Array, tree: Tree) -> Recor
     return replace(recording, position=recording.position - values)
 
 
-JOINT_ZEROS = Nuisance("joint_zeros", _zeros, _moved, _back)
+JOINT_ZEROS = Nuisance("joint_zeros", _zeros, _moved, _back, unfolded=True)
 """What the encoders show too much."""
 
 ENCODER_GAINS = Nuisance(

@@ -158,6 +158,9 @@ class Nuisance:
         added: Whether its columns are what it adds to the plate's channels as they are, before
             any mixture of them is taken back.
         unmixed: What takes its mixture of the channels back; None where it mixes none.
+        unfolded: Whether its columns are made at so many instants that the encoders' noise is not
+            folded. Of all kinds an error that does not last would have too much in common with
+            that noise in the rows.
     """
 
     kind: str
@@ -170,5 +173,6 @@ class Nuisance:
     whole: bool = False
     added: bool = False
     unmixed: Unmix | None = None
+    unfolded: bool = False
 
     __get_pydantic_core_schema__ = named(lambda nuisance: nuisance.kind)

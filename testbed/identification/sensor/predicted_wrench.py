@@ -16,12 +16,14 @@ from testbed.arrays import Array
 from testbed.dynamics.newton_euler import Motion
 from testbed.dynamics.wrench_derivatives import base_wrench_derivatives
 from testbed.identification.regression.windows import TRANSITION, Plan, slope_weights
-from testbed.identification.settings import Settings
 from testbed.kernel.records import Signals
 from testbed.robot.tree import Tree
 
 INSTANTS_PER_CUTOFF = 10.0
-"""Instants a second at which wrenches are predicted, per Hz of the filter on rows, at least."""
+"""Instants a second at which wrenches are predicted, per Hz of the filter on rows, at least.
+
+So few fold the accelerations' noise into the columns: it is then another than that of the rows,
+and a test does not take what both have in common for a fault."""
 
 Number = Array | float
 """One at every instant, or the same at all."""
@@ -56,21 +58,17 @@ class RowFilter:
         return self.stride * (len(self.weights) // 2)
 
 
-def row_filter(plan: Plan, settings: Settings, *, exact: bool = False) -> RowFilter:
+def row_filter(plan: Plan, cutoff: float, *, exact: bool = False, noisy: float = 0.0) -> RowFilter:
     """The filter that a plan's rows pass.
-
-    Instants are as many as it takes that noise of the encoders, up to where the filter on positions
-    stops, is not folded into what rows pass: accelerations have most of it there.
 
     Args:
         plan: The rows.
-        settings: With a filter on rows.
+        cutoff: Of the filter [Hz].
         exact: Whether wrenches are predicted at every sample: exactly as rows are filtered.
+        noisy: Cutoff of another filter [Hz]: nothing that passes it is folded into the rows' band.
     """
-    rate, middle, cutoff = plan.source.rate, len(plan.weights) // 2, settings.row_low_pass
-    assert cutoff is not None, "settings refuse nuisances of rows that are not filtered"
-    noisy = 0.0 if plan.source.senses_kinematics else settings.position_low_pass or 0.0
-    unfolded = (1 + TRANSITION / 2) * (noisy + cutoff)
+    rate, middle = plan.source.rate, len(plan.weights) // 2
+    unfolded = bool(noisy) * (1 + TRANSITION / 2) * (noisy + cutoff)
     least = rate if exact else max(INSTANTS_PER_CUTOFF * cutoff, unfolded)
     stride = max(
         d for d in range(1, plan.step + 1) if (plan.step % d == 0 and least * d <= rate) or d == 1

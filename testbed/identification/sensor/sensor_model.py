@@ -171,8 +171,12 @@ class SensorModel:
         known = self.known.around(np.concatenate([values, numbers]))
         if not any(each.kept for each in shown):
             return NuisanceColumns(facts=known)
+        cutoff = self.settings.row_low_pass
+        assert cutoff is not None, "settings refuse nuisances of rows that are not filtered"
         whole = any(n.whole for n in self.unknowns.nuisances)
-        filtered = row_filter(plan, self.settings, exact=whole)
+        filtered = row_filter(plan, cutoff, exact=whole)
+        sensed = plan.source.senses_kinematics
+        noisy = 0.0 if sensed else self.settings.position_low_pass or 0.0
         kinds = [len(n.parts(plan.layout.tree)) for n in self.tested.nuisances]
         return NuisanceColumns(
             columns=Columns(
@@ -183,6 +187,7 @@ class SensorModel:
                 self.unknowns,
                 self.unknowns.unmixed(numbers),
                 always=int(bool(self.unknowns.kept)),
+                unfolded=row_filter(plan, cutoff, exact=whole, noisy=noisy),
             ),
             unknown=len(self.unknowns.kept),
             trends=len(self.trends.kept) if tests else 0,

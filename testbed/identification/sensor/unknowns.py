@@ -114,6 +114,7 @@ class Columns:
         estimated: Unknowns | None = None,
         unmixed: Array | None = None,
         always: int | None = None,
+        unfolded: RowFilter | None = None,
     ) -> None:
         """To first order around an estimate.
 
@@ -126,7 +127,9 @@ class Columns:
             unmixed: What a mixture of the plate's channels was taken back with, (6, 6).
             always: How many of `unknowns` have columns in all windows; default all. The others
                 have them in those that are looked at.
+            unfolded: At more instants, for nuisances that need them; default the same filter.
         """
+        self._unfolded = unfolded or filtered
         self._always, self._looked_at = always, plan.looked_at
         self._unmixed = unmixed
         self._estimated = estimated
@@ -157,11 +160,21 @@ class Columns:
         shown = self._unknowns[: None if first in self._looked_at else self._always]
         if not shown:
             return np.zeros((6, signals.number, 0))
-        found = predict_wrench(self._plan, self._filtered, self._theta, signals, first)
+        nuisances = [n for unknowns in shown for n in unknowns.nuisances]
+        found = {
+            finer: predict_wrench(
+                self._plan,
+                self._unfolded if finer else self._filtered,
+                self._theta,
+                signals,
+                first,
+            )
+            for finer in {n.unfolded for n in nuisances}
+        }
         blocks = []
         for unknowns in shown:
             own = unknowns is self._estimated
-            made = [self._shown(n, found, own) for n in unknowns.nuisances]
+            made = [self._shown(n, found[n.unfolded], own) for n in unknowns.nuisances]
             blocks.append(np.concatenate(made, axis=2)[..., list(unknowns.kept)])
         return np.concatenate(blocks, axis=2).transpose(1, 0, 2)
 
