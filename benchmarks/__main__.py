@@ -202,12 +202,18 @@ def mutation(
 def nightly(
     only: Annotated[str, typer.Option(help="Only checks whose names hold this.")] = "",
     jobs: Annotated[int, typer.Option(help="Checks at a time.")] = 2,
+    docs: Annotated[
+        bool, typer.Option("--docs", help="Write docs/rivals.md, of 20 draws.")
+    ] = False,
+    python: Annotated[
+        list[str] | None, typer.Option(help="Other tools: as `benchmarks rivals` takes it.")
+    ] = None,
 ) -> None:
     """All that is too slow for the suite, as one table; exit code 1 if a check fails."""
     from benchmarks.nightly import nightly as outcomes
 
-    failed = False
-    for each in outcomes(only, jobs):
+    failed, tools = False, [f"--python={each}" for each in python or ()]
+    for each in outcomes(only, jobs, [*tools, *(["--docs"] if docs else ["--draws=2"])]):
         word = "passed" if each.passed else "FAILED"
         print(f"{each.name:<26} {word} {each.seconds:6.0f} s  {each.last[:160]}", flush=True)
         failed = failed or not each.passed

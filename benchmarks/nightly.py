@@ -6,13 +6,16 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import repeat
 
 from tests.helpers.paths import ROOT
 
 BENCHMARKS = "-m", "benchmarks"
+
+RIVALS = "other tools"
 
 CHECKS: dict[str, tuple[str, ...]] = {
     "laws, many examples": ("-m", "pytest", "-q", "-m", "not slow", "tests"),
@@ -26,7 +29,7 @@ CHECKS: dict[str, tuple[str, ...]] = {
     "robots": (*BENCHMARKS, "robots", "--only", ".urdf"),
     "minimal sets": (*BENCHMARKS, "minimal", "--trees", "200", "--robots", "--cuts"),
     "hostile inputs": (*BENCHMARKS, "hostile", "--inputs", "200", "--kills", "20"),
-    "other tools": (*BENCHMARKS, "rivals", "--draws", "2"),
+    RIVALS: (*BENCHMARKS, "rivals"),
     "mutants": (*BENCHMARKS, "mutation", "--mutants", "100"),
 }
 """What is run, by name."""
@@ -49,22 +52,25 @@ class Outcome:
     last: str
 
 
-def nightly(only: str, jobs: int) -> Iterator[Outcome]:
+def nightly(only: str, jobs: int, rivals: Sequence[str]) -> Iterator[Outcome]:
     """Outcomes, in the order of `CHECKS`.
 
     Args:
         only: Checks whose names hold this.
         jobs: Checks at a time.
+        rivals: Options of the comparison with other tools.
     """
+    names = [name for name in CHECKS if only in name]
     with ThreadPoolExecutor(jobs) as threads:
-        yield from threads.map(_outcome, (name for name in CHECKS if only in name))
+        yield from threads.map(_outcome, names, repeat(rivals))
 
 
-def _outcome(name: str) -> Outcome:
+def _outcome(name: str, rivals: Sequence[str]) -> Outcome:
+    words = (*CHECKS[name], *(rivals if name == RIVALS else ()))
     start = time.monotonic()
     environment = {**os.environ, "HYPOTHESIS_PROFILE": "nightly"}
     done = subprocess.run(
-        (sys.executable, *CHECKS[name]), cwd=ROOT, env=environment, check=False,
+        (sys.executable, *words), cwd=ROOT, env=environment, check=False,
         capture_output=True, text=True,
     )  # fmt: skip
     lines = (done.stdout.strip() or done.stderr.strip()).splitlines() or [""]

@@ -78,7 +78,7 @@ def rivals(folder: Path, pythons: Mapping[str, str], draws: int, jobs: int, docs
         pythons: Interpreters by script; default this one, for what it has.
         draws: Of every robot and noise.
         jobs: Processes at a time.
-        docs: Whether the tables are written into the page.
+        docs: Whether the tables are written into the page, if all tools are there.
 
     Returns:
         testbed's error over the bound, by the worse of both signals.
@@ -104,7 +104,12 @@ def rivals(folder: Path, pythons: Mapping[str, str], draws: int, jobs: int, docs
     if len(found.scores) > 1:  # another tool is there
         lines += [*found.cells(), *found.asked()]
     print("\n".join(lines), f"\n{time.monotonic() - start:.0f} s", flush=True)
-    if docs:
+    absent = [
+        _answers(folder, *each).name for each in tasks if not _answers(folder, *each).exists()
+    ]
+    if docs and absent:
+        print(f"{PAGE.name} stays as it is, without {', '.join(absent)}")
+    elif docs:
         head = f"{date.today()}, {draws} draws of each robot and noise (of mujoco.sysid fewer)."
         write(PAGE, MODULE, lambda _: "\n".join(["", head, *lines, "", ""]))
     return max(_mean(np.array(list(by.values()))) for by in found.own["over"].values())
