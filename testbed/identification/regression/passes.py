@@ -201,7 +201,7 @@ Columns = Callable[[Signals, int], Array]
 
 Answer = TypeVar("Answer")
 
-SMALL = 0.1
+SMALL = 0.05
 """Seconds that NumPy may take for rows; longer jobs are worth loading the compiled kernel, 0.4 s:
 few commands make rows once. Both methods do, filters that are tried, coarse encoders."""
 
