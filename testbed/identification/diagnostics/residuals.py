@@ -20,6 +20,7 @@ from testbed.identification.sensor.encoders import (
     JOINT_ZEROS,
     SAMPLING,
 )
+from testbed.identification.sensor.estimates import TraceTest
 from testbed.parameters.minimal_set import selection
 from testbed.robot.locks import shares
 
@@ -27,6 +28,10 @@ FALSE_ALARMS = 1e-6
 """Nominal probability of a diagnostic of a recording without any fault, all its tests together. It
 is small since noise need not be what the model of it says: of poor encoders it grows with the
 robot's inertia."""
+
+FIRST_ORDER = 0.5
+"""Largest offset of an encoder to be named [rad]: noise that wanders imitates larger ones, whose
+columns the parameters nearly make up."""
 
 FILTERED = 1e-5
 """Part of the largest signal that the filters may leave of a perfect recording."""
@@ -59,7 +64,7 @@ def fault_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
     tests = estimate.trace_tests
     if not noisy(estimate):
         return
-    clear = [test for test in tests if test.chance * len(tests) < FALSE_ALARMS]
+    clear = [t for t in tests if t.chance * len(tests) < FALSE_ALARMS and not _too_far(t)]
     if not clear:
         yield from _repetition(estimate)
         return
@@ -77,6 +82,12 @@ def fault_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
         size=", ".join(best.largest(NAMED)),
         parameter=best.parameter,
     )
+
+
+def _too_far(test: TraceTest) -> bool:
+    """Whether a wrong zero is so large that it is none: columns of it hold to first order."""
+    one = test.alone if test.nuisance is JOINT_ZEROS else None
+    return one is not None and one.unit == "rad" and abs(one.value) > FIRST_ORDER
 
 
 def noisy(estimate: Estimate) -> bool:
