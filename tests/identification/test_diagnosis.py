@@ -126,6 +126,33 @@ def test_a_fault_is_told_from_what_is_near_to_it(puma: tb.Tree, recording: Recor
         assert cause in (causes or [""])[0]
 
 
+def test_a_wrong_zero_of_one_encoder_is_named_with_its_size(puma: tb.Tree) -> None:
+    """The joint and its offset; the remedy finds it, and leaves less. Of a last joint none shows:
+
+    its body's parameters turn with it, and predict the same.
+    """
+    full = measured(puma, 3, duration=30.0)
+    for joint, name in enumerate(puma.names[1:], start=1):
+        off = 0.03 * np.eye(3)[joint]
+        given = replace(full, position=full.position + off)
+        found = tb.identify(puma, given)
+        tested = {test.nuisance.kind: test for test in found.trace_tests}["joint_zeros"]
+        said = [each for each in found.diagnostics if each.code == "sensor.joint_zeros"]
+        if joint == 2:
+            assert said == []
+            assert tested.chance > 1e-3
+            continue
+        assert [name in each.text for each in said] == [True]
+        one = tested.alone
+        assert one is not None
+        assert (one.name, abs(one.value - 0.03) < 4 * one.sigma) == (f"joint_zeros/{name}", True)
+        cured = tb.identify(puma, given, settings=tb.Settings(nuisances=["joint_zeros"]))
+        (own,) = (each for each in cured.nuisances if each.name == one.name)
+        assert abs(own.value - 0.03) < 4 * own.sigma < 0.03
+        assert np.sum(cured.residual / found.residual) < 6
+        assert "sensor.joint_zeros" not in errors_of([cured])
+
+
 def test_a_drift_that_only_the_total_mass_feels_is_said(
     puma: tb.Tree, recording: Recording
 ) -> None:

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy import stats
+from scipy import linalg, stats
 
 import testbed as tb
 from testbed.arrays import Array
@@ -164,6 +164,9 @@ def test_the_whitened_fit_is_least_squares_of_whitened_rows() -> None:
     np.testing.assert_allclose(found.values, expected, rtol=1e-3)  # weights of a round before
     normal = rows[:, :3].T @ rows[:, :3]
     np.testing.assert_allclose(found.covariance, np.linalg.inv(normal), rtol=1e-9)
+    turn = np.random.default_rng(6).normal(size=(3, 3))
+    (turned,) = whitened_fits(products(block), lead=linalg.block_diag(turn, np.eye(2)))
+    np.testing.assert_allclose(turn @ turned.values, found.values, rtol=1e-9)
 
 
 def test_constants_are_found_apart_from_the_parameters() -> None:
