@@ -127,9 +127,9 @@ def test_a_fault_is_told_from_what_is_near_to_it(puma: tb.Tree, recording: Recor
 
 
 def test_a_wrong_zero_of_one_encoder_is_named_with_its_size(puma: tb.Tree) -> None:
-    """The joint and its offset; the remedy finds it, and leaves less. Of a last joint none shows:
+    """The joint and its offset; the remedy finds it, and leaves less.
 
-    its body's parameters turn with it, and predict the same.
+    Of a last joint none shows: its body's parameters turn with it, and predict the same.
     """
     full = measured(puma, 3, duration=30.0)
     for joint, name in enumerate(puma.names[1:], start=1):

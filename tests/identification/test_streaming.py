@@ -195,12 +195,12 @@ def test_what_is_no_number_gaps_in_time_and_nothing_are_named(
 
 @pytest.mark.slow
 def test_short_jobs_do_not_wait_for_the_compiler_and_long_ones_use_it() -> None:
-    """Ten seconds of three joints at 1 kHz are short; ten times more are not."""
+    """Five seconds of three joints at 1 kHz are short; ten times more are not."""
     code = (
         "import sys, testbed as tb\n"
         "from tests.helpers.ideal import ideal\n"
         f"tree = tb.load_tree(r'{ROOT / 'models/puma562.urdf'}')\n"
-        "for seconds, compiled in ((10.0, False), (100.0, True)):\n"
+        "for seconds, compiled in ((5.0, False), (50.0, True)):\n"
         "    tb.identify(tree, ideal(tree, seconds, 1000.0), 'external')\n"
         "    assert ('numba' in sys.modules) == compiled\n"
     )
