@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from testbed.arrays import Array
 from testbed.dynamics.newton_euler import Motion, linear
 from testbed.kernel.layout import Layout
-from testbed.kernel.records import Block, Question, Signals, Sums, blocks, sums_for
+from testbed.kernel.records import (
+    LARGEST_REST,
+    LARGEST_VARIANCE,
+    REST_VARIANCE,
+    Block,
+    Question,
+    Signals,
+    Sums,
+    blocks,
+    sums_for,
+)
 from testbed.robot.friction import BY_LOAD, JointTerm
 from testbed.robot.locks import at_places, shares
 
-SAMPLES = 1024
-"""Samples taken at once."""
+SAMPLES = 256
+"""Samples taken at once: what a few bodies make of them fits into a cache."""
 
 
 def rows(layout: Layout, signals: Signals) -> list[Block]:
@@ -52,20 +63,47 @@ def _block(layout: Layout, signals: Signals, number: int) -> Block:
     half = len(signals.weights) // 2
     begin, span = signals.start - half, (signals.number - 1) * signals.step + 2 * half + 1
     z = np.zeros((layout.rows.slots, signals.number))
+    rests = np.zeros((layout.width, signals.number, signals.number) if signals.deadband > 0 else 0)
     for at in range(0, span, SAMPLES):
         some = min(SAMPLES, span - at)
         motion = _motion(signals, begin + at, some)
         y = _unfiltered(layout, signals, begin + at, motion)
-        offset = np.arange(some)[None] + at - np.arange(signals.number)[:, None] * signals.step
+        first, last = (at - 2 * half - 1) // signals.step + 1, (at + some - 1) // signals.step + 1
+        reached = slice(max(first, 0), min(last, signals.number))
+        offset = at + np.arange(some) - np.arange(signals.number)[reached, None] * signals.step
         inside = (offset >= 0) & (offset < len(signals.weights))
-        z += y @ np.where(inside, signals.weights[np.where(inside, offset, 0)], 0.0).T
+        weights = np.where(inside, signals.weights[np.where(inside, offset, 0)], 0.0)
+        z[:, reached] += y @ weights.T
+        if signals.rest_reach:
+            weights = (np.abs(offset - half) <= signals.rest_reach).astype(np.float64)
+        for own, speed in zip(rests, np.abs(motion.qd.T), strict=False):
+            at_rest = weights[:, speed <= signals.deadband]
+            own[reached, reached] += at_rest @ at_rest.T
     used = np.full(layout.width, signals.number, dtype=np.float64)
-    if signals.deadband > 0:
-        for c, moving in enumerate(_moving(signals).T):
-            first, width = layout.rows.start[c], layout.rows.width[c]
-            z[first : first + width] *= moving
-            used[c] = moving.sum()
+    for c, own in enumerate(rests):
+        near = np.flatnonzero(own.diagonal())
+        at = slice(layout.rows.start[c], layout.rows.start[c] + layout.rows.width[c])
+        counts = np.zeros(len(near), dtype=np.bool_)
+        if signals.rest_reach:
+            z[at, near] = 0.0
+        else:
+            share = own[np.ix_(near, near)] / (signals.weights @ signals.weights)
+            z[at, near], counts = _whitened(z[at, near], share)
+        used[c] -= len(near) - counts.sum()
     return Block(number, z, used)
+
+
+def _whitened(z: Array, rests: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Rows, (slots, k), whitened of what friction at rest adds to their noise, and which count.
+
+    Args:
+        z: The rows.
+        rests: What each shares with each at rests of its joint, of its square, (k, k).
+    """
+    root = np.linalg.cholesky(np.eye(len(rests)) + REST_VARIANCE * rests)
+    counts = np.diagonal(root) ** 2 < 1 + LARGEST_VARIANCE
+    counts &= np.diagonal(rests) < LARGEST_REST
+    return solve_triangular(root, z.T, lower=True).T * counts, counts
 
 
 def _motion(signals: Signals, first: int, count: int) -> Motion:
@@ -78,16 +116,6 @@ def _motion(signals: Signals, first: int, count: int) -> Motion:
     around = signals.position[first - half : first + count + half]
     windows = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1, axis=0)
     return Motion(time, *(windows @ taps for taps in signals.taps))
-
-
-def _moving(signals: Signals) -> NDArray[np.bool_]:
-    """Whether joints move at all samples near every row, (rows, n)."""
-    reach = signals.rest_reach
-    first, span = signals.start - reach, (signals.number - 1) * signals.step + 2 * reach + 1
-    resting = np.abs(_motion(signals, first, span).qd) <= signals.deadband
-    before = np.vstack([np.zeros((1, resting.shape[1])), resting.cumsum(axis=0)])
-    near = before[2 * reach + 1 :: signals.step] - before[: span - 2 * reach : signals.step]
-    return np.asarray(near == 0)
 
 
 def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) -> Array:
