@@ -81,15 +81,14 @@ def _block(layout: Layout, signals: Signals, number: int) -> Block:
             own[reached, reached] += at_rest @ at_rest.T
     used = np.full(layout.width, signals.number, dtype=np.float64)
     for c, own in enumerate(rests):
-        near = np.flatnonzero(own.diagonal())
-        at = slice(layout.rows.start[c], layout.rows.start[c] + layout.rows.width[c])
+        near, first = np.flatnonzero(own.diagonal()), layout.rows.start[c]
+        slots = slice(first, first + layout.rows.width[c])
         counts = np.zeros(len(near), dtype=np.bool_)
-        if signals.rest_reach:
-            z[at, near] = 0.0
-        else:
+        if not signals.rest_reach:
             share = own[np.ix_(near, near)] / (signals.weights @ signals.weights)
-            z[at, near], counts = _whitened(z[at, near], share)
-        used[c] -= len(near) - counts.sum()
+            z[slots, near], counts = _whitened(z[slots, near], share)
+        z[slots, near[~counts]] = 0.0
+        used[c] -= np.sum(~counts)
     return Block(number, z, used)
 
 
@@ -103,7 +102,7 @@ def _whitened(z: Array, rests: Array) -> tuple[Array, NDArray[np.bool_]]:
     root = np.linalg.cholesky(np.eye(len(rests)) + REST_VARIANCE * rests)
     counts = np.diagonal(root) ** 2 < 1 + LARGEST_VARIANCE
     counts &= np.diagonal(rests) < LARGEST_REST
-    return solve_triangular(root, z.T, lower=True).T * counts, counts
+    return solve_triangular(root, z.T, lower=True).T, counts
 
 
 def _motion(signals: Signals, first: int, count: int) -> Motion:
