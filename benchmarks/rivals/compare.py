@@ -299,6 +299,9 @@ class Findings:
             ratio = np.array([self.own["over"]["torque"][cell] / over for cell, over in by.items()])
             words = f"{_mean(ratio):.2f}, {ratio.min():.2f} to {ratio.max():.2f}"
             rows.append(("by torques, over FIGAROH as documented: at most 0.2", words))
+            least = 1 / np.array(list(by.values()))
+            words = f"{_mean(least):.2f}, at most 0.2 in {(least <= 0.2).sum()} of {len(least)}"
+            rows.append(("the Cramer-Rao bound over FIGAROH as documented, cells", words))
         script = self.scores.get(("iDynTree", "expert, 5 Hz"))
         if script is not None:
             ratios = {w: self.own["cpu"][s] / script["cpu"][s] for s, w in SIGNALS.items()}

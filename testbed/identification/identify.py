@@ -180,7 +180,7 @@ def _estimate_of(
 
     @stage("rows and their products")
     def weighted_solution(source: Source) -> LinearFit:
-        passes = problem.passes(3 if settings.noise == "ar" else 2, source)
+        passes = problem.passes(3 if settings.noise == "ar" else 2, source, whole=True)
         equations = problem.equations(passes)
         weights = noise_weights(equations, settings.covariance, full)
         return LinearFit(passes, equations, solve(equations, weights, passes.rows))

@@ -173,17 +173,21 @@ class Problem:
             )
         return rows
 
-    def passes(self, number: int, source: Source | None = None) -> Passes:
+    def passes(self, number: int, source: Source | None = None, whole: bool = False) -> Passes:
         """Passes over the rows.
 
         Args:
             number: How many there will be.
             source: Another form of the same samples, such as one with faults taken back.
+            whole: Whether rows near reversals count, too, if the settings do not say how near:
+                they are whitened, and single ones are no torques then.
 
         Raises:
             RecordingError: The recording is too short, or sampled too slowly.
         """
         plan = make_plan(source or self.source, self.layout, self.tare, self.settings)
+        if whole and self.settings.reversal_reach is None:
+            plan = replace(plan, rest_reach=0)
         if self.load is not None:
             bodies = self.layout.theta.shape[2], self.minimal.count
             plan = replace(plan, load=self.layout.basis[: bodies[0], : bodies[1]] @ self.load)

@@ -107,13 +107,13 @@ class Settings:
     5 Hz, or a tenth of the sampling rate or half of `position_cutoff` where that is less."""
 
     deadband: float = 0.02
-    """Rows of joints that are slower do not count: dry friction there has no sign
+    """Joints that are slower rest: dry friction there has no sign, and is unknown
     [rad/s or m/s]."""
 
     reversal_reach: float | None = None
-    """Rows of a joint that is in the deadband within this time do not count either, since the
-    filter on rows spreads dry friction's jump [s]. Default: as far as all but 3 % of the
-    filter's weight reaches, 0.15 s at 5 Hz."""
+    """Rows of a joint that rests within this time do not count, since the filter on rows spreads
+    what friction does there [s]. Default: in an estimate they do, whitened of it; where single
+    rows are looked at, all but 3 % of the filter's weight has to move, 0.15 s at 5 Hz."""
 
     terms: Sequence[str | JointLaw] | Literal["auto"] | None = None
     """What a joint's torque holds besides the forces that move the bodies: "coulomb", "viscous",

@@ -305,7 +305,7 @@ def validate(
             f"robot has {len(channels)}"
         )
     source = corrected_by(problem.source, tree, said)
-    passes = problem.passes(2, source)
+    passes = problem.passes(2, source, whole=True)
     with one_blas_thread():
         equations = problem.equations(passes)
         total, squares = np.zeros((2, len(channels)))

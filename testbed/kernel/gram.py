@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from testbed.kernel.compiler import WIDE, inline, outer, part, plain, summing
-from testbed.kernel.records import CHUNK, D
+from testbed.kernel.records import CHUNK, LARGEST_REST, LARGEST_VARIANCE, REST_VARIANCE, D
 from testbed.kernel.rows import dot, fill
 
 
@@ -158,29 +158,61 @@ def estimate_mass(rows, signals, work, centre, count, at, n):
 
 @part
 def count_rests(rows, signals, work, centre, lo, hi, at, n):
-    """Add to rows how many of a chunk's samples near by are of joints that rest."""
-    Y, Z, reach = work.Y, work.Z, signals.rest_reach
-    for r in range(lo, hi):
-        own = centre + r * signals.step - at
-        for k in range(max(0, own - reach), min(n, own + reach + 1)):
-            for s in range(rows.slots, rows.slots + len(rows.measured)):
-                Z[s * D + r] += Y[s * D + k]
+    """Mark rows near a chunk's samples at which their joint rests, or add what they share there."""
+    Y, H, G, channels = work.Y, work.H, work.G, len(rows.measured)
+    band, reach = len(G) // (channels * D), signals.rest_reach
+    for c in range(channels):
+        for k in range(n):
+            if Y[(rows.slots + c) * D + k] == 0.0:
+                continue
+            for r in range(hi - lo):
+                if reach > 0:
+                    if abs(centre + (lo + r) * signals.step - at - k) <= reach:
+                        work.Z[(rows.slots + c) * D + lo + r] = 1.0
+                elif H[r * D + k] != 0.0:
+                    for d in range(min(band, r + 1)):
+                        G[(c * band + d) * D + lo + r] += H[r * D + k] * H[(r - d) * D + k]
+
+
+@part
+def whiten_rests(X, G, U, size, count):
+    """Of what rows of a channel share at rests the root of their covariance, by which X is divided.
+
+    G: a band, diagonal first; it becomes the root. U: becomes which rows count. X: all slots.
+    """
+    for r in range(count):
+        rest = G[r] / size
+        for j in range(max(0, r - len(G) // D + 1), r + 1):
+            left = REST_VARIANCE / size * G[(r - j) * D + r]
+            for i in range(max(0, r - len(G) // D + 1), j):
+                left -= G[(r - i) * D + r] * G[(j - i) * D + j]
+            G[(r - j) * D + r] = left / G[j] if j < r else (1.0 + left) ** 0.5
+        U[r] = 1.0 if rest < LARGEST_REST and G[r] ** 2 < 1 + LARGEST_VARIANCE else 0.0
+    for s in range(0, len(X), D):
+        for r in range(count):
+            for d in range(1, min(len(G) // D, r + 1)):
+                X[s + r] -= G[d * D + r] * X[s + r - d]
+            X[s + r] /= G[r]
 
 
 @plain
-def rest_joints(rows, work, count, sums):
-    """Zero rows of joints that rest; count the others."""
-    Z = work.Z
-    for c in range(len(rows.start)):
+def rest_joints(rows, signals, work, count, sums):
+    """Whiten rows of what friction adds where their joint rests; zero those that do not count."""
+    Z, channels, weights = work.Z, len(rows.measured), signals.weights
+    for c in range(channels):
         U = Z[(rows.slots + c) * D : (rows.slots + c) * D + count]
+        X = Z[rows.start[c] * D : (rows.start[c] + rows.width[c]) * D]
+        G = work.G[c * len(work.G) // channels : (c + 1) * len(work.G) // channels]
         for k in range(count):
-            U[k] = 0.0 if U[k] > 0.0 else 1.0  # from how often it rests to whether it moves
+            U[k] = 1.0 - U[k]  # from whether it rests to whether it moves
+        if signals.rest_reach == 0 and len(weights) > 1 and dot(G, G, count) > 0.0:
+            whiten_rests(X, G, U, dot(weights, weights, len(weights)), count)
         moving = dot(U, U, count)
         sums.used[c] += moving
         if moving < count:
-            for s in range(rows.start[c], rows.start[c] + rows.width[c]):
+            for s in range(rows.width[c]):
                 for k in range(count):
-                    Z[s * D + k] *= U[k]
+                    X[s * D + k] *= U[k]
 
 
 @plain
@@ -274,13 +306,14 @@ def sweep(robot, rows, signals, work, question, sums):
         begin, end = centre - half, centre + (count - 1) * signals.step + half + 1
         if half > 0:
             work.Z[:] = 0.0
+            work.G[:] = 0.0
         for at in range(begin, end, CHUNK if half > 0 else rows.block):
             n = min(CHUNK, end - at) if half > 0 else count
             fill(robot, rows, signals, at, n, work, work.Y if half > 0 else work.Z)
             if half > 0:
                 estimate_mass(rows, signals, work, centre, count, at, n)
         if signals.deadband > 0.0:
-            rest_joints(rows, work, count, sums)
+            rest_joints(rows, signals, work, count, sums)
         else:
             for c in range(len(sums.used)):
                 sums.used[c] += count

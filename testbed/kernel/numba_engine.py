@@ -52,6 +52,7 @@ def workspace(layout: Layout, signals: Signals) -> Work:
         T=_aligned(11 * D),
         Y=_aligned(slots * D if filtered else 0),
         H=_aligned(reach * D if filtered else 0),
+        G=_aligned(layout.width * ((len(signals.weights) - 1) // signals.step + 1) * D),
         Z=_aligned(slots * D),
         R=_aligned((layout.width + 1) * D),
         squares=_aligned(1),

@@ -4,11 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from testbed.arrays import Array
 from testbed.dynamics.newton_euler import Motion, linear
 from testbed.kernel.layout import Layout
-from testbed.kernel.records import Block, Question, Signals, Sums, blocks, sums_for
+from testbed.kernel.records import (
+    LARGEST_REST,
+    LARGEST_VARIANCE,
+    REST_VARIANCE,
+    Block,
+    Question,
+    Signals,
+    Sums,
+    blocks,
+    sums_for,
+)
 from testbed.robot.friction import BY_LOAD, JointTerm
 from testbed.robot.locks import at_places, shares
 
@@ -52,6 +63,7 @@ def _block(layout: Layout, signals: Signals, number: int) -> Block:
     half = len(signals.weights) // 2
     begin, span = signals.start - half, (signals.number - 1) * signals.step + 2 * half + 1
     z = np.zeros((layout.rows.slots, signals.number))
+    rests = np.zeros((layout.width, signals.number, signals.number) if signals.deadband > 0 else 0)
     for at in range(0, span, SAMPLES):
         some = min(SAMPLES, span - at)
         motion = _motion(signals, begin + at, some)
@@ -60,14 +72,37 @@ def _block(layout: Layout, signals: Signals, number: int) -> Block:
         reached = slice(max(first, 0), min(last, signals.number))
         offset = at + np.arange(some) - np.arange(signals.number)[reached, None] * signals.step
         inside = (offset >= 0) & (offset < len(signals.weights))
-        z[:, reached] += y @ np.where(inside, signals.weights[np.where(inside, offset, 0)], 0.0).T
+        weights = np.where(inside, signals.weights[np.where(inside, offset, 0)], 0.0)
+        z[:, reached] += y @ weights.T
+        if signals.rest_reach:
+            weights = (np.abs(offset - half) <= signals.rest_reach).astype(np.float64)
+        for own, speed in zip(rests, np.abs(motion.qd.T), strict=False):
+            at_rest = weights[:, speed <= signals.deadband]
+            own[reached, reached] += at_rest @ at_rest.T
     used = np.full(layout.width, signals.number, dtype=np.float64)
-    if signals.deadband > 0:
-        for c, moving in enumerate(_moving(signals).T):
-            first, width = layout.rows.start[c], layout.rows.width[c]
-            z[first : first + width] *= moving
-            used[c] = moving.sum()
+    for c, own in enumerate(rests):
+        near, first = np.flatnonzero(own.diagonal()), layout.rows.start[c]
+        slots = slice(first, first + layout.rows.width[c])
+        counts = np.zeros(len(near), dtype=np.bool_)
+        if not signals.rest_reach:
+            share = own[np.ix_(near, near)] / (signals.weights @ signals.weights)
+            z[slots, near], counts = _whitened(z[slots, near], share)
+        z[slots, near[~counts]] = 0.0
+        used[c] -= np.sum(~counts)
     return Block(number, z, used)
+
+
+def _whitened(z: Array, rests: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Rows, (slots, k), whitened of what friction at rest adds to their noise, and which count.
+
+    Args:
+        z: The rows.
+        rests: What each shares with each at rests of its joint, of its square, (k, k).
+    """
+    root = np.linalg.cholesky(np.eye(len(rests)) + REST_VARIANCE * rests)
+    counts = np.diagonal(root) ** 2 < 1 + LARGEST_VARIANCE
+    counts &= np.diagonal(rests) < LARGEST_REST
+    return solve_triangular(root, z.T, lower=True).T, counts
 
 
 def _motion(signals: Signals, first: int, count: int) -> Motion:
@@ -80,16 +115,6 @@ def _motion(signals: Signals, first: int, count: int) -> Motion:
     around = signals.position[first - half : first + count + half]
     windows = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1, axis=0)
     return Motion(time, *(windows @ taps for taps in signals.taps))
-
-
-def _moving(signals: Signals) -> NDArray[np.bool_]:
-    """Whether joints move at all samples near every row, (rows, n)."""
-    reach = signals.rest_reach
-    first, span = signals.start - reach, (signals.number - 1) * signals.step + 2 * reach + 1
-    resting = np.abs(_motion(signals, first, span).qd) <= signals.deadband
-    before = np.vstack([np.zeros((1, resting.shape[1])), resting.cumsum(axis=0)])
-    near = before[2 * reach + 1 :: signals.step] - before[: span - 2 * reach : signals.step]
-    return np.asarray(near == 0)
 
 
 def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) -> Array:

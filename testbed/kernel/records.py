@@ -139,6 +139,16 @@ class Rows(NamedTuple):
     block: int  # rows taken at once
 
 
+REST_VARIANCE = 1000.0
+"""Of friction at rest, at every sample, over that of the noise: it is not known there."""
+
+LARGEST_VARIANCE = 10.0
+"""Of the same in a row, beside rows before, up to which the row counts."""
+
+LARGEST_REST = 0.5
+"""Part of the square of a row's weights that may be at rest, too."""
+
+
 UNKNOWN = -1
 """Number of a law with no column of LAWS: the NumPy engine alone makes it."""
 
@@ -166,7 +176,7 @@ class Signals(NamedTuple):
     taps: Array  # convolution kernels of position, velocity, acceleration
     weights: Array  # of the filter on rows; a single one for none
     deadband: float  # joints that are slower rest
-    rest_reach: int  # rows of a joint that rests within so many samples do not count
+    rest_reach: int  # rows of a joint that rests within so many samples do not count; 0: whitened
     start: int  # sample of the first row
     step: int  # samples from row to row
     number: int  # of rows
@@ -219,6 +229,7 @@ class Work(NamedTuple):
     T: Array  # entries of one body, before some are picked
     Y: Array  # rows
     H: Array  # weights of the filter
+    G: Array  # what each row shares, at rests of its joint, with itself and rows before
     Z: Array  # filtered rows
     R: Array  # residuals
     squares: Array  # sum of the squares of all that was read, one number or none

@@ -98,21 +98,21 @@ def test_what_a_plates_zero_hides_has_no_sigma() -> None:
 
 @pytest.mark.slow
 def test_dry_friction_that_jumps_at_reversals_does_not_enter() -> None:
-    """The further the reach the fewer the rows; beyond the filter's own there is nothing."""
+    """The further the reach the fewer the rows; whitened, more rows count than without any near."""
     tree = robot("puma")
     clean = measured(tree, noise=1e-3)
     speed = np.gradient(clean.position, clean.time, axis=0)
     stuck = np.where(np.abs(speed) < tb.Settings().deadband, 20.0, 0.0)  # a force that no law has
     errors, counts = [], []
-    for reach in (0.0, 0.05, None, 10.0):
+    for reach in (None, 0.02, 0.05, 0.15, 10.0):
         how = tb.Settings(reversal_reach=reach, zeros=True)
         found = tb.identify(tree, plus(clean, torque=stuck), "internal", settings=how)
         truth = found.minimal.values(tb.barycentric(tree))
         errors.append(float(np.abs(found.base.values / truth - 1).max()))
         counts.append(sum(found.samples))
-    assert counts == sorted(counts, reverse=True)
-    assert len(set(counts)) >= 3
-    assert errors[2] < 0.2 * errors[0]
+    assert counts[1:] == sorted(counts[1:], reverse=True)
+    assert counts[1] > counts[0] > counts[3] > counts[4]
+    assert max(errors[0], errors[3]) < 0.1 * errors[1]
 
 
 @pytest.mark.slow

@@ -18,7 +18,8 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Estimate, Method
 from testbed.identification.estimate_summary import summary_of
-from testbed.identification.regression.windows import ROWS_PER_CUTOFF, reversal_samples, row_weights
+from testbed.identification.problem import Problem
+from testbed.identification.regression.windows import ROWS_PER_CUTOFF, row_weights
 from testbed.identification.validate import (
     LIMIT,
     friction,
@@ -27,6 +28,7 @@ from testbed.identification.validate import (
     predictions,
     validate,
 )
+from testbed.kernel.records import REST_VARIANCE
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import LAWS
 from tests.helpers.ideal import EXACT, ideal, plus
@@ -54,14 +56,22 @@ def witness(
     if cutoff is not None:
         step = int((1 + 1e-9) * recording.rate / (ROWS_PER_CUTOFF[settings.noise] * cutoff))
     at = np.arange(0, len(passed), step)
-    counts = np.ones((len(at), left.shape[1]), dtype=bool)
-    if estimate.method == "internal":
-        half = len(weights) // 2
-        reach = reversal_samples(weights, settings.reversal_reach, recording.rate)
-        for k, first in enumerate(at):
-            near = motion.qd[first + half - reach : first + half + reach + 1]
-            counts[k] = (np.abs(near) > settings.deadband).all(axis=0)
-    rows, used = counts.sum(axis=0), passed[at] * counts
+    counts, used = np.ones((len(at), left.shape[1]), dtype=bool), passed[at]
+    size = Problem.of(tree, recording, estimate.method, settings).layout.rows.block
+    for joint in range(left.shape[1] if estimate.method == "internal" else 0):
+        rests = np.abs(motion.qd[:, joint]) <= settings.deadband
+        at_rest = [(weights * rests[first : first + len(weights)]).any() for first in at]
+        near = np.flatnonzero(at_rest)
+        of_samples = np.zeros((len(near), len(rests)))
+        for row, first in zip(of_samples, at[near], strict=True):
+            part = slice(first, first + len(weights))
+            row[part] = weights * rests[part]
+        together = near // size == near[:, None] // size  # block by block
+        shared = of_samples @ of_samples.T / (weights @ weights) * together
+        root = np.linalg.cholesky(np.eye(len(near)) + REST_VARIANCE * shared)
+        counts[near, joint] = (shared.diagonal() < 0.5) & (root.diagonal() ** 2 < 11)
+        used[near, joint] = np.linalg.solve(root, used[near, joint])
+    rows, used = counts.sum(axis=0), used * counts
     return rows, np.sqrt((used**2).sum(axis=0) / rows), used.sum(axis=0) / rows
 
 
