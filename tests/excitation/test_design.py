@@ -225,7 +225,8 @@ def test_a_search_may_end_early_is_steered_by_what_is_known_and_names_what_forbi
     assert set(calls) == {50}
     assert (found.complete, len(found.searches), found.proof.holds) == (False, 1, True)
     assert design(replace(asked, seconds=0.0)).proof.holds
-    count, scale = asked.information.counted, asked.information.scale
+    scale = asked.information.scale
+    count = len(scale)
     sigma = np.where(np.arange(count) < count // 2, 1e-6, 1e3)  # the first half is known
     prior, noise = np.diag((sigma * scale) ** 2), np.full(3, 0.5)
     tree, rows = arm("puma")
