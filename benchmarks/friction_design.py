@@ -46,7 +46,8 @@ def experiment_of(name: str, seconds: float, *words: str) -> tb.Experiment:
     case = CASES[name]
     given = [
         'motion.file=""', "expect={}", "measurement.torque_constant_error={}",
-        'excitation.clearance="off"', "excitation.starts=3", f"motion.duration={seconds}", *case.words, *words,
+        'excitation.clearance="off"', "excitation.starts=3", f"motion.duration={seconds}",
+        *case.words, *words,
     ]  # fmt: skip
     base = ROOT / "experiments/load_friction.toml"
     if case.dry:

@@ -14,8 +14,8 @@ from testbed.robot.tree import Tree
 SMOOTH = 0.05
 """Speed over which the sign of dry friction is smoothed, for derivatives [rad/s or m/s]."""
 
-STEP, ORDER_FOUR = 2e-3 * SMOOTH, ((1, 2 / 3), (2, -1 / 12))
-"""Of differences by velocity: exact but for rounding for what changes over SMOOTH."""
+STEP = 2e-3 * SMOOTH
+"""Of differences of order four by velocity: exact but for rounding for what changes over SMOOTH."""
 
 SMALL = 0.05
 """Values below this share of the largest of their unit count as that large."""
@@ -102,16 +102,17 @@ class JointUnknowns:
         def at(speed: float, rate: float, share: float = 1.0) -> Array:
             return self._columns(joint, qd + speed, qdd + rate, share * load)
 
-        by_qd = sum(w * (at(k * STEP, 0) - at(-k * STEP, 0)) for k, w in ORDER_FOUR) / STEP
+        near, far = (at(k * STEP, 0) - at(-k * STEP, 0) for k in (1, 2))
+        by_qd = (8 * near - far) / (12 * STEP)
         by_qdd = (at(0, 1) - at(0, -1)) / 2
         # of degree none, one or two in the load: so wide a difference is exact
         wide = at(0, 0, 1.5) - at(0, 0, 0.5)
         by_load = np.divide(wide, load, out=np.zeros_like(wide), where=load != 0)
         return np.array([np.sum(weights * each, axis=0) for each in (by_qd, by_qdd, by_load)])
 
-    def _places(self, joint: int) -> Array:
-        """Of a joint's coefficients among the unknowns, (laws,)."""
-        return self.first + joint + self.scale.shape[1] * np.arange(len(self.laws))
+    def _places(self, joint: int) -> slice:
+        """Of a joint's coefficients among the unknowns."""
+        return slice(self.first + joint, self.first + self.scale.size, self.scale.shape[1])
 
     def _columns(self, joint: int, qd: Array, qdd: Array, load: Array) -> Array:
         """What a joint's coefficients multiply, (laws, G)."""
