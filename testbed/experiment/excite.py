@@ -247,7 +247,7 @@ def wish_of(experiment: Experiment, tree: Tree, prior: Array | None = None) -> W
         table.judged_by,
         prior,
         friction_of(experiment),
-        (pipeline.resting, pipeline.reach),
+        (pipeline.resting, pipeline.reach) if table.aim == "friction" else (0.0, 0.0),
     )
     share = 1 / (pipeline.rate * pipeline.span)  # of one sample
     information = replace(information, prior=information.prior * share)
