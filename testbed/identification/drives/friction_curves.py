@@ -330,14 +330,14 @@ def _choice(products: Array, place: dict[JointLaw, int]) -> Choice:
 
 
 CLEAR = 4.0
-"""Standard deviations that a chosen coefficient of the load has to have: errors of dry friction
-near reversals have some of its shape."""
+"""Standard deviations that a chosen coefficient of load or temperature has to have: errors of dry
+friction near reversals have some of its shape."""
 
 
 def clear_choices(
     choices: Sequence[Choice], found: Sequence[JointRegression], drives: Sequence[DriveEstimate]
 ) -> tuple[Choice, ...]:
-    """Those without laws of the load whose coefficients might be zero.
+    """Those without laws of load or temperature whose coefficients might be zero.
 
     Args:
         choices: By joint.
@@ -348,7 +348,8 @@ def clear_choices(
     for regression, drive in zip(found, drives, strict=True):
         choice = choices[regression.joint]
         kept = {t.law for t in drive.terms if abs(t.value) >= CLEAR * t.sigma}
-        laws = tuple(law for law in choice.laws if law not in LOADED or law in kept)
+        doubtful = (*LOADED, *VARYING)
+        laws = tuple(law for law in choice.laws if law not in doubtful or law in kept)
         kinds = {"", *(law.kind for law in laws)}
         steps = tuple(step for step in choice.steps if step.kind in kinds)
         clear[regression.joint] = replace(choice, laws=laws, steps=steps)

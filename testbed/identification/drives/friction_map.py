@@ -35,7 +35,7 @@ LOADS = 8
 FINE = 0.4
 """Their size, in the load's root mean square."""
 
-TEMPERATURES, WARMER = 4, 2.0
+TEMPERATURES, WARMER = 3, 2.0
 """Cells over temperature, a standard deviation each, if it varies by so much at least [K]."""
 
 
