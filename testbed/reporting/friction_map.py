@@ -53,7 +53,7 @@ def map_section(maps: Sequence[FrictionMap]) -> Section:
         panels=panels,
         shown=4,
         caption=(
-            "Maps: against the motion, the darker the larger; cells without data are empty. "
+            "Maps: against the motion, the larger the stronger; cells without data are empty. "
             f"Sections: at the speeds with most data, with {BAND:g} standard deviations."
         ),
         table=Table(
