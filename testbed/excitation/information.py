@@ -15,7 +15,7 @@ from testbed.codec import with_properties
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.joint_unknowns import JointUnknowns, scale_of
 from testbed.excitation.samples import SampledRows, Samples
-from testbed.parameters.minimal_set import MinimalSet, selection
+from testbed.parameters.minimal_set import selection
 from testbed.parameters.rules import Model
 from testbed.robot.friction import COULOMB, VISCOUS, JointLaw
 from testbed.robot.tree import Tree
@@ -57,16 +57,6 @@ CRITERIA: dict[CriterionName, Criterion] = {"a": a_optimal, "d": d_optimal, "e":
 
 Instrument = Literal["plate", "joints", "both"]
 """Whose rows count: the bedplate's wrench, the joints' torques, or all."""
-
-
-def relative_scale(minimal: MinimalSet, delta: Array) -> Array:
-    """What a relative error is relative to, (N,): the values, small ones counted as larger.
-
-    Args:
-        minimal: The parameters.
-        delta: Their values, (N,).
-    """
-    return scale_of(delta, minimal.units)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +220,7 @@ def information_of(
         reversal: As `Information.reversal`.
     """
     main = rows["dynamic" if instrument == "joints" else "reaction"]
-    bodies = relative_scale(main.minimal, main.delta)
+    bodies = scale_of(main.delta, main.minimal.units)
     count = len(bodies)
     if friction:
         own = JointUnknowns.relative(tree, tuple(friction), count)
@@ -338,11 +328,6 @@ class Prediction:
     def rms(self) -> float:
         """Of the relative sigmas."""
         return float(np.sqrt(np.mean(self.relative**2)))
-
-    @property
-    def geometric_mean(self) -> float:
-        """Of the relative sigmas."""
-        return float(np.exp(np.mean(np.log(self.relative))))
 
 
 def predict(

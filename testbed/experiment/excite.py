@@ -103,7 +103,8 @@ class Excitation(Diagnosed):
 
     def mean(self, predicted: Prediction) -> float:
         """Of relative sigmas, of that kind."""
-        return predicted.rms if self.kind_of_mean == "rms" else predicted.geometric_mean
+        geometric = float(np.exp(np.mean(np.log(predicted.relative))))
+        return predicted.rms if self.kind_of_mean == "rms" else geometric
 
     @property
     def beside_random(self) -> str:

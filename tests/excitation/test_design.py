@@ -23,8 +23,8 @@ from testbed.excitation.information import (
     information_of,
     moving,
     predict,
-    relative_scale,
 )
+from testbed.excitation.joint_unknowns import scale_of
 from testbed.excitation.limits import (
     EffortTerm,
     PlateRange,
@@ -191,7 +191,7 @@ def test_the_promise_is_least_squares_own_sigma(name: str) -> None:
     wanted = np.sqrt(np.diag(np.linalg.inv(flat.T @ flat)) * 200)
     found = predict(asked.information, rows, motion, ALL, minimal.names)
     np.testing.assert_allclose(found.sigma, wanted, rtol=1e-6)
-    scale = relative_scale(minimal, rows["reaction"].delta)
+    scale = scale_of(rows["reaction"].delta, minimal.units)
     np.testing.assert_allclose(found.relative, found.sigma / scale)
     spread = np.linalg.svd(flat * scale, compute_uv=False)
     assert found.condition == pytest.approx(spread[0] / spread[-1], rel=1e-6)

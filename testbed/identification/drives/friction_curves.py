@@ -171,13 +171,9 @@ def friction_curves(
 
     found = regressions(torques, bodies, pick)
     both = regressions(torques, bodies, pick_both_ways)
-    return tuple(
-        replace(
-            _curve(tree, each, nodes[each.joint]),
-            hysteresis=_hysteresis(loop, torques.drives.asked),
-        )
-        for each, loop in zip(found, both, strict=True)
-    )
+    loops = (_hysteresis(each, torques.drives.asked) for each in both)
+    curves = (_curve(tree, each, nodes[each.joint]) for each in found)
+    return tuple(replace(c, hysteresis=h) for c, h in zip(curves, loops, strict=True))
 
 
 def _hysteresis(found: JointRegression, asked: Sequence[JointTerm]) -> tuple[float, float] | None:

@@ -12,15 +12,11 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.blas import one_blas_thread
 from testbed.errors import round_significant
 from testbed.identification.drives.friction_curves import LEAST
-from testbed.identification.drives.joint_regression import (
-    JointRegression,
-    Torques,
-    torques_beside,
-)
+from testbed.identification.drives.joint_regression import JointRegression, Torques, torques_beside
 from testbed.identification.estimate import Estimate
 from testbed.identification.problem import Problem
 from testbed.robot.friction import ROOM, VISCOUS, WARM_VISCOUS
@@ -76,12 +72,9 @@ class FrictionMap:
     unit: str
 
     def __post_init__(self) -> None:
-        for name in ("speed", "load", "temperature", "friction", "sigma", "rows"):
-            values = getattr(self, name)
-            object.__setattr__(self, name, readonly(values, (len(self.rows),), name))
-        for name in ("speeds", "loads", "temperatures"):
-            values = getattr(self, name)
-            object.__setattr__(self, name, readonly(values, (len(self.rows), 2), name))
+        k = len(self.rows)
+        freeze(self, speeds=(k, 2), loads=(k, 2), temperatures=(k, 2), speed=(k,), load=(k,))
+        freeze(self, temperature=(k,), friction=(k,), sigma=(k,), rows=(k,))
 
     def by_temperature(self) -> Iterator[FrictionMap]:
         """Maps of the same temperatures each, the coldest first."""
@@ -106,8 +99,12 @@ def friction_maps(
     """
     warm = "temperature" in problem.source.signals
     torques = torques_beside(problem, bodies, (VISCOUS, WARM_VISCOUS) if warm else (VISCOUS,))
+    laws = np.array([term.law.kind for term in torques.drives.asked])
+    velocity, warmth = (  # and velocity times temperature over ROOM; a channel has no other's
+        torques.drives.columns[:, laws == law.kind].sum(axis=1) for law in (VISCOUS, WARM_VISCOUS)
+    )
     load = torques.lift @ bodies.values
-    columns = np.column_stack([*_by_velocity(torques), load, torques.lift])
+    columns = np.column_stack([velocity, warmth, load, torques.lift])
     cells = {joint: _Cells.of(torques, columns, joint) for joint in torques.joints}
     with one_blas_thread():
         for rows, measured in torques.passes.rows(columns):
@@ -115,14 +112,6 @@ def friction_maps(
                 own.add(rows[joint], measured[joint])
     joints = problem.tree.joints
     return tuple(_map(joints[each.joint], cells[each.joint], each, bodies, warm) for each in found)
-
-
-def _by_velocity(torques: Torques) -> list[Array]:
-    """How the unknowns make velocity and velocity times temperature over ROOM, (p,) each."""
-    laws = np.array([term.law.kind for term in torques.drives.asked])
-    return [  # a channel has no other joint's
-        torques.drives.columns[:, laws == law.kind].sum(axis=1) for law in (VISCOUS, WARM_VISCOUS)
-    ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -233,8 +233,7 @@ def _gains(before: Array, after: Array) -> Array:
     Shares of what is left: what changes most in one part, as a drift does, is gained in all.
     """
     tiny = np.finfo(float).tiny
-    gained = np.log(np.maximum(before, tiny))[:, None] - np.log(
-        np.maximum(np.where(np.isfinite(after), after, before[:, None]), tiny)
-    )
+    same = np.where(np.isfinite(after), after, before[:, None])
+    gained = np.log(np.maximum(before, tiny)[:, None] / np.maximum(same, tiny))
     error = gained.std(axis=0, ddof=1) / np.sqrt(len(gained))
     return np.asarray(gained.mean(axis=0) / np.maximum(error, np.finfo(float).tiny))
