@@ -282,11 +282,19 @@ def friction(
     seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 60.0,
     jobs: Annotated[int, typer.Option(help="Processes at a time.")] = 2,
     only: Annotated[str, typer.Option(help="Only lines whose words hold this.")] = "",
+    designed: Annotated[
+        bool, typer.Option("--designed", help="Of motions designed for it, and their promises.")
+    ] = False,
 ) -> None:
     """Friction under load: three robots, gears that lose nothing to 20 %; and without the plate."""
-    from benchmarks.friction import study
+    from benchmarks import friction, friction_design
 
-    for line in study(seeds, first, seconds, only, jobs):
+    lines = (
+        friction_design.study(first, seeds, seconds, only)
+        if designed
+        else friction.study(seeds, first, seconds, only, jobs)
+    )
+    for line in lines:
         _print(line)
 
 

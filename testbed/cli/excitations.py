@@ -39,6 +39,14 @@ def excite(
         "motion.toml"
     ),
     settings: Set = None,
+    aim: Annotated[
+        str | None,
+        typer.Option(
+            "--for",
+            metavar="bodies|friction",
+            help="What is to become certain: sets excitation.aim.",
+        ),
+    ] = None,
     prior: Annotated[
         Path | None,
         typer.Option(help="Earlier estimate: a run folder, or the output of identify --json."),
@@ -63,9 +71,10 @@ def excite(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Design the motion that makes the parameters most certain, and prove that it may be run.
+    """Design the motion that makes parameters most certain, and prove that it may be run.
 
-    What is wanted stands in the table [excitation] (docs/excitation.md). Every limit is proven at
+    What is wanted stands in the table [excitation] (docs/excitation.md); --for friction designs it
+    for torque constants and friction under load instead of the bodies. Every limit is proven at
     every moment: joints, motors with friction, plate, distances to the robot itself, to plate,
     floor and boxes around it. Stopped by Ctrl-C, it goes on with the best motion so far.
 
@@ -79,11 +88,12 @@ def excite(
 
     if trajectory is not None:
         check_ending(trajectory)
+    settings = [*(settings or []), *([] if aim is None else [f"excitation.aim={aim}"])]
     if check:
         _require_nothing({"--trajectory": trajectory, "--page": page, "--prior": prior})
-        _check(file, settings or [], everything=everything, as_json=as_json)
+        _check(file, settings, everything=everything, as_json=as_json)
     check_writable(out, trajectory, page, read=(file, prior))
-    experiment = _experiment(file, settings or [])
+    experiment = _experiment(file, settings)
     known = None if prior is None else _covariance(prior, experiment)
     with output.Progress("searching") as progress, _interrupt() as interrupted:
         found = excited(experiment, _Searching(progress, _budget(experiment)), known, interrupted)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -13,9 +13,11 @@ from testbed.arrays import Array
 from testbed.blas import eigh
 from testbed.codec import with_properties
 from testbed.excitation.fourier import Fourier
+from testbed.excitation.joint_unknowns import JointUnknowns, scale_of
 from testbed.excitation.samples import SampledRows, Samples
-from testbed.parameters.minimal_set import MinimalSet, selection
+from testbed.parameters.minimal_set import selection
 from testbed.parameters.rules import Model
+from testbed.robot.friction import COULOMB, VISCOUS, JointLaw
 from testbed.robot.tree import Tree
 
 Criterion: TypeAlias = Callable[[Array], tuple[float, Array]]
@@ -56,26 +58,6 @@ CRITERIA: dict[CriterionName, Criterion] = {"a": a_optimal, "d": d_optimal, "e":
 Instrument = Literal["plate", "joints", "both"]
 """Whose rows count: the bedplate's wrench, the joints' torques, or all."""
 
-SMALL = 0.05
-"""Parameters below this share of the largest of their unit count as that large."""
-
-SMOOTH = 0.05
-"""Speed over which the sign of dry friction is smoothed, for derivatives [rad/s or m/s]."""
-
-
-def relative_scale(minimal: MinimalSet, delta: Array) -> Array:
-    """What a relative error is relative to, (N,): the values, small ones counted as larger.
-
-    Args:
-        minimal: The parameters.
-        delta: Their values, (N,).
-    """
-    scale = np.abs(delta)
-    for unit in set(minimal.units):
-        same = np.array([u == unit for u in minimal.units])
-        scale[same] = np.maximum(scale[same], SMALL * scale[same].max())
-    return scale
-
 
 @dataclass(frozen=True, eq=False)
 class Part:
@@ -86,14 +68,16 @@ class Part:
         slots: Of each channel.
         lead: What a channel's slots have of the unknowns, (s, U) each.
         weights: One over the variance of each channel's noise, (channels,).
-        friction: First unknown of the joints' own, dry then viscous; None for the plate.
+        load: What a channel's slots are worth by the a-priori model, (s,) each.
+        own: Unknowns of the joints' own torque; None for the plate.
     """
 
     model: Model
     slots: tuple[slice, ...]
     lead: tuple[Array, ...]
     weights: Array
-    friction: int | None
+    load: tuple[Array, ...]
+    own: JointUnknowns | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,19 +85,22 @@ class Information:
     """What is asked of a motion.
 
     Attributes:
-        counted: Number of unknowns that count; the others are nuisances.
+        counted: Those of the unknowns that count; the others are nuisances.
         scale: What their relative errors are relative to, (counted,).
         parts: Rows that identify them.
         prior: Information that is there before, on all unknowns, (U, U), as much as of one
             measurement an instant.
         criterion: By name.
+        reversal: Speed below which rows of a joint do not count, and time from such a speed
+            [rad/s or m/s, s]; in a search they count the less, the nearer.
     """
 
-    counted: int
+    counted: slice
     scale: Array
     parts: tuple[Part, ...]
     prior: Array
     criterion: CriterionName = "a"
+    reversal: tuple[float, float] = (0.0, 0.0)
 
     def matrix(
         self,
@@ -132,8 +119,9 @@ class Information:
         total = np.zeros((unknowns, unknowns))
         for part in self.parts:
             for channel, phi in enumerate(self._columns(part, samples)):
-                if counted is not None and part.friction is not None:
-                    phi *= counted[:, channel, None]
+                if part.own is not None:
+                    far = self._far(samples, channel)[0] if counted is None else counted[:, channel]
+                    phi *= np.sqrt(far)[:, None]
                 elif harmonics is not None and 2 * harmonics < len(phi):
                     waves = np.fft.rfft(phi, axis=0)
                     waves[harmonics + 1 :] = 0
@@ -151,7 +139,7 @@ class Information:
         covariance = self._covariance(samples)
         assert covariance is not None
         assert samples.stencil is not None
-        seen = covariance[:, : self.counted]
+        seen = covariance[:, self.counted]
         by_matrix = seen @ self._judged(covariance)[1] @ seen.T  # times -1
         n = samples.q.shape[1]
         total = np.zeros((3 * n, len(samples.q)))
@@ -160,34 +148,50 @@ class Information:
             pulled = np.zeros((len(slots), len(samples.q)))
             for c, phi in enumerate(self._columns(part, samples)):
                 back = -2 * part.weights[c] * (by_matrix @ phi.T)  # (U, G)
-                pulled[part.slots[c]] = part.lead[c] @ back
-                if part.friction is not None:
-                    dry, viscous = back[part.friction + c], back[part.friction + n + c]
-                    total[n + c] += dry * _smooth_sign_slope(samples.qd[:, c]) + viscous
+                if part.own is not None:
+                    far, *far_slopes = self._far(samples, c)
+                    all_of_it = np.sum(back * phi.T, axis=0) / 2
+                    back *= far
+                    *by_motion, by_load = part.own.slopes(c, back, *_of_joint(samples, part, c))
+                    for order, slope in enumerate(by_motion):
+                        total[(1 + order) * n + c] += slope + all_of_it * far_slopes[order]
+                    pulled[part.slots[c]] += np.outer(part.load[c], by_load)
+                pulled[part.slots[c]] += part.lead[c] @ back
             total += samples.stencil.weights @ np.einsum("sg,seg->eg", pulled, slots)
         return total
 
     def covariance(self, information: Array) -> Array | None:
         """Of the counted unknowns, as relative errors; None if one is not seen."""
         full = _inverse(information)
-        return None if full is None else full[: self.counted, : self.counted]
+        return None if full is None else full[self.counted, self.counted]
 
     def _covariance(self, samples: Samples) -> Array | None:
         return _inverse(self.matrix(samples) + self.prior)
 
+    def _far(self, samples: Samples, joint: int) -> tuple[Array, Array, Array]:
+        """How much a joint's rows count, far from a reversal all; derivatives by qd and qdd."""
+        (slow, reach), qd, qdd = self.reversal, samples.qd[:, joint], samples.qdd[:, joint]
+        square = np.maximum(slow**2 + (reach * qdd) ** 2, np.finfo(float).tiny)
+        whole = qd**2 + square  # it was at rest abs(qd / qdd) ago, or will be
+        by_qd, by_qdd = 2 * qd * square / whole**2, -2 * reach**2 * qdd * qd**2 / whole**2
+        return qd**2 / whole, by_qd, by_qdd
+
     def _judged(self, covariance: Array) -> tuple[float, Array]:
-        return CRITERIA[self.criterion](covariance[: self.counted, : self.counted])
+        return CRITERIA[self.criterion](covariance[self.counted, self.counted])
 
     def _columns(self, part: Part, samples: Samples) -> list[Array]:
         """The rows of each channel on all unknowns, (G, U) each."""
         slots = samples.slots[part.model][:, 0]
         found = [slots[own].T @ lead for own, lead in zip(part.slots, part.lead, strict=True)]
-        if part.friction is not None:
-            n = len(found)
+        if part.own is not None:
             for c, phi in enumerate(found):
-                phi[:, part.friction + c] = np.tanh(samples.qd[:, c] / SMOOTH)
-                phi[:, part.friction + n + c] = samples.qd[:, c]
+                part.own.add(phi, c, *_of_joint(samples, part, c))
         return found
+
+
+def _of_joint(samples: Samples, part: Part, joint: int) -> tuple[Array, Array, Array]:
+    """Velocity, acceleration and load, (G,) each."""
+    return samples.qd[:, joint], samples.qdd[:, joint], samples.forces(part.model)[joint]
 
 
 def information_of(
@@ -198,6 +202,8 @@ def information_of(
     torque_noise: Array,
     criterion: CriterionName = "a",
     prior: Array | None = None,
+    friction: Sequence[JointLaw] = (),
+    reversal: tuple[float, float] = (0.0, 0.0),
 ) -> Information:
     """What is asked of a motion.
 
@@ -209,33 +215,50 @@ def information_of(
         torque_noise: Of the joints' torques, (n,) [N m or N].
         criterion: By name.
         prior: Covariance of the minimal parameters from before, (N, N); None for none.
+        friction: Laws whose coefficients are to be identified, with the torque constants, the
+            bodies being nuisances; () for the bodies, dry and viscous friction being nuisances.
+        reversal: As `Information.reversal`.
     """
     main = rows["dynamic" if instrument == "joints" else "reaction"]
-    scale = relative_scale(main.minimal, main.delta)
-    count = len(scale)
-    unknowns = count + (0 if instrument == "plate" else 2 * tree.n)
+    bodies = scale_of(main.delta, main.minimal.units)
+    count = len(bodies)
+    if friction:
+        own = JointUnknowns.relative(tree, tuple(friction), count)
+        counted = slice(count, own.first + own.scale.size)
+        scale = np.concatenate([np.ones(tree.n), own.scale.ravel()])
+    else:
+        ones = np.ones((2, tree.n))
+        own = JointUnknowns((COULOMB, VISCOUS), count, ones, 0 * ones)
+        counted, scale = slice(count), bodies
+    unknowns = count if instrument == "plate" else own.first + own.scale.size
     parts = []
     for model in models_of(instrument):
         here = rows[model]
         same = here.minimal is main.minimal
         turn = np.eye(count) if same else selection(here.minimal, main.minimal)
         lead = np.zeros((here.minimal.count, unknowns))
-        lead[:, :count] = turn * scale
+        lead[:, :count] = turn * bodies
         noise = plate_noise if model == "reaction" else torque_noise
         channels = list(here.channels())
+        load = tuple(basis @ here.delta for _, basis in channels)
+        leads = tuple(basis @ lead for _, basis in channels)
+        if own.constants is not None and model == "dynamic":
+            for c, column in enumerate(load):
+                leads[c][:, own.constants + c] = column
         parts.append(
             Part(
                 model=model,
-                slots=tuple(own for own, _ in channels),
-                lead=tuple(basis @ lead for _, basis in channels),
+                slots=tuple(slots for slots, _ in channels),
+                lead=leads,
                 weights=noise**-2.0,
-                friction=None if model == "reaction" else count,
+                load=load,
+                own=None if model == "reaction" else own,
             )
         )
     before = np.zeros((unknowns, unknowns))
     if prior is not None:
-        before[:count, :count] = np.linalg.inv(prior) * np.outer(scale, scale)
-    return Information(count, scale, tuple(parts), before, criterion)
+        before[:count, :count] = np.linalg.inv(prior) * np.outer(bodies, bodies)
+    return Information(counted, scale, tuple(parts), before, criterion, reversal)
 
 
 def models_of(instrument: Instrument) -> tuple[Model, ...]:
@@ -246,10 +269,6 @@ def models_of(instrument: Instrument) -> tuple[Model, ...]:
         "both": ("reaction", "dynamic"),
     }
     return known[instrument]
-
-
-def _smooth_sign_slope(qd: Array) -> Array:
-    return np.asarray((1 - np.tanh(qd / SMOOTH) ** 2) / SMOOTH)
 
 
 def _inverse(matrix: Array) -> Array | None:
@@ -337,7 +356,7 @@ def predict(
     matrix = (matrix / count + information.prior) * pipeline.rate * pipeline.span
     covariance = information.covariance(matrix)
     if covariance is None:
-        relative = np.full(information.counted, np.inf)
+        relative = np.full(len(information.scale), np.inf)
         return Prediction(names, relative * information.scale, relative, np.inf)
     relative = np.sqrt(np.diag(covariance))
     spread = np.linalg.eigvalsh(covariance)

@@ -12,7 +12,7 @@ from testbed.dynamics.newton_euler import Motion, regressor
 from testbed.errors import InfeasibleMotion
 from testbed.excitation.clearance import POSTURES, ClearanceTerm
 from testbed.excitation.fourier import Fourier
-from testbed.excitation.information import relative_scale
+from testbed.excitation.joint_unknowns import scale_of
 from testbed.excitation.limits import Limits, LimitTerm, limits_of, motor_efforts
 from testbed.excitation.proof import Proof, Rules, prove, seems_to_hold
 from testbed.excitation.samples import Computed
@@ -253,7 +253,7 @@ def relative_sigma(tree: Tree, motion: Fourier, minimal: MinimalSet, noise: Arra
     """
     times = _times(motion, *_SCORE)
     phi = regressor(tree, motion.at(times), minimal) / noise[:, None]
-    scale = relative_scale(minimal, minimal.values(barycentric(tree)))
+    scale = scale_of(minimal.values(barycentric(tree)), minimal.units)
     scaled = phi.reshape(-1, minimal.count) * scale
     spread = np.linalg.svd(scaled, compute_uv=False)
     if spread[-1] <= 1e-12 * spread[0]:

@@ -35,6 +35,7 @@ from testbed.parameters.minimal_set import minimal_set
 from testbed.parameters.rules import Model
 from testbed.recordings.columns import UNITS
 from testbed.recordings.formats.parquet import write_table
+from testbed.robot.friction import BY_LOAD, LOAD, JointLaw
 from testbed.robot.tree import Tree
 
 QUIET_TORQUE = 0.5
@@ -72,7 +73,8 @@ class Excitation(Diagnosed):
         return {
             "fundamental": motion.fundamental,
             "harmonics": motion.harmonics,
-            "criterion": self.experiment.excitation.criterion,
+            "aim": self.experiment.excitation.aim,
+            "criterion": self.experiment.excitation.judged_by,
             "value": self.design.value,
             "complete": self.design.complete,
             "searches": [encode(search) for search in self.design.searches],
@@ -85,13 +87,24 @@ class Excitation(Diagnosed):
 
     @property
     def gain(self) -> float | None:
-        """How many times smaller the rms of relative sigmas is than the random motion's.
+        """How many times smaller relative sigmas are than the random motion's: their mean.
 
         None where there is no random motion, or one that does not identify all parameters.
         """
-        if self.random_predicted is None or not np.isfinite(self.random_predicted.rms):
+        random = self.random_predicted
+        if random is None or not np.isfinite(random.rms):
             return None
-        return self.random_predicted.rms / self.predicted.rms
+        return self.mean(random) / self.mean(self.predicted)
+
+    @property
+    def kind_of_mean(self) -> str:
+        """Rms of sigmas of bodies; those of friction differ in units, and with them in size."""
+        return "rms" if self.experiment.excitation.aim == "bodies" else "geometric mean"
+
+    def mean(self, predicted: Prediction) -> float:
+        """Of relative sigmas, of that kind."""
+        geometric = float(np.exp(np.mean(np.log(predicted.relative))))
+        return predicted.rms if self.kind_of_mean == "rms" else geometric
 
     @property
     def beside_random(self) -> str:
@@ -101,7 +114,7 @@ class Excitation(Diagnosed):
             return "no random motion within the limits was found for comparison"
         if self.gain is None:
             return f"{origin} does not identify all parameters"
-        theirs = self.random_predicted.rms
+        theirs = self.mean(self.random_predicted)
         return f"{self.gain:.2f} times smaller than that of {origin} ({theirs:.2%})"
 
     @property
@@ -144,7 +157,7 @@ def excite(
 
     with one_blas_thread():
         found = design(wish, relative, interrupted)
-        forecast = _forecaster(experiment, wish)
+        forecast = forecaster(experiment, wish)
         random = _random(experiment, tree, wish.rules)
         return Excitation(
             experiment=experiment,
@@ -209,20 +222,33 @@ def wish_of(experiment: Experiment, tree: Tree, prior: Array | None = None) -> W
         prior: Covariance of the minimal parameters from an earlier estimate, (N, N).
 
     Raises:
-        ExperimentError: The band holds no motion.
+        ExperimentError: The band holds no motion, or the instruments do not show what is wanted.
     """
+    table, about = experiment.excitation, experiment.robot.sensor
+    if about and table.signals != "plate":
+        raise ExperimentError(
+            f"robot.sensor = {about!r} is designed for by its own rows alone: leave "
+            'excitation.instrument "plate" and excitation.aim "bodies", or drop robot.sensor'
+        )
+    if table.aim == "friction" and tree.shafts:
+        raise ExperimentError(
+            "joints are held against the plate one by one, and robot.coupling joins some: leave "
+            'excitation.aim "bodies"'
+        )
     rules = rules_of(experiment, tree, designed=True)
     rows = _rows(experiment, tree, rules)
-    table, pipeline = experiment.excitation, pipeline_of(experiment)
+    pipeline = pipeline_of(experiment)
     torque = experiment.measurement.torque_noise or QUIET_TORQUE
     information = information_of(
         tree,
         rows,
-        table.instrument,
+        table.signals,
         plate_noise_of(experiment),
         np.full(tree.n, torque),
-        table.criterion,
+        table.judged_by,
         prior,
+        friction_of(experiment),
+        (pipeline.resting, pipeline.reach) if table.aim == "friction" else (0.0, 0.0),
     )
     share = 1 / (pipeline.rate * pipeline.span)  # of one sample
     information = replace(information, prior=information.prior * share)
@@ -231,9 +257,17 @@ def wish_of(experiment: Experiment, tree: Tree, prior: Array | None = None) -> W
     return Wish(rules, information, rows, frequencies, table.starts, seconds, experiment.seed)
 
 
+def friction_of(experiment: Experiment) -> tuple[JointLaw, ...]:
+    """Laws whose coefficients are wanted, the load's among them; () where bodies are."""
+    if experiment.excitation.aim == "bodies":
+        return ()
+    laws = dict.fromkeys([*experiment.identification.laws, LOAD])
+    return tuple(law for law in laws if not law.by or law.by in BY_LOAD)
+
+
 def _rows(experiment: Experiment, tree: Tree, rules: Rules) -> dict[Model, SampledRows]:
     """Rows that the criterion and the limits look at."""
-    wanted: set[Model] = {"reaction", *models_of(experiment.excitation.instrument)}
+    wanted: set[Model] = {"reaction", *models_of(experiment.excitation.signals)}
     if np.isfinite(rules.limits.effort).any():
         wanted.add("dynamic")
     zeros = experiment.identification.zeros
@@ -246,9 +280,18 @@ def _rows(experiment: Experiment, tree: Tree, rules: Rules) -> dict[Model, Sampl
     return found
 
 
-def _forecaster(experiment: Experiment, wish: Wish) -> Callable[[Fourier], Prediction]:
-    joints = experiment.excitation.instrument == "joints"
+def forecaster(experiment: Experiment, wish: Wish) -> Callable[[Fourier], Prediction]:
+    """What any motion promises an experiment.
+
+    Args:
+        experiment: Says of what.
+        wish: What it asks of a design.
+    """
+    joints = experiment.excitation.signals == "joints"
     names = wish.rows["dynamic" if joints else "reaction"].minimal.names
+    if laws := friction_of(experiment):
+        kinds = ("constant", *(law.kind for law in laws))
+        names = tuple(f"{kind}/{joint}" for kind in kinds for joint in wish.rules.tree.names)
     pipeline = pipeline_of(experiment)
 
     def forecast(motion: Fourier) -> Prediction:

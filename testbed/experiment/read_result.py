@@ -280,7 +280,7 @@ def prior_covariance(kept: KeptResult, experiment: Experiment) -> Array:
     Raises:
         ExperimentError: The file's estimates are of other parameters.
     """
-    joints = experiment.excitation.instrument == "joints"
+    joints = experiment.excitation.signals == "joints"
     wanted = "internal" if joints else "external"
     model: Model = "dynamic" if joints else "reaction"
     zeros = experiment.identification.zeros

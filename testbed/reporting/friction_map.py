@@ -8,16 +8,19 @@ from html import escape
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.drives.friction_map import FrictionMap
+from testbed.identification.drives.friction_map import LOADS, SPEEDS, FrictionMap
 from testbed.identification.estimate import number_with_sigma
 from testbed.reporting.drives import BAND
 from testbed.reporting.figures import (
     BOTTOM,
     FONT,
+    GRID,
     HEIGHT,
     LEFT,
+    MIDDLE,
     NUMBERS,
     RIGHT,
+    STILL,
     TOP,
     WIDTH,
     X_LABEL,
@@ -36,9 +39,8 @@ def map_section(maps: Sequence[FrictionMap]) -> Section:
         maps: One a joint.
     """
     panels: list[Panel | Drawing] = []
-    for each in maps:
-        if len(each.rows):
-            panels += [_heat(each), _section(each)]
+    for each in (part for cells in maps for part in cells.by_temperature()):
+        panels += [_heat(each), _section(each)]
     return Section(
         id="friction-map",
         title="Friction over velocity and load",
@@ -51,21 +53,29 @@ def map_section(maps: Sequence[FrictionMap]) -> Section:
         panels=panels,
         shown=4,
         caption=(
-            "Maps: against the motion, the darker the larger; cells without data are empty. "
+            "Maps: against the motion, the larger the stronger; cells without data are empty. "
             f"Sections: at the speeds with most data, with {BAND:g} standard deviations."
         ),
         table=Table(
-            ["joint", "velocity", "load", "friction", "rows"],
+            ["joint", "velocity", "load", "temperature", "friction", "rows"],
             [line for each in maps for line in _lines(each)],
         ),
     )
 
 
 def _lines(cells: FrictionMap) -> Iterator[list[str]]:
-    columns = cells.speed, cells.load, cells.friction, cells.sigma, cells.rows
-    for speed, load, friction, sigma, rows in zip(*(c.tolist() for c in columns), strict=True):
-        said = number_with_sigma(friction, sigma, short=True)
-        yield [cells.joint, f"{speed:.3g}", f"{load:.3g}", f"{said} {cells.unit}", f"{rows:g}"]
+    columns = cells.speed, cells.load, cells.temperature, cells.friction, cells.sigma, cells.rows
+    for speed, load, warm, *value, rows in zip(*(c.tolist() for c in columns), strict=True):
+        place = [f"{speed:.3g}", f"{load:.3g}", f"{warm:.1f}" if np.isfinite(warm) else "-"]
+        said = number_with_sigma(value[0], value[1], short=True)
+        yield [cells.joint, *place, f"{said} {cells.unit}", f"{rows:g}"]
+
+
+def _name(cells: FrictionMap) -> str:
+    """The joint, and the mean temperature where there are maps of several."""
+    warm = np.isfinite(cells.temperatures).any()
+    mean = np.average(cells.temperature, weights=cells.rows)
+    return f"{cells.joint} at {mean:.0f} °C" if warm else cells.joint
 
 
 def resisting(cells: FrictionMap) -> Array:
@@ -77,34 +87,46 @@ def resisting(cells: FrictionMap) -> Array:
     return np.asarray(cells.friction * np.sign(cells.speed))
 
 
+FAINT = 0.15
+"""Opacity of the least friction; the largest has one."""
+
+
 def _heat(cells: FrictionMap) -> Drawing:
-    """Cells of one size, with what their edges are."""
-    size, most = resisting(cells), max(float(np.abs(cells.friction).max()), 1e-300)
-    across, up = np.unique(cells.speeds[:, 0]), np.unique(cells.loads[:, 0])[::-1]
+    """Cells of one size between their edges; a gap is a cell without data."""
+    size = np.abs(resisting(cells))
+    least, most = float(size.min()), float(size.max())
+    shade = FAINT + (1 - FAINT) * (size - least) / max(most - least, 1e-300)
+    across = _edges(cells.speeds, np.array([*-np.array(SPEEDS[::-1]), *SPEEDS[1:]]))
+    step = cells.loads[0, 1] - cells.loads[0, 0]
+    up = _edges(cells.loads, step * np.arange(-LOADS, LOADS + 1))
     wide = (WIDTH - LEFT - RIGHT) / len(across)
     tall = (HEIGHT - TOP - BOTTOM) / len(up)
-    title = f"{cells.joint}: friction, up to {most:.3g} {cells.unit}"
+    x = LEFT + wide * np.searchsorted(across, cells.speeds[:, 0] - STILL)
+    y = HEIGHT - BOTTOM - tall * (1 + np.searchsorted(up, cells.loads[:, 0] - STILL * step))
+    title = f"{_name(cells)}: friction, {least:.3g} to {most:.3g} {cells.unit}"
     parts = [text(title, LEFT, TOP - 3.5, "start")]
-    for k, friction in enumerate(size.tolist()):
-        x = LEFT + wide * int(np.flatnonzero(across == cells.speeds[k, 0])[0])
-        y = TOP + tall * int(np.flatnonzero(up == cells.loads[k, 0])[0])
+    for k, opacity in enumerate(shade.tolist()):
         said = f"{cells.friction[k]:.3g} ± {cells.sigma[k]:.2g} {cells.unit}"
         parts.append(
-            f'<rect x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{tall:.1f}" '
-            f'fill="{colour("external")}" opacity="{abs(friction) / most:.2f}">'
+            f'<rect x="{x[k]:.1f}" y="{y[k]:.1f}" width="{wide:.1f}" height="{tall:.1f}" '
+            f'fill="{colour("external")}" opacity="{opacity:.2f}">'
             f"<title>{escape(said)}</title></rect>"
         )
+    parts.append(
+        f'<rect x="{LEFT:g}" y="{TOP:g}" width="{WIDTH - LEFT - RIGHT:g}" '
+        f'height="{HEIGHT - TOP - BOTTOM:g}" fill="none" stroke="currentColor"{GRID}/>'
+    )
     for number, edge in enumerate(across.tolist()):
         if number % (1 + len(across) // 8) == 0 and np.isfinite(edge):
-            x = LEFT + wide * number
-            parts.append(text(tick_label(edge), x, HEIGHT - BOTTOM + NUMBERS, "middle", "x"))
+            place = LEFT + wide * number
+            parts.append(text(tick_label(edge), place, HEIGHT - BOTTOM + NUMBERS, "middle", "x"))
     for number, edge in enumerate(up.tolist()):
         if number % (1 + len(up) // 5) == 0:
-            y = TOP + tall * (number + 1)
-            parts.append(text(tick_label(edge), LEFT - 3.5, y, "end", "y"))
+            place = HEIGHT - BOTTOM - tall * number + MIDDLE
+            parts.append(text(tick_label(edge), LEFT - 3.5, place, "end", "y"))
     speed = "velocity [rad/s]" if cells.unit == "N m" else "velocity [m/s]"
-    label = f"least {speed} of the cells; upwards least load [{cells.unit}]"
     middle = (LEFT + WIDTH - RIGHT) / 2
+    label = f"{speed}; upwards load [{cells.unit}]"
     parts.append(text(label, middle, HEIGHT - BOTTOM + X_LABEL, "middle"))
     svg = (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" '
@@ -112,6 +134,12 @@ def _heat(cells: FrictionMap) -> Drawing:
         f"font-family=\"'DejaVu Sans',sans-serif\">{''.join(parts)}</svg>"
     )
     return Drawing(title, svg)
+
+
+def _edges(cells: Array, every: Array) -> Array:
+    """Lower edges of all cells from the first with data to the last, those between as well."""
+    every = np.array([-np.inf, *every])
+    return np.asarray(every[(every >= cells.min() - STILL) & (every < cells[:, 0].max() + STILL)])
 
 
 def _section(cells: FrictionMap) -> Panel:
@@ -127,5 +155,6 @@ def _section(cells: FrictionMap) -> Panel:
         own &= cells.speeds[:, 0] == most
         curves[kind] = cells.load[own], resisting(cells)[own]
         bands[kind] = BAND * cells.sigma[own]
-    title = f"{cells.joint}: against the motion [{cells.unit}]"
-    return Panel(title, curves, f"load [{cells.unit}]", bands=bands)
+    title = f"{_name(cells)}: against the motion [{cells.unit}]"
+    alone = tuple(kind for kind, (load, _) in curves.items() if len(load) == 1)
+    return Panel(title, curves, f"load [{cells.unit}]", points=alone, bands=bands)

@@ -108,6 +108,53 @@ def test_a_load_term_is_chosen_where_there_is_one_and_only_there() -> None:
     assert len(every) < 3 * 4 * len(SPEEDS) * LOADS  # the others are empty, and stay so
 
 
+def with_temperatures(recording: Recording, rise: float) -> Recording:
+    """Drives that warm up evenly."""
+    warmth = 25.0 + rise * recording.time / recording.time[-1]
+    return replace(recording, temperature=np.outer(warmth, np.ones(3)))
+
+
+@pytest.mark.slow
+def test_a_map_has_cells_of_temperature_where_it_varies() -> None:
+    """Friction of a drive that warms up, cell by cell, by its true law; and one more number."""
+    tree, share = puma(), 0.01
+    plain = with_temperatures(rubbing(tree, 20.0, np.zeros_like(LOSS)), 20.0)
+    warmth, v = plain.measured("temperature") - 25.0, plain.measured("velocity")
+    wet = np.array([joint.viscous for joint in tree.joints])
+    warm = plus(plain, torque=-share * wet * warmth * v * CONSTANTS)
+    settings = replace(EXACT, terms=("coulomb", "viscous", "warm_viscous"))
+    for j, cells in enumerate(findings(tree, warm, settings=settings).maps):
+        assert len(np.unique(cells.temperatures, axis=0)) == 3
+        inside = cells.temperatures[:, 0] <= cells.temperature
+        assert (inside & (cells.temperature <= cells.temperatures[:, 1])).all()
+        law = tree.joints[j].coulomb * np.sign(cells.speed)
+        law += wet[j] * cells.speed * (1 - share * (cells.temperature - 25.0))
+        np.testing.assert_allclose(cells.friction, law, rtol=0.02)
+    (cells, *_) = findings(tree, with_temperatures(plain, 1.0)).maps
+    assert np.isinf(cells.temperatures).all()
+    assert ((cells.temperature >= 25.0) & (cells.temperature <= 26.0)).all()
+
+
+@pytest.mark.slow
+def test_friction_that_lags_behind_the_motion_is_seen_and_a_rotor_is_not_taken_for_it() -> None:
+    """Added to the torque by its definition: so much more while the speed increases."""
+    tree = puma()
+    plain = rubbing(tree, 40.0, np.zeros_like(LOSS), 0.5)
+    true = plain.truth
+    assert true is not None
+    more = np.array([0.6, 0.0, -0.4])
+    faster = np.sign(true.velocity * true.acceleration)
+    rotor = 0.2 * true.acceleration
+    lagging = plus(plain, torque=(more / 2 * faster * np.sign(true.velocity) + rotor) * CONSTANTS)
+    found = findings(tree, lagging)
+    for curve, asked in zip(found.curves, more.tolist(), strict=True):
+        assert curve.hysteresis is not None
+        value, sigma = curve.hysteresis
+        assert abs(value - asked) < 4 * sigma < 0.3
+    said = [each.subject for each in found.diagnostics if each.code == "drives.hysteresis"]
+    assert said == ["waist", "elbow"]
+
+
 def bam_friction(values: dict[str, Any], load: float, speed: float) -> float:
     """What BAM's M5 takes of a gear that passes on a load slowly: its formula, by hand."""
     loss = values.get("load_friction_external", 0.0) * abs(load)

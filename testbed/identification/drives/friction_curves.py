@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from testbed.arrays import Array, freeze
 from testbed.blas import one_blas_thread
@@ -19,6 +20,7 @@ from testbed.identification.drives.joint_regression import (
     JointRegression,
     Torques,
     all_terms,
+    dependent,
     regressions,
     torques_beside,
 )
@@ -27,7 +29,7 @@ from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.selection.held_out import ALWAYS, OFFERED, Parts, Step, grown, rivals
 from testbed.parameters.joint_terms import DriveSet
-from testbed.robot.friction import BY_LOAD, LOAD, LOADED, ROTOR, VARYING, JointLaw, JointTerm
+from testbed.robot.friction import BY_LOAD, LOAD, LOADED, ROOM, ROTOR, VARYING, JointLaw, JointTerm
 from testbed.robot.tree import Tree
 
 NODES = (
@@ -68,6 +70,8 @@ class FrictionCurve:
         sigma: Standard deviations, (m,).
         constant: What the drive reports over what the torque is.
         unit: N m or N.
+        hysteresis: What friction takes more at a speed that is increasing than at the same speed
+            when decreasing, and its standard deviation; None where no motion shows it.
     """
 
     joint: str
@@ -76,6 +80,7 @@ class FrictionCurve:
     sigma: Array
     constant: float
     unit: str
+    hysteresis: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         k = len(self.speed)
@@ -91,6 +96,11 @@ class FrictionCurve:
             return np.zeros_like(speed)
         found: Array = np.interp(speed, self.speed, self.torque)
         return found
+
+
+HYSTERESIS = JointLaw("hysteresis", "N m", "N", lambda qd, qdd: np.sign(qdd))
+"""Half the difference between friction of increasing and of decreasing speed: against the motion
+it is sign(dv/dt) sign(v)."""
 
 
 @lru_cache
@@ -142,7 +152,7 @@ def friction_curves(
     for each in drives:
         own = (term.law for term in each.terms if term.law in (ROTOR, *LOADED))
         others[tree.index(each.joint)] += own
-    beside = dict.fromkeys(law for own in others for law in own)
+    beside = dict.fromkeys((HYSTERESIS, ROTOR, *(law for own in others for law in own)))
     torques = torques_beside(problem, bodies, (*beside, *LAWS))
     nodes = [_nodes_of(j, torques.drives, torques.equations) for j in range(tree.n)]
 
@@ -150,8 +160,30 @@ def friction_curves(
         del equations
         return _straight_between(nodes[joint], others[joint], joint, drives)
 
+    def pick_both_ways(joint: int, drives: DriveSet, equations: NormalEquations) -> Array:
+        """With hysteresis, and a rotor's torque, which would look like it, as far as they show."""
+        least = [law for law in others[joint] if law != ROTOR]
+        for more in ([HYSTERESIS, ROTOR], [HYSTERESIS]):
+            picked = _straight_between(nodes[joint], [*more, *least], joint, drives)
+            if not dependent(equations, joint, torques.combined @ block_diag(1.0, picked)):
+                return picked
+        return pick(joint, drives, equations)
+
     found = regressions(torques, bodies, pick)
-    return tuple(_curve(tree, each, nodes[each.joint]) for each in found)
+    both = regressions(torques, bodies, pick_both_ways)
+    loops = (_hysteresis(each, torques.drives.asked) for each in both)
+    curves = (_curve(tree, each, nodes[each.joint]) for each in found)
+    return tuple(replace(c, hysteresis=h) for c, h in zip(curves, loops, strict=True))
+
+
+def _hysteresis(found: JointRegression, asked: Sequence[JointTerm]) -> tuple[float, float] | None:
+    """Difference and standard deviation; None where rows do not show it."""
+    place = asked.index(JointTerm(HYSTERESIS, found.joint))
+    values, covariance = found.as_they_are
+    half = found.terms[place]
+    if not half.any():
+        return None
+    return float(2 * half @ values), float(2 * np.sqrt(half @ covariance @ half))
 
 
 def _straight_between(
@@ -294,14 +326,14 @@ def _choice(products: Array, place: dict[JointLaw, int]) -> Choice:
 
 
 CLEAR = 4.0
-"""Standard deviations that a chosen coefficient of the load has to have: errors of dry friction
-near reversals have some of its shape."""
+"""Standard deviations that a chosen coefficient of load or temperature has to have: errors of dry
+friction near reversals have some of its shape."""
 
 
 def clear_choices(
     choices: Sequence[Choice], found: Sequence[JointRegression], drives: Sequence[DriveEstimate]
 ) -> tuple[Choice, ...]:
-    """Those without laws of the load whose coefficients might be zero.
+    """Those without laws of load or temperature whose coefficients might be zero.
 
     Args:
         choices: By joint.
@@ -312,7 +344,8 @@ def clear_choices(
     for regression, drive in zip(found, drives, strict=True):
         choice = choices[regression.joint]
         kept = {t.law for t in drive.terms if abs(t.value) >= CLEAR * t.sigma}
-        laws = tuple(law for law in choice.laws if law not in LOADED or law in kept)
+        doubtful = (*LOADED, *VARYING)
+        laws = tuple(law for law in choice.laws if law not in doubtful or law in kept)
         kinds = {"", *(law.kind for law in laws)}
         steps = tuple(step for step in choice.steps if step.kind in kinds)
         clear[regression.joint] = replace(choice, laws=laws, steps=steps)
@@ -372,16 +405,19 @@ class DriveEstimate:
         slopes = self.constant * (1 + loss) / constant, self.constant * (1 - loss) / constant
         return slopes[0] - 1, 1 - slopes[1]
 
-    def friction(self, speed: Array, load: Array) -> Array:
-        """What its terms take at constant speeds and 25 degC, with the offset, (M,) [N m or N].
+    def friction(self, speed: Array, load: Array, temperature: Array | float = ROOM) -> Array:
+        """What its terms take at constant speeds, with the offset, (M,) [N m or N].
 
         Args:
             speed: (M,) [rad/s or m/s].
             load: Torque that moves the link, (M,) [N m or N].
+            temperature: Of the drive, (M,) [degC].
         """
         found = np.zeros(np.broadcast_shapes(np.shape(speed), np.shape(load)))
         for law, value in ((term.law, term.value) for term in self.terms):
             by = BY_LOAD[law.by](load, load) if law.by in BY_LOAD else float(not law.by)
+            if law.by == "temperature":
+                by = temperature - ROOM
             found = found + value * by * law.columns(speed, np.zeros_like(speed))
         return found
 

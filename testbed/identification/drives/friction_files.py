@@ -17,8 +17,8 @@ from testbed.identification.drives.identify_drives import DriveFindings
 from testbed.robot.friction import COULOMB, LOAD, ROTOR, STRIBECK, VISCOUS
 
 HEADS = (
-    "joint", "speed_from", "speed_to", "load_from", "load_to", "speed", "load", "friction", "sigma",
-    "rows", "law",
+    "joint", "speed_from", "speed_to", "load_from", "load_to", "temperature_from", "temperature_to",
+    "speed", "load", "temperature", "friction", "sigma", "rows", "law",
 )  # fmt: skip
 """Of the table: cells of the map, and what the joint's terms make of their mean speed and load."""
 
@@ -42,10 +42,10 @@ def table(found: DriveFindings) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(HEADS)
     for cells, drive in zip(found.maps, found.estimates, strict=True):
-        law = drive.friction(cells.speed, cells.load)
+        law = drive.friction(cells.speed, cells.load, cells.temperature)
         numbers = [
-            cells.speeds, cells.loads, cells.speed, cells.load, cells.friction, cells.sigma,
-            cells.rows, law,
+            cells.speeds, cells.loads, cells.temperatures, cells.speed, cells.load,
+            cells.temperature, cells.friction, cells.sigma, cells.rows, law,
         ]  # fmt: skip
         for row in np.column_stack(numbers).tolist():
             writer.writerow([cells.joint, *row])

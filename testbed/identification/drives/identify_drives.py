@@ -14,6 +14,7 @@ from testbed.blas import eigh
 from testbed.codec import with_properties
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.identification.drives.friction_curves import (
+    CLEAR,
     ChosenTerms,
     DriveEstimate,
     FrictionCurve,
@@ -255,7 +256,17 @@ class DriveFindings(Diagnosed):
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What a careful reader should know."""
-        return self.combined.disagreement.diagnostics
+        return (
+            *self.combined.disagreement.diagnostics,
+            *(
+                diagnose(
+                    "drives.hysteresis", each.joint, each.hysteresis[0], unit=each.unit,
+                    sigma=each.hysteresis[1],
+                )
+                for each in self.curves
+                if each.hysteresis and abs(each.hysteresis[0]) > CLEAR * each.hysteresis[1]
+            ),
+        )  # fmt: skip
 
 
 def with_drives(tree: Tree, found: DriveFindings) -> Tree:

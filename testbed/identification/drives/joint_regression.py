@@ -223,7 +223,12 @@ def regressions(
     picked = {joint: pick(joint, drives, equations) for joint in torques.joints}
     own = {joint: block_diag(1.0, terms) for joint, terms in picked.items()}
     for joint, each in own.items():
-        _refuse_dependent(equations, joint, torques.combined @ each)
+        if dependent(equations, joint, torques.combined @ each):
+            raise RecordingError(
+                f"{int(equations.used[joint])} rows of joint '{equations.channels[joint]}' do not "
+                f"identify its torque constant beside {each.shape[1] - 1} coefficients of friction "
+                "and rotor: record longer, or a richer motion of it"
+            )
     with one_blas_thread():
         fits = _fits(torques.passes, torques.combined, own)
     found = []
@@ -254,18 +259,19 @@ def regressions(
     return tuple(found)
 
 
-def _refuse_dependent(equations: NormalEquations, joint: int, lead: Array) -> None:
-    """Columns of a joint's regression, combined by `lead`, (p, q), that hang together."""
+def dependent(equations: NormalEquations, joint: int, lead: Array) -> bool:
+    """Whether columns of a joint's regression hang together.
+
+    Args:
+        equations: Of all rows.
+        joint: Its index.
+        lead: How the unknowns combine to the columns, (p, q).
+    """
     normal, _, _ = equations.of_channel(joint)
     products = lead.T @ normal @ lead
     size = np.sqrt(np.diagonal(products))
     spread = np.linalg.eigvalsh(products / np.outer(size, size)) if size.all() else np.zeros(1)
-    if spread[0] <= len(size) * np.finfo(float).eps * spread[-1]:
-        raise RecordingError(
-            f"{int(equations.used[joint])} rows of joint '{equations.channels[joint]}' do not "
-            f"identify its torque constant beside {len(size) - 1} coefficients of friction and "
-            "rotor: record longer, or a richer motion of it"
-        )
+    return bool(spread[0] <= len(size) * np.finfo(float).eps * spread[-1])
 
 
 def _lift(tree: Tree, bodies: Estimate, drives: DriveSet, settings: Settings) -> Array:

@@ -228,7 +228,12 @@ def stretches(rows: int, parts: int, reach: int) -> Iterator[tuple[slice, slice]
 
 
 def _gains(before: Array, after: Array) -> Array:
-    """How many standard errors better each of several is, part by part, (more,)."""
-    gained = before[:, None] - np.where(np.isfinite(after), after, before[:, None])
+    """How many standard errors better each of several is, part by part, (more,).
+
+    Shares of what is left: what changes most in one part, as a drift does, is gained in all.
+    """
+    tiny = np.finfo(float).tiny
+    same = np.where(np.isfinite(after), after, before[:, None])
+    gained = np.log(np.maximum(before, tiny)[:, None] / np.maximum(same, tiny))
     error = gained.std(axis=0, ddof=1) / np.sqrt(len(gained))
     return np.asarray(gained.mean(axis=0) / np.maximum(error, np.finfo(float).tiny))
