@@ -103,7 +103,7 @@ def experiment_of(name: str, loss: float, seconds: float, *more: str) -> tb.Expe
     gear = f"{{kind='load_friction',share={loss},static={STATIC},speed={FADES}}}"
     words = [
         f"motion.duration={seconds}", "simulation.step=5e-4", "expect={}",
-        "identification.reversal_reach=0.13", "measurement.torque_constant_error={}",
+        "identification.cutoff=10", "measurement.torque_constant_error={}",
         f"simulation.effect=[{gear}]", *case.words, *more,
     ]  # fmt: skip
     asked = tb.Experiment.load(ROOT / "experiments/torque_constants.toml", words)

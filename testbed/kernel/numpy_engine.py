@@ -113,8 +113,8 @@ def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) ->
 
 
 def _smoothed(layout: Layout, signals: Signals, first: int, load: Array) -> Array:
-    """Means of the load around each sample, over a quarter of the row filter's reach, (M, n)."""
-    reach = len(signals.weights) // 8
+    """Means of the load around each sample, over half the row filter's reach, (M, n)."""
+    reach = len(signals.weights) // 4
     if not reach or not len(signals.load):
         return load
     half, last = signals.taps.shape[1] // 2, first + len(load)

@@ -27,7 +27,16 @@ from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.selection.held_out import ALWAYS, OFFERED, Parts, Step, grown, rivals
 from testbed.parameters.joint_terms import DriveSet
-from testbed.robot.friction import BY_LOAD, LOAD, LOADED, ROTOR, VARYING, JointLaw, JointTerm
+from testbed.robot.friction import (
+    BY_LOAD,
+    LOAD,
+    LOADED,
+    ROTOR,
+    STRIBECK,
+    VARYING,
+    JointLaw,
+    JointTerm,
+)
 from testbed.robot.tree import Tree
 
 NODES = (
@@ -53,7 +62,7 @@ NODES = (
 """Speeds of the nodes [rad/s or m/s]: close where friction changes most."""
 
 LEAST = 4.0
-"""Rows' worth of data that a node needs."""
+"""Rows' worth of data that a node needs, and friction that fades out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,13 +289,21 @@ def _products(torques: Torques) -> list[Array]:
 
 
 def _choice(products: Array, place: dict[JointLaw, int]) -> Choice:
-    """Of one joint's products: laws are added as long as one gains enough."""
+    """Of one joint's products: laws are added as long as one gains enough.
+
+    Friction that fades out is offered where rows are slow enough: its coefficient is friction at
+    rest, which faster ones extrapolate to without bound.
+    """
     laws = [law for law in place if law in (*ALWAYS, ROTOR)]
-    parts = Parts(products, products.sum(axis=0) - products)
+    whole = products.sum(axis=0)
+    parts = Parts(products, whole - products)
+    seen = {
+        law: at for law, at in place.items() if STRIBECK not in law.kind or whole[at, at] >= LEAST
+    }
     more, how = grown(
         parts,
         [0, *(place[law] for law in laws)],
-        {law: at for law, at in place.items() if law not in laws},
+        {law: at for law, at in seen.items() if law not in laws},
         lambda law: law.kind,
         rivals,
     )
