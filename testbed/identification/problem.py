@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
@@ -25,11 +26,7 @@ from testbed.identification.estimate import (
 )
 from testbed.identification.regression.normal_equations import NormalEquations, gather
 from testbed.identification.regression.passes import Passes, Progress
-from testbed.identification.regression.windows import (
-    make_plan,
-    reversal_samples,
-    short_row_weights,
-)
+from testbed.identification.regression.windows import make_plan, short_row_weights
 from testbed.identification.selection.held_out import ALWAYS
 from testbed.identification.settings import DEFAULTS, FIT, Settings
 from testbed.kernel.layout import Layout, layout
@@ -187,15 +184,12 @@ class Problem:
         plan = make_plan(source or self.source, self.layout, self.tare, self.settings)
         if self.load is not None:  # friction alone is sought: what a reversal leaves would bias it
             bodies = self.layout.theta.shape[2], self.minimal.count
-            rate, settings = plan.source.rate, self.settings
-            weights = short_row_weights(rate, settings.row_low_pass)
-            whole = len(weights) / rate if settings.reversal_reach is None else None
-            plan = replace(
-                plan,
-                load=self.layout.basis[: bodies[0], : bodies[1]] @ self.load,
-                weights=weights,
-                rest_reach=reversal_samples(weights, whole or settings.reversal_reach, rate),
-            )
+            load = self.layout.basis[: bodies[0], : bodies[1]] @ self.load
+            weights = short_row_weights(plan.source.rate, self.settings.row_low_pass)
+            reach = self.settings.reversal_reach
+            reach = np.inf if reach is None else reach * plan.source.rate
+            nearby = int(min(reach, len(weights) // 2))
+            plan = replace(plan, load=load, weights=weights, rest_reach=nearby)
         return Passes(plan, self.threads, self.progress, number)
 
     def equations(self, passes: Passes) -> NormalEquations:

@@ -315,27 +315,6 @@ CLEAR = 4.0
 near reversals have some of its shape."""
 
 
-def clear_choices(
-    choices: Sequence[Choice], found: Sequence[JointRegression], drives: Sequence[DriveEstimate]
-) -> tuple[Choice, ...]:
-    """Those without laws of the load whose coefficients might be zero.
-
-    Args:
-        choices: By joint.
-        found: The regressions by these.
-        drives: The same in words.
-    """
-    clear = list(choices)
-    for regression, drive in zip(found, drives, strict=True):
-        choice = choices[regression.joint]
-        kept = {t.law for t in drive.terms if abs(t.value) >= CLEAR * t.sigma}
-        laws = tuple(law for law in choice.laws if law not in LOADED or law in kept)
-        kinds = {"", *(law.kind for law in laws)}
-        steps = tuple(step for step in choice.steps if step.kind in kinds)
-        clear[regression.joint] = replace(choice, laws=laws, steps=steps)
-    return tuple(clear)
-
-
 @dataclass(frozen=True)
 class DriveTerm:
     """One coefficient of a joint's own torque, as it is, not as the drive reports it.
@@ -434,6 +413,28 @@ class ChosenTerms:
             replace(each, choice=self.choices[own.joint])
             for each, own in zip(estimates, found, strict=True)
         )
+
+
+def chosen_terms(tree: Tree, torques: Torques, bodies: Estimate) -> ChosenTerms:
+    """The terms of every joint by held-out data, without laws of the load that might be zero.
+
+    Args:
+        tree: The robot.
+        torques: With columns of all laws that are `offered`.
+        bodies: The external estimate.
+    """
+    open_ones = choices(torques)
+    before = ChosenTerms(open_ones)
+    found = regressions(torques, bodies, before.pick)
+    clear = list(open_ones)
+    for own, drive in zip(found, before.estimates(tree, torques, found), strict=True):
+        choice = open_ones[own.joint]
+        kept = {t.law for t in drive.terms if abs(t.value) >= CLEAR * t.sigma}
+        laws = tuple(law for law in choice.laws if law not in LOADED or law in kept)
+        kinds = {"", *(law.kind for law in laws)}
+        steps = tuple(step for step in choice.steps if step.kind in kinds)
+        clear[own.joint] = replace(choice, laws=laws, steps=steps)
+    return ChosenTerms(tuple(clear))
 
 
 def drive_of(tree: Tree, asked: Sequence[JointTerm], found: JointRegression) -> DriveEstimate:
