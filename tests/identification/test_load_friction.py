@@ -22,6 +22,7 @@ from testbed.identification.drives.friction_files import (
 )
 from testbed.identification.drives.friction_map import LOADS, SPEEDS
 from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
+from testbed.identification.regression.windows import short_row_weights
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import joint_law
 from tests.helpers.ideal import EXACT, ideal, plus
@@ -107,6 +108,16 @@ def test_a_load_term_is_chosen_where_there_is_one_and_only_there() -> None:
     assert np.abs(every).max() < 5
     assert 0.6 < np.sqrt(np.mean(every**2)) < 1.4
     assert len(every) < 3 * 4 * len(SPEEDS) * LOADS  # the others are empty, and stay so
+
+
+def test_no_row_of_drives_holds_a_reversal() -> None:
+    """Hann's window ends half a period of the cutoff from its middle, where its gain is a half."""
+    weights = short_row_weights(1000.0, 5.0)
+    at = np.arange(len(weights)) - len(weights) // 2
+    assert np.abs(at).max() < 100
+    np.testing.assert_allclose(weights, weights[::-1])
+    for rate, gain in ((0.0, 1.0), (5.0, 0.5), (10.0, 0.0), (15.0, 0.0)):
+        assert weights @ np.cos(2 * np.pi * rate * at / 1000) == pytest.approx(gain, abs=1e-3)
 
 
 def bam_torque(values: dict[str, Any], load: float, speed: float) -> float:
