@@ -301,8 +301,8 @@ def apart(first: int, seeds: int, seconds: float) -> dict[str, Any]:
         bodies = tb.identify(tree, recording, settings=settings, threads=1)
         problem = Problem.of(tree, recording, "internal", settings, threads=1, knows_load=True)
         torques = torques_beside(problem, bodies)
-        terms, every = ChosenTerms(None), regressions(torques, bodies)
-        found.append([e.shares(1.0) for e in terms.estimates(tree, torques, every)])
+        drives = ChosenTerms(None).estimates(tree, torques, regressions(torques, bodies))
+        found.append([e.shares(1.0) for e in drives])
     mean, spread = np.mean(found, axis=0), np.std(found, axis=0, ddof=1)
     return {
         "apart": list(tree.names),
