@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
@@ -26,7 +25,11 @@ from testbed.identification.estimate import (
 )
 from testbed.identification.regression.normal_equations import NormalEquations, gather
 from testbed.identification.regression.passes import Passes, Progress
-from testbed.identification.regression.windows import make_plan, short_row_weights
+from testbed.identification.regression.windows import (
+    make_plan,
+    reversal_samples,
+    short_row_weights,
+)
 from testbed.identification.selection.held_out import ALWAYS
 from testbed.identification.settings import DEFAULTS, FIT, Settings
 from testbed.kernel.layout import Layout, layout
@@ -185,10 +188,10 @@ class Problem:
         if self.load is not None:  # friction alone is sought: what a reversal leaves would bias it
             bodies = self.layout.theta.shape[2], self.minimal.count
             load = self.layout.basis[: bodies[0], : bodies[1]] @ self.load
-            weights = short_row_weights(plan.source.rate, self.settings.row_low_pass)
-            reach = self.settings.reversal_reach
-            reach = np.inf if reach is None else reach * plan.source.rate
-            nearby = int(min(reach, len(weights) // 2))
+            rate, reach = plan.source.rate, self.settings.reversal_reach
+            weights = short_row_weights(rate, self.settings.row_low_pass)
+            whole = len(weights) // 2
+            nearby = whole if reach is None else reversal_samples(weights, reach, rate)
             plan = replace(plan, load=load, weights=weights, rest_reach=nearby)
         return Passes(plan, self.threads, self.progress, number)
 
