@@ -18,11 +18,16 @@ import numpy as np
 import testbed as tb
 from testbed.arrays import Array
 from testbed.experiment.evaluate import robot_of
-from testbed.identification.drives.friction_curves import ChosenTerms, DriveEstimate
+from testbed.identification.drives.friction_curves import (
+    Choice,
+    ChosenTerms,
+    DriveEstimate,
+    chosen_terms,
+    offered,
+)
 from testbed.identification.drives.friction_map import friction_maps
 from testbed.identification.drives.identify_drives import identify_drives
-from testbed.identification.drives.joint_regression import regressions, torques_beside
-from testbed.identification.estimate import Estimate
+from testbed.identification.drives.joint_regression import Torques, regressions, torques_beside
 from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import scaled_inverse
 from testbed.instruments.chain import measured_again
@@ -103,7 +108,7 @@ def experiment_of(name: str, loss: float, seconds: float, *more: str) -> tb.Expe
     gear = f"{{kind='load_friction',share={loss},static={STATIC},speed={FADES}}}"
     words = [
         f"motion.duration={seconds}", "simulation.step=5e-4", "expect={}",
-        "identification.reversal_reach=0.13", "measurement.torque_constant_error={}",
+        "identification.cutoff=10", "measurement.torque_constant_error={}",
         f"simulation.effect=[{gear}]", *case.words, *more,
     ]  # fmt: skip
     asked = tb.Experiment.load(ROOT / "experiments/torque_constants.toml", words)
@@ -145,11 +150,19 @@ def trial(name: str, loss: float, seconds: float, seed: int) -> dict[str, Any]:
         fault=(TorqueNoise(sigma=tuple(noise.tolist())),),
     )
     seen = measured_again(recording, instrument, seed)
-    settings = replace(asked.identification, terms=GIVEN)
-    bodies = tb.identify(tree, seen, settings=settings, threads=1)
-    plain = replace(settings, terms=("coulomb", "viscous"))
-    given, simple = (drives_of(tree, seen, bodies, each) for each in (settings, plain))
-    chosen = identify_drives(tree, seen, bodies, settings=plain, threads=1, choose=True).estimates
+    plain = replace(asked.identification, terms=("coulomb", "viscous"))
+    bodies = tb.identify(tree, seen, settings=plain, threads=1)
+    problem = Problem.of(tree, seen, "internal", plain, threads=1, knows_load=True)
+    torques = torques_beside(problem, bodies, offered(plain.laws, seen.signals))
+
+    def drives_of(terms: ChosenTerms) -> tuple[DriveEstimate, ...]:
+        return terms.estimates(tree, torques, regressions(torques, bodies, terms.pick))
+
+    def alike(laws: Sequence[JointLaw]) -> ChosenTerms:
+        return ChosenTerms((Choice(tuple(laws), (), None),) * tree.n)
+
+    given, simple = drives_of(alike(GIVEN)), drives_of(alike(GIVEN[:2]))
+    chosen = drives_of(chosen_terms(tree, torques, bodies))
     truth = [
         np.array([k, dry, wet, (STATIC - 1) * dry, loss])
         for k, dry, wet in zip(
@@ -167,17 +180,8 @@ def trial(name: str, loss: float, seconds: float, seed: int) -> dict[str, Any]:
         "loads": np.array([_of(e, "load") for e in chosen]),
         "constants": np.array([(e.constant, e.sigma) for e in chosen]),
         "unseen": left[0] / left[1],
-        "alone": without_plate(tree, seen, bodies, settings, constants),
+        "alone": without_plate(torques, problem.minimal.count, constants),
     }
-
-
-def drives_of(
-    tree: tb.Tree, seen: Recording, bodies: Estimate, settings: tb.Settings
-) -> tuple[DriveEstimate, ...]:
-    """Constants and terms that are given, without curves and maps."""
-    problem = Problem.of(tree, seen, "internal", settings, threads=1, knows_load=True)
-    torques = torques_beside(problem, bodies)
-    return ChosenTerms(None).estimates(tree, torques, regressions(torques, bodies))
 
 
 def _of(drive: DriveEstimate, kind: str) -> tuple[float, float]:
@@ -200,22 +204,18 @@ def unseen_residual(
     return np.array(left)
 
 
-def without_plate(
-    tree: tb.Tree, seen: Recording, bodies: Estimate, settings: tb.Settings, constants: Array
-) -> Array:
+def without_plate(torques: Torques, bodies: int, constants: Array) -> Array:
     """Load coefficients of every joint by its torque alone, and their sigmas, (n, 2).
 
     Each joint has bodies of its own, in which its torque constant is contained. The load in the
     column of the load term is the plate's; its own would be that, times the constant.
     """
-    problem = Problem.of(tree, seen, "internal", settings, threads=1, knows_load=True)
-    torques = torques_beside(problem, bodies)
     asked, found = torques.drives.asked, []
-    for joint in range(tree.n):
+    for joint in torques.joints:
         normal, right, square = torques.equations.of_channel(joint)
-        own = [k for k, term in enumerate(asked) if term.joint == joint]
+        own = [k for k, t in enumerate(asked) if t.joint == joint and t.law in GIVEN]
         unknowns = torques.drives.columns[:, own]
-        lead = np.column_stack([np.eye(len(normal))[:, : problem.minimal.count], unknowns])
+        lead = np.column_stack([np.eye(len(normal))[:, :bodies], unknowns])
         there = np.einsum("ij,ik,kj->j", lead, normal, lead) > 0
         lead = lead[:, there]
         inverse = scaled_inverse(lead.T @ normal @ lead)
@@ -299,7 +299,10 @@ def apart(first: int, seeds: int, seconds: float) -> dict[str, Any]:
     for recording, asked in _noisy("puma", seconds, first, seeds, effect, terms):
         tree, settings = robot_of(asked), asked.identification
         bodies = tb.identify(tree, recording, settings=settings, threads=1)
-        found.append([e.shares(1.0) for e in drives_of(tree, recording, bodies, settings)])
+        problem = Problem.of(tree, recording, "internal", settings, threads=1, knows_load=True)
+        torques = torques_beside(problem, bodies)
+        drives = ChosenTerms(None).estimates(tree, torques, regressions(torques, bodies))
+        found.append([e.shares(1.0) for e in drives])
     mean, spread = np.mean(found, axis=0), np.std(found, axis=0, ddof=1)
     return {
         "apart": list(tree.names),

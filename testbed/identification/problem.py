@@ -25,7 +25,11 @@ from testbed.identification.estimate import (
 )
 from testbed.identification.regression.normal_equations import NormalEquations, gather
 from testbed.identification.regression.passes import Passes, Progress
-from testbed.identification.regression.windows import make_plan
+from testbed.identification.regression.windows import (
+    make_plan,
+    reversal_samples,
+    short_row_weights,
+)
 from testbed.identification.selection.held_out import ALWAYS
 from testbed.identification.settings import DEFAULTS, FIT, Settings
 from testbed.kernel.layout import Layout, layout
@@ -188,9 +192,14 @@ class Problem:
         plan = make_plan(source or self.source, self.layout, self.tare, self.settings)
         if whole and self.settings.reversal_reach is None:
             plan = replace(plan, rest_reach=0)
-        if self.load is not None:
+        if self.load is not None:  # friction alone is sought: what a reversal leaves would bias it
             bodies = self.layout.theta.shape[2], self.minimal.count
-            plan = replace(plan, load=self.layout.basis[: bodies[0], : bodies[1]] @ self.load)
+            load = self.layout.basis[: bodies[0], : bodies[1]] @ self.load
+            rate, reach = plan.source.rate, self.settings.reversal_reach
+            weights = short_row_weights(rate, self.settings.row_low_pass)
+            half = len(weights) // 2
+            nearby = half if reach is None else reversal_samples(weights, reach, rate)
+            plan = replace(plan, load=load, weights=weights, rest_reach=nearby)
         return Passes(plan, self.threads, self.progress, number)
 
     def equations(self, passes: Passes) -> NormalEquations:

@@ -140,10 +140,10 @@ def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) ->
 
 
 def _smoothed(layout: Layout, signals: Signals, first: int, load: Array) -> Array:
-    """Means of the load around each sample, over a quarter of the row filter's reach, (M, n)."""
-    reach = len(signals.weights) // 8
-    if not reach or not len(signals.load):
+    """Means of the load around each sample, (M, n): as far as its noise hangs together."""
+    if len(signals.weights) == 1 or not len(signals.load):
         return load
+    reach = max(signals.taps.shape[1] // 2, len(signals.weights) // 4)
     half, last = signals.taps.shape[1] // 2, first + len(load)
     low, high = max(first - reach, half), min(last + reach, len(signals.position) - half)
     ends = [

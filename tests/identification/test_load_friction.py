@@ -22,7 +22,9 @@ from testbed.identification.drives.friction_files import (
 )
 from testbed.identification.drives.friction_map import LOADS, SPEEDS
 from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
+from testbed.identification.regression.windows import short_row_weights
 from testbed.recordings.recording import Recording
+from testbed.robot.friction import joint_law
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot
@@ -108,6 +110,7 @@ def test_a_load_term_is_chosen_where_there_is_one_and_only_there() -> None:
     assert len(every) < 3 * 4 * len(SPEEDS) * LOADS  # the others are empty, and stay so
 
 
+<<<<<<< HEAD
 def with_temperatures(recording: Recording, rise: float) -> Recording:
     """Drives that warm up evenly."""
     warmth = 25.0 + rise * recording.time / recording.time[-1]
@@ -158,12 +161,45 @@ def test_friction_that_lags_behind_the_motion_is_seen_and_a_rotor_is_not_taken_f
 def bam_friction(values: dict[str, Any], load: float, speed: float) -> float:
     """What BAM's M5 takes of a gear that passes on a load slowly: its formula, by hand."""
     loss = values.get("load_friction_external", 0.0) * abs(load)
+=======
+def test_no_row_of_drives_holds_a_reversal() -> None:
+    """Hann's window ends half a period of the cutoff from its middle, where its gain is a half."""
+    weights = short_row_weights(1000.0, 5.0)
+    at = np.arange(len(weights)) - len(weights) // 2
+    assert np.abs(at).max() < 100
+    np.testing.assert_allclose(weights, weights[::-1])
+    for rate, gain in ((0.0, 1.0), (5.0, 0.5), (10.0, 0.0), (15.0, 0.0)):
+        assert weights @ np.cos(2 * np.pi * rate * at / 1000) == pytest.approx(gain, abs=1e-3)
+
+
+def bam_torque(values: dict[str, Any], load: float, speed: float) -> float:
+    """What a BAM drive reports that moves a load slowly: its six formulas, by hand.
+
+    Friction depends on the motor's torque, which it is part of: a fixed point.
+    """
+    number, way, friction = int(values["model"][1]), float(np.sign(speed)), 0.0
+>>>>>>> fst
     fade = 0.0
-    if values["model"] != "m1":
-        ratio = abs(speed / values["dtheta_stribeck"]) ** values["alpha"]
-        fade = values["friction_stribeck"] * np.exp(-ratio)
-    dry = float(values["friction_base"] + loss + fade)
-    return float(np.sign(speed) * dry + values["friction_viscous"] * speed)
+    if number not in (1, 3):
+        fade = np.exp(-(abs(speed / values["dtheta_stribeck"]) ** values["alpha"]))
+    for _ in range(100):
+        motor, external = load + friction, -load
+        dry = values["friction_base"] + fade * values.get("friction_stribeck", 0.0)
+        if number in (3, 4):
+            share = values["load_friction_base"] + fade * values.get("load_friction_stribeck", 0.0)
+            dry += share * abs(external - motor)
+        for kind, weight in (("", 1.0), ("_stribeck", fade)) if number > 4 else ():
+            of_external, of_motor = (
+                values[f"load_friction_{side}{kind}"] * torque
+                for side, torque in (("external", external), ("motor", motor))
+            )
+            dry += weight * abs(of_external - of_motor)
+        if number == 6 and motor * external < 0:
+            driving = abs(motor) > abs(external)
+            side, torque = ("external", external) if driving else ("motor", motor)
+            dry += fade * values[f"load_friction_{side}_quad"] * torque**2
+        friction = way * dry + values["friction_viscous"] * speed
+    return float(values["constant"] * (load + friction))
 
 
 @pytest.mark.slow
@@ -177,12 +213,24 @@ def test_friction_in_files_is_what_was_found(tmp_path: Path) -> None:
         write_friction(found, tmp_path / f"friction.{ending}")
     bam = json.loads((tmp_path / "friction.json").read_text())
     for drive in found.estimates:
-        for load, speed in ((12.0, 0.05), (-7.0, 1.0), (3.0, -0.2)):
-            want = drive.friction(np.array([speed]), np.array([load]))[0]
-            assert bam_friction(bam[drive.joint], load, speed) == pytest.approx(want, rel=1e-9)
-        assert bam[drive.joint]["model"] == "m5"
-    plain = replace(found.estimates[0], terms=found.estimates[0].terms[:2])
-    assert bam_parameters(plain)["model"] == "m1"
+        models = bam[drive.joint]
+        assert [len(models[f"m{k}"]["left_out"]) for k in range(1, 7)] == [2, 1, 1, 0, 0, 0]
+        for load, speed in ((12.0, 0.05), (-7.0, 1.0), (60.0, -0.2), (40.0, 0.3)):
+            friction = drive.friction(np.array([speed]), np.array([load]))[0]
+            want = drive.constant * (load + friction)
+            for model in ("m5", "m6"):
+                assert bam_torque(models[model], load, speed) == pytest.approx(want, rel=1e-9)
+            loss = models["m5"]["load_friction_external"]
+            spread = drive.constant * abs(friction - loss * abs(load) * np.sign(speed)) * loss / 2
+            off = bam_torque(models["m4"], load, speed) - want
+            assert off == pytest.approx(np.sign(load) * spread, rel=1e-2)  # one efficiency
+    squares = replace(found.estimates[0].terms[0], law=joint_law("quadratic_load"), value=2e-3)
+    plain = replace(found.estimates[0], terms=(*found.estimates[0].terms[:2], squares))
+    for load, speed in ((40.0, 0.3), (-40.0, -1.0)):  # the gear drives
+        want = plain.constant * (load + plain.friction(np.array([speed]), np.array([load]))[0])
+        values = bam_parameters(plain, "m6")
+        assert bam_torque(values, load, speed) == pytest.approx(want, rel=1e-9)
+    assert bam_parameters(plain, "m5")["left_out"] == ["quadratic_load"]
     with (tmp_path / "friction.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == sum(len(cells.rows) for cells in found.maps)

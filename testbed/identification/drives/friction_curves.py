@@ -29,7 +29,20 @@ from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.selection.held_out import ALWAYS, OFFERED, Parts, Step, grown, rivals
 from testbed.parameters.joint_terms import DriveSet
+<<<<<<< HEAD
 from testbed.robot.friction import BY_LOAD, LOAD, LOADED, ROOM, ROTOR, VARYING, JointLaw, JointTerm
+=======
+from testbed.robot.friction import (
+    BY_LOAD,
+    LOAD,
+    LOADED,
+    ROTOR,
+    STRIBECK,
+    VARYING,
+    JointLaw,
+    JointTerm,
+)
+>>>>>>> fst
 from testbed.robot.tree import Tree
 
 NODES = (
@@ -55,7 +68,7 @@ NODES = (
 """Speeds of the nodes [rad/s or m/s]: close where friction changes most."""
 
 LEAST = 4.0
-"""Rows' worth of data that a node needs."""
+"""Rows' worth of data that a node needs, and friction that fades out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,13 +325,21 @@ def _products(torques: Torques) -> list[Array]:
 
 
 def _choice(products: Array, place: dict[JointLaw, int]) -> Choice:
-    """Of one joint's products: laws are added as long as one gains enough."""
+    """Of one joint's products: laws are added as long as one gains enough.
+
+    Friction that fades out is offered where rows are slow enough: its coefficient is friction at
+    rest, which faster ones extrapolate to without bound.
+    """
     laws = [law for law in place if law in (*ALWAYS, ROTOR)]
-    parts = Parts(products, products.sum(axis=0) - products)
+    whole = products.sum(axis=0)
+    parts = Parts(products, whole - products)
+    seen = {
+        law: at for law, at in place.items() if STRIBECK not in law.kind or whole[at, at] >= LEAST
+    }
     more, how = grown(
         parts,
         [0, *(place[law] for law in laws)],
-        {law: at for law, at in place.items() if law not in laws},
+        {law: at for law, at in seen.items() if law not in laws},
         lambda law: law.kind,
         rivals,
     )
@@ -330,6 +351,7 @@ CLEAR = 4.0
 friction near reversals have some of its shape."""
 
 
+<<<<<<< HEAD
 def clear_choices(
     choices: Sequence[Choice], found: Sequence[JointRegression], drives: Sequence[DriveEstimate]
 ) -> tuple[Choice, ...]:
@@ -352,6 +374,8 @@ def clear_choices(
     return tuple(clear)
 
 
+=======
+>>>>>>> fst
 @dataclass(frozen=True)
 class DriveTerm:
     """One coefficient of a joint's own torque, as it is, not as the drive reports it.
@@ -453,6 +477,28 @@ class ChosenTerms:
             replace(each, choice=self.choices[own.joint])
             for each, own in zip(estimates, found, strict=True)
         )
+
+
+def chosen_terms(tree: Tree, torques: Torques, bodies: Estimate) -> ChosenTerms:
+    """The terms of every joint by held-out data, without laws of the load that might be zero.
+
+    Args:
+        tree: The robot.
+        torques: With columns of all laws that are `offered`.
+        bodies: The external estimate.
+    """
+    open_ones = choices(torques)
+    before = ChosenTerms(open_ones)
+    found = regressions(torques, bodies, before.pick)
+    clear = list(open_ones)
+    for own, drive in zip(found, before.estimates(tree, torques, found), strict=True):
+        choice = open_ones[own.joint]
+        kept = {t.law for t in drive.terms if abs(t.value) >= CLEAR * t.sigma}
+        laws = tuple(law for law in choice.laws if law not in LOADED or law in kept)
+        kinds = {"", *(law.kind for law in laws)}
+        steps = tuple(step for step in choice.steps if step.kind in kinds)
+        clear[own.joint] = replace(choice, laws=laws, steps=steps)
+    return ChosenTerms(tuple(clear))
 
 
 def drive_of(tree: Tree, asked: Sequence[JointTerm], found: JointRegression) -> DriveEstimate:

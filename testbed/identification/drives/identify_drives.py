@@ -18,8 +18,7 @@ from testbed.identification.drives.friction_curves import (
     ChosenTerms,
     DriveEstimate,
     FrictionCurve,
-    choices,
-    clear_choices,
+    chosen_terms,
     friction_curves,
     offered,
 )
@@ -330,14 +329,9 @@ def identify_drives(
     choose = choose or settings.open_speed  # which is chosen with the terms
     laws = offered(settings.laws, problem.source.signals) if choose else None
     torques = torques_beside(problem, bodies, laws)
-    chosen = ChosenTerms(choices(torques) if choose else None)
+    chosen = chosen_terms(problem.tree, torques, bodies) if choose else ChosenTerms(None)
     found = regressions(torques, bodies, chosen.pick)
     drives = chosen.estimates(problem.tree, torques, found)
-    if chosen.choices is not None:
-        clear = ChosenTerms(clear_choices(chosen.choices, found, drives))
-        if clear != chosen:
-            found = regressions(torques, bodies, clear.pick)
-            drives = clear.estimates(problem.tree, torques, found)
     curves = friction_curves(problem, bodies, drives)
     maps = friction_maps(problem, bodies, found)
     return DriveFindings(drives, curves, combined(torques, bodies, found), maps)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -15,7 +16,7 @@ from testbed.errors import RecordingError, SettingsError
 from testbed.identification.estimate import Estimate
 from testbed.identification.noise.fits import NoiseFit, of_residuals, weighted_fits
 from testbed.identification.noise.lagged_products import HIGHEST, LaggedProducts, LaggedSums
-from testbed.identification.noise.score_tests import Replicas
+from testbed.identification.noise.score_tests import REPLICAS, SEED, Replicas
 from testbed.identification.noise.whitening import counted
 from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import (
@@ -32,6 +33,9 @@ from testbed.robot.tree import Tree
 
 LEAST = 0.5
 """Reliability below which a constant is not identifiable: most of its column may be error."""
+
+POOLED = 400
+"""Coefficients of replicas, of a joint's regression: its sigma is found to 4 %."""
 
 TINY = float(np.finfo(float).tiny)
 """Against division by nothing."""
@@ -310,12 +314,21 @@ def _fits(
     sizes = {joint: _left(each.products[0, 0]) for joint, each in given.items()}
     scaled = {joint: _in_units(each, sizes[joint]) for joint, each in given.items()}
     found = {joint: weighted_fits(each)[0] for joint, each in scaled.items()}
-    replicas = {joint: Replicas(fit.noise, scaled[joint]) for joint, fit in found.items()}
+    replicas = {
+        joint: [
+            Replicas(fit.noise, scaled[joint], SEED + k)
+            for k in range(math.ceil(POOLED / REPLICAS / len(fit.values)))
+        ]
+        for joint, fit in found.items()
+    }
     for joint, part in _parts(passes, combined, own):
-        replicas[joint].add(part[..., :-2] / sizes[joint], part[..., -1])
+        for each in replicas[joint]:
+            each.add(part[..., :-2] / sizes[joint], part[..., -1])
     corrected = {}
     for joint, fit in found.items():
-        factor = replicas[joint].factor(weighted_fits, np.eye(len(fit.values)))
+        lead = np.eye(len(fit.values))
+        made = [each.squares(weighted_fits, lead) for each in replicas[joint]]
+        factor = max(1.0, float(np.sqrt(np.mean(made))))
         squares = _square(scaled[joint].products[0, 0], fit.values) * sizes[joint] ** 2
         corrected[joint] = replace(fit, covariance=factor**2 * fit.covariance), squares
     return corrected

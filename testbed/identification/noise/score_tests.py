@@ -45,17 +45,18 @@ class Replicas:
     Of columns with columns they are known from the residuals' own products.
     """
 
-    def __init__(self, noise: Autoregression, known: LaggedProducts) -> None:
+    def __init__(self, noise: Autoregression, known: LaggedProducts, seed: int = SEED) -> None:
         """Nothing yet.
 
         Args:
             noise: What is to be made.
             known: Products of the rows' columns, residuals and ones.
+            seed: Of the replicas.
         """
         self._order = noise.order
         columns = known.unknowns
         self._known = known.up_to(noise.order)
-        self._maker = NoiseMaker(noise, REPLICAS, np.random.default_rng(SEED))
+        self._maker = NoiseMaker(noise, REPLICAS, np.random.default_rng(seed))
         self._noise = LaggedSums(noise.order)
         lags, channels = self._known.products.shape[:2]
         self._across = np.zeros((lags, channels, columns + 1, REPLICAS))
@@ -118,8 +119,16 @@ class Replicas:
             fits: What found the noise.
             lead: How the rows' unknowns make up the parameters, (p, m).
         """
-        squares = [_squares(found, lead) for found in fits(self.products, self._order)]
-        return max(1.0, float(np.sqrt(np.mean(squares))))
+        return max(1.0, float(np.sqrt(np.mean(self.squares(fits, lead)))))
+
+    def squares(self, fits: Fits, lead: Array) -> Array:
+        """Squares of what the replicas make of parameters that are zero, over sigma's, (R, p).
+
+        Args:
+            fits: What found the noise.
+            lead: How the rows' unknowns make up the parameters, (p, m).
+        """
+        return np.array([_squares(found, lead) for found in fits(self.products, self._order)])
 
 
 def _alike(products: Array) -> Array:
