@@ -14,11 +14,16 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from benchmarks.friction import Case, drives_of
+from benchmarks.friction import Case
 from testbed.arrays import Array
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.excite import Excitation, excite, forecaster, wish_of, write_motion
+from testbed.identification.drives.friction_curves import ChosenTerms, DriveEstimate
+from testbed.identification.drives.joint_regression import regressions, torques_beside
+from testbed.identification.estimate import Estimate
+from testbed.identification.problem import Problem
 from testbed.instruments.chain import measured_again
+from testbed.recordings.recording import Recording
 from tests.helpers.paths import GOLDEN, REAL, ROOT
 
 CASES: Mapping[str, Case] = {
@@ -33,6 +38,22 @@ CASES: Mapping[str, Case] = {
     ),
 }
 """A plain arm, one with six joints, one whose first three joints slide."""
+
+
+def drives_of(
+    tree: tb.Tree, seen: Recording, bodies: Estimate, settings: tb.Settings
+) -> tuple[DriveEstimate, ...]:
+    """Constants and terms that are given, without curves and maps.
+
+    Args:
+        tree: The robot.
+        seen: Its recording.
+        bodies: By the plate.
+        settings: With the terms.
+    """
+    problem = Problem.of(tree, seen, "internal", settings, threads=1, knows_load=True)
+    torques = torques_beside(problem, bodies)
+    return ChosenTerms(None).estimates(tree, torques, regressions(torques, bodies))
 
 
 def experiment_of(name: str, seconds: float, *words: str) -> tb.Experiment:

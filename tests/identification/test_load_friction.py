@@ -110,7 +110,6 @@ def test_a_load_term_is_chosen_where_there_is_one_and_only_there() -> None:
     assert len(every) < 3 * 4 * len(SPEEDS) * LOADS  # the others are empty, and stay so
 
 
-<<<<<<< HEAD
 def with_temperatures(recording: Recording, rise: float) -> Recording:
     """Drives that warm up evenly."""
     warmth = 25.0 + rise * recording.time / recording.time[-1]
@@ -158,10 +157,6 @@ def test_friction_that_lags_behind_the_motion_is_seen_and_a_rotor_is_not_taken_f
     assert said == ["waist", "elbow"]
 
 
-def bam_friction(values: dict[str, Any], load: float, speed: float) -> float:
-    """What BAM's M5 takes of a gear that passes on a load slowly: its formula, by hand."""
-    loss = values.get("load_friction_external", 0.0) * abs(load)
-=======
 def test_no_row_of_drives_holds_a_reversal() -> None:
     """Hann's window ends half a period of the cutoff from its middle, where its gain is a half."""
     weights = short_row_weights(1000.0, 5.0)
@@ -178,7 +173,6 @@ def bam_torque(values: dict[str, Any], load: float, speed: float) -> float:
     Friction depends on the motor's torque, which it is part of: a fixed point.
     """
     number, way, friction = int(values["model"][1]), float(np.sign(speed)), 0.0
->>>>>>> fst
     fade = 0.0
     if number not in (1, 3):
         fade = np.exp(-(abs(speed / values["dtheta_stribeck"]) ** values["alpha"]))

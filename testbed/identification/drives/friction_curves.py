@@ -29,20 +29,17 @@ from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.selection.held_out import ALWAYS, OFFERED, Parts, Step, grown, rivals
 from testbed.parameters.joint_terms import DriveSet
-<<<<<<< HEAD
-from testbed.robot.friction import BY_LOAD, LOAD, LOADED, ROOM, ROTOR, VARYING, JointLaw, JointTerm
-=======
 from testbed.robot.friction import (
     BY_LOAD,
     LOAD,
     LOADED,
+    ROOM,
     ROTOR,
     STRIBECK,
     VARYING,
     JointLaw,
     JointTerm,
 )
->>>>>>> fst
 from testbed.robot.tree import Tree
 
 NODES = (
@@ -351,31 +348,6 @@ CLEAR = 4.0
 friction near reversals have some of its shape."""
 
 
-<<<<<<< HEAD
-def clear_choices(
-    choices: Sequence[Choice], found: Sequence[JointRegression], drives: Sequence[DriveEstimate]
-) -> tuple[Choice, ...]:
-    """Those without laws of load or temperature whose coefficients might be zero.
-
-    Args:
-        choices: By joint.
-        found: The regressions by these.
-        drives: The same in words.
-    """
-    clear = list(choices)
-    for regression, drive in zip(found, drives, strict=True):
-        choice = choices[regression.joint]
-        kept = {t.law for t in drive.terms if abs(t.value) >= CLEAR * t.sigma}
-        doubtful = (*LOADED, *VARYING)
-        laws = tuple(law for law in choice.laws if law not in doubtful or law in kept)
-        kinds = {"", *(law.kind for law in laws)}
-        steps = tuple(step for step in choice.steps if step.kind in kinds)
-        clear[regression.joint] = replace(choice, laws=laws, steps=steps)
-    return tuple(clear)
-
-
-=======
->>>>>>> fst
 @dataclass(frozen=True)
 class DriveTerm:
     """One coefficient of a joint's own torque, as it is, not as the drive reports it.
@@ -480,7 +452,7 @@ class ChosenTerms:
 
 
 def chosen_terms(tree: Tree, torques: Torques, bodies: Estimate) -> ChosenTerms:
-    """The terms of every joint by held-out data, without laws of the load that might be zero.
+    """The terms of every joint by held-out data; of load or temperature none that might be zero.
 
     Args:
         tree: The robot.
@@ -490,11 +462,11 @@ def chosen_terms(tree: Tree, torques: Torques, bodies: Estimate) -> ChosenTerms:
     open_ones = choices(torques)
     before = ChosenTerms(open_ones)
     found = regressions(torques, bodies, before.pick)
-    clear = list(open_ones)
+    clear, doubtful = list(open_ones), (*LOADED, *VARYING)
     for own, drive in zip(found, before.estimates(tree, torques, found), strict=True):
         choice = open_ones[own.joint]
         kept = {t.law for t in drive.terms if abs(t.value) >= CLEAR * t.sigma}
-        laws = tuple(law for law in choice.laws if law not in LOADED or law in kept)
+        laws = tuple(law for law in choice.laws if law not in doubtful or law in kept)
         kinds = {"", *(law.kind for law in laws)}
         steps = tuple(step for step in choice.steps if step.kind in kinds)
         clear[own.joint] = replace(choice, laws=laws, steps=steps)
