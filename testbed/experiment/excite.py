@@ -30,7 +30,12 @@ from testbed.experiment.experiment import Experiment
 from testbed.experiment.motions import motion_of, plate_noise_of, rules_of
 from testbed.experiment.results import versions
 from testbed.files import fingerprint, replacing
-from testbed.identification.regression.windows import motion_taps, reversal_samples, row_weights
+from testbed.identification.regression.windows import (
+    drive_filter,
+    motion_taps,
+    reversal_samples,
+    row_weights,
+)
 from testbed.parameters.minimal_set import minimal_set
 from testbed.parameters.rules import Model
 from testbed.recordings.columns import UNITS
@@ -176,14 +181,18 @@ def pipeline_of(experiment: Experiment) -> Pipeline:
     settings = experiment.identification.fitted(rate)
     sensed = experiment.measurement.senses_kinematics
     taps = 1 if sensed else motion_taps(rate, settings.position_low_pass).shape[1]
-    weights = row_weights(rate, settings.row_low_pass)
+    if experiment.excitation.aim == "friction":
+        weights, nearby = drive_filter(settings, rate)
+    else:
+        weights = row_weights(rate, settings.row_low_pass)
+        nearby = reversal_samples(weights, settings.reversal_reach, rate)
     reach = taps // 2 + len(weights) // 2
     return Pipeline(
         rate=rate,
         span=max(experiment.motion.duration - 2 * reach / rate, 1 / rate),
         band=settings.row_low_pass or np.inf,
         resting=settings.deadband,
-        reach=reversal_samples(weights, settings.reversal_reach, rate) / rate,
+        reach=nearby / rate,
     )
 
 

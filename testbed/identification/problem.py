@@ -25,11 +25,7 @@ from testbed.identification.estimate import (
 )
 from testbed.identification.regression.normal_equations import NormalEquations, gather
 from testbed.identification.regression.passes import Passes, Progress
-from testbed.identification.regression.windows import (
-    make_plan,
-    reversal_samples,
-    short_row_weights,
-)
+from testbed.identification.regression.windows import drive_filter, make_plan
 from testbed.identification.selection.held_out import ALWAYS
 from testbed.identification.settings import DEFAULTS, FIT, Settings
 from testbed.kernel.layout import Layout, layout
@@ -195,10 +191,7 @@ class Problem:
         if self.load is not None:  # friction alone is sought: what a reversal leaves would bias it
             bodies = self.layout.theta.shape[2], self.minimal.count
             load = self.layout.basis[: bodies[0], : bodies[1]] @ self.load
-            rate, reach = plan.source.rate, self.settings.reversal_reach
-            weights = short_row_weights(rate, self.settings.row_low_pass)
-            half = len(weights) // 2
-            nearby = half if reach is None else reversal_samples(weights, reach, rate)
+            weights, nearby = drive_filter(self.settings, plan.source.rate)
             plan = replace(plan, load=load, weights=weights, rest_reach=nearby)
         return Passes(plan, self.threads, self.progress, number)
 

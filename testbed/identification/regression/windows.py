@@ -133,20 +133,26 @@ def row_weights(rate: float, cutoff: float | None) -> Array:
     return np.ones(1) if cutoff is None else low_pass(rate, cutoff, ROW_ATTENUATION)
 
 
-def short_row_weights(rate: float, cutoff: float | None) -> Array:
-    """The same with half the reach: Hann's window, as long as a period of the cutoff, (2 L + 1,).
+def drive_filter(settings: Settings, rate: float) -> tuple[Array, int]:
+    """Of rows of drives: Hann's window, as long as a period of the cutoff, half `row_weights`.
 
     More of an encoder's noise passes, since its gain falls with the third power of the frequency
     only, and less of a reversal: dry friction's jump spoils fewer rows, and none that are kept.
 
     Args:
+        settings: With the filter on rows.
         rate: Samples a second [Hz].
-        cutoff: Where its gain is one half [Hz]; None for no filter.
+
+    Returns:
+        Weights, (2 L + 1,), and samples to either side of a row at which its joint has to move.
     """
-    if cutoff is None:
-        return np.ones(1)
-    weights = np.hanning(2 * round(rate / cutoff / 2) + 1)[1:-1]
-    return np.asarray(weights / weights.sum())
+    cutoff, reach = settings.row_low_pass, settings.reversal_reach
+    weights = np.ones(1)
+    if cutoff is not None:
+        weights = np.hanning(2 * round(rate / cutoff / 2) + 1)[1:-1]
+    half = len(weights) // 2
+    nearby = half if reach is None else reversal_samples(weights, reach, rate)
+    return weights / weights.sum(), nearby
 
 
 def reversal_samples(weights: Array, reach: float | None, rate: float) -> int:
