@@ -163,7 +163,7 @@ def law_number(law: JointLaw) -> int:
     return next(same, UNKNOWN)
 
 
-NONE = np.zeros((0, 0))
+NONE, NO_LOAD = np.zeros((0, 0)), np.zeros(0)
 
 
 class Signals(NamedTuple):
@@ -181,7 +181,7 @@ class Signals(NamedTuple):
     step: int  # samples from row to row
     number: int  # of rows
     varying: Array = NONE  # time and temperatures, (M, 1 + n), where a law is multiplied by them
-    load: Array = NONE  # of the body columns, their values, (P',), where a law is of the load
+    load: Array = NO_LOAD  # of the body columns, their values, (P',), where a law is of the load
 
 
 def sensed(q: Array, qd: Array, qdd: Array, channels: int) -> Signals:

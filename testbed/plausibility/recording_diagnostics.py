@@ -52,6 +52,9 @@ LEAST, MOST = 0.25, 4.0
 SMALLER = {"N m": "N mm", "A": "mA", "V": "mV", "kN m": "N m", "N": "mN"}
 """Units a thousand times smaller."""
 
+RIVAL = 60
+"""Characters about another explanation."""
+
 CLEARLY = 1.2
 """Times as much as the best leaves from which another explanation leaves more."""
 
@@ -318,7 +321,7 @@ def wrong_mapping(
         after=share(worst.after),
         channel=worst.channel,
         gain=gain,
-        runner_up=", ".join(others.runner_up),
+        runner_up=few(list(others.runner_up), RIVAL),
         more=more,
         equals=", or ".join(others.equals),
         lines=in_mapping(line for each in remedies for line in each.lines),

@@ -343,6 +343,8 @@ def _alone(squares: Array, across: Array, scale: Array, variance: float) -> Alon
     known = length > IMITATED
     explained = np.divide(across**2, length, out=np.zeros(len(length)), where=known)
     k = int(explained.argmax())
+    if not known[k]:
+        return Alone(0.0, k, 0.0, np.inf)
     size, sigma = np.array([across[k], np.sqrt(variance * length[k])]) * scale[k] / length[k]
     return Alone(float(explained[k]) / variance, k, float(size), float(sigma))
 

@@ -16,7 +16,7 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.identification.settings import Settings
 from testbed.kernel.layout import Layout
-from testbed.kernel.records import NONE, Signals
+from testbed.kernel.records import NO_LOAD, NONE, Signals
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, segments_of
 from testbed.robot.friction import BY_LOAD, ROOM
@@ -309,7 +309,7 @@ class Plan:
             step=self.step,
             number=window.rows,
             varying=self._varying(part, window) if varying - {*BY_LOAD} else NONE,
-            load=NONE if self.load is None else self.load,
+            load=NO_LOAD if self.load is None else self.load,
         )
 
     def _varying(self, part: Recording, window: Window) -> Array:
