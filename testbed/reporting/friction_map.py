@@ -121,7 +121,7 @@ def _heat(cells: FrictionMap) -> Drawing:
             place = LEFT + wide * number
             parts.append(text(tick_label(edge), place, HEIGHT - BOTTOM + NUMBERS, "middle", "x"))
     for number, edge in enumerate(up.tolist()):
-        if number % (1 + len(up) // 5) == 0:
+        if number and number % (1 + len(up) // 5) == 0:  # the first is beside the other axis' first
             place = HEIGHT - BOTTOM - tall * number + MIDDLE
             parts.append(text(tick_label(edge), LEFT - 3.5, place, "end", "y"))
     speed = "velocity [rad/s]" if cells.unit == "N m" else "velocity [m/s]"
