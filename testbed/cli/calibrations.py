@@ -24,6 +24,7 @@ from testbed.cli.reading import (
     Weld,
     Zeros,
     app,
+    ending,
     opened,
 )
 
@@ -201,7 +202,10 @@ def drives(
     ] = False,
     friction: Annotated[
         Path | None,
-        typer.Option(help="File for friction: .csv (map and law) or .json (BAM)."),
+        typer.Option(
+            callback=ending(".csv", ".json"),
+            help="File for friction: .csv (map and law) or .json (BAM).",
+        ),
     ] = None,
     threads: Threads = None,
     as_json: Json = False,
@@ -224,7 +228,7 @@ def drives(
     from testbed.codec import encode
     from testbed.errors import SettingsError
     from testbed.files import check_writable
-    from testbed.identification.drives.friction_files import check_friction_file, write_friction
+    from testbed.identification.drives.friction_files import write_friction
     from testbed.identification.drives.identify_drives import identify_drives
     from testbed.identification.identify import identify
     from testbed.plausibility.time_offset import delivered
@@ -233,7 +237,6 @@ def drives(
     from testbed.reporting.drives import delay_line
 
     if friction is not None:
-        check_friction_file(friction)
         check_writable(friction, read=(recording, model))
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, sensor=sensor)
     writing = Writing(write=write)

@@ -7,7 +7,7 @@ is clear is taken back by the mapping's own words.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -121,12 +121,18 @@ class TimeOffset:
         )
 
 
-def time_offsets(tree: Tree, source: Source, bodies: Estimate | None = None) -> list[TimeOffset]:
+def time_offsets(
+    tree: Tree,
+    source: Source,
+    kinds: Sequence[str] = ("torque", "wrench"),
+    bodies: Estimate | None = None,
+) -> list[TimeOffset]:
     """Of the torques and of the wrench, as far as they were measured, and determine it.
 
     Args:
         tree: The robot; its inertias are not used.
         source: The recording.
+        kinds: Of which of the two.
         bodies: By the plate, where torques are held against those.
 
     Raises:
@@ -139,7 +145,7 @@ def time_offsets(tree: Tree, source: Source, bodies: Estimate | None = None) -> 
     part = source.part(first, min(source.samples, first + most)).ordered(tree)
     offsets = (
         _offset(kind, tree, part.position, part.measured(kind), part.time, source.rate, bodies)
-        for kind in ("torque", "wrench")
+        for kind in kinds
         if kind in part.signals and np.ptp(part.measured(kind), axis=0).any()
     )
     return [each for each in offsets if each is not None]
@@ -159,8 +165,7 @@ def delivered(tree: Tree, source: Source, bodies: Estimate) -> tuple[Recording, 
     Raises:
         RecordingError: It is of another robot, or its torques are not ahead of the motion.
     """
-    offsets = time_offsets(tree, source, bodies)
-    offset = next((each for each in offsets if each.signal == "torque"), None)
+    offset = next(iter(time_offsets(tree, source, ("torque",), bodies)), None)
     if offset is None or offset.delay >= 0:
         found = "nothing" if offset is None else f"{offset.delay:.2g} s late"
         raise RecordingError(

@@ -144,10 +144,8 @@ class Progress:
 
     def say(self, done: int, total: int, label: str) -> None:
         """Show how much is done, and in other words what is going on."""
-        self._label, self._part = (
-            label,
-            f", {done / total:.0%}" if total else f", {done}" * bool(done),
-        )
+        much = f"{done / total:.0%}" if total else str(done or "")
+        self._label, self._part = label, f", {much}" if much else ""
         self._bar.update(self._task, completed=done, total=total or None, description=label)
 
     def _show(self) -> None:

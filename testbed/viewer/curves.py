@@ -151,8 +151,8 @@ def log_friction(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
             stream.log(f"{path}/curve", strip, static=True)
         if scene.run.drives is not None:
             log_curve(stream, path, scene.run.drives.curves[j], (width, height))
-        for cells in scene.run.drives.maps[j : j + 1] if scene.run.drives is not None else ():
-            log_map(stream, path, cells, (width, height))
+            for cells in scene.run.drives.maps[j : j + 1]:  # none in results without maps
+                log_map(stream, path, cells, (width, height))
 
 
 def _log_axes(

@@ -95,6 +95,7 @@ sample result.json --out run | 'run' --out
 sample none.json --out new | 'none.json' identify
 drives one.parquet {ROBOT} --unseen other.parquet | --write
 drives no_torque.parquet {ROBOT} | torque
+drives one.parquet {ROBOT} --friction friction.txt | 'friction.txt' .csv .json
 calibrate {ONE} | --known
 calibrate {ONE} --known mass=x | 'mass=x'
 calibrate {ONE} --known gain/Fq=1 | 'gain/Fq' 'gain/Fz'

@@ -14,10 +14,8 @@ import pytest
 import testbed as tb
 from testbed.arrays import Array
 from testbed.dynamics.newton_euler import joint_forces
-from testbed.errors import SettingsError
 from testbed.identification.drives.friction_files import (
     bam_parameters,
-    check_friction_file,
     write_friction,
 )
 from testbed.identification.drives.friction_map import LOADS, SPEEDS
@@ -26,7 +24,6 @@ from testbed.identification.regression.windows import drive_filter
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import joint_law
 from tests.helpers.ideal import EXACT, ideal, plus
-from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot
 
 CONSTANTS = np.array([1.05, 0.95, 1.05])
@@ -231,5 +228,3 @@ def test_friction_in_files_is_what_was_found(tmp_path: Path) -> None:
     assert {row["joint"] for row in rows} == set(tree.names)
     for row in rows:
         assert float(row["friction"]) == pytest.approx(float(row["law"]), abs=0.5)
-    with refuses(SettingsError, "friction.txt"):
-        check_friction_file(Path("friction.txt"))

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.errors import SettingsError
 from testbed.files import replacing
 from testbed.identification.drives.friction_curves import DriveEstimate
 from testbed.identification.drives.identify_drives import DriveFindings
@@ -117,21 +116,6 @@ def bam_file(found: DriveFindings) -> str:
 
 WRITERS = {".csv": table, ".json": bam_file}
 """By the ending of the file."""
-
-
-def check_friction_file(path: Path) -> None:
-    """Whether friction can be written to a file.
-
-    Args:
-        path: The file.
-
-    Raises:
-        SettingsError: Its ending is none of WRITERS.
-    """
-    if path.suffix.lower() not in WRITERS:
-        raise SettingsError(
-            f"'{path}': friction is written as .csv (map and law) or .json (parameters for BAM)"
-        )
 
 
 def write_friction(found: DriveFindings, path: Path) -> None:

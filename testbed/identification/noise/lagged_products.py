@@ -265,9 +265,8 @@ class LaggedProducts:
             _times(each[None], inner) @ each.swapaxes(2, 3) for each in (self.first, self.last)
         )
         found = np.zeros((*whole.shape, order + 1))
-        for lag in range(
-            order + 1
-        ):  # rows before t = P, and those after the last t - i, are left out
+        for lag in range(order + 1):
+            # rows before t = P, and those after the last t - i, do not count
             at, none = np.arange(order + 1 - lag), np.zeros((*whole.shape[:2], 1))
             head, tail = (np.diagonal(e.sum(axis=1), -lag, 2, 3) for e in (first, last))
             heads, tails = (
