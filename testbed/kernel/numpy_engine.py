@@ -124,8 +124,9 @@ def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) ->
     turn = shares(layout.tree)
     turning = at_places(layout.tree, motion.qd), at_places(layout.tree, motion.qdd)
     own = {term.law: term.law.columns(*turning) for term in layout.terms}
-    load = phi @ signals.load if len(signals.load) else np.zeros(phi.shape[:2])
-    smooth = _smoothed(layout, signals, first, load)
+    by_load = len(signals.load) and any(term.law.by in BY_LOAD for term in layout.terms)
+    load = phi @ signals.load if by_load else np.zeros(phi.shape[:2])
+    smooth = _smoothed(layout, signals, first, load) if by_load else load
     y = np.zeros((layout.rows.slots, motion.samples))
     for c, columns in enumerate(layout.channels):
         at, bodies = layout.rows.start[c], columns[columns < phi.shape[2]]
@@ -141,7 +142,7 @@ def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) ->
 
 def _smoothed(layout: Layout, signals: Signals, first: int, load: Array) -> Array:
     """Means of the load around each sample, (M, n): as far as its noise hangs together."""
-    if len(signals.weights) == 1 or not len(signals.load):
+    if len(signals.weights) == 1:
         return load
     reach = max(signals.taps.shape[1] // 2, len(signals.weights) // 4)
     half, last = signals.taps.shape[1] // 2, first + len(load)
