@@ -119,7 +119,7 @@ class Seen:
         self.names = tuple(names)
         self.samples, self.rate, self.tare = source.samples, source.rate, first.tare
         self.facts, self.signals = first.facts, first.signals
-        self.senses_kinematics = first.velocity is not None
+        self.senses_kinematics = first.senses_kinematics
 
     @property
     def segments(self) -> tuple[tuple[int, int], ...]:

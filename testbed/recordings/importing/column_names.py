@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
+from os.path import commonprefix
 
 from testbed.recordings.importing.foreign_table import (
     FORCES,
@@ -18,26 +19,39 @@ from testbed.recordings.importing.foreign_table import (
 )
 
 PARTS = {
-    "velocity": ("vel", "speed", "qd", "dq"),
-    "acceleration": ("acc", "qdd", "ddq"),
-    "torque": ("torque", "tau", "effort", "cur", "current", "trq"),
-    "wrench": ("force", "wrench", "moment"),
-    "position": ("pos", "angle", "enc", "joint", "state"),
-}
-"""Beginnings or ends of words by which columns are distinguished."""
+    "wrench": ("force", "wrench", "moment", "kraft"),
+    "torque": (
+        "torque", "tau", "effort", "cur", "trq", "torq", "drehmoment", "couple", "coppia", "load",
+        "strom",
+    ),
+    "acceleration": ("acc", "qdd", "ddq", "beschl"),
+    "velocity": (
+        "vel", "speed", "qd", "dq", "geschw", "vitesse", "drehzahl", "omega", "rate",
+    ),
+    "position": ("pos", "position", "angle", "enc", "winkel", "angul", "joint", "state"),
+}  # fmt: skip
+"""Beginnings or ends of words by which columns are distinguished, in the order of precedence."""
 
 SYMBOLS = {
-    "q": "position", "theta": "position", "qpos": "position",
-    "qd": "velocity", "dq": "velocity", "qvel": "velocity", "qdot": "velocity",
-    "qdd": "acceleration", "ddq": "acceleration", "qacc": "acceleration",
-    "i": "torque", "tau": "torque", "ft": "wrench", "w": "wrench",
+    "q": "position", "theta": "position", "qpos": "position", "th": "position", "phi": "position",
+    "jp": "position",
+    "qd": "velocity", "dq": "velocity", "qvel": "velocity", "qdot": "velocity", "qp": "velocity",
+    "dphi": "velocity", "dtheta": "velocity", "jv": "velocity",
+    "qdd": "acceleration", "ddq": "acceleration", "qacc": "acceleration", "qddot": "acceleration",
+    "i": "torque", "tau": "torque", "tq": "torque", "eff": "torque", "par": "torque",
+    "jt": "torque", "qfrc": "torque",
+    "ft": "wrench", "w": "wrench",
     "quat": "base", "quaternion": "base", "orientation": "base", "pose": "base", "base": "base",
 }  # fmt: skip
 """Words of names, whole, that say more than their parts."""
 
+DERIVATIVES = {"dot": "velocity", "ddot": "acceleration"}
+"""Words beside that of a position by which it is a derivative, as theta_dot."""
+
 COMMANDS = {
     "target", "cmd", "cmds", "command", "commands", "commanded", "cmptd", "computed", "des",
     "desired", "ref", "reference", "goal", "setpoint", "sp", "action", "demand", "planned",
+    "sollposition", "sollwinkel", "soll", "sollwert", "consigne",
 }  # fmt: skip
 """Words of what was wanted, and not measured."""
 
@@ -49,14 +63,20 @@ BESIDE = COMMANDS | WARMTH | {
 }  # fmt: skip
 """Words of columns that are no signal of the joints or of the plate, whatever else they say."""
 
-MEASURED = {"actual", "act", "measured", "meas", "msr", "fbk", "feedback"}
+MEASURED = {"actual", "act", "measured", "meas", "msr", "fbk", "fb", "feedback", "present", "ist"}
 """Words of what was measured, where there is a command beside it."""
 
-SAYING = {*SYMBOLS, *MEASURED, "motor", "log", "data"}
+SAYING = {*SYMBOLS, *DERIVATIVES, *MEASURED, "motor", "log", "data"}
 """Words of signals, whole."""
 
-JOINT_WORDS = {"joint", "j", "axis", "a", "link"}
+JOINT_WORDS = {
+    "joint", "j", "axis", "a", "link", "achse", "achs", "gelenk", "axe", "eje", "giunto", "dof",
+    "actuator", "drive",
+}  # fmt: skip
 """Words of joints."""
+
+LONG_JOINT_WORDS = tuple(word for word in JOINT_WORDS if len(word) > 2)
+"""Those with which words of joints may begin, as in Achsmoment."""
 
 WORD = r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+"
 """A word of a name, or a number."""
@@ -142,8 +162,7 @@ def says_signal(word: str) -> bool:
     small = word.lower()
     if small in JOINT_WORDS:
         return False
-    parts = tuple(part for each in PARTS.values() for part in each)
-    return small in SAYING or small.startswith(parts) or small.endswith(parts)
+    return small in SAYING or any(_has_part(small, each) for each in PARTS.values())
 
 
 def without_unit(name: str) -> tuple[str, str | None]:
@@ -177,15 +196,25 @@ def _role(words: tuple[str, ...]) -> tuple[int, int] | None:
     return int(moment), "xyz".index(axes[0])
 
 
+def _has_part(word: str, parts: tuple[str, ...]) -> bool:
+    """Whether a word begins or ends with a part, or holds a long one, as Istposition."""
+    inside = any(part in word for part in parts if len(part) > 4)
+    return inside or word.startswith(parts) or word.endswith(parts)
+
+
 def _kind(words: tuple[str, ...], unit: str | None, role: tuple[int, int] | None) -> str | None:
     """The signal, by words; by the unit where they say another one, or nothing."""
     if role is not None:
         return "wrench"
     named = [SYMBOLS[word] for word in words if word in SYMBOLS]
-    order = ("wrench", "torque", "acceleration", "velocity", "position")
-    ends = [(word.startswith, word.endswith) for word in words]
-    parts = [k for k in order if any(end(PARTS[k]) for both in ends for end in both)]
+    parts = [kind for kind, each in PARTS.items() if any(_has_part(word, each) for word in words)]
+    if "torque" in parts[:1] and len(parts) > 1 and "current" in words:
+        parts = parts[1:]  # the current position is no current
     found = "base" if "base" in named else next(iter([*named[-1:], *parts]), None)
+    if found == "wrench" and any(word.startswith(LONG_JOINT_WORDS) for word in words):
+        found = "torque"  # force or moment of a joint
+    if found == "position":
+        found = next((DERIVATIVES[word] for word in words if word in DERIVATIVES), found)
     if unit is None or found in ("wrench", "base"):
         return found
     if unit in RAW:
@@ -213,7 +242,8 @@ class Group:
     @property
     def numbers(self) -> list[int]:
         """Those of the names, if that is all that distinguishes them; else none."""
-        found = [re.fullmatch(r"(\D*)(\d+)(\D*)", name) for name in self.names]
+        start = len(commonprefix(self.names).rstrip("0123456789"))
+        found = [re.fullmatch(r"(\D*)(\d+)(\D*)", name[start:]) for name in self.names]
         around = {(m[1], m[3]) for m in found if m}
         return [int(m[2]) for m in found if m] if None not in found and len(around) == 1 else []
 

@@ -173,6 +173,7 @@ def _with_signal(
         ]
         return draft.remarking(kind, *lines) if kind in ("position", "torque") else draft
     others = f"others that look like it: {json.dumps(found.others)}" if found.others else ""
+    others = "; ".join(each for each in (found.evidence, others) if each)
     draft = draft.saying(kind, "source", found.source.name)
     draft = draft.saying(kind, "columns", [each.name for each in found.group.columns], others)
     for said in _unit(kind, found):

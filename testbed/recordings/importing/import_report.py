@@ -134,8 +134,8 @@ class ImportReport:
     def as_dict(self) -> dict[str, Any]:
         """As JSON takes it."""
         found = asdict(self)
-        for signal in found["signals"].values():
-            signal["diagnostics"] = list(signal["diagnostics"])
+        for name, signal in found["signals"].items():
+            signal["diagnostics"] = [each.as_dict() for each in self.signals[name].diagnostics]
         return found
 
     @staticmethod

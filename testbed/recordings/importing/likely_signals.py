@@ -238,6 +238,7 @@ class LikelySignal:
         sign: 1 or -1 a column; empty if all count the same way.
         because: What shows the units, if not the columns' names.
         counts: Of a turn, if the columns are a servo's whole numbers.
+        evidence: What shows that these columns are the signal, if not their names.
     """
 
     source: LikelySource
@@ -247,6 +248,7 @@ class LikelySignal:
     sign: tuple[int, ...] = ()
     because: str = ""
     counts: int = 0
+    evidence: str = ""
 
 
 _Pair = tuple[str | None, str | None]
@@ -367,13 +369,68 @@ def likely_signals(
         if best is None:
             continue
         source = next(source for group, source in groups if group is best)
-        kept = best.of(joints)
-        kept = kept.like(next(iter(found.values())).group.names) if found else kept
-        others = [c.name for c in source.columns if _is(c, kind) and c not in kept.columns]
-        units = tuple(column.unit for column in kept.columns)
-        found[kind] = LikelySignal(source, kept, tuple(others), units)
-        count = count or len(kept.columns)
-    return _with_sizes(_with_derivatives(found))
+        found[kind] = _signal(source, best, joints, found)
+        count = count or len(best.columns)
+    for kind, source, group, evidence in _by_data(found, sources, joints):
+        found[kind] = replace(_signal(source, group, joints, found), evidence=evidence)
+    return _with_derivatives(_with_sizes(found))
+
+
+def _signal(
+    source: LikelySource, group: Group, joints: Sequence[str], found: Mapping[Kind, LikelySignal]
+) -> LikelySignal:
+    """Signal of a group of columns, in the order of the joints or of the signals before."""
+    kept = group.of(joints)
+    kept = kept.like(next(iter(found.values())).group.names) if found else kept
+    kind = kept.columns[0].kind
+    others = [c.name for c in source.columns if kind and _is(c, kind) and c not in kept.columns]
+    return LikelySignal(source, kept, tuple(others), tuple(c.unit for c in kept.columns))
+
+
+def _by_data(
+    found: Mapping[Kind, LikelySignal], sources: Sequence[LikelySource], joints: Sequence[str]
+) -> Iterator[tuple[Kind, LikelySource, Group, str]]:
+    """Signals that names leave open: by integration of velocities, torques by elimination.
+
+    Columns of forces or moments without an axis are torques of joints if nothing else is.
+    """
+    named = next(iter(found.values()), None)
+    count = len(named.group.columns) if named else len(joints)
+    for source in sources:
+        silent = [c for c in source.columns if c.kind is None and not c.beside]
+        loads = [c for c in source.columns if c.kind == "wrench" and c.role is None]
+        groups = {
+            group.columns: group
+            for columns in (silent, loads)
+            for group in grouped(columns, joints)
+            if len(group.columns) == count > 0
+        }
+        own = {k: each.group for k, each in found.items() if each.source is source}
+        pairs = [
+            (position, velocity)
+            for position in ([own["position"]] if "position" in own else groups.values())
+            for velocity in ([own["velocity"]] if "velocity" in own else groups.values())
+            if position is not velocity and _follows(source, position, velocity)
+        ]
+        for kind, group in zip(("position", "velocity"), pairs[0] if pairs else (), strict=False):
+            if kind not in own:
+                yield kind, source, group, BY_BOTH
+            groups.pop(group.columns, None)
+        if "torque" not in found and len(groups) == 1 and (pairs or "position" in own):
+            (left,) = groups.values()
+            yield "torque", source, left, "ASSUMED: no other columns are left, joint by joint"
+
+
+def _follows(source: LikelySource, position: Group, velocity: Group) -> bool:
+    """Whether columns are the derivatives of others at half of the joints or more."""
+    columns = [[c.name for c in group.columns] for group in (position, velocity)]
+    read = source.table.read([*columns[0], *columns[1]])
+    values, rates = (np.stack([read[name] for name in each], axis=1) for each in columns)
+    time = source.clock.time(source.table, len(values))
+    if len(values) != len(time):
+        return False
+    sure = np.diagonal(slopes(values, rates, time).fit) > SURE
+    return bool(2 * np.count_nonzero(sure) >= len(sure))
 
 
 def _is(column: ColumnName, kind: str) -> bool:
@@ -381,36 +438,41 @@ def _is(column: ColumnName, kind: str) -> bool:
 
 
 def _followed(signals: Mapping[Kind, LikelySignal]) -> Array | None:
-    """Increments of positions over integrals of velocities, (n,); None if these do not follow."""
+    """Increments of positions over integrals of velocities, (n,); None where none follows.
+
+    That of a joint that hardly moves is nan.
+    """
     q, v = signals.get("position"), signals.get("velocity")
     if q is None or v is None or q.source is not v.source or len(q.units) != len(v.units):
         return None
     positions, velocities = values_of(q), values_of(v)
     time = q.source.clock.time(q.source.table, len(positions))
-    if not len(positions) == len(velocities) == len(time):
+    if not len(positions) == len(velocities) == len(time) or q.counts:
         return None
     found = slopes(positions, velocities, time)
-    return np.diagonal(found.slope) if np.diagonal(found.fit).min() > SURE else None
+    sure = np.diagonal(found.fit) > SURE
+    return np.where(sure, np.diagonal(found.slope), np.nan) if sure.any() else None
 
 
 def _with_derivatives(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySignal]:
-    """What velocities and positions show of each other: signs, and a clock's unit or their own."""
+    """Signals whose signs, units and clock follow from positions and velocities."""
     slope = _followed(signals)
     if slope is None:
         return signals
     q, v = signals["position"], signals["velocity"]
-    if slope.min() < 0:
-        v = replace(v, sign=tuple(int(each) for each in np.sign(slope)))
+    if np.nanmin(slope) < 0:
+        v = replace(v, sign=tuple(-1 if each < 0 else 1 for each in slope))
     clock, ratios, units = q.source.clock, np.abs(slope), list(zip(q.units, v.units, strict=True))
     if clock.seconds is None:
         sizes = [
             ratio * UNITS["position"][a] / UNITS["velocity"][b]
             for (a, b), ratio in zip(units, ratios, strict=True)
-            if a in UNITS["position"] and b in UNITS["velocity"]
+            if a in UNITS["position"] and b in UNITS["velocity"] and ratio == ratio
         ]
         clock = clock.by_velocity(float(np.median(sizes))) if sizes else clock
     else:
-        pairs = zip(units, ratios / clock.seconds, strict=True)
+        usual = float(np.nanmedian(ratios))  # of joints that rest
+        pairs = zip(units, np.where(np.isnan(ratios), usual, ratios) / clock.seconds, strict=True)
         units = [_pair(a, b, float(ratio)) for (a, b), ratio in pairs]
     source = replace(q.source, clock=clock)
     changed = {
@@ -440,14 +502,19 @@ def _in_units(signal: LikelySignal, units: Sequence[str | None]) -> LikelySignal
 
 def _with_sizes(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySignal]:
     """What the size of positions shows where nothing else does: degrees, counts of a servo."""
-    if (q := signals.get("position")) is None or any(q.units):
+    if (q := signals.get("position")) is None:
         return signals
     values = values_of(q)
     largest, whole = float(np.nanmax(np.abs(values))), bool((values == np.round(values)).all())
+    if any(q.units) and not (q.source.logger and largest > DEGREES[0]):
+        return signals  # a logger may have been told to write degrees
     if whole and COUNTED <= largest < COUNTS and values.min() >= 0:
         q = replace(_in_units(q, ["turn"] * len(q.units)), because=BY_SIZE, counts=COUNTS)
     elif DEGREES[0] < largest <= DEGREES[1] and not PER_CENT[0] <= largest <= PER_CENT[1]:
         q = replace(_in_units(q, ["deg"] * len(q.units)), because=BY_SIZE)
+        v = signals.get("velocity")
+        if v is not None and v.source.logger:
+            signals = {**signals, "velocity": replace(v, units=(None,) * len(v.units))}
     return {**signals, "position": q}
 
 
