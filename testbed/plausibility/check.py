@@ -339,7 +339,7 @@ class CheckReport(Diagnosed):
 
 def check_recording(
     tree: Tree, source: Source, *, align: bool = False, unchecked: bool = False,
-    progress: Progress | None = None,
+    progress: Progress | None = None, assessment: Assessment | None = None,
 ) -> CheckReport:  # fmt: skip
     """Hold a recording against its robot; one that keeps a verdict is not held again.
 
@@ -349,6 +349,7 @@ def check_recording(
         align: Whether clocks are set right besides: a late plate does not stop then.
         unchecked: Whether to accept it without a search for what is wrong.
         progress: Called with how much of the search is done.
+        assessment: Of this recording, where it was made already.
 
     Raises:
         RecordingError: The recording cannot be true of this robot; says what would make it right.
@@ -363,7 +364,7 @@ def check_recording(
         verdict = source.facts.get(FACT) or {}
         if verdict.get("of") == digest(tree, source):
             return CheckReport(diagnostics=of_recording(verdict))
-        assessment = assess(tree, source, progress)
+        assessment = assessment or assess(tree, source, progress)
         assessment.require(align=align)
         doubts += [each for each in assessment.diagnostics if each.level != "error"]
     rests = any(each.code == "robot.rest" for each in doubts)
@@ -387,7 +388,7 @@ def _base_motion(source: Source) -> Iterator[Diagnostic]:
 
 def import_and_check(
     path: Path, robot_of: RobotOf, *, align: bool = False, unchecked: bool = False,
-    progress: Progress | None = None,
+    progress: Progress | None = None, assessment: Assessment | None = None,
 ) -> tuple[tuple[Recording, ...], list[Diagnostic], CheckReport]:  # fmt: skip
     """Recordings made by a mapping file, the longest of which is held against its robot.
 
@@ -398,6 +399,7 @@ def import_and_check(
         align: Whether delays and drifts of clocks are taken back.
         unchecked: Whether to accept them without a search for what is wrong.
         progress: Called with how much of the search is done.
+        assessment: Of the longest of them, where it was made already.
 
     Returns:
         The recording, or its pieces where a source was silent for too long, with the verdict;
@@ -410,7 +412,9 @@ def import_and_check(
     recordings, cuts = pieces(path)
     longest = max(recordings, key=lambda each: each.samples)
     tree, own = _as_its(longest, robot_of)
-    report = check_recording(tree, own, align=align, unchecked=unchecked, progress=progress)
+    report = check_recording(
+        tree, own, align=align, unchecked=unchecked, progress=progress, assessment=assessment
+    )
     if align:
         lines = chain.from_iterable(lines for _, lines in _alignments(report.offsets, longest))
         mapping = with_lines(longest.facts["mapping"], lines)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,13 +40,17 @@ Said = tuple[str, Any, str]
 """A key, its value, and what is said beside it."""
 
 
-def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> Draft:
+def guessed(
+    paths: Sequence[Path], folder: Path, joints: Sequence[str] = (),
+    subsets: Iterable[Sequence[str]] = (),
+) -> Draft:  # fmt: skip
     """A mapping to start from; where something is empty, `read_mapping` refuses it.
 
     Args:
         paths: Files of other programs.
         folder: Where the mapping is to stand: files are named relative to it.
         joints: Names in the robot's model, in its order; none if that is not known.
+        subsets: Fewer of them, tried where columns do not fit all.
 
     Raises:
         RecordingError: One cannot be read, or they hold no columns.
@@ -60,6 +64,12 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
         listed = ", ".join(f"'{path}'" for path in paths)
         raise RecordingError(f"no columns of numbers in {listed}")
     signals = likely_signals(sources, joints)
+    for fewer in subsets:
+        if all(each.group.matched for each in signals.values()):
+            break
+        tried = likely_signals(sources, fewer)
+        if any(each.group.matched for each in tried.values()):
+            signals, joints = tried, fewer
     by_name = {each.source.name: each.source for each in signals.values()}
     sources = [by_name.get(each.name, each) for each in sources]
     files = ", ".join(printable(path.name, 100) for path in paths)
