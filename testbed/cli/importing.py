@@ -181,9 +181,12 @@ def import_(
             made, cuts = pieces(mapping)
     else:
         with output.Progress("importing, checking against the robot") as bar:
-            options = {"align": align, "unchecked": unchecked}
             made, cuts, found = import_and_check(
-                mapping, lambda one: reading.robot_of(one, model)[1:], **options, progress=bar
+                mapping,
+                lambda one: reading.robot_of(one, model)[1:],
+                align=align,
+                unchecked=unchecked,
+                progress=bar,
             )
             tree = reading.robot_of(made[0], model)[1]
         taken = " (corrected)" if align else ""

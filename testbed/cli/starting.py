@@ -179,7 +179,8 @@ def new(
         _check_free(out)
     reading = Reading(lock=lock, lock_mimic=lock_mimic)
     if recording:
-        _recorded(recording, out or Path(f"{recording[0].name.partition('.')[0]}.toml"), robot, reading)
+        stem = recording[0].name.partition(".")[0]
+        _recorded(recording, out or Path(f"{stem}.toml"), robot, reading)
         return
     assert robot is not None
     folder = out.parent if out else Path()

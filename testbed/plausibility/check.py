@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.blas import one_blas_thread
 from testbed.diagnostics import (
     Diagnosed,
     Diagnostic,
@@ -147,6 +148,7 @@ class Assessment(Diagnosed):
             raise RecordingError(f"the recording cannot be true of this robot: {lines}")
 
 
+@one_blas_thread()  # matrices are small: more threads would only wait for each other
 def assess(tree: Tree, source: Source, progress: Progress | None = None) -> Assessment:
     """What supports or contradicts a recording.
 
@@ -314,6 +316,9 @@ def _near(one: Hypothesis, other: Hypothesis) -> bool:
 RESTS = 5e-3
 """By how much a base that is welded may seem to move [m]."""
 
+STEPS = ("position.step", "position.unwrapped")
+"""Codes of what an import finds of encoders."""
+
 FACT = "verdict"
 """Where a recording keeps it."""
 
@@ -358,6 +363,7 @@ def check_recording(
     doubts = [] if tree.floating else [*_base_motion(source)]
     if doubts and not unchecked:
         raise RecordingError(str(doubts[0]))
+    doubts += encoder_steps(source)
     if unchecked:
         doubts.append(diagnose("recording.unchecked"))
     else:
@@ -374,6 +380,15 @@ def check_recording(
         for each, lines in _alignments(offsets, source)
     ]
     return CheckReport(tuple(offsets), tuple(doubts))
+
+
+def encoder_steps(source: Source) -> list[Diagnostic]:
+    """Steps of encoders that its import has found.
+
+    Args:
+        source: The recording.
+    """
+    return [each for each in of_recording(source.facts) if each.code in STEPS]
 
 
 def _base_motion(source: Source) -> Iterator[Diagnostic]:

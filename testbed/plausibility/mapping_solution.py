@@ -22,7 +22,7 @@ from testbed.errors import (
     TestbedError,
     round_significant,
 )
-from testbed.plausibility.check import Assessment, assess, zero_hypothesis
+from testbed.plausibility.check import Assessment, assess, encoder_steps, zero_hypothesis
 from testbed.plausibility.explanation import Explanation
 from testbed.plausibility.plate import WrenchFit, frame_of
 from testbed.plausibility.plate_map import (
@@ -179,7 +179,8 @@ def solve_mapping(
             assessment = assess(tree, source, progress)
         assessment.require()
         if assessment.best is None:
-            return MappingSolution(draft, assessment.likely)
+            said = (*encoder_steps(source), *assessment.likely)
+            return MappingSolution(draft, said)
         draft = _by_the_data(draft, assessment, assessment.best, open_keys)
         in_time = _with_clocks(draft, source, tree)
         if in_time is not draft:
@@ -191,7 +192,7 @@ def solve_mapping(
     if assessment.best is not None:
         draft = _with_average(_with_plate(draft, assessment.best), source)
     last = assessment if draft is solved else None
-    said = (*assessment.likely, *_too_short(assessment.best))
+    said = (*encoder_steps(source), *assessment.likely, *_too_short(assessment.best))
     if any(each.code in ("plate.foreign", "recording.short") for each in said):
         draft = _doubted(draft)
     before, after = first.wrench_fit, assessment.wrench_fit

@@ -16,6 +16,7 @@ from testbed.diagnostics import Diagnostic
 from testbed.errors import RecordingError, plural
 from testbed.recordings.columns import members_of
 from testbed.recordings.importing.derivative import derivatives
+from testbed.recordings.importing.encoder_steps import without_turns
 from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable
 from testbed.recordings.importing.import_report import ImportReport, SignalReport
 from testbed.recordings.importing.mapping import (
@@ -247,6 +248,7 @@ def _converted(
     tables_of: dict[str, AnyTable] = dict(mapping.signals.items())
     tables_of |= mapping.others
     samples = {label: _samples(mapping, each, sources) for label, each in tables_of.items()}
+    samples["position"] = _without_turns(mapping, samples["position"])
     grid = _grid(mapping, samples.values(), window)
     columns: dict[str, Array] = {"time": grid - grid[0]}
     for label, each in tables_of.items():
@@ -381,6 +383,14 @@ def _samples(mapping: Mapping, table: AnyTable, sources: Table[str, _Source]) ->
         values = np.hstack([values[:, :3], without_turnovers(values[:, 3:])])
     passed = low_pass_reach(rate, mapping.rate) > 0
     return _Samples(time, values, rate, SignalReport(table.source, held, dropped, passed))
+
+
+def _without_turns(mapping: Mapping, samples: _Samples) -> _Samples:
+    """Positions of encoders that wrap, unwrapped."""
+    table = mapping.position
+    names = mapping.joints if table.matrix is None else table.columns
+    values, said = without_turns(table, names, samples.time, samples.values)
+    return replace(samples, values=values, report=replace(samples.report, diagnostics=said))
 
 
 def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, float]) -> Array:

@@ -63,13 +63,7 @@ def guessed(
     if not sources:
         listed = ", ".join(f"'{path}'" for path in paths)
         raise RecordingError(f"no columns of numbers in {listed}")
-    signals = likely_signals(sources, joints)
-    for fewer in subsets:
-        if all(each.group.matched for each in signals.values()):
-            break
-        tried = likely_signals(sources, fewer)
-        if any(each.group.matched for each in tried.values()):
-            signals, joints = tried, fewer
+    signals, joints = _fitting(sources, joints, subsets)
     by_name = {each.source.name: each.source for each in signals.values()}
     sources = [by_name.get(each.name, each) for each in sources]
     files = ", ".join(printable(path.name, 100) for path in paths)
@@ -96,7 +90,7 @@ def guessed(
         draft = _with_signal(draft, kind, signals, sources)
     for said in _temperatures(sources, joints, signals):
         draft = draft.saying("temperature", *said)
-    plates = likely_plates(sources)
+    plates = likely_plates(sources, signals)
     names = [name for name, _, _ in plates]
     for name, source, columns in plates:
         own = name if names.count(name) == 1 else f"{source.name} {name}"
@@ -106,6 +100,20 @@ def guessed(
     for said in _base(sources):
         draft = draft.saying("base", *said)
     return draft
+
+
+def _fitting(
+    sources: Sequence[LikelySource], joints: Sequence[str], subsets: Iterable[Sequence[str]]
+) -> tuple[Mapping[Kind, LikelySignal], Sequence[str]]:
+    """Signals of all joints, or of the first fewer ones that the columns fit; and these joints."""
+    signals = likely_signals(sources, joints)
+    for fewer in subsets:
+        if all(each.group.matched for each in signals.values()):
+            break
+        tried = likely_signals(sources, fewer)
+        if any(each.group.matched for each in tried.values()):
+            signals, joints = tried, fewer
+    return signals, joints
 
 
 def _rate(sources: Sequence[LikelySource], signals: Mapping[Kind, LikelySignal]) -> float:

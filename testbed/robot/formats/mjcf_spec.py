@@ -78,7 +78,7 @@ def travels(path: Path) -> dict[str, Travel]:
     couplings, _ = _couplings(spec)
     moving = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
     names = [joint.name for joint in spec.joints if joint.type in moving]
-    masters = {name: Coupling(*couplings[name]) for name in names if name in couplings}
+    masters = {name: Coupling(couplings[name][0], ()) for name in names if name in couplings}
     return {name: Travel(coupling=masters.get(name)) for name in names}
 
 
