@@ -363,7 +363,7 @@ def check_recording(
     doubts = [] if tree.floating else [*_base_motion(source)]
     if doubts and not unchecked:
         raise RecordingError(str(doubts[0]))
-    doubts += encoder_steps(source)
+    doubts += [*encoder_steps(source), *_unknown_gains(source)]
     if unchecked:
         doubts.append(diagnose("recording.unchecked"))
     else:
@@ -389,6 +389,13 @@ def encoder_steps(source: Source) -> list[Diagnostic]:
         source: The recording.
     """
     return [each for each in of_recording(source.facts) if each.code in STEPS]
+
+
+def _unknown_gains(source: Source) -> Iterator[Diagnostic]:
+    """Torque constants that a mapping has of the model file's masses."""
+    mapping = source.facts.get("mapping") or {}
+    if (mapping.get("torque") or {}).get("gain_from") == "model":
+        yield diagnose("torque.gains", "the torque")
 
 
 def _base_motion(source: Source) -> Iterator[Diagnostic]:

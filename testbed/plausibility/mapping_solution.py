@@ -72,6 +72,9 @@ ROUNDS = 4
 SHORT = 10
 """Values at instants for each parameter below which data may fit another mapping as well."""
 
+THOUSAND = 1000.0
+"""Ratio of N m to N mm."""
+
 COMMON = 0.9
 """Part of the shorter of two files that they must have in common by their clocks."""
 
@@ -285,7 +288,6 @@ def _with_starts(draft: Draft, out: Path) -> Draft:
 def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
     """What the assessment says instead; the same where it finds nothing wrong."""
     codes, best = {each.code for each in assessment.certain}, assessment.best
-    plate = best is not None and best.has_plate
     foreign = bool(codes & {"plate.foreign", "plate.crosstalk"})
     zero_open = "wrench" in draft.tables and "tare" not in draft.tables["wrench"]
     if best is not None and codes == {"plate.weight"} and zero_open:
@@ -298,18 +300,42 @@ def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
             return _with_remedies(draft, replace(assessment, remedies=rest))
     if assessment.remedies:
         return _with_remedies(draft, assessment)
-    if "torque.size" in codes and plate and draft.notes.get(("torque", "unit")) == ASSUMED:
+    return _with_sizes(draft, assessment, tree)
+
+
+def _with_sizes(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
+    """The torques' unit, or their gains, by how large they are."""
+    best, finite = assessment.best, assessment.sizes[np.isfinite(assessment.sizes)]
+    odd = any(each.code == "torque.size" for each in assessment.certain)
+    if odd and draft.notes.get(("torque", "unit")) == ASSUMED:
+        if THOUSAND / 2 < np.median(finite) < 2 * THOUSAND:
+            note = "solved: a thousand times what the model file's masses make"
+            return draft.saying("torque", "unit", "N mm", note)
         note = f"{ASSUMED}: currents, or torques on the motors' side of gears"
         return draft.saying("torque", "unit", "raw", note).saying("torque", "gain", 1.0, ASSUMED)
-    finite = np.isfinite(assessment.sizes)
-    if draft.tables.get("torque", {}).get("gain") == 1.0 and finite.any():
-        sizes = np.where(finite, assessment.sizes, np.median(assessment.sizes[finite]))
-        joints = [tree.names.index(name) for name in draft.tables[""]["joints"]]
-        gains = [round_significant(1 / sizes[k], 4) for k in joints]
-        by = "solved: by the plate" if plate else f"{ASSUMED}: by the model file's masses"
-        note = f"{by}; torque of one unit, joint by joint [N m]"
-        return draft.saying("torque", "gain", gains, note)
+    if draft.tables.get("torque", {}).get("gain") == 1.0 and len(finite):
+        plate = best is not None and best.has_plate
+        return _with_gains(draft, assessment.sizes, tree, "plate" if plate else "model")
     return draft
+
+
+def _with_gains(draft: Draft, sizes: Array, tree: Tree, origin: str) -> Draft:
+    """Gains by which torques are of the size that a plate or the model file's masses make.
+
+    Args:
+        draft: The mapping.
+        sizes: Times that the columns are what the joints' torques are, (n,); nan if not known.
+        tree: The robot.
+        origin: What the sizes are by: plate or model.
+    """
+    sizes = np.where(np.isfinite(sizes), sizes, np.nanmedian(sizes))
+    joints = [tree.names.index(name) for name in draft.tables[""]["joints"]]
+    gains = [round_significant(1 / sizes[k], 4) for k in joints]
+    note = "solved: by the plate"
+    if origin == "model":
+        note = "solved: by the model file's masses, with which all parameters scale"
+    draft = draft.saying("torque", "gain", gains, f"{note}; torque of one unit [N m]")
+    return draft.saying("torque", "gain_from", origin)
 
 
 def _with_pedestal(draft: Draft, weighed: tuple[float, float, float]) -> Draft:

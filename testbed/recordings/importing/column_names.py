@@ -170,8 +170,9 @@ def without_unit(name: str) -> tuple[str, str | None]:
         for unit in (plain(found[1]), plain(found[1].replace("_", "/"))):
             if unit in ALL:
                 return name[: found.start()] + name[found.end() :], unit
-    if found := re.fullmatch(r"(\w*[a-z]\w*)[_ ](N|s)|(\w*(?i:cur|strom)\w*)[_ ](A)", name):
-        return found[1] or found[3], found[2] or found[4]
+    last = re.fullmatch(r"(\w*[a-z]\w*)[_ ](N|s)|(i_\w+|\w*(?i:cur|strom)\w*)[_ ](A)", name)
+    if last:
+        return last[1] or last[3], last[2] or last[4]
     words = list(re.finditer(r"(?<![A-Za-z])[A-Za-z]+\d?(?![A-Za-z])", name))
     for first, found in enumerate(words):
         if found[0] not in UNIT_WORDS or len(words) == 1:

@@ -122,6 +122,8 @@ class SignalTable(MappingTable):
     """Of the gear; must be said where there is a table [gear]."""
     gain: Finite | Numbers | None = None
     """Torque of a unit of what was measured, for units of current and voltage [N m/A]."""
+    gain_from: Literal["model", "plate"] | None = None
+    """What the gains were computed from, if not known: the model file's masses, or a plate."""
     sign: list[Sign] | None = None
     """Of each column: -1 where it counts the other way."""
     matrix: Rows | None = None
