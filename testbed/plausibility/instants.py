@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.identification.regression.windows import motion_taps
@@ -25,6 +26,9 @@ LATEST, SPARE = 4.0, 0.25
 
 LATE = 0.2
 """Times as much as without that may be left where a signal is read later, for it to be late."""
+
+SPREAD = 20_000
+"""Samples, at least, by which the noise of a plate is told."""
 
 ENOUGH = 4
 """Values for each column from which delays are looked for."""
@@ -109,13 +113,13 @@ def sample(recording: Recording, late: float = 0.0, cutoff: float = CUTOFF) -> I
     def filtered(signal: Array | None, derivative: int, later: int = 0) -> Array:
         if signal is None:
             return np.zeros((count, 0))
-        values: Array = decimate(signal, taps[derivative, ::-1], lost, 1)[at + later]
-        return values
+        return decimate(signal, taps[derivative, ::-1], lost, at + later)
 
     smoothing = float((taps[0] ** 2).sum())
     above = np.zeros(0)  # what lies in the octave above the low-pass no smooth motion makes
     if wrench is not None:
-        low, high = (decimate(wrench, each[::-1], lost, 1) for each in (taps[0], octave))
+        every = slice(None, None, max(1, inside // SPREAD))
+        low, high = (decimate(wrench, each[::-1], lost, every) for each in (taps[0], octave))
         above = (high - low).var(axis=0)
     return Instants(
         position=filtered(recording.position, 0),
@@ -130,21 +134,20 @@ def sample(recording: Recording, late: float = 0.0, cutoff: float = CUTOFF) -> I
     )
 
 
-def decimate(signal: Array, weights: Array, reach: int, step: int) -> Array:
-    """A signal filtered, without `reach` samples at either end, every so many samples.
+def decimate(signal: Array, weights: Array, reach: int, at: slice | NDArray[np.intp]) -> Array:
+    """A signal filtered, without `reach` samples at either end, at some of its samples.
 
     Args:
         signal: (M, k).
         weights: Of the filter, reversed in time, (2 L + 1,), L at most `reach`.
         reach: Samples lost at either end.
-        step: Samples from one to the next that is kept.
+        at: Which of the others are kept.
     """
-    from scipy.signal import oaconvolve
-
     spare = reach - len(weights) // 2
-    values = oaconvolve(signal, weights[:, None], mode="valid", axes=0)
-    every: Array = values[spare : len(values) - spare or None : step]
-    return every
+    within = signal[spare : len(signal) - spare]
+    windows = np.lib.stride_tricks.sliding_window_view(within, len(weights), axis=0)[at]
+    found: Array = np.einsum("mkl,l->mk", windows, weights[::-1])
+    return found
 
 
 def directions(columns: Array, dependent: float = DEPENDENT) -> Array:
@@ -177,22 +180,28 @@ def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
         signal: (T, C).
         spacing: From one row to the next [s].
     """
-    from scipy.signal import fftconvolve
-
     most = int(min(LATEST / spacing, SPARE * len(signal)))
     rows = columns[most : len(columns) - most]
     basis = directions(rows.reshape(-1, rows.shape[2]))
     if not 0 < ENOUGH * basis.shape[1] < len(basis):
         return 0.0, 1.0  # nothing moves, or columns explain whatever is measured
     basis = basis.reshape(*rows.shape[:2], -1)
-    explained: Array = fftconvolve(signal[..., None], basis[::-1], mode="valid", axes=0).sum(axis=1)
+    explained = _correlated(signal[..., None], basis).sum(axis=1)
     counted: Array = np.any(rows, axis=2) * np.ones(rows.shape[:2])
-    whole: Array = fftconvolve(signal**2, counted[::-1], mode="valid", axes=0)
+    whole = _correlated(signal**2, counted)
     share = (explained**2).sum(axis=1) / np.maximum(whole.sum(axis=1), 1e-300)
     best = int(np.argmax(share))
     if best in (0, 2 * most):  # no delay is best, the farther the better
         return 0.0, 1.0
     return spacing * (best - most), float((1 - share[best]) / max(1 - share[most], 1e-300))
+
+
+def _correlated(signal: Array, rows: Array) -> Array:
+    """Products of rows with as many rows of a longer signal, at all delays, along axis 0."""
+    size = len(signal) + len(rows)
+    product = np.fft.rfft(signal, size, axis=0) * np.fft.rfft(rows, size, axis=0).conj()
+    found: Array = np.fft.irfft(product, size, axis=0)[: len(signal) - len(rows) + 1]
+    return found
 
 
 def _noise(signal: Array | None) -> Array:

@@ -282,7 +282,7 @@ def _rows(
     taps = motion_taps(rate, slow * POSITION_CUTOFF)
     weights = row_weights(rate, slow * POSITION_CUTOFF)
     lost, step = max(taps.shape[1], len(weights)) // 2, max(1, int(rate / FINE))
-    q, qd, qdd = (decimate(position, tap[::-1], lost, step) for tap in taps)
+    q, qd, qdd = (decimate(position, tap[::-1], lost, slice(None, None, step)) for tap in taps)
     motion = Motion(np.arange(len(q)) * step / rate, q, qd, qdd)
     minimal = minimal_set(tree, "dynamic" if kind == "torque" else "reaction")
     columns = [regressor(tree, motion, minimal)]
@@ -296,11 +296,16 @@ def _rows(
     every = max(1, int(rate / step / ROWS_A_SECOND))
 
     def coarse(signal: Array) -> Array:
-        flat = decimate(signal.reshape(len(signal), -1), row_filter, len(row_filter) // 2, every)
+        flat = decimate(
+            signal.reshape(len(signal), -1),
+            row_filter,
+            len(row_filter) // 2,
+            slice(None, None, every),
+        )
         return flat.reshape(-1, *signal.shape[1:])
 
     def smooth(signal: Array) -> Array:
-        return coarse(decimate(signal, weights, lost, step))
+        return coarse(decimate(signal, weights, lost, slice(None, None, step)))
 
     rows = coarse(np.concatenate(columns, axis=2))
     counted = np.ones(rows.shape[:2])
