@@ -20,7 +20,8 @@ from pydantic import Field, model_validator
 from testbed.arrays import Array
 from testbed.errors import ExperimentError, UnknownName
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.experiment_tables import METRICS, Table, VariedTables
+from testbed.experiment.experiment_tables import METRICS, VariedTables
+from testbed.experiment.robot_tables import Table
 from testbed.toml_text import Finite, Positive, checked, read_toml
 
 LARGEST_SEED = 2**62

@@ -17,7 +17,7 @@ from testbed.installation import own_or_shipped
 from testbed.stages import stage
 
 if TYPE_CHECKING:
-    from testbed.experiment.experiment import RecordingTables
+    from testbed.experiment.robot_tables import RecordingTables
     from testbed.identification.sensor.correction import CalibrationCovariance
     from testbed.recordings.source import Source
     from testbed.robot.model_file import ModelFile
@@ -264,7 +264,7 @@ class Reading:
         Raises:
             ExperimentError: --set says what is not understood.
         """
-        from testbed.experiment.experiment import RecordingTables
+        from testbed.experiment.robot_tables import RecordingTables
 
         said = ["identification.zeros=true"] if self.zeros else []
         if self.terms is not None:

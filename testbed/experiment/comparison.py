@@ -22,7 +22,8 @@ from testbed.dynamics.newton_euler import Motion
 from testbed.errors import ExperimentError, UnknownName
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.experiment_tables import Expectations, Table, VariedTables
+from testbed.experiment.experiment_tables import Expectations, VariedTables
+from testbed.experiment.robot_tables import Table
 from testbed.experiment.run import Run, shown_motion
 from testbed.experiment.simulate import simulate
 from testbed.identification.estimate import Estimate, Method

@@ -12,7 +12,8 @@ from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import ExperimentError, TestbedError
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.experiment_tables import BodyTable, SimulationTable
+from testbed.experiment.experiment_tables import SimulationTable
+from testbed.experiment.robot_tables import BodyTable
 from testbed.experiment.run import Run, assemble_run
 from testbed.experiment.score import relative_errors, root_mean_square, shared_errors
 from testbed.identification.consistency.consistent import (

@@ -20,36 +20,15 @@ from testbed.experiment.experiment_tables import (
     Expectations,
     MotionTable,
     PriorTable,
-    RobotTables,
     RunName,
-    SensorTable,
     SimulationTable,
 )
+from testbed.experiment.robot_tables import RobotTables, SensorTable
 from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.settings import Settings
 from testbed.instruments.chain import Instrument
 from testbed.robot.inertia import to_rpy
 from testbed.toml_text import Finite, checked, complaints, override, read_toml
-
-
-class RecordingTables(RobotTables):
-    """What can be said about a recording that no experiment made, by `--set`."""
-
-    identification: Settings = Settings()
-    """How the estimates are made."""
-    consistent: ConsistencyOptions = ConsistencyOptions()
-    """What is asked of physically consistent bodies."""
-
-    @staticmethod
-    def of(settings: Iterable[str]) -> RecordingTables:
-        """From words "table.key=value".
-
-        Raises:
-            ExperimentError: They say what is not understood.
-        """
-        content: dict[str, Any] = {}
-        override(content, settings)
-        return checked(RecordingTables, content, "--set")
 
 
 class ExperimentTables(RobotTables):

@@ -31,7 +31,7 @@ from testbed.excitation.random_motion import best_motion
 from testbed.excitation.sensor_range import SensorTerm
 from testbed.experiment.evaluate import model_of, robot_of, with_nearest_bodies
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.experiment_tables import PLATE, Table
+from testbed.experiment.robot_tables import PLATE, Table
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.force_sensor import beyond_sensor
 from testbed.robot.tree import Tree

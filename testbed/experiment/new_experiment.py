@@ -33,7 +33,8 @@ from testbed.experiment.assumptions import (
     tried_text,
 )
 from testbed.experiment.experiment import run_name
-from testbed.experiment.experiment_tables import MOST_HARMONICS, BodyTable
+from testbed.experiment.experiment_tables import MOST_HARMONICS
+from testbed.experiment.robot_tables import BodyTable
 from testbed.identification.settings import Settings
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.friction import VISCOUS

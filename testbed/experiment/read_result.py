@@ -15,9 +15,9 @@ from testbed.arrays import Array
 from testbed.codec import decode, from_json
 from testbed.errors import ExperimentError, plural
 from testbed.experiment.evaluate import model_of, robot_of, wrong_prior
-from testbed.experiment.experiment import Experiment, RecordingTables
-from testbed.experiment.experiment_tables import Table
+from testbed.experiment.experiment import Experiment
 from testbed.experiment.results import EXPERIMENT, RESULT, versions
+from testbed.experiment.robot_tables import RecordingTables, Table
 from testbed.files import fingerprint, read_text, replacing
 from testbed.identification.calibration import Calibration
 from testbed.identification.consistency.options import ConsistencyOptions

@@ -17,8 +17,9 @@ from testbed.diagnostics import Diagnostic
 from testbed.dynamics.drive_set import drive_set
 from testbed.errors import ExperimentError
 from testbed.experiment.evaluate import evaluate
-from testbed.experiment.experiment import Experiment, RecordingTables
+from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import Bound
+from testbed.experiment.robot_tables import RecordingTables
 from testbed.experiment.run import Run
 from testbed.experiment.score import Score
 from testbed.files import fingerprint, replacing

@@ -14,8 +14,9 @@ import testbed as tb
 from testbed.errors import ExperimentError
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.experiment import ExperimentTables
-from testbed.experiment.experiment_tables import Bound, JointTable
+from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.results import default_folder
+from testbed.experiment.robot_tables import JointTable
 from testbed.toml_text import LARGEST_FILE, override
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses

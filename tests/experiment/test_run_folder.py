@@ -29,7 +29,6 @@ from testbed.experiment.excite import (
     write_motion,
     write_trajectory,
 )
-from testbed.experiment.experiment import RecordingTables
 from testbed.experiment.motions import motion_of, read_motion, rules_of
 from testbed.experiment.read_result import LARGEST_RESULT, KeptResult, prior_covariance, read_result
 from testbed.experiment.results import (
@@ -42,6 +41,7 @@ from testbed.experiment.results import (
     write_run,
 )
 from testbed.experiment.results import identified as identified_result
+from testbed.experiment.robot_tables import RecordingTables
 from testbed.experiment.run import Run
 from testbed.identification.estimate import METHODS, Estimate
 from testbed.identification.estimate_summary import EstimateSummary
