@@ -51,7 +51,8 @@ def write_mapping(
         TestbedError: The data contradict the mapping, which is written as far as it is known.
     """
     from testbed.files import replacing
-    from testbed.plausibility.mapping_solution import draft_mapping, missing, solve_mapping
+    from testbed.plausibility.draft_mapping import draft_mapping
+    from testbed.plausibility.mapping_solution import missing, solve_mapping
     from testbed.recordings.importing.guess import guessed
     from testbed.reporting import output
 

@@ -7,7 +7,7 @@ frame is refined (`correction`). Beside each value stands what it is known by.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +17,6 @@ from testbed.arrays import Array
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.errors import (
     ExperimentError,
-    MimicError,
     RecordingError,
     TestbedError,
     round_significant,
@@ -34,23 +33,19 @@ from testbed.plausibility.plate_map import (
     transform,
 )
 from testbed.plausibility.recording_diagnostics import CLEARLY, removed, share, weights
-from testbed.plausibility.remedies import in_words, own_joints
+from testbed.plausibility.remedies import in_words
 from testbed.plausibility.search import Progress
 from testbed.plausibility.time_offset import alignment, moving_average, time_offsets
 from testbed.recordings.importing.convert import clock_ranges
 from testbed.recordings.importing.derivative import DerivativeError
 from testbed.recordings.importing.foreign_table import FORCES, MOMENTS
-from testbed.recordings.importing.guess import guessed
 from testbed.recordings.importing.import_report import Draft, in_toml
 from testbed.recordings.importing.mapping import Mapping as MappingFile
 from testbed.recordings.importing.mapping import empty_keys
 from testbed.recordings.joined import pieces
 from testbed.recordings.source import Source
 from testbed.recordings.views import on_its_base
-from testbed.robot.arms import joint_sets
 from testbed.robot.inertia import from_rpy, from_vector, to_rpy
-from testbed.robot.locks import Travel
-from testbed.robot.model_file import ModelFile, mimic_joints
 from testbed.robot.tree import Tree
 from testbed.toml_text import checked
 
@@ -114,40 +109,6 @@ class MappingSolution(Diagnosed):
     shares: tuple[tuple[str, float], ...] = ()
     refusal: TestbedError | None = None
     assessment: Assessment | None = None
-
-
-def draft_mapping(
-    paths: Sequence[Path], folder: Path, file: ModelFile
-) -> tuple[Draft, ModelFile, Tree]:
-    """Mapping by the columns' names, and a robot without the joints that the log lacks.
-
-    Args:
-        paths: Files of other programs.
-        folder: Where the mapping is to stand.
-        file: The model file; of joints that follow others those are held that do not move.
-
-    Raises:
-        RecordingError: A file cannot be read, or holds no columns.
-        ModelError: The model file cannot be read.
-    """
-    followed: set[str] = set()
-    try:
-        tree = file.tree()
-    except MimicError as error:
-        followed = set(error.masters.values())
-        file = replace(file, lock={**dict.fromkeys(mimic_joints(file.path)), **file.lock})
-        tree = file.tree()
-    names = [tree.names[k] for k in own_joints(tree)]
-    draft = guessed(paths, folder, names, joint_sets(tree, names, followed))
-    logged = draft.tables[""]["joints"]
-    if not set(logged) <= set(names):
-        return draft, file, tree
-    lacking = [joint for joint in tree.joints if joint.name in {*names} - {*logged}]
-    places = {joint.name: Travel(*joint.position_range).rest for joint in lacking}
-    for name, place in ({k: q for k, q in file.lock.items() if q is not None} | places).items():
-        draft = draft.saying("lock", name, float(place), "no column is of this joint [rad or m]")
-    file = replace(file, lock={**file.lock, **places})
-    return draft, file, file.tree() if lacking else tree
 
 
 def solve_mapping(

@@ -1,0 +1,50 @@
+"""Mapping by the names of columns alone, for the joints of a robot that a log has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from testbed.errors import MimicError
+from testbed.plausibility.remedies import own_joints
+from testbed.recordings.importing.guess import guessed
+from testbed.recordings.importing.import_report import Draft
+from testbed.robot.arms import joint_sets
+from testbed.robot.locks import Travel
+from testbed.robot.model_file import ModelFile, mimic_joints
+from testbed.robot.tree import Tree
+
+
+def draft_mapping(
+    paths: Sequence[Path], folder: Path, file: ModelFile
+) -> tuple[Draft, ModelFile, Tree]:
+    """Mapping by the columns' names, and a robot without the joints that the log lacks.
+
+    Args:
+        paths: Files of other programs.
+        folder: Where the mapping is to stand.
+        file: The model file; of joints that follow others those are held that do not move.
+
+    Raises:
+        RecordingError: A file cannot be read, or holds no columns.
+        ModelError: The model file cannot be read.
+    """
+    followed: set[str] = set()
+    try:
+        tree = file.tree()
+    except MimicError as error:
+        followed = set(error.masters.values())
+        file = replace(file, lock={**dict.fromkeys(mimic_joints(file.path)), **file.lock})
+        tree = file.tree()
+    names = [tree.names[k] for k in own_joints(tree)]
+    draft = guessed(paths, folder, names, joint_sets(tree, names, followed))
+    logged = draft.tables[""]["joints"]
+    if not set(logged) <= set(names):
+        return draft, file, tree
+    lacking = [joint for joint in tree.joints if joint.name in {*names} - {*logged}]
+    places = {joint.name: Travel(*joint.position_range).rest for joint in lacking}
+    for name, place in ({k: q for k, q in file.lock.items() if q is not None} | places).items():
+        draft = draft.saying("lock", name, float(place), "no column is of this joint [rad or m]")
+    file = replace(file, lock={**file.lock, **places})
+    return draft, file, file.tree() if lacking else tree
