@@ -204,7 +204,7 @@ def new_experiment(
             _motion(found.tree, needs),
             _apart(found.tree, assumed, needs),
             [*_instrument(assumed), *constants],
-            [*_further(assumed, needs), *_claims(), ""],
+            [*_further(needs), *_claims(), ""],
         )
         return "\n".join(line for part in parts for line in part)
 
@@ -391,13 +391,10 @@ def _torque_constants(tree: Tree) -> list[str]:
     ]
 
 
-def _further(assumed: Assumptions, needs: Needs) -> list[str]:
+def _further(needs: Needs) -> list[str]:
     """More faults, the simulation, the identification."""
     usual = "s; half of it halves the error and doubles the time"
     small = "s; ASSUMED: the robot is too light or rubs too much for a larger one"
-    rotors = [
-        f"rotor/{name}" for name, values in assumed.joints.items() if "rotor_inertia" in values
-    ]
     return [
         "",
         "# [[measurement.fault]]  # more that may be wrong: testbed faults",
@@ -408,7 +405,6 @@ def _further(assumed: Assumptions, needs: Needs) -> list[str]:
         "",
         "[identification]",
         _said("zeros", False, "true: what is zero in the model file is known to be zero"),
-        *([_said("terms", ["coulomb", "viscous", *rotors], "")] if rotors else []),
     ]
 
 

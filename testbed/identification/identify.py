@@ -13,7 +13,7 @@ from testbed.arrays import Array
 from testbed.blas import one_blas_thread
 from testbed.diagnostics import Diagnostic, diagnose, of_instrument, of_recording, ordered
 from testbed.dynamics.newton_euler import pedestal_wrench
-from testbed.errors import RecordingError, SettingsError, TestbedError, UnseenParameters
+from testbed.errors import RecordingError, SettingsError, TestbedError, UnseenParameters, few
 from testbed.identification.diagnostics.diagnosis import diagnostics, quality
 from testbed.identification.diagnostics.residuals import zero_unknown
 from testbed.identification.estimate import Estimate, Method, channel_units, sensor_of
@@ -201,6 +201,7 @@ def _estimate_of(
     if pedestal_said(problem.source):  # else a tare that is not its weight is odd
         of_data = tuple(each for each in of_data if each.code != "plate.tare")
     every = [*_of_problem(problem), *of_data, *model.diagnostics(sensor), *quality(estimate)]
+    every += _rotors_within(problem)
     estimate = replace(estimate, choice=choice, diagnostics=ordered(every))
     zero = {*zero_unknown(estimate.noise), *model.with_unknown_zero}
     return shrink(estimate, settings.ridge).without([n for n in estimate.names if n in zero])
@@ -245,6 +246,16 @@ def _missing_terms(tree: Tree, settings: Settings) -> Iterator[Diagnostic]:
         if given.any() and law not in settings.laws:
             names = ", ".join(name for name, value in zip(tree.names, given, strict=True) if value)
             yield diagnose("drives.term", names, method="internal", kind=law.kind)
+
+
+def _rotors_within(problem: Problem) -> Iterator[Diagnostic]:
+    """Rotors that the model file states and that torques identify only in sums with bodies."""
+    drives, stated = problem.drives, ROTOR.coefficients(problem.tree)
+    for term, column in ({} if drives is None else drives.regrouped).items():
+        if term.law == ROTOR and term.joint < len(stated) and stated[term.joint]:
+            sums = [name for name, held in zip(problem.names, column, strict=True) if held]
+            own = f"{term.name(problem.tree)} ({stated[term.joint]:g} in the model file)"
+            yield diagnose("drives.rotor", own, method="internal", sums=few(sums))
 
 
 def _refined(plan: Plan, fit: Fit, passes: Passes) -> GlsFit:

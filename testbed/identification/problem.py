@@ -36,7 +36,7 @@ from testbed.recordings.geometry import check_robot, in_its_gravity
 from testbed.recordings.repeats import without_repeated_poses
 from testbed.recordings.source import RecordingLike, Source, counted, open_source, segments_of
 from testbed.recordings.views import is_imported, is_of_motors, on_its_base, with_gear
-from testbed.robot.friction import BY_LOAD, OFFSET, ROTOR, JointLaw
+from testbed.robot.friction import BY_LOAD, OFFSET, ROTOR
 from testbed.robot.tree import Tree
 from testbed.stages import stage
 
@@ -106,7 +106,7 @@ class Problem:
         check_source(source, tree, method)
         tree = with_gear(in_its_gravity(tree, source, gravity), source)
         open_filter = settings.position_cutoff == FIT and not source.senses_kinematics
-        settings = _complete(settings, source, method)
+        settings = _complete(settings, tree, source, method)
         there = {"", *source.signals, *(BY_LOAD if knows_load or method == "external" else ())}
         lacking = {law.by for law in settings.laws} - there
         if lacking:
@@ -281,24 +281,27 @@ def set_of(tree: Tree, method: Method, settings: Settings) -> MinimalSet:
     return minimal_set(tree, MODEL_OF[method], zeros=settings.zeros, tared=tared)
 
 
-def usual_laws(source: Source) -> tuple[JointLaw, ...]:
-    """What every joint has unless something else is said.
+def usual_terms(tree: Tree, source: Source) -> list[str]:
+    """Words of the terms that joints have unless something else is said.
 
-    Real drives have offsets, too, and what their motors deliver moves rotors.
+    Real drives have offsets, too; what motors deliver moves rotors, and a model file may state some
+    (MJCF's armature).
 
     Args:
+        tree: The robot.
         source: The recording.
     """
-    own = ((OFFSET, is_imported(source)), (ROTOR, is_of_motors(source)))
-    return (*ALWAYS, *(law for law, there in own if there))
+    laws = [*ALWAYS, *[OFFSET] * is_imported(source), *[ROTOR] * is_of_motors(source)]
+    stated = [] if ROTOR in laws else [joint.name for joint in tree.joints if joint.rotor_inertia]
+    return [*(law.kind for law in laws), *(f"{ROTOR.kind}/{name}" for name in stated)]
 
 
-def _complete(settings: Settings, source: Source, method: Method) -> Settings:
+def _complete(settings: Settings, tree: Tree, source: Source, method: Method) -> Settings:
     """Settings with filters that fit the recording, all terms, and a zero that nobody knows."""
     nuisances: Sequence[str] = settings.nuisances
     if method == "external" and settings.tare == "unknown" and "bias" not in nuisances:
         nuisances = (*nuisances, "bias")
     terms = settings.terms
     if terms is None:
-        terms = [law.kind for law in usual_laws(source)]
+        terms = usual_terms(tree, source)
     return replace(settings.fitted(source.rate), nuisances=nuisances, terms=terms)

@@ -199,6 +199,7 @@ def _unit(tree: Tree, joint: int) -> str:
 
 _PLATE = "testbed/bedplate"
 _SENSOR = "testbed/sensor/"
+_WORLD = "testbed/world"  # of a link called "world", which MuJoCo would take for its own world
 _PREFIX = "testbed/robot/"  # of the names in a robot that is put on a plate of its own
 
 
@@ -268,6 +269,10 @@ def robot_spec(model: ModelFile) -> mujoco.MjSpec:
     if model_format(path) == "mjcf":
         return repaired_spec(path, **how).spec
     root, *_ = repaired_xml(path, **how)
+    for tag, key in (("link", "name"), ("parent", "link"), ("child", "link")):
+        for each in root.iter(tag):
+            if each.get(key) == "world":
+                each.set(key, _WORLD)
     options = {"fusestatic": "false", "balanceinertia": "false", "discardvisual": "true"}
     ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", options)
     with no_mujoco_warnings():
@@ -322,7 +327,8 @@ def _equip(
 
 def _add_sensor(spec: mujoco.MjSpec, sensor: ForceSensor, prefix: str) -> None:
     """A force and a torque sensor at the cut before a link, at its place and along its axes."""
-    bodies = {each.name.removeprefix(prefix): each for each in spec.bodies[1:]}  # not the world
+    names = [each.name.removeprefix(prefix).replace(_WORLD, "world") for each in spec.bodies]
+    bodies = dict(zip(names[1:], spec.bodies[1:], strict=True))  # without MuJoCo's own world
     if sensor.link not in bodies:
         raise UnknownName("link", sensor.link, sorted(bodies))
     body = bodies[sensor.link]

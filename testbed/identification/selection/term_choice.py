@@ -11,7 +11,7 @@ from testbed.arrays import Array
 from testbed.blas import one_blas_thread
 from testbed.errors import RecordingError, plural, round_significant
 from testbed.identification.estimate import Estimate, channel_units
-from testbed.identification.problem import Problem, usual_laws
+from testbed.identification.problem import Problem, usual_terms
 from testbed.identification.regression.normal_equations import NormalEquations, scaled_solve
 from testbed.identification.regression.solvers import noise_weights
 from testbed.identification.selection.held_out import (
@@ -34,6 +34,7 @@ from testbed.robot.friction import (
     VARYING,
     JointLaw,
     JointTerm,
+    joint_terms,
     stribeck,
 )
 
@@ -178,14 +179,14 @@ def choose_terms(problem: Problem) -> TermChoice:
         RecordingError: The recording is too short to be cut into parts.
     """
     tree = problem.tree
-    usual = usual_laws(problem.source)
+    usual = joint_terms(tree, usual_terms(tree, problem.source))
     varying = [law for law in VARYING if law.by in problem.source.signals]
-    laws = tuple(dict.fromkeys((*usual, ROTOR, *OFFERED, *varying)))
+    laws = tuple(dict.fromkeys((*(term.law for term in usual), ROTOR, *OFFERED, *varying)))
     problem = problem.with_settings(terms=laws)
     look, drives = _Look(problem), problem.drives
     assert drives is not None, "terms are those of joint torques"
     count, terms = drives.minimal.count, drives.terms
-    base = [term for term in terms if term.law in usual]
+    base = [term for term in terms if term in usual]
     at = {term: count + k for k, term in enumerate(terms)}
     always = [*range(count), *(at[term] for term in base)]
     more: list[JointTerm] = []

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from testbed.diagnostics import Diagnostic, diagnose
-from testbed.errors import FreeRootError, ModelError, quoted
+from testbed.errors import FreeRootError, ModelError, few, quoted
 from testbed.robot.inertia import HEAVIEST, about, from_rpy, to_rpy
 from testbed.robot.locks import Coupling, Lock, Travel, lock_positions
 from testbed.robot.parsing import decimals, errors_of, plain, read_xml
@@ -28,12 +28,19 @@ DEEPEST_LINKS = 1_500
 """Links in a row: Pinocchio's parser overflows its stack between 2000 and 4000."""
 _MOVING = ("revolute", "continuous", "prismatic")
 _SUPPORTED = (*_MOVING, "fixed")
-_PARTS = {
+_PARTS: dict[str, tuple[str, ...]] = {
+    "robot": ("link", "joint"),
     "link": ("inertial",),
     "joint": ("parent", "child", "origin", "axis", "limit", "dynamics", "mimic"),
     "inertial": ("origin", "mass", "inertia"),
 }
-"""What counts of an element; the rest is for simulators, drawings and drives."""
+"""What counts of an element."""
+_BESIDE: dict[str, tuple[str, ...]] = {
+    "robot": ("material", "transmission", "gazebo", "sensor", "ros2_control", "mujoco"),
+    "link": ("visual", "collision"),
+    "joint": ("safety_controller", "calibration"),
+}
+"""What is for simulators, drawings and drives."""
 
 TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
 """Entries of an inertia, by attribute."""
@@ -85,10 +92,15 @@ _ATTRIBUTES = {
     "mesh": {"scale": _Numbers(3, "1 1 1", FARTHEST)},
     "color": {"rgba": _Numbers(4, None, 1.0)},
 }
-_TEXTS = {"mimic": "joint", "mesh": "filename"}
+_TEXTS: dict[str, tuple[str, ...]] = {
+    "robot": ("name", "version"),
+    "link": ("name",),
+    "joint": ("name", "type"),
+    "parent": ("link",),
+    "child": ("link",),
+    "mimic": ("joint",),
+}
 """Attributes that hold no numbers."""
-_EXTENDED = ("limit", "dynamics", "mimic", "mesh")
-"""Elements to which vendors add attributes of their own."""
 _NO_NUMBERS = ("nan", "inf", "infinity")
 
 
@@ -120,12 +132,7 @@ def _checked(
     shown = root.findall("material") if keep_visuals else []
     with errors_of(path):
         said = [each for part in root.iter() for each in _accepted(part)]
-        for link in links:
-            _keep(link, _PARTS["link"], also=("visual",) if keep_visuals else ())
-            for inertial in link.findall("inertial"):
-                _keep(inertial, _PARTS["inertial"], owner=f"link '{link.get('name', '?')}'")
-        for joint in joints:
-            _keep(joint, _PARTS["joint"])
+        said += _ignored(root, path, ("visual",) if keep_visuals else ())
         root[:] = [*shown, *links, *joints]
         carriers = _carriers(links, joints)
         for joint in joints:
@@ -225,20 +232,36 @@ def _move_origin(joint: ET.Element, position: float) -> None:
         origin.set("rpy", plain(list(to_rpy(turn @ about(axis, position)))))
 
 
-def _keep(
-    element: ET.Element, parts: tuple[str, ...], *, owner: str = "", also: tuple[str, ...] = ()
-) -> None:
-    """Leave only the parts that count, each once."""
-    owner = owner or f"{element.tag} '{element.get('name', '?')}'"
-    for child in list(element):
+def _ignored(root: ET.Element, path: Path, also: tuple[str, ...]) -> Iterator[Diagnostic]:
+    """Take out what does not count, all but `also`; what URDF does not know is named."""
+    unknown: dict[str, dict[str, None]] = {}
+    for what, owner in _keep(root, "", also):
+        unknown.setdefault(what, {})[owner] = None
+    if unknown:
+        found = [f"{what} ({few([*owners])})" for what, owners in unknown.items()]
+        yield diagnose("model.ignored", few(found), file=path.name)
+
+
+def _keep(element: ET.Element, owner: str, also: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+    """Leave only the parts that count, each once; yields what is unknown, and whose it is."""
+    tag, tags = element.tag, [child.tag for child in element]
+    owner = f"{tag} '{element.get('name', '?')}'" if tag in _BESIDE else owner
+    parts, beside = _PARTS.get(tag, ()), _BESIDE.get(tag, ())
+    attributes = (*_ATTRIBUTES.get(tag, ()), *_TEXTS.get(tag, ()))
+    keys = [key for key in element.attrib if not key.startswith("xmlns")]
+    for names, known, form in ((tags, parts, "<{:.40}>"), (keys, attributes, "{:.40}")):
+        for name in sorted({*names} - {*known, *beside}):
+            near = get_close_matches(name.lower(), {*known} - {*names}, n=1, cutoff=0.8)
+            if near and near[0] not in name:  # a longer name is another one
+                said = f"<{tag}> holds the unknown {form}; did you mean {form}?"
+                raise ModelError(f"{owner}: {said.format(name, near[0])}")
+            yield f"{form.format(name)} in <{tag}>", owner
+    element[:] = [child for child in element if child.tag in (*parts, *also)]
+    for child in element:
+        if tag != "robot" and tags.count(child.tag) > 1 and child.tag in parts:
+            raise ModelError(f"{owner} has more than one <{child.tag}>")
         if child.tag in parts:
-            if len(element.findall(child.tag)) > 1:
-                raise ModelError(f"{owner} has more than one <{child.tag}>")
-        elif child.tag not in also:
-            meant = get_close_matches(str(child.tag).lower(), parts, n=1, cutoff=0.8)
-            if meant:
-                raise ModelError(f"{owner} holds <{child.tag:.40}>; did you mean <{meant[0]}>?")
-            element.remove(child)
+            yield from _keep(child, owner, also)
 
 
 def _carriers(links: list[ET.Element], joints: list[ET.Element]) -> dict[str, ET.Element]:
@@ -313,8 +336,6 @@ def rewrite_numbers(owner: ET.Element, where: str, *, allow_nan: bool = False) -
             if text is None:
                 raise ModelError(f"{where}: <{part.tag}> has no {key}")
             part.set(key, _plain(text, numbers, f"{where}: <{part.tag}> {key}", allow_nan))
-        if part.tag in _ATTRIBUTES:
-            _check_attributes(part, where)
 
 
 def numbers_of(element: ET.Element | None, key: str, absent: str = "0") -> list[float]:
@@ -342,13 +363,3 @@ def _plain(text: str, numbers: _Numbers, where: str, allow_nan: bool) -> str:
         right = [round(2 * angle / math.pi) * math.pi / 2 for angle in values]
         values = [r if abs(a - r) <= RIGHT else a for a, r in zip(values, right, strict=True)]
     return plain(values)
-
-
-def _check_attributes(part: ET.Element, where: str) -> None:
-    """Whether an attribute is a misspelled one."""
-    known = {*_ATTRIBUTES[part.tag], _TEXTS.get(part.tag, "")} - {""}
-    for key in sorted(set(part.attrib) - known):
-        meant = get_close_matches(key.lower(), known, n=1, cutoff=0.85)
-        if meant or part.tag not in _EXTENDED:
-            hint = f"did you mean {meant[0]}?" if meant else f"it has {', '.join(sorted(known))}"
-            raise ModelError(f"{where}: <{part.tag}> holds the unknown {key!r:.40}; {hint}")
