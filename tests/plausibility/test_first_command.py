@@ -1,0 +1,168 @@
+"""`testbed new ROBOT --recording LOG` on ordinary logs: the recording, or the one thing to say."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import example, given
+
+import testbed as tb
+from testbed.arrays import Array
+from tests.helpers.command import command_line
+from tests.helpers.runs import GOLDEN
+from tests.helpers.strategies import few, seeds
+
+pytestmark = pytest.mark.slow
+
+STYLES = (
+    ("pos_{k}", "vel_{k}", "torque_{k}"), ("q{k}", "qd{k}", "tau{k}"),
+    ("/joint_states/{name}/position", "/joint_states/{name}/velocity",
+     "/joint_states/{name}/effort"),
+    ("Achse {k} Istposition", "Achse {k} Istgeschwindigkeit", "Achse {k} Moment [Nm]"),
+    ("axe{k}_position", "axe{k}_vitesse", "axe{k}_couple"), ("theta{k}", "omega{k}", "T{k}"),
+    ("theta_{k}", "theta_dot_{k}", "u_{k}"), ("{name}.pos", "{name}.vel", "{name}.load"),
+    ("CurrentPosition{k}", "CurrentVelocity{k}", "CurrentTorque{k}"),
+    ("a{k}", "b{k}", "c{k}"), ("rob1_J{k} angle", "rob1_J{k} speed", "rob1_J{k} torque (Nm)"),
+)  # fmt: skip
+"""Positions, velocities and torques in headers of several makers, and of none."""
+
+CLOCKS = {
+    "time": lambda t: [f"{each:.6f}" for each in t],
+    "t [ms]": lambda t: [f"{1e3 * each:.3f}" for each in t],
+    "stamp_ns": lambda t: [str(1_700_000_000_000_000_000 + round(1e9 * each)) for each in t],
+    "Uhrzeit": lambda t: [f"09:30:{each:09.6f}" for each in t],
+}
+"""Times from the start of a log, within a minute, as text."""
+
+FINGERS = """
+  <link name="left"><inertial><mass value="0.05"/>
+    <inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="right"><inertial><mass value="0.05"/>
+    <inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="finger_1" type="prismatic"><parent link="{last}"/><child link="left"/>
+    <axis xyz="0 1 0"/><limit lower="0" upper="0.04" effort="20" velocity="0.2"/></joint>
+  <joint name="finger_2" type="prismatic"><parent link="{last}"/><child link="right"/>
+    <axis xyz="0 -1 0"/><limit lower="0" upper="0.04" effort="20" velocity="0.2"/>
+    <mimic joint="finger_1"/></joint>
+</robot>"""
+
+
+def arm_with_fingers(folder: Path) -> Path:
+    """A UR5 that carries a gripper whose fingers move together."""
+    text = (GOLDEN / "robots/ur5.urdf").read_text()
+    tree = tb.load_tree(GOLDEN / "robots/ur5.urdf")
+    path = folder / "robot.urdf"
+    last = tree.joints[-1].body
+    path.write_text(text.replace("</robot>", FINGERS.format(last=last)))
+    return path
+
+
+def moved(path: Path, seed: int, rate: float = 100.0) -> dict[str, Array]:
+    """Motion and torques of a robot, by Pinocchio's dynamics."""
+    rng = np.random.default_rng(seed)
+    model = pin.buildModelFromUrdf(str(path))
+    fingers = [model.getJointId(name) for name in ("finger_1", "finger_2")]
+    model = pin.buildReducedModel(model, fingers, pin.neutral(model))
+    t = np.arange(int(20 * rate)) / rate
+    omega = 2 * np.pi * np.array([0.1, 0.23, 0.37])[:, None, None] * (1 + 0.1 * np.arange(6))
+    phase, size = rng.uniform(0, 6, omega.shape), rng.uniform(0.2, 0.5, omega.shape)
+    angle = omega * t[None, :, None] + phase
+    q = (size * np.sin(angle)).sum(0) + rng.uniform(-0.5, 0.5, 6)
+    v = (size * omega * np.cos(angle)).sum(0)
+    a = -(size * omega**2 * np.sin(angle)).sum(0)
+    data = model.createData()
+    tau = np.array([pin.rnea(model, data, *state) for state in zip(q, v, a, strict=True)])
+    tau += 2 * np.tanh(v / 1e-3) + v + 0.02 * rng.standard_normal(tau.shape)
+    return {"t": t, "position": q, "velocity": v + 2e-3 * rng.standard_normal(v.shape),
+            "torque": tau}  # fmt: skip
+
+
+def written(path: Path, log: dict[str, Array], names: tuple[str, ...], rng: Any) -> dict[str, Any]:
+    """A log as somebody's own logger writes it; how is drawn."""
+    style, clock = STYLES[rng.integers(len(STYLES))], list(CLOCKS)[rng.integers(len(CLOCKS))]
+    degrees, speeds = rng.random() < 0.5, rng.random() < 0.75 or style[0] in ("a{k}", "theta{k}")
+    factor = 180 / np.pi if degrees else 1.0
+    columns = {"": map(str, range(len(log["t"])))} if rng.random() < 0.3 else {}
+    columns |= {clock: CLOCKS[clock](log["t"])}
+    for kind, form in zip(("position", "velocity", "torque"), style, strict=True):
+        scale = 1.0 if kind == "torque" else factor
+        for k, values in enumerate(log[kind].T if kind != "velocity" or speeds else ()):
+            name = form.format(k=k + 1, name=names[k])
+            columns[name] = [f"{scale * each:.7g}" for each in values]
+    if rng.random() < 0.5:
+        columns["gripper_width_mm"] = ["40"] * len(log["t"])
+        columns |= {f"temp_{k}": ["31.5"] * len(log["t"]) for k in range(1, 7)}
+    comma = (",", ";", "\t")[rng.integers(3)]
+    rows = zip(*columns.values(), strict=True)
+    path.write_text("\n".join([comma.join(columns), *map(comma.join, rows)]) + "\n")
+    return {"style": style, "clock": clock, "degrees": degrees, "speeds": speeds}
+
+
+@few(6)
+@example(seed=0)
+@given(seed=seeds)
+def test_an_ordinary_log_is_taken_without_a_line_by_hand(
+    seed: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Degrees, any headers and clocks, a gripper that the log lacks; `identify` needs no lock."""
+    folder, rng = tmp_path_factory.mktemp("log"), np.random.default_rng(seed)
+    robot = arm_with_fingers(folder)
+    names = tb.load_tree(GOLDEN / "robots/ur5.urdf").names
+    log = moved(robot, seed)
+    drawn = written(folder / "log.csv", log, names, rng)
+    done = command_line("new", "robot.urdf", "--recording", "log.csv", cwd=folder)
+    assert done.returncode == 0, (drawn, done.stderr)
+    recording = tb.Recording.load(folder / "log.parquet")
+    assert recording.names == names
+    assert recording.facts["mapping"]["lock"] == {"finger_1": 0.0}
+    at = np.round(np.interp(recording.time, log["t"], np.arange(len(log["t"])))).astype(int)
+    np.testing.assert_allclose(recording.position, log["position"][at], atol=1e-4)
+    np.testing.assert_allclose(recording.measured("torque"), log["torque"][at], atol=1e-4)
+    done = command_line("identify", "log.parquet", "--model", "robot.urdf", "--json", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["estimates"]
+
+
+def test_a_mapping_is_written_whatever_is_found(tmp_path: Path) -> None:
+    """Torques of another robot: refused, and the mapping says what is known."""
+    robot = arm_with_fingers(tmp_path)
+    names = tb.load_tree(GOLDEN / "robots/ur5.urdf").names
+    log = moved(robot, 1)
+    log["torque"] = log["torque"][:, [3, 5, 4, 1, 0, 2]] * np.array([40, 0.2, -30, 4, 0.1, 9])
+    written(tmp_path / "log.csv", log, names, np.random.default_rng(4))
+    done = command_line("new", "robot.urdf", "--recording", "log.csv", cwd=tmp_path)
+    known = tomllib.loads((tmp_path / "log.toml").read_text())
+    assert len(known["position"]["columns"]) == len(names)
+    assert done.returncode in (0, 2)
+    if done.returncode:
+        assert "log.toml" in done.stderr
+        assert not (tmp_path / "log.parquet").exists()
+
+
+def test_encoders_that_wrap_are_unwrapped_and_a_step_is_named(tmp_path: Path) -> None:
+    """One counts from 0 to 360 degrees, one is re-homed by three degrees at 7 s."""
+    robot = arm_with_fingers(tmp_path)
+    names = tb.load_tree(GOLDEN / "robots/ur5.urdf").names
+    log = moved(robot, 2)
+    true = log["position"].copy()
+    log["position"][:, 5] = np.mod(log["position"][:, 5], 2 * np.pi)
+    log["position"][700:, 4] += np.deg2rad(3)
+    rows = np.column_stack([log["t"], log["position"], log["torque"]])
+    heads = ["t", *(f"q_{name}" for name in names), *(f"tau_{name}" for name in names)]
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=",".join(heads), comments="")
+    done = command_line("new", "robot.urdf", "--recording", "log.csv", cwd=tmp_path)
+    recording = tb.Recording.load(tmp_path / "log.parquet")
+    apart = recording.position[:, 5] - true[: recording.samples, 5]
+    np.testing.assert_allclose(apart, apart[0], atol=1e-9)
+    said = {each["code"]: each for each in recording.facts["diagnostics"]}
+    assert said["position.step"]["subject"] == names[4]
+    assert said["position.step"]["value"] == pytest.approx(np.deg2rad(3), rel=0.02)
+    assert "position.unwrapped" in said
+    first = next(line for line in done.stderr.splitlines() if line.startswith("warning"))
+    assert names[4] in first
