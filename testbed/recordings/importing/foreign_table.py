@@ -33,7 +33,7 @@ MOMENTS = {
 }  # fmt: skip
 RAW = {"A": 1.0, "mA": 1e-3, "pwm": 1.0, "V": 1.0, "mV": 1e-3, "raw": 1.0}
 """Of what becomes a torque by a gain."""
-TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "day": 86_400.0}
 
 TURNING = {
     "position": ANGLES,
@@ -63,7 +63,7 @@ WORDS = {
     "radian": "rad", "radians": "rad", "rev": "turn", "revs": "turn", "turns": "turn",
     "lb": "lbf", "lbs": "lbf", "kp": "kgf", "inch": "in", "inches": "in", "foot": "ft",
     "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "nsec": "ns",
-    "s2": "s^2", "s²": "s^2", "amp": "A", "amps": "A", "newton": "N",
+    "days": "day", "s2": "s^2", "s²": "s^2", "amp": "A", "amps": "A", "newton": "N",
 }  # fmt: skip
 """Other ways to write words of units."""
 
@@ -146,6 +146,22 @@ NUMBERS = "fiub"
 """Kinds of NumPy's types that are real numbers."""
 
 
+@dataclass(frozen=True)
+class StatedPlate:
+    """A force plate as a file describes it.
+
+    Attributes:
+        name: Of a table in a mapping.
+        columns: Force and moment on the plate along the sensor's axes.
+        place: Of the sensor in the laboratory's frame, x, y, z [m] and roll, pitch, yaw [rad];
+            None if the file does not say.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    place: tuple[tuple[float, ...], tuple[float, ...]] | None
+
+
 @dataclass(frozen=True, eq=False)
 class ForeignTable:
     """Columns of a file, by name; they need not be of one length.
@@ -160,6 +176,7 @@ class ForeignTable:
         units: What the file says of columns' or arrays' units, as it says it.
         cut: Whether a last sample was incomplete and is left out.
         about: What a person should know of the file, if anything.
+        plates: Force plates that the file describes.
     """
 
     path: Path
@@ -168,6 +185,7 @@ class ForeignTable:
     units: Mapping[str, str] = field(default_factory=dict)
     cut: bool = False
     about: str = ""
+    plates: tuple[StatedPlate, ...] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:

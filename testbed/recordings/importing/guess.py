@@ -60,6 +60,7 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
         listed = ", ".join(f"'{path}'" for path in paths)
         raise RecordingError(f"no columns of numbers in {listed}")
     signals = likely_signals(sources, joints)
+    temperatures, base = [*_temperatures(sources, joints, signals)], [*_base(sources)]
     by_name = {each.source.name: each.source for each in signals.values()}
     sources = [by_name.get(each.name, each) for each in sources]
     files = ", ".join(printable(path.name, 100) for path in paths)
@@ -72,28 +73,39 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
     )
     draft = draft.saying("", "rate", _rate(sources, signals), "of the recording [Hz]")
     draft = draft.saying("", "joints", *_joints(signals, joints))
+    plates = likely_plates(sources)
+    used = {each.source.name for each in signals.values()} | {each[1].name for each in plates}
+    used |= {keys[0][1] for keys in (temperatures, base) if keys}
     for each in sources:
         name = f"sources.{each.name}"
         file = os.path.relpath(each.file.resolve(), folder.resolve())
         known = [f"# {each.table.about}"] if each.table.about else []
         known += [f"# {each.logger} names its columns like this"] if each.logger else []
-        draft = draft.remarking(name, *known, *_listed(each.table)).saying(name, "file", file)
+        draft = draft.remarking(name, *known, *_listed(each.table))
+        if used and each.name not in used:
+            here = " ".join(filter(None, (file, each.topic, "holds no signal: no source of it")))
+            draft = draft.remarking(name, f"# {printable(here)}")
+            continue
+        draft = draft.saying(name, "file", file)
         if each.topic is not None:
             draft = draft.saying(name, "topic", each.topic)
         for said in each.clock.said():
             draft = draft.saying(name, *said)
     for kind in KINDS:
         draft = _with_signal(draft, kind, signals, sources)
-    for said in _temperatures(sources, joints, signals):
+    for said in temperatures:
         draft = draft.saying("temperature", *said)
-    plates = likely_plates(sources)
+    taken = {column.name for _, _, columns in plates for column in columns}
+    idle = [p.name for s in sources for p in s.table.plates if taken.isdisjoint(p.columns)]
+    if idle and plates:
+        draft = draft.remarking("", f"# left out, without a load: {json.dumps(idle)}")
     names = [name for name, _, _ in plates]
     for name, source, columns in plates:
         own = name if names.count(name) == 1 else f"{source.name} {name}"
         table = "wrench" if len(plates) == 1 else f"plates.{_key(own)}"
         for said in _plate(source, columns, alone=len(plates) == 1):
             draft = draft.saying(table, *said)
-    for said in _base(sources):
+    for said in base:
         draft = draft.saying("base", *said)
     return draft
 
@@ -138,9 +150,12 @@ def _listed(table: ForeignTable) -> Iterator[str]:
     yield "# column, samples, from .. to, unit by the file"
     lengths = table.lengths
     for column in table.columns[:SHOWN]:
-        values = table.read([column])[column]
+        try:
+            held = _range(table.read([column])[column])
+        except RecordingError as error:  # of a column that may not be needed
+            held = str(error)
         yield (
-            f"#   {printable(json.dumps(column), 80)}  {lengths[column]}  {_range(values)}  "
+            f"#   {printable(json.dumps(column), 80)}  {lengths[column]}  {held}  "
             f"{printable(table.unit(column) or '-', 20)}"
         )
     more = len(table.columns) - SHOWN
@@ -163,6 +178,9 @@ def _with_signal(
     beside = [c.name for s in sources for c in s.columns if c.kind == kind and c.beside]
     if beside:
         draft = draft.remarking(kind, f"# left out, by their names: {json.dumps(beside)}")
+    empty = [column.name for s in sources for column in s.empty if column.kind == kind]
+    if empty:
+        draft = draft.remarking(kind, f"# left out, without a number: {json.dumps(empty)}")
     if found is None:
         optional = ", if there are any" if kind != "position" else ""
         lines = [
@@ -185,6 +203,9 @@ def _with_signal(
         draft = draft.saying(kind, "matrix", rows, about)
         half = [round(-np.pi, 6)] * n
         draft = draft.saying(kind, "offset", half, "ASSUMED: zero is in the middle of a turn")
+    if found.sign_bit:
+        about = f"values beyond {found.sign_bit - 1} have a sign bit, as of servos' loads"
+        draft = draft.saying(kind, "sign_bit", found.sign_bit, about)
     return draft.saying(kind, "sign", list(found.sign), BY_BOTH) if found.sign else draft
 
 
@@ -234,14 +255,29 @@ def _plate(source: LikelySource, columns: Sequence[ColumnName], *, alone: bool) 
     hand = "they look like those of a sensor at the tool: leave [wrench] out then"
     yield "columns", [each.name for each in columns], hand if at_the_hand(columns[0]) else odd
     units = [_of_all(columns[:3], "force"), _of_all(columns[3:], "moment")]
-    yield "units", units, "" if all(units) else f"{_listing('force')}; {_listing('moment')}"
+    raw = sorted({each.unit for each in columns if each.unit and plain(each.unit) in RAW})
+    if raw:
+        yield "units", ["N", "N m"], "by the matrix"
+        yield "matrix", "", f"the file says {raw[0]}: six rows, N and N m of one {raw[0]}"
+    else:
+        yield "units", units, "" if all(units) else f"{_listing('force')}; {_listing('moment')}"
+    names = tuple(each.name for each in columns)
+    stated = next((each for each in source.table.plates if each.columns == names), None)
+    if stated is not None:
+        yield "sense", "on_plate", "as the file's kind of plates"
+    if stated is not None and stated.place is not None:
+        xyz, rpy = stated.place
+        about = "by the file, in the laboratory's frame: it must be the bedplate's"
+        yield "place", {"xyz": xyz, "rpy": rpy}, about
+        return
     pull = [
         f"; {json.dumps(each.name)} is "
-        f"{source.table.read([each.name])[each.name].mean():.4g} on average"
+        f"{np.nanmean(source.table.read([each.name])[each.name]):.4g} on average"
         for each in columns
         if each.role == (0, 2)
     ]
-    yield "sense", "", f"on_robot (at rest upwards) or on_plate{''.join(pull)}"
+    if stated is None:
+        yield "sense", "", f"on_robot (at rest upwards) or on_plate{''.join(pull)}"
     if alone:
         yield "# place", {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, "of the sensor [m, rad]"
     else:

@@ -36,7 +36,8 @@ from testbed.recordings.importing.foreign_table import (
 )
 from testbed.recordings.importing.known_layouts import Layout, layout_of
 from testbed.recordings.importing.readers import tables
-from testbed.recordings.importing.source_clock import GAP, Times
+from testbed.recordings.importing.signal_maps import sign_bit_of
+from testbed.recordings.importing.source_clock import GAP, Times, steady_line
 
 EPOCH = 1e9
 """Seconds since 1970 are one to three times as many: times of that size show their unit."""
@@ -49,6 +50,12 @@ TIME_WORDS = ("stamp", "time", "received", "sec", "t")
 
 RISING = 0.5
 """Part of the steps of a clock that go forward, at least."""
+
+STANDING = 0.01
+"""Part of the steps in which a clock stands from which it is coarser than the samples."""
+
+COARSE = 1e-3
+"""Tick of a clock, in parts of the recording, from which its stamps say hardly more than a rate."""
 
 LOOKED_AT = 3
 """Columns that are tried."""
@@ -64,6 +71,7 @@ class Clock:
         given: Whether the file itself says the unit.
         rate: Samples a second, as round as the stamps allow [Hz]; 0 if that is not known.
         because: What shows it, if neither the file nor a name does.
+        steady: What shows that it is coarser than the samples, if it is.
     """
 
     column: str | None
@@ -71,6 +79,7 @@ class Clock:
     given: bool = False
     rate: float = 0.0
     because: str = ""
+    steady: str = ""
 
     @property
     def seconds(self) -> float | None:
@@ -83,7 +92,8 @@ class Clock:
         """Times, (M,): in seconds, or in the column's unit or in samples if that is unknown."""
         if self.column is None:
             return np.arange(samples, dtype=np.float64)
-        return Times.of(table.stamps(self.column), self.unit or "s").since
+        since = Times.of(table.stamps(self.column), self.unit or "s").since
+        return steady_line(since)[0] if self.steady else since
 
     def by_velocity(self, seconds: float) -> Clock:
         """The clock if one of `time` is so many seconds, by velocities against positions."""
@@ -96,20 +106,25 @@ class Clock:
     def said(self) -> Iterator[tuple[str, Any, str]]:
         """Keys of the source in a mapping, their values and what is said beside them."""
         if self.column is None:
-            known = f"{self.because}; no single column is times".removeprefix("; ")
-            yield "rate", self.rate, known if self.rate else "no column looks like times [Hz]"
+            more = "; no single column is times" * bool(self.rate)
+            yield "rate", self.rate, f"{self.because}{more}".removeprefix("; ")
             return
         yield "time", self.column, f"{self.rate:.9g} a second" if self.unit else ""
         if not self.given:
             yield "time_unit", self.unit or "", self.because if self.unit else ", ".join(TIMES)
+        if self.steady:
+            yield "steady", True, self.steady
 
 
-def clock_of(table: ForeignTable, layout: Layout | None = None) -> Clock:
-    """The likely clock of a table.
+def clock_of(
+    table: ForeignTable, layout: Layout | None = None, rows: NDArray[np.bool_] | None = None
+) -> Clock:
+    """Likely clock of a table.
 
     Args:
         table: Of a file of another program.
         layout: Its logger's, if that is known.
+        rows: Samples that count, (M,); default all.
     """
     known = layout.times(table.columns) if layout else []
     if layout and (layout.rate or len(known) > 1):
@@ -125,17 +140,33 @@ def clock_of(table: ForeignTable, layout: Layout | None = None) -> Clock:
     unnamed = not any(re.search("[A-Za-z]", column) for column in table.columns)
     for column in table.columns[:1] if unnamed else likely[:LOOKED_AT]:
         stamps = table.stamps(column)
-        if len(stamps) < 2 or not np.isfinite(stamps).all():
+        stamps = stamps[np.isfinite(stamps) if rows is None else rows & np.isfinite(stamps)]
+        if len(stamps) < 2:
             continue
-        if (np.diff(stamps) > 0).mean() <= (1 - 1e-9 if unnamed else RISING):
+        steps = np.diff(stamps)
+        stands = 0.0 if unnamed or (steps < 0).any() else float((steps == 0).mean())
+        line, _, even = steady_line((stamps - stamps[0]).astype(np.float64))
+        coarse = STANDING < stands < 1 and even
+        if not coarse and (steps > 0).mean() <= (1 - 1e-9 if unnamed else RISING):
             continue
         said = plain(table.unit(column) or "")
         given = said in TIMES
         unit, because = (said, "") if given else _unit(column, stamps)
         unit = (layout.unit if layout and known else None) or unit
-        rate = rate_of(stamps) / (TIMES[unit] if unit else 1.0)
-        return Clock(column, unit, given, rounded(rate, 1e-12) if unit else rate, because)
-    return Clock(None)
+        one = TIMES[unit] if unit else 1.0
+        if not coarse:
+            rate = rate_of(stamps) / one
+            return Clock(column, unit, given, rounded(rate, 1e-12) if unit else rate, because)
+        tick = float(np.median(steps[steps > 0]))
+        doubt = tick / float(stamps[-1] - stamps[0])
+        rate = rounded(1 / (one * float(line[1] - line[0])), doubt)
+        ticks = f"{tick:g} {unit or ''}".strip()
+        said = f"{stands:.0%} of the stamps are those before, as of a clock with ticks of {ticks}"
+        if unit and doubt > COARSE:
+            return Clock(None, rate=rate, because=f"by '{column}': {said}")
+        return Clock(column, unit, given, rate, because, said)
+    count = max(table.lengths.values(), default=0)
+    return Clock(None, because=f"no column of {count} numbers looks like times [Hz]")
 
 
 def like_time(column: str) -> int:
@@ -185,7 +216,7 @@ def _unit(column: str, stamps: Array | NDArray[np.int64]) -> tuple[str | None, s
         return sized[0], "by its size"
     steps = np.diff(stamps)
     step = float(np.median(steps[steps > 0]))
-    usual = [u for u in ("s", "ms", "us", "ns") if USUAL[0] <= 1 / (step * TIMES[u]) <= USUAL[1]]
+    usual = [u for u in ("s", "ms", "us", "ns", "day") if USUAL[0] <= 1 / (step * TIMES[u]) <= USUAL[1]]
     return (usual[0], "by its steps") if len(usual) == 1 else (None, "")
 
 
@@ -215,6 +246,7 @@ class LikelySource:
         columns: What their names say, without that of the times.
         clock: Its likely clock.
         logger: Whose names the columns have, if that is known.
+        empty: Columns that by their names would be signals and hold no number.
     """
 
     name: str
@@ -224,6 +256,7 @@ class LikelySource:
     columns: tuple[ColumnName, ...]
     clock: Clock
     logger: str = ""
+    empty: tuple[ColumnName, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,6 +272,7 @@ class LikelySignal:
         because: What shows the units, if not the columns' names.
         counts: Of a turn, if the columns are a servo's whole numbers.
         evidence: What shows that these columns are the signal, if not their names.
+        sign_bit: From which value on they are negative, if so; 0 else.
     """
 
     source: LikelySource
@@ -249,6 +283,7 @@ class LikelySignal:
     because: str = ""
     counts: int = 0
     evidence: str = ""
+    sign_bit: int = 0
 
 
 _Pair = tuple[str | None, str | None]
@@ -331,7 +366,11 @@ def _tables(path: Path, name: str) -> Iterator[LikelySource]:
             raise error
     for number, (topic, table) in enumerate(readable.items()):
         own = f"{name}_topic{number}".strip("_") if topic else name or "log"
-        yield from _source(own, path, topic or None, table)
+        arrays = {array: max(shape) for array, shape in table.shapes.items()}
+        for k, count in enumerate(dict.fromkeys(arrays.values())):  # sampled at other times
+            shapes = {each: s for each, s in table.shapes.items() if arrays[each] == count}
+            part = replace(table, shapes=shapes)
+            yield from _source(f"{own}_{k + 1}" if k else own, path, topic or None, part)
 
 
 def _source(
@@ -345,7 +384,9 @@ def _source(
         read = tuple(read_name(each, table.unit(each)) for each in names)
         read = layout.read(read) if layout else read
         logger = layout.logger if layout else ""
-        yield LikelySource(name, path, topic, table, read, clock, logger)
+        none = {c for c in read if c.kind and not np.isfinite(table.read([c.name])[c.name]).any()}
+        filled = tuple(each for each in read if each not in none)
+        yield LikelySource(name, path, topic, table, filled, clock, logger, tuple(none))
 
 
 def likely_signals(
@@ -373,7 +414,36 @@ def likely_signals(
         count = count or len(best.columns)
     for kind, source, group, evidence in _by_data(found, sources, joints):
         found[kind] = replace(_signal(source, group, joints, found), evidence=evidence)
-    return _with_derivatives(_with_sizes(found))
+    return _with_derivatives(_with_sizes(_with_counts(_with_own_rows(found))))
+
+
+def _with_own_rows(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySignal]:
+    """Signals with the clock of the positions' rows, where others are of another device."""
+    if (q := signals.get("position")) is None:
+        return signals
+    read = q.source.table.read([each.name for each in q.group.columns])
+    rows = np.isfinite(np.sum([*read.values()], axis=0))
+    if rows.all():
+        return signals
+    table = q.source.table
+    source = replace(q.source, clock=clock_of(table, layout_of(table.columns), rows))
+    return {
+        kind: replace(each, source=source) if each.source is q.source else each
+        for kind, each in signals.items()
+    }
+
+
+def _with_counts(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySignal]:
+    """Signals with torques of no unit that are whole numbers as a servo's loads."""
+    if (tau := signals.get("torque")) is None or any(tau.units):
+        return signals
+    values = values_of(tau)
+    values = values[np.isfinite(values).all(axis=1)]
+    if (values != np.round(values)).any() or not values.any():
+        return signals
+    units = ("raw",) * len(tau.units)
+    tau = replace(tau, units=units, because="whole numbers", sign_bit=sign_bit_of(values))
+    return {**signals, "torque": tau}
 
 
 def _signal(
@@ -505,6 +575,7 @@ def _with_sizes(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySig
     if (q := signals.get("position")) is None:
         return signals
     values = values_of(q)
+    values = values[np.isfinite(values).all(axis=1)]
     largest, whole = float(np.nanmax(np.abs(values))), bool((values == np.round(values)).all())
     if any(q.units) and not (q.source.logger and largest > DEGREES[0]):
         return signals  # a logger may have been told to write degrees
@@ -536,7 +607,8 @@ def likely_plates(
     Returns:
         What distinguishes a plate from the others, its source and its columns.
     """
-    found = []
+    if found := [each for source in sources for each in _stated_plates(source)]:
+        return found
     for source in sources:
         columns = [c for c in source.columns if c.kind == "wrench" and not c.beside]
         own = [c for c in columns if not at_the_hand(c)]
@@ -544,3 +616,19 @@ def likely_plates(
             found += [(n, source, each) for n, each in plate_columns(own or columns).items()]
     whole = [each for each in found if len(each[2]) == 6 and not at_the_hand(each[2][0])]
     return whole or found[:1]
+
+
+IDLE = 0.02
+"""Part of the largest force that a plate shows on which nothing stands."""
+
+
+def _stated_plates(source: LikelySource) -> Iterator[tuple[str, LikelySource, list[ColumnName]]]:
+    """Plates that the file itself describes, but for those without a load."""
+    table, by_name = source.table, {each.name: each for each in source.columns}
+    plates = [each for each in table.plates if by_name.keys() >= set(each.columns)]
+    sizes = [float(np.ptp([*table.read(each.columns[:3]).values()])) for each in plates]
+    for plate, size in zip(plates, sizes, strict=True):
+        if size >= IDLE * max(sizes):
+            roles = ((name, divmod(k, 3)) for k, name in enumerate(plate.columns))
+            columns = [replace(by_name[name], kind="wrench", role=role) for name, role in roles]
+            yield plate.name, source, columns

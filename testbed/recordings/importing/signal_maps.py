@@ -9,6 +9,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.recordings.importing.foreign_table import (
+    RAW,
     UNITS,
     ForeignTable,
     Kind,
@@ -48,6 +49,36 @@ def joint_signal(kind: Kind, table: SignalTable, gear: GearTable | None, columns
         motor = gear.motor_of_joint
         found = found @ motor if kind == "torque" else np.asarray(np.linalg.solve(motor, found.T).T)
     return found if table.offset is None else found + np.array(table.offset, dtype=np.float64)
+
+
+SIGN_BITS = (1 << 10, 1 << 11, 1 << 15)
+"""Of servos' loads and currents: from this value on what is above it counts the other way."""
+
+
+def without_sign_bit(values: Array, bit: int) -> Array:
+    """Numbers of which a bit is the sign, as numbers with a sign.
+
+    Args:
+        values: Whole, not negative.
+        bit: One of `SIGN_BITS`.
+    """
+    return np.where(values >= bit, bit - values, values)
+
+
+def sign_bit_of(values: Array) -> int:
+    """The bit that is the sign of whole numbers, without which they change far less; 0 for none.
+
+    Args:
+        values: Of all columns of a signal, (M, k).
+    """
+    large = float(values.max())
+    bit = next((each for each in SIGN_BITS if each <= large < 2 * each), 0)
+    if not bit or values.min() < 0 or (values != np.round(values)).any():
+        return 0
+    raw, signed = (
+        np.abs(np.diff(each, axis=0)).sum() for each in (values, without_sign_bit(values, bit))
+    )
+    return bit if 2 * signed < raw else 0
 
 
 def wrench_of(table: SixAxisTable, columns: Array) -> Array:
@@ -158,7 +189,9 @@ def check_file_units(label: str, kind: str, columns: Sequence[str], units: Seque
     """
     for column, unit in zip(columns, units, strict=True):
         said = plain(table.unit(column) or "")
-        if said in UNITS[kind] and said != plain(unit) and plain(unit) in UNITS[kind]:
+        if said in {*UNITS[kind], *RAW} and said != plain(unit) and plain(unit) in UNITS[kind]:
+            how = {"torque": "; say its `gain`", "force": "; say the plate's gains, `matrix`"}
             raise RecordingError(
                 f"{label}: the file says that '{column}' is in {said}, the mapping says {unit}"
+                + how.get(kind, "") * (said in RAW)
             )
