@@ -77,20 +77,7 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
     used = {each.source.name for each in signals.values()} | {each[1].name for each in plates}
     used |= {keys[0][1] for keys in (temperatures, base) if keys}
     for each in sources:
-        name = f"sources.{each.name}"
-        file = os.path.relpath(each.file.resolve(), folder.resolve())
-        known = [f"# {each.table.about}"] if each.table.about else []
-        known += [f"# {each.logger} names its columns like this"] if each.logger else []
-        draft = draft.remarking(name, *known, *_listed(each.table))
-        if used and each.name not in used:
-            here = " ".join(filter(None, (file, each.topic, "holds no signal: no source of it")))
-            draft = draft.remarking(name, f"# {printable(here)}")
-            continue
-        draft = draft.saying(name, "file", file)
-        if each.topic is not None:
-            draft = draft.saying(name, "topic", each.topic)
-        for said in each.clock.said():
-            draft = draft.saying(name, *said)
+        draft = _with_source(draft, each, folder, needed=each.name in used or not used)
     for kind in KINDS:
         draft = _with_signal(draft, kind, signals, sources)
     for said in temperatures:
@@ -107,6 +94,20 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
             draft = draft.saying(table, *said)
     for said in base:
         draft = draft.saying("base", *said)
+    return draft
+
+
+def _with_source(draft: Draft, source: LikelySource, folder: Path, *, needed: bool) -> Draft:
+    """A source's table, or the columns of one that no signal is of."""
+    name = f"sources.{source.name}"
+    file = os.path.relpath(source.file.resolve(), folder.resolve())
+    known = [f"# {source.table.about}"] if source.table.about else []
+    known += [f"# {source.logger} names its columns like this"] if source.logger else []
+    known += [] if needed else [f"# no signal is of {printable(f'{file} {source.topic or str()}')}"]
+    draft = draft.remarking(name, *known, *_listed(source.table))
+    keys = [("file", file, ""), ("topic", source.topic, ""), *source.clock.said()]
+    for said in keys if needed else ():
+        draft = draft.saying(name, *said)
     return draft
 
 

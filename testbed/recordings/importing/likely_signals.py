@@ -216,7 +216,9 @@ def _unit(column: str, stamps: Array | NDArray[np.int64]) -> tuple[str | None, s
         return sized[0], "by its size"
     steps = np.diff(stamps)
     step = float(np.median(steps[steps > 0]))
-    usual = [u for u in ("s", "ms", "us", "ns", "day") if USUAL[0] <= 1 / (step * TIMES[u]) <= USUAL[1]]
+    usual = [
+        u for u in ("s", "ms", "us", "ns", "day") if USUAL[0] <= 1 / (step * TIMES[u]) <= USUAL[1]
+    ]
     return (usual[0], "by its steps") if len(usual) == 1 else (None, "")
 
 

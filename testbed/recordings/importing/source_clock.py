@@ -90,8 +90,8 @@ class Times:
     @staticmethod
     def of(stamps: Array | NDArray[np.int64], unit: str) -> Times:
         """Of stamps as they are counted, (M,), in a unit of `TIMES`."""
-        if TIMES[unit] > MINUTE:
-            stamps, unit = stamps * TIMES[unit], "s"
+        if unit == "day":
+            return Times.of(np.asarray(stamps * TIMES[unit], dtype=np.float64), "s")
         minute = round(MINUTE / TIMES[unit])  # of these units
         first = stamps[np.isfinite(stamps)][:1]
         minutes = int(first[0] // minute) if len(first) else 0

@@ -99,7 +99,8 @@ def _plates(
     kinds = [int(kind) for kind in group["TYPE"]]
     wide = len(group["CHANNEL"]) // max(len(kinds), 1)
     names, scale = [*channels], _length(said)
-    found, made = [], {}
+    found: list[StatedPlate] = []
+    made: dict[str, Array] = {}
     for k, kind in enumerate(kinds):
         own = [int(n) - 1 for n in group["CHANNEL"][wide * k : wide * k + CHANNELS.get(kind, 0)]]
         if len(own) < CHANNELS.get(kind, 1) or not all(0 <= n < len(names) for n in own):
