@@ -45,7 +45,7 @@ EPOCH = 1e9
 USUAL = (20.0, 10_000.0)
 """Samples a second of most devices: they show the unit of steps [Hz]."""
 
-TIME_WORDS = ("stamp", "time", "received", "sec", "t")
+TIME_WORDS = ("stamp", "time", "zeit", "received", "date", "sec", "t")
 """Names of times, or parts of them; the likeliest first."""
 
 RISING = 0.5
@@ -53,9 +53,6 @@ RISING = 0.5
 
 STANDING = 0.01
 """Part of the steps in which a clock stands from which it is coarser than the samples."""
-
-COARSE = 1e-3
-"""Tick of a clock, in parts of the recording, from which its stamps say hardly more than a rate."""
 
 LOOKED_AT = 3
 """Columns that are tried."""
@@ -151,19 +148,14 @@ def clock_of(
             continue
         said = plain(table.unit(column) or "")
         given = said in TIMES
-        unit, because = (said, "") if given else _unit(column, stamps)
+        unit, because = (said, "") if given else _unit(column, line + stamps[0] if coarse else stamps)
         unit = (layout.unit if layout and known else None) or unit
         one = TIMES[unit] if unit else 1.0
         if not coarse:
             rate = rate_of(stamps) / one
             return Clock(column, unit, given, rounded(rate, 1e-12) if unit else rate, because)
-        tick = float(np.median(steps[steps > 0]))
-        doubt = tick / float(stamps[-1] - stamps[0])
-        rate = rounded(1 / (one * float(line[1] - line[0])), doubt)
-        ticks = f"{tick:g} {unit or ''}".strip()
-        said = f"{stands:.0%} of the stamps are those before, as of a clock with ticks of {ticks}"
-        if unit and doubt > COARSE:
-            return Clock(None, rate=rate, because=f"by '{column}': {said}")
+        rate = rounded(1 / (one * float(line[1] - line[0])), 2 / len(stamps))
+        said = f"{stands:.0%} of the stamps are those before, as of a clock that ticks slower"
         return Clock(column, unit, given, rate, because, said)
     count = max(table.lengths.values(), default=0)
     return Clock(None, because=f"no column of {count} numbers looks like times [Hz]")

@@ -204,23 +204,33 @@ def steady_times(name: str, time: Array, rows: NDArray[np.intp]) -> Array:
 def steady_line(time: Array, rows: NDArray[np.intp] | None = None) -> tuple[Array, Array, bool]:
     """The line through stamps, how far they stray from it, and whether a steady device's may.
 
-    Stamps of a coarse clock stand and jump by its tick: they stray by a tick, and no further.
+    Stamps of a coarse clock stand and jump by its tick: the line is that of the jumps.
 
     Args:
         time: The stamps, (M,) [s].
         rows: Numbers of the samples, (M,); default 0, 1, ....
     """
     number = np.arange(len(time), dtype=np.float64) if rows is None else rows.astype(np.float64)
-    number -= number.mean()
-    slope = float(number @ (time - time.mean()) / (number @ number))
-    line: Array = time.mean() + slope * number
-    steps = np.diff(time)
-    tick = float(np.median(steps[steps > 0])) if 0 < (steps == 0).sum() < len(steps) else 0.0
+    jumps = np.flatnonzero(np.diff(time) > 0) + 1
+    if len(jumps) < len(time) - 1:  # a sample at which the clock jumps is late by less than a step
+        slope, begin = _line(number[jumps], time[jumps])
+        stray = time[jumps] - begin - slope * number[jumps]
+        if slope > 0 and np.ptp(stray) <= 2 * slope:
+            return begin + slope * number, stray, True
+    slope, begin = _line(number, time)
+    line: Array = begin + slope * number
     width = min(SMOOTHED, len(time))
     stray = np.convolve(time - line, np.ones(width) / width, mode="valid")
-    even = bool(np.abs(stray).max() <= STRAY * slope)
-    coarse = tick > slope and bool(np.ptp(time - line) <= tick + slope)
-    return line, stray, slope > 0 and (even or coarse)
+    return line, stray, slope > 0 and bool(np.abs(stray).max() <= STRAY * slope)
+
+
+def _line(number: Array, time: Array) -> tuple[float, float]:
+    """Slope, and value at zero, of the line through points."""
+    if len(number) < 2:
+        return 0.0, 0.0
+    centred = number - number.mean()
+    slope = float(centred @ (time - time.mean()) / (centred @ centred))
+    return slope, float(time.mean() - slope * number.mean())
 
 
 def clock_report(
