@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -152,14 +152,15 @@ class StatedPlate:
 
     Attributes:
         name: Of a table in a mapping.
-        columns: Force and moment on the plate along the sensor's axes.
-        place: Of the sensor in the laboratory's frame, x, y, z [m] and roll, pitch, yaw [rad];
-            None if the file does not say.
+        columns: Force and moment on the plate along the sensor's axes, or what becomes them.
+        place: `xyz` [m] and `rpy` [rad] of the sensor in the laboratory's frame; None if unknown.
+        matrix: (6, k), from the columns to forces [N] and moments [N m]; None if they are those.
     """
 
     name: str
     columns: tuple[str, ...]
-    place: tuple[tuple[float, ...], tuple[float, ...]] | None
+    place: Mapping[str, list[float]] | None = None
+    matrix: list[list[float]] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +186,7 @@ class ForeignTable:
     units: Mapping[str, str] = field(default_factory=dict)
     cut: bool = False
     about: str = ""
-    plates: tuple[StatedPlate, ...] = ()
+    plates: Sequence[StatedPlate] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -251,35 +251,35 @@ def _key(name: str) -> str:
 
 def _plate(source: LikelySource, columns: Sequence[ColumnName], *, alone: bool) -> Iterator[Said]:
     """A plate's keys."""
-    yield "source", source.name, ""
-    odd = "" if len(columns) == 6 else "six are wanted: force x, y, z, moment x, y, z"
-    hand = "they look like those of a sensor at the tool: leave [wrench] out then"
-    yield "columns", [each.name for each in columns], hand if at_the_hand(columns[0]) else odd
-    units = [_of_all(columns[:3], "force"), _of_all(columns[3:], "moment")]
-    raw = sorted({each.unit for each in columns if each.unit and plain(each.unit) in RAW})
-    if raw:
-        yield "units", ["N", "N m"], "by the matrix"
-        yield "matrix", "", f"the file says {raw[0]}: six rows, N and N m of one {raw[0]}"
-    else:
-        yield "units", units, "" if all(units) else f"{_listing('force')}; {_listing('moment')}"
     names = tuple(each.name for each in columns)
     stated = next((each for each in source.table.plates if each.columns == names), None)
+    yield "source", source.name, ""
+    six = "six are wanted: force x, y, z, moment x, y, z" * (len(columns) != 6 and not stated)
+    hand = "they look like those of a sensor at the tool: leave [wrench] out then"
+    yield "columns", list(names), hand if at_the_hand(columns[0]) else six
+    units = [_of_all(columns[:3], "force"), _of_all(columns[3:], "moment")]
+    raw = next((each.unit for each in columns if each.unit and plain(each.unit) in RAW), None)
+    matrix = stated.matrix if stated else None
+    if raw or matrix:
+        about = "" if matrix else f"the file says {raw}: six rows, N and N m of one {raw}"
+        yield "units", ["N", "N m"], "by the matrix"
+        yield "matrix", matrix or "", about
+    else:
+        yield "units", units, "" if all(units) else f"{_listing('force')}; {_listing('moment')}"
     if stated is not None:
-        yield "sense", "on_plate", "as the file's kind of plates"
-    if stated is not None and stated.place is not None:
-        xyz, rpy = stated.place
-        about = "by the file, in the laboratory's frame: it must be the bedplate's"
-        yield "place", {"xyz": xyz, "rpy": rpy}, about
-        return
-    pull = [
-        f"; {json.dumps(each.name)} is "
-        f"{np.nanmean(source.table.read([each.name])[each.name]):.4g} on average"
-        for each in columns
-        if each.role == (0, 2)
-    ]
-    if stated is None:
+        yield "sense", "on_plate", "as in all files of its kind"
+    else:
+        pull = [
+            f"; {json.dumps(each.name)} is "
+            f"{np.nanmean(source.table.read([each.name])[each.name]):.4g} on average"
+            for each in columns
+            if each.role == (0, 2)
+        ]
         yield "sense", "", f"on_robot (at rest upwards) or on_plate{''.join(pull)}"
-    if alone:
+    place = stated.place if stated else None
+    if place is not None:
+        yield "place", place, "by the file, in the laboratory's frame: it must be the bedplate's"
+    elif alone:
         yield "# place", {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, "of the sensor [m, rad]"
     else:
         yield "place", "", "of the sensor [m, rad], as { xyz = [0, 0, 0], rpy = [0, 0, 0] }"

@@ -148,7 +148,9 @@ def clock_of(
             continue
         said = plain(table.unit(column) or "")
         given = said in TIMES
-        unit, because = (said, "") if given else _unit(column, line + stamps[0] if coarse else stamps)
+        unit, because = (
+            (said, "") if given else _unit(column, line + stamps[0] if coarse else stamps)
+        )
         unit = (layout.unit if layout and known else None) or unit
         one = TIMES[unit] if unit else 1.0
         if not coarse:
@@ -623,6 +625,4 @@ def _stated_plates(source: LikelySource) -> Iterator[tuple[str, LikelySource, li
     sizes = [float(np.ptp([*table.read(each.columns[:3]).values()])) for each in plates]
     for plate, size in zip(plates, sizes, strict=True):
         if size >= IDLE * max(sizes):
-            roles = ((name, divmod(k, 3)) for k, name in enumerate(plate.columns))
-            columns = [replace(by_name[name], kind="wrench", role=role) for name, role in roles]
-            yield plate.name, source, columns
+            yield plate.name, source, [by_name[name] for name in plate.columns]

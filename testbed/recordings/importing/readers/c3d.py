@@ -9,11 +9,14 @@ Source    The C3D File Format User Guide, Motion Lab Systems
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError
@@ -25,7 +28,6 @@ from testbed.recordings.importing.foreign_table import (
     plain,
     readable,
 )
-from testbed.robot.inertia import to_rpy
 
 BLOCK = 512
 """Bytes; all places are counted in such."""
@@ -35,13 +37,6 @@ ORDERS = {84: "<", 86: ">"}
 
 TYPES = {-1: "S1", 1: "i1", 2: "i2", 4: "f4"}
 """Of parameters' values."""
-
-PLATFORM = ("TYPE", "CHANNEL", "CORNERS", "ORIGIN", "CAL_MATRIX")
-"""Parameters of force plates."""
-
-CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}
-"""Of force plates, by their type: with a centre of pressure; forces and moments; eight forces,
-as Kistler's; forces and moments by a calibration."""
 
 MOST_FRAMES = 65535
 """That the header can state."""
@@ -68,9 +63,10 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         said, order = _parameters(data)
         points, analog, rates, missing = _frames(data, said, order)
         channels = _analog(analog, said)
-        units = _units("point", said) | _units("analog", said)
-        plates, made = _plates(said, channels, units)
-        columns = _points(points, said, missing) | channels | made
+        columns = _points(points, said, missing) | channels
+        plates = []
+        with suppress(KeyError, ValueError, IndexError):  # parameters that are not all there
+            plates = [*_plates(said, [*channels])]
         times = {}
         for kind, rate, count in zip(
             ("point", "analog"), rates, (len(points), len(analog)), strict=True
@@ -79,97 +75,55 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
                 times[f"{kind}/time"] = np.arange(count) / rate
     columns = {name: values for name, values in (times | columns).items() if len(values) > 1}
     shapes = {name: values.shape for name, values in columns.items()}
-    units |= dict.fromkeys(times, "s")
+    units = dict.fromkeys(times, "s") | _units("point", said) | _units("analog", said)
     return ForeignTable(path, shapes, columns.__getitem__, units, plates=plates)
 
 
-def _plates(
-    said: Parameters, channels: dict[str, Array], units: dict[str, str]
-) -> tuple[tuple[StatedPlate, ...], dict[str, Array]]:
-    """Force plates, and the columns of those whose channels are no forces and moments.
+def _plates(said: Parameters, channels: Sequence[str]) -> Iterator[StatedPlate]:
+    """Force plates of six forces and moments (types 2 and 4) or of eight forces (type 3).
 
-    What a plate measures acts on it, along axes by its corners; z points downwards.
+    What they measure acts on the plate, along axes that are by its corners; z is downwards.
 
     Args:
         said: What the file says of itself.
-        channels: By name.
-        units: Of channels; those of columns that are made are added.
+        channels: Names of columns.
     """
-    group = {name: said.get(f"FORCE_PLATFORM:{name}", ()) for name in PLATFORM}
-    kinds = [int(kind) for kind in group["TYPE"]]
-    wide = len(group["CHANNEL"]) // max(len(kinds), 1)
-    names, scale = [*channels], _length(said)
-    found: list[StatedPlate] = []
-    made: dict[str, Array] = {}
-    for k, kind in enumerate(kinds):
-        own = [int(n) - 1 for n in group["CHANNEL"][wide * k : wide * k + CHANNELS.get(kind, 0)]]
-        if len(own) < CHANNELS.get(kind, 1) or not all(0 <= n < len(names) for n in own):
-            continue
-        columns = tuple(names[n] for n in own)
-        origin = np.resize(np.append(group["ORIGIN"][3 * k : 3 * k + 3], np.zeros(3))[:3], 3)
-        origin = -origin if origin[2] > 0 and kind != 3 else origin  # as old files have it
-        if kind != 2:
-            table = np.stack([channels[name] for name in columns])
-            matrix = np.reshape(group["CAL_MATRIX"][36 * k : 36 * k + 36], (6, -1), order="F")
-            wrench = _wrench(kind, table, origin, matrix)
-            wrench[3:] *= scale / LENGTHS["mm"]
-            force = "N" if kind == 4 else units.get(columns[0], "")
-            columns = tuple(
-                f"analog/plate {k + 1}/{a}" for a in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-            )
-            made |= dict(zip(columns, wrench, strict=True))
-            moment = "Nmm" if force == "N" else force
-            units |= dict(zip(columns, [force] * 3 + [moment] * 3, strict=True))
-        shift = {1: np.zeros(3), 3: np.array([0, 0, -abs(origin[2])])}.get(kind, origin)
-        corners = np.reshape(group["CORNERS"][12 * k : 12 * k + 12], (-1, 3)) * scale
-        found.append(StatedPlate(f"plate_{k + 1}", columns, _place(corners, shift * scale)))
-    return tuple(found), made
-
-
-def _wrench(kind: int, channels: Array, origin: Array, matrix: Array) -> Array:
-    """Force and moment of a plate, (6, M), its moment in N and the file's unit of length.
-
-    Args:
-        kind: 1 with a centre of pressure, 3 with eight forces, 4 with a calibration.
-        channels: (6 or 8, M).
-        origin: Of the sensors, (3,).
-        matrix: Of a calibration, (6, 6).
-    """
-    if kind == 1:
-        x, y, z, px, py, turn = channels
-        return np.stack([x, y, z, py * z, -px * z, turn + px * y - py * x])
-    if kind == 4:
-        found: Array = matrix @ channels
-        return found
-    x12, x34, y14, y23, z1, z2, z3, z4 = channels
-    a, b, _ = origin
-    moments = (b * (z1 + z2 - z3 - z4), a * (z2 + z3 - z1 - z4), b * (x34 - x12) + a * (y14 - y23))
-    return np.stack([x12 + x34, y14 + y23, z1 + z2 + z3 + z4, *moments])
-
-
-def _place(corners: Array, origin: Array) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-    """A sensor's place by the corners of its plate, in the quadrants ++, -+, --, +- of its axes.
-
-    Args:
-        corners: In the laboratory's frame, (4, 3) [m].
-        origin: From the sensor to the centre of the surface, along its axes, (3,) [m].
-    """
-    if len(corners) != 4 or not np.isfinite(corners).all():
-        return None
-    x = corners[0] + corners[3] - corners[1] - corners[2]
-    z = np.cross(x, corners[0] + corners[1] - corners[2] - corners[3])
-    if not (x.any() and z.any()):
-        return None
-    x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
-    turn = np.column_stack([x, np.cross(z, x), z])
-    place = corners.mean(axis=0) - turn @ origin
-    return tuple(np.round(place, 7).tolist()), tuple(np.round(to_rpy(turn), 7).tolist())
-
-
-def _length(said: Parameters) -> float:
-    """The file's unit of length [m]; most files' is a millimetre."""
     unit = plain(next(iter(_texts("point", "UNITS", said)), "mm"))
-    return LENGTHS.get(unit, LENGTHS["mm"])
+    scale = LENGTHS.get(unit, LENGTHS["mm"])
+    kinds = said.get("FORCE_PLATFORM:TYPE", ())
+    group = {
+        name: np.reshape(said[f"FORCE_PLATFORM:{name}"], (len(kinds), -1))
+        for name in ("CHANNEL", "CORNERS", "ORIGIN", "CAL_MATRIX")
+        if len(said.get(f"FORCE_PLATFORM:{name}", ())) >= len(kinds) > 0
+    }
+    for k, kind in enumerate(kinds):
+        if kind not in (2, 3, 4):
+            continue
+        corners = group["CORNERS"][k].reshape(4, 3) * scale
+        origin = group["ORIGIN"][k] * scale
+        origin = -origin if origin[2] > 0 else origin  # from the sensor up, against z
+        numbers, matrix = group["CHANNEL"][k][:6], None
+        if kind == 4:
+            matrix = group["CAL_MATRIX"][k].reshape(6, 6).T * np.repeat([1, scale], 3)[:, None]
+        elif kind == 3:
+            a, b, _ = np.abs(origin)
+            numbers, origin = group["CHANNEL"][k][:8], origin * [0, 0, 1]
+            moments = [
+                [0, 0, 0, 0, b, b, -b, -b],
+                [0, 0, 0, 0, -a, a, a, -a],
+                [-b, b, a, -a, 0, 0, 0, 0],
+            ]
+            matrix = np.vstack([np.repeat(np.eye(3), [2, 2, 4], axis=1), moments])
+        x = corners[[0, 3]].sum(axis=0) - corners[[1, 2]].sum(axis=0)
+        y = corners[[0, 1]].sum(axis=0) - corners[[2, 3]].sum(axis=0)
+        place = None
+        if np.cross(x, y).any():
+            turn, _ = Rotation.align_vectors([x, y], np.eye(3)[:2])
+            xyz = corners.mean(axis=0) - turn.apply(origin)
+            place = {"xyz": xyz.round(6).tolist(), "rpy": turn.as_euler("xyz").round(6).tolist()}
+        names = tuple(channels[int(number) - 1] for number in numbers)
+        rows = None if matrix is None else matrix.tolist()
+        yield StatedPlate(f"plate_{k + 1}", names, place, rows)
 
 
 def _parameters(data: bytes) -> tuple[Parameters, str]:

@@ -1,9 +1,9 @@
 """Numbers in lines of text: CSV and its relatives, plain or packed by gzip.
 
-The style, separator and decimal point, is that by which most fields of the table are numbers.
+The separator and the decimal point are those by which most fields of the table are numbers.
 Lines before the first one of numbers are a preamble; the last of them that has as many fields
 names the columns, else they are called 0, 1, .... A line of units beside it is that of the
-columns' units. Columns of text are left out, instants are nanoseconds (`written_times`), empty
+columns' units. Columns of text are left out, instants are microseconds (`written_times`), empty
 fields are no numbers (nan). A last line that is incomplete is left out.
 """
 
@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import csv
 import gzip
+import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import islice
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.recordings.importing.foreign_table import KNOWN, ForeignTable, plain, readable
-from testbed.recordings.importing.written_times import is_instant, nanoseconds
+from testbed.recordings.importing.written_times import DAY, INSTANT, microseconds
 
 MOST_TEXT = 500_000_000
 """Bytes of text, unpacked."""
@@ -35,45 +34,14 @@ LONGEST_PREAMBLE = 1000
 LOOKED_AT = 60
 """Lines by which a table's style is known."""
 
-AT_ONCE = 50_000
-"""Lines that are split at a time."""
-
 WHOLE = 2.0**53
 """From here on floating-point numbers leave out whole ones."""
 
-STYLES = tuple((separator, decimal) for separator in (";", "\t", ",", None) for decimal in ".,")
+STYLES = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (None, "."), (None, ","))
 """Separators and decimal points in the order of trying; no separator is blanks."""
 
 MISSING = {"", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none"}
 """Fields without a number, in small letters."""
-
-
-@dataclass(frozen=True)
-class _Style:
-    """How a table is written.
-
-    Attributes:
-        separator: Between fields; None for blanks.
-        decimal: The decimal point.
-        width: Fields of a line.
-        filled: Number of the first fields that are not all empty.
-        kinds: By its place, what a column holds: "number" or "instant".
-    """
-
-    separator: str | None
-    decimal: str
-    width: int
-    filled: int
-    kinds: dict[int, str]
-
-    def words(self, fields: Sequence[str]) -> int:
-        """How many fields of columns that are read hold neither their kind nor nothing."""
-        pairs = ((kind, fields[k]) for k, kind in self.kinds.items())
-        return sum(_kind(text, self.decimal) not in (kind, "") for kind, text in pairs)
-
-    def given(self, fields: Sequence[str]) -> int:
-        """How many fields of columns that are read hold their kind."""
-        return sum(_kind(fields[k], self.decimal) == kind for k, kind in self.kinds.items())
 
 
 def read_file(path: Path, topic: str | None) -> ForeignTable:
@@ -89,11 +57,26 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
     del topic
     with readable(path):
         lines = _text(path).splitlines()
-        style = _style(path, lines)
-        first, before = _first_numbers(path, lines, style)
-        names, units = _head(before, style)
-        lines, cut = _without_cut_end(lines, first, style)
-        columns = _columns(path, lines, first, style, names)
+        told = [k for k, line in enumerate(lines) if not _comment(line)]
+        probes = told[len(told) // 2 :]
+        probes = probes[:: len(probes) // LOOKED_AT + 1]
+        separator, decimal = max(
+            STYLES, key=lambda style: _numeric([lines[k] for k in probes], *style)
+        )
+        given = lines
+        if decimal == ",":
+            lines = [line.replace(",", ".") for line in lines]
+        rows = [_fields(lines[k], separator) for k in probes]
+        width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
+        held = [*zip(*(row for row in rows if len(row) == width), strict=True)]
+        wanted = [k for k, fields in enumerate(held) if _values(fields) >= _words(fields)]
+        first, above = _first_numbers(path, lines, separator, wanted, width)
+        names, units = _head([_fields(_bare(given[k]), separator) for k in above], width)
+        read = [k for k in wanted if names[k] != str(k) or any(map(str.strip, held[k]))]
+        units |= {names[k]: "us" for k in read if any(map(INSTANT.fullmatch, held[k]))}
+        cut = len(_fields(lines[told[-1]], separator)) < len(_fields(lines[first], separator))
+        body = [k for k in told[: -1 if cut else None] if k >= first]
+        columns = _columns(path, lines, body, separator, {k: names[k] for k in read})
 
     def load(name: str) -> NDArray[Any]:
         found = columns[name]
@@ -101,95 +84,74 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
             raise found
         return found
 
-    count = max((len(c) for c in columns.values() if not isinstance(c, Exception)), default=2)
-    return ForeignTable(path, dict.fromkeys(columns, (count,)), load, units, cut=cut)
+    return ForeignTable(path, dict.fromkeys(columns, (len(body),)), load, units, cut=cut)
 
 
 def _columns(
-    path: Path, lines: list[str], first: int, style: _Style, names: dict[int, str]
+    path: Path, lines: list[str], body: list[int], separator: str | None, names: dict[int, str]
 ) -> dict[str, NDArray[Any] | RecordingError]:
-    """Columns by name, or which line is no number in them."""
-    parts: dict[int, list[Any]] = {k: [] for k in names}
-    refused: dict[int, RecordingError] = {}
-    told = ((k, line) for k, line in enumerate(lines[first:], first + 1) if not _comment(line))
-    while chunk := [*islice(told, AT_ONCE)]:
-        numbers = [k for k in names if style.kinds[k] == "number"]
-        plain_ones = _plain_numbers([line for _, line in chunk], style, numbers)
-        for k, values in plain_ones.items():
-            parts[k].append(values)
-        if len(plain_ones) == len(names):
-            continue
-        rows = [_fields(line, style.separator) for _, line in chunk]
-        for (number, _), fields in zip(chunk, rows, strict=True):
-            if len(fields) <= max(names):
-                raise RecordingError(
-                    f"{path}: line {number} ends after {len(fields)} of {max(names) + 1} fields"
-                )
-        for k in names.keys() - plain_ones.keys():
-            texts, kind = [fields[k] for fields in rows], style.kinds[k]
+    """Columns by name, or which line is no number in them.
+
+    Args:
+        path: The file.
+        lines: All of it.
+        body: Those of numbers.
+        separator: Between fields.
+        names: Of columns, by their places.
+    """
+    odd: dict[int, str] = {}
+
+    def reader(place: int) -> Callable[[str], float]:
+        def value(text: str) -> float:
             try:
-                parts[k] += _checked(texts) if kind == "instant" else [_values(texts, style)]
+                return _value(text)
             except ValueError:
-                wrong = [_kind(text, style.decimal) not in (kind, "") for text in texts].index(True)
-                said = f"line {chunk[wrong][0]}: '{names[k]}' is '{texts[wrong].strip()}'"
-                refused.setdefault(k, RecordingError(f"{path}: {said}"))
-    made = {}
-    for k, name in names.items():
-        whole = nanoseconds if style.kinds[k] == "instant" else np.concatenate
-        made[name] = refused.get(k) or whole(parts[k])
-    return made
+                odd.setdefault(place, text)
+                return math.nan
 
+        return value
 
-def _plain_numbers(lines: list[str], style: _Style, places: list[int]) -> dict[int, Array]:
-    """Columns of lines in which every field of these is a number; else none of them."""
-    if style.decimal == ",":
-        lines = [line.replace(",", ".") for line in lines]
+    def table(**how: Any) -> Array:
+        told = (lines[k] for k in body)
+        return np.loadtxt(
+            told,
+            delimiter=separator,
+            usecols=[*names],
+            comments=None,
+            ndmin=2,
+            quotechar='"',
+            **how,
+        )
+
     try:
-        table = np.loadtxt(lines, delimiter=style.separator, usecols=places, comments=None, ndmin=2)
+        read = table()
     except ValueError:
-        return {}
-    large = np.abs(table).max(axis=0, initial=0) >= WHOLE
-    return {k: table[:, place] for place, k in enumerate(places) if not large[place]}
-
-
-def _checked(texts: list[str]) -> list[str]:
-    """Instants, empty where one is missing.
-
-    Raises:
-        ValueError: A text is none.
-    """
-    found = ["" if _missing(text) else text for text in texts]
-    if not all(is_instant(text) for text in found if text):
-        raise ValueError("no instant")
+        for k in body:
+            if (count := len(_fields(lines[k], separator))) <= max(names):
+                said = f"line {k + 1} ends after {count} of {max(names) + 1} fields"
+                raise RecordingError(f"{path}: {said}") from None
+        read = table(converters={k: reader(k) for k in names}, encoding="utf-8")
+    found: dict[str, NDArray[Any] | RecordingError] = {}
+    for column, (k, name) in zip(read.T, names.items(), strict=True):
+        found[name] = column
+        if k in odd:
+            line = next(
+                n for n in body if _fields(lines[n], separator)[k].strip() == odd[k].strip()
+            )
+            found[name] = RecordingError(f"{path}: line {line + 1}: '{name}' is '{odd[k].strip()}'")
+        elif np.nanmax(np.abs(column), initial=0) >= WHOLE:
+            found[name] = _counted([_fields(lines[n], separator)[k] for n in body], column)
+        elif INSTANT.fullmatch(_fields(lines[body[0]], separator)[k]):
+            found[name] = column + DAY * np.append(0, np.cumsum(np.diff(column) < -DAY / 2))
     return found
 
 
-def _values(texts: list[str], style: _Style) -> NDArray[Any]:
-    """Numbers of one column; whole ones that are too large for floating point stay whole.
-
-    Raises:
-        ValueError: A text is none.
-    """
-    given = [text.replace(",", ".") for text in texts] if style.decimal == "," else texts
+def _counted(texts: list[str], read: Array) -> NDArray[Any]:
+    """A column of numbers so large that floating-point ones have not all their digits."""
     try:
-        found: Array = np.array([float(text) for text in given])
-    except ValueError:
-        found = np.array([float("nan" if _missing(text) else text) for text in given])
-    if any("_" in text for text in given):  # a number of Python's, and of no logger's
-        raise ValueError("no number")
-    if np.abs(found).max(initial=0) >= WHOLE:
-        try:
-            return np.array([int(text) for text in given], dtype=np.int64)
-        except (ValueError, OverflowError):  # no whole numbers, or more than counters hold
-            return found
-    return found
-
-
-def _without_cut_end(lines: list[str], first: int, style: _Style) -> tuple[list[str], bool]:
-    """The lines without a last one that is incomplete, as where a logger was stopped."""
-    last = max(k for k, line in enumerate(lines) if not _comment(line))
-    fields = [len(_fields(lines[k], style.separator)) for k in (first, last)]
-    return (lines[:last], True) if fields[1] < fields[0] else (lines, False)
+        return np.array([int(text) for text in texts], dtype=np.int64)
+    except (ValueError, OverflowError):  # no whole numbers, or more than counters hold
+        return read
 
 
 def _text(path: Path) -> str:
@@ -207,73 +169,54 @@ def _text(path: Path) -> str:
         return data.decode("latin-1")
 
 
-def _style(path: Path, lines: list[str]) -> _Style:
-    """How the table is written, by lines of its second half.
+def _numeric(lines: list[str], separator: str | None, decimal: str) -> float:
+    """Part of the fields that are numbers, if lines are written so."""
+    texts = [line.replace(",", ".") if decimal == "," else line for line in lines]
+    fields = [field for line in texts for field in _fields(line, separator)]
+    if separator is not None and len(fields) < 2 * len(lines):
+        return 0.0
+    values = _values(fields)
+    return values / max(1, values + _words(fields))
+
+
+def _first_numbers(
+    path: Path, lines: list[str], separator: str | None, wanted: list[int], width: int
+) -> tuple[int, list[int]]:
+    """Indices of the first line of numbers, and of those before it with as many fields.
 
     Raises:
-        RecordingError: They hold no numbers.
+        RecordingError: There is none.
     """
-    told = [line for line in lines if not _comment(line)]
-    told = told[len(told) // 2 :]
-    told = told[:: len(told) // LOOKED_AT + 1]
-
-    def share(style: tuple[str | None, str]) -> float:
-        rows = [_fields(line, style[0]) for line in told]
-        kinds = [_kind(field, style[1]) for row in rows for field in row]
-        given = [kind for kind in kinds if kind]
-        alone = style[0] is not None and len(kinds) < 2 * len(rows)
-        return 0.0 if alone or not given else 1 - given.count("word") / len(given)
-
-    separator, decimal = max(STYLES, key=share)
-    rows = [_fields(line, separator) for line in told]
-    width = Counter(len(row) for row in rows).most_common(1)[0][0] if rows else 0
-    held = [
-        Counter(_kind(row[k], decimal) for row in rows if len(row) == width) for k in range(width)
-    ]
-    filled = max((k + 1 for k, each in enumerate(held) if {*each} - {""}), default=0)
-    kinds = {k: max(("number", "instant", "word"), key=each.__getitem__)
-             for k, each in enumerate(held)}  # fmt: skip
-    read = {k: kind for k, kind in kinds.items() if kind != "word"}
-    if not filled or not read:
-        raise RecordingError(f"{path}: there is no line of numbers in it")
-    return _Style(separator, decimal, width, filled, read)
-
-
-def _first_numbers(path: Path, lines: list[str], style: _Style) -> tuple[int, list[list[str]]]:
-    """Index of the first line of numbers, and fields of the lines before that fit the columns."""
-    before: list[list[str]] = []
+    above: list[int] = []
     for k, line in enumerate(lines[:LONGEST_PREAMBLE]):
-        fields = _fields(line.lstrip("#% ") if _comment(line) else line, style.separator)
-        used = max((i + 1 for i, field in enumerate(fields) if field.strip()), default=0)
-        if not min(style.filled, style.width) <= len(fields) or used > style.width:
+        fields = _fields(_bare(line), separator)
+        if not wanted or not max(wanted) < len(fields) <= width + 1:
             continue
-        fields += [""] * (style.width - len(fields))
-        words, given = style.words(fields), style.given(fields)
-        if not _comment(line) and given and (not words or (before and given > words)):
-            return k, before
-        if used:
-            before.append(fields)
+        own = [fields[j] for j in wanted]
+        values, words = _values(own), _words(own)
+        if values and not _comment(line) and (not words or (above and values > words)):
+            return k, above
+        above += [k] * any(fields)
     raise RecordingError(f"{path}: there is no line of numbers in it")
 
 
-def _head(before: list[list[str]], style: _Style) -> tuple[dict[int, str], dict[str, str]]:
-    """Names of the columns that are read, each once, and their units, by the lines above."""
-    of_units = [fields for fields in before if _are_units(fields)]
-    of_names = [fields for fields in before if fields not in of_units] or of_units
-    given = of_names[-1] if of_names else [""] * style.width
+def _head(above: list[list[str]], width: int) -> tuple[list[str], dict[str, str]]:
+    """Names of all columns, each once, and their units, by the lines above the numbers."""
+    stated = [[field.strip(" \"'") for field in fields] for fields in above]
+    units = [fields for fields in stated if _are_units(fields)]
+    others = [fields for fields in stated if fields not in units]
+    given = (others or units or [[]])[-1]
     names: list[str] = []
-    for k, text in enumerate(given):
-        name = text.strip().strip("\"'").strip() or str(k)
+    for k in range(width):
+        name = (given[k] if k < len(given) else "") or str(k)
         names.append(name if name not in names else f"{name} ({k})")
-    named = {k: names[k] for k in style.kinds if k < style.filled or given[k].strip()}
-    said = of_units[-1] if of_units and of_names is not of_units else []
-    units = {name: unit for k, name in named.items() if said and (unit := _unit(said[k]))}
-    return named, units | {named[k]: "ns" for k in named if style.kinds[k] == "instant"}
+    said = units[-1] if units and others else []
+    return names, {n: unit for n, text in zip(names, said, strict=False) if (unit := _unit(text))}
 
 
 def _unit(field: str) -> str:
-    """A unit without brackets and quotes."""
-    return field.strip(" \"'()[]{}<>")
+    """A unit without brackets."""
+    return field.strip(" ()[]{}<>")
 
 
 def _are_units(fields: list[str]) -> bool:
@@ -289,20 +232,42 @@ def _fields(line: str, separator: str | None) -> list[str]:
     return line.split(separator)
 
 
+def _bare(line: str) -> str:
+    """A line without the mark of a comment."""
+    return line.lstrip("#% ")
+
+
 def _comment(line: str) -> bool:
     return not line.strip() or line.lstrip()[0] in "#%"
 
 
-def _missing(field: str) -> bool:
-    return field.strip().lower() in MISSING
+def _value(field: str) -> float:
+    """A number, an instant [us], or nan where nothing is.
 
-
-def _kind(field: str, decimal: str) -> str:
-    """What a field holds: "number", "instant", "word", or nothing."""
-    if _missing(field):
-        return ""
+    Raises:
+        ValueError: It is a word, or a number as only Python writes them.
+    """
+    if field.strip().lower() in MISSING:
+        return math.nan
     try:
-        float(field.replace(",", ".") if decimal == "," else field)
+        return float(field.replace("_", "x"))
     except ValueError:
-        return "instant" if is_instant(field) else "word"
-    return "word" if "_" in field else "number"
+        return microseconds(field)
+
+
+def _words(fields: Sequence[str]) -> int:
+    """How many fields are words."""
+    return len(fields) - sum(map(_is_value, fields))
+
+
+def _values(fields: Sequence[str]) -> int:
+    """How many fields are numbers or instants."""
+    return sum(field.strip().lower() not in MISSING and _is_value(field) for field in fields)
+
+
+def _is_value(field: str) -> bool:
+    try:
+        _value(field)
+    except ValueError:
+        return False
+    return True

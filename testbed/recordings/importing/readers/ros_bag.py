@@ -5,6 +5,7 @@ Numbers of messages by the definitions of their types; MCAP's messages are table
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -255,9 +256,8 @@ class Rows:
     def __init__(self, path: Path) -> None:
         """Without a message."""
         self.path = path
-        self._fields: dict[str, bool] = {}
-        self._rows: dict[tuple[str, ...], list[list[float]]] = {}
-        self._places: dict[tuple[str, ...], list[int]] = {}
+        self._times: dict[str, bool] = {}
+        self._rows: list[list[float]] = []
         self._received: list[int] = []
 
     def add(self, when: int, found: Numbers) -> None:
@@ -268,47 +268,37 @@ class Rows:
             found: Its numbers.
 
         Raises:
-            RecordingError: A list that is not named has another length than before, or there are
-                too many numbers.
+            RecordingError: A list without names has another length than before, or there are too
+                many numbers.
         """
-        fields = tuple(found)
-        if fields not in self._rows:
-            other = sorted(self._fields.keys() ^ found.keys()) if self._rows else []
-            if listed := [name for name in other if name.endswith("]") or "]/" in name]:
-                raise RecordingError(
-                    f"{self.path}: messages of one topic have different fields "
-                    f"({', '.join(listed[:4])})"
-                )
-            times = {name: isinstance(value, Nanoseconds) for name, value in found.items()}
-            self._fields |= times
-            self._rows[fields], self._places[fields] = [], []
-        self._rows[fields].append([*found.values()])
-        self._places[fields].append(len(self._received))
+        other = sorted(found.keys() ^ self._times.keys()) if self._rows else []
+        if listed := [name for name in other if "]" in name]:
+            raise RecordingError(
+                f"{self.path}: messages of one topic have different fields "
+                f"({', '.join(listed[:4])})"
+            )
+        if other or not self._rows:
+            self._times |= {name: isinstance(each, Nanoseconds) for name, each in found.items()}
+        self._rows.append([found.get(name, math.nan) for name in self._times])
         self._received.append(when)
-        if len(self._received) * (len(self._fields) + 1) > MOST_NUMBERS:
+        if len(self._rows) * (len(self._times) + 1) > MOST_NUMBERS:
             raise RecordingError(f"{self.path}: more than {MOST_NUMBERS:.0e} numbers")
 
     def table(self) -> ForeignTable:
         """Columns by path, and their times, in the order of these."""
         received = np.array(self._received, dtype=np.int64)
         order = np.argsort(received, kind="stable")
-        columns = {name: self._column(name)[order] for name in self._fields}
+        columns: dict[str, NDArray[Any]] = {}
+        for k, name in enumerate(self._times):
+            made = np.array([row[k] if k < len(row) else math.nan for row in self._rows])
+            columns[name] = (made if made.dtype.kind in "if" else made.astype(np.float64))[order]
         if STAMP in columns:
             columns = {"stamp": columns.pop(STAMP)} | columns
         columns["received"] = received[order]
-        times = {name: "ns" for name, is_time in self._fields.items() if is_time}
+        times = {name: "ns" for name, is_time in self._times.items() if is_time}
         units = times | {"received": "ns"} | ({"stamp": "ns"} if STAMP in times else {})
         shapes = {name: values.shape for name, values in columns.items() if len(values) > 1}
         return ForeignTable(self.path, shapes, columns.__getitem__, units)
-
-    def _column(self, name: str) -> NDArray[Any]:
-        """A field of all messages, in the order of adding; whole numbers where all have it."""
-        groups = {f: f.index(name) for f in self._rows if name in f}
-        values = np.array([row[k] for f, k in groups.items() for row in self._rows[f]])
-        whole = len(values) == len(self._received) and values.dtype.kind == "i"
-        found = np.full(len(self._received), 0 if whole else np.nan)
-        found[[place for f in groups for place in self._places[f]]] = values
-        return found
 
 
 def definitions_of(
