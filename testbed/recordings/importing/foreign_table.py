@@ -213,6 +213,10 @@ class ForeignTable:
             UnknownName: There is no such column.
             RecordingError: The file is damaged there, or holds too much.
         """
+        return {k: np.array(row, dtype=np.float64) for k, row in self._rows(columns).items()}
+
+    def _rows(self, columns: Iterable[str]) -> dict[str, NDArray[Any]]:
+        """Some columns as they are held."""
         places, wanted = self._places(), list(columns)
         for name in wanted:
             if name not in places and len(places) == 1:
@@ -229,8 +233,7 @@ class ForeignTable:
             )
         with readable(self.path):
             loaded = {array: self._loaded(array) for array in arrays}
-        rows = {name: loaded[places[name][0]][places[name][1]] for name in wanted}
-        return {name: np.array(row, dtype=np.float64) for name, row in rows.items()}
+        return {name: loaded[places[name][0]][places[name][1]] for name in wanted}
 
     def stamps(self, column: str) -> Array | NDArray[np.int64]:
         """A column as it is counted, (M,): whole numbers stay whole.
@@ -244,10 +247,9 @@ class ForeignTable:
             UnknownName: There is no such column.
             RecordingError: The file is damaged there, or holds too much.
         """
-        found, (array, row) = self.read([column])[column], self._places()[column]
-        with readable(self.path):
-            kept = self._loaded(array)[row]
-        return kept.astype(np.int64) if kept.dtype.kind in "iu" else found
+        kept = self._rows([column])[column]
+        whole = kept.dtype.kind in "iu"
+        return kept.astype(np.int64) if whole else kept.astype(np.float64)
 
     def _loaded(self, name: str) -> NDArray[Any]:
         """An array as columns, (k, M)."""

@@ -69,11 +69,13 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         rows = [_fields(lines[k], separator) for k in probes]
         width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
         held = [*zip(*(row for row in rows if len(row) == width), strict=True)]
-        wanted = [k for k, fields in enumerate(held) if _values(fields) >= _words(fields)]
+        counts = map(_held, held)
+        wanted = [k for k, (values, words) in enumerate(counts) if values >= words]
         first, above = _first_numbers(path, lines, separator, wanted, width)
         names, units = _head([_fields(_bare(given[k]), separator) for k in above], width)
         read = [k for k in wanted if names[k] != str(k) or any(map(str.strip, held[k]))]
-        units |= {names[k]: "us" for k in read if any(map(INSTANT.fullmatch, held[k]))}
+        texts = {names[k]: [field.strip() for field in held[k]] for k in read}
+        instants = dict.fromkeys((n for n in texts if any(map(INSTANT.fullmatch, texts[n]))), "us")
         cut = len(_fields(lines[told[-1]], separator)) < len(_fields(lines[first], separator))
         body = [k for k in told[: -1 if cut else None] if k >= first]
         columns = _columns(path, lines, body, separator, {k: names[k] for k in read})
@@ -82,9 +84,12 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         found = columns[name]
         if isinstance(found, RecordingError):
             raise found
+        if name in instants:  # from midnight on they begin again
+            return found + DAY * np.append(0, np.cumsum(np.diff(found) < -DAY / 2))
         return found
 
-    return ForeignTable(path, dict.fromkeys(columns, (len(body),)), load, units, cut=cut)
+    shapes = dict.fromkeys(columns, (len(body),))
+    return ForeignTable(path, shapes, load, units | instants, cut=cut)
 
 
 def _columns(
@@ -141,8 +146,6 @@ def _columns(
             found[name] = RecordingError(f"{path}: line {line + 1}: '{name}' is '{odd[k].strip()}'")
         elif np.nanmax(np.abs(column), initial=0) >= WHOLE:
             found[name] = _counted([_fields(lines[n], separator)[k] for n in body], column)
-        elif INSTANT.fullmatch(_fields(lines[body[0]], separator)[k]):
-            found[name] = column + DAY * np.append(0, np.cumsum(np.diff(column) < -DAY / 2))
     return found
 
 
@@ -175,8 +178,8 @@ def _numeric(lines: list[str], separator: str | None, decimal: str) -> float:
     fields = [field for line in texts for field in _fields(line, separator)]
     if separator is not None and len(fields) < 2 * len(lines):
         return 0.0
-    values = _values(fields)
-    return values / max(1, values + _words(fields))
+    values, words = _held(fields)
+    return values / max(1, values + words)
 
 
 def _first_numbers(
@@ -192,8 +195,7 @@ def _first_numbers(
         fields = _fields(_bare(line), separator)
         if not wanted or not max(wanted) < len(fields) <= width + 1:
             continue
-        own = [fields[j] for j in wanted]
-        values, words = _values(own), _words(own)
+        values, words = _held([fields[j] for j in wanted])
         if values and not _comment(line) and (not words or (above and values > words)):
             return k, above
         above += [k] * any(fields)
@@ -255,19 +257,12 @@ def _value(field: str) -> float:
         return microseconds(field)
 
 
-def _words(fields: Sequence[str]) -> int:
-    """How many fields are words."""
-    return len(fields) - sum(map(_is_value, fields))
-
-
-def _values(fields: Sequence[str]) -> int:
-    """How many fields are numbers or instants."""
-    return sum(field.strip().lower() not in MISSING and _is_value(field) for field in fields)
-
-
-def _is_value(field: str) -> bool:
-    try:
-        _value(field)
-    except ValueError:
-        return False
-    return True
+def _held(fields: Sequence[str]) -> tuple[int, int]:
+    """How many fields are numbers or instants, and how many are words."""
+    values = words = 0
+    for field in fields:
+        try:
+            values += not math.isnan(_value(field))
+        except ValueError:
+            words += 1
+    return values, words
