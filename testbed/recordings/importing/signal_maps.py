@@ -76,7 +76,7 @@ def sign_bit_of(values: Array) -> int:
     if not bit or values.min() < 0 or (values != np.round(values)).any():
         return 0
     raw, signed = (
-        np.abs(np.diff(each, axis=0)).sum() for each in (values, without_sign_bit(values, bit))
+        np.square(np.diff(each, axis=0)).sum() for each in (values, without_sign_bit(values, bit))
     )
     return bit if 2 * signed < raw else 0
 

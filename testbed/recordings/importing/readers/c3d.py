@@ -69,7 +69,7 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
             plates = [*_plates(said, [*channels])]
         times = {}
         for kind, rate, count in zip(
-            ("point", "analog"), rates, (len(points), len(analog)), strict=True
+            ("analog", "point"), rates, (len(analog), len(points)), strict=True
         ):
             if rate > 0 and count:
                 times[f"{kind}/time"] = np.arange(count) / rate
@@ -168,7 +168,7 @@ def _value(data: bytes, place: int, order: str) -> Any:
 def _frames(
     data: bytes, said: Parameters, order: str
 ) -> tuple[Array, Array, tuple[float, float], NDArray[np.bool_]]:
-    """Points (M, P, 3), analog (m, C), both rates [Hz], and which points are missing (M, P)."""
+    """Points (M, P, 3), analog (m, C), rates of analog and points [Hz], points missing (M, P)."""
     count, per_frame, first, last = struct.unpack_from(order + "4H", data, 2)
     scale, begin, samples, rate = struct.unpack_from(order + "fHHf", data, 12)
     frames = last - first + 1
@@ -192,7 +192,7 @@ def _frames(
     channels = per_frame // max(samples, 1)
     analog = analog.reshape(frames * max(samples, 1), channels) if channels else np.empty((0, 0))
     size = 1.0 if scale < 0 else scale
-    return points[..., :3] * size, analog, (rate, rate * samples), points[..., 3] < 0
+    return points[..., :3] * size, analog, (rate * samples, rate), points[..., 3] < 0
 
 
 def _points(points: Array, said: Parameters, missing: NDArray[np.bool_]) -> dict[str, Array]:
