@@ -36,8 +36,7 @@ from testbed.recordings.importing.signal_maps import (
     effort_kinds,
     joint_kinds,
     joint_signal,
-    sign_bit_of,
-    without_sign_bit,
+    signed,
     without_turnovers,
     wrench_of,
 )
@@ -413,27 +412,12 @@ def _samples(mapping: Mapping, label: str, stream: _Stream, window: Window) -> _
     if isinstance(table, BaseTable):
         values = np.hstack([values[:, :3], without_turnovers(values[:, 3:])])
     if label == "torque" and isinstance(table, SignalTable):
-        values = _signed(table, values)
+        values = signed(table, values)
     passed = low_pass_reach(rate, mapping.rate) > 0
     said: tuple[Diagnostic, ...] = ()
     if stream.shorter > longest_bridged(source, 1 / rate):
         said = (diagnose("import.shorter", label, stream.shorter, source=name),)
     return _Samples(time, values, rate, clock, SignalReport(name, held, dropped, passed, said))
-
-
-def _signed(table: SignalTable, values: Array) -> Array:
-    """Torques without a sign bit.
-
-    Raises:
-        RecordingError: They seem to have one, and the mapping does not say.
-    """
-    found = sign_bit_of(values) if table.sign_bit is None else 0
-    if found:
-        raise RecordingError(
-            f"torque: values of {found} and more are a sign bit and a size, as of servos' loads "
-            f"({(values >= found).mean():.0%} of all): say [torque] sign_bit = {found}, or 0 if not"
-        )
-    return without_sign_bit(values, table.sign_bit) if table.sign_bit else values
 
 
 def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, float]) -> Array:

@@ -81,6 +81,25 @@ def sign_bit_of(values: Array) -> int:
     return bit if 2 * signed < raw else 0
 
 
+def signed(table: SignalTable, values: Array) -> Array:
+    """Torques as they are counted, without a sign bit, (M, k).
+
+    Args:
+        table: What the mapping says of them.
+        values: As the file holds them, (M, k).
+
+    Raises:
+        RecordingError: They seem to have one, and the mapping does not say.
+    """
+    found = sign_bit_of(values) if table.sign_bit is None else 0
+    if found:
+        raise RecordingError(
+            f"torque: values of {found} and more are a sign bit and a size, as of servos' loads "
+            f"({(values >= found).mean():.0%} of all): say [torque] sign_bit = {found}, or 0 if not"
+        )
+    return without_sign_bit(values, table.sign_bit) if table.sign_bit else values
+
+
 def wrench_of(table: SixAxisTable, columns: Array) -> Array:
     """The wrench on the robot, or on the links beyond a sensor, (M, 6) [N, N m].
 
