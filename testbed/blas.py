@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
-from typing import Any
 
 import numpy as np
 from scipy import linalg
@@ -13,10 +13,11 @@ from threadpoolctl import ThreadpoolController
 from testbed.arrays import Array
 
 
-def one_blas_thread() -> AbstractContextManager[Any]:
-    """While it lasts, BLAS uses one thread."""
-    found: AbstractContextManager[Any] = _libraries().limit(limits=1, user_api="blas")
-    return found
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Limit BLAS to one thread; also a decorator."""
+    with _libraries().limit(limits=1, user_api="blas"):
+        yield
 
 
 @cache

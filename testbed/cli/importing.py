@@ -22,70 +22,77 @@ from testbed.cli.reading import (
     ending,
     note,
 )
-from testbed.diagnostics import Diagnostic, ordered
+from testbed.diagnostics import Diagnostic, diagnose, ordered
+from testbed.errors import few
 
 if TYPE_CHECKING:
+    from testbed.plausibility.mapping_solution import MappingSolution
     from testbed.recordings.importing.import_report import Draft
-    from testbed.robot.tree import Tree
 
 
 def write_mapping(
-    files: Sequence[Path], out: Path | None, model: Path | None, tree: Tree | None,
-    page: Path | None = None, options: Sequence[str] = (),
-) -> bool:  # fmt: skip
+    files: Sequence[Path], out: Path | None, model: Path | None, reading: Reading,
+    page: Path | None = None,
+) -> MappingSolution | None:  # fmt: skip
     """Write a mapping where it is wanted, or on standard output; say what to do with it.
 
     Args:
         files: Of other programs.
         out: Mapping file to write.
         model: The robot's file, if it is known.
-        tree: The robot.
+        reading: How that is read.
         page: HTML file to write of what was solved.
-        options: Words of the command by which the model is read.
 
     Returns:
-        Whether it is complete.
+        The mapping with the robot that it was solved for; None where it is not complete.
 
     Raises:
         typer.BadParameter: The mapping is there.
-        RecordingError: The data are not of this robot.
+        TestbedError: The data contradict the mapping, which is written as far as it is known.
     """
     from testbed.files import replacing
-    from testbed.plausibility.mapping_solution import missing, solve_mapping
-    from testbed.plausibility.remedies import own_joints
+    from testbed.plausibility.mapping_solution import draft_mapping, missing, solve_mapping
     from testbed.recordings.importing.guess import guessed
     from testbed.reporting import output
 
     if out is not None and out.exists():
         raise typer.BadParameter(f"--out {out} is there; a mapping is not replaced")
-    folder = out.parent if out else Path()
+    folder, found = out.parent if out else Path(), None
     with output.Progress("reading"):
-        draft = guessed(
-            files, folder, () if tree is None else [tree.names[k] for k in own_joints(tree)]
-        )
-    if tree is not None:
+        if model is None:
+            draft = guessed(files, folder)
+        else:
+            draft, _, tree = draft_mapping(files, folder, reading.model_file(model))
+    if model is not None:
         with output.Progress("solving the mapping, hypotheses") as bar:
             found = solve_mapping(draft, out or folder / "mapping.toml", tree, bar)
         draft = found.draft
-        output.print_lines((), found.diagnostics)
+        locked = few([f"{name} at {q:.4g}" for name, q in draft.tables.get("lock", {}).items()])
+        said = [diagnose("robot.locked", locked)] if locked else []
+        output.print_lines((), [*tree.diagnostics, *said, *found.diagnostics])
         if page is not None:
             from testbed.reporting.mapping import write_mapping_page
 
             write_mapping_page(page, found)
     if out is None:
         typer.echo(draft.text, nl=False)
-        return False
-    if tree is not None:
-        _show(draft)
-    with replacing(out) as fresh:
-        fresh.write_text(draft.text, encoding="utf-8")
+    else:
+        if model is not None:
+            _show(draft)
+        with replacing(out) as fresh:
+            fresh.write_text(draft.text, encoding="utf-8")
+    if found is not None and found.refusal is not None:
+        raise type(found.refusal)(f"{out}: {found.refusal}" if out else str(found.refusal))
+    if out is None:
+        return None
     empty = missing(draft)
     notes = {f"{table}.{key}".removeprefix("."): said for (table, key), said in draft.notes.items()}
-    note(f"{key}: {notes[key]}" for key in empty if key in notes)
+    note(f"{out}:{draft.line(key)}: {key}: {notes.get(key, 'not found')}" for key in empty)
     fill = f"fill in what is empty ({', '.join(empty)}), then " if empty else ""
     words = ["import", out, "--out", out.with_suffix(".parquet"), "--model", model or "ROBOT"]
-    typer.echo(f"{out}: {fill}testbed {shlex.join(map(str, [*words, *options]))}")
-    return not empty
+    words += reading.model_words
+    typer.echo(f"{out}: {fill}testbed {shlex.join(map(str, words))}")
+    return None if empty else found
 
 
 def _show(draft: Draft) -> None:
@@ -158,8 +165,7 @@ def import_(
     _check_page(page, [*files, model, out], said=bool(guess and model))
     reading = Reading(settings, False, weld_root, lock, lock_mimic)
     if guess:
-        tree = None if model is None else reading.tree(model)
-        write_mapping(files, out, model, tree, page, reading.model_words)
+        write_mapping(files, out, model, reading, page)
         return
     if len(files) > 1:
         raise typer.BadParameter(f"one mapping at a time, not {len(files)}; it may name many files")
@@ -175,9 +181,12 @@ def import_(
             made, cuts = pieces(mapping)
     else:
         with output.Progress("importing, checking against the robot") as bar:
-            options = {"align": align, "unchecked": unchecked}
             made, cuts, found = import_and_check(
-                mapping, lambda one: reading.robot_of(one, model)[1:], **options, progress=bar
+                mapping,
+                lambda one: reading.robot_of(one, model)[1:],
+                align=align,
+                unchecked=unchecked,
+                progress=bar,
             )
             tree = reading.robot_of(made[0], model)[1]
         taken = " (corrected)" if align else ""

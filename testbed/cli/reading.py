@@ -156,7 +156,8 @@ Lock = Annotated[
     typer.Option(
         "--lock",
         metavar="JOINT[=q]",
-        help="Fix a joint at q [rad or m], default as recorded, or at rest; repeatable.",
+        help="Fix a joint at q [rad or m], default as recorded, or at rest; a pattern as arm_*, or "
+        "!arm_* for all others; repeatable.",
         rich_help_panel=ROBOT,
     ),
 ]
@@ -284,9 +285,9 @@ class Reading:
     def model_file(self, path: Path) -> ModelFile:
         """A model file, and how to read it."""
         from testbed.robot.locks import parse_lock
-        from testbed.robot.model_file import ModelFile, mimic_joints
+        from testbed.robot.model_file import ModelFile, joint_names, mimic_joints
 
-        held: dict[str, float | None] = parse_lock(self.lock or ())
+        held = parse_lock(self.lock or (), lambda: joint_names(path))
         welded, follow, bodies = self.weld_root, self.lock_mimic, None
         if self.settings:  # else there is no need to import the tables of experiments
             said = self.tables().robot
@@ -349,8 +350,9 @@ class Reading:
         from testbed.recordings.held import hold_still
         from testbed.recordings.views import on_its_base
 
-        file, fewer, _ = hold_still(self.model_file(model), source, lock_only=True)
-        reading = (self if fewer is source else self.with_lock(file)).with_sensors(source)
+        given = self.model_file(model)
+        file, fewer, _ = hold_still(given, source, lock_only=True)
+        reading = (self if file.lock == given.lock else self.with_lock(file)).with_sensors(source)
         tree = reading.tree(model)
         return reading, tree, on_its_base(fewer, tree)
 
@@ -387,15 +389,18 @@ class Reading:
             model: The model file.
             said: What its check has said.
         """
-        from testbed.recordings.held import hold_still
+        from testbed.recordings.held import hold_still, lock_unrecorded
 
         kept = [each for each in said if each.code != "position.held"]
-        tree, doubted = self.tree(model), any(each.code == "position.still" for each in said)
+        doubted = any(each.code == "position.still" for each in said)
+        file, locked = lock_unrecorded(self.model_file(model), source)
+        reading = self.with_lock(file) if locked else self
+        tree = reading.tree(model)
         if doubted or tree.floating or tree.is_part:
-            return self, source, kept
-        file, fewer, held = hold_still(self.model_file(model), source)
-        reading = self if fewer is source else self.with_lock(file)
-        return reading, fewer, [*kept, *held]
+            return reading, source, [*kept, *locked]
+        file, fewer, held = hold_still(file, source)
+        reading = reading if fewer is source else self.with_lock(file)
+        return reading, fewer, [*kept, *locked, *held]
 
     def with_lock(self, file: ModelFile) -> Reading:
         """The same with the joints held that a model file's lock names."""

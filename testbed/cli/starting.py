@@ -17,7 +17,7 @@ import typer
 from packaging.requirements import Requirement
 
 from testbed.cli.importing import numbered, write_mapping
-from testbed.cli.reading import Json, app
+from testbed.cli.reading import Json, Lock, LockMimic, Reading, app
 from testbed.installation import DISTRIBUTION, own_or_shipped
 from testbed.installation import version as own_version
 
@@ -156,13 +156,16 @@ def new(
         bool,
         typer.Option("--exact-torque-constants", help="Assume exact torque constants."),
     ] = False,
+    lock: Lock = None,
+    lock_mimic: LockMimic = False,
 ) -> None:
     """Write an experiment file for a robot, commented and ready to run.
 
     Limits and counts are the model file's; what it does not say is assumed, and marked. Bodies that
     are physically impossible are repaired ([robot.repair]). A second of it is simulated first.
     With --recording, a mapping that turns somebody's logs into a recording; if ROBOT is
-    named, what names do not state is solved from the data, and the recording is made.
+    named, what names do not state is solved from the data, and the recording is made. Joints that
+    the log lacks, as of a gripper, are held at rest.
 
     Example: testbed new models/puma562.xml
     """
@@ -174,8 +177,10 @@ def new(
     if out:
         check_writable(out, read=(robot, *(recording or ())))
         _check_free(out)
+    reading = Reading(lock=lock, lock_mimic=lock_mimic)
     if recording:
-        _recorded(recording, out or Path(f"{recording[0].stem}.toml"), robot)
+        stem = recording[0].name.partition(".")[0]
+        _recorded(recording, out or Path(f"{stem}.toml"), robot, reading)
         return
     assert robot is not None
     folder = out.parent if out else Path()
@@ -189,22 +194,27 @@ def new(
     typer.echo(f"{path}: testbed run {path}")
 
 
-def _recorded(files: list[Path], mapping: Path, robot: Path | None) -> None:
+def _recorded(files: list[Path], mapping: Path, robot: Path | None, reading: Reading) -> None:
     """A mapping for logs, and the recording that it makes of a robot."""
-    from testbed.cli.reading import Reading
     from testbed.files import check_writable
     from testbed.plausibility.check import import_and_check
+    from testbed.recordings.importing.import_report import ImportReport
     from testbed.reporting import output
 
     made = mapping.with_suffix(".parquet")
     for path in (mapping, made):
         check_writable(path, read=(robot, *files))
     _check_free(mapping)
-    tree = None if robot is None else Reading().tree(robot)
-    if not write_mapping(files, mapping, robot, tree) or tree is None:
+    found = write_mapping(files, mapping, robot, reading)
+    if found is None or robot is None:
         return
     with output.Progress("importing, checking against the robot") as bar:
-        several, cuts, found = import_and_check(mapping, tree, progress=bar)
+        several, cuts, report = import_and_check(
+            mapping,
+            lambda one: reading.robot_of(one, robot)[1:],
+            progress=bar,
+            assessment=found.assessment,
+        )
     paths = numbered(made, len(several))
     for recording, path in zip(several, paths, strict=True):
         recording.save(path)
@@ -212,7 +222,8 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None) -> None:
     last = f"{listed}: testbed identify {taken} --model {robot}"
     if several[0].wrench is not None:  # the plate's frame and clock are known to a sigma only
         last += """ --set 'identification.nuisances=["pose","skew"]'"""
-    output.print_lines([last], [*cuts, *found.diagnostics])
+    imported = ImportReport.from_dict(several[0].facts["import"]).diagnostics
+    output.print_lines([last], [*cuts, *imported, *report.diagnostics])
 
 
 def _check_free(path: Path) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.blas import one_blas_thread
 from testbed.diagnostics import (
     Diagnosed,
     Diagnostic,
@@ -147,6 +148,7 @@ class Assessment(Diagnosed):
             raise RecordingError(f"the recording cannot be true of this robot: {lines}")
 
 
+@one_blas_thread()  # matrices are small: more threads would only wait for each other
 def assess(tree: Tree, source: Source, progress: Progress | None = None) -> Assessment:
     """What supports or contradicts a recording.
 
@@ -314,6 +316,9 @@ def _near(one: Hypothesis, other: Hypothesis) -> bool:
 RESTS = 5e-3
 """By how much a base that is welded may seem to move [m]."""
 
+STEPS = ("position.step", "position.unwrapped")
+"""Codes of what an import finds of encoders."""
+
 FACT = "verdict"
 """Where a recording keeps it."""
 
@@ -339,7 +344,7 @@ class CheckReport(Diagnosed):
 
 def check_recording(
     tree: Tree, source: Source, *, align: bool = False, unchecked: bool = False,
-    progress: Progress | None = None,
+    progress: Progress | None = None, assessment: Assessment | None = None,
 ) -> CheckReport:  # fmt: skip
     """Hold a recording against its robot; one that keeps a verdict is not held again.
 
@@ -349,6 +354,7 @@ def check_recording(
         align: Whether clocks are set right besides: a late plate does not stop then.
         unchecked: Whether to accept it without a search for what is wrong.
         progress: Called with how much of the search is done.
+        assessment: Of this recording, where it was made already.
 
     Raises:
         RecordingError: The recording cannot be true of this robot; says what would make it right.
@@ -357,13 +363,14 @@ def check_recording(
     doubts = [] if tree.floating else [*_base_motion(source)]
     if doubts and not unchecked:
         raise RecordingError(str(doubts[0]))
+    doubts += [*encoder_steps(source), *_unknown_gains(source)]
     if unchecked:
         doubts.append(diagnose("recording.unchecked"))
     else:
         verdict = source.facts.get(FACT) or {}
         if verdict.get("of") == digest(tree, source):
             return CheckReport(diagnostics=of_recording(verdict))
-        assessment = assess(tree, source, progress)
+        assessment = assessment or assess(tree, source, progress)
         assessment.require(align=align)
         doubts += [each for each in assessment.diagnostics if each.level != "error"]
     rests = any(each.code == "robot.rest" for each in doubts)
@@ -373,6 +380,22 @@ def check_recording(
         for each, lines in _alignments(offsets, source)
     ]
     return CheckReport(tuple(offsets), tuple(doubts))
+
+
+def encoder_steps(source: Source) -> list[Diagnostic]:
+    """Steps of encoders that its import has found.
+
+    Args:
+        source: The recording.
+    """
+    return [each for each in of_recording(source.facts) if each.code in STEPS]
+
+
+def _unknown_gains(source: Source) -> Iterator[Diagnostic]:
+    """Torque constants that a mapping has of the model file's masses."""
+    mapping = source.facts.get("mapping") or {}
+    if (mapping.get("torque") or {}).get("gain_from") == "model":
+        yield diagnose("torque.gains", "the torque")
 
 
 def _base_motion(source: Source) -> Iterator[Diagnostic]:
@@ -387,7 +410,7 @@ def _base_motion(source: Source) -> Iterator[Diagnostic]:
 
 def import_and_check(
     path: Path, robot_of: RobotOf, *, align: bool = False, unchecked: bool = False,
-    progress: Progress | None = None,
+    progress: Progress | None = None, assessment: Assessment | None = None,
 ) -> tuple[tuple[Recording, ...], list[Diagnostic], CheckReport]:  # fmt: skip
     """Recordings made by a mapping file, the longest of which is held against its robot.
 
@@ -398,6 +421,7 @@ def import_and_check(
         align: Whether delays and drifts of clocks are taken back.
         unchecked: Whether to accept them without a search for what is wrong.
         progress: Called with how much of the search is done.
+        assessment: Of the longest of them, where it was made already.
 
     Returns:
         The recording, or its pieces where a source was silent for too long, with the verdict;
@@ -410,7 +434,9 @@ def import_and_check(
     recordings, cuts = pieces(path)
     longest = max(recordings, key=lambda each: each.samples)
     tree, own = _as_its(longest, robot_of)
-    report = check_recording(tree, own, align=align, unchecked=unchecked, progress=progress)
+    report = check_recording(
+        tree, own, align=align, unchecked=unchecked, progress=progress, assessment=assessment
+    )
     if align:
         lines = chain.from_iterable(lines for _, lines in _alignments(report.offsets, longest))
         mapping = with_lines(longest.facts["mapping"], lines)

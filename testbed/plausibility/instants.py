@@ -76,6 +76,16 @@ class Instants:
             acceleration=self.acceleration @ scale.T,
         )
 
+    def every(self, step: int) -> Instants:
+        """One of so many instants.
+
+        Args:
+            step: Instants from one to the next.
+        """
+        names = ("position", "velocity", "acceleration", "torque", "wrench", "wrench_rate")
+        fewer = {name: getattr(self, name)[::step] for name in names}
+        return replace(self, spacing=step * self.spacing, **fewer)
+
 
 def sample(recording: Recording, late: float = 0.0, cutoff: float = CUTOFF) -> Instants | None:
     """Signals of a recording at a few hundred instants; None where it is too short.

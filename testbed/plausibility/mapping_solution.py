@@ -7,7 +7,7 @@ frame is refined (`correction`). Beside each value stands what it is known by.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,8 +15,14 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
-from testbed.errors import round_significant
-from testbed.plausibility.check import Assessment, assess, zero_hypothesis
+from testbed.errors import (
+    ExperimentError,
+    MimicError,
+    RecordingError,
+    TestbedError,
+    round_significant,
+)
+from testbed.plausibility.check import Assessment, assess, encoder_steps, zero_hypothesis
 from testbed.plausibility.explanation import Explanation
 from testbed.plausibility.plate import WrenchFit, frame_of
 from testbed.plausibility.plate_map import (
@@ -28,18 +34,23 @@ from testbed.plausibility.plate_map import (
     transform,
 )
 from testbed.plausibility.recording_diagnostics import CLEARLY, removed, share, weights
-from testbed.plausibility.remedies import in_words
+from testbed.plausibility.remedies import in_words, own_joints
 from testbed.plausibility.search import Progress
 from testbed.plausibility.time_offset import alignment, moving_average, time_offsets
 from testbed.recordings.importing.convert import clock_ranges
+from testbed.recordings.importing.derivative import DerivativeError
 from testbed.recordings.importing.foreign_table import FORCES, MOMENTS
+from testbed.recordings.importing.guess import guessed
 from testbed.recordings.importing.import_report import Draft, in_toml
 from testbed.recordings.importing.mapping import Mapping as MappingFile
 from testbed.recordings.importing.mapping import empty_keys
 from testbed.recordings.joined import pieces
 from testbed.recordings.source import Source
 from testbed.recordings.views import on_its_base
+from testbed.robot.arms import joint_sets
 from testbed.robot.inertia import from_rpy, from_vector, to_rpy
+from testbed.robot.locks import Travel
+from testbed.robot.model_file import ModelFile, mimic_joints
 from testbed.robot.tree import Tree
 from testbed.toml_text import checked
 
@@ -60,6 +71,9 @@ ROUNDS = 4
 
 SHORT = 10
 """Values at instants for each parameter below which data may fit another mapping as well."""
+
+THOUSAND = 1000.0
+"""Ratio of N m to N mm."""
 
 COMMON = 0.9
 """Part of the shorter of two files that they must have in common by their clocks."""
@@ -89,6 +103,8 @@ class MappingSolution(Diagnosed):
         after: The same by the mapping.
         shares: Explanations in words, the mapping's first, and the part of the plate's channels
             that each leaves, on average.
+        refusal: What contradicts the mapping, as far as it was solved; None if nothing does.
+        assessment: Of the recording that this very mapping makes; None where it was refined since.
     """
 
     draft: Draft
@@ -96,6 +112,42 @@ class MappingSolution(Diagnosed):
     before: WrenchFit | None = None
     after: WrenchFit | None = None
     shares: tuple[tuple[str, float], ...] = ()
+    refusal: TestbedError | None = None
+    assessment: Assessment | None = None
+
+
+def draft_mapping(
+    paths: Sequence[Path], folder: Path, file: ModelFile
+) -> tuple[Draft, ModelFile, Tree]:
+    """Mapping by the columns' names, and a robot without the joints that the log lacks.
+
+    Args:
+        paths: Files of other programs.
+        folder: Where the mapping is to stand.
+        file: The model file; of joints that follow others those are held that do not move.
+
+    Raises:
+        RecordingError: A file cannot be read, or holds no columns.
+        ModelError: The model file cannot be read.
+    """
+    followed: set[str] = set()
+    try:
+        tree = file.tree()
+    except MimicError as error:
+        followed = set(error.masters.values())
+        file = replace(file, lock={**dict.fromkeys(mimic_joints(file.path)), **file.lock})
+        tree = file.tree()
+    names = [tree.names[k] for k in own_joints(tree)]
+    draft = guessed(paths, folder, names, joint_sets(tree, names, followed))
+    logged = draft.tables[""]["joints"]
+    if not set(logged) <= set(names):
+        return draft, file, tree
+    lacking = [joint for joint in tree.joints if joint.name in {*names} - {*logged}]
+    places = {joint.name: Travel(*joint.position_range).rest for joint in lacking}
+    for name, place in ({k: q for k, q in file.lock.items() if q is not None} | places).items():
+        draft = draft.saying("lock", name, float(place), "no column is of this joint [rad or m]")
+    file = replace(file, lock={**file.lock, **places})
+    return draft, file, file.tree() if lacking else tree
 
 
 def solve_mapping(
@@ -108,9 +160,6 @@ def solve_mapping(
         out: The mapping file; files are relative to its folder.
         tree: The robot, its masses right within a factor of a few.
         progress: Called with how much of a search is done.
-
-    Raises:
-        RecordingError: The data are not of this robot, or not in these columns.
     """
     open_keys = {
         (table, key)
@@ -121,29 +170,36 @@ def solve_mapping(
     draft = _assume(draft, tree)
     if missing(draft):
         return MappingSolution(draft)
-    draft = _with_starts(draft, out)
-    source = _recording(draft, out, tree)
-    first = assessment = assess(tree, source, progress)
-    for _ in range(ROUNDS):
-        better = _better(draft, assessment, tree)
-        if better is draft:
-            break
-        draft, source = better, _recording(better, out, tree)
-        assessment = assess(tree, source, progress)
-    assessment.require()
-    if assessment.best is None:
-        return MappingSolution(draft, assessment.likely)
-    draft = _by_the_data(draft, assessment, assessment.best, open_keys)
-    in_time = _with_clocks(draft, source, tree)
-    if in_time is not draft:
-        draft, assessment = in_time, assess(tree, _recording(in_time, out, tree), progress)
+    try:
+        draft = _with_starts(draft, out)
+        draft, source = _recording(draft, out, tree)
+        first = assessment = assess(tree, source, progress)
+        for _ in range(ROUNDS):
+            better = _better(draft, assessment, tree)
+            if better is draft:
+                break
+            draft, source = _recording(better, out, tree)
+            assessment = assess(tree, source, progress)
+        assessment.require()
+        if assessment.best is None:
+            said = (*encoder_steps(source), *assessment.likely)
+            return MappingSolution(draft, said)
+        draft = _by_the_data(draft, assessment, assessment.best, open_keys)
+        in_time = _with_clocks(draft, source, tree)
+        if in_time is not draft:
+            draft, aligned = _recording(in_time, out, tree)
+            assessment = assess(tree, aligned, progress)
+    except (RecordingError, ExperimentError) as error:
+        return MappingSolution(draft, refusal=error)
+    solved = draft
     if assessment.best is not None:
         draft = _with_average(_with_plate(draft, assessment.best), source)
-    said = (*assessment.likely, *_too_short(assessment.best))
+    last = assessment if draft is solved else None
+    said = (*encoder_steps(source), *assessment.likely, *_too_short(assessment.best))
     if any(each.code in ("plate.foreign", "recording.short") for each in said):
         draft = _doubted(draft)
     before, after = first.wrench_fit, assessment.wrench_fit
-    return MappingSolution(draft, said, before, after, _shares(tree, first))
+    return MappingSolution(draft, said, before, after, _shares(tree, first), assessment=last)
 
 
 def missing(draft: Draft) -> list[str]:
@@ -178,10 +234,21 @@ def _mapping(draft: Draft, out: Path) -> MappingFile:
     return checked(MappingFile, draft.content, str(out))
 
 
-def _recording(draft: Draft, out: Path, tree: Tree) -> Source:
-    """The recording that a mapping makes; the longest, if it is cut where a source was silent."""
-    recordings, _ = pieces(out, _mapping(draft, out))
-    return on_its_base(max(recordings, key=lambda each: each.samples), tree)
+def _recording(draft: Draft, out: Path, tree: Tree) -> tuple[Draft, Source]:
+    """Mapping without what derivatives contradict, and the longest recording that it makes."""
+    for _ in range(ROUNDS):
+        try:
+            recordings, _ = pieces(out, _mapping(draft, out))
+        except DerivativeError as error:
+            if not error.lines:
+                raise
+            for table, key, value in error.lines:
+                draft = draft.saying(table, key, value, "solved: a signal and its derivative")
+        else:
+            break
+    else:
+        recordings, _ = pieces(out, _mapping(draft, out))
+    return draft, on_its_base(max(recordings, key=lambda each: each.samples), tree)
 
 
 def _assume(draft: Draft, tree: Tree) -> Draft:
@@ -221,7 +288,6 @@ def _with_starts(draft: Draft, out: Path) -> Draft:
 def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
     """What the assessment says instead; the same where it finds nothing wrong."""
     codes, best = {each.code for each in assessment.certain}, assessment.best
-    plate = best is not None and best.has_plate
     foreign = bool(codes & {"plate.foreign", "plate.crosstalk"})
     zero_open = "wrench" in draft.tables and "tare" not in draft.tables["wrench"]
     if best is not None and codes == {"plate.weight"} and zero_open:
@@ -234,18 +300,42 @@ def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
             return _with_remedies(draft, replace(assessment, remedies=rest))
     if assessment.remedies:
         return _with_remedies(draft, assessment)
-    if "torque.size" in codes and plate and draft.notes.get(("torque", "unit")) == ASSUMED:
+    return _with_sizes(draft, assessment, tree)
+
+
+def _with_sizes(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
+    """The torques' unit, or their gains, by how large they are."""
+    best, finite = assessment.best, assessment.sizes[np.isfinite(assessment.sizes)]
+    odd = any(each.code == "torque.size" for each in assessment.certain)
+    if odd and draft.notes.get(("torque", "unit")) == ASSUMED:
+        if THOUSAND / 2 < np.median(finite) < 2 * THOUSAND:
+            note = "solved: a thousand times what the model file's masses make"
+            return draft.saying("torque", "unit", "N mm", note)
         note = f"{ASSUMED}: currents, or torques on the motors' side of gears"
         return draft.saying("torque", "unit", "raw", note).saying("torque", "gain", 1.0, ASSUMED)
-    finite = np.isfinite(assessment.sizes)
-    if draft.tables.get("torque", {}).get("gain") == 1.0 and finite.any():
-        sizes = np.where(finite, assessment.sizes, np.median(assessment.sizes[finite]))
-        joints = [tree.names.index(name) for name in draft.tables[""]["joints"]]
-        gains = [round_significant(1 / sizes[k], 4) for k in joints]
-        by = "solved: by the plate" if plate else f"{ASSUMED}: by the model file's masses"
-        note = f"{by}; torque of one unit, joint by joint [N m]"
-        return draft.saying("torque", "gain", gains, note)
+    if draft.tables.get("torque", {}).get("gain") == 1.0 and len(finite):
+        plate = best is not None and best.has_plate
+        return _with_gains(draft, assessment.sizes, tree, "plate" if plate else "model")
     return draft
+
+
+def _with_gains(draft: Draft, sizes: Array, tree: Tree, origin: str) -> Draft:
+    """Gains by which torques are of the size that a plate or the model file's masses make.
+
+    Args:
+        draft: The mapping.
+        sizes: Times that the columns are what the joints' torques are, (n,); nan if not known.
+        tree: The robot.
+        origin: What the sizes are by: plate or model.
+    """
+    sizes = np.where(np.isfinite(sizes), sizes, np.nanmedian(sizes))
+    joints = [tree.names.index(name) for name in draft.tables[""]["joints"]]
+    gains = [round_significant(1 / sizes[k], 4) for k in joints]
+    note = "solved: by the plate"
+    if origin == "model":
+        note = "solved: by the model file's masses, with which all parameters scale"
+    draft = draft.saying("torque", "gain", gains, f"{note}; torque of one unit [N m]")
+    return draft.saying("torque", "gain_from", origin)
 
 
 def _with_pedestal(draft: Draft, weighed: tuple[float, float, float]) -> Draft:

@@ -61,6 +61,9 @@ UNITS = ("degrees", "radians", "base_unit", "quaternion_order")
 NOTHING = 1e-6
 """Gain of a hypothesis that changes nothing at all [nats]."""
 
+COARSE, REFUTED = 130, 60.0
+"""So many instants are enough to refute a hypothesis that makes them so less likely [nats]."""
+
 STEPS = np.deg2rad([12, -12, 6, -6, 3, -3, 1.5, -1.5, 0.7, -0.7])
 """By which a zero is moved while that is better [rad]."""
 
@@ -252,10 +255,23 @@ class Search:
         return self._apply(first, Hypothesis("late", (), (late,)))
 
     def _look(self, beside: HypothesisFit, hypotheses: Iterable[Hypothesis]) -> None:
-        for each in hypotheses:
-            self._apply(beside, each)
+        """Fit hypotheses besides others, but for those that a few instants refute."""
+        several = list(hypotheses)
+        step = len(beside.instants.position) // COARSE
+        few = beside.instants.every(max(step, 1))
+        coarse = step > 1 and len(several) > 1 and not self._has_plate
+        known = self._misfit(beside, few) if coarse else 0.0
+        for each in several:
+            changed = None
+            if coarse and each.kind not in AFRESH:
+                changed = self._transform(few, each)
+            if changed is None or self._misfit(beside, changed) < known + REFUTED:
+                self._apply(beside, each)
             if self._progress is not None:
                 self._progress(len(self.fits), 0)
+
+    def _misfit(self, beside: HypothesisFit, instants: Instants) -> float:
+        return HypothesisFit(self.prior, self.frame, beside.hypotheses, instants).misfit
 
     def _nearest(self, count: int) -> list[HypothesisFit]:
         return sorted(self.fits.values(), key=lambda each: each.bound)[:count]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.blas import one_blas_thread
 from testbed.diagnostics import Diagnostic, diagnose
 from testbed.dynamics.newton_euler import Motion, regressor
 from testbed.errors import RecordingError
@@ -121,6 +122,7 @@ class TimeOffset:
         )
 
 
+@one_blas_thread()
 def time_offsets(
     tree: Tree,
     source: Source,

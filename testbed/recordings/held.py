@@ -1,8 +1,8 @@
-"""Joints that a recording does not move: held where it has them, their columns left out."""
+"""Joints that a recording lacks or does not move: held, their columns left out."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import RecordingError, few
 from testbed.recordings.source import Source, segments_of
 from testbed.recordings.views import of_joints, seen
-from testbed.robot.model_file import ModelFile
+from testbed.robot.model_file import ModelFile, joint_names
 
 STILL = 1e-3
 """Motion below which a joint rests [rad or m]."""
@@ -31,7 +31,8 @@ def hold_still(
 
     A joint of the file's lock without a position is held at the recording's mean. A joint that
     rests in the whole recording is held as well, unless all do: of its parameters only
-    combinations with those of the body that carries it are identifiable.
+    combinations with those of the body that carries it are identifiable. Joints that the
+    recording lacks are held as of `lock_unrecorded`.
 
     Args:
         file: The model file; its lock may name joints that the recording has.
@@ -44,9 +45,10 @@ def hold_still(
     Raises:
         RecordingError: The recording moves a joint that is to be held, or has it elsewhere.
     """
+    file, said = lock_unrecorded(file, source)
     asked = [name for name in file.lock if name in source.names]
     if lock_only and not asked:
-        return file, source, ()
+        return file, source, said
     low, high, mean = _ranges(source)
     places = {}
     for name in asked:
@@ -59,7 +61,6 @@ def hold_still(
             )
         places[name] = place
     still = high - low < STILL
-    said: list[Diagnostic] = []
     if not (lock_only or still.all()):
         tree, names = file.tree(), np.array(source.names)[still].tolist()
         resting = [name for name in names if name in tree.names and name not in file.lock]
@@ -67,9 +68,33 @@ def hold_still(
             least, most = tree.joints[tree.index(name)].position_range
             places[name] = float(np.clip(mean[source.names.index(name)], least, most))
         where = few([f"{name} at {places[name]:.4g}" for name in resting])
-        said = [diagnose("position.held", where)] if resting else []
+        said += (diagnose("position.held", where),) if resting else ()
     found = replace(file, lock={**file.lock, **places})
-    return found, without(source, places), tuple(said)
+    return found, without(source, places), said
+
+
+def lock_unrecorded(file: ModelFile, source: Source) -> tuple[ModelFile, tuple[Diagnostic, ...]]:
+    """Model file with the joints held that a recording lacks: as its mapping says, else at rest.
+
+    Args:
+        file: The model file.
+        source: The recording; one that has none of the file's joints is of another robot.
+
+    Returns:
+        The file with its lock, and which joints were added to it.
+
+    Raises:
+        ModelError: The file cannot be read.
+    """
+    names = joint_names(file.path)
+    lacking = [name for name in names if name not in source.names and name not in file.lock]
+    if not lacking or len(lacking) == len(names):
+        return file, ()
+    mapping = source.facts.get("mapping")
+    given = mapping.get("lock", {}) if isinstance(mapping, Mapping) else {}
+    lock = {**{name: given.get(name) for name in lacking}, **file.lock}
+    where = few([f"{n} at {'rest' if lock[n] is None else f'{lock[n]:.4g}'}" for n in lacking])
+    return replace(file, lock=lock), (diagnose("robot.locked", where, len(lacking)),)
 
 
 def without(source: Source, names: Collection[str]) -> Source:

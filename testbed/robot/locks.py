@@ -8,8 +8,10 @@ it is held, or where the joint that it follows is.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from graphlib import CycleError, TopologicalSorter
 from typing import TypeAlias
 
@@ -17,7 +19,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, diagnose
-from testbed.errors import MimicError, ModelError, UnknownName
+from testbed.errors import MimicError, ModelError, UnknownName, few
 from testbed.robot.inertia import Inertia
 from testbed.robot.parsing import decimals
 from testbed.robot.tree import Shaft, Tree
@@ -174,11 +176,18 @@ class Travel:
         return self.low / 2 + self.high / 2
 
 
-def parse_lock(texts: Iterable[str]) -> dict[str, float | None]:
-    """What was typed as --lock JOINT or --lock JOINT=q.
+def parse_lock(
+    texts: Iterable[str], names: Callable[[], Sequence[str]] = tuple
+) -> dict[str, float | None]:
+    """Positions of held joints, as typed: JOINT, JOINT=q, a pattern, or !pattern for all others.
+
+    Args:
+        texts: Words of the command line.
+        names: Gives the joints of the model file, which patterns are matched with.
 
     Raises:
-        ModelError: A position is not a number, or one joint is given two.
+        ModelError: A position is not a number, a pattern matches nothing, or one joint is given
+            two positions.
     """
     lock: dict[str, float | None] = {}
     for text in texts:
@@ -187,8 +196,16 @@ def parse_lock(texts: Iterable[str]) -> dict[str, float | None]:
         if not name or (equals and value is None):
             raise ModelError(f"--lock takes JOINT or JOINT=q [rad or m], found '{text}'")
         position = value[0] if value else None
-        if lock.setdefault(name, position) != position:
-            raise ModelError(f"--lock {name} is given two positions")
+        joints = [name]
+        if name[0] == "!" or re.search(r"[*?\[]", name):
+            known, other = names(), name[0] == "!"
+            joints = [j for j in known if fnmatchcase(j, name.removeprefix("!")) != other]
+            if not joints or len(joints) == len(known):
+                many = "all" if joints else "none"
+                raise ModelError(f"--lock {name} matches {many} of the joints {few(known)}")
+        for joint in joints:
+            if lock.setdefault(joint, position) != position:
+                raise ModelError(f"--lock {joint} is given two positions")
     return lock
 
 

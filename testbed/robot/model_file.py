@@ -16,7 +16,7 @@ from typing import Literal
 from testbed.errors import ModelError
 from testbed.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.robot.inertia import HEAVIEST
-from testbed.robot.locks import Lock
+from testbed.robot.locks import Lock, Travel
 from testbed.robot.parsing import check_name, errors_of, read_xml
 from testbed.robot.repair import Bodies, Link, Repair
 from testbed.robot.tree import Tree
@@ -164,12 +164,25 @@ def mimic_joints(path: str | Path) -> tuple[str, ...]:
     Raises:
         ModelError: The file cannot be read.
     """
-    path = Path(path)
+    found = _travels(Path(path))
+    return tuple(name for name, each in found.items() if each.coupling and each.coupling.master)
+
+
+def joint_names(path: str | Path) -> tuple[str, ...]:
+    """Names of all joints of a model file that move, those that follow others too.
+
+    Raises:
+        ModelError: The file cannot be read.
+    """
+    return tuple(_travels(Path(path)))
+
+
+def _travels(path: Path) -> Mapping[str, Travel]:
     if model_format(path) == "mjcf":
-        from testbed.robot.formats.mjcf_spec import follower_names as names
+        from testbed.robot.formats.mjcf_spec import travels
     else:
-        from testbed.robot.formats.urdf_xml import follower_names as names
-    return names(path)
+        from testbed.robot.formats.urdf_xml import travels
+    return travels(path)
 
 
 def check_tree(tree: Tree) -> None:

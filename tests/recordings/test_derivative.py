@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from testbed.errors import RecordingError
+from testbed.recordings.importing.derivative import DerivativeError
 from testbed.recordings.importing.foreign_table import UNITS, factor
 from tests.helpers.foreign_files import imported
 from tests.helpers.ideal import ideal
@@ -55,13 +55,11 @@ def mapping(**changed: dict[str, Any]) -> str:
 
 def cure(folder: Path, text: str) -> dict[str, dict[str, Any]]:
     """The mapping's lines in a refusal, as tables."""
-    with pytest.raises(RecordingError) as refused:
+    with pytest.raises(DerivativeError) as refused:
         imported(folder, text)
-    said = str(refused.value).partition("in the mapping: ")[2].rpartition("; or leave")[0]
     found: dict[str, dict[str, Any]] = {}
-    for part in said.split(" and "):
-        kind, _, keys = part.strip("[").partition("] ")
-        found[kind] = tomllib.loads(keys.replace(", sign", "\nsign").replace(", unit", "\nunit"))
+    for table, key, value in refused.value.lines:
+        found.setdefault(table, {})[key] = value
     return found
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import zip_longest
-from os.path import commonprefix
+from dataclasses import dataclass, replace
+from itertools import takewhile, zip_longest
 
 from testbed.recordings.importing.foreign_table import (
     FORCES,
@@ -171,6 +170,9 @@ def without_unit(name: str) -> tuple[str, str | None]:
         for unit in (plain(found[1]), plain(found[1].replace("_", "/"))):
             if unit in ALL:
                 return name[: found.start()] + name[found.end() :], unit
+    last = re.fullmatch(r"(\w*[a-z]\w*)[_ ](N|s)|(i_\w+|\w*(?i:cur|strom)\w*)[_ ](A)", name)
+    if last:
+        return last[1] or last[3], last[2] or last[4]
     words = list(re.finditer(r"(?<![A-Za-z])[A-Za-z]+\d?(?![A-Za-z])", name))
     for first, found in enumerate(words):
         if found[0] not in UNIT_WORDS or len(words) == 1:
@@ -242,7 +244,8 @@ class Group:
     @property
     def numbers(self) -> list[int]:
         """Those of the names, if that is all that distinguishes them; else none."""
-        start = len(commonprefix(self.names).rstrip("0123456789"))
+        same = takewhile(lambda letters: len({*letters}) == 1, zip(*self.names, strict=False))
+        start = len("".join(letters[0] for letters in same).rstrip("0123456789"))
         found = [re.fullmatch(r"(\D*)(\d+)(\D*)", name[start:]) for name in self.names]
         around = {(m[1], m[3]) for m in found if m}
         return [int(m[2]) for m in found if m] if None not in found and len(around) == 1 else []
@@ -284,9 +287,12 @@ def grouped(columns: Sequence[ColumnName], joints: Sequence[str] = ()) -> Iterat
             by_model.setdefault(rest, []).append((column, joint))
         for rest, name in _own_name(column, columns):
             members.setdefault(rest, []).append((column, name))
-    for pairs in by_model.values():
-        if group := _group(pairs, matched=True):
+    every = [pair for pairs in by_model.values() for pair in pairs]  # rail_force beside j1_torque
+    for pairs in (*by_model.values(), every):
+        if pairs and (group := _group(pairs, matched=True)):
             yield group.like([name for name in joints if name in group.names])
+    if len(joints) == len(columns) == 1 and not by_model:  # what is there to tell apart
+        yield Group(tuple(columns), tuple(joints), True)
     for pairs in members.values():
         if group := _group(pairs):
             ordered = [name for _, name in sorted(zip(group.numbers, group.names, strict=False))]
@@ -298,6 +304,17 @@ def grouped(columns: Sequence[ColumnName], joints: Sequence[str] = ()) -> Iterat
         for alike in numbered.values():
             if 1 < len(alike) < len(pairs) and (group := _group(alike)):
                 yield group
+
+
+def as_torques(column: ColumnName, joints: Sequence[str]) -> ColumnName:
+    """Column, of a joint's torque where its name says force or moment and one of the joints.
+
+    Args:
+        column: As its name states it.
+        joints: Names in the model.
+    """
+    load = column.kind == "wrench" and column.role is None
+    return replace(column, kind="torque") if load and [*_model_joint(column, joints)] else column
 
 
 def _group(pairs: Sequence[tuple[ColumnName, str]], *, matched: bool = False) -> Group | None:

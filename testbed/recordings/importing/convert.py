@@ -17,6 +17,7 @@ from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import RecordingError, plural
 from testbed.recordings.columns import members_of
 from testbed.recordings.importing.derivative import derivatives
+from testbed.recordings.importing.encoder_steps import without_turns
 from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable
 from testbed.recordings.importing.import_report import ImportReport, SignalReport
 from testbed.recordings.importing.mapping import (
@@ -24,7 +25,6 @@ from testbed.recordings.importing.mapping import (
     BaseTable,
     ForceSensorTable,
     Mapping,
-    SignalTable,
     SixAxisTable,
     WrenchTable,
     read_mapping,
@@ -32,7 +32,7 @@ from testbed.recordings.importing.mapping import (
 from testbed.recordings.importing.readers import open_foreign
 from testbed.recordings.importing.signal_maps import (
     base_pose,
-    check_file_units,
+    check_units,
     effort_kinds,
     joint_kinds,
     joint_signal,
@@ -257,11 +257,12 @@ def clock_ranges(mapping: Mapping, folder: Path) -> dict[str, tuple[float, float
 def _converted(mapping: Mapping, streams: Table[str, _Stream], window: Window) -> Imported:
     """What the files say of a part of the time."""
     samples = {label: _samples(mapping, label, each, window) for label, each in streams.items()}
+    samples["position"] = _without_turns(mapping, samples["position"])
     grid = _grid(mapping, samples.values(), window)
     columns: dict[str, Array] = {"time": grid - grid[0]}
     clocks: dict[str, ClockReport] = {}
     for label, each in streams.items():
-        _check_units(label, each.table, each.file)
+        check_units(label, each.table, each.file)
         got, name = samples[label], each.table.source
         made = _mapped(mapping, label, onto_grid(got.time, got.values, got.rate, grid))
         columns |= {name: made[name] + columns.get(name, 0.0) for name in made}  # plates add up
@@ -334,12 +335,14 @@ def _streams(mapping: Mapping, folder: Path) -> dict[str, _Stream]:
         label: _stream(label, table, files[table.source], times[table.source])
         for label, table in tables.items()
     }
-    for label, own in found.items():
-        spans = [
-            np.ptp(each.time) for each in found.values() if each.table.source == own.table.source
-        ]
-        found[label] = replace(own, shorter=float(max(spans) - np.ptp(own.time)))
-    return found
+    spans: dict[str, float] = {}
+    for each in found.values():
+        name = each.table.source
+        spans[name] = max(spans.get(name, 0.0), float(np.ptp(each.time)))
+    return {
+        label: replace(each, shorter=spans[each.table.source] - float(np.ptp(each.time)))
+        for label, each in found.items()
+    }
 
 
 def _stream(label: str, table: AnyTable, file: ForeignTable, time: Array) -> _Stream:
@@ -353,9 +356,9 @@ def _stream(label: str, table: AnyTable, file: ForeignTable, time: Array) -> _St
     finite = np.isfinite(values)
     rows = np.flatnonzero(finite.all(axis=1) & np.isfinite(time))
     if len(rows) < FEWEST:
-        none = [name for k, name in enumerate(table.columns) if not finite[:, k].any()]
         why = f"{plural(len(rows), 'sample')} of [{label}], which is no recording"
-        why = f"'{none[0]}' holds no number; leave [{label}] out" if none else why
+        for name in (n for n, some in zip(table.columns, finite.T, strict=True) if not some.any()):
+            why = f"'{name}' holds no number; leave [{label}] out"
         raise RecordingError(f"sources.{table.source}: {why}")
     begin = float(time[np.isfinite(time)][0])
     return _Stream(table, file, time[rows], values[rows], rows, begin)
@@ -391,8 +394,8 @@ def _samples(mapping: Mapping, label: str, stream: _Stream, window: Window) -> _
     table, time, name = stream.table, stream.time, stream.table.source
     source = mapping.sources[name]
     low, high = np.searchsorted(np.maximum.accumulate(time), window)
-    part = slice(max(0, low - 1), min(high + 2, len(time)))
-    part = without_gaps(source, time, stream.rows, part, window)
+    near = slice(max(0, low - 1), min(high + 2, len(time)))
+    part = without_gaps(source, time, stream.rows, near, window)
     if part.stop <= part.start:
         raise RecordingError(
             f"sources.{name}: time does not increase; say `rate` instead of `time`"
@@ -411,13 +414,21 @@ def _samples(mapping: Mapping, label: str, stream: _Stream, window: Window) -> _
         rate = float(1 / np.median(np.diff(time)))
     if isinstance(table, BaseTable):
         values = np.hstack([values[:, :3], without_turnovers(values[:, 3:])])
-    if label == "torque" and isinstance(table, SignalTable):
-        values = signed(table, values)
+    values = signed(table, values) if table is mapping.torque else values
     passed = low_pass_reach(rate, mapping.rate) > 0
     said: tuple[Diagnostic, ...] = ()
     if stream.shorter > longest_bridged(source, 1 / rate):
         said = (diagnose("import.shorter", label, stream.shorter, source=name),)
     return _Samples(time, values, rate, clock, SignalReport(name, held, dropped, passed, said))
+
+
+def _without_turns(mapping: Mapping, samples: _Samples) -> _Samples:
+    """Positions of encoders that wrap, unwrapped."""
+    table = mapping.position
+    names = mapping.joints if table.matrix is None else table.columns
+    values, said = without_turns(table, names, samples.time, samples.values)
+    said = (*samples.report.diagnostics, *said)
+    return replace(samples, values=values, report=replace(samples.report, diagnostics=said))
 
 
 def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, float]) -> Array:
@@ -456,20 +467,6 @@ def _mapped(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
         signal, found = label, joint_signal(kind, mapping.signals[kind], mapping.gear, raw)
     members = members_of(signal, tuple(mapping.joints), sensors)
     return {f"{signal}/{member}": found[:, k] for k, member in enumerate(members)}
-
-
-def _check_units(label: str, table: AnyTable, file: ForeignTable) -> None:
-    """Whether the file says the same units where it says any."""
-    columns = table.columns
-    if isinstance(table, BaseTable):
-        check_file_units(label, "position", table.position, [table.unit] * 3, file)
-    elif isinstance(table, SignalTable):
-        if table.gain is None:
-            units = table.unit if isinstance(table.unit, list) else [table.unit] * len(columns)
-            check_file_units(label, label, columns, units, file)
-    elif table.matrix is None:
-        check_file_units(label, "force", columns[:3], [table.units[0]] * 3, file)
-        check_file_units(label, "moment", columns[3:], [table.units[1]] * 3, file)
 
 
 def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping as Columns
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import RecordingError
 from testbed.recordings.importing.foreign_table import UNITS, Kind, plain
-from testbed.recordings.importing.import_report import SignalReport
+from testbed.recordings.importing.import_report import SignalReport, in_toml
 from testbed.recordings.importing.mapping import Mapping, SignalTable
 
 PARTS = (200, 60, 20)
@@ -42,6 +43,22 @@ CLEARLY = 2.0
 
 MOVED = 0.02
 """Integral of a velocity from which a joint has moved [rad or m]."""
+
+
+Line = tuple[str, str, Any]
+"""A table of the mapping, a key of it, and its value."""
+
+
+class DerivativeError(RecordingError):
+    """Signal in other units, senses or order than those of the derivative that it should be.
+
+    Attributes:
+        lines: Lines of the mapping that correct it; none where a matrix is in the way.
+    """
+
+    def __init__(self, message: str, lines: Sequence[Line]) -> None:
+        super().__init__(message)
+        self.lines = tuple(lines)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,9 +198,12 @@ def _diagnostics(
         lines, other = _lines(kind, table, of, below, order, np.where(sure, slope, 1.0), read)
         names = [joints[k] for k in range(n) if wrong[k] or order[k] != k]
         said = f"it is {_times(slope[wrong])}" if wrong.any() else "it is that of other joints"
-        raise RecordingError(
+        advice = "; ".join(f"[{t}] {key} = {in_toml(value)}" for t, key, value in lines)
+        raise DerivativeError(
             f"the {kind} of {_listed(names, n)} is not the derivative of the {of}: {said}; in the "
-            f"mapping: {lines}; or leave [{kind}] out{other}"
+            f"mapping: {advice or f'check [{kind}] unit, side, sign and matrix'}; or leave "
+            f"[{kind}] out{other}",
+            lines,
         )
     moving = (found.fit.max(axis=1) > 0) & ~sure
     if not moving.any():
@@ -209,38 +229,35 @@ def _times(slope: Array) -> str:
 def _lines(
     kind: Kind, table: SignalTable, of: Kind, below: SignalTable, order: NDArray[np.intp],
     slope: Array, read: Array,
-) -> tuple[str, str]:  # fmt: skip
+) -> tuple[list[Line], str]:  # fmt: skip
     """Lines of the mapping without the mistake, and what else it may be.
 
     Of two signals whose units may be wrong that one is whose sizes are less usual.
     """
     if table.matrix is not None or below.matrix is not None:
-        return f"check [{kind}] matrix, unit and sign", ""
-    lines, instead = [], ""
+        return [], ""
+    lines: list[Line] = []
+    instead = ""
     if (order != np.arange(len(order))).any():
-        lines.append(f"columns = {_toml([table.columns[k] for k in order])}")
+        lines.append((kind, "columns", [table.columns[k] for k in order]))
     if (slope < 0).any():
         before = table.sign or [1] * len(slope)
         signs = [int(np.sign(s)) * before[k] for k, s in zip(order, slope, strict=True)]
-        lines.append(f"sign = {signs}")
+        lines.append((kind, "sign", signs))
     sizes = np.abs(slope)
     if (np.abs(sizes - 1) > NEAR).any():
         own = _units(kind, table, order, sizes)
         other = _units(of, below, np.arange(len(order)), 1 / sizes)
         odd = _odd(read, sizes)
         of_below = own is None or (other is not None and odd > 0)
-        said = [f"[{kind}] unit = {_toml(own)}", f"[{of}] unit = {_toml(other)}"]
+        either: list[Line] = [(kind, "unit", own), (of, "unit", other)]
         if None not in (own, other) and abs(odd) < CLEARLY:
-            instead = f"; or, if the {of if not of_below else kind} is wrong, {said[not of_below]}"
+            wrong, (name, _, unit) = (kind if of_below else of), either[not of_below]
+            instead = f"; or, if the {wrong} is wrong, [{name}] unit = {in_toml(unit)}"
         if own is None and other is None:
-            lines.append("side, or another unit")
-        elif not of_below:
-            lines.append(f"unit = {_toml(own)}")
-        else:
-            return " and ".join(
-                [*([f"[{kind}] {', '.join(lines)}"] if lines else []), said[1]]
-            ), instead
-    return f"[{kind}] {', '.join(lines)}", instead
+            return [], ""
+        lines.append(either[of_below])
+    return lines, instead
 
 
 def _odd(read: Array, sizes: Array) -> float:
@@ -270,7 +287,3 @@ def _units(
         return None
     units = [str(each) for each in found]
     return units[0] if len(set(units)) == 1 else units
-
-
-def _toml(value: object) -> str:
-    return repr(value).replace("'", '"')

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,13 +40,17 @@ Said = tuple[str, Any, str]
 """A key, its value, and what is said beside it."""
 
 
-def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> Draft:
+def guessed(
+    paths: Sequence[Path], folder: Path, joints: Sequence[str] = (),
+    subsets: Iterable[Sequence[str]] = (),
+) -> Draft:  # fmt: skip
     """A mapping to start from; where something is empty, `read_mapping` refuses it.
 
     Args:
         paths: Files of other programs.
         folder: Where the mapping is to stand: files are named relative to it.
         joints: Names in the robot's model, in its order; none if that is not known.
+        subsets: Fewer of them, tried where columns do not fit all.
 
     Raises:
         RecordingError: One cannot be read, or they hold no columns.
@@ -59,7 +63,7 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
     if not sources:
         listed = ", ".join(f"'{path}'" for path in paths)
         raise RecordingError(f"no columns of numbers in {listed}")
-    signals = likely_signals(sources, joints)
+    signals, joints = _fitting(sources, joints, subsets)
     temperatures, base = [*_temperatures(sources, joints, signals)], [*_base(sources)]
     by_name = {each.source.name: each.source for each in signals.values()}
     sources = [by_name.get(each.name, each) for each in sources]
@@ -73,7 +77,7 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
     )
     draft = draft.saying("", "rate", _rate(sources, signals), "of the recording [Hz]")
     draft = draft.saying("", "joints", *_joints(signals, joints))
-    plates = likely_plates(sources)
+    plates = likely_plates(sources, signals)
     used = {each.source.name for each in signals.values()} | {each[1].name for each in plates}
     used |= {keys[0][1] for keys in (temperatures, base) if keys}
     for each in sources:
@@ -109,6 +113,20 @@ def _with_source(draft: Draft, source: LikelySource, folder: Path, *, needed: bo
     for said in keys if needed else ():
         draft = draft.saying(name, *said)
     return draft
+
+
+def _fitting(
+    sources: Sequence[LikelySource], joints: Sequence[str], subsets: Iterable[Sequence[str]]
+) -> tuple[Mapping[Kind, LikelySignal], Sequence[str]]:
+    """Signals of all joints, or of the first fewer ones that the columns fit; and these joints."""
+    signals = likely_signals(sources, joints)
+    for fewer in subsets:
+        if all(each.group.matched for each in signals.values()):
+            break
+        tried = likely_signals(sources, fewer)
+        if any(each.group.matched for each in tried.values()):
+            signals, joints = tried, fewer
+    return signals, joints
 
 
 def _rate(sources: Sequence[LikelySource], signals: Mapping[Kind, LikelySignal]) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -69,9 +70,24 @@ class Draft:
             lines = [*self.remarks.get(name, ())] + [f"[{name}]"] * bool(name and keys)
             for key, value in keys.items():
                 note = printable(self.notes.get((name, key), ""), LONGEST)
-                lines.append(f"{key} = {in_toml(value)}" + f"  # {note}" * bool(note))
+                plain = key if re.fullmatch(r"(# )?[\w-]+", key, re.ASCII) else json.dumps(key)
+                lines.append(f"{plain} = {in_toml(value)}" + f"  # {note}" * bool(note))
             blocks.append("\n".join(lines))
         return "\n\n".join(blocks) + "\n"
+
+    def line(self, key: str) -> int:
+        """Number of the line in `text` of a key, or of its table's first where it is not there.
+
+        Args:
+            key: Dotted, with its table's name.
+        """
+        table, _, name = key.rpartition(".")
+        above, own = "", re.compile(rf"(# )?{re.escape(name)} = |# \[{re.escape(key)}\]")
+        for number, line in enumerate(self.text.splitlines(), start=1):
+            above = line[1:-1] if line[:1] == "[" else above
+            if (above == table or line[:1] == "#") and own.match(line):
+                return number
+        return 1
 
 
 def in_toml(value: Any) -> str:

@@ -14,6 +14,7 @@ from testbed.arrays import Array
 from testbed.recordings.importing.column_names import (
     ColumnName,
     Group,
+    as_torques,
     at_the_hand,
     best_group,
     grouped,
@@ -217,7 +218,9 @@ def likely_signals(
         groups = [
             (group, source)
             for source in sources
-            for group in grouped([c for c in source.columns if _is(c, kind)], joints)
+            for group in grouped(
+                [c for c in source.columns if _is(as_torques(c, joints), kind)], joints
+            )
         ]
         best = best_group([group for group, _ in groups], count)
         if best is None:
@@ -295,7 +298,8 @@ def _by_data(
             for velocity in ([own["velocity"]] if "velocity" in own else groups.values())
             if position is not velocity and _follows(source, position, velocity)
         ]
-        for kind, group in zip(("position", "velocity"), pairs[0] if pairs else (), strict=False):
+        kinds: tuple[Kind, Kind] = ("position", "velocity")
+        for kind, group in zip(kinds, pairs[0] if pairs else (), strict=False):
             if kind not in own:
                 yield kind, source, group, BY_BOTH
             groups.pop(group.columns, None)
@@ -350,7 +354,7 @@ def _with_derivatives(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, Lik
         sizes = [
             ratio * UNITS["position"][a] / UNITS["velocity"][b]
             for (a, b), ratio in zip(units, ratios, strict=True)
-            if a in UNITS["position"] and b in UNITS["velocity"] and ratio == ratio
+            if a in UNITS["position"] and b in UNITS["velocity"] and np.isfinite(ratio)
         ]
         clock = clock.by_velocity(float(np.median(sizes))) if sizes else clock
     else:
@@ -410,25 +414,29 @@ def values_of(signal: LikelySignal) -> Array:
 
 
 def likely_plates(
-    sources: Sequence[LikelySource],
+    sources: Sequence[LikelySource], signals: Mapping[Kind, LikelySignal]
 ) -> list[tuple[str, LikelySource, list[ColumnName]]]:
-    """Columns of all plates that have six; else of the first source that has any.
+    """Columns of all plates that have six; of the first source that has any, if torques are not.
 
     Args:
         sources: Where to look.
+        signals: Of the joints, whose columns are no plate's.
 
     Returns:
         What distinguishes a plate from the others, its source and its columns.
     """
     if found := [each for source in sources for each in _stated_plates(source)]:
         return found
+    found = []
+    taken = {column.name for each in signals.values() for column in each.group.columns}
     for source in sources:
-        columns = [c for c in source.columns if c.kind == "wrench" and not c.beside]
+        columns = [c for c in source.columns if _is(c, "wrench") and c.name not in taken]
         own = [c for c in columns if not at_the_hand(c)]
         if columns:
             found += [(n, source, each) for n, each in plate_columns(own or columns).items()]
     whole = [each for each in found if len(each[2]) == 6 and not at_the_hand(each[2][0])]
-    return whole or found[:1]
+    first = found[:1] if "torque" not in signals else [p for p in found if len(p[2]) == 6][:1]
+    return whole or first
 
 
 IDLE = 0.02

@@ -122,6 +122,8 @@ class SignalTable(MappingTable):
     """Of the gear; must be said where there is a table [gear]."""
     gain: Finite | Numbers | None = None
     """Torque of a unit of what was measured, for units of current and voltage [N m/A]."""
+    gain_from: Literal["model", "plate"] | None = None
+    """What the gains were computed from, if not known: the model file's masses, or a plate."""
     sign: list[Sign] | None = None
     """Of each column: -1 where it counts the other way."""
     matrix: Rows | None = None
@@ -230,6 +232,8 @@ class Mapping(MappingTable):
     """Cut so much from the beginning of what all sources cover [s]."""
     stop: Positive | None = None
     """End so long after that beginning [s]; default where the first source ends."""
+    lock: Annotated[dict[Name, Finite], Field(max_length=1000)] = {}
+    """Joints of the model file without columns, and where they are held [rad or m]."""
     gravity: Three | None = None
     """(gx, gy, gz) [m/s^2], bedplate frame; default the model file's."""
     sources: Annotated[dict[str, SourceTable], Field(min_length=1, max_length=100)]
@@ -268,6 +272,8 @@ class Mapping(MappingTable):
         n = len(self.joints)
         if len(set(self.joints)) < n:
             raise ValueError("joints: a name is there twice")
+        if twice := set(self.lock) & set(self.joints):
+            raise ValueError(f"lock: '{min(twice)}' is among the joints that have columns")
         if self.torque is None and self.wrench is None and not (self.plates or self.sensors):
             raise ValueError("a recording has a [torque], a [wrench] or [sensors.NAME]")
         if self.wrench is not None and self.plates:

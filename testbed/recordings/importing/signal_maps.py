@@ -18,6 +18,7 @@ from testbed.recordings.importing.foreign_table import (
     slides,
 )
 from testbed.recordings.importing.mapping import (
+    AnyTable,
     BaseTable,
     GearTable,
     Mapping,
@@ -192,7 +193,7 @@ def effort_kinds(mapping: Mapping) -> dict[str, str]:
     return {j: EFFORTS.get(plain(u), other) for j, u in zip(mapping.joints, units, strict=True)}
 
 
-def check_file_units(label: str, kind: str, columns: Sequence[str], units: Sequence[str],
+def _check_file_units(label: str, kind: str, columns: Sequence[str], units: Sequence[str],
                      table: ForeignTable) -> None:  # fmt: skip
     """Whether what the file says of units is what the mapping says.
 
@@ -214,3 +215,26 @@ def check_file_units(label: str, kind: str, columns: Sequence[str], units: Seque
                 f"{label}: the file says that '{column}' is in {said}, the mapping says {unit}"
                 + how.get(kind, "") * (said in RAW)
             )
+
+
+def check_units(label: str, table: AnyTable, file: ForeignTable) -> None:
+    """Whether the file says the units that the mapping says, where it says any.
+
+    Args:
+        label: Of the mapping's table.
+        table: What the mapping says.
+        file: Where its columns are.
+
+    Raises:
+        RecordingError: They differ.
+    """
+    columns = table.columns
+    if isinstance(table, BaseTable):
+        _check_file_units(label, "position", table.position, [table.unit] * 3, file)
+    elif isinstance(table, SignalTable):
+        if table.gain is None:
+            units = table.unit if isinstance(table.unit, list) else [table.unit] * len(columns)
+            _check_file_units(label, label, columns, units, file)
+    elif table.matrix is None:
+        _check_file_units(label, "force", columns[:3], [table.units[0]] * 3, file)
+        _check_file_units(label, "moment", columns[3:], [table.units[1]] * 3, file)

@@ -72,10 +72,14 @@ def open_spec(
     return spec, (*said, *drop_passive_forces(spec, path))
 
 
-def follower_names(path: Path) -> tuple[str, ...]:
-    """The joints of an MJCF file that follow others that move."""
-    couplings, _ = _couplings(parse(path))
-    return tuple(name for name, (master, _) in couplings.items() if master)
+def travels(path: Path) -> dict[str, Travel]:
+    """Coupling of every hinge and slide of an MJCF file, by name; ranges are left open."""
+    spec = parse(path)
+    couplings, _ = _couplings(spec)
+    moving = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    names = [joint.name for joint in spec.joints if joint.type in moving]
+    masters = {name: Coupling(couplings[name][0], ()) for name in names if name in couplings}
+    return {name: Travel(coupling=masters.get(name)) for name in names}
 
 
 def parse(path: Path) -> mujoco.MjSpec:

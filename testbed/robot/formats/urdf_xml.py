@@ -165,11 +165,10 @@ def _accepted(element: ET.Element) -> Iterator[Diagnostic]:
             yield diagnose("model.negative-friction", name, found[0])
 
 
-def follower_names(path: Path) -> tuple[str, ...]:
-    """The joints of a URDF file that follow others that move."""
+def travels(path: Path) -> dict[str, Travel]:
+    """Range and coupling of every joint of a URDF file that moves, by name."""
     root, _ = _checked(path, weld_root=True)
-    found = _travels(root.findall("joint"))
-    return tuple(name for name, each in found.items() if each.coupling and each.coupling.master)
+    return _travels(root.findall("joint"))
 
 
 def _travels(joints: list[ET.Element]) -> dict[str, Travel]:
