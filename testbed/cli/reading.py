@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -467,7 +468,10 @@ def opened_pieces(path: Path) -> tuple[Sequence[Source], list[Diagnostic]]:
         path: Parquet, or TOML for a mapping.
     """
     if path.suffix != ".toml":
-        return [opened(path)], []
+        numbered = (path.with_stem(f"{path.stem}-{k}") for k in count(1))
+        parts = [] if path.exists() else [*takewhile(Path.exists, numbered)]
+        note(f"'{each}' is a part of '{path}'" for each in parts)
+        return [opened(each) for each in parts or [path]], []
     from testbed.recordings.joined import pieces
 
     return pieces(path)

@@ -33,6 +33,9 @@ import testbed as tb
 from testbed.arrays import Array
 
 JOINTS = ("j1", "j2")
+GRIPPER = 3_000_000
+"""Later than the arm's the gripper's states are sent [ns]."""
+
 EPOCH = 1_700_000_000_000_000_000
 """Of the clocks of ROS in these files [ns]."""
 
@@ -171,21 +174,22 @@ def c3d(folder: Path, log: Log) -> str:
     return mapping(source, columns[:2], columns[2:4], columns[4:])
 
 
-def write_c3d(
-    path: Path, channels: Array, points: Array, **words: Mapping[str, tuple[str, ...]]
-) -> None:
+def write_c3d(path: Path, channels: Array, points: Array, **words: Mapping[str, Any]) -> None:
     """A C3D file of 100 frames a second, one sample of each channel a frame.
 
     Args:
         path: The file.
         channels: (C, M).
         points: (3, P, M).
-        words: Labels, units ... of ANALOG and POINT.
+        words: Labels, units ... of ANALOG and POINT; what there is of other groups.
     """
     made = ezc3d.c3d()
     for group in ("ANALOG", "POINT"):
-        for name, value in {"RATE": [100.0], **words.get(group, {})}.items():
+        for name, value in {"RATE": [100.0], **words.pop(group, {})}.items():
             made["parameters"][group][name]["value"] = value
+    for group, values in words.items():
+        for name, value in values.items():
+            made.add_parameter(group, name, np.asarray(value, dtype=np.float64))
     made["data"]["points"] = np.concatenate([points, np.ones((1, *points.shape[1:]))])
     made["data"]["analogs"] = channels[None]
     made.write(str(path))
@@ -207,6 +211,9 @@ def mcap_json(folder: Path, log: Log) -> str:
         motion = {"position": log.q[k].tolist(), "effort": log.tau[k].tolist()}
         return {"header": head, "name": log.names, **motion}
 
+    def finger(k: int, when: int) -> dict[str, Any]:
+        return {"header": head, "name": ["finger"], "position": [log.q[k, 0]], "effort": [0.0]}
+
     def plate(k: int, when: int) -> dict[str, Any]:
         force, torque = (
             dict(zip("xyz", part.tolist(), strict=True)) for part in log.w[k].reshape(2, 3)
@@ -218,11 +225,12 @@ def mcap_json(folder: Path, log: Log) -> str:
         writer.start()
         schema = writer.register_schema("State", "jsonschema", json.dumps(states).encode())
         channels = [writer.register_channel(t, "json", schema) for t in ("/joint_states", "/plate")]
+        sent = ((channels[0], state, 0), (channels[0], finger, GRIPPER), (channels[1], plate, 0))
         for k, t in enumerate(log.t):
             when = EPOCH + round(t * 1e9)
-            for channel, content in zip(channels, (state, plate), strict=True):
+            for channel, content, later in sent:
                 data = json.dumps(content(k, when)).encode()
-                writer.add_message(channel, when, data, when)
+                writer.add_message(channel, when + later, data, when)
         writer.finish()  # type: ignore[no-untyped-call]
     return _topics("log.mcap")
 
@@ -377,7 +385,7 @@ def _topics(file: str) -> str:
 
 
 def _bag(path: Path, log: Log, plugin: StoragePlugin | None) -> str:
-    """Joint states whose names change places from message to message, and wrenches."""
+    """Joint states whose names change places, those of a gripper's node, and wrenches."""
     store = get_typestore(Stores.ROS1_NOETIC if plugin is None else Stores.ROS2_HUMBLE)
     kinds = store.types
     state, wrench = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
@@ -401,5 +409,10 @@ def _bag(path: Path, log: Log, plugin: StoragePlugin | None) -> str:
             )  # fmt: skip
             felt = kinds["geometry_msgs/msg/Wrench"](vector(*log.w[k, :3]), vector(*log.w[k, 3:]))
             writer.write(states, when, pack(told, state))
+            finger = kinds[state](
+                header=head, name=["finger"], position=log.q[k, :1], velocity=np.zeros(1),
+                effort=np.zeros(1),
+            )  # fmt: skip
+            writer.write(states, when + GRIPPER, pack(finger, state))
             writer.write(wrenches, when, pack(kinds[wrench](header=head, wrench=felt), wrench))
     return _topics(path.name)

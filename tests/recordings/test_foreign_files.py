@@ -81,6 +81,12 @@ def test_tables_of_text_are_read_as_loggers_write_them(tmp_path: Path) -> None:
         ("speed of all\na\tb\ta\n1\t2\t3\n4\t5\t6\n", {"a": [1, 4], "b": [2, 5], "a (2)": [3, 6]}),
         ("# größe b\n1 2\n3 4\n", {"größe": [1, 3], "b": [2, 4]}),
         ("t,what,b\n0,on,2\n1,off,4\n", {"t": [0, 1], "b": [2, 4]}),
+        (
+            "of;scope\nRate;100\n\nt;q\n1,5;2\n1,75;3\n2;4\n2,25;5\n2,5;6\n2,75;6\n",
+            {"t": [1.5, 1.75, 2, 2.25, 2.5, 2.75], "q": [2, 3, 4, 5, 6, 6]},
+        ),
+        ("0,5 2\n0,75 3\n1 4,5\n", {"0": [0.5, 0.75, 1], "1": [2, 3, 4.5]}),
+        ('"F, x","b"\n1,2\n3,4\n', {"F, x": [1, 3], "b": [2, 4]}),
     ]
     for text, wanted in cases:
         (tmp_path / "log.txt").write_bytes(text.encode("latin-1"))
@@ -115,7 +121,9 @@ def test_a_field_that_is_no_number_is_named_by_line_and_column_and_an_empty_one_
     if word:
         number = lines.index(separator.join(rows[row])) + 1
         with refuses(RecordingError, f"line {number}:", f"'{'abcd'[column]}'"):
-            open_foreign(path)
+            open_foreign(path).read("abcd")
+        others = "abcd".replace("abcd"[column], "")
+        assert [*open_foreign(path).read(others)] == [*others]
     else:
         numbers[row, column] = np.nan
         read = open_foreign(path).read(list("abcd"))

@@ -18,7 +18,7 @@ from testbed.arrays import Array
 from testbed.errors import ExperimentError
 from testbed.recordings.importing.foreign_table import TIMES, UNITS
 from testbed.recordings.importing.guess import guessed
-from testbed.recordings.importing.likely_signals import rate_of
+from testbed.recordings.importing.likely_clock import rate_of
 from tests.helpers.strategies import rngs
 
 STYLES = (

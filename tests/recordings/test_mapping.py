@@ -167,11 +167,9 @@ def test_numbers_one_a_line_are_answered_by_how_to_write_them(tmp_path: Path, lo
 def test_columns_without_numbers_of_one_length_and_time_are_named(
     text: str, tmp_path: Path, log: Log
 ) -> None:
-    holed = {name: np.array(getattr(log, name)) for name in ("t", "q")}
-    holed["t"][7], holed["q"][7, 1] = np.nan, np.nan
     cases: list[tuple[dict[str, Array], tuple[str, ...]]] = [
-        ({"t": holed["t"]}, ("sources.log", "'t'", "sample 7")),
-        ({"q": holed["q"]}, ("sources.log", "'q[1]'", "sample 7")),
+        ({"t": np.full(60, np.nan)}, ("sources.log", "'t'")),
+        ({"tau": log.tau * [1, np.nan]}, ("sources.log", "'tau[1]'", "[torque]")),
         ({"tau": log.tau[:-2]}, ("sources.log", "'q[0]' 60", "'tau[0]' 58")),
         *(({"t": log.t * scale}, ("time_unit",)) for scale in (1e-9, 1e12)),
     ]

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.arrays import Array
-from testbed.diagnostics import Diagnostic
+from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import RecordingError, plural
 from testbed.recordings.columns import members_of
 from testbed.recordings.importing.derivative import derivatives
@@ -24,7 +25,6 @@ from testbed.recordings.importing.mapping import (
     BaseTable,
     ForceSensorTable,
     Mapping,
-    SignalTable,
     SixAxisTable,
     WrenchTable,
     read_mapping,
@@ -32,20 +32,23 @@ from testbed.recordings.importing.mapping import (
 from testbed.recordings.importing.readers import open_foreign
 from testbed.recordings.importing.signal_maps import (
     base_pose,
-    check_file_units,
+    check_units,
     effort_kinds,
     joint_kinds,
     joint_signal,
+    signed,
     without_turnovers,
     wrench_of,
 )
 from testbed.recordings.importing.source_clock import (
     ClockReport,
     Times,
+    Window,
     by_one_clock,
     clock_report,
     cut,
     held_share,
+    longest_bridged,
     sample_times,
     slow_device,
     steady_times,
@@ -62,6 +65,9 @@ FASTER = 1.01
 SAME = 3e-7
 """Instants so near are the same, and samples stay what they are, to the bit: seconds since 1970
 are no finer as doubles [s]."""
+
+FEWEST = 4
+"""Samples of a signal."""
 
 UNEVEN = 0.01
 """Spread of sampling times, relative, from which splines are of lower degree: those of fifth
@@ -150,12 +156,26 @@ class Imported:
 
 
 @dataclass(frozen=True, eq=False)
-class _Source:
-    """Samples of one source: times, used columns by name, and its clock."""
+class _Stream:
+    """A signal's samples as its source has them: those in which no number is missing.
 
+    Attributes:
+        table: What the mapping says of the signal.
+        file: Where they are.
+        time: (M,) [s].
+        values: (M, k).
+        rows: Their places in the file, (M,).
+        begin: Instant of the source's first sample [s].
+        shorter: How much less of the time they cover than other signals of the source [s].
+    """
+
+    table: AnyTable
+    file: ForeignTable
     time: Array
-    columns: Table[str, Array]
-    clock: ClockReport
+    values: Array
+    rows: NDArray[np.intp]
+    begin: float
+    shorter: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +185,7 @@ class _Samples:
     time: Array
     values: Array
     rate: float
+    clock: ClockReport
     report: SignalReport
 
 
@@ -191,8 +212,8 @@ def converted(mapping: Mapping, folder: Path) -> Imported:
     Raises:
         RecordingError: A file is missing or damaged, has no such columns, or its clock is none.
     """
-    tables, times = _opened(mapping, folder)
-    return _converted(mapping, tables, times, _window(mapping, times))
+    streams = _streams(mapping, folder)
+    return _converted(mapping, streams, _window(mapping, streams))
 
 
 def converted_pieces(mapping: Mapping, folder: Path) -> tuple[list[Imported], list[Diagnostic]]:
@@ -208,9 +229,13 @@ def converted_pieces(mapping: Mapping, folder: Path) -> tuple[list[Imported], li
     Raises:
         RecordingError: As `converted`; of a gap where no piece is long enough.
     """
-    tables, times = _opened(mapping, folder)
-    windows, said = cut(_window(mapping, times), mapping.sources, times)
-    return [_converted(mapping, tables, times, each) for each in windows], said
+    streams = _streams(mapping, folder)
+    clocks = [
+        (each.table.source, mapping.sources[each.table.source], each.time, each.rows)
+        for each in streams.values()
+    ]
+    windows, said = cut(_window(mapping, streams), clocks)
+    return [_converted(mapping, streams, each) for each in windows], said
 
 
 def clock_ranges(mapping: Mapping, folder: Path) -> dict[str, tuple[float, float]]:
@@ -224,42 +249,28 @@ def clock_ranges(mapping: Mapping, folder: Path) -> dict[str, tuple[float, float
         RecordingError: A file is missing or damaged, or its clock is none.
     """
     return {
-        name: (float(t.min()), float(t.max())) for name, t in _opened(mapping, folder)[1].items()
+        each.table.source: (float(each.time.min()), float(each.time.max()))
+        for each in _streams(mapping, folder).values()
     }
 
 
-def _opened(mapping: Mapping, folder: Path) -> tuple[dict[str, ForeignTable], dict[str, Array]]:
-    """The sources' files, and when their samples were taken."""
-    tables = {name: _open(folder, mapping, name) for name in _used(mapping)}
-    times = {name: _times(mapping, name, table) for name, table in tables.items()}
-    return tables, by_one_clock(times, {name: mapping.sources[name].offset for name in times})
-
-
-def _converted(
-    mapping: Mapping,
-    tables: Table[str, ForeignTable],
-    times: Table[str, Array],
-    window: tuple[float, float],
-) -> Imported:
+def _converted(mapping: Mapping, streams: Table[str, _Stream], window: Window) -> Imported:
     """What the files say of a part of the time."""
-    sources = {
-        name: _read(mapping, name, table, times[name], window) for name, table in tables.items()
-    }
-    tables_of: dict[str, AnyTable] = dict(mapping.signals.items())
-    tables_of |= mapping.others
-    samples = {label: _samples(mapping, each, sources) for label, each in tables_of.items()}
+    samples = {label: _samples(mapping, label, each, window) for label, each in streams.items()}
     samples["position"] = _without_turns(mapping, samples["position"])
     grid = _grid(mapping, samples.values(), window)
     columns: dict[str, Array] = {"time": grid - grid[0]}
-    for label, each in tables_of.items():
-        _check_units(label, each, tables[each.source])
-        got = samples[label]
+    clocks: dict[str, ClockReport] = {}
+    for label, each in streams.items():
+        check_units(label, each.table, each.file)
+        got, name = samples[label], each.table.source
         made = _mapped(mapping, label, onto_grid(got.time, got.values, got.rate, grid))
         columns |= {name: made[name] + columns.get(name, 0.0) for name in made}  # plates add up
+        clock = replace(got.clock, lead=float(grid[0] - each.begin))
+        if clocks.setdefault(name, clock) != clock:  # other samples are missing
+            clocks[f"{name}, {label}"] = clock
     reports = {label: got.report for label, got in samples.items()}
     reports |= derivatives(mapping, columns, reports)
-    leads = {name: float(grid[0] - times[name][0]) for name in sources}
-    clocks = {name: replace(s.clock, lead=leads[name]) for name, s in sources.items()}
     report = ImportReport(mapping.rate, len(grid), clocks, reports)
     return Imported(columns, _metadata(mapping, report), report)
 
@@ -287,12 +298,15 @@ def _open(folder: Path, mapping: Mapping, name: str) -> ForeignTable:
     counts = {column: lengths[column] for column in wanted if column in lengths}
     if len(set(counts.values())) > 1:
         said = ", ".join(f"'{column}' {count}" for column, count in list(counts.items())[:4])
-        raise RecordingError(f"sources.{name}: columns of different lengths: {said}")
+        raise RecordingError(
+            f"sources.{name}: columns of different lengths: {said}; say a source for each length, "
+            "with the times of as many samples"
+        )
     return table
 
 
 def _times(mapping: Mapping, name: str, table: ForeignTable) -> Times:
-    """When a source's samples were taken by its clock, drift taken back."""
+    """When a source's samples were taken by its clock, drift taken back; nan where not said."""
     source = mapping.sources[name]
     if source.time is None:
         first = _used(mapping)[name][0]
@@ -302,11 +316,7 @@ def _times(mapping: Mapping, name: str, table: ForeignTable) -> Times:
         stamps = table.stamps(source.time)
         time = sample_times(name, source, stamps, len(stamps), table.unit(source.time))
     since = time.since
-    if len(since) < 4:
-        raise RecordingError(
-            f"sources.{name}: {plural(len(since), 'sample')}, which is no recording"
-        )
-    if since.min() == since.max():
+    if np.nanmin(since) == np.nanmax(since):
         raise RecordingError(
             f"sources.{name}: '{source.time}' is the same at all samples; say another column, or "
             "`rate` instead of `time`"
@@ -314,10 +324,51 @@ def _times(mapping: Mapping, name: str, table: ForeignTable) -> Times:
     return replace(time, since=since[0] + (since - since[0]) * (1 + source.skew))
 
 
-def _window(mapping: Mapping, times: Table[str, Array]) -> tuple[float, float]:
-    """First and last instant that are wanted and that all sources have [s]."""
-    first = max(float(time.min()) for time in times.values())
-    last = min(float(time.max()) for time in times.values())
+def _streams(mapping: Mapping, folder: Path) -> dict[str, _Stream]:
+    """Signals as their sources have them, by the label of their tables in the mapping."""
+    files = {name: _open(folder, mapping, name) for name in _used(mapping)}
+    clocks = {name: _times(mapping, name, file) for name, file in files.items()}
+    times = by_one_clock(clocks, {name: mapping.sources[name].offset for name in clocks})
+    tables: dict[str, AnyTable] = dict(mapping.signals.items())
+    tables |= mapping.others
+    found = {
+        label: _stream(label, table, files[table.source], times[table.source])
+        for label, table in tables.items()
+    }
+    spans: dict[str, float] = {}
+    for each in found.values():
+        name = each.table.source
+        spans[name] = max(spans.get(name, 0.0), float(np.ptp(each.time)))
+    return {
+        label: replace(each, shorter=spans[each.table.source] - float(np.ptp(each.time)))
+        for label, each in found.items()
+    }
+
+
+def _stream(label: str, table: AnyTable, file: ForeignTable, time: Array) -> _Stream:
+    """The samples of a signal in which no number is missing.
+
+    Raises:
+        RecordingError: There are hardly any.
+    """
+    read = file.read(table.columns)
+    values = np.stack([read[name] for name in table.columns], axis=1)
+    finite = np.isfinite(values)
+    rows = np.flatnonzero(finite.all(axis=1) & np.isfinite(time))
+    if len(rows) < FEWEST:
+        why = f"{plural(len(rows), 'sample')} of [{label}], which is no recording"
+        for name in (n for n, some in zip(table.columns, finite.T, strict=True) if not some.any()):
+            why = f"'{name}' holds no number; leave [{label}] out"
+        raise RecordingError(f"sources.{table.source}: {why}")
+    begin = float(time[np.isfinite(time)][0])
+    return _Stream(table, file, time[rows], values[rows], rows, begin)
+
+
+def _window(mapping: Mapping, streams: Table[str, _Stream]) -> Window:
+    """First and last instant that are wanted and that all signals have [s]."""
+    first = max(float(each.time.min()) for each in streams.values())
+    last = min(float(each.time.max()) for each in streams.values())
+    times = {each.table.source: each.time for each in streams.values()}
     if first >= last:
         ranges = "; ".join(f"{n} {t.min():.9g} to {t.max():.9g} s" for n, t in times.items())
         own, *others = times
@@ -338,51 +389,37 @@ def _window(mapping: Mapping, times: Table[str, Array]) -> tuple[float, float]:
     return first, last
 
 
-def _read(
-    mapping: Mapping, name: str, table: ForeignTable, time: Array, window: tuple[float, float]
-) -> _Source:
-    """A source's samples in the window and one beyond at either end."""
-    source, wanted = mapping.sources[name], list(dict.fromkeys(_used(mapping)[name]))
-    columns = table.read(wanted)
+def _samples(mapping: Mapping, label: str, stream: _Stream, window: Window) -> _Samples:
+    """A signal's samples in the window and one beyond at either end, of a slow device once each."""
+    table, time, name = stream.table, stream.time, stream.table.source
+    source = mapping.sources[name]
     low, high = np.searchsorted(np.maximum.accumulate(time), window)
-    part = slice(max(0, low - 1), min(high + 2, len(time)))
-    part = without_gaps(source, time, part, window)
+    near = slice(max(0, low - 1), min(high + 2, len(time)))
+    part = without_gaps(source, time, stream.rows, near, window)
     if part.stop <= part.start:
         raise RecordingError(
             f"sources.{name}: time does not increase; say `rate` instead of `time`"
         )
-    values = np.stack([columns[each][part] for each in wanted], axis=1)
-    bad = np.argwhere(~np.isfinite(values))
-    if len(bad):
-        k, c = bad[0]
-        more = f", one of {len(bad)} such" if len(bad) > 1 else ""
-        raise RecordingError(
-            f"sources.{name}: '{wanted[c]}' of '{source.file}' is {values[k, c]} at sample "
-            f"{k + part.start}{more}; cut it out by `start` and `stop`, or repair the file"
-        )
-    kept = without_repeats(name, time[part], values)
-    stamps, values = time[part][kept], values[kept]
-    used = steady_times(name, stamps) if source.steady else stamps
+    stamps, values, rows = time[part], stream.values[part], stream.rows[part]
+    kept = without_repeats(name, stamps, values, steady=source.steady)
+    stamps, values = stamps[kept], values[kept]
+    used = steady_times(name, stamps, rows[kept]) if source.steady else stamps
     clock = clock_report(name, source, stamps, used, int(np.count_nonzero(~kept)))
-    clock = replace(clock, cut=table.cut)
-    return _Source(used, {c: values[:, k] for k, c in enumerate(wanted)}, clock)
-
-
-def _samples(mapping: Mapping, table: AnyTable, sources: Table[str, _Source]) -> _Samples:
-    """A signal's columns as they were sampled, those of a slow device once each."""
-    source = sources[table.source]
-    time, rate = source.time - table.delay, source.clock.rate
-    values = np.stack([source.columns[name] for name in table.columns], axis=1)
-    held, dropped = held_share(values), 0
-    if mapping.sources[table.source].drop_held:
+    clock = replace(clock, cut=stream.file.cut)
+    time, rate, held, dropped = used - table.delay, clock.rate, held_share(values), 0
+    if source.drop_held:
         news = slow_device(values)
         dropped = int(np.count_nonzero(~news))
         time, values = time[news], values[news]
         rate = float(1 / np.median(np.diff(time)))
     if isinstance(table, BaseTable):
         values = np.hstack([values[:, :3], without_turnovers(values[:, 3:])])
+    values = signed(table, values) if table is mapping.torque else values
     passed = low_pass_reach(rate, mapping.rate) > 0
-    return _Samples(time, values, rate, SignalReport(table.source, held, dropped, passed))
+    said: tuple[Diagnostic, ...] = ()
+    if stream.shorter > longest_bridged(source, 1 / rate):
+        said = (diagnose("import.shorter", label, stream.shorter, source=name),)
+    return _Samples(time, values, rate, clock, SignalReport(name, held, dropped, passed, said))
 
 
 def _without_turns(mapping: Mapping, samples: _Samples) -> _Samples:
@@ -390,6 +427,7 @@ def _without_turns(mapping: Mapping, samples: _Samples) -> _Samples:
     table = mapping.position
     names = mapping.joints if table.matrix is None else table.columns
     values, said = without_turns(table, names, samples.time, samples.values)
+    said = (*samples.report.diagnostics, *said)
     return replace(samples, values=values, report=replace(samples.report, diagnostics=said))
 
 
@@ -429,20 +467,6 @@ def _mapped(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
         signal, found = label, joint_signal(kind, mapping.signals[kind], mapping.gear, raw)
     members = members_of(signal, tuple(mapping.joints), sensors)
     return {f"{signal}/{member}": found[:, k] for k, member in enumerate(members)}
-
-
-def _check_units(label: str, table: AnyTable, file: ForeignTable) -> None:
-    """Whether the file says the same units where it says any."""
-    columns = table.columns
-    if isinstance(table, BaseTable):
-        check_file_units(label, "position", table.position, [table.unit] * 3, file)
-    elif isinstance(table, SignalTable):
-        if table.gain is None:
-            units = table.unit if isinstance(table.unit, list) else [table.unit] * len(columns)
-            check_file_units(label, label, columns, units, file)
-    elif table.matrix is None:
-        check_file_units(label, "force", columns[:3], [table.units[0]] * 3, file)
-        check_file_units(label, "moment", columns[3:], [table.units[1]] * 3, file)
 
 
 def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:

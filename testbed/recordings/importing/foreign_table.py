@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,7 +33,7 @@ MOMENTS = {
 }  # fmt: skip
 RAW = {"A": 1.0, "mA": 1e-3, "pwm": 1.0, "V": 1.0, "mV": 1e-3, "raw": 1.0}
 """Of what becomes a torque by a gain."""
-TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "day": 86_400.0}
 
 TURNING = {
     "position": ANGLES,
@@ -63,7 +63,7 @@ WORDS = {
     "radian": "rad", "radians": "rad", "rev": "turn", "revs": "turn", "turns": "turn",
     "lb": "lbf", "lbs": "lbf", "kp": "kgf", "inch": "in", "inches": "in", "foot": "ft",
     "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "nsec": "ns",
-    "s2": "s^2", "s²": "s^2", "amp": "A", "amps": "A", "newton": "N",
+    "days": "day", "s2": "s^2", "s²": "s^2", "amp": "A", "amps": "A", "newton": "N",
 }  # fmt: skip
 """Other ways to write words of units."""
 
@@ -146,6 +146,23 @@ NUMBERS = "fiub"
 """Kinds of NumPy's types that are real numbers."""
 
 
+@dataclass(frozen=True)
+class StatedPlate:
+    """A force plate as a file describes it.
+
+    Attributes:
+        name: Of a table in a mapping.
+        columns: Force and moment on the plate along the sensor's axes, or what becomes them.
+        place: `xyz` [m] and `rpy` [rad] of the sensor in the laboratory's frame; None if unknown.
+        matrix: (6, k), from the columns to forces [N] and moments [N m]; None if they are those.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    place: Mapping[str, list[float]] | None = None
+    matrix: list[list[float]] | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class ForeignTable:
     """Columns of a file, by name; they need not be of one length.
@@ -160,6 +177,7 @@ class ForeignTable:
         units: What the file says of columns' or arrays' units, as it says it.
         cut: Whether a last sample was incomplete and is left out.
         about: What a person should know of the file, if anything.
+        plates: Force plates that the file describes.
     """
 
     path: Path
@@ -168,6 +186,7 @@ class ForeignTable:
     units: Mapping[str, str] = field(default_factory=dict)
     cut: bool = False
     about: str = ""
+    plates: Sequence[StatedPlate] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -194,6 +213,10 @@ class ForeignTable:
             UnknownName: There is no such column.
             RecordingError: The file is damaged there, or holds too much.
         """
+        return {k: np.array(row, dtype=np.float64) for k, row in self._rows(columns).items()}
+
+    def _rows(self, columns: Iterable[str]) -> dict[str, NDArray[Any]]:
+        """Some columns as they are held."""
         places, wanted = self._places(), list(columns)
         for name in wanted:
             if name not in places and len(places) == 1:
@@ -210,8 +233,7 @@ class ForeignTable:
             )
         with readable(self.path):
             loaded = {array: self._loaded(array) for array in arrays}
-        rows = {name: loaded[places[name][0]][places[name][1]] for name in wanted}
-        return {name: np.array(row, dtype=np.float64) for name, row in rows.items()}
+        return {name: loaded[places[name][0]][places[name][1]] for name in wanted}
 
     def stamps(self, column: str) -> Array | NDArray[np.int64]:
         """A column as it is counted, (M,): whole numbers stay whole.
@@ -225,10 +247,9 @@ class ForeignTable:
             UnknownName: There is no such column.
             RecordingError: The file is damaged there, or holds too much.
         """
-        found, (array, row) = self.read([column])[column], self._places()[column]
-        with readable(self.path):
-            kept = self._loaded(array)[row]
-        return kept.astype(np.int64) if kept.dtype.kind in "iu" else found
+        kept = self._rows([column])[column]
+        whole = kept.dtype.kind in "iu"
+        return kept.astype(np.int64) if whole else kept.astype(np.float64)
 
     def _loaded(self, name: str) -> NDArray[Any]:
         """An array as columns, (k, M)."""

@@ -64,6 +64,7 @@ def guessed(
         listed = ", ".join(f"'{path}'" for path in paths)
         raise RecordingError(f"no columns of numbers in {listed}")
     signals, joints = _fitting(sources, joints, subsets)
+    temperatures, base = [*_temperatures(sources, joints, signals)], [*_base(sources)]
     by_name = {each.source.name: each.source for each in signals.values()}
     sources = [by_name.get(each.name, each) for each in sources]
     files = ", ".join(printable(path.name, 100) for path in paths)
@@ -76,29 +77,41 @@ def guessed(
     )
     draft = draft.saying("", "rate", _rate(sources, signals), "of the recording [Hz]")
     draft = draft.saying("", "joints", *_joints(signals, joints))
+    plates = likely_plates(sources, signals)
+    used = {each.source.name for each in signals.values()} | {each[1].name for each in plates}
+    used |= {keys[0][1] for keys in (temperatures, base) if keys}
     for each in sources:
-        name = f"sources.{each.name}"
-        file = os.path.relpath(each.file.resolve(), folder.resolve())
-        known = [f"# {each.table.about}"] if each.table.about else []
-        known += [f"# {each.logger} names its columns like this"] if each.logger else []
-        draft = draft.remarking(name, *known, *_listed(each.table)).saying(name, "file", file)
-        if each.topic is not None:
-            draft = draft.saying(name, "topic", each.topic)
-        for said in each.clock.said():
-            draft = draft.saying(name, *said)
+        draft = _with_source(draft, each, folder, needed=each.name in used or not used)
     for kind in KINDS:
         draft = _with_signal(draft, kind, signals, sources)
-    for said in _temperatures(sources, joints, signals):
+    for said in temperatures:
         draft = draft.saying("temperature", *said)
-    plates = likely_plates(sources, signals)
+    taken = {column.name for _, _, columns in plates for column in columns}
+    idle = [p.name for s in sources for p in s.table.plates if taken.isdisjoint(p.columns)]
+    if idle and plates:
+        draft = draft.remarking("", f"# left out, without a load: {json.dumps(idle)}")
     names = [name for name, _, _ in plates]
     for name, source, columns in plates:
         own = name if names.count(name) == 1 else f"{source.name} {name}"
         table = "wrench" if len(plates) == 1 else f"plates.{_key(own)}"
         for said in _plate(source, columns, alone=len(plates) == 1):
             draft = draft.saying(table, *said)
-    for said in _base(sources):
+    for said in base:
         draft = draft.saying("base", *said)
+    return draft
+
+
+def _with_source(draft: Draft, source: LikelySource, folder: Path, *, needed: bool) -> Draft:
+    """A source's table, or the columns of one that no signal is of."""
+    name = f"sources.{source.name}"
+    file = os.path.relpath(source.file.resolve(), folder.resolve())
+    known = [f"# {source.table.about}"] if source.table.about else []
+    known += [f"# {source.logger} names its columns like this"] if source.logger else []
+    known += [] if needed else [f"# no signal is of {printable(f'{file} {source.topic or str()}')}"]
+    draft = draft.remarking(name, *known, *_listed(source.table))
+    keys = [("file", file, ""), ("topic", source.topic, ""), *source.clock.said()]
+    for said in keys if needed else ():
+        draft = draft.saying(name, *said)
     return draft
 
 
@@ -156,9 +169,12 @@ def _listed(table: ForeignTable) -> Iterator[str]:
     yield "# column, samples, from .. to, unit by the file"
     lengths = table.lengths
     for column in table.columns[:SHOWN]:
-        values = table.read([column])[column]
+        try:
+            held = _range(table.read([column])[column])
+        except RecordingError as error:  # of a column that may not be needed
+            held = str(error)
         yield (
-            f"#   {printable(json.dumps(column), 80)}  {lengths[column]}  {_range(values)}  "
+            f"#   {printable(json.dumps(column), 80)}  {lengths[column]}  {held}  "
             f"{printable(table.unit(column) or '-', 20)}"
         )
     more = len(table.columns) - SHOWN
@@ -181,6 +197,9 @@ def _with_signal(
     beside = [c.name for s in sources for c in s.columns if c.kind == kind and c.beside]
     if beside:
         draft = draft.remarking(kind, f"# left out, by their names: {json.dumps(beside)}")
+    empty = [column.name for s in sources for column in s.empty if column.kind == kind]
+    if empty:
+        draft = draft.remarking(kind, f"# left out, without a number: {json.dumps(empty)}")
     if found is None:
         optional = ", if there are any" if kind != "position" else ""
         lines = [
@@ -203,6 +222,9 @@ def _with_signal(
         draft = draft.saying(kind, "matrix", rows, about)
         half = [round(-np.pi, 6)] * n
         draft = draft.saying(kind, "offset", half, "ASSUMED: zero is in the middle of a turn")
+    if found.sign_bit:
+        about = f"values beyond {found.sign_bit - 1} have a sign bit, as of servos' loads"
+        draft = draft.saying(kind, "sign_bit", found.sign_bit, about)
     return draft.saying(kind, "sign", list(found.sign), BY_BOTH) if found.sign else draft
 
 
@@ -247,20 +269,35 @@ def _key(name: str) -> str:
 
 def _plate(source: LikelySource, columns: Sequence[ColumnName], *, alone: bool) -> Iterator[Said]:
     """A plate's keys."""
+    names = tuple(each.name for each in columns)
+    stated = next((each for each in source.table.plates if each.columns == names), None)
     yield "source", source.name, ""
-    odd = "" if len(columns) == 6 else "six are wanted: force x, y, z, moment x, y, z"
+    six = "six are wanted: force x, y, z, moment x, y, z" * (len(columns) != 6 and not stated)
     hand = "they look like those of a sensor at the tool: leave [wrench] out then"
-    yield "columns", [each.name for each in columns], hand if at_the_hand(columns[0]) else odd
+    yield "columns", list(names), hand if at_the_hand(columns[0]) else six
     units = [_of_all(columns[:3], "force"), _of_all(columns[3:], "moment")]
-    yield "units", units, "" if all(units) else f"{_listing('force')}; {_listing('moment')}"
-    pull = [
-        f"; {json.dumps(each.name)} is "
-        f"{source.table.read([each.name])[each.name].mean():.4g} on average"
-        for each in columns
-        if each.role == (0, 2)
-    ]
-    yield "sense", "", f"on_robot (at rest upwards) or on_plate{''.join(pull)}"
-    if alone:
+    raw = next((each.unit for each in columns if each.unit and plain(each.unit) in RAW), None)
+    matrix = stated.matrix if stated else None
+    if raw or matrix:
+        about = "" if matrix else f"the file says {raw}: six rows, N and N m of one {raw}"
+        yield "units", ["N", "N m"], "by the matrix"
+        yield "matrix", matrix or "", about
+    else:
+        yield "units", units, "" if all(units) else f"{_listing('force')}; {_listing('moment')}"
+    if stated is not None:
+        yield "sense", "on_plate", "as in all files of its kind"
+    else:
+        pull = [
+            f"; {json.dumps(each.name)} is "
+            f"{np.nanmean(source.table.read([each.name])[each.name]):.4g} on average"
+            for each in columns
+            if each.role == (0, 2)
+        ]
+        yield "sense", "", f"on_robot (at rest upwards) or on_plate{''.join(pull)}"
+    place = stated.place if stated else None
+    if place is not None:
+        yield "place", place, "by the file, in the laboratory's frame: it must be the bedplate's"
+    elif alone:
         yield "# place", {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, "of the sensor [m, rad]"
     else:
         yield "place", "", "of the sensor [m, rad], as { xyz = [0, 0, 0], rpy = [0, 0, 0] }"

@@ -193,7 +193,7 @@ class ImportReport:
                     "import.jitter", name, clock.jitter, advice=advice if clock.even else missing
                 )
             if clock.gaps:
-                gaps = plural(clock.gaps, "gap")
+                gaps = f"{plural(clock.gaps, 'gap')} ({plural(clock.missing, 'sample')})"
                 yield diagnose("import.gaps", name, clock.longest_gap, gaps=gaps)
 
     def _of_signals(self) -> Iterator[Diagnostic]:

@@ -1,4 +1,4 @@
-"""What the columns of foreign files likely are: clocks, signals of the joints, the plate."""
+"""What the columns of foreign files likely are: signals of the joints, plates."""
 
 from __future__ import annotations
 
@@ -7,13 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from testbed.arrays import Array
-from testbed.errors import round_significant
 from testbed.recordings.importing.column_names import (
     ColumnName,
     Group,
@@ -24,171 +21,18 @@ from testbed.recordings.importing.column_names import (
     plate_columns,
     read_name,
     says_signal,
-    without_unit,
 )
 from testbed.recordings.importing.derivative import SURE, slopes, unit_of
 from testbed.recordings.importing.foreign_table import (
     KINDS,
-    TIMES,
     UNITS,
     ForeignTable,
     Kind,
-    plain,
 )
-from testbed.recordings.importing.known_layouts import Layout, layout_of
+from testbed.recordings.importing.known_layouts import layout_of
+from testbed.recordings.importing.likely_clock import Clock, clock_of
 from testbed.recordings.importing.readers import tables
-from testbed.recordings.importing.source_clock import GAP, Times
-
-EPOCH = 1e9
-"""Seconds since 1970 are one to three times as many: times of that size show their unit."""
-
-USUAL = (20.0, 10_000.0)
-"""Samples a second of most devices: they show the unit of steps [Hz]."""
-
-TIME_WORDS = ("stamp", "time", "received", "sec", "t")
-"""Names of times, or parts of them; the likeliest first."""
-
-RISING = 0.5
-"""Part of the steps of a clock that go forward, at least."""
-
-LOOKED_AT = 3
-"""Columns that are tried."""
-
-
-@dataclass(frozen=True)
-class Clock:
-    """A source's likely clock.
-
-    Attributes:
-        column: Of its times; None if none looks like it.
-        unit: Of these; None if unknown.
-        given: Whether the file itself says the unit.
-        rate: Samples a second, as round as the stamps allow [Hz]; 0 if that is not known.
-        because: What shows it, if neither the file nor a name does.
-    """
-
-    column: str | None
-    unit: str | None = None
-    given: bool = False
-    rate: float = 0.0
-    because: str = ""
-
-    @property
-    def seconds(self) -> float | None:
-        """What one of `time` is [s]; None if that is not known."""
-        if self.column is None:
-            return 1 / self.rate if self.rate else None
-        return None if self.unit is None else 1.0
-
-    def time(self, table: ForeignTable, samples: int) -> Array:
-        """Times, (M,): in seconds, or in the column's unit or in samples if that is unknown."""
-        if self.column is None:
-            return np.arange(samples, dtype=np.float64)
-        return Times.of(table.stamps(self.column), self.unit or "s").since
-
-    def by_velocity(self, seconds: float) -> Clock:
-        """The clock if one of `time` is so many seconds, by velocities against positions."""
-        because = "by velocity and position"
-        if self.column is None:
-            return replace(self, rate=rounded(1 / seconds, 0.01), because=because)
-        unit = min(TIMES, key=lambda name: abs(np.log(TIMES[name] / seconds)))
-        return replace(self, unit=unit, rate=self.rate / TIMES[unit], because=because)
-
-    def said(self) -> Iterator[tuple[str, Any, str]]:
-        """Keys of the source in a mapping, their values and what is said beside them."""
-        if self.column is None:
-            known = f"{self.because}; no single column is times".removeprefix("; ")
-            yield "rate", self.rate, known if self.rate else "no column looks like times [Hz]"
-            return
-        yield "time", self.column, f"{self.rate:.9g} a second" if self.unit else ""
-        if not self.given:
-            yield "time_unit", self.unit or "", self.because if self.unit else ", ".join(TIMES)
-
-
-def clock_of(table: ForeignTable, layout: Layout | None = None) -> Clock:
-    """The likely clock of a table.
-
-    Args:
-        table: Of a file of another program.
-        layout: Its logger's, if that is known.
-    """
-    known = layout.times(table.columns) if layout else []
-    if layout and (layout.rate or len(known) > 1):
-        because = f"of {layout.logger}"
-        if known:
-            seconds, rest = (table.stamps(each) for each in known)
-            since = (seconds - seconds[0]) + (rest - rest[0]) * TIMES["ns"]
-            return Clock(None, rate=rate_of(since), because=f"by {' and '.join(known)}")
-        return Clock(None, rate=layout.rate, because=because)
-    timed = {c for c in table.columns if plain(table.unit(c) or "") in TIMES}
-    named = [c for c in table.columns if c in timed or like_time(c) < len(TIME_WORDS)]
-    likely = known or sorted(named, key=like_time)
-    unnamed = not any(re.search("[A-Za-z]", column) for column in table.columns)
-    for column in table.columns[:1] if unnamed else likely[:LOOKED_AT]:
-        stamps = table.stamps(column)
-        if len(stamps) < 2 or not np.isfinite(stamps).all():
-            continue
-        if (np.diff(stamps) > 0).mean() <= (1 - 1e-9 if unnamed else RISING):
-            continue
-        said = plain(table.unit(column) or "")
-        given = said in TIMES
-        unit, because = (said, "") if given else _unit(column, stamps)
-        unit = (layout.unit if layout and known else None) or unit
-        rate = rate_of(stamps) / (TIMES[unit] if unit else 1.0)
-        return Clock(column, unit, given, rounded(rate, 1e-12) if unit else rate, because)
-    return Clock(None)
-
-
-def like_time(column: str) -> int:
-    """How little a name is one of times: its place among the words."""
-    last = column.lower().rpartition("/")[2]
-    for k, word in enumerate(TIME_WORDS):
-        if word in last if len(word) > 1 else re.split(r"[^a-z0-9]", last)[0] == word:
-            return k
-    return len(TIME_WORDS) - (without_unit(column)[1] in TIMES)
-
-
-def rate_of(stamps: Array | NDArray[np.int64]) -> float:
-    """Samples in one unit of the stamps, as round as they allow.
-
-    Args:
-        stamps: (M,), increasing but for gaps and repeated ones.
-    """
-    since = (stamps - stamps[0]).astype(np.float64)
-    steps = np.diff(since)
-    steps = steps[steps > 0]
-    typical = float(np.median(steps))
-    grain = 1.0 if stamps.dtype.kind == "i" else float(np.spacing(np.abs(stamps).max()))
-    near = steps[steps <= max(GAP * typical, typical + 1.5 * grain)]
-    pieces = 1 + len(steps) - len(near)
-    doubt = 2 * pieces * (grain + float(np.std(near))) / float(near.sum())
-    return rounded(len(near) / float(near.sum()), doubt)
-
-
-def rounded(value: float, doubt: float) -> float:
-    """The number of fewest digits within a relative doubt."""
-    for digits in range(1, 12):
-        short = round_significant(value, digits)
-        if abs(short / value - 1) <= doubt:
-            return short
-    return value
-
-
-def _unit(column: str, stamps: Array | NDArray[np.int64]) -> tuple[str | None, str]:
-    """The unit of times by their name, their size or their steps, and which of these showed it."""
-    words = [plain(word) for word in re.findall(r"[A-Za-zµ]+", column)]
-    named = [word for word in words if word in TIMES and (word != "min" or len(words) > 1)]
-    if named:
-        return named[-1], ""
-    typical = float(np.median(np.abs(stamps)))
-    sized = [u for u in ("s", "ms", "us", "ns") if EPOCH < typical * TIMES[u] < 3 * EPOCH]
-    if sized:
-        return sized[0], "by its size"
-    steps = np.diff(stamps)
-    step = float(np.median(steps[steps > 0]))
-    usual = [u for u in ("s", "ms", "us", "ns") if USUAL[0] <= 1 / (step * TIMES[u]) <= USUAL[1]]
-    return (usual[0], "by its steps") if len(usual) == 1 else (None, "")
-
+from testbed.recordings.importing.signal_maps import sign_bit_of
 
 BY_SIZE = "by their size"
 DEGREES = (4 * np.pi, 720.0)
@@ -216,6 +60,7 @@ class LikelySource:
         columns: What their names say, without that of the times.
         clock: Its likely clock.
         logger: Whose names the columns have, if that is known.
+        empty: Columns that by their names would be signals and hold no number.
     """
 
     name: str
@@ -225,6 +70,7 @@ class LikelySource:
     columns: tuple[ColumnName, ...]
     clock: Clock
     logger: str = ""
+    empty: tuple[ColumnName, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,6 +86,7 @@ class LikelySignal:
         because: What shows the units, if not the columns' names.
         counts: Of a turn, if the columns are a servo's whole numbers.
         evidence: What shows that these columns are the signal, if not their names.
+        sign_bit: From which value on they are negative, if so; 0 else.
     """
 
     source: LikelySource
@@ -250,6 +97,7 @@ class LikelySignal:
     because: str = ""
     counts: int = 0
     evidence: str = ""
+    sign_bit: int = 0
 
 
 _Pair = tuple[str | None, str | None]
@@ -332,7 +180,11 @@ def _tables(path: Path, name: str) -> Iterator[LikelySource]:
             raise error
     for number, (topic, table) in enumerate(readable.items()):
         own = f"{name}_topic{number}".strip("_") if topic else name or "log"
-        yield from _source(own, path, topic or None, table)
+        arrays = {array: max(shape) for array, shape in table.shapes.items()}
+        for k, count in enumerate(dict.fromkeys(arrays.values())):  # sampled at other times
+            shapes = {each: s for each, s in table.shapes.items() if arrays[each] == count}
+            part = replace(table, shapes=shapes)
+            yield from _source(f"{own}_{k + 1}" if k else own, path, topic or None, part)
 
 
 def _source(
@@ -346,7 +198,9 @@ def _source(
         read = tuple(read_name(each, table.unit(each)) for each in names)
         read = layout.read(read) if layout else read
         logger = layout.logger if layout else ""
-        yield LikelySource(name, path, topic, table, read, clock, logger)
+        none = {c for c in read if c.kind and not np.isfinite(table.read([c.name])[c.name]).any()}
+        filled = tuple(each for each in read if each not in none)
+        yield LikelySource(name, path, topic, table, filled, clock, logger, tuple(none))
 
 
 def likely_signals(
@@ -376,7 +230,36 @@ def likely_signals(
         count = count or len(best.columns)
     for kind, source, group, evidence in _by_data(found, sources, joints):
         found[kind] = replace(_signal(source, group, joints, found), evidence=evidence)
-    return _with_derivatives(_with_sizes(found))
+    return _with_derivatives(_with_sizes(_with_counts(_with_own_rows(found))))
+
+
+def _with_own_rows(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySignal]:
+    """Signals with the clock of the positions' rows, where others are of another device."""
+    if (q := signals.get("position")) is None:
+        return signals
+    read = q.source.table.read([each.name for each in q.group.columns])
+    rows = np.isfinite(np.sum([*read.values()], axis=0))
+    if rows.all():
+        return signals
+    table = q.source.table
+    source = replace(q.source, clock=clock_of(table, layout_of(table.columns), rows))
+    return {
+        kind: replace(each, source=source) if each.source is q.source else each
+        for kind, each in signals.items()
+    }
+
+
+def _with_counts(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySignal]:
+    """Signals with torques of no unit that are whole numbers as a servo's loads."""
+    if (tau := signals.get("torque")) is None or any(tau.units):
+        return signals
+    values = values_of(tau)
+    values = values[np.isfinite(values).all(axis=1)]
+    if (values != np.round(values)).any() or not values.any():
+        return signals
+    units = ("raw",) * len(tau.units)
+    tau = replace(tau, units=units, because="whole numbers", sign_bit=sign_bit_of(values))
+    return {**signals, "torque": tau}
 
 
 def _signal(
@@ -509,6 +392,7 @@ def _with_sizes(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySig
     if (q := signals.get("position")) is None:
         return signals
     values = values_of(q)
+    values = values[np.isfinite(values).all(axis=1)]
     largest, whole = float(np.nanmax(np.abs(values))), bool((values == np.round(values)).all())
     if any(q.units) and not (q.source.logger and largest > DEGREES[0]):
         return signals  # a logger may have been told to write degrees
@@ -541,6 +425,8 @@ def likely_plates(
     Returns:
         What distinguishes a plate from the others, its source and its columns.
     """
+    if found := [each for source in sources for each in _stated_plates(source)]:
+        return found
     found = []
     taken = {column.name for each in signals.values() for column in each.group.columns}
     for source in sources:
@@ -551,3 +437,17 @@ def likely_plates(
     whole = [each for each in found if len(each[2]) == 6 and not at_the_hand(each[2][0])]
     first = found[:1] if "torque" not in signals else [p for p in found if len(p[2]) == 6][:1]
     return whole or first
+
+
+IDLE = 0.02
+"""Part of the largest force that a plate shows on which nothing stands."""
+
+
+def _stated_plates(source: LikelySource) -> Iterator[tuple[str, LikelySource, list[ColumnName]]]:
+    """Plates that the file itself describes, but for those without a load."""
+    table, by_name = source.table, {each.name: each for each in source.columns}
+    plates = [each for each in table.plates if by_name.keys() >= set(each.columns)]
+    sizes = [float(np.ptp([*table.read(each.columns[:3]).values()])) for each in plates]
+    for plate, size in zip(plates, sizes, strict=True):
+        if size >= IDLE * max(sizes):
+            yield plate.name, source, [by_name[name] for name in plate.columns]

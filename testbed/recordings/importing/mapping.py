@@ -57,7 +57,7 @@ class SourceTable(MappingTable):
     """Of a ROS bag."""
     time: str | None = None
     """Column that holds the samples' times; this or `rate`."""
-    time_unit: Literal["s", "ms", "us", "ns", "min"] | None = None
+    time_unit: Literal["s", "ms", "us", "ns", "min", "day"] | None = None
     """Of that column; may be left out where the file says it (ROS, C3D, Parquet)."""
     rate: Positive | None = None
     """Samples a second, at a constant rate [Hz]; the first one is at time 0."""
@@ -130,6 +130,9 @@ class SignalTable(MappingTable):
     """M: a row a joint, a column a column."""
     offset: Numbers | None = None
     """Added to each joint [rad or m, N m or N, ...]."""
+    sign_bit: Literal[0, 1024, 2048, 32768] | None = None
+    """From this number on the columns count down from zero, as servos' loads; 0 where they do not.
+    Default: torques that seem to have such a bit are refused."""
     delay: Finite = 0.0
     """How late the signal is, besides its source's clock: a filter in the drive [s]."""
 

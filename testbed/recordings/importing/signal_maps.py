@@ -9,6 +9,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.recordings.importing.foreign_table import (
+    RAW,
     UNITS,
     ForeignTable,
     Kind,
@@ -17,6 +18,7 @@ from testbed.recordings.importing.foreign_table import (
     slides,
 )
 from testbed.recordings.importing.mapping import (
+    AnyTable,
     BaseTable,
     GearTable,
     Mapping,
@@ -48,6 +50,55 @@ def joint_signal(kind: Kind, table: SignalTable, gear: GearTable | None, columns
         motor = gear.motor_of_joint
         found = found @ motor if kind == "torque" else np.asarray(np.linalg.solve(motor, found.T).T)
     return found if table.offset is None else found + np.array(table.offset, dtype=np.float64)
+
+
+SIGN_BITS = (1 << 10, 1 << 11, 1 << 15)
+"""Of servos' loads and currents: from this value on what is above it counts the other way."""
+
+
+def without_sign_bit(values: Array, bit: int) -> Array:
+    """Numbers of which a bit is the sign, as numbers with a sign.
+
+    Args:
+        values: Whole, not negative.
+        bit: One of `SIGN_BITS`.
+    """
+    return np.where(values >= bit, bit - values, values)
+
+
+def sign_bit_of(values: Array) -> int:
+    """The bit that is the sign of whole numbers, without which they change far less; 0 for none.
+
+    Args:
+        values: Of all columns of a signal, (M, k).
+    """
+    large = float(values.max())
+    bit = next((each for each in SIGN_BITS if each <= large < 2 * each), 0)
+    if not bit or values.min() < 0 or (values != np.round(values)).any():
+        return 0
+    raw, signed = (
+        np.square(np.diff(each, axis=0)).sum() for each in (values, without_sign_bit(values, bit))
+    )
+    return bit if 2 * signed < raw else 0
+
+
+def signed(table: SignalTable, values: Array) -> Array:
+    """Torques as they are counted, without a sign bit, (M, k).
+
+    Args:
+        table: What the mapping says of them.
+        values: As the file holds them, (M, k).
+
+    Raises:
+        RecordingError: They seem to have one, and the mapping does not say.
+    """
+    found = sign_bit_of(values) if table.sign_bit is None else 0
+    if found:
+        raise RecordingError(
+            f"torque: values of {found} and more are a sign bit and a size, as of servos' loads "
+            f"({(values >= found).mean():.0%} of all): say [torque] sign_bit = {found}, or 0 if not"
+        )
+    return without_sign_bit(values, table.sign_bit) if table.sign_bit else values
 
 
 def wrench_of(table: SixAxisTable, columns: Array) -> Array:
@@ -142,7 +193,7 @@ def effort_kinds(mapping: Mapping) -> dict[str, str]:
     return {j: EFFORTS.get(plain(u), other) for j, u in zip(mapping.joints, units, strict=True)}
 
 
-def check_file_units(label: str, kind: str, columns: Sequence[str], units: Sequence[str],
+def _check_file_units(label: str, kind: str, columns: Sequence[str], units: Sequence[str],
                      table: ForeignTable) -> None:  # fmt: skip
     """Whether what the file says of units is what the mapping says.
 
@@ -158,7 +209,32 @@ def check_file_units(label: str, kind: str, columns: Sequence[str], units: Seque
     """
     for column, unit in zip(columns, units, strict=True):
         said = plain(table.unit(column) or "")
-        if said in UNITS[kind] and said != plain(unit) and plain(unit) in UNITS[kind]:
+        if said in {*UNITS[kind], *RAW} and said != plain(unit) and plain(unit) in UNITS[kind]:
+            how = {"torque": "; say its `gain`", "force": "; say the plate's gains, `matrix`"}
             raise RecordingError(
                 f"{label}: the file says that '{column}' is in {said}, the mapping says {unit}"
+                + how.get(kind, "") * (said in RAW)
             )
+
+
+def check_units(label: str, table: AnyTable, file: ForeignTable) -> None:
+    """Whether the file says the units that the mapping says, where it says any.
+
+    Args:
+        label: Of the mapping's table.
+        table: What the mapping says.
+        file: Where its columns are.
+
+    Raises:
+        RecordingError: They differ.
+    """
+    columns = table.columns
+    if isinstance(table, BaseTable):
+        _check_file_units(label, "position", table.position, [table.unit] * 3, file)
+    elif isinstance(table, SignalTable):
+        if table.gain is None:
+            units = table.unit if isinstance(table.unit, list) else [table.unit] * len(columns)
+            _check_file_units(label, label, columns, units, file)
+    elif table.matrix is None:
+        _check_file_units(label, "force", columns[:3], [table.units[0]] * 3, file)
+        _check_file_units(label, "moment", columns[3:], [table.units[1]] * 3, file)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,6 +57,7 @@ class ClockReport:
         lead: From its first sample to the recording's first instant [s].
         cut: Whether a last sample was incomplete and is left out.
         even: Whether the stamps can be those of a constant rate.
+        missing: Samples that the gaps leave out, or that have no numbers.
     """
 
     samples: int
@@ -68,6 +69,7 @@ class ClockReport:
     lead: float = 0.0
     cut: bool = False
     even: bool = True
+    missing: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +90,11 @@ class Times:
     @staticmethod
     def of(stamps: Array | NDArray[np.int64], unit: str) -> Times:
         """Of stamps as they are counted, (M,), in a unit of `TIMES`."""
+        if unit == "day":
+            return Times.of(np.asarray(stamps * TIMES[unit], dtype=np.float64), "s")
         minute = round(MINUTE / TIMES[unit])  # of these units
-        minutes = int(stamps[0] // minute) if len(stamps) else 0
+        first = stamps[np.isfinite(stamps)][:1]
+        minutes = int(first[0] // minute) if len(first) else 0
         since = np.asarray(stamps - minutes * minute, dtype=np.float64)
         return Times(MINUTE * minutes, since * TIMES[unit])
 
@@ -129,25 +134,29 @@ def sample_times(
         return Times(0.0, np.arange(samples) / float(table.rate or 1.0))
     known = unit if unit in TIMES else None
     if table.time_unit is None and known is None:
-        raise RecordingError(f"sources.{name}: say `time_unit`: s, ms, us, ns or min")
+        raise RecordingError(f"sources.{name}: say `time_unit`: {', '.join(TIMES)}")
     if known is not None and table.time_unit not in (None, known):
         raise RecordingError(
             f"sources.{name}: the file says its times are in {known}, time_unit is "
             f"{table.time_unit}"
         )
-    if not np.isfinite(stamps).all():
-        bad = int(np.argmin(np.isfinite(stamps)))
-        raise RecordingError(f"sources.{name}: '{table.time}' is no number at sample {bad}")
+    if not np.isfinite(stamps).any():
+        raise RecordingError(f"sources.{name}: '{table.time}' holds no number")
     return Times.of(stamps, table.time_unit or known or "s")
 
 
-def without_repeats(name: str, time: Array, values: Array) -> NDArray[np.bool_]:
-    """Which samples are not the one before once more, (M,) of bool.
+def without_repeats(
+    name: str, time: Array, values: Array, *, steady: bool = False
+) -> NDArray[np.bool_]:
+    """Samples that are not the one before once more, (M,) of bool.
+
+    Where values change while the stamps of a steady device stand, its clock is coarse: all are.
 
     Args:
         name: Of the source.
         time: (M,) [s].
         values: All used columns, (M, k).
+        steady: Whether the device samples at a constant rate.
 
     Raises:
         RecordingError: Time stands or runs back, and it is no repetition.
@@ -155,6 +164,8 @@ def without_repeats(name: str, time: Array, values: Array) -> NDArray[np.bool_]:
     steps = np.diff(time)
     again = (steps == 0) & (values[1:] == values[:-1]).all(axis=1)
     bad = ~again & ~(steps > 0)
+    if steady and bad.any() and not (steps < 0).any():
+        return np.ones(len(time), dtype=bool)
     if bad.any():
         k = int(np.argmax(bad))
         raise RecordingError(
@@ -165,17 +176,21 @@ def without_repeats(name: str, time: Array, values: Array) -> NDArray[np.bool_]:
     return np.append(True, ~again)
 
 
-def steady_times(name: str, time: Array) -> Array:
-    """Times of the line through stamps that jitter, (M,) [s].
+def steady_times(name: str, time: Array, rows: NDArray[np.intp]) -> Array:
+    """Times of the line through stamps that jitter or are coarse, (M,) [s].
 
     Args:
         name: Of the source.
         time: The stamps, (M,) [s].
+        rows: Places of the samples in the file, (M,): between them are samples without numbers,
+            or of something else.
 
     Raises:
         RecordingError: The stamps do not lie along a line: samples are missing.
     """
-    line, stray, even = _line(time)
+    line, stray, even = steady_line(time)
+    if not even:
+        line, stray, even = steady_line(time, rows)
     if not even:
         k = int(np.argmax(np.abs(stray)))
         raise RecordingError(
@@ -186,15 +201,36 @@ def steady_times(name: str, time: Array) -> Array:
     return line
 
 
-def _line(time: Array) -> tuple[Array, Array, bool]:
-    """The line through stamps, how far they stray from it, and whether a steady device's may."""
-    number = np.arange(len(time), dtype=np.float64)
-    number -= number.mean()
-    slope = float(number @ (time - time.mean()) / (number @ number))
-    line: Array = time.mean() + slope * number
+def steady_line(time: Array, rows: NDArray[np.intp] | None = None) -> tuple[Array, Array, bool]:
+    """The line through stamps, how far they stray from it, and whether a steady device's may.
+
+    Stamps of a coarse clock stand and jump by its tick: the line is that of the jumps.
+
+    Args:
+        time: The stamps, (M,) [s].
+        rows: Numbers of the samples, (M,); default 0, 1, ....
+    """
+    number = np.arange(len(time), dtype=np.float64) if rows is None else rows.astype(np.float64)
+    jumps = np.flatnonzero(np.diff(time) > 0) + 1
+    if len(jumps) < len(time) - 1:  # a sample at which the clock jumps is late by less than a step
+        slope, begin = _line(number[jumps], time[jumps])
+        stray = time[jumps] - begin - slope * number[jumps]
+        if slope > 0 and np.ptp(stray) <= 2 * slope:
+            return begin + slope * number, stray, True
+    slope, begin = _line(number, time)
+    line: Array = begin + slope * number
     width = min(SMOOTHED, len(time))
     stray = np.convolve(time - line, np.ones(width) / width, mode="valid")
     return line, stray, slope > 0 and bool(np.abs(stray).max() <= STRAY * slope)
+
+
+def _line(number: Array, time: Array) -> tuple[float, float]:
+    """Slope, and value at zero, of the line through points."""
+    if len(number) < 2:
+        return 0.0, 0.0
+    centred = number - number.mean()
+    slope = float(centred @ (time - time.mean()) / (centred @ centred))
+    return slope, float(time.mean() - slope * number.mean())
 
 
 def clock_report(
@@ -233,9 +269,19 @@ def clock_report(
         )
     near = steps[steps <= GAP * typical]
     jitter = float(np.std(near) / typical) if len(near) else 0.0
-    gaps = int(np.count_nonzero(used > GAP * typical))
-    even = _line(stamps)[2]
-    return ClockReport(len(time), 1 / typical, jitter, gaps, longest, repeated, even=even)
+    gaps = used > GAP * typical
+    missing = int((np.round(used[gaps] / typical) - 1).sum())
+    even = steady_line(stamps)[2]
+    return ClockReport(
+        len(time),
+        1 / typical,
+        jitter,
+        int(gaps.sum()),
+        longest,
+        repeated,
+        even=even,
+        missing=missing,
+    )
 
 
 SHORTEST_PIECE = 1.0
@@ -246,7 +292,7 @@ Window = tuple[float, float]
 
 
 def cut(
-    window: Window, sources: Mapping[str, SourceTable], times: Mapping[str, Array]
+    window: Window, clocks: Sequence[tuple[str, SourceTable, Array, NDArray[np.intp]]]
 ) -> tuple[list[Window], list[Diagnostic]]:
     """Pieces of a window in which no source is silent for too long, and where it was cut.
 
@@ -254,10 +300,12 @@ def cut(
 
     Args:
         window: What is wanted.
-        sources: What the mapping says of each.
-        times: Of each one's samples, (M,) [s].
+        clocks: Of each signal: its source, what the mapping says of that, times (M,) [s] and
+            places in the file (M,) of its samples.
     """
-    gaps = [(*gap, name) for name, time in times.items() for gap in _gaps(sources[name], time)]
+    gaps = {
+        (*gap, name) for name, source, time, rows in clocks for gap in _gaps(source, time, rows)
+    }
     windows, said, begin = [], [], window[0]
     for last, first, name in sorted(gaps):
         if first <= window[0] or last >= window[1]:
@@ -274,17 +322,20 @@ def cut(
     return long, said
 
 
-def without_gaps(source: SourceTable, time: Array, part: slice, window: Window) -> slice:
+def without_gaps(
+    source: SourceTable, time: Array, rows: NDArray[np.intp], part: slice, window: Window
+) -> slice:
     """A part without samples outside the window that lie beyond a gap.
 
     Args:
         source: What the mapping says of it.
         time: Of its samples, (M,) [s].
+        rows: Their places in the file, (M,).
         part: The samples in the window, and some around.
         window: What is wanted.
     """
     first, stop = part.start, part.stop
-    for before, after in _gaps(source, time):
+    for before, after in _gaps(source, time, rows):
         if after <= window[0]:
             first = max(first, int(np.searchsorted(time, after)))
         if before >= window[1]:
@@ -293,11 +344,14 @@ def without_gaps(source: SourceTable, time: Array, part: slice, window: Window) 
     return slice(first, stop)
 
 
-def _gaps(source: SourceTable, time: Array) -> list[Window]:
-    """Times of the samples around each gap that is not bridged; a steady device has none."""
+def _gaps(source: SourceTable, time: Array, rows: NDArray[np.intp]) -> list[Window]:
+    """Times of the samples around each gap that is not bridged.
+
+    Late stamps of a steady device are no gap, but samples without numbers are.
+    """
     steps = np.diff(time)
-    if source.steady or not len(steps):
-        return []
+    if source.steady:
+        steps = np.diff(rows) * np.ptp(time) / np.ptp(rows)
     wide = np.flatnonzero(steps > longest_bridged(source, float(np.median(steps))))
     return [(float(time[k]), float(time[k + 1])) for k in wide]
 

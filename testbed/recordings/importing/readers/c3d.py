@@ -9,15 +9,25 @@ Source    The C3D File Format User Guide, Motion Lab Systems
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError
-from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable, readable
+from testbed.recordings.importing.foreign_table import (
+    LENGTHS,
+    MOST_NUMBERS,
+    ForeignTable,
+    StatedPlate,
+    plain,
+    readable,
+)
 
 BLOCK = 512
 """Bytes; all places are counted in such."""
@@ -52,18 +62,68 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
             raise RecordingError(f"{path}: no C3D file")
         said, order = _parameters(data)
         points, analog, rates, missing = _frames(data, said, order)
-        columns = _points(points, said, missing) | _analog(analog, said)
+        channels = _analog(analog, said)
+        columns = _points(points, said, missing) | channels
+        plates = []
+        with suppress(KeyError, ValueError, IndexError):  # parameters that are not all there
+            plates = [*_plates(said, [*channels])]
         times = {}
         for kind, rate, count in zip(
-            ("point", "analog"), rates, (len(points), len(analog)), strict=True
+            ("analog", "point"), rates, (len(analog), len(points)), strict=True
         ):
             if rate > 0 and count:
                 times[f"{kind}/time"] = np.arange(count) / rate
     columns = {name: values for name, values in (times | columns).items() if len(values) > 1}
-    units = dict.fromkeys(times, "s")
-    for kind in ("point", "analog"):
-        units |= _units(kind, said)
-    return ForeignTable(path, {n: v.shape for n, v in columns.items()}, columns.__getitem__, units)
+    shapes = {name: values.shape for name, values in columns.items()}
+    units = dict.fromkeys(times, "s") | _units("point", said) | _units("analog", said)
+    return ForeignTable(path, shapes, columns.__getitem__, units, plates=plates)
+
+
+def _plates(said: Parameters, channels: Sequence[str]) -> Iterator[StatedPlate]:
+    """Force plates of six forces and moments (types 2 and 4) or of eight forces (type 3).
+
+    What they measure acts on the plate, along axes that are by its corners; z is downwards.
+
+    Args:
+        said: What the file says of itself.
+        channels: Names of columns.
+    """
+    unit = plain(next(iter(_texts("point", "UNITS", said)), "mm"))
+    scale = LENGTHS.get(unit, LENGTHS["mm"])
+    kinds = said.get("FORCE_PLATFORM:TYPE", ())
+    group = {
+        name: np.reshape(said[f"FORCE_PLATFORM:{name}"], (len(kinds), -1))
+        for name in ("CHANNEL", "CORNERS", "ORIGIN", "CAL_MATRIX")
+        if len(said.get(f"FORCE_PLATFORM:{name}", ())) >= len(kinds) > 0
+    }
+    for k, kind in enumerate(kinds):
+        if kind not in (2, 3, 4):
+            continue
+        corners = group["CORNERS"][k].reshape(4, 3) * scale
+        origin = group["ORIGIN"][k] * scale
+        origin = -origin if origin[2] > 0 else origin  # from the sensor up, against z
+        numbers, matrix = group["CHANNEL"][k][:6], None
+        if kind == 4:
+            matrix = group["CAL_MATRIX"][k].reshape(6, 6).T * np.repeat([1, scale], 3)[:, None]
+        elif kind == 3:
+            a, b, _ = np.abs(origin)
+            numbers, origin = group["CHANNEL"][k][:8], origin * [0, 0, 1]
+            moments = [
+                [0, 0, 0, 0, b, b, -b, -b],
+                [0, 0, 0, 0, -a, a, a, -a],
+                [-b, b, a, -a, 0, 0, 0, 0],
+            ]
+            matrix = np.vstack([np.repeat(np.eye(3), [2, 2, 4], axis=1), moments])
+        x = corners[[0, 3]].sum(axis=0) - corners[[1, 2]].sum(axis=0)
+        y = corners[[0, 1]].sum(axis=0) - corners[[2, 3]].sum(axis=0)
+        place = None
+        if np.cross(x, y).any():
+            turn, _ = Rotation.align_vectors([x, y], np.eye(3)[:2])
+            xyz = corners.mean(axis=0) - turn.apply(origin)
+            place = {"xyz": xyz.round(6).tolist(), "rpy": turn.as_euler("xyz").round(6).tolist()}
+        names = tuple(channels[int(number) - 1] for number in numbers)
+        rows = None if matrix is None else matrix.tolist()
+        yield StatedPlate(f"plate_{k + 1}", names, place, rows)
 
 
 def _parameters(data: bytes) -> tuple[Parameters, str]:
@@ -108,7 +168,7 @@ def _value(data: bytes, place: int, order: str) -> Any:
 def _frames(
     data: bytes, said: Parameters, order: str
 ) -> tuple[Array, Array, tuple[float, float], NDArray[np.bool_]]:
-    """Points (M, P, 3), analog (m, C), both rates [Hz], and which points are missing (M, P)."""
+    """Points (M, P, 3), analog (m, C), rates of analog and points [Hz], points missing (M, P)."""
     count, per_frame, first, last = struct.unpack_from(order + "4H", data, 2)
     scale, begin, samples, rate = struct.unpack_from(order + "fHHf", data, 12)
     frames = last - first + 1
@@ -132,7 +192,7 @@ def _frames(
     channels = per_frame // max(samples, 1)
     analog = analog.reshape(frames * max(samples, 1), channels) if channels else np.empty((0, 0))
     size = 1.0 if scale < 0 else scale
-    return points[..., :3] * size, analog, (rate, rate * samples), points[..., 3] < 0
+    return points[..., :3] * size, analog, (rate * samples, rate), points[..., 3] < 0
 
 
 def _points(points: Array, said: Parameters, missing: NDArray[np.bool_]) -> dict[str, Array]:

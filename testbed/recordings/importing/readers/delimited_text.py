@@ -1,15 +1,19 @@
 """Numbers in lines of text: CSV and its relatives, plain or packed by gzip.
 
+The separator and the decimal point are those by which most fields of the table are numbers.
 Lines before the first one of numbers are a preamble; the last of them that has as many fields
-names the columns, else they are called 0, 1, .... Columns of text are left out, empty fields are
-no numbers (nan). A last line that is incomplete is left out.
+names the columns, else they are called 0, 1, .... A line of units beside it is that of the
+columns' units. Columns of text are left out, instants are microseconds (`written_times`), empty
+fields are no numbers (nan). A last line that is incomplete is left out.
 """
 
 from __future__ import annotations
 
+import csv
 import gzip
-import io
 import math
+from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +22,8 @@ from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError
-from testbed.recordings.importing.foreign_table import ForeignTable, readable
+from testbed.recordings.importing.foreign_table import KNOWN, ForeignTable, plain, readable
+from testbed.recordings.importing.written_times import DAY, INSTANT, microseconds
 
 MOST_TEXT = 500_000_000
 """Bytes of text, unpacked."""
@@ -26,11 +31,17 @@ MOST_TEXT = 500_000_000
 LONGEST_PREAMBLE = 1000
 """Lines before the first one of numbers."""
 
+LOOKED_AT = 60
+"""Lines by which a table's style is known."""
+
 WHOLE = 2.0**53
 """From here on floating-point numbers leave out whole ones."""
 
-SEPARATORS = (";", "\t", ",", None)
-"""Between fields, in the order of trying; None is blanks."""
+STYLES = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (None, "."), (None, ","))
+"""Separators and decimal points in the order of trying; no separator is blanks."""
+
+MISSING = {"", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none"}
+"""Fields without a number, in small letters."""
 
 
 def read_file(path: Path, topic: str | None) -> ForeignTable:
@@ -46,79 +57,102 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
     del topic
     with readable(path):
         lines = _text(path).splitlines()
-        first, separator, decimal = _first_numbers(path, lines)
-        lines, cut = _without_cut_end(lines, first, separator)
-        wanted = [k for k, x in enumerate(_fields(lines[first], separator)) if _number(x, decimal)]
-        names = _names(lines[:first], _fields(lines[first], separator), separator)
-        body = "\n".join(line for line in lines[first:] if not _comment(line))
+        told = [k for k, line in enumerate(lines) if not _comment(line)]
+        probes = told[len(told) // 2 :]
+        probes = probes[:: len(probes) // LOOKED_AT + 1]
+        separator, decimal = max(
+            STYLES, key=lambda style: _numeric([lines[k] for k in probes], *style)
+        )
+        given = lines
         if decimal == ",":
-            body = body.replace(",", ".")
-        try:
-            table = np.loadtxt(
-                io.StringIO(body), delimiter=separator, usecols=wanted, comments=None, ndmin=2
-            )
-        except ValueError:
-            table = _with_holes(
-                path, lines, first, separator, decimal, {k: names[k] for k in wanted}
-            )
-        columns: dict[str, NDArray[Any]] = {}
-        for place, k in enumerate(wanted):
-            columns[names[k]] = table[:, place]
-            if np.abs(table[:, place]).max(initial=0) >= WHOLE:
-                columns[names[k]] = _counted(body, separator, k, table[:, place])
-    shapes = {name: column.shape for name, column in columns.items()}
-    return ForeignTable(path, shapes, columns.__getitem__, cut=cut)
+            lines = [line.replace(",", ".") for line in lines]
+        rows = [_fields(lines[k], separator) for k in probes]
+        width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
+        held = [*zip(*(row for row in rows if len(row) == width), strict=True)]
+        counts = map(_held, held)
+        wanted = [k for k, (values, words) in enumerate(counts) if values >= words]
+        first, above = _first_numbers(path, lines, separator, wanted, width)
+        names, units = _head([_fields(_bare(given[k]), separator) for k in above], width)
+        read = [k for k in wanted if names[k] != str(k) or any(map(str.strip, held[k]))]
+        texts = {names[k]: [field.strip() for field in held[k]] for k in read}
+        instants = dict.fromkeys((n for n in texts if any(map(INSTANT.fullmatch, texts[n]))), "us")
+        cut = len(_fields(lines[told[-1]], separator)) < len(_fields(lines[first], separator))
+        body = [k for k in told[: -1 if cut else None] if k >= first]
+        columns = _columns(path, lines, body, separator, {k: names[k] for k in read})
+
+    def load(name: str) -> NDArray[Any]:
+        found = columns[name]
+        if isinstance(found, RecordingError):
+            raise found
+        if name in instants:  # from midnight on they begin again
+            return found + DAY * np.append(0, np.cumsum(np.diff(found) < -DAY / 2))
+        return found
+
+    shapes = dict.fromkeys(columns, (len(body),))
+    return ForeignTable(path, shapes, load, units | instants, cut=cut)
 
 
-def _without_cut_end(lines: list[str], first: int, separator: str | None) -> tuple[list[str], bool]:
-    """The lines without a last one that is incomplete, as where a logger was stopped."""
-    last = max(k for k, line in enumerate(lines) if not _comment(line))
-    fields = [len(lines[k].strip("\r\n").split(separator)) for k in (first, last)]
-    return (lines[:last], True) if fields[1] < fields[0] else (lines, False)
-
-
-def _with_holes(
-    path: Path,
-    lines: list[str],
-    first: int,
-    separator: str | None,
-    decimal: str,
-    names: dict[int, str],
-) -> Array:
-    """The table, fields that are empty as no numbers (nan).
+def _columns(
+    path: Path, lines: list[str], body: list[int], separator: str | None, names: dict[int, str]
+) -> dict[str, NDArray[Any] | RecordingError]:
+    """Columns by name, or which line is no number in them.
 
     Args:
         path: The file.
         lines: All of it.
-        first: Number of the first line of numbers.
+        body: Those of numbers.
         separator: Between fields.
-        decimal: The decimal point.
-        names: Of the wanted columns, by their places.
-
-    Raises:
-        RecordingError: A field is another word, or missing: says the line.
+        names: Of columns, by their places.
     """
-    rows = []
-    for number, line in enumerate(lines[first:], first + 1):
-        if _comment(line):
-            continue
-        fields = line.strip("\r\n").split(separator)
-        if len(fields) <= max(names):
-            raise RecordingError(
-                f"{path}: line {number} ends after {len(fields)} of {max(names) + 1} fields"
+    odd: dict[int, str] = {}
+
+    def reader(place: int) -> Callable[[str], float]:
+        def value(text: str) -> float:
+            try:
+                return _value(text)
+            except ValueError:
+                odd.setdefault(place, text)
+                return math.nan
+
+        return value
+
+    def table(**how: Any) -> Array:
+        told = (lines[k] for k in body)
+        return np.loadtxt(
+            told,
+            delimiter=separator,
+            usecols=[*names],
+            comments=None,
+            ndmin=2,
+            quotechar='"',
+            **how,
+        )
+
+    try:
+        read = table()
+    except ValueError:
+        for k in body:
+            if (count := len(_fields(lines[k], separator))) <= max(names):
+                said = f"line {k + 1} ends after {count} of {max(names) + 1} fields"
+                raise RecordingError(f"{path}: {said}") from None
+        read = table(converters={k: reader(k) for k in names}, encoding="utf-8")
+    found: dict[str, NDArray[Any] | RecordingError] = {}
+    for column, (k, name) in zip(read.T, names.items(), strict=True):
+        found[name] = column
+        if k in odd:
+            line = next(
+                n for n in body if _fields(lines[n], separator)[k].strip() == odd[k].strip()
             )
-        for k, name in names.items():
-            if fields[k].strip() and not _number(fields[k], decimal):
-                raise RecordingError(f"{path}: line {number}: '{name}' is '{fields[k].strip()}'")
-        rows.append([_value(fields[k], decimal) for k in names])
-    return np.array(rows)
+            found[name] = RecordingError(f"{path}: line {line + 1}: '{name}' is '{odd[k].strip()}'")
+        elif np.nanmax(np.abs(column), initial=0) >= WHOLE:
+            found[name] = _counted([_fields(lines[n], separator)[k] for n in body], column)
+    return found
 
 
-def _counted(body: str, separator: str | None, place: int, read: Array) -> NDArray[Any]:
+def _counted(texts: list[str], read: Array) -> NDArray[Any]:
     """A column of numbers so large that floating-point ones have not all their digits."""
     try:
-        lines = body.splitlines()
-        return np.array([int(_fields(line, separator)[place]) for line in lines], dtype=np.int64)
+        return np.array([int(text) for text in texts], dtype=np.int64)
     except (ValueError, OverflowError):  # no whole numbers, or more than counters hold
         return read
 
@@ -138,50 +172,97 @@ def _text(path: Path) -> str:
         return data.decode("latin-1")
 
 
-def _first_numbers(path: Path, lines: list[str]) -> tuple[int, str | None, str]:
-    """Number of the first line of numbers, what separates its fields, and the decimal point."""
+def _numeric(lines: list[str], separator: str | None, decimal: str) -> float:
+    """Part of the fields that are numbers, if lines are written so."""
+    texts = [line.replace(",", ".") if decimal == "," else line for line in lines]
+    fields = [field for line in texts for field in _fields(line, separator)]
+    if separator is not None and len(fields) < 2 * len(lines):
+        return 0.0
+    values, words = _held(fields)
+    return values / max(1, values + words)
+
+
+def _first_numbers(
+    path: Path, lines: list[str], separator: str | None, wanted: list[int], width: int
+) -> tuple[int, list[int]]:
+    """Indices of the first line of numbers, and of those before it with as many fields.
+
+    Raises:
+        RecordingError: There is none.
+    """
+    above: list[int] = []
     for k, line in enumerate(lines[:LONGEST_PREAMBLE]):
-        if _comment(line):
+        fields = _fields(_bare(line), separator)
+        if not wanted or not max(wanted) < len(fields) <= width + 1:
             continue
-        for separator in SEPARATORS:
-            fields = _fields(line, separator)
-            if len(fields) < 2 and separator is not None:
-                continue
-            for decimal in (".", ",") if separator != "," else (".",):
-                numbers = [_number(field, decimal) for field in fields]
-                if numbers and 2 * sum(numbers) > len(numbers):
-                    return k, separator, decimal
+        values, words = _held([fields[j] for j in wanted])
+        if values and not _comment(line) and (not words or (above and values > words)):
+            return k, above
+        above += [k] * any(fields)
     raise RecordingError(f"{path}: there is no line of numbers in it")
 
 
-def _names(before: list[str], like: list[str], separator: str | None) -> list[str]:
-    """Names of the columns, each once."""
-    headers = [_fields(line.lstrip("#% "), separator) for line in before]
-    fitting = [fields for fields in headers if len(fields) == len(like)]
-    given = fitting[-1] if fitting else []
+def _head(above: list[list[str]], width: int) -> tuple[list[str], dict[str, str]]:
+    """Names of all columns, each once, and their units, by the lines above the numbers."""
+    stated = [[field.strip(" \"'") for field in fields] for fields in above]
+    units = [fields for fields in stated if _are_units(fields)]
+    others = [fields for fields in stated if fields not in units]
+    given = (others or units or [[]])[-1]
     names: list[str] = []
-    for k in range(len(like)):
-        name = given[k].strip().strip("\"'").strip() if given else ""
-        name = name or str(k)
+    for k in range(width):
+        name = (given[k] if k < len(given) else "") or str(k)
         names.append(name if name not in names else f"{name} ({k})")
-    return names
+    said = units[-1] if units and others else []
+    return names, {n: unit for n, text in zip(names, said, strict=False) if (unit := _unit(text))}
+
+
+def _unit(field: str) -> str:
+    """A unit without brackets."""
+    return field.strip(" ()[]{}<>")
+
+
+def _are_units(fields: list[str]) -> bool:
+    given = [unit for field in fields if (unit := _unit(field))]
+    return 2 * sum(plain(unit) in KNOWN for unit in given) > len(given)
 
 
 def _fields(line: str, separator: str | None) -> list[str]:
-    return line.strip().split(separator)
+    if separator is None:
+        return line.split()
+    if '"' in line:
+        return next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    return line.split(separator)
+
+
+def _bare(line: str) -> str:
+    """A line without the mark of a comment."""
+    return line.lstrip("#% ")
 
 
 def _comment(line: str) -> bool:
     return not line.strip() or line.lstrip()[0] in "#%"
 
 
-def _number(field: str, decimal: str) -> bool:
+def _value(field: str) -> float:
+    """A number, an instant [us], or nan where nothing is.
+
+    Raises:
+        ValueError: It is a word, or a number as only Python writes them.
+    """
+    if field.strip().lower() in MISSING:
+        return math.nan
     try:
-        value = _value(field, decimal)
+        return float(field.replace("_", "x"))
     except ValueError:
-        return False
-    return bool(field.strip()) and "_" not in field and not math.isinf(value)
+        return microseconds(field)
 
 
-def _value(field: str, decimal: str) -> float:
-    return float((field.replace(",", ".") if decimal == "," else field).strip() or "nan")
+def _held(fields: Sequence[str]) -> tuple[int, int]:
+    """How many fields are numbers or instants, and how many are words."""
+    values = words = 0
+    for field in fields:
+        try:
+            values += not math.isnan(_value(field))
+        except ValueError:
+            words += 1
+    return values, words

@@ -5,6 +5,7 @@ Numbers of messages by the definitions of their types; MCAP's messages are table
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -246,6 +247,8 @@ def _table(path: Path, bag: Any, connections: list[Any]) -> ForeignTable:
 class Rows:
     """Numbers of a topic's messages, one after the other.
 
+    Messages of several nodes have different fields: a number that is not in a message is nan.
+
     Attributes:
         path: The file.
     """
@@ -253,7 +256,7 @@ class Rows:
     def __init__(self, path: Path) -> None:
         """Without a message."""
         self.path = path
-        self._first: Numbers = {}
+        self._times: dict[str, bool] = {}
         self._rows: list[list[float]] = []
         self._received: list[int] = []
 
@@ -265,17 +268,20 @@ class Rows:
             found: Its numbers.
 
         Raises:
-            RecordingError: It has other fields than the first, or there are too many.
+            RecordingError: A list without names has another length than before, or there are too
+                many numbers.
         """
-        self._first = self._first if self._rows else found
-        if found.keys() != self._first.keys():
-            other = sorted(self._first.keys() ^ found.keys())[:4]
+        other = sorted(found.keys() ^ self._times.keys()) if self._rows else []
+        if listed := [name for name in other if "]" in name]:
             raise RecordingError(
-                f"{self.path}: messages of one topic have different fields ({', '.join(other)})"
+                f"{self.path}: messages of one topic have different fields "
+                f"({', '.join(listed[:4])})"
             )
-        self._rows.append([found[name] for name in self._first])
+        if other or not self._rows:
+            self._times |= {name: isinstance(each, Nanoseconds) for name, each in found.items()}
+        self._rows.append([found.get(name, math.nan) for name in self._times])
         self._received.append(when)
-        if len(self._rows) * (len(found) + 1) > MOST_NUMBERS:
+        if len(self._rows) * (len(self._times) + 1) > MOST_NUMBERS:
             raise RecordingError(f"{self.path}: more than {MOST_NUMBERS:.0e} numbers")
 
     def table(self) -> ForeignTable:
@@ -283,13 +289,13 @@ class Rows:
         received = np.array(self._received, dtype=np.int64)
         order = np.argsort(received, kind="stable")
         columns: dict[str, NDArray[Any]] = {}
-        for k, name in enumerate(self._first):
-            made = np.array([row[k] for row in self._rows])
+        for k, name in enumerate(self._times):
+            made = np.array([row[k] if k < len(row) else math.nan for row in self._rows])
             columns[name] = (made if made.dtype.kind in "if" else made.astype(np.float64))[order]
         if STAMP in columns:
             columns = {"stamp": columns.pop(STAMP)} | columns
         columns["received"] = received[order]
-        times = {name: "ns" for name, each in self._first.items() if isinstance(each, Nanoseconds)}
+        times = {name: "ns" for name, is_time in self._times.items() if is_time}
         units = times | {"received": "ns"} | ({"stamp": "ns"} if STAMP in times else {})
         shapes = {name: values.shape for name, values in columns.items() if len(values) > 1}
         return ForeignTable(self.path, shapes, columns.__getitem__, units)
