@@ -141,9 +141,9 @@ def test_samples_without_numbers_are_bridged_and_counted_and_longer_ones_are_cut
         found = recorded(path)
         is_right(found, atol=2e-4)
         lost = np.isnan(values).any(axis=1).sum()
-        said = " ".join(each.text for each in of_recording(found.facts))
-        assert (f"({lost} samples)" in said) == (values is whole)
-        assert bool(said) == (values is not half)
+        text = " ".join(each.text for each in of_recording(found.facts))
+        assert (f"({lost} samples)" in text) == (values is whole)
+        assert bool(text) == (values is not half)
     whole[300:340] = np.nan
     draft_of(written(tmp_path / "log.csv", stamps, whole))
     parts, said = pieces(tmp_path / "map.toml")
@@ -213,7 +213,7 @@ def test_arrays_of_two_rates_are_sources_with_clocks_of_their_own(
         if ending == "mat":
             savemat(path, {**arrays, **more})
         else:
-            np.savez(path, **arrays, **more)
+            np.savez(path, **arrays, **more)  # type: ignore[arg-type]
 
     write(t_tau=TIME)
     found = recorded(path)

@@ -60,8 +60,9 @@ def _steps(time: Array, values: Array) -> Iterator[tuple[int, float]]:
     speed = np.diff(values) / np.diff(time)
     if len(speed) < 5:
         return
-    before, after = np.append(speed[1], speed[:-1]), np.append(speed[1:], speed[-2])
-    change = speed - (before + after) / 2
+    before, after = speed[:-2], speed[2:]
+    change = speed[1:-1] - (before + after) / 2
     usual = OUTLYING * float(np.quantile(np.abs(change), 0.99))
-    for i in np.flatnonzero((np.abs(change) > usual) & (np.abs(before - after) < usual)):
-        yield int(i), float(change[i] * (time[i + 1] - time[i]))
+    alone = np.abs(before - after) < np.abs(change) / 4
+    for i in 1 + np.flatnonzero((np.abs(change) > usual) & alone):
+        yield int(i), float(change[i - 1] * (time[i + 1] - time[i]))

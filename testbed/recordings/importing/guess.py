@@ -121,7 +121,7 @@ def _fitting(
     """Signals of all joints, or of the first fewer ones that the columns fit; and these joints."""
     signals = likely_signals(sources, joints)
     for fewer in subsets:
-        if all(each.group.matched for each in signals.values()):
+        if signals and all(each.group.matched for each in signals.values()):
             break
         tried = likely_signals(sources, fewer)
         if any(each.group.matched for each in tried.values()):
