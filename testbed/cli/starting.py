@@ -185,7 +185,7 @@ def new(
     assert robot is not None
     folder = out.parent if out else Path()
     with output.Progress("reading"):
-        text = _experiment(robot, folder, strict, exact_torque_constants)
+        text = _experiment(robot, folder, strict, exact_torque_constants, reading)
     path = out or Path(f"{tomllib.loads(text)['name']}.toml")
     check_writable(path)
     _check_free(path)
@@ -231,11 +231,16 @@ def _check_free(path: Path) -> None:
         raise typer.BadParameter(f"{path} is there and is not replaced; choose another --out")
 
 
-def _experiment(model: Path, folder: Path, strict: bool, exact: bool) -> str:
+def _experiment(model: Path, folder: Path, strict: bool, exact: bool, reading: Reading) -> str:
     from testbed.experiment.new_experiment import new_experiment
 
     return new_experiment(
-        model, folder, strict=strict, exact_torque_constants=exact, say=typer.echo
+        model,
+        folder,
+        strict=strict,
+        exact_torque_constants=exact,
+        lock=reading.model_file(model).lock,
+        say=typer.echo,
     )
 
 

@@ -39,7 +39,7 @@ from testbed.identification.settings import Settings
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.friction import VISCOUS
 from testbed.robot.inertia import Inertia
-from testbed.robot.locks import Travel
+from testbed.robot.locks import Lock, Travel
 from testbed.robot.model_file import ModelFile, mimic_joints, nearest_bodies
 from testbed.robot.repair import NAMED, Bodies, Repair
 from testbed.robot.tree import Tree
@@ -70,17 +70,21 @@ class RobotFound:
     repair: Repair
 
 
-def find_robot(model: Path, repair: Bodies | None) -> RobotFound:
+def find_robot(model: Path, repair: Bodies | None, lock: Lock | None = None) -> RobotFound:
     """Read the file; weld its root and hold what no tree can move, if that is what it takes.
 
     Args:
         model: MJCF or URDF.
         repair: Bodies in place of the file's; None for the nearest that can be.
+        lock: Joints to be held, and where [rad or m]; None: where they rest.
 
     Raises:
         ModelError: The file cannot be read, or nothing in it moves that has a mass.
+        UnknownName: A joint to be held is not there.
     """
-    weld, masters, lock = False, set[str](), dict[str, float]()
+    weld, masters = False, set[str]()
+    asked = {name for name, place in (lock or {}).items() if place is None}
+    lock = {name: place for name, place in (lock or {}).items() if place is not None}
     while True:
         try:
             held: dict[str, float | None] = dict.fromkeys(mimic_joints(model)) if masters else {}
@@ -96,7 +100,8 @@ def find_robot(model: Path, repair: Bodies | None) -> RobotFound:
             masters = set(error.masters.values())
         except LoopError as error:
             lock |= error.joints
-    further = _grippers(tree, masters) | _stuck(tree) | _held_by_friction(tree)
+    further = _at_rest(tree, {tree.index(name) for name in asked})
+    further |= _grippers(tree, masters) | _stuck(tree) | _held_by_friction(tree)
     if further:
         lock |= further
         tree = ModelFile(model, weld, repair, held | lock).tree()
@@ -144,6 +149,11 @@ def _grippers(tree: Tree, masters: set[str]) -> dict[str, float]:
     own = [j for j, name in enumerate(tree.names) if name in masters and j not in carrying]
     if len(own) == tree.n:  # the robot is a gripper
         return {}
+    return _at_rest(tree, own)
+
+
+def _at_rest(tree: Tree, own: Iterable[int]) -> dict[str, float]:
+    """Where some joints rest, by name [rad or m]."""
     joints = [tree.joints[j] for j in own]
     return {
         joint.name: round_significant(Travel(*joint.position_range).rest, 6) for joint in joints
@@ -173,6 +183,7 @@ def new_experiment(
     strict: bool = False,
     exact_torque_constants: bool = False,
     tried: bool = True,
+    lock: Lock | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> str:
     """The text of an experiment file that runs as it is.
@@ -186,12 +197,13 @@ def new_experiment(
         strict: Refuse bodies that cannot be instead of taking the nearest that can.
         exact_torque_constants: Leave their error out.
         tried: Simulate a second of it, and assume more where it fails.
+        lock: Joints to be held, and where [rad or m]; None: where they rest.
         say: Called with a line for what was repaired, or assumed after a trial.
 
     Raises:
         ModelError: The robot cannot be read.
     """
-    found = find_robot(model, {} if strict else None)
+    found = find_robot(model, {} if strict else None, lock)
     for line in (*sentences(found.tree.diagnostics), *_flaws(found.repair)):
         say(line)
     assumed = assumptions(found.tree)
