@@ -84,11 +84,11 @@ def find_robot(model: Path, repair: Bodies | None, lock: Lock | None = None) -> 
     """
     weld, masters = False, set[str]()
     asked = {name for name, place in (lock or {}).items() if place is None}
-    lock = {name: place for name, place in (lock or {}).items() if place is not None}
+    holding = {name: place for name, place in (lock or {}).items() if place is not None}
     while True:
         try:
             held: dict[str, float | None] = dict.fromkeys(mimic_joints(model)) if masters else {}
-            tree = ModelFile(model, weld, repair, held | lock).tree()
+            tree = ModelFile(model, weld, repair, held | holding).tree()
             break
         except FreeRootError:
             if weld:
@@ -99,18 +99,18 @@ def find_robot(model: Path, repair: Bodies | None, lock: Lock | None = None) -> 
                 raise
             masters = set(error.masters.values())
         except LoopError as error:
-            lock |= error.joints
+            holding |= error.joints
     further = _at_rest(tree, {tree.index(name) for name in asked})
     further |= _grippers(tree, masters) | _stuck(tree) | _held_by_friction(tree)
     if further:
-        lock |= further
-        tree = ModelFile(model, weld, repair, held | lock).tree()
+        holding |= further
+        tree = ModelFile(model, weld, repair, held | holding).tree()
     if not any(inertia.mass for inertia in tree.inertias):
         raise ModelError(
             f"{model}: no moving link has a mass; `testbed minimal` lists the base parameters"
         )
-    nearest = nearest_bodies(model, weld_root=weld, lock=held | lock)
-    return RobotFound(tree, weld, bool(masters), lock, nearest)
+    nearest = nearest_bodies(model, weld_root=weld, lock=held | holding)
+    return RobotFound(tree, weld, bool(masters), holding, nearest)
 
 
 def _stuck(tree: Tree) -> dict[str, float]:

@@ -75,13 +75,18 @@ def guessed(
         "# once nothing is empty or 0. See docs/your-recording.md.",
         "",
     )
-    draft = draft.saying("", "rate", _rate(sources, signals), "of the recording [Hz]")
+    rate = _rate(sources, signals)
+    why = "" if rate else f": {sources[0].clock.because}, and a log without times does not say it"
+    draft = draft.saying("", "rate", rate, f"of the recording [Hz]{why}")
     draft = draft.saying("", "joints", *_joints(signals, joints))
     plates = likely_plates(sources, signals)
     used = {each.source.name for each in signals.values()} | {each[1].name for each in plates}
     used |= {keys[0][1] for keys in (temperatures, base) if keys}
     for each in sources:
-        draft = _with_source(draft, each, folder, needed=each.name in used or not used)
+        needed = each.name in used or not used
+        draft = _with_source(draft, each, folder, needed=needed)
+        if not rate:  # then it is the recording's
+            draft = draft.saying(f"sources.{each.name}", "rate", None)
     for kind in KINDS:
         draft = _with_signal(draft, kind, signals, sources)
     for said in temperatures:

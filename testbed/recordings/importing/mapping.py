@@ -60,7 +60,8 @@ class SourceTable(MappingTable):
     time_unit: Literal["s", "ms", "us", "ns", "min", "day"] | None = None
     """Of that column; may be left out where the file says it (ROS, C3D, Parquet)."""
     rate: Positive | None = None
-    """Samples a second, at a constant rate [Hz]; the first one is at time 0."""
+    """Samples a second, at a constant rate [Hz]; the first one is at time 0. Default, without
+    `time`, the recording's."""
     steady: bool = False
     """The device samples at a constant rate and its stamps jitter: times are those of the line
     through the stamps."""
@@ -75,8 +76,8 @@ class SourceTable(MappingTable):
 
     @model_validator(mode="after")
     def _has_a_clock(self) -> SourceTable:
-        if (self.time is None) == (self.rate is None):
-            raise ValueError("a source has a clock: `time`, a column, or `rate` [Hz]; one of them")
+        if self.time is not None and self.rate is not None:
+            raise ValueError("a source's clock is `time`, a column, or `rate` [Hz]; one of them")
         if self.time is None and (self.time_unit or self.steady):
             raise ValueError("`time_unit` and `steady` are about a column `time`")
         if "\0" in self.file:
@@ -252,6 +253,20 @@ class Mapping(MappingTable):
     """Force sensors in the robot, by names of your own."""
     base: BaseTable | None = None
     """Where the robot's base is, if it moves (`robot.base = "measured"`)."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_rates(cls, content: object) -> object:
+        """Sources without times or a rate are sampled at the recording's."""
+        if not isinstance(content, dict) or not isinstance(content.get("sources"), dict):
+            return content
+        sources = {
+            name: {**table, "rate": content["rate"]}
+            if isinstance(table, dict) and "rate" in content and not {"time", "rate"} & {*table}
+            else table
+            for name, table in content["sources"].items()
+        }
+        return {**content, "sources": sources}
 
     @property
     def others(self) -> dict[str, AnyTable]:
