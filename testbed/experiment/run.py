@@ -31,6 +31,7 @@ from testbed.identification.selection.term_choice import with_chosen_settings
 from testbed.identification.sensor.correction import CalibrationCovariance
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.identification.validate import Validation, motion_in
+from testbed.identification.verdict import WELL, verdict_of
 from testbed.recordings.columns import AXES
 from testbed.recordings.geometry import in_its_gravity
 from testbed.recordings.recording import Recording
@@ -297,7 +298,7 @@ def assemble_run(
     errors = {} if judged is None else judged.errors
     known = diagnostics_of_run(tree, recording, estimates, failures, errors)
     made = posteriors(tree, recording, {**estimates, **undetermined}, settings, threads=threads)
-    worse = [said for each in made.values() for said in each.diagnostics]
+    doubts = verdict_of(estimates.values(), made.values()) if made else ()
     drives, more = _drives(tree, recording, estimates, settings, progress)
     if judged is not None and drives is not None and experiment is not None:
         metrics = drive_metrics(tree, experiment, recording, drives)
@@ -312,7 +313,7 @@ def assemble_run(
         experiment=experiment,
         score=judged,
         model=model,
-        diagnostics=(*worse, *known, *more),
+        diagnostics=tuple(dict.fromkeys([*(d for d in doubts if d.code != WELL), *known, *more])),
         drives=drives,
         posterior=made,
     )

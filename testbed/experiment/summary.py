@@ -10,6 +10,7 @@ import numpy as np
 from testbed.diagnostics import sentences
 from testbed.errors import few, plural, round_significant
 from testbed.experiment.score import share_of_signal
+from testbed.identification.verdict import WELL, verdict_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -50,7 +51,10 @@ def headline(run: Run) -> str:
         run: The run.
     """
     if run.posterior:
-        return " ".join(data_lines(run.posterior.values()))
+        made = run.posterior.values()
+        said = verdict_of(run.estimates.values(), made)
+        first = [f"{line}." for line in sentences(said)]
+        return " ".join([*first, *data_lines(made, well=said[0].code == WELL)])
     if not run.estimates:
         return f"From {_data(run)} no estimate could be made."
     if run.score is None:
@@ -108,21 +112,23 @@ def _of_numbers(function: Callable[[Array], Any], values: Array) -> float | None
     return float(function(there)) if there.size else None
 
 
-def data_lines(found: Iterable[Posterior]) -> Iterator[str]:
+def data_lines(found: Iterable[Posterior], *, well: bool) -> Iterator[str]:
     """What of the model file a recording settles, a sentence a method.
 
     Args:
         found: Of one recording, one a method.
+        well: Whether the verdict has no reservations.
     """
+    by = "By" if well else "With these reservations, by"
     for each in found:
         whole = plural(each.count, "parameter")
         if not each.used:
-            yield f"By the {each.instrument} this recording determines all {whole}."
+            yield f"{by} the {each.instrument} this recording determines all {whole}."
             continue
         own = each.determined
         names = f": {few(list(own))}" if own else ""
         yield (
-            f"By the {each.instrument} this recording determines {len(own)} of {whole}{names}; "
+            f"{by} the {each.instrument} this recording determines {len(own)} of {whole}{names}; "
             "for the rest the model file's values stand, as far as the data do not change them."
         )
 

@@ -38,7 +38,6 @@ from testbed.reporting.campaign import (
     score_figure,
     sigma_figure,
 )
-from testbed.reporting.estimates import validation_table
 from testbed.reporting.figures import Panel
 from testbed.reporting.minimal_sets import (
     Findings,
@@ -50,6 +49,7 @@ from testbed.reporting.minimal_sets import (
     print_sets,
 )  # fmt: skip
 from testbed.reporting.motion import print_excitation, print_proof
+from testbed.reporting.posterior import validation_table
 from testbed.reporting.section import Table
 from testbed.reporting.terminal import print_estimates, print_run
 from tests.helpers.pages import campaign, excitation, run_named
