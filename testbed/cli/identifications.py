@@ -146,16 +146,16 @@ class Writing:
         """
         from testbed.experiment.evaluate import prior_from
         from testbed.identification.consistency.consistent import consistent_by_held_out
-        from testbed.identification.consistency.held_out import beside_consistent
+        from testbed.identification.consistency.held_out import (
+            beside_consistent,
+            with_likely_error,
+        )
         from testbed.identification.problem import samples_of
         from testbed.recordings.views import with_gear
         from testbed.reporting import output
 
         tree = with_gear(reading.tree(model), source)
-        options = reading.tables().consistent
-        if reading.prior_error is None and options.prior_error != "chosen":
-            likely = [each.prior_error for each in posteriors.values() if each.used]
-            options = replace(options, prior_error=min(likely, default=options.prior_error))
+        options = with_likely_error(reading.tables().consistent, posteriors.values())
         file = reading.model_file(model)
         prior = prior_from(tree, file, shapes=options.centres_in_shapes)
         table = reading.tables().identification

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array, freeze
 from testbed.blas import one_blas_thread
 from testbed.codec import with_properties
-from testbed.diagnostics import Diagnosed, Diagnostic
+from testbed.diagnostics import Diagnostic
 from testbed.identification.estimate import Estimate, Method, instrument_of
 from testbed.identification.estimate_summary import EstimateSummary, corrected_by, summary_of
 from testbed.identification.problem import Problem
@@ -53,7 +53,7 @@ from testbed.robot.tree import Tree
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior(Diagnosed):
+class Posterior:
     """The minimal parameters by a recording and its model file together.
 
     Attributes:
@@ -70,7 +70,6 @@ class Posterior(Diagnosed):
         share: Part of the prior's variance that the data remove, (p,).
         alone: Which of them the data alone determine: with nothing else known of any, their
             variance is at most a tenth of the prior's, (p,).
-        worth: How many parameters the data are worth: the trace of the resolution matrix.
         prior_error: Of the model file's bodies, in parts of themselves.
         used: Whether the prior is needed; else the values are those of least squares.
         residual: Rms of what it leaves of the recording itself, (C,) [N, N m].
@@ -91,7 +90,6 @@ class Posterior(Diagnosed):
     covariance: Array
     share: Array
     alone: tuple[bool, ...]
-    worth: float
     prior_error: float
     used: bool
     residual: Array
@@ -99,7 +97,7 @@ class Posterior(Diagnosed):
     errors: tuple[PredictionErrors, ...]
     consistent: Array | None = None
 
-    __get_pydantic_core_schema__ = with_properties("sigma", "determined", "diagnostics")
+    __get_pydantic_core_schema__ = with_properties("sigma", "determined")
 
     def __post_init__(self) -> None:
         p = len(self.names)
@@ -122,11 +120,6 @@ class Posterior(Diagnosed):
         """Minimal parameters of bodies that the data alone determine."""
         pairs = zip(self.names[: self.count], self.alone[: self.count], strict=True)
         return tuple(name for name, alone in pairs if alone)
-
-    @property
-    def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Channels of held-out parts that are predicted better without it, or without bodies."""
-        return self.worse(POSTERIOR)
 
     def worse(self, shown: str) -> tuple[Diagnostic, ...]:
         """Channels of held-out parts that the model file or least squares predict better.
@@ -249,7 +242,6 @@ def posterior(
             covariance=covariance,
             share=np.clip(1 - np.diagonal(covariance) / variance, 0.0, 1.0),
             alone=alone,
-            worth=before.worth(covariance),
             prior_error=error,
             used=used,
             residual=parts.whole.residual(values),
@@ -397,7 +389,7 @@ def errors_of_another(
         source: The same, faults of the instrument taken back.
         models: Values of the unknowns by what says them.
     """
-    parts = products_of(problem, source, problem.method == "external")
+    parts = products_of(problem, source, problem.method == "external", whole=True)
     unseen = parts.whole
     none = np.zeros(len(problem.channels))
     said = {

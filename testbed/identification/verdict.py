@@ -10,22 +10,18 @@ from collections.abc import Collection, Iterable, Iterator
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics import Diagnostic, diagnose, ordered, phrase
+from testbed.diagnostics import Diagnostic, diagnose, messages, ordered, phrase
 from testbed.identification.diagnostics.diagnosis import UNEXPLAINED
 from testbed.identification.diagnostics.residuals import diagnostics_of
-from testbed.identification.estimate import Estimate, channel_label
+from testbed.identification.estimate import Estimate, channel_label, matters
 from testbed.identification.posterior import Posterior
-from testbed.identification.selection.linear_prior import MOST_ERROR
-from testbed.identification.selection.prediction_errors import POSTERIOR, PredictionErrors
+from testbed.identification.selection.prediction_errors import POSTERIOR
 
 NOTHING = 1.0
 """Error of the model file's bodies, in parts of themselves, with which it says next to nothing."""
 
 WELL = "verdict.well"
 """Code of the one diagnostic of a verdict without reservations."""
-
-SAID_BY_PARTS = ("channel.residual",)
-"""Codes of diagnostics for which held-out parts are the better witness."""
 
 
 def verdict_of(
@@ -42,63 +38,47 @@ def verdict_of(
     """
     made = list(estimates)
     found = [said for each in posteriors for said in _reservations(each, shown)]
-    witnesses = {each.method for each in posteriors}
+    other = {each.method for each in posteriors if each.used and shown == POSTERIOR}
     found += [
         said
         for said in diagnostics_of(made)
-        if said.level == "error" and not (said.method in witnesses and said.code in SAID_BY_PARTS)
+        if said.level == "error"
+        and not (said.method in other and messages()[said.code].symptom)  # of least squares
     ]
     if found:
         return ordered(found)
-    well = [_well(each.instrument, each.errors[0].share(shown), each.errors[0].of)
-            for each in posteriors]  # fmt: skip
-    return tuple(well) or tuple(_well(e.instrument, e.relative_residual, "fitted") for e in made)
+    if not posteriors:
+        return tuple(_well(each.instrument, each.relative_residual, "fitted") for each in made)
+    held_out = [(each.instrument, each.errors[0]) for each in posteriors]
+    return tuple(_well(name, each.share(shown), each.of) for name, each in held_out)
 
 
 def _well(instrument: str, share: Array, of: str) -> Diagnostic:
     """The evidence: errors in parts of the channels' signals, (C,)."""
-    least, most = (100 * float(each(share)) for each in (np.nanmin, np.nanmax))
-    return diagnose(WELL, instrument, most, least=least, of=phrase(of))
+    least, most = 100 * np.nanmin(share), 100 * np.nanmax(share)
+    return diagnose(WELL, instrument, float(most), least=least, of=phrase(of))
 
 
 def _reservations(found: Posterior, shown: str) -> Iterator[Diagnostic]:
-    """Rivals that predict better, large residuals, a file that says nothing, few rows."""
+    """Rivals that predict better, channels that are not predicted, a file that says nothing."""
     yield from found.worse(shown)
-    held_out = found.errors[0]
-    yield from _large(held_out, shown)
-    if shown == POSTERIOR and found.used and found.prior_error > NOTHING:
-        yield diagnose(
-            "verdict.file",
-            "the bodies of the model file",
-            found.prior_error,
-            method=found.method,
-            least="at least " * (found.prior_error >= MOST_ERROR),
-        )
-    few = np.isnan(held_out.signal)
-    for c in np.flatnonzero(few).tolist():
-        yield diagnose(
-            "verdict.few-rows",
-            channel_label(found.method, held_out.channels[c]),
-            held_out.rows[c],
-            method=found.method,
-            level="error" if few.all() else None,
-        )
-
-
-def _large(held_out: PredictionErrors, shown: str) -> Iterator[Diagnostic]:
-    """Channels of which a large part is not predicted; errors where like channels have no more."""
-    units = np.array(held_out.units)
+    method, held_out = found.method, found.errors[0]
+    left, signal, units = held_out.residual[shown], held_out.signal, held_out.units
+    grave = matters(left, signal, units, UNEXPLAINED)
     for c, share in enumerate(held_out.share(shown).tolist()):
-        if share > UNEXPLAINED:
-            left = held_out.residual[shown][c]
-            like = np.nanmax(held_out.signal[units == units[c]])
+        label = channel_label(method, held_out.channels[c])
+        if np.isnan(signal[c]):
+            yield diagnose("verdict.few-rows", label, held_out.rows[c], method=method)
+        elif share > UNEXPLAINED:
             yield diagnose(
                 "verdict.residual",
-                channel_label(held_out.method, held_out.channels[c]),
+                label,
                 share,
-                method=held_out.method,
-                level="error" if left > UNEXPLAINED * like else None,
-                residual=left,
-                signal=held_out.signal[c],
-                unit=held_out.units[c],
+                method=method,
+                level="error" if grave[c] else None,
+                residual=left[c],
+                signal=signal[c],
+                unit=units[c],
             )
+    if shown == POSTERIOR and found.used and found.prior_error > NOTHING:
+        yield diagnose("verdict.file", "the model file", found.prior_error, method=method)

@@ -51,8 +51,8 @@ def posterior_table(found: Posterior, most: int | None = None) -> Table:
         for k in order
     ]
     title = (
-        f"{found.instrument}: the model file, whose bodies are uncertain by "
-        f"{found.prior_error:.0%}, and the estimate by file and recording; data: share of the "
+        f"{found.instrument}, with the model file as prior, whose bodies are uncertain by "
+        f"{found.prior_error:.0%}: the estimate by file and recording; data: share of the "
         "file's variance that the recording removes; standard deviations for motions like this one"
     )
     return Table(["parameter", "unit", "model file", "estimate", "data"], rows, title, ["unit"])
@@ -80,7 +80,6 @@ def validation_table(found: Validation) -> Table:
         columns |= {"residual": _texts(found.residual)}
     else:
         columns |= _error_columns(found.errors, found.held)
-    first = len(columns) + 1
     columns |= {
         "of signal": _texts(100 * found.relative_residual, " %"),
         "mean": _texts(found.mean),
@@ -95,7 +94,7 @@ def validation_table(found: Validation) -> Table:
         f"{NAMES[found.method]}, cross-validation on another recording"
         + "; * judged: all that follows is about it" * (found.errors is not None),
         left=["unit"],
-        parts=(range(1, first), range(first, len(columns))),
+        parts=[range(k, min(k + 4, len(columns))) for k in range(1, len(columns), 4)],
     )
 
 

@@ -17,7 +17,6 @@ from testbed.experiment.summary import (
     data_lines,
     headline,
     obtained,
-    residual_line,
     verdict,
 )
 from testbed.identification.diagnostics.residuals import diagnostics_of
@@ -86,9 +85,9 @@ def print_estimates(
         print_diagnostics(out, said, None if everything or posteriors else 1)
         known = {(each.code, each.subject) for each in said}
         others = [each for each in others if (each.code, each.subject) not in known]
-    evidence = [each.text for each in said if well and posteriors]
-    lines = data_lines(first, well=well) if first else [residual_line(estimates)]
-    out.print(Panel(printable("\n".join([*evidence, *lines])), box=ROUNDED))
+    evidence = [f"{each.text}." for each in said if well]
+    if summary := [*evidence, *data_lines(first, well=well)]:
+        out.print(Panel(printable(" ".join(summary)), box=ROUNDED))
     print_diagnostics(out, others, None if everything else int(well))
     needed = [each for each in first if each.used]
     rows = None if everything else ROWS

@@ -63,7 +63,7 @@ def test_a_prior_without_end_is_least_squares(rng: np.random.Generator, offset: 
     expected = np.linalg.lstsq(matrix, y[0], rcond=None)[0][:4]
     values, covariance = with_prior(products(columns, y, offset), wide)
     np.testing.assert_allclose(values, expected, rtol=1e-5, atol=1e-7)
-    assert wide.worth(covariance) == pytest.approx(4, abs=1e-5)
+    assert (np.diagonal(covariance) < 1e-3 * wide.variance).all()
 
 
 @given(rngs)
@@ -76,18 +76,18 @@ def test_data_that_say_nothing_leave_the_file(rng: np.random.Generator) -> None:
         values, covariance = with_prior(products(columns, y, offset), prior)
         np.testing.assert_allclose(values, prior.mean, atol=1e-9)
         np.testing.assert_allclose(covariance, prior.root @ prior.root.T, atol=1e-9)
-        assert prior.worth(covariance) == pytest.approx(0, abs=1e-9)
 
 
 @given(rngs)
-def test_worth_is_the_trace_of_the_resolution(rng: np.random.Generator) -> None:
+def test_the_covariance_is_what_the_resolution_leaves_of_the_prior(
+    rng: np.random.Generator,
+) -> None:
     """Noise is known here: nothing but its least is left. R = P X'X (P X'X + s^2)^-1, dense."""
     prior = prior_like(rng, 5, 0.7)
     columns = rng.normal(size=(1, 12, 5)) * [1, 0.1, 3, 0, 1]
     _, covariance = with_prior(products(columns, columns @ prior.mean), prior)
     spread, information = prior.root @ prior.root.T, columns[0].T @ columns[0] / 0.7**2
     resolution = spread @ information @ np.linalg.inv(spread @ information + np.eye(5))
-    assert prior.worth(covariance) == pytest.approx(float(np.trace(resolution)), rel=1e-6)
     expected = spread - resolution @ spread
     np.testing.assert_allclose(covariance, expected, atol=1e-8)
     share = 1 - np.diagonal(covariance) / prior.variance
@@ -205,9 +205,8 @@ def test_where_they_do_not_the_file_is_not_made_worse() -> None:
     assert np.median(errors[0] / errors[1]) < 0.2
     assert len(found.determined) < found.count
     assert ((found.share >= 0) & (found.share <= 1)).all()
-    assert 0 < found.worth < len(found.names)
     assert 0.15 < found.prior_error < 0.6
-    assert not found.diagnostics
+    assert not found.worse("posterior")
     problem = Problem.of(robot("puma"), measured(robot("puma"), 6), "internal", estimate.settings)
     models = found.models | {"plain": estimate.values}
     fast = errors_of_another(problem, problem.source, models)

@@ -117,6 +117,17 @@ def test_a_table_that_is_split_keeps_its_columns_in_order(width: int) -> None:
     assert max(map(len, text.splitlines())) <= width
 
 
+@given(st.integers(80, 140), st.integers(1, 30), st.integers(1, 30))
+def test_words_give_way_before_the_names_of_rows(width: int, value: int, known: int) -> None:
+    """Keys of a mapping are copied: none is broken, however long its value and its reason."""
+    keys = ["position.columns", "sources.robot.delay", "torque.unit"]
+    rows = [[key, "0.125, " * value, "solved by " * known] for key in keys]
+    table = Table(["key", "value", "known by"], rows, left=["value", "known by"])
+    lines = printed(width, output.print_tables, [table]).splitlines()
+    assert [word for line in lines for word in line[:22].split() if "." in word] == keys
+    assert max(map(len, lines)) <= width
+
+
 @given(WIDTHS, st.sampled_from([("elbow", "wrist"), (LONG, "wrist")]))
 def test_no_number_of_a_validation_is_cut(width: int, names: tuple[str, ...]) -> None:
     sizes = np.array([-1.23456e-101, np.nan])

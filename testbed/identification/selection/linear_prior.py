@@ -74,18 +74,6 @@ class LinearPrior:
         of_bodies = np.arange(self.root.shape[1]) < self.bodies
         return replace(self, root=np.where(of_bodies, factor, 1.0) * self.root)
 
-    def worth(self, covariance: Array) -> float:
-        """How many parameters data are worth: the trace of the resolution, 1 - C P^-1.
-
-        Args:
-            covariance: C after the data, (p, p).
-        """
-        size = np.sqrt(np.where(self.variance > 0, self.variance, 1.0))
-        root, after = self.root / size[:, None], covariance / np.outer(size, size)
-        inverse = np.linalg.pinv(root)
-        left = np.einsum("ij,jk,ik", inverse, after, inverse)
-        return float(np.linalg.matrix_rank(root) - left)
-
 
 def linear_prior(problem: Problem, prior: Prior, error: float, rows: RowProducts) -> LinearPrior:
     """Unknowns by the model file; terms of the joints are free: as large as torques and file allow.

@@ -185,16 +185,17 @@ def sum_of(parts: Sequence[RowProducts]) -> RowProducts:
     )
 
 
-def products_of(problem: Problem, source: Source, offset: bool) -> Parts:
+def products_of(problem: Problem, source: Source, offset: bool, whole: bool = False) -> Parts:
     """Products of a recording's rows, by one pass.
 
     Args:
         problem: Robot, recording and method.
         source: The recording, faults of the instrument taken back.
         offset: Whether each channel has a constant that is not known.
+        whole: As for `Problem.passes`.
     """
     p, channels, n = len(problem.names), problem.channels, problem.tree.n
-    passes = problem.with_settings(weights="channels").passes(1, source)
+    passes = problem.with_settings(weights="channels").passes(1, source, whole)
     ends = np.linspace(0, passes.plan.rows, PARTS + 1).round().astype(int)
     sums = np.zeros((2, PARTS, len(channels), p + 2, p + 2))
     speed, last = np.zeros((PARTS, n)), np.zeros((len(channels), 1, p + 2))
