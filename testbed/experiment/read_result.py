@@ -59,7 +59,7 @@ class KeptResult:
     estimates: tuple[EstimateSummary, ...]
     file: ModelFile
     prior: Tree
-    answers: tuple[Answer, ...]
+    answers: tuple[Answer, ...] = ()
     options: ConsistencyOptions = field(default_factory=ConsistencyOptions)
 
     @property
@@ -134,23 +134,17 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
         )
     content = _json(path)
     every = content.get("estimates", content)  # format 1 has them beside all else
-    added = content.get("posterior")
-    added = added if isinstance(added, dict) else {}
-    if not isinstance(every, dict) or not any(m in every or m in added for m in METHODS):
+    added, every = (x if isinstance(x, dict) else {} for x in (content.get("posterior"), every))
+    own = {m: _stated(every[m], m, f"{path}: {m}") for m in METHODS if m in every}
+    with_file = {m: _added(added[m], f"{path}: {m}: posterior") for m in METHODS if m in added}
+    there = [method for method in METHODS if method in own or method in with_file]
+    if not there:
         raise ExperimentError(f"{path}: no result: it has no {' or '.join(METHODS)} estimate")
-    found = tuple(
-        _stated(every[method], method, f"{path}: {method}") for method in METHODS if method in every
-    )
     of = _of_run if content.get("settings") is None else _of_recording
     tree, identification, file, prior, options = of(content, path, model, settings)
-    own = {each.method: each for each in found}
-    with_file = {m: _added(added[m], f"{path}: {m}: posterior") for m in METHODS if m in added}
+    plain = bool(content.get("plain"))
     try:
-        answers = tuple(
-            answer_of(own.get(method), with_file.get(method), plain=bool(content.get("plain")))
-            for method in METHODS
-            if method in own or method in with_file
-        )
+        answers = tuple(answer_of(own.get(m), with_file.get(m), plain=plain) for m in there)
     except ValueError as error:
         raise ExperimentError(f"{path}: {error}") from None
     for each in (answer.estimate for answer in answers):
@@ -160,6 +154,7 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
                 f"{path}: {each.method}: residual has {len(each.residual)} numbers, the robot has "
                 f"{plural(count, 'channel')}"
             )
+    found = tuple(own.values())
     return KeptResult(tree, identification, found, file, prior, answers, options)
 
 

@@ -76,6 +76,7 @@ def _reservations(found: Posterior, shown: str) -> Iterator[Diagnostic]:
                 share,
                 method=method,
                 level="error" if grave[c] else None,
+                causes=() if grave[c] else ("faint",),
                 residual=left[c],
                 signal=signal[c],
                 unit=units[c],

@@ -23,6 +23,9 @@ WORSE = {REFITTED: 1.05, PLAIN: 1.2}
 """Error over that of a rival that is worth a word: the model file with its friction fitted, least
 squares."""
 
+NOTICEABLE = 5e-3
+"""Part of its signal by which a channel is worse predicted, in squares, that is of any matter."""
+
 CHANCE = 0.01
 """Of such an error by the scatter of parts alone, below which it is worth one."""
 
@@ -104,7 +107,9 @@ class PredictionErrors:
         if chance is None:
             return
         rival, own = self.residual[than], self.residual[which]
-        for c in np.flatnonzero((own > WORSE[than] * rival) & (chance < CHANCE)).tolist():
+        matters = own**2 - rival**2 > (NOTICEABLE * self.signal) ** 2
+        worse = (own > WORSE[than] * rival) & matters & (chance < CHANCE)
+        for c in np.flatnonzero(worse).tolist():
             yield diagnose(
                 "estimate.worse-than-file" if than == REFITTED else "estimate.worse-than-plain",
                 channel_label(self.method, self.channels[c]),
