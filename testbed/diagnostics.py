@@ -14,7 +14,6 @@ from functools import cache
 from importlib.resources import files
 from tomllib import loads
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
-from warnings import warn
 
 Level = Literal["error", "warning", "info"]
 
@@ -263,18 +262,6 @@ class Diagnosed:
     def doubtful(self) -> bool:
         """Whether data and model contradict each other: standard deviations do not hold then."""
         return any(each.level == "error" for each in self.diagnostics)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Deprecated: sentences of `diagnostics`."""
-        warn("warnings: use diagnostics", DeprecationWarning, stacklevel=2)
-        return sentences(self.diagnostics)
-
-    @property
-    def findings(self) -> tuple[Diagnostic, ...]:
-        """Deprecated: errors among `diagnostics`."""
-        warn("findings: use diagnostics", DeprecationWarning, stacklevel=2)
-        return tuple(each for each in self.diagnostics if each.level == "error")
 
 
 @cache

@@ -146,16 +146,16 @@ class Writing:
         """
         from testbed.experiment.evaluate import prior_from
         from testbed.identification.consistency.consistent import consistent_by_held_out
-        from testbed.identification.consistency.held_out import beside_consistent
+        from testbed.identification.consistency.held_out import (
+            beside_consistent,
+            with_likely_error,
+        )
         from testbed.identification.problem import samples_of
         from testbed.recordings.views import with_gear
         from testbed.reporting import output
 
         tree = with_gear(reading.tree(model), source)
-        options = reading.tables().consistent
-        if reading.prior_error is None and options.prior_error != "chosen":
-            likely = [each.prior_error for each in posteriors.values() if each.used]
-            options = replace(options, prior_error=min(likely, default=options.prior_error))
+        options = with_likely_error(reading.tables().consistent, posteriors.values())
         file = reading.model_file(model)
         prior = prior_from(tree, file, shapes=options.centres_in_shapes)
         table = reading.tables().identification
@@ -277,8 +277,11 @@ def identify(
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
     lacking = [name for name in wanted if name not in there and not tree.is_part]
-    said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking]
-    said += [*tree.diagnostics, *accepted]
+    said = [*tree.diagnostics, *accepted]
+    if everything or as_json:  # no fault: few recordings have both
+        said += [
+            diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking
+        ]
 
     found: dict[Method, Estimate | None] = {}
     for name in there or wanted:  # the first says what lacks
@@ -318,8 +321,7 @@ def identify(
         from testbed.experiment.results import identified as result_of
 
         file = reading.model_file(model)
-        worse = [each for one in added.values() for each in one.diagnostics]
-        result = result_of(estimates, file, reading.tables(), [*worse, *said], bodies, added)
+        result = result_of(estimates, file, reading.tables(), said, bodies, added, plain=plain)
         output.print_json(result.document())
     else:
         terminal.print_estimates(
@@ -368,23 +370,25 @@ def validate(
 
     kept = read_result(result, model, settings or ())
     source = corrected_source(kept.without_held(opened(recording)), kept.tree, plate)
-    there = [e for e in kept.estimates if SIGNAL_OF[e.method] in source.signals]
-    lacking = [e.method for e in kept.estimates if e not in there]
+    there = [a for a in kept.answers if SIGNAL_OF[a.estimate.method] in source.signals]
+    lacking = [a.estimate.method for a in kept.answers if a not in there]
     said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking]
     if not there:
         raise RecordingError("; ".join(map(str, said)))
     found = {}
-    for estimate in there:
-        with output.Progress(f"validating, {estimate.method}") as progress:
-            found[estimate.method] = validated(
+    for answer in there:
+        method = answer.estimate.method
+        with output.Progress(f"validating, {method}") as progress:
+            found[method] = validated(
                 kept.tree,
                 source,
-                estimate,
+                answer.estimate,
                 gravity=gravity,
                 settings=kept.settings,
                 threads=threads,
                 progress=progress,
-                models=kept.models.get(estimate.method),
+                models=answer.models,
+                held=answer.held,
             )
     if as_json:
         output.print_json({method: encode(each) for method, each in found.items()})

@@ -246,6 +246,7 @@ def _run_at(path: Path, model: Path | None, reading: Reading, *, unchecked: bool
         settings=reading.tables().identification,
         model=reading.model_file(model),
         doubt=reading.doubt(tree),
+        prior_error=reading.prior_error,
     )
     return replace(run, diagnostics=ordered([*accepted, *run.diagnostics]))
 

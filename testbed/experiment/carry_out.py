@@ -18,8 +18,10 @@ from testbed.experiment.results import write_recorded, write_result
 from testbed.experiment.run import Run, shown_motion
 from testbed.experiment.score import Score, accuracies
 from testbed.experiment.simulate import simulate
+from testbed.identification.estimate_summary import summary_of
 from testbed.identification.identify import identify
 from testbed.identification.payload.payload import payload
+from testbed.identification.posterior import answer_of
 from testbed.identification.regression.passes import Progress
 from testbed.identification.validate import validate
 from testbed.recordings.recording import Recording
@@ -84,16 +86,21 @@ def validated(run: Run, recording: Recording) -> Run:
     """
     recording = on_its_base(recording, run.tree)
     run = replace(run, unseen=recording)
+    answers = {
+        method: answer_of(summary_of(estimate), run.posterior.get(method))
+        for method, estimate in run.estimates.items()
+    }
     try:
         found = {
             method: validate(
                 run.tree,
                 recording,
-                estimate,
+                answer.estimate,
                 settings=run.settings,
-                models=run.posterior[method].models if method in run.posterior else None,
+                models=answer.models,
+                held=answer.held,
             )
-            for method, estimate in run.estimates.items()
+            for method, answer in answers.items()
         }
     except TestbedError as error:
         return run.with_diagnostics([diagnose("estimate.not-validated", reason=error)])

@@ -20,7 +20,10 @@ from testbed.identification.consistency.consistent import (
     Consistent,
     consistent_by_held_out,
 )
-from testbed.identification.consistency.held_out import beside_consistent
+from testbed.identification.consistency.held_out import (
+    beside_consistent,
+    with_likely_error,
+)
 from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.identify import identify
@@ -231,7 +234,9 @@ def recorded_bodies(run: Run, options: ConsistencyOptions) -> Run:
         run: The run.
         options: What is asked of the bodies.
     """
-    return _with_bodies(run, run.tree, options) if run.estimates else run
+    if not run.estimates:
+        return run
+    return _with_bodies(run, run.tree, with_likely_error(options, run.posterior.values()))
 
 
 def _with_bodies(run: Run, believed: Tree, options: ConsistencyOptions) -> Run:

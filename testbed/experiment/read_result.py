@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from testbed.identification.calibration import Calibration
 from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import METHODS, Estimate, Method, channels_of
 from testbed.identification.estimate_summary import EstimateSummary, estimate_of_summary
-from testbed.identification.posterior import Posterior
+from testbed.identification.posterior import Answer, Posterior, answer_of
 from testbed.identification.sensor.correction import NUISANCES
 from testbed.identification.sensor.estimates import NuisanceEstimate
 from testbed.identification.settings import Settings
@@ -46,11 +46,11 @@ class KeptResult:
     Attributes:
         tree: The robot.
         settings: How the signals were treated.
-        estimates: One a method.
+        estimates: By least squares, one a method.
         file: The robot's, with the joints that are held.
         prior: The robot with its bodies before the data: the file's; of a run, whose file is the
             truth, those that its experiment starts from.
-        models: Values of the same unknowns by what else says them, by method.
+        answers: One a method.
         options: What is asked of consistent bodies, the prior error that which data chose.
     """
 
@@ -59,7 +59,7 @@ class KeptResult:
     estimates: tuple[EstimateSummary, ...]
     file: ModelFile
     prior: Tree
-    models: Mapping[str, Mapping[str, Array]] = field(default_factory=dict)
+    answers: tuple[Answer, ...] = ()
     options: ConsistencyOptions = field(default_factory=ConsistencyOptions)
 
     @property
@@ -134,41 +134,44 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
         )
     content = _json(path)
     every = content.get("estimates", content)  # format 1 has them beside all else
-    if not isinstance(every, dict) or not any(method in every for method in METHODS):
+    added, every = (x if isinstance(x, dict) else {} for x in (content.get("posterior"), every))
+    own = {m: _stated(every[m], m, f"{path}: {m}") for m in METHODS if m in every}
+    with_file = {m: _added(added[m], f"{path}: {m}: posterior") for m in METHODS if m in added}
+    there = [method for method in METHODS if method in own or method in with_file]
+    if not there:
         raise ExperimentError(f"{path}: no result: it has no {' or '.join(METHODS)} estimate")
-    found = tuple(
-        _stated(every[method], method, f"{path}: {method}") for method in METHODS if method in every
-    )
     of = _of_run if content.get("settings") is None else _of_recording
     tree, identification, file, prior, options = of(content, path, model, settings)
-    for each in found:
+    plain = bool(content.get("plain"))
+    try:
+        answers = tuple(answer_of(own.get(m), with_file.get(m), plain=plain) for m in there)
+    except ValueError as error:
+        raise ExperimentError(f"{path}: {error}") from None
+    for each in (answer.estimate for answer in answers):
         count = len(channels_of(tree, each.method))
         if len(each.residual) != count:
             raise ExperimentError(
                 f"{path}: {each.method}: residual has {len(each.residual)} numbers, the robot has "
                 f"{plural(count, 'channel')}"
             )
-    models = {str(each.method): _added(content, each, path) for each in found}
-    return KeptResult(tree, identification, found, file, prior, models, options)
+    found = tuple(own.values())
+    return KeptResult(tree, identification, found, file, prior, answers, options)
 
 
-def _added(content: dict[str, Any], beside: EstimateSummary, path: Path) -> dict[str, Array]:
-    """What a result says of an estimate's unknowns besides, by what says it.
+def _added(kept: Any, source: str) -> Posterior:
+    """What a result says with the model file as prior.
 
     Raises:
         ExperimentError: A part is not what it should be.
     """
-    kept = (content.get("posterior") or {}).get(beside.method)
-    if kept is None:
-        return {}
-    source = f"{path}: {beside.method}: posterior"
     try:
         found: Posterior = decode(Posterior, kept, {})
     except ValueError as error:
         raise ExperimentError(f"{source}: {error}") from None
-    if found.names != beside.names or not all(np.isfinite(x).all() for x in found.models.values()):
-        raise ExperimentError(f"{source}: its values are not finite, or of other parameters")
-    return found.models
+    numbers = (found.covariance, found.residual, found.gravity, *found.models.values())
+    if not all(np.isfinite(each).all() for each in numbers):
+        raise ExperimentError(f"{source}: its numbers are not finite")
+    return found
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -29,10 +29,12 @@ from testbed.identification.drives.identify_drives import DriveFindings
 from testbed.identification.estimate import METHODS, MODEL_OF, Estimate, Method
 from testbed.identification.posterior import Posterior
 from testbed.identification.problem import set_of
+from testbed.identification.selection.prediction_errors import PLAIN, POSTERIOR
 from testbed.identification.selection.term_choice import with_chosen_settings
 from testbed.identification.sensor.correction import NUISANCES, TESTED
 from testbed.identification.sensor.estimates import Nuisance
 from testbed.identification.validate import Validation
+from testbed.identification.verdict import verdict_of
 from testbed.installation import version as own_version
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
@@ -124,6 +126,8 @@ class Result:
         drives: What the plate says of them.
         consistent: Bodies that can exist.
         posterior: What the recording adds to the model file, by method.
+        plain: Whether least squares are the answer all the same.
+        verdict: What to know first of the answer.
         model: The robot's file; that of a run is in its folder.
         settings: Tables of robot and identification; those of a run are in its folder.
     """
@@ -143,6 +147,8 @@ class Result:
     drives: DriveFindings | None = None
     consistent: Consistent | None = None
     posterior: Mapping[Method, Posterior] = field(default_factory=dict)
+    plain: bool = False
+    verdict: tuple[Diagnostic, ...] = ()
     model: UsedModel | None = None
     settings: dict[str, Any] | None = None
 
@@ -170,6 +176,7 @@ def result_of(run: Run, source: Mapping[str, str] | None = None) -> Result:
         expect={} if asked is None else asked.expect,
         verdicts=run.verdicts,
         as_expected=run.as_expected,
+        verdict=verdict_of(run.estimates.values(), run.posterior.values()),
         model=used,
         **{name: getattr(run, name) for name in FIELDS},
     )
@@ -182,6 +189,8 @@ def identified(
     diagnostics: Iterable[Diagnostic] = (),
     consistent: Consistent | None = None,
     posterior: Mapping[Method, Posterior] | None = None,
+    *,
+    plain: bool = False,
 ) -> Result:
     """Estimates of a recording, and what is needed to make their robot again.
 
@@ -192,6 +201,7 @@ def identified(
         diagnostics: Of the recording.
         consistent: Bodies, where they were asked for.
         posterior: What the recording adds to the model file, by method.
+        plain: Whether least squares are the answer all the same.
     """
     found = {estimate.method: estimate for estimate in estimates}
     settings = _settled(tables, found.values()).model_dump(mode="json", exclude_none=True)
@@ -203,6 +213,10 @@ def identified(
         diagnostics=(*diagnostics, *diagnostics_of(found.values())),
         consistent=consistent,
         posterior=posterior or {},
+        plain=plain,
+        verdict=verdict_of(
+            found.values(), (posterior or {}).values(), PLAIN if plain else POSTERIOR
+        ),
         model=used,
         settings=settings,
     )

@@ -23,7 +23,14 @@ from testbed.experiment.score import Errors, Score, drive_metrics, score
 from testbed.identification.consistency.consistent import Consistent
 from testbed.identification.diagnostics.residuals import diagnostics_of
 from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
-from testbed.identification.estimate import METHODS, NAMES, Estimate, Method, sensor_of
+from testbed.identification.estimate import (
+    METHODS,
+    NAMES,
+    SIGNAL_OF,
+    Estimate,
+    Method,
+    sensor_of,
+)
 from testbed.identification.identify import identify
 from testbed.identification.posterior import Posterior, posteriors
 from testbed.identification.regression.passes import Progress
@@ -31,6 +38,7 @@ from testbed.identification.selection.term_choice import with_chosen_settings
 from testbed.identification.sensor.correction import CalibrationCovariance
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.identification.validate import Validation, motion_in
+from testbed.identification.verdict import WELL, verdict_of
 from testbed.recordings.columns import AXES
 from testbed.recordings.geometry import in_its_gravity
 from testbed.recordings.recording import Recording
@@ -93,6 +101,7 @@ def diagnostics_of_run(
     missing = [
         diagnose("estimate.missing", method, reason=reason, name=NAMES[method])
         for method, reason in failures.items()
+        if not estimates or getattr(recording, SIGNAL_OF[method]) is not None
     ]
     found = [*diagnostics_of(estimates.values())]
     for method in errors:
@@ -244,6 +253,7 @@ def assemble_run(
     model: ModelFile | None = None,
     doubt: CalibrationCovariance | None = None,
     methods: Iterable[Method] = METHODS,
+    prior_error: float | None = None,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Run:
@@ -260,6 +270,7 @@ def assemble_run(
         model: The model file, for its shapes.
         doubt: About the plate by which the recording was corrected.
         methods: Which estimates to make.
+        prior_error: Of the model file's bodies, as for `posterior`.
         threads: How many to use; default one a processor.
         progress: Called with samples done and samples in all, method by method.
 
@@ -296,8 +307,9 @@ def assemble_run(
         judged = score(tree, estimates, settings.zeros, friction, motion, torque)
     errors = {} if judged is None else judged.errors
     known = diagnostics_of_run(tree, recording, estimates, failures, errors)
-    made = posteriors(tree, recording, {**estimates, **undetermined}, settings, threads=threads)
-    worse = [said for each in made.values() for said in each.diagnostics]
+    every = {**estimates, **undetermined}
+    made = posteriors(tree, recording, every, settings, prior_error=prior_error, threads=threads)
+    doubts = verdict_of(estimates.values(), made.values()) if made else ()
     drives, more = _drives(tree, recording, estimates, settings, progress)
     if judged is not None and drives is not None and experiment is not None:
         metrics = drive_metrics(tree, experiment, recording, drives)
@@ -312,7 +324,7 @@ def assemble_run(
         experiment=experiment,
         score=judged,
         model=model,
-        diagnostics=(*worse, *known, *more),
+        diagnostics=tuple(dict.fromkeys([*(d for d in doubts if d.code != WELL), *known, *more])),
         drives=drives,
         posterior=made,
     )

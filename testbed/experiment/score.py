@@ -122,8 +122,6 @@ FAINT = 0.1
 """A joint's term that makes less than this share of the joint's rms torque is faint: its error is
 relative to that share."""
 
-"""A unit whose true values are all below this share of the largest of any unit has no scale."""
-
 
 @dataclass(frozen=True, eq=False)
 class Errors:

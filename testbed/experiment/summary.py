@@ -10,13 +10,13 @@ import numpy as np
 from testbed.diagnostics import sentences
 from testbed.errors import few, plural, round_significant
 from testbed.experiment.score import share_of_signal
+from testbed.identification.verdict import WELL, verdict_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from testbed.arrays import Array
     from testbed.experiment.run import Run
-    from testbed.identification.estimate import Estimate
     from testbed.identification.posterior import Posterior
 
 SIGNALS = {"wrench": "base wrench", "torque": "rigid-body torques"}
@@ -31,7 +31,7 @@ def summary(run: Run) -> list[str]:
     """
     if not run.estimates:
         return [headline(run), *_cautions(run)]
-    return [headline(run), *accuracy_lines(run), _found(run), *_cautions(run)]
+    return [headline(run), *accuracy_lines(run), f"Data: {_data(run)}.", *_cautions(run)]
 
 
 def accuracy_lines(run: Run) -> list[str]:
@@ -49,12 +49,13 @@ def headline(run: Run) -> str:
     Args:
         run: The run.
     """
-    if run.posterior:
-        return " ".join(data_lines(run.posterior.values()))
-    if not run.estimates:
+    made = run.posterior.values()
+    if not (run.estimates or made):
         return f"From {_data(run)} no estimate could be made."
-    if run.score is None:
-        return residual_line(run.estimates.values())
+    if made or run.score is None:
+        said = verdict_of(run.estimates.values(), made)
+        first = [f"{line[0].upper()}{line[1:]}." for line in sentences(said)]
+        return " ".join([*first, *data_lines(made, well=said[0].code == WELL)])
     phrases = []
     for name in ("wrench", "torque"):
         shares = {m: getattr(found, name) for m, found in run.score.accuracy.items()}
@@ -108,43 +109,25 @@ def _of_numbers(function: Callable[[Array], Any], values: Array) -> float | None
     return float(function(there)) if there.size else None
 
 
-def data_lines(found: Iterable[Posterior]) -> Iterator[str]:
+def data_lines(found: Iterable[Posterior], *, well: bool) -> Iterator[str]:
     """What of the model file a recording settles, a sentence a method.
 
     Args:
         found: Of one recording, one a method.
+        well: Whether the verdict has no reservations.
     """
+    by = "By" if well else "With these reservations, by"
     for each in found:
         whole = plural(each.count, "parameter")
         if not each.used:
-            yield f"By the {each.instrument} this recording determines all {whole}."
+            yield f"{by} the {each.instrument} this recording determines all {whole}."
             continue
         own = each.determined
         names = f": {few(list(own))}" if own else ""
         yield (
-            f"By the {each.instrument} this recording determines {len(own)} of {whole}{names}; "
+            f"{by} the {each.instrument} this recording determines {len(own)} of {whole}{names}; "
             "for the rest the model file's values stand, as far as the data do not change them."
         )
-
-
-def residual_line(estimates: Iterable[Estimate]) -> str:
-    """How much of the signals estimates leave, and how well they say they know; truth is not known.
-
-    Args:
-        estimates: Of one recording.
-    """
-    phrases = []
-    for e in estimates:
-        own = e.normal_equations
-        rest = e.residual * np.sqrt(own.used)
-        left = share_of_signal(rest, np.sqrt(own.squares), e.channel_units) or 0.0
-        known = np.isfinite(e.base.sigma) & (np.abs(e.base.values) > 0)
-        shares = e.base.sigma[known] / np.abs(e.base.values[known])
-        middle = percent(float(np.median(shares))) if known.any() else ""
-        spread = f", median standard deviation of {len(known)} parameters {middle}"
-        signal = "the wrench" if e.method == "external" else "the joint torques"
-        phrases.append(f"{percent(left)} of {signal}{spread if middle else ''}")
-    return f"Rms residual: {'; '.join(phrases)}."
 
 
 def _measured(run: Run) -> list[str]:
@@ -170,15 +153,6 @@ def _data(run: Run) -> str:
     recording = run.recording
     length = float(recording.time[-1] - recording.time[0])
     return f"{length:.3g} s at {recording.rate:.4g} Hz of {run.tree.name}"
-
-
-def _found(run: Run) -> str:
-    phrases = []
-    for estimate in run.estimates.values():
-        terms, count = len(estimate.joint_terms), len(estimate.base.names)
-        more = f" and {plural(terms, 'joint coefficient')}" if terms else ""
-        phrases.append(f"{plural(count, 'base parameter')}{more} by the {estimate.instrument}")
-    return f"Data: {_data(run)}. Identified: {'; '.join(phrases)}."
 
 
 def verdict(run: Run) -> str:

@@ -169,17 +169,20 @@ def channel_units(tree: Tree, method: Method) -> tuple[str, ...]:
     return tuple("N m" if joint.revolute else "N" for joint in tree.joints)
 
 
-def matters(residual: Array, signal: Array, units: Sequence[str]) -> tuple[bool, ...]:
+def matters(
+    residual: Array, signal: Array, units: Sequence[str], part: float = MATTERS
+) -> tuple[bool, ...]:
     """Whether residuals are large enough to matter among channels of the same unit.
 
     Args:
         residual: Rms of each channel's, (C,) [N, N m]; nan where there is none.
         signal: Rms of each channel, (C,) [N, N m]; nan where there is none.
         units: One a channel.
+        part: Of the largest like signal beyond which a residual matters.
     """
     like = [[other == unit for other in units] for unit in units]
     largest = [np.nan_to_num(signal[same]).max() for same in like]
-    return tuple(bool(r > MATTERS * s) for r, s in zip(residual, largest, strict=True))
+    return tuple(bool(r > part * s) for r, s in zip(residual, largest, strict=True))
 
 
 def channel_label(method: Method, name: str) -> str:

@@ -9,7 +9,7 @@ all parameters the prior is left out, and the estimate is that of least squares.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array, freeze
 from testbed.blas import one_blas_thread
 from testbed.codec import with_properties
-from testbed.diagnostics import Diagnosed, Diagnostic
+from testbed.diagnostics import Diagnostic
 from testbed.identification.estimate import Estimate, Method, instrument_of
-from testbed.identification.estimate_summary import corrected_by, summary_of
+from testbed.identification.estimate_summary import EstimateSummary, corrected_by, summary_of
 from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import scaled_solve
 from testbed.identification.regression.solvers import noise_weights
@@ -53,7 +53,7 @@ from testbed.robot.tree import Tree
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior(Diagnosed):
+class Posterior:
     """The minimal parameters by a recording and its model file together.
 
     Attributes:
@@ -70,9 +70,10 @@ class Posterior(Diagnosed):
         share: Part of the prior's variance that the data remove, (p,).
         alone: Which of them the data alone determine: with nothing else known of any, their
             variance is at most a tenth of the prior's, (p,).
-        worth: How many parameters the data are worth: the trace of the resolution matrix.
         prior_error: Of the model file's bodies, in parts of themselves.
         used: Whether the prior is needed; else the values are those of least squares.
+        residual: Rms of what it leaves of the recording itself, (C,) [N, N m].
+        gravity: That was assumed, (3,) [m/s^2], bedplate frame.
         errors: What it leaves of held-out parts, and what others do.
         consistent: Of consistent bodies, (p,); None where they were not asked for.
     """
@@ -89,18 +90,19 @@ class Posterior(Diagnosed):
     covariance: Array
     share: Array
     alone: tuple[bool, ...]
-    worth: float
     prior_error: float
     used: bool
+    residual: Array
+    gravity: Array
     errors: tuple[PredictionErrors, ...]
     consistent: Array | None = None
 
-    __get_pydantic_core_schema__ = with_properties("sigma", "determined", "diagnostics")
+    __get_pydantic_core_schema__ = with_properties("sigma", "determined")
 
     def __post_init__(self) -> None:
         p = len(self.names)
         freeze(self, file=(p,), refitted=(p,), prior_sigma=(p,), values=(p,), share=(p,))
-        freeze(self, covariance=(p, p))
+        freeze(self, covariance=(p, p), residual=(None,), gravity=(3,))
 
     @property
     def sigma(self) -> Array:
@@ -119,18 +121,66 @@ class Posterior(Diagnosed):
         pairs = zip(self.names[: self.count], self.alone[: self.count], strict=True)
         return tuple(name for name, alone in pairs if alone)
 
-    @property
-    def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Channels of held-out parts that the model file predicts better."""
-        return self.worse_than_file(POSTERIOR, CONSISTENT)
-
-    def worse_than_file(self, *names: str) -> tuple[Diagnostic, ...]:
-        """Channels of held-out parts that the model file predicts better than estimates do.
+    def worse(self, shown: str) -> tuple[Diagnostic, ...]:
+        """Channels of held-out parts that the model file or least squares predict better.
 
         Args:
-            *names: "plain", "posterior", "consistent".
+            shown: The estimate that counts: "posterior" or "plain".
         """
-        return tuple(d for name in names for e in self.errors for d in e.worse_than_file(name))
+        pairs = ((shown, PLAIN), (shown, REFITTED), (CONSISTENT, REFITTED))
+        return tuple(d for name, than in pairs for e in self.errors for d in e.worse(name, than))
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a result says by one method, among the candidates that it has.
+
+    Attributes:
+        estimate: With the model file as prior, where that is needed; else by least squares.
+        held: Which of the candidates it is: "posterior" or "plain".
+        models: Values of its unknowns by candidate; {} where there are no others.
+    """
+
+    estimate: EstimateSummary
+    held: str
+    models: Mapping[str, Array]
+
+
+def answer_of(
+    own: EstimateSummary | None, found: Posterior | None, *, plain: bool = False
+) -> Answer:
+    """What counts of a method's estimates.
+
+    Args:
+        own: By least squares; None where the data determine none.
+        found: With the model file as prior; None where there is no such.
+        plain: Whether least squares count all the same.
+
+    Raises:
+        ValueError: There is neither, or they are of other parameters.
+    """
+    if found is None:
+        if own is None:
+            raise ValueError("there is no estimate")
+        return Answer(own, PLAIN, {})
+    said = EstimateSummary(
+        method=found.method,
+        names=found.names,
+        values=found.values,
+        covariance=found.covariance,
+        gravity=found.gravity,
+        residual=found.residual,
+        nuisances={},
+    )
+    if own is None:
+        return Answer(said, POSTERIOR, found.models)
+    if own.names != found.names:
+        raise ValueError("least squares and the posterior are of other parameters")
+    models = {**found.models, PLAIN: own.values}
+    if plain or not found.used:
+        return Answer(own, PLAIN, models)
+    said = replace(said, nuisances=own.nuisances, unidentifiable=own.unidentifiable)
+    return Answer(replace(said, settings=own.settings), POSTERIOR, models)
 
 
 def posterior(
@@ -166,7 +216,8 @@ def posterior(
     with one_blas_thread():
         error = prior_error or PRIOR_ERROR
         before = linear_prior(problem, prior, error, parts.whole)
-        used = not any(determines(each, before) for each in made)
+        enough = bool(parts.whole.enough.all())
+        used = not (enough and any(determines(each, before) for each in made))
         if used and prior_error is None:
             error = likeliest(parts.whole, before)
             before = before.times(error / PRIOR_ERROR)
@@ -191,10 +242,11 @@ def posterior(
             covariance=covariance,
             share=np.clip(1 - np.diagonal(covariance) / variance, 0.0, 1.0),
             alone=alone,
-            worth=before.worth(covariance),
             prior_error=error,
             used=used,
-            errors=_held_out(problem, before, parts, used=used),
+            residual=parts.whole.residual(values),
+            gravity=problem.tree.gravity,
+            errors=_held_out(problem, before, parts, used=used, plain=bool(made)),
         )
 
 
@@ -297,18 +349,18 @@ def determines(estimate: Estimate, prior: LinearPrior) -> bool:
         prior: Of its unknowns.
     """
     most = (1 / DETERMINED - 1) * prior.variance
-    return bool((np.diagonal(estimate.covariance) < most).all())
+    return bool((estimate.sigma**2 < most).all())
 
 
 def _held_out(
-    problem: Problem, prior: LinearPrior, parts: Parts, *, used: bool = True
+    problem: Problem, prior: LinearPrior, parts: Parts, *, used: bool = True, plain: bool = True
 ) -> tuple[PredictionErrors, ...]:
     """What the model file and fits of some parts leave of others, split by split."""
     none, found = np.zeros(len(problem.channels)), []
     for kind, split in parts.splits.items():
         pairs = []
         for seen, rest in split:
-            fits = {REFITTED: refitted(seen, prior), PLAIN: _plain(seen)}
+            fits = {REFITTED: refitted(seen, prior)} | ({PLAIN: _plain(seen)} if plain else {})
             fits[POSTERIOR] = with_prior(seen, prior)[0] if used else fits[PLAIN]
             said = {name: (values, seen.constants(values)) for name, values in fits.items()}
             pairs.append(({FILE: (prior.mean, none), **said}, rest))
@@ -337,7 +389,7 @@ def errors_of_another(
         source: The same, faults of the instrument taken back.
         models: Values of the unknowns by what says them.
     """
-    parts = products_of(problem, source, problem.method == "external")
+    parts = products_of(problem, source, problem.method == "external", whole=True)
     unseen = parts.whole
     none = np.zeros(len(problem.channels))
     said = {

@@ -39,9 +39,8 @@ from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.regression.passes import Progress
 from testbed.identification.regression.windows import motion_taps
 from testbed.identification.selection.prediction_errors import (
-    CONSISTENT,
     PLAIN,
-    POSTERIOR,
+    REFITTED,
     PredictionErrors,
 )
 from testbed.identification.selection.term_choice import with_chosen_settings
@@ -188,7 +187,8 @@ class Validation(Diagnosed):
         noise: Rms of what the estimate left of its own recording, (C,) [N, N m].
         spread: Rms of what the parameters' covariance makes of the rows, (C,) [N, N m].
         zero_unknown: Whether the plate's zero is not known: means are then no errors.
-        errors: Of the model file and other estimates beside it; None where none is known.
+        errors: Of all candidates, the estimate among them; None where there are no others.
+        held: Which of them the estimate is: "plain" or "posterior".
     """
 
     method: Method
@@ -202,6 +202,7 @@ class Validation(Diagnosed):
     spread: Array
     zero_unknown: bool = False
     errors: PredictionErrors | None = None
+    held: str = PLAIN
 
     __get_pydantic_core_schema__ = with_properties("relative_residual", "ratio", "diagnostics")
 
@@ -244,11 +245,7 @@ class Validation(Diagnosed):
         """Channels that are predicted worse than by the model file, or than sigma says."""
         worse: list[Diagnostic] = []
         if self.errors is not None:
-            worse = [
-                d
-                for name in (POSTERIOR, PLAIN, CONSISTENT)
-                for d in self.errors.worse_than_file(name)
-            ]
+            worse = [d for than in (PLAIN, REFITTED) for d in self.errors.worse(self.held, than)]
         return (*worse, *_diagnostics(self))
 
 
@@ -262,6 +259,7 @@ def validate(
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
     models: Mapping[str, Array] | None = None,
+    held: str = PLAIN,
 ) -> Validation:
     """What an estimate leaves of a recording that it has not seen.
 
@@ -279,6 +277,7 @@ def validate(
         threads: How many to use; default one a processor.
         progress: Called with samples done and samples in all.
         models: Values of the same unknowns by what else predicts (`Posterior.models`).
+        held: What the estimate is among them: "plain" or "posterior".
 
     Raises:
         RecordingError: The recording cannot be used for the estimate's method.
@@ -320,8 +319,9 @@ def validate(
             squares += (left**2).sum(axis=1)
         beside = None
         if models:
-            beside = errors_of_another(problem, source, {**models, PLAIN: said.values})
-    return replace(_validation(said, tree, equations, total, squares), errors=beside)
+            beside = errors_of_another(problem, source, {**models, held: said.values})
+    found = _validation(said, tree, equations, total, squares)
+    return replace(found, errors=beside, held=held)
 
 
 def _validation(

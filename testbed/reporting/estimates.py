@@ -14,7 +14,7 @@ from testbed.diagnostics import phrase
 from testbed.errors import plural, printable
 from testbed.experiment.run import SAID, Run, matrix_errors
 from testbed.identification.calibration import Calibration
-from testbed.identification.estimate import NAMES, Estimate, by_influence, number_with_sigma
+from testbed.identification.estimate import Estimate, by_influence, number_with_sigma
 from testbed.identification.selection.held_out import HeldOut, TermChoice
 from testbed.identification.sensor.estimates import TraceTest
 from testbed.recordings.columns import AXES
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from testbed.identification.payload.payload import MassEstimate, PayloadEstimate
     from testbed.identification.payload.tool import ToolEstimate
     from testbed.identification.payload.torque_scales import TorqueScales
-    from testbed.identification.validate import Validation
 
 
 def parameter_tables(
@@ -180,40 +179,6 @@ def _left(found: HeldOut) -> str:
     whole = f"rms {found.rms:.3f} {units.pop()} (" if len(units) == 1 else "rms ("
     named = zip(found.channels, found.residual, strict=True)
     return f"{whole}{', '.join(f'{name} {left:.3g}' for name, left in named)})"
-
-
-def validation_table(found: Validation) -> Table:
-    """What an estimate leaves of another recording.
-
-    Args:
-        found: By one method.
-    """
-    numbers = (found.residual, 100 * found.relative_residual, found.mean, found.noise)
-    columns = [
-        found.channels,
-        found.units,
-        *(
-            [_text(x, unit) for x in each]
-            for each, unit in zip(
-                (*numbers, found.spread, found.ratio), ("", " %", "", "", "", ""), strict=True
-            )
-        ),
-        [str(rows) for rows in found.rows],
-    ]
-    heads = ["channel", "unit", "residual", "of signal", "mean"]
-    heads += ["noise", "prediction std", "ratio", "rows"]
-    title = f"{NAMES[found.method]}, cross-validation on another recording"
-    return Table(
-        heads,
-        list(zip(*columns, strict=True)),
-        title,
-        left=["unit"],
-        parts=(range(1, 5), range(5, 9)),
-    )
-
-
-def _text(number: float, unit: str = "") -> str:
-    return "-" if np.isnan(number) else f"{number:.3g}{unit}"
 
 
 def payload_table(found: PayloadEstimate, title: str = "") -> Table:

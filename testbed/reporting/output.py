@@ -250,13 +250,16 @@ def print_tables(out: Console, *layouts: Sequence[Table]) -> None:
 
 
 def _drawn(table: Table, width: int | None = None) -> RichTable:
-    """A table; the rows' names are folded so that it has a width, if any."""
+    """A table; words are wrapped, then the rows' names folded, so that it has a width, if any."""
     columns = list(zip(*([printable(cell) for cell in row] for row in table.rows), strict=True))
-    taken = [
-        max(map(len, (*head.split("\n"), *cells)))
-        for head, cells in zip(table.heads[1:], columns[1:], strict=False)
-    ]
-    room = None if width is None else max(NAME, width - sum(taken) - 2 * len(taken) - 4)
+
+    def least(head: str, cells: Sequence[str]) -> int:
+        at = None if head in table.left else "\n"
+        return max((len(x) for cell in (head, *cells) for x in cell.split(at)), default=0)
+
+    names, *taken = map(least, table.heads, columns) if columns else (0,)
+    room = None if width is None else max(NAME, width - sum(taken) - 3 * len(taken) - 4)
+    folded = room is not None and room < names
     grid = RichTable(
         title=printable(table.title) or None,
         title_justify="left",
@@ -270,8 +273,8 @@ def _drawn(table: Table, width: int | None = None) -> RichTable:
             justify="left" if words else "right",
             style="dim" if head == "unit" else "",
             overflow="fold",
-            no_wrap=not words or (k == 0 and room is None),
-            max_width=room if k == 0 else None,
+            no_wrap=not words or (k == 0 and not folded),
+            max_width=room if k == 0 and folded else None,
         )
     for row in table.rows:
         grid.add_row(*map(printable, row))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from testbed.arrays import Array
 from testbed.diagnostics import phrase
-from testbed.identification.estimate import number_with_sigma
+from testbed.identification.estimate import NAMES, number_with_sigma
 from testbed.identification.posterior import Posterior
 from testbed.identification.selection.prediction_errors import (
     CONSISTENT,
@@ -15,6 +18,7 @@ from testbed.identification.selection.prediction_errors import (
     REFITTED,
     PredictionErrors,
 )
+from testbed.identification.validate import Validation
 from testbed.reporting.section import Table
 
 HEADS = {
@@ -47,8 +51,8 @@ def posterior_table(found: Posterior, most: int | None = None) -> Table:
         for k in order
     ]
     title = (
-        f"{found.instrument}: the model file, whose bodies are uncertain by "
-        f"{found.prior_error:.0%}, and the estimate by file and recording; data: share of the "
+        f"{found.instrument}, with the model file as prior, whose bodies are uncertain by "
+        f"{found.prior_error:.0%}: the estimate by file and recording; data: share of the "
         "file's variance that the recording removes; standard deviations for motions like this one"
     )
     return Table(["parameter", "unit", "model file", "estimate", "data"], rows, title, ["unit"])
@@ -60,12 +64,48 @@ def errors_table(found: PredictionErrors) -> Table:
     Args:
         found: By one method.
     """
-    residual = {name: found.residual[name] for name in HEADS if name in found.residual}
-    rows = [
-        [name, unit, f"{found.signal[c]:.3g}", *(f"{x[c]:.3g}" for x in residual.values())]
-        for c, (name, unit) in enumerate(zip(found.channels, found.units, strict=True))
-    ]
-    names = HEADS | ({REFITTED: "file, zero fitted"} if found.method == "external" else {})
-    heads = ["channel", "unit", "signal", *(names[name] for name in residual)]
+    columns = {"channel": found.channels, "unit": found.units} | _error_columns(found)
     title = f"rms error of predictions of {phrase(found.of)}"
-    return Table(heads, rows, title, ["unit"])
+    return Table([*columns], list(zip(*columns.values(), strict=True)), title, ["unit"])
+
+
+def validation_table(found: Validation) -> Table:
+    """What an estimate leaves of another recording, beside what other candidates leave.
+
+    Args:
+        found: By one method.
+    """
+    columns: dict[str, Sequence[str]] = {"channel": found.channels, "unit": found.units}
+    if found.errors is None:
+        columns |= {"residual": _texts(found.residual)}
+    else:
+        columns |= _error_columns(found.errors, found.held)
+    columns |= {
+        "of signal": _texts(100 * found.relative_residual, " %"),
+        "mean": _texts(found.mean),
+        "noise": _texts(found.noise),
+        "prediction std": _texts(found.spread),
+        "ratio": _texts(found.ratio),
+        "rows": [str(rows) for rows in found.rows],
+    }
+    return Table(
+        [*columns],
+        list(zip(*columns.values(), strict=True)),
+        f"{NAMES[found.method]}, cross-validation on another recording"
+        + "; * judged: all that follows is about it" * (found.errors is not None),
+        left=["unit"],
+        parts=[range(k, min(k + 4, len(columns))) for k in range(1, len(columns), 4)],
+    )
+
+
+def _error_columns(found: PredictionErrors, held: str = "") -> dict[str, list[str]]:
+    """Signals, and errors by candidate, the one that is judged with a star."""
+    names = HEADS | ({REFITTED: "file, zero fitted"} if found.method == "external" else {})
+    errors = {name: found.residual[name] for name in HEADS if name in found.residual}
+    return {"signal": _texts(found.signal)} | {
+        names[name] + " *" * (name == held): _texts(each) for name, each in errors.items()
+    }
+
+
+def _texts(numbers: Array, unit: str = "") -> list[str]:
+    return ["-" if np.isnan(each) else f"{each:.3g}{unit}" for each in numbers.tolist()]

@@ -112,6 +112,7 @@ def contents(run: Run) -> dict[str, Any]:
         run: What the report is about.
     """
     look = load_appearance(run.tree, run.model)
+    plate = run.recording.wrench is not None
     return {
         "title": run.name,
         "claim": "" if run.experiment is None else run.experiment.claim,
@@ -132,7 +133,7 @@ def contents(run: Run) -> dict[str, Any]:
         "posterior": _posterior_tables(run),
         "instrument": instrument_tables(run),
         "matrix": matrix_maps(run),
-        "maps": _maps(run.tree, run.settings.zeros),
+        "maps": _maps(run.tree, run.settings.zeros, plate=plate),
         "zeros": bool(run.settings.zeros),
         "origin": origin(run),
     }
@@ -171,7 +172,7 @@ def _portrait(run: Run, look: Appearance) -> dict[str, str]:
     if wrench is not None and run.tree.sensor is not None:
         turn, place = (each[0] for each in sensor_poses(run.tree, recording.position[:1]))
         wrench, what = np.concatenate([turn @ wrench[:3], turn @ wrench[3:]]), "force sensor"
-    name = f"The robot {run.tree.name} on its bedplate"
+    name = f"The robot {run.tree.name}" + " on its bedplate" * (wrench is not None)
     paths = f"the paths of its ends over {seconds_shown(recording.time):.3g} s"
     caption = f"The robot as the recording begins, and {paths}."
     if wrench is not None:
@@ -239,10 +240,10 @@ def _cell(estimate: Estimate, name: str, truth: float | None, short: bool) -> di
     return cell
 
 
-def _maps(tree: Tree, zeros: bool | Sequence[str]) -> list[dict[str, Any]]:
-    """Which of each link's ten parameters joint torques, and the force plate, can identify."""
+def _maps(tree: Tree, zeros: bool | Sequence[str], *, plate: bool) -> list[dict[str, Any]]:
+    """Which of each link's ten parameters joint torques, and a force plate, can identify."""
     tables = []
-    maps = identifiability(tree, zeros=zeros)[:2]
+    maps = identifiability(tree, zeros=zeros)[: 2 if plate or tree.floating else 1]
     names = [*tree.names]
     if tree.floating:
         names[:FREE] = [joint.body for joint in tree.joints[:FREE]]
@@ -267,9 +268,10 @@ def asked(run: Run) -> Lines:
     joints = f"{plural(len(names), 'joint')}: {', '.join(names)}"
     base = ", on a base that moves and whose pose is measured" if run.tree.floating else ""
     gx, gy, gz = run.tree.gravity
+    base_frame = "base" if run.recording.wrench is None else "bedplate"
     facts = [
         ("robot", f"{run.tree.name}{base}, {joints}"),
-        ("gravity", f"{gx:g} {gy:g} {gz:g} m/s^2 in the bedplate frame"),
+        ("gravity", f"{gx:g} {gy:g} {gz:g} m/s^2 in the {base_frame} frame"),
     ]
     if run.model is not None:
         facts.append(("model file", run.model.path.name))

@@ -96,10 +96,14 @@ def _measured(found: Predictions, smooth: Predictions) -> Section:
     return Section(
 id="prediction",
 title=f"Measured and predicted, on {motion}",
-says=("Measured signals (grey) and predictions; residuals below. "
-        f"The {names['external']}'s estimate contains no friction: its joint torques are those of "
-        "a robot without friction. Parameters that joint torques cannot identify are taken from "
-        f"the {names['external']}'s estimate."
+says=("Measured signals (grey) and predictions; residuals below."
+        + (
+            f" The {names['external']}'s estimate contains no friction: its joint torques are "
+            "those of a robot without friction. Parameters that joint torques cannot identify are "
+            f"taken from the {names['external']}'s estimate."
+            if "external" in methods
+            else ""
+        )
         + (
             " The expected residual includes noise and the standard deviation of the prediction."
             if _validated(found)

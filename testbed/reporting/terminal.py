@@ -17,12 +17,12 @@ from testbed.experiment.summary import (
     data_lines,
     headline,
     obtained,
-    residual_line,
     verdict,
 )
 from testbed.identification.diagnostics.residuals import diagnostics_of
 from testbed.identification.estimate import METHODS, OPEN_ZERO, Method
-from testbed.identification.selection.prediction_errors import CONSISTENT, PLAIN, POSTERIOR
+from testbed.identification.selection.prediction_errors import PLAIN, POSTERIOR
+from testbed.identification.verdict import WELL, verdict_of
 from testbed.reporting.bodies import consistent_lines, consistent_tables
 from testbed.reporting.drives import drive_lines, drive_table
 from testbed.reporting.estimates import (
@@ -33,10 +33,9 @@ from testbed.reporting.estimates import (
     plate_lines,
     plate_table,
     quality_lines,
-    validation_table,
 )
 from testbed.reporting.output import console, print_diagnostics, print_tables
-from testbed.reporting.posterior import errors_table, posterior_table
+from testbed.reporting.posterior import errors_table, posterior_table, validation_table
 from testbed.reporting.section import Table
 
 if TYPE_CHECKING:
@@ -79,18 +78,23 @@ def print_estimates(
     """
     out = console()
     first = [] if plain else list(posteriors)
-    said = list(data_lines(first)) or [residual_line(estimates)]
-    out.print(Panel(printable("\n".join(said)), box=ROUNDED))
-    most = None if everything else 1
-    shown = PLAIN if plain else POSTERIOR
-    worse = [said for each in posteriors for said in each.worse_than_file(shown, CONSISTENT)]
-    print_diagnostics(out, [*worse, *diagnostics, *diagnostics_of(estimates)], most)
+    said = verdict_of(estimates, posteriors, PLAIN if plain else POSTERIOR)
+    well = said[0].code == WELL
+    others = [*diagnostics, *diagnostics_of(estimates)]
+    if not well:
+        print_diagnostics(out, said, None if everything or posteriors else 1)
+        known = {(each.code, each.subject) for each in said}
+        others = [each for each in others if (each.code, each.subject) not in known]
+    evidence = [f"{each.text}." for each in said if well]
+    if summary := [*evidence, *data_lines(first, well=well)]:
+        out.print(Panel(printable(" ".join(summary)), box=ROUNDED))
+    print_diagnostics(out, others, None if everything else int(well))
     needed = [each for each in first if each.used]
     rows = None if everything else ROWS
     print_tables(out, [posterior_table(each, rows) for each in needed])
-    known = [e for e in estimates if e.method not in {each.method for each in needed}]
-    _print_parameters(out, known, {}, everything=everything)
-    if needed and not known:
+    left = [e for e in estimates if e.method not in {each.method for each in needed}]
+    _print_parameters(out, left, {}, everything=everything)
+    if needed and not left:
         out.print(LEGEND, soft_wrap=True)
     for each in posteriors:
         print_tables(out, [errors_table(errors) for errors in each.errors])
@@ -133,8 +137,7 @@ def print_validations(validations: Sequence[Validation], diagnostics: Sequence[D
     """
     out = console()
     for found in validations:
-        tables = [validation_table(found)]
-        print_tables(out, [*tables, *(errors_table(e) for e in [found.errors] if e is not None)])
+        print_tables(out, [validation_table(found)])
     print_diagnostics(out, [*diagnostics, *(d for v in validations for d in v.diagnostics)])
 
 

@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache
 from itertools import compress
 from pathlib import Path
@@ -19,6 +20,8 @@ from typer.testing import CliRunner
 import testbed as tb
 from testbed.cli.commands import app
 from tests.helpers.command import command_line
+from tests.helpers.measured import measured
+from tests.helpers.runs import robot
 
 pytestmark = pytest.mark.slow
 
@@ -26,7 +29,7 @@ QUICK = "--set motion.duration=3 --set motion.candidates=2 --set simulation.step
 ROBOT = "--model puma562.xml"
 RESULT = (
     "as_expected claim consistent diagnostics drives estimates expect failures format model name "
-    "posterior score settings source validation verdicts"
+    "plain posterior score settings source validation verdict verdicts"
 )
 """Keys of a run's and of a recording's."""
 COMMANDS = {
@@ -266,3 +269,30 @@ def test_drives_and_plate_are_calibrated_though_a_joint_rests(place: Path, tmp_p
             for each in (f"three.parquet {model}", f"two.parquet {model} --lock elbow=0.5")
         ]
         assert said[0] == said[1], command
+
+
+def test_the_verdict_is_first_and_what_it_is_about_is_validated(place: Path, out: Path) -> None:
+    """Of the file as prior, or by least squares where a person asks for that."""
+    tree = robot("puma")
+    slow = replace(measured(tree, 5, speed=0.1), wrench=None, facts={"mapping": {}})
+    slow.save(out / "slow.parquet")
+    model = str(place / "puma562.xml")
+    for held, more in (("posterior", []), ("plain", ["--plain"])):
+        words = ["identify", str(out / "slow.parquet"), "--model", model, *more]
+        text = command_line(*words, cwd=place).stdout
+        said = json.loads(command_line(*words, "--json", cwd=place).stdout)
+        (out / "said.json").write_text(json.dumps(said))
+        first, codes = said["verdict"][0], [each["code"] for each in said["verdict"]]
+        start = " ".join(text.replace("│", " ").split())
+        assert start.find(first["text"]) in range(len("warning: ╭╮ ") + 140)
+        assert (codes == ["verdict.well"]) == (first["level"] == "info")
+        assert "no-signal" not in {each["code"].partition(".")[2] for each in said["verdict"]}
+        words = ["validate", str(place / "other.parquet"), str(out / "said.json")]
+        found = json.loads(command_line(*words, "--json", cwd=place).stdout)["internal"]
+        candidates = found["errors"]["residual"]
+        assert found["held"] == held
+        assert {"file", "refitted", "plain", "posterior"} <= {*candidates}
+        assert found["residual"] == pytest.approx(candidates[held], rel=1e-9)
+        shown = command_line(*words, cwd=place).stdout
+        numbers = [f"{each:.3g}" for each in (*candidates["file"], *candidates[held])]
+        assert all(number in shown for number in numbers)

@@ -402,3 +402,22 @@ def test_joints_without_motors_get_one_and_other_actuators_stay(tmp_path: Path) 
     joints = [compiled.joint(k).name for k in compiled.actuator_trnid[:, 0]]
     found = dict(zip(joints, compiled.actuator_gear[:, 0].tolist(), strict=True))
     assert found == {"waist": 1.0, "shoulder": 3.0, "elbow": 4.0}
+
+
+@pytest.mark.parametrize("name", ["puma", "gantry"])
+@pytest.mark.parametrize("seed", range(3))
+def test_torques_do_not_tell_what_a_plates_unknown_zero_hides(name: str, seed: int) -> None:
+    """Mass and zero are one number: what is said to be determined is within four sigma."""
+    tree = driven(name)
+    clean = measured(tree, seed)
+    zero = np.array([3.0, -2.0, 4.0, 0.5, 0.3, -0.4])
+    recording = replace(clean, wrench=clean.measured("wrench") + zero)
+    plate = tb.identify(tree, recording, settings=replace(SETTINGS, nuisances=("bias",)))
+    both = identify_drives(tree, recording, plate, settings=SETTINGS).combined
+    truth = plate.minimal.values(tb.barycentric(tree))
+    known = np.isfinite(both.sigma)
+    hidden = {n for n, there in zip(both.names, known, strict=True) if not there}
+    assert hidden == {*plate.unidentifiable}
+    assert hidden
+    assert np.abs((both.values - truth)[known] / both.sigma[known]).max() < 4
+    assert both.disagreement.chance > 1e-4

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,20 @@ import testbed as tb
 from testbed.diagnostics import phrase
 from testbed.experiment.carry_out import validated
 from testbed.experiment.comparison import predict
+from testbed.experiment.evaluate import recorded_bodies, wrong_bodies
 from testbed.experiment.experiment_tables import Bound
+from testbed.experiment.run import assemble_run
 from testbed.experiment.summary import summary, verdict
+from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import METHODS, NAMES, by_influence, number_with_sigma
+from testbed.identification.verdict import verdict_of
 from testbed.reporting.estimates import CLEAR, instrument_tables, matrix_maps
 from testbed.reporting.figures import Panel
 from testbed.reporting.run_page import LONGEST, contents, parameter_rows, write_report
 from testbed.reporting.signals import sections
 from tests.helpers.approved import hold, tags
 from tests.helpers.ideal import ideal
+from tests.helpers.measured import measured
 from tests.helpers.pages import OTHERS, RUNS, page, plated, run_named, seen
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import experiment, noisy, robot, run_of
@@ -265,3 +271,22 @@ def test_the_same_bits_every_time_and_both_files_or_none(tmp_path: Path) -> None
     with refuses(tb.TestbedError, str(tmp_path)):
         tb.report(tmp_path, tmp_path / "none.html")
     assert not (tmp_path / "none.html").exists()
+
+
+def test_a_page_of_torques_says_nothing_of_a_plate_and_has_one_prior(tmp_path: Path) -> None:
+    """An imported recording: its verdict first, one width of the prior, no count that differs."""
+    tree = robot("puma")
+    wrong = wrong_bodies(tree, 0.3, np.random.default_rng(3))
+    slow = replace(measured(tree, 5, speed=0.1), wrench=None, facts={"mapping": {}})
+    run = assemble_run(wrong, slow, name="slow", prior_error=0.2)
+    run = recorded_bodies(run, ConsistencyOptions())
+    assert run.consistent is not None
+    assert run.posterior["internal"].prior_error == run.consistent.prior_error == 0.2
+    said = verdict_of(run.estimates.values(), run.posterior.values())
+    write_report(run, tmp_path / "page.html")
+    text = text_of(tmp_path / "page.html")
+    assert not re.search(r"(?i)\bplate|\bbedplate|wrench", text)
+    assert plain(said[0].text)[1:] in summary(run)[0].replace(" %", "\u00a0%")
+    determined = len(run.posterior["internal"].determined)
+    counts = re.findall(r"(\d+) of (\d+) parameters", text)
+    assert set(counts) == {(str(determined), str(run.posterior["internal"].count))}

@@ -38,7 +38,6 @@ from testbed.reporting.campaign import (
     score_figure,
     sigma_figure,
 )
-from testbed.reporting.estimates import validation_table
 from testbed.reporting.figures import Panel
 from testbed.reporting.minimal_sets import (
     Findings,
@@ -50,6 +49,7 @@ from testbed.reporting.minimal_sets import (
     print_sets,
 )  # fmt: skip
 from testbed.reporting.motion import print_excitation, print_proof
+from testbed.reporting.posterior import validation_table
 from testbed.reporting.section import Table
 from testbed.reporting.terminal import print_estimates, print_run
 from tests.helpers.pages import campaign, excitation, run_named
@@ -115,6 +115,17 @@ def test_a_table_that_is_split_keeps_its_columns_in_order(width: int) -> None:
     text = printed(width, output.print_tables, [table])
     assert re.findall(r"\d\.2345678", text) == cells
     assert max(map(len, text.splitlines())) <= width
+
+
+@given(st.integers(80, 140), st.integers(1, 30), st.integers(1, 30))
+def test_words_give_way_before_the_names_of_rows(width: int, value: int, known: int) -> None:
+    """Keys of a mapping are copied: none is broken, however long its value and its reason."""
+    keys = ["position.columns", "sources.robot.delay", "torque.unit"]
+    rows = [[key, "0.125, " * value, "solved by " * known] for key in keys]
+    table = Table(["key", "value", "known by"], rows, left=["value", "known by"])
+    lines = printed(width, output.print_tables, [table]).splitlines()
+    assert [word for line in lines for word in line[:22].split() if "." in word] == keys
+    assert max(map(len, lines)) <= width
 
 
 @given(WIDTHS, st.sampled_from([("elbow", "wrist"), (LONG, "wrist")]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,6 +29,21 @@ from testbed.identification.settings import DEFAULTS, Settings
 from testbed.parameters.prior import Prior
 from testbed.recordings.source import RecordingLike
 from testbed.robot.tree import Tree
+
+
+def with_likely_error(
+    options: ConsistencyOptions, posteriors: Iterable[Posterior]
+) -> ConsistencyOptions:
+    """Conditions with the least error of the model file that its posteriors have.
+
+    Args:
+        options: What is asked; an error that held-out parts choose stays so.
+        posteriors: Of one recording.
+    """
+    used = [each.prior_error for each in posteriors if each.used]
+    if not used or options.prior_error == "chosen":
+        return options
+    return replace(options, prior_error=min(used))
 
 
 def beside_consistent(

@@ -48,6 +48,10 @@ DONE = 1e-10
 EXACT = 1e-14
 """Part of its variance that is left of a combination which is known exactly, by rounding."""
 
+OPEN = 1e3
+"""Times its value that a parameter's standard deviation is before torques, where the plate's zero
+hides it."""
+
 INFORMATIVE = 1e-4
 """Part of a variance that joint torques must take away for their say to be judged."""
 
@@ -95,7 +99,7 @@ class Combined:
     Attributes:
         names: Of the plate's minimal parameters, (N_r,).
         values: (N_r,).
-        sigma: (N_r,).
+        sigma: (N_r,); infinite where neither separates a parameter from the plate's zero.
         constants: Torque constants as reported over what they are, one an estimate of a joint.
         constant_sigma: Likewise.
         disagreement: Where plate and torques differ.
@@ -127,7 +131,11 @@ def combined(
         regressions: Each joint's torque on what that estimate needs: where to start, and how
             much noise there is.
     """
-    root = _root(bodies.covariance)
+    unknown = np.isinf(bodies.sigma)
+    before = np.where(unknown[:, None] | unknown, 0.0, bodies.covariance)
+    size = OPEN * np.maximum(np.abs(bodies.values), np.sqrt(np.diagonal(bodies.covariance)))
+    before[unknown, unknown] = size[unknown] ** 2
+    root = _root(before)
     count = root.shape[1]
     inputs = [_Joint.of(torques, found) for found in regressions]
     state = np.concatenate([np.zeros(count), *(found.values for found in regressions)])
@@ -153,14 +161,15 @@ def combined(
             break
     values, spread = bodies.values + root @ state[:count], covariance[:count, :count]
     spread = root @ spread @ root.T
+    sigma = np.sqrt(np.maximum(np.diagonal(spread), 0.0))
     places = count + np.cumsum([0, *(joint.width for joint in inputs[:-1])])
     return Combined(
         names=bodies.names,
         values=values,
-        sigma=np.sqrt(np.maximum(np.diagonal(spread), 0.0)),
+        sigma=np.where(unknown & (sigma > size / OPEN), np.inf, sigma),
         constants=state[places],
         constant_sigma=np.sqrt(np.diagonal(covariance)[places]),
-        disagreement=_disagreement(bodies, values, spread),
+        disagreement=_disagreement(bodies, before, values, spread),
     )
 
 
@@ -211,10 +220,12 @@ class _Joint:
         return np.column_stack([own[0] * self.lift, self.lift @ bodies, self.terms])
 
 
-def _disagreement(bodies: Estimate, values: Array, covariance: Array) -> Disagreement:
-    """By how much the estimate moves, in sigmas of the difference."""
-    moved, spread = values - bodies.values, bodies.covariance - covariance
-    size = np.sqrt(np.diagonal(bodies.covariance))
+def _disagreement(
+    bodies: Estimate, before: Array, values: Array, covariance: Array
+) -> Disagreement:
+    """By how much the estimate moves, in sigmas of the difference; covariances before and after."""
+    moved, spread = values - bodies.values, before - covariance
+    size = np.sqrt(np.diagonal(before))
     scale = np.where(size > 0, size, 1.0)
     unit = spread / np.outer(scale, scale)
     said = np.diagonal(unit) > INFORMATIVE

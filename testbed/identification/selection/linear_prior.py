@@ -16,6 +16,9 @@ from testbed.parameters.prior import Prior
 PRIOR_ERROR = 0.5
 """Of the model file's bodies, in parts of themselves: before the data, as one coordinate counts."""
 
+MOST_ERROR = 10.0
+"""Error of a file that says nothing: evidence for a larger one is evidence against file or data."""
+
 ITERATIONS = 50
 """Of the prior's error at most."""
 
@@ -46,7 +49,8 @@ class LinearPrior:
         mean: (p,).
         root: (p, r), those of the bodies first.
         bodies: How many of z are of bodies.
-        noise: Variance of each channel's noise at least, (C,) [N^2, N^2 m^2].
+        noise: Variance of each channel's noise at least, (C,) [N^2, N^2 m^2]; infinite where rows
+            are too few: they count for nothing.
         least: Of z, (r,): friction is not negative; -inf for no bound.
     """
 
@@ -70,21 +74,9 @@ class LinearPrior:
         of_bodies = np.arange(self.root.shape[1]) < self.bodies
         return replace(self, root=np.where(of_bodies, factor, 1.0) * self.root)
 
-    def worth(self, covariance: Array) -> float:
-        """How many parameters data are worth: the trace of the resolution, 1 - C P^-1.
-
-        Args:
-            covariance: C after the data, (p, p).
-        """
-        size = np.sqrt(np.where(self.variance > 0, self.variance, 1.0))
-        root, after = self.root / size[:, None], covariance / np.outer(size, size)
-        inverse = np.linalg.pinv(root)
-        left = np.einsum("ij,jk,ik", inverse, after, inverse)
-        return float(np.linalg.matrix_rank(root) - left)
-
 
 def linear_prior(problem: Problem, prior: Prior, error: float, rows: RowProducts) -> LinearPrior:
-    """Unknowns by the model file; terms of the joints are free: as large as the torques allow.
+    """Unknowns by the model file; terms of the joints are free: as large as torques and file allow.
 
     Args:
         problem: Says which unknowns.
@@ -101,14 +93,15 @@ def linear_prior(problem: Problem, prior: Prior, error: float, rows: RowProducts
         size = np.einsum("cii->ci", equations.normal)
         most = size.argmax(axis=0), np.arange(size.shape[1])  # the channel where each shows most
         scale = np.sqrt(equations.squares[most[0]] / np.where(size[most] > 0, size[most], np.inf))
-        mean += drives.values(np.zeros((problem.tree.n, 10)), problem.tree)
-        root = np.hstack([root, drives.columns * scale])
+        own = drives.values(np.zeros((problem.tree.n, 10)), problem.tree)
+        mean += own
+        root = np.hstack([root, drives.columns * np.hypot(scale, drives.columns.T @ own)])
     tiny = np.full(len(rows.channels), np.finfo(float).tiny)
     before = LinearPrior(mean, root, bodies.shape[1], tiny, _bounds(problem, mean, root))
     before = _with_facts(problem, before)
     left = refitted(rows, before)
     noise = LEAST**2 * rows.squares(left, rows.constants(left)) / np.maximum(rows.rows, 1.0)
-    return replace(before, noise=np.maximum(noise, tiny))
+    return replace(before, noise=np.where(rows.enough, np.maximum(noise, tiny), np.inf))
 
 
 def _with_facts(problem: Problem, prior: LinearPrior) -> LinearPrior:
@@ -242,7 +235,8 @@ def likeliest(rows: RowProducts, prior: LinearPrior) -> float:
     for _ in range(ITERATIONS):
         z, after = (x[: prior.bodies] for x in _linear(rows, prior.times(error / PRIOR_ERROR)))
         square = PRIOR_ERROR**2 + error**2 * z @ z
-        before, error = error, float(np.sqrt(square / (1 + (1 - np.diagonal(after)).sum())))
+        likely = float(np.sqrt(square / (1 + (1 - np.diagonal(after)).sum())))
+        before, error = error, min(likely, MOST_ERROR)
         if abs(error - before) < SETTLED * before:
             break
     return error

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.identification.problem import Problem
@@ -24,6 +25,9 @@ LONGEST = 0.95
 
 ROUNDING = 1e-13
 """Part of a column's square beside its mean that is none but for rounding."""
+
+FREEDOM = 8
+"""Rows beyond the unknowns that a channel alone shows, below which its noise is not known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +52,13 @@ class RowProducts:
     def rows(self) -> Array:
         """How many count, (C,)."""
         return self.products[:, -2, -2]
+
+    @property
+    def enough(self) -> NDArray[np.bool_]:
+        """Whether each channel has rows enough to tell its noise from its own unknowns, (C,)."""
+        seen = np.einsum("cii->ci", self.products)[:, :-2] > 0
+        own = (seen & (seen.sum(axis=0) == 1)).sum(axis=1)
+        return np.asarray(self.rows >= own + FREEDOM)
 
     def equations(self, lead: Array, start: Array) -> NormalEquations:
         """Normal equations of combined columns, for what is left of the measurements.
@@ -84,6 +95,10 @@ class RowProducts:
             constants: Of the channels, (C,).
         """
         return np.maximum(_inner(self.products, _ends(values, constants)), 0.0)
+
+    def residual(self, values: Array) -> Array:
+        """Rms of what values of the unknowns, (p,), leave, (C,)."""
+        return np.sqrt(self.squares(values, self.constants(values)) / np.maximum(self.rows, 1.0))
 
     def correlation(self, values: Array, least: Array) -> Array:
         """Of residuals with those of the next row, (C,); none below zero.
@@ -170,16 +185,17 @@ def sum_of(parts: Sequence[RowProducts]) -> RowProducts:
     )
 
 
-def products_of(problem: Problem, source: Source, offset: bool) -> Parts:
+def products_of(problem: Problem, source: Source, offset: bool, whole: bool = False) -> Parts:
     """Products of a recording's rows, by one pass.
 
     Args:
         problem: Robot, recording and method.
         source: The recording, faults of the instrument taken back.
         offset: Whether each channel has a constant that is not known.
+        whole: As for `Problem.passes`.
     """
     p, channels, n = len(problem.names), problem.channels, problem.tree.n
-    passes = problem.with_settings(weights="channels").passes(1, source)
+    passes = problem.with_settings(weights="channels").passes(1, source, whole)
     ends = np.linspace(0, passes.plan.rows, PARTS + 1).round().astype(int)
     sums = np.zeros((2, PARTS, len(channels), p + 2, p + 2))
     speed, last = np.zeros((PARTS, n)), np.zeros((len(channels), 1, p + 2))

@@ -1,0 +1,85 @@
+"""The verdict on estimates of a recording: what is wrong, the gravest first, or what shows it well.
+
+Errors on held-out parts are its evidence, where there are some; else residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.diagnostics import Diagnostic, diagnose, messages, ordered, phrase
+from testbed.identification.diagnostics.diagnosis import UNEXPLAINED
+from testbed.identification.diagnostics.residuals import diagnostics_of
+from testbed.identification.estimate import Estimate, channel_label, matters
+from testbed.identification.posterior import Posterior
+from testbed.identification.selection.prediction_errors import POSTERIOR
+
+NOTHING = 1.0
+"""Error of the model file's bodies, in parts of themselves, with which it says next to nothing."""
+
+WELL = "verdict.well"
+"""Code of the one diagnostic of a verdict without reservations."""
+
+
+def verdict_of(
+    estimates: Iterable[Estimate],
+    posteriors: Collection[Posterior] = (),
+    shown: str = POSTERIOR,
+) -> tuple[Diagnostic, ...]:
+    """What to know first of estimates: reservations in order, or one line with the evidence.
+
+    Args:
+        estimates: By least squares, of one recording.
+        posteriors: With the model file as prior, of an imported recording.
+        shown: The estimate that counts of a posterior: "posterior" or "plain".
+    """
+    made = list(estimates)
+    found = [said for each in posteriors for said in _reservations(each, shown)]
+    other = {each.method for each in posteriors if each.used and shown == POSTERIOR}
+    found += [
+        said
+        for said in diagnostics_of(made)
+        if said.level == "error"
+        and not (said.method in other and messages()[said.code].symptom)  # of least squares
+    ]
+    if found:
+        return ordered(found)
+    if not posteriors:
+        return tuple(_well(each.instrument, each.relative_residual, "fitted") for each in made)
+    held_out = [(each.instrument, each.errors[0]) for each in posteriors]
+    return tuple(_well(name, each.share(shown), each.of) for name, each in held_out)
+
+
+def _well(instrument: str, share: Array, of: str) -> Diagnostic:
+    """The evidence: errors in parts of the channels' signals, (C,)."""
+    least, most = 100 * np.nanmin(share), 100 * np.nanmax(share)
+    return diagnose(WELL, instrument, float(most), least=least, of=phrase(of))
+
+
+def _reservations(found: Posterior, shown: str) -> Iterator[Diagnostic]:
+    """Rivals that predict better, channels that are not predicted, a file that says nothing."""
+    yield from found.worse(shown)
+    method, held_out = found.method, found.errors[0]
+    left, signal, units = held_out.residual[shown], held_out.signal, held_out.units
+    grave = matters(left, signal, units, UNEXPLAINED)
+    for c, share in enumerate(held_out.share(shown).tolist()):
+        label = channel_label(method, held_out.channels[c])
+        if np.isnan(signal[c]):
+            yield diagnose("verdict.few-rows", label, held_out.rows[c], method=method)
+        elif share > UNEXPLAINED:
+            yield diagnose(
+                "verdict.residual",
+                label,
+                share,
+                method=method,
+                level="error" if grave[c] else None,
+                causes=() if grave[c] else ("faint",),
+                residual=left[c],
+                signal=signal[c],
+                unit=units[c],
+            )
+    if shown == POSTERIOR and found.used and found.prior_error > NOTHING:
+        yield diagnose("verdict.file", "the model file", found.prior_error, method=method)
