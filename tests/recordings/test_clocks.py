@@ -18,9 +18,9 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.diagnostics import of_recording
 from testbed.errors import RecordingError
-from testbed.recordings.importing.convert import low_pass_reach, onto_grid
 from testbed.recordings.importing.foreign_table import TIMES
 from testbed.recordings.importing.mapping import SourceTable
+from testbed.recordings.importing.resampling import low_pass_reach, onto_grid
 from testbed.recordings.importing.source_clock import held_share, sample_times, slow_device
 from testbed.recordings.joined import pieces
 from tests.helpers.foreign_files import imported, mapping

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
@@ -323,3 +325,37 @@ def test_a_plate_in_millivolts_is_taken_for_none_in_newtons(tmp_path: Path) -> N
     (tmp_path / "map.toml").write_text(draft.saying("wrench", "matrix", None).text)
     with refuses(RecordingError, "wrench", "mV", "matrix"):
         tb.Recording.from_mapping(tmp_path / "map.toml")
+
+
+def test_joints_of_two_nodes_are_one_signal_and_rows_without_times_are_none(
+    tmp_path: Path,
+) -> None:
+    """Each node's rows hold its own joints only; where one was silent nothing is made up."""
+    late = TIME + 0.004
+    rows = np.full((2 * len(TIME), 4), np.nan)
+    rows[::2, [0, 2]] = table(TIME)[:, [0, 2]]
+    rows[1::2, [1, 3]] = table(late)[:, [1, 3]]
+    stamps = [f"{t:.3f}" for pair in zip(TIME, late, strict=True) for t in pair]
+    path = written(tmp_path / "log.csv", stamps, rows)
+    found = recorded(path)
+    assert found.rate == pytest.approx(100)
+    is_right(found, 0.01 if found.position[0, 0] > 0.01 else 0.0, atol=1e-3)
+    rows[601:701:2] = np.nan
+    with refuses(RecordingError, "sources.log"):
+        recorded(written(path, stamps, rows))
+    empty = table()
+    empty[100:103] = np.nan
+    path = written(tmp_path / "log.csv", [f"{t:.3f}" for t in TIME], empty)
+    path.write_text(path.read_text().replace("\n1.010,", "\n,").replace("\n1.020,", "\nnan,"))
+    is_right(recorded(path), atol=2e-4)
+
+
+def test_places_without_a_value_in_parquet_are_samples_without_numbers(tmp_path: Path) -> None:
+    values: dict[str, list[float | None]] = {
+        name: [*column] for name, column in zip("abcd", table().T.tolist(), strict=True)
+    }
+    values["a"][50] = None
+    names = dict(zip("abcd", ("q_left", "q_right", "tau_left", "tau_right"), strict=True))
+    columns = {"time": TIME.tolist(), **{names[k]: column for k, column in values.items()}}
+    pq.write_table(pa.table(columns), tmp_path / "log.parquet")
+    is_right(recorded(tmp_path / "log.parquet"))

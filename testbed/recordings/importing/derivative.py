@@ -94,6 +94,8 @@ def slopes(values: Array, rates: Array, time: Array) -> Slopes:
     """
     whole_rows = np.isfinite(values).all(axis=1) & np.isfinite(rates).all(axis=1)
     values, rates, time = values[whole_rows], rates[whole_rows], time[whole_rows]
+    if len(time) < 2:  # of several devices
+        return Slopes(*np.zeros((2, values.shape[1], rates.shape[1])))
     areas = 0.5 * np.diff(time)[:, None] * (rates[1:] + rates[:-1])
     whole = np.vstack([np.zeros(rates.shape[1]), np.cumsum(areas, axis=0)])
     reaches = {max(1, len(time) // parts) for parts in PARTS}

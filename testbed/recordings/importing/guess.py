@@ -91,9 +91,9 @@ def guessed(
         draft = _with_signal(draft, kind, signals, sources)
     for said in temperatures:
         draft = draft.saying("temperature", *said)
-    taken = {column.name for _, _, columns in plates for column in columns}
-    idle = [p.name for s in sources for p in s.table.plates if taken.isdisjoint(p.columns)]
-    if idle and plates:
+    stated = {p.columns: p.name for _, each, _ in plates for p in each.table.plates}
+    taken = [tuple(column.name for column in columns) for _, _, columns in plates]
+    if idle := [name for columns, name in stated.items() if columns not in taken]:
         draft = draft.remarking("", f"# left out, without a load: {json.dumps(idle)}")
     names = [name for name, _, _ in plates]
     for name, source, columns in plates:

@@ -237,8 +237,10 @@ def _with_own_rows(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, Likely
     """Signals with the clock of the positions' rows, where others are of another device."""
     if (q := signals.get("position")) is None:
         return signals
-    read = q.source.table.read([each.name for each in q.group.columns])
-    rows = np.isfinite(np.sum([*read.values()], axis=0))
+    finite = np.isfinite(values_of(q))
+    rows = np.asarray(finite.all(axis=1))
+    if not rows.any():  # of several devices
+        rows = finite[:, int(finite.sum(axis=0).argmax())]
     if rows.all():
         return signals
     table = q.source.table
@@ -392,7 +394,7 @@ def _with_sizes(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySig
     if (q := signals.get("position")) is None:
         return signals
     values = values_of(q)
-    values = values[np.isfinite(values).all(axis=1)]
+    values = values[np.isfinite(values)]
     largest, whole = float(np.nanmax(np.abs(values))), bool((values == np.round(values)).all())
     if any(q.units) and not (q.source.logger and largest > DEGREES[0]):
         return signals  # a logger may have been told to write degrees

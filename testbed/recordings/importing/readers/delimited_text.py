@@ -71,9 +71,10 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         held = [*zip(*(row for row in rows if len(row) == width), strict=True)]
         counts = map(_held, held)
         wanted = [k for k, (values, words) in enumerate(counts) if values >= words]
-        first, above = _first_numbers(path, lines, separator, wanted, width)
+        filled = [k for k in wanted if any(map(str.strip, held[k]))]
+        first, above = _first_numbers(path, lines, separator, filled, width)
         names, units = _head([_fields(_bare(given[k]), separator) for k in above], width)
-        read = [k for k in wanted if names[k] != str(k) or any(map(str.strip, held[k]))]
+        read = [k for k in wanted if names[k] != str(k) or k in filled]
         texts = {names[k]: [field.strip() for field in held[k]] for k in read}
         instants = dict.fromkeys((n for n in texts if any(map(INSTANT.fullmatch, texts[n]))), "us")
         cut = len(_fields(lines[told[-1]], separator)) < len(_fields(lines[first], separator))
@@ -176,7 +177,7 @@ def _numeric(lines: list[str], separator: str | None, decimal: str) -> float:
     """Part of the fields that are numbers, if lines are written so."""
     texts = [line.replace(",", ".") if decimal == "," else line for line in lines]
     fields = [field for line in texts for field in _fields(line, separator)]
-    if separator is not None and len(fields) < 2 * len(lines):
+    if separator is not None and 2 * len(fields) < 3 * len(lines):
         return 0.0
     values, words = _held(fields)
     return values / max(1, values + words)
@@ -187,18 +188,22 @@ def _first_numbers(
 ) -> tuple[int, list[int]]:
     """Indices of the first line of numbers, and of those before it with as many fields.
 
+    Above a line of numbers alone may be some with a word among them.
+
     Raises:
         RecordingError: There is none.
     """
     above: list[int] = []
+    mixed: list[int] = []
     for k, line in enumerate(lines[:LONGEST_PREAMBLE]):
         fields = _fields(_bare(line), separator)
-        if not wanted or not max(wanted) < len(fields) <= width + 1:
+        if not wanted or not max(wanted) < len(fields) <= width + 1 or not any(fields):
             continue
-        values, words = _held([fields[j] for j in wanted])
-        if values and not _comment(line) and (not words or (above and values > words)):
-            return k, above
-        above += [k] * any(fields)
+        values, words = (0, 1) if _comment(line) else _held([fields[j] for j in wanted])
+        if values and not words:
+            return (mixed or [k])[0], above[: len(above) - len(mixed)]
+        above.append(k)
+        mixed = [*mixed, k] * (values > words)
     raise RecordingError(f"{path}: there is no line of numbers in it")
 
 
@@ -212,18 +217,18 @@ def _head(above: list[list[str]], width: int) -> tuple[list[str], dict[str, str]
     for k in range(width):
         name = (given[k] if k < len(given) else "") or str(k)
         names.append(name if name not in names else f"{name} ({k})")
-    said = units[-1] if units and others else []
-    return names, {n: unit for n, text in zip(names, said, strict=False) if (unit := _unit(text))}
+    said = zip(names, units[-1] if units and others else [], strict=False)
+    return names, {name: unit for name, text in said if (unit := _unit(text))}
 
 
 def _unit(field: str) -> str:
-    """A unit without brackets."""
-    return field.strip(" ()[]{}<>")
+    """A unit without brackets; empty if it is none."""
+    bare = field.strip(" ()[]{}<>")
+    return bare if plain(bare) in KNOWN else ""
 
 
 def _are_units(fields: list[str]) -> bool:
-    given = [unit for field in fields if (unit := _unit(field))]
-    return 2 * sum(plain(unit) in KNOWN for unit in given) > len(given)
+    return 2 * sum(map(bool, map(_unit, fields))) > sum(map(bool, fields))
 
 
 def _fields(line: str, separator: str | None) -> list[str]:

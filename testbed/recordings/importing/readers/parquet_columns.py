@@ -91,7 +91,7 @@ def read_column(path: Path, name: str) -> NDArray[Any]:
             raise ValueError(f"lists of column '{name}' have {lengths[0]} to {lengths[-1]} values")
         array = array.flatten()
         missing += array.null_count
-    if missing:
+    if missing and listed:
         raise ValueError(f"column '{name}' has {missing} places without a value")
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
         array = array.cast(pa.int64())
