@@ -14,7 +14,6 @@ import numpy as np
 from scipy import stats
 
 from testbed.arrays import Array, skew
-from testbed.errors import RecordingError
 from testbed.robot.inertia import from_vector
 
 UNKNOWNS = 12
@@ -31,6 +30,9 @@ OPEN = 1e-6
 
 STEPS = 20
 """Of Gauss-Newton at most."""
+
+LEVER = 0.1
+"""Least lever by which residuals of moments count as forces [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +59,17 @@ class RestFit:
         parts = zip(NAMES, self.open_part.reshape(-1, 3), strict=False)
         return tuple(name for name, part in parts if part.max() > OPEN)
 
+    @property
+    def weight(self) -> Array:
+        """Of the tool along the base's axes, (3,) [N]."""
+        return self.found[3:6]
+
+    @property
+    def share(self) -> float:
+        """Rms residual, moments by the centre's lever, over the tool's weight."""
+        lever = max(float(np.linalg.norm(self.found[9:])), LEVER)
+        return float(max(self.scale[0], self.scale[1] / lever) / np.linalg.norm(self.weight))
+
     def errors(self, back: Array, wrench: Array) -> Array:
         """What it leaves of readings, (P, 6) [N, N m].
 
@@ -75,9 +88,6 @@ def rest_fit(back: Array, wrench: Array, turn: Array | None = None) -> RestFit:
         back: From the base's axes to the sensor's as they were said, (P, 3, 3).
         wrench: The readings, (P, 6) [N, N m].
         turn: Where a search for the sensor's axes begins, (3, 3); None takes them as said.
-
-    Raises:
-        RecordingError: The sensor shows no weight.
     """
     turns = turn is not None
     turn = np.eye(3) if turn is None else turn
@@ -104,10 +114,7 @@ def _start(back: Array, wrench: Array) -> Array:
     ones = np.tile(np.eye(3), (len(back), 1))
     by_force = np.hstack([ones, -back.reshape(-1, 3)])
     zero_and_weight = np.array(np.linalg.lstsq(by_force, force.ravel(), rcond=SMALLEST)[0])
-    weight = zero_and_weight[3:]
-    if not np.linalg.norm(weight) > 0:
-        raise RecordingError("the force sensor shows no weight in these poses")
-    lever = skew(back @ weight).reshape(-1, 3)
+    lever = skew(back @ zero_and_weight[3:]).reshape(-1, 3)
     by_moment = np.hstack([ones, lever])
     zero_and_centre = np.array(np.linalg.lstsq(by_moment, moment.ravel(), rcond=SMALLEST)[0])
     return np.concatenate([zero_and_weight, zero_and_centre])

@@ -2,22 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from testbed.arrays import Array, freeze
-from testbed.codec import with_properties
+from testbed.arrays import Array
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
-from testbed.dynamics.newton_euler import sensor_poses
-from testbed.errors import RecordingError, SettingsError
+from testbed.errors import RecordingError, SettingsError, UnknownName, few
 from testbed.identification.estimate import Estimate
 from testbed.identification.payload.payload import PayloadEstimate, payload_from, seen_of_payload
-from testbed.identification.payload.sensor_axes import DOUBTFUL, AxesTurn, axes_turn
-from testbed.identification.payload.static_fit import RestFit, rest_fit
+from testbed.identification.payload.pose_readings import (
+    StaticPoses,
+    as_said,
+    best_other,
+    likely_reading,
+    with_zero,
+)
+from testbed.identification.payload.sensor_axes import AxesTurn, axes_turn, turned
+from testbed.identification.payload.static_fit import RestFit
+from testbed.identification.payload.tool_check import checked, tilt_of
 from testbed.recordings.columns import AXES
-from testbed.recordings.importing.readers.delimited_text import read_file
+from testbed.recordings.importing.column_names import read_name
+from testbed.recordings.importing.foreign_table import FORCES, MOMENTS, SLIDING, TURNING
+from testbed.recordings.importing.likely_signals import (
+    BY_SIZE,
+    LikelySource,
+    clock_of,
+    likely_plates,
+    likely_signals,
+)
+from testbed.recordings.importing.readers import open_foreign
 from testbed.robot.force_sensor import ForceSensor
 from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Placement, Tree
@@ -36,17 +52,23 @@ def tool_of(tree: Tree, estimate: Estimate) -> PayloadEstimate:
     Raises:
         SettingsError: The estimate is by no force sensor, or joints lie beyond it.
     """
-    if tree.sensor is None or tree.sensor_body < 0 or not estimate.minimal.of_sensor:
+    sensor = _sensor_of_tool(tree)
+    adds = seen_of_payload(tree, estimate.minimal, tree.names[-1]) @ _to_body(sensor)
+    count = len(adds)
+    noise = estimate.covariance[:count, :count]
+    return payload_from(tree.names[-1], adds, estimate.values[:count], noise)
+
+
+def _sensor_of_tool(tree: Tree) -> Placement:
+    """The sensor that carries a single body."""
+    if tree.sensor is None or tree.sensor_body < 0:
         raise SettingsError("a tool is what a force sensor in the robot carries: --sensor LINK")
     if tree.children(tree.sensor_body):
         raise SettingsError(
             "joints lie beyond the force sensor, so that what it carries is no single body: hold "
             "them with --lock"
         )
-    adds = seen_of_payload(tree, estimate.minimal, tree.names[-1]) @ _to_body(tree.sensor)
-    count = len(adds)
-    noise = estimate.covariance[:count, :count]
-    return payload_from(tree.names[-1], adds, estimate.values[:count], noise)
+    return tree.sensor
 
 
 def _to_body(sensor: Placement) -> Array:
@@ -62,60 +84,68 @@ def _to_body(sensor: Placement) -> Array:
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class StaticPoses:
-    """Poses at rest: joint positions, and what a force sensor showed.
-
-    Attributes:
-        position: Of the joints that lead to the sensor, (P, n) [rad or m].
-        wrench: (P, 6) [N, N m].
-    """
-
-    position: Array
-    wrench: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, wrench=(None, 6))
-        shape = (len(self.wrench), np.shape(self.position)[-1])
-        freeze(self, position=shape)
-
-
 def read_static_poses(path: Path, tree: Tree, *, degrees: bool = False) -> StaticPoses:
-    """A table of poses: a row a pose, a heading with the joints' names and Fx ... Mz.
+    """A table of poses: a row a pose, its heading read as the importer of recordings reads it.
 
     Args:
-        path: Text, as the importer of recordings reads it.
+        path: Of any format that is imported.
         tree: What the sensor feels.
-        degrees: Whether angles are in degrees.
+        degrees: Whether angles without a unit are in degrees.
 
     Raises:
         RecordingError: It is no such table.
+        UnknownName: A heading has a unit of something else.
     """
-    found = read_file(path, None)
-    if found.cut:
-        raise RecordingError(f"'{path}': the last row of the table is not complete")
-    known = {name.lower(): name for name in found.shapes}
-    wanted = [*tree.names, *AXES]
-    missing = [name for name in wanted if name.lower() not in known]
-    if missing:
+    table = open_foreign(path)
+    clock = clock_of(table)
+    names = [read_name(each, table.unit(each)) for each in table.columns if each != clock.column]
+    columns = [replace(x, kind="position") if x.kind is x.unit is None else x for x in names]
+    source = LikelySource("poses", path, None, table, tuple(columns), clock)
+    signal = likely_signals([source], tree.names).get("position")
+    (_, _, wrench) = next(iter(likely_plates([source])), ("", source, []))
+    joints = [] if signal is None else signal.group.names
+    missing = [name for name in tree.names if name not in joints]
+    roles = {each.role for each in wrench}
+    if len(wrench) != len(AXES):
+        missing += [axis for k, axis in enumerate(AXES) if divmod(k, 3) not in roles]
+    if missing or signal is None:
         raise RecordingError(
-            f"'{path}' has no column '{missing[0]}': a table of poses has a heading with the "
-            f"joints' names and {', '.join(AXES)}, found {', '.join(found.shapes)[:200]}"
+            f"'{path}' has no column of numbers for {few(missing, 90)}: a pose's row has "
+            f"positions of the joints and {', '.join(AXES)}; found {few(table.columns, 90)}"
         )
-    columns = found.read(known[name.lower()] for name in wanted)
-    table = np.column_stack([columns[known[name.lower()]] for name in wanted])
-    if len(table) < LEAST or not np.isfinite(table).all():
+    order = [joints.index(name) for name in tree.names]
+    by_size = signal.because == BY_SIZE
+    read = table.read(x.name for x in (*signal.group.columns, *wrench))
+    said = "deg" if degrees else None
+    values = []
+    for joint, k in zip(tree.joints, order, strict=True):
+        units = (TURNING if joint.revolute else SLIDING)["position"]
+        unit = signal.units[k] or (said if joint.revolute else None)
+        values.append(_in_si(read, signal.group.columns[k].name, unit, units))
+    for each, units in zip(wrench, [FORCES] * 3 + [MOMENTS] * 3, strict=True):
+        values.append(_in_si(read, each.name, each.unit, units))
+    rows = np.column_stack(values)
+    whole = rows[np.isfinite(rows).all(axis=1)]
+    if len(whole) < LEAST:
         raise RecordingError(
-            f"'{path}' holds {len(table)} poses; {LEAST} of finite numbers are the least"
+            f"'{path}' holds {len(whole)} whole rows of numbers, a row a pose; {LEAST} poses are "
+            "the least, a dozen are better"
         )
-    position, wrench = table[:, : tree.n], table[:, tree.n :]
-    if degrees:
-        turns = [joint.revolute for joint in tree.joints]
-        position = np.where(turns, np.deg2rad(position), position)
-    return StaticPoses(position, wrench)
+    lost = len(rows) - len(whole) + table.cut
+    repairs = (("tool.rows", lost),) * (lost > 0) + (("tool.by-size", 0.0),) * by_size
+    return StaticPoses(whole[:, : tree.n], whole[:, tree.n :], repairs)
 
 
-@dataclass(frozen=True)
+def _in_si(
+    read: Mapping[str, Array], column: str, unit: str | None, units: Mapping[str, float]
+) -> Array:
+    """A column in SI; without a unit it is."""
+    if unit is not None and unit not in units:
+        raise UnknownName(f"unit of column '{column}'", unit, units)
+    return read[column] * (units[unit] if unit else 1.0)
+
+
+@dataclass(frozen=True, eq=False)
 class ToolEstimate(Diagnosed):
     """A tool by its weight.
 
@@ -129,9 +159,10 @@ class ToolEstimate(Diagnosed):
         residual: Rms of forces [N] and of moments [N m].
         poses: How many there were.
         unidentifiable: What these poses leave open; its numbers are one choice among many.
-        share: Rms residual of forces over the tool's weight.
+        share: Rms residual over the tool's weight, of moments by the centre's lever.
+        payload: Mass and first moments, about the sensor and along its axes; None where open.
         axes: Other axes of the sensor that explain the readings; None where those said will do.
-        upwards: Whether the tool would be pulled against the model's gravity, by these axes.
+        diagnostics: What a careful reader should know.
     """
 
     mass: tuple[float, float]
@@ -144,32 +175,13 @@ class ToolEstimate(Diagnosed):
     poses: int
     unidentifiable: tuple[str, ...]
     share: float
+    payload: PayloadEstimate | None
     axes: AxesTurn | None = None
-    upwards: bool = False
+    diagnostics: tuple[Diagnostic, ...] = ()
 
-    __get_pydantic_core_schema__ = with_properties("diagnostics")
 
-    @property
-    def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Axes other than those said, large residuals, poses that are missing."""
-        said: list[Diagnostic] = []
-        if self.axes is not None:
-            angle, sigma = np.rad2deg(self.axes.angle).tolist()
-            said.append(
-                diagnose(
-                    "tool.axes", value=angle, sigma=sigma, residual=self.residual[0],
-                    left=self.axes.residual, before=self.axes.held_out[0],
-                    after=self.axes.held_out[1], sensor=self.axes.sensor or "NAME",
-                    rpy=",".join(f"{round(x, 4) + 0.0:g}" for x in self.axes.rpy),
-                )
-            )  # fmt: skip
-        elif self.share > DOUBTFUL:
-            said.append(diagnose("tool.residual", value=self.share))
-        if self.upwards and (self.axes is not None or self.share <= DOUBTFUL):
-            said.append(diagnose("tool.upwards"))
-        if self.unidentifiable:
-            said.append(diagnose("tool.poses", ", ".join(self.unidentifiable)))
-        return tuple(said)
+ENOUGH = 6
+"""Poses from which other readings can be tried on some of them."""
 
 
 def tool_at_rest(tree: Tree, table: StaticPoses, sensor: ForceSensor | None = None) -> ToolEstimate:
@@ -181,42 +193,52 @@ def tool_at_rest(tree: Tree, table: StaticPoses, sensor: ForceSensor | None = No
         sensor: As it was said; default with the axes that it has in the tree.
 
     Raises:
-        SettingsError: There is no force sensor in the robot, or no gravity.
+        SettingsError: There is no force sensor in the robot, joints lie beyond it, or no gravity.
         RecordingError: The sensor shows no weight.
     """
-    if tree.sensor is None or tree.sensor_body < 0:
-        raise SettingsError("a tool is what a force sensor in the robot carries: --sensor LINK")
+    place = _sensor_of_tool(tree)
     if not tree.gravity.any():
         raise SettingsError("without gravity there is nothing to weigh a tool by")
-    back = np.swapaxes(sensor_poses(tree, table.position)[0], 1, 2)
-    fit = rest_fit(back, table.wrench)
-    axes = axes_turn(back, table.wrench, sensor or tree.sensor)
-    return _estimate(tree.gravity, fit, axes, len(back))
-
-
-def _estimate(gravity: Array, fit: RestFit, axes: AxesTurn | None, poses: int) -> ToolEstimate:
-    """What is said of a tool, from the unknowns and their covariance."""
+    said, other, zeros = as_said(tree, table), None, None
+    fit = said.fit
+    if not fit.weight.any():
+        raise RecordingError("the force sensor shows no weight in these poses")
+    if len(table.wrench) >= ENOUGH:
+        zeros = with_zero(tree, table)
+        other = likely_reading(said, [best_other(tree, table), turned(said), zeros])
+    axes = axes_turn(said, other, sensor or place) if other and other.code == "axes" else None
     sigmas = np.sqrt(np.diagonal(fit.covariance)).reshape(4, 3)
     zero, _, zero_moment, centre = (
         tuple((float(v), float(s)) for v, s in zip(values, sigma, strict=True))
         for values, sigma in zip(fit.found.reshape(4, 3), sigmas, strict=True)
     )
-    size, pull, doubt = float(np.linalg.norm(gravity)), fit.found[3:6], fit.covariance[3:6, 3:6]
-    length = float(np.linalg.norm(pull))
-    along, expected = pull / length, gravity / size
-    across = np.eye(3) - np.outer(along, along)
-    tilt = float(np.arctan2(np.linalg.norm(np.cross(along, expected)), along @ expected))
+    size, length = float(np.linalg.norm(tree.gravity)), float(np.linalg.norm(fit.weight))
+    along = fit.weight / length
+    doubt = float(np.sqrt(along @ fit.covariance[3:6, 3:6] @ along))
+    repairs = [diagnose(code, value=value) for code, value in table.repairs]
     return ToolEstimate(
-        mass=(length / size, float(np.sqrt(along @ doubt @ along)) / size),
+        mass=(length / size, doubt / size),
         centre=centre,
         force_zero=zero,
         moment_zero=zero_moment,
         gravity=(float(along[0]), float(along[1]), float(along[2])),
-        tilt=(tilt, float(np.sqrt(np.trace(across @ doubt @ across) / 2)) / length),
+        tilt=tilt_of(fit, tree.gravity),
         residual=(float(fit.scale[0]), float(fit.scale[1])),
-        poses=poses,
+        poses=len(table.wrench),
         unidentifiable=fit.open,
-        share=float(fit.scale[0]) / length,
+        share=fit.share,
+        payload=None if fit.open else _payload(tree, fit),
         axes=axes,
-        upwards=bool((pull if axes is None else np.array(axes.weight)) @ gravity < 0),
+        diagnostics=(*repairs, *checked(tree, said, other, zeros, axes, sensor or place)),
     )
+
+
+def _payload(tree: Tree, fit: RestFit) -> PayloadEstimate:
+    """Mass and first moments, about the sensor's origin and along its axes."""
+    size, place = float(np.linalg.norm(tree.gravity)), fit.found[9:]
+    mass = float(np.linalg.norm(fit.weight)) / size
+    slope = np.zeros((4, 12))
+    slope[:, 3:6] = np.outer([1, *place], fit.weight / mass) / size**2
+    slope[1:, 9:] = mass * np.eye(3)
+    moments = mass * np.array([1, *place])
+    return payload_from(tree.names[-1], np.eye(4, 10), moments, slope @ fit.covariance @ slope.T)
