@@ -6,15 +6,16 @@ table as it was said, and what it leaves is small beside the tool's weight.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations_with_replacement
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import least_squares
 
 from testbed.arrays import Array, freeze
+from testbed.diagnostics import Diagnostic
 from testbed.dynamics.newton_euler import sensor_poses
 from testbed.identification.payload.static_fit import RestFit, rest_fit
 from testbed.recordings.columns import AXES
@@ -26,21 +27,11 @@ FEW = 60
 TRIALS = 6
 """Parts of the poses that are left out, one after the other."""
 
-BETTER = 0.5
-"""Errors in poses left out over those as said, below which a reading is proposed."""
-
-DOUBTFUL = 0.03
-"""Part of a tool's weight in the residuals above which a reading does not explain the poses."""
-
 ALIKE = 2.0
-"""Errors over the least ones up to which a simpler reading is preferred."""
+"""Squares of what two readings leave over one another, up to which they are told apart by none."""
 
-LEVEL = np.deg2rad(3.0)
+LEVEL = float(np.deg2rad(3.0))
 """Tilt of gravity up to which a base is called level [rad]."""
-
-STEP = np.deg2rad(15)
-STARTS = np.arange(-12, 12) * STEP
-"""Zeros of a joint from which a search begins [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +41,12 @@ class StaticPoses:
     Attributes:
         position: Of the joints that lead to the sensor, (P, n) [rad or m].
         wrench: (P, 6) [N, N m].
-        repairs: Codes of what was repaired in reading, and how often.
+        diagnostics: What was repaired in reading.
     """
 
     position: Array
     wrench: Array
-    repairs: tuple[tuple[str, float], ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, wrench=(None, 6))
@@ -87,13 +78,13 @@ class PoseReading:
         return rest_fit(self.back, self.wrench, self.turn)
 
     @cached_property
-    def held_out(self) -> Array:
-        """Rms errors of forces and of moments in poses that a fit has not used, (2,)."""
+    def held_out(self) -> float:
+        """Rms errors in poses left out of the fit, of forces times those of moments [N^2 m]."""
         errors, part = np.empty_like(self.wrench), np.arange(len(self.back)) % TRIALS
         for k in range(TRIALS):
             used, out = self.only(part != k), self.only(part == k)
             errors[part == k] = used.fit.errors(out.back, out.wrench)
-        return np.asarray(np.sqrt((errors.reshape(-1, 2, 3) ** 2).mean(axis=(0, 2))))
+        return float(np.prod(np.sqrt((errors.reshape(-1, 2, 3) ** 2).mean(axis=(0, 2)))))
 
     @property
     def few(self) -> PoseReading:
@@ -105,50 +96,42 @@ class PoseReading:
         return replace(self, back=self.back[poses], wrench=self.wrench[poses])
 
 
-def as_said(tree: Tree, table: StaticPoses) -> PoseReading:
-    """A table of poses, read as it was said.
+def reading_of(tree: Tree, position: Array, wrench: Array) -> PoseReading:
+    """A table of poses as it is said.
+
+    Args:
+        tree: What the sensor feels.
+        position: Of the joints, (P, n) [rad or m].
+        wrench: (P, 6) [N, N m].
+    """
+    return PoseReading(np.swapaxes(sensor_poses(tree, position)[0], 1, 2), wrench)
+
+
+def other_readings(tree: Tree, table: StaticPoses) -> Iterator[PoseReading]:
+    """Along the base's axes, in degrees, a column of opposite sign, two columns exchanged.
 
     Args:
         tree: What the sensor feels.
         table: The poses.
     """
-    return PoseReading(np.swapaxes(sensor_poses(tree, table.position)[0], 1, 2), table.wrench)
-
-
-def best_other(tree: Tree, table: StaticPoses) -> PoseReading:
-    """The best of `other_readings`.
-
-    Args:
-        tree: What the sensor feels.
-        table: The poses.
-    """
-    return min(_others(tree, table), key=lambda each: float(np.prod(each.few.fit.scale)))
-
-
-def _others(tree: Tree, table: StaticPoses) -> Iterator[PoseReading]:
-    """Along the base's axes, in degrees, columns of opposite sign, two columns exchanged."""
-    said = as_said(tree, table)
-    along = np.einsum("pij,pkj->pki", said.back, table.wrench.reshape(-1, 2, 3)).reshape(-1, 6)
-    for subject, part in (("wrench", slice(6)), ("forces", slice(3)), ("moments", slice(3, 6))):
-        wrench = table.wrench.copy()
-        wrench[:, part] = along[:, part]
-        yield replace(said, wrench=wrench, code="base-axes", subject=subject)
-    degrees = replace(table, position=np.deg2rad(table.position))
-    yield replace(as_said(tree, degrees), code="degrees")
-    names = (*tree.names, *AXES)
-    kinds = [(k >= tree.n) + (k >= tree.n + 3) for k in range(len(names))]
-    for a, b in combinations_with_replacement(range(len(names)), 2):
-        if kinds[a] != kinds[b]:
-            continue
-        order = np.arange(len(names))
-        order[[a, b]] = b, a
-        columns = np.hstack([table.position, table.wrench])[:, order]
-        columns[:, a] *= -1 if a == b else 1
-        found = as_said(tree, StaticPoses(columns[:, : tree.n], columns[:, tree.n :]))
-        code, subject = (
-            ("sign", names[a]) if a == b else ("exchanged", f"{names[a]} and {names[b]}")
-        )
-        yield replace(found, code=code, subject=subject)
+    position, shown, n = table.position, table.wrench, tree.n
+    said = reading_of(tree, position, shown)
+    along = np.einsum("pij,pkj->pki", said.back, shown.reshape(-1, 2, 3)).reshape(-1, 6)
+    for subject, part in {"wrench": (0, 1), "forces": (0,), "moments": (1,)}.items():
+        mixed = np.where(np.isin(np.arange(6) // 3, part), along, shown)
+        yield replace(said, wrench=mixed, code="base-axes", subject=subject)
+    yield replace(reading_of(tree, np.deg2rad(position), shown), code="degrees")
+    names, columns = (*tree.names, *AXES), np.hstack([position, shown])
+    for a, b in combinations_with_replacement(range(n + 6), 2):
+        if (a >= n) + (a >= n + 3) == (b >= n) + (b >= n + 3):
+            order = np.eye(n + 6)
+            order[[a, b]] = order[[b, a]] if a < b else -order[[a, b]]
+            mixed = columns @ order
+            code, subject = (
+                ("exchanged", f"{names[a]} and {names[b]}") if a < b else ("sign", names[a])
+            )
+            found = reading_of(tree, mixed[:, :n], mixed[:, n:])
+            yield replace(found, code=code, subject=subject)
 
 
 def with_zero(tree: Tree, table: StaticPoses) -> PoseReading:
@@ -160,45 +143,20 @@ def with_zero(tree: Tree, table: StaticPoses) -> PoseReading:
         tree: What the sensor feels.
         table: The poses.
     """
-    scale = as_said(tree, table).few.fit.scale[:, None]
+    scale = reading_of(tree, table.position, table.wrench).few.fit.scale[:, None]
     level = tree.gravity / np.linalg.norm(tree.gravity)
 
-    def shifted(shift: float, joint: int) -> PoseReading:
-        return as_said(
-            tree, replace(table, position=table.position + shift * np.eye(tree.n)[joint])
-        )
+    def shifted(joint: int, shift: float) -> PoseReading:
+        moved = table.position + shift * np.eye(tree.n)[joint]
+        name = f"'{tree.names[joint]}' by {np.rad2deg(shift):+.1f}"
+        return replace(reading_of(tree, moved, table.wrench), code="zeros", subject=name)
 
-    def cost(shift: float, joint: int) -> float:
-        few = shifted(shift, joint).few
+    def rest(shift: Array, joint: int) -> Array:
+        few = shifted(joint, shift[0]).few
         errors = few.fit.errors(few.back, few.wrench).reshape(-1, 2, 3) / scale
-        tilt = (few.fit.weight / np.linalg.norm(few.fit.weight) - level) / LEVEL
-        return float(np.sum(errors**2) + tilt @ tilt)
+        return np.append(errors, (few.fit.weight / np.linalg.norm(few.fit.weight) - level) / LEVEL)
 
-    found = []
-    for joint in range(1, tree.n):
-        start = min(STARTS, key=lambda shift: cost(shift, joint))
-        near = (start - STEP, start + STEP)
-        best = minimize_scalar(cost, bounds=near, args=(joint,), method="bounded")
-        found.append((float(best.fun), joint, float(best.x)))
-    found.sort()
-    alike = [
-        f"'{tree.names[k]}' by {np.rad2deg(x):+.1f}" for e, k, x in found if e < ALIKE * found[0][0]
-    ]
-    _, joint, shift = found[0]
-    return replace(shifted(shift, joint), code="zeros", subject=" or ".join(alike))
-
-
-def likely_reading(said: PoseReading, others: Sequence[PoseReading]) -> PoseReading | None:
-    """The reading that explains poses which it has not seen; None where none does, or all do.
-
-    Args:
-        said: As it was said.
-        others: The simplest first.
-    """
-    most = BETTER**2 * float(np.prod(said.held_out))
-    good = [each for each in others if each.fit.share < DOUBTFUL and not each.fit.open]
-    errors = [float(np.prod(each.held_out)) for each in good]
-    least = min([most, *errors])
-    return next(
-        (x for x, e in zip(good, errors, strict=True) if e < min(most, ALIKE * least)), None
-    )
+    found = [least_squares(rest, 0.0, args=(joint,)) for joint in range(1, tree.n)]
+    least = min(each.cost for each in found)
+    alike = [shifted(k, x.x[0]) for k, x in enumerate(found, 1) if x.cost < ALIKE * least]
+    return replace(alike[0], subject=" or ".join(each.subject for each in alike))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,17 +13,17 @@ from testbed.errors import RecordingError, SettingsError, UnknownName, few
 from testbed.identification.estimate import Estimate
 from testbed.identification.payload.payload import PayloadEstimate, payload_from, seen_of_payload
 from testbed.identification.payload.pose_readings import (
+    ALIKE,
     StaticPoses,
-    as_said,
-    best_other,
-    likely_reading,
+    other_readings,
+    reading_of,
     with_zero,
 )
 from testbed.identification.payload.sensor_axes import AxesTurn, axes_turn, turned
-from testbed.identification.payload.static_fit import RestFit
-from testbed.identification.payload.tool_check import checked, tilt_of
+from testbed.identification.payload.tool_check import checked, explains
+from testbed.parameters.prior import matrices, parameters
 from testbed.recordings.columns import AXES
-from testbed.recordings.importing.column_names import read_name
+from testbed.recordings.importing.column_names import Group, read_name
 from testbed.recordings.importing.foreign_table import FORCES, MOMENTS, SLIDING, TURNING
 from testbed.recordings.importing.likely_signals import (
     BY_SIZE,
@@ -35,7 +34,6 @@ from testbed.recordings.importing.likely_signals import (
 )
 from testbed.recordings.importing.readers import open_foreign
 from testbed.robot.force_sensor import ForceSensor
-from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Placement, Tree
 
 LEAST = 4
@@ -73,15 +71,9 @@ def _sensor_of_tool(tree: Tree) -> Placement:
 
 def _to_body(sensor: Placement) -> Array:
     """Standard parameters about the body's frame from those about the sensor's, (10, 10)."""
-    found = np.zeros((10, 10))
-    lower = np.tril_indices(3)
-    for k, unit in enumerate(np.eye(10)):
-        tensor = np.zeros((3, 3))
-        tensor[lower] = unit[4:]
-        tensor.T[lower] = unit[4:]
-        body = Inertia(unit[0], unit[1:4], tensor).moved(sensor.rotation, sensor.position)
-        found[:, k] = [body.mass, *body.first_moment, *body.tensor[lower]]
-    return found
+    place = np.eye(4)
+    place[:3, :3], place[:3, 3] = sensor.rotation, sensor.position
+    return parameters(place @ matrices(np.eye(10)) @ place.T).T
 
 
 def read_static_poses(path: Path, tree: Tree, *, degrees: bool = False) -> StaticPoses:
@@ -102,28 +94,30 @@ def read_static_poses(path: Path, tree: Tree, *, degrees: bool = False) -> Stati
     columns = [replace(x, kind="position") if x.kind is x.unit is None else x for x in names]
     source = LikelySource("poses", path, None, table, tuple(columns), clock)
     signal = likely_signals([source], tree.names).get("position")
-    (_, _, wrench) = next(iter(likely_plates([source])), ("", source, []))
-    joints = [] if signal is None else signal.group.names
-    missing = [name for name in tree.names if name not in joints]
-    roles = {each.role for each in wrench}
+    wrench = next((each for _, _, each in likely_plates([source])), [])
+    group = signal.group if signal else Group((), ())
+    numbers = () if group.matched else group.numbers
+    counted = enumerate(tree.names, int(0 not in numbers))
+    missing = [name for k, name in counted if name not in group.names and k not in numbers]
     if len(wrench) != len(AXES):
+        roles = {each.role for each in wrench}
         missing += [axis for k, axis in enumerate(AXES) if divmod(k, 3) not in roles]
     if missing or signal is None:
         raise RecordingError(
-            f"'{path}' has no column of numbers for {few(missing, 90)}: a pose's row has "
-            f"positions of the joints and {', '.join(AXES)}; found {few(table.columns, 90)}"
+            f"'{path}' has no column of numbers for {few(missing, 90)}: a row has positions of the "
+            f"joints and {', '.join(AXES)}; found {few(table.columns, 90)}"
         )
-    order = [joints.index(name) for name in tree.names]
-    by_size = signal.because == BY_SIZE
-    read = table.read(x.name for x in (*signal.group.columns, *wrench))
-    said = "deg" if degrees else None
-    values = []
-    for joint, k in zip(tree.joints, order, strict=True):
+    asked = [(each, each.unit, FORCES if k < 3 else MOMENTS) for k, each in enumerate(wrench)]
+    for k, joint in enumerate(tree.joints):
+        at = group.names.index(joint.name)
+        unit = signal.units[at] or ("deg" if degrees and joint.revolute else None)
         units = (TURNING if joint.revolute else SLIDING)["position"]
-        unit = signal.units[k] or (said if joint.revolute else None)
-        values.append(_in_si(read, signal.group.columns[k].name, unit, units))
-    for each, units in zip(wrench, [FORCES] * 3 + [MOMENTS] * 3, strict=True):
-        values.append(_in_si(read, each.name, each.unit, units))
+        asked.insert(k, (group.columns[at], unit, units))
+    read, values = table.read(each.name for each, _, _ in asked), []
+    for each, unit, units in asked:
+        if unit and unit not in units:
+            raise UnknownName(f"unit of column '{each.name}'", unit, units)
+        values.append(read[each.name] * (units[unit] if unit else 1.0))
     rows = np.column_stack(values)
     whole = rows[np.isfinite(rows).all(axis=1)]
     if len(whole) < LEAST:
@@ -132,17 +126,9 @@ def read_static_poses(path: Path, tree: Tree, *, degrees: bool = False) -> Stati
             "the least, a dozen are better"
         )
     lost = len(rows) - len(whole) + table.cut
-    repairs = (("tool.rows", lost),) * (lost > 0) + (("tool.by-size", 0.0),) * by_size
-    return StaticPoses(whole[:, : tree.n], whole[:, tree.n :], repairs)
-
-
-def _in_si(
-    read: Mapping[str, Array], column: str, unit: str | None, units: Mapping[str, float]
-) -> Array:
-    """A column in SI; without a unit it is."""
-    if unit is not None and unit not in units:
-        raise UnknownName(f"unit of column '{column}'", unit, units)
-    return read[column] * (units[unit] if unit else 1.0)
+    repairs = [diagnose("tool.rows", value=lost)] * (lost > 0)
+    repairs += [diagnose("tool.by-size")] * (signal.because == BY_SIZE)
+    return StaticPoses(whole[:, : tree.n], whole[:, tree.n :], tuple(repairs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +169,9 @@ class ToolEstimate(Diagnosed):
 ENOUGH = 6
 """Poses from which other readings can be tried on some of them."""
 
+NOTABLE = 0.005
+"""Distance from the last joint from which a sensor's place shows where the tool is; else z [m]."""
+
 
 def tool_at_rest(tree: Tree, table: StaticPoses, sensor: ForceSensor | None = None) -> ToolEstimate:
     """Mass, centre, the sensor's zero and the direction of gravity by poses at rest.
@@ -196,49 +185,53 @@ def tool_at_rest(tree: Tree, table: StaticPoses, sensor: ForceSensor | None = No
         SettingsError: There is no force sensor in the robot, joints lie beyond it, or no gravity.
         RecordingError: The sensor shows no weight.
     """
-    place = _sensor_of_tool(tree)
-    if not tree.gravity.any():
+    carrier = _sensor_of_tool(tree)
+    place, ahead = sensor or carrier, carrier.rotation.T @ carrier.position
+    if np.linalg.norm(ahead) < NOTABLE:
+        ahead = place.rotation[2]
+    size = float(np.linalg.norm(tree.gravity))
+    if not size:
         raise SettingsError("without gravity there is nothing to weigh a tool by")
-    said, other, zeros = as_said(tree, table), None, None
+    said, best, zero, axes = reading_of(tree, table.position, table.wrench), None, None, None
     fit = said.fit
     if not fit.weight.any():
         raise RecordingError("the force sensor shows no weight in these poses")
     if len(table.wrench) >= ENOUGH:
-        zeros = with_zero(tree, table)
-        other = likely_reading(said, [best_other(tree, table), turned(said), zeros])
-    axes = axes_turn(said, other, sensor or place) if other and other.code == "axes" else None
-    sigmas = np.sqrt(np.diagonal(fit.covariance)).reshape(4, 3)
-    zero, _, zero_moment, centre = (
-        tuple((float(v), float(s)) for v, s in zip(values, sigma, strict=True))
-        for values, sigma in zip(fit.found.reshape(4, 3), sigmas, strict=True)
+        zero = with_zero(tree, table)
+        other = min(other_readings(tree, table), key=lambda x: float(np.prod(x.few.fit.scale)))
+        tried = [x for x in (other, turned(said), zero) if explains(x, said)]
+        least = min((x.held_out for x in tried), default=0.0)
+        best = next((x for x in tried if x.held_out < ALIKE * least), None)
+        axes = axes_turn(best.fit, place.rotation) if best and best.code == "axes" else None
+    pull = fit.weight / np.linalg.norm(fit.weight)
+    mass = float(pull @ fit.weight) / size
+    moments = np.array([1, *fit.found[9:12]])
+    slope = np.zeros((4, 12))
+    slope[:, 3:6] = np.outer(moments, pull / size)
+    slope[1:, 9:] = mass * np.eye(3)
+    noise = slope @ fit.covariance @ slope.T
+    sigma = np.sqrt(np.diagonal(fit.covariance))
+    force_zero, _, moment_zero, centre = (
+        tuple(zip(values.tolist(), sigmas.tolist(), strict=True))
+        for values, sigmas in zip(fit.found.reshape(4, 3), sigma.reshape(4, 3), strict=True)
     )
-    size, length = float(np.linalg.norm(tree.gravity)), float(np.linalg.norm(fit.weight))
-    along = fit.weight / length
-    doubt = float(np.sqrt(along @ fit.covariance[3:6, 3:6] @ along))
-    repairs = [diagnose(code, value=value) for code, value in table.repairs]
     return ToolEstimate(
-        mass=(length / size, doubt / size),
+        mass=(mass, float(np.sqrt(noise[0, 0]))),
         centre=centre,
-        force_zero=zero,
-        moment_zero=zero_moment,
-        gravity=(float(along[0]), float(along[1]), float(along[2])),
-        tilt=tilt_of(fit, tree.gravity),
+        force_zero=force_zero,
+        moment_zero=moment_zero,
+        gravity=(float(pull[0]), float(pull[1]), float(pull[2])),
+        tilt=fit.tilt(tree.gravity),
         residual=(float(fit.scale[0]), float(fit.scale[1])),
         poses=len(table.wrench),
         unidentifiable=fit.open,
         share=fit.share,
-        payload=None if fit.open else _payload(tree, fit),
+        payload=None
+        if fit.open
+        else payload_from(tree.names[-1], np.eye(4, 10), mass * moments, noise),
         axes=axes,
-        diagnostics=(*repairs, *checked(tree, said, other, zeros, axes, sensor or place)),
+        diagnostics=(
+            *table.diagnostics,
+            *checked(said, best or said, zero, tree.gravity, axes, ahead, place.name),
+        ),
     )
-
-
-def _payload(tree: Tree, fit: RestFit) -> PayloadEstimate:
-    """Mass and first moments, about the sensor's origin and along its axes."""
-    size, place = float(np.linalg.norm(tree.gravity)), fit.found[9:]
-    mass = float(np.linalg.norm(fit.weight)) / size
-    slope = np.zeros((4, 12))
-    slope[:, 3:6] = np.outer([1, *place], fit.weight / mass) / size**2
-    slope[1:, 9:] = mass * np.eye(3)
-    moments = mass * np.array([1, *place])
-    return payload_from(tree.names[-1], np.eye(4, 10), moments, slope @ fit.covariance @ slope.T)

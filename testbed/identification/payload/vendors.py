@@ -136,8 +136,8 @@ def at_flange(found: PayloadEstimate, tree: Tree, link: Link | None = None) -> F
 def universal_robots(load: FlangePayload) -> str:
     """URScript: `set_target_payload`."""
     inertia = load.inertia
-    words = [f"{inertia.mass!r}", f"{inertia.com.tolist()}", *[f"{load.six}"] * bool(load.six)]
-    call = f"set_target_payload({', '.join(words)})"
+    words = [inertia.mass, inertia.com.tolist(), load.six][: 2 + bool(load.six)]
+    call = f"set_target_payload({str(words)[1:-1]})"
     return "\n".join([*_comment("# ", load.sentences), call])
 
 
