@@ -30,6 +30,9 @@ TRIALS = 6
 ALIKE = 2.0
 """Squares of what two readings leave over one another, up to which they are told apart by none."""
 
+BASES = {"base-axes": (1, 1, 1), "turned-base": (-1, -1, 1)}
+"""By code: signs of a base's axes; UR's `base` is turned against the model's about the vertical."""
+
 LEVEL = float(np.deg2rad(3.0))
 """Tilt of gravity up to which a base is called level [rad]."""
 
@@ -116,10 +119,11 @@ def other_readings(tree: Tree, table: StaticPoses) -> Iterator[PoseReading]:
     """
     position, shown, n = table.position, table.wrench, tree.n
     said = reading_of(tree, position, shown)
-    along = np.einsum("pij,pkj->pki", said.back, shown.reshape(-1, 2, 3)).reshape(-1, 6)
-    for subject, part in {"wrench": (0, 1), "forces": (0,), "moments": (1,)}.items():
-        mixed = np.where(np.isin(np.arange(6) // 3, part), along, shown)
-        yield replace(said, wrench=mixed, code="base-axes", subject=subject)
+    for code, flip in BASES.items():
+        along = np.einsum("pij,pkj->pki", said.back, shown.reshape(-1, 2, 3) * flip).reshape(-1, 6)
+        for subject, part in {"wrench": (0, 1), "forces": (0,), "moments": (1,)}.items():
+            mixed = np.where(np.isin(np.arange(6) // 3, part), along, shown)
+            yield replace(said, wrench=mixed, code=code, subject=subject)
     yield replace(reading_of(tree, np.deg2rad(position), shown), code="degrees")
     names, columns = (*tree.names, *AXES), np.hstack([position, shown])
     for a, b in combinations_with_replacement(range(n + 6), 2):

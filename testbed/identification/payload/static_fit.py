@@ -112,7 +112,7 @@ def rest_fit(back: Array, wrench: Array, turn: Array | None = None) -> RestFit:
         step = right.T @ (left.T @ (rest / weights) / sizes)
         found = found + step[:UNKNOWNS]
         turn = turn @ from_vector(step[UNKNOWNS:]) if turns else turn
-        if np.abs(step).max() < 1e-12 * np.abs(found).max():
+        if number > 1 and np.abs(step).max() < 1e-12 * np.abs(found).max():
             break
     freedom = len(rest) - len(sizes)
     widened = float(stats.t.ppf(0.975, max(freedom, 1)) / stats.norm.ppf(0.975))

@@ -198,8 +198,8 @@ def tool_at_rest(tree: Tree, table: StaticPoses, sensor: ForceSensor | None = No
         raise RecordingError("the force sensor shows no weight in these poses")
     if len(table.wrench) >= ENOUGH:
         zero = with_zero(tree, table)
-        other = min(other_readings(tree, table), key=lambda x: float(np.prod(x.few.fit.scale)))
-        tried = [x for x in (other, turned(said), zero) if explains(x, said)]
+        others = (*other_readings(tree, table), turned(said), zero)
+        tried = [each for each in others if explains(each, said)]
         least = min((x.held_out for x in tried), default=0.0)
         best = next((x for x in tried if x.held_out < ALIKE * least), None)
         axes = axes_turn(best.fit, place.rotation) if best and best.code == "axes" else None

@@ -8,7 +8,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, diagnose
-from testbed.identification.payload.pose_readings import ALIKE, LEVEL, PoseReading
+from testbed.identification.payload.pose_readings import ALIKE, BASES, LEVEL, PoseReading
 from testbed.identification.payload.sensor_axes import AxesTurn
 from testbed.identification.payload.static_fit import RestFit
 
@@ -17,6 +17,9 @@ BETTER = 0.25
 
 DOUBTFUL = 0.03
 """Part of a tool's weight in the residuals above which a reading does not explain the poses."""
+
+WEIGHTLESS = 0.5
+"""The same part above which the sensor shows no weight: what shows one need not be better."""
 
 CLEAR = 5.0
 """Standard deviations from which on a difference is no noise."""
@@ -54,8 +57,8 @@ def explains(other: PoseReading, said: PoseReading) -> bool:
         other: The reading.
         said: The table as it was said.
     """
-    small = other.fit.share < DOUBTFUL and not other.fit.open
-    return small and other.held_out < BETTER * said.held_out
+    few, most = other.few.fit, BETTER if said.fit.share < WEIGHTLESS else ALIKE
+    return few.share < DOUBTFUL and not few.open and other.held_out < most * said.held_out
 
 
 def checked(
@@ -79,8 +82,9 @@ def checked(
     mass = float(np.linalg.norm(fit.weight)) / size
     sure = fit.share <= DOUBTFUL and not fit.open
     behind = sure and arm > CLEAR * doubt and place @ ahead < BEHIND * arm * np.linalg.norm(ahead)
-    if behind and code == "base-axes" and best.subject != "forces":
-        code, place, behind = "turned-base", -place, False
+    if behind and code in BASES and best.subject != "forces":  # a sensor without zero shows both
+        (code,) = BASES.keys() - {code}
+        place, behind = -place, False
     if code:
         angle, sigma = np.rad2deg(axes.angle if axes else (0.0, 0.0)).tolist()
         yield diagnose(
@@ -88,7 +92,7 @@ def checked(
             left=fit.scale, mass=mass, place=_listed(place), sensor=sensor or "NAME",
             rpy=_listed(axes.rpy) if axes else "",
         )  # fmt: skip
-    elif fit.share > DOUBTFUL:
+    elif not (sure or fit.open):
         yield diagnose("tool.unexplained" if zero else "tool.residual", value=fit.share)
     if fit.open:
         yield diagnose("tool.poses", ", ".join(fit.open))

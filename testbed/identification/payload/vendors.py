@@ -115,7 +115,7 @@ def at_flange(found: PayloadEstimate, tree: Tree, link: Link | None = None) -> F
         elif abs(found.values[0]) <= CLEAR * found.sigma[0]:
             remedy = "the recordings do not differ by a payload"
         raise SettingsError(f"no controller should get a body that cannot exist: {flaw}; {remedy}")
-    _, axes = np.linalg.eigh(inertia.central)
+    _, axes = np.linalg.eigh(inertia.central if whole else np.eye(3))
     axes[:, 0] *= np.sign(np.linalg.det(axes))
 
     def numbers(values: Array) -> Array:
