@@ -39,11 +39,12 @@ def tool(
     at_rest: Annotated[
         bool,
         typer.Option(
-            "--at-rest", help="FILE is text, a row a static pose: joint positions and Fx ... Mz."
+            "--at-rest", help="FILE is a table, a row a static pose: joint positions and Fx ... Mz."
         ),
     ] = False,
     degrees: Annotated[
-        bool, typer.Option("--degrees", help="With --at-rest: angles are in degrees.")
+        bool,
+        typer.Option("--degrees", help="With --at-rest: angles without a unit are in degrees."),
     ] = False,
     settings: RecordingSet = None,
     gravity: Gravity = None,

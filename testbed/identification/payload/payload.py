@@ -143,7 +143,9 @@ def payload(
     return replace(found, diagnostics=(*found.diagnostics, diagnose("payload.scale", joint)))
 
 
-def payload_from(joint: str, adds: Array, difference: Array, noise: Array) -> PayloadEstimate:
+def payload_from(
+    joint: str, adds: Array, difference: Array, noise: Array, what: str = "payload"
+) -> PayloadEstimate:
     """Ten parameters of what they add to others, by the combinations that are seen.
 
     Args:
@@ -151,6 +153,7 @@ def payload_from(joint: str, adds: Array, difference: Array, noise: Array) -> Pa
         adds: What each of the ten adds to every other, (p, 10).
         difference: Of those, (p,).
         noise: Their covariance, (p, p).
+        what: "payload", of two recordings, or "tool", of one.
     """
     scale = np.sqrt(np.diagonal(noise))
     _, sizes, directions = np.linalg.svd(adds)
@@ -176,17 +179,17 @@ def payload_from(joint: str, adds: Array, difference: Array, noise: Array) -> Pa
         covariance=covariance,
         rank=rank,
         chance=chance,
-        diagnostics=tuple(_diagnostics(joint, chance, seen @ found, sigma, identifiable)),
+        diagnostics=tuple(_diagnostics(joint, chance, seen @ found, sigma, identifiable, what)),
     )
 
 
 def _diagnostics(
-    joint: str, chance: float, values: Array, sigma: Array, identifiable: Array
+    joint: str, chance: float, values: Array, sigma: Array, identifiable: Array, what: str
 ) -> Iterator[Diagnostic]:
     if chance < IMPOSSIBLE:
         yield diagnose("payload.unexplained", joint, chance)
     if identifiable[0] and values[0] < -5 * sigma[0]:
-        yield diagnose("payload.negative-mass", joint, values[0], sigma=sigma[0])
+        yield diagnose(f"{what}.negative-mass", joint, values[0], sigma=sigma[0])
 
 
 SPAN = 0.5

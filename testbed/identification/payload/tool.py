@@ -54,7 +54,7 @@ def tool_of(tree: Tree, estimate: Estimate) -> PayloadEstimate:
     adds = seen_of_payload(tree, estimate.minimal, tree.names[-1]) @ _to_body(sensor)
     count = len(adds)
     noise = estimate.covariance[:count, :count]
-    return payload_from(tree.names[-1], adds, estimate.values[:count], noise)
+    return payload_from(tree.names[-1], adds, estimate.values[:count], noise, "tool")
 
 
 def _sensor_of_tool(tree: Tree) -> Placement:

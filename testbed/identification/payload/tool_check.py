@@ -81,7 +81,11 @@ def checked(
     arm, size = float(np.linalg.norm(place)), float(np.linalg.norm(gravity))
     mass = float(np.linalg.norm(fit.weight)) / size
     sure = fit.share <= DOUBTFUL and not fit.open
-    behind = sure and arm > CLEAR * doubt and place @ ahead < BEHIND * arm * np.linalg.norm(ahead)
+    behind = (
+        sure
+        and arm > CLEAR * doubt
+        and fit.turn @ place @ ahead < BEHIND * arm * np.linalg.norm(ahead)
+    )
     if behind and code in BASES and best.subject != "forces":  # a sensor without zero shows both
         (code,) = BASES.keys() - {code}
         place, behind = -place, False
