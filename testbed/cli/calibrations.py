@@ -48,7 +48,6 @@ Flange = Annotated[
     str | None,
     typer.Option(metavar="LINK", help="With --as: link with the flange's frame, e.g. tool0."),
 ]
-NO_FORM = "--as needs a payload in motion, and is no JSON of ours"
 
 
 def flange_link(vendor: str | None, flange: str | None, file: ModelFile, tree: Tree) -> Link | None:
@@ -90,7 +89,7 @@ def print_for(
 
     typer.echo(VENDORS[vendor](at_flange(found, tree, link)))
     for each in said:
-        typer.echo(f"warning: {each}", err=True)
+        typer.echo(f"{'note' if each.level == 'info' else 'warning'}: {each}", err=True)
 
 
 @app.command()
@@ -343,7 +342,7 @@ def payload(
 
     reading = Reading(settings, False, weld_root, lock, lock_mimic, plate)
     if vendor is not None and (at_rest or as_json):
-        raise SettingsError(NO_FORM)
+        raise SettingsError("--as goes neither with --json, nor with payload --at-rest")
     tree, table = reading.tree(model), reading.tables().identification
     link = flange_link(vendor, flange, reading.model_file(model), tree)
     sources = [reading.source(opened(path), tree) for path in (without, loaded)]

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from testbed.cli.calibrations import NO_FORM, Flange, Vendor, flange_link, print_for
+from testbed.cli.calibrations import Flange, Vendor, flange_link, print_for
 from testbed.cli.reading import (
     Gravity,
     Json,
@@ -39,11 +39,12 @@ def tool(
     at_rest: Annotated[
         bool,
         typer.Option(
-            "--at-rest", help="FILE is text, a row a static pose: joint positions and Fx ... Mz."
+            "--at-rest", help="FILE is a table, a row a static pose: joint positions and Fx ... Mz."
         ),
     ] = False,
     degrees: Annotated[
-        bool, typer.Option("--degrees", help="With --at-rest: angles are in degrees.")
+        bool,
+        typer.Option("--degrees", help="With --at-rest: angles without a unit are in degrees."),
     ] = False,
     settings: RecordingSet = None,
     gravity: Gravity = None,
@@ -68,23 +69,32 @@ def tool(
     Example: testbed tool poses.csv --at-rest --degrees --model robot.urdf --sensor tool0
     """
     from testbed.codec import encode
-    from testbed.errors import SettingsError
+    from testbed.diagnostics import ordered
+    from testbed.errors import SettingsError, printable
     from testbed.identification.identify import identify
     from testbed.identification.payload.tool import read_static_poses, tool_at_rest, tool_of
     from testbed.reporting import estimates as shown
     from testbed.reporting import output, terminal
 
-    if vendor is not None and (at_rest or as_json):
-        raise SettingsError(NO_FORM)
+    if vendor is not None and as_json:
+        raise SettingsError("--as and --json are two forms of one answer: give one of them")
     reading = Reading(settings, False, weld_root, lock, lock_mimic, sensor=sensor)
     if at_rest:
         tree = reading.tree(model).with_gravity(gravity)
         table = read_static_poses(recording, tree, degrees=degrees)
+        link = flange_link(vendor, flange, reading.model_file(model), tree)
         still = tool_at_rest(tree, table, reading.tables().force_sensors[sensor])
+        known = [*tree.diagnostics, *still.diagnostics]
         if as_json:
             output.print_json(encode(still))
+        elif vendor is not None:
+            if still.payload is None or still.doubtful:
+                first = printable(ordered(still.diagnostics)[0].text, 250)
+                raise SettingsError(f"no controller should get this tool: {first}")
+            print_for(vendor, still.payload, tree, link, known)
         else:
-            output.print_lines(shown.tool_lines(still), [*tree.diagnostics, *still.diagnostics])
+            output.print_lines((), known)
+            output.print_lines(shown.tool_lines(still), ())
         return
     reading, tree, source = reading.robot_of(opened(recording), model)
     tree = tree.with_gravity(gravity)

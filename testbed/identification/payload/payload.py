@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import special
 
 from testbed.arrays import Array, freeze
@@ -74,14 +75,18 @@ class PayloadEstimate(Diagnosed):
 
         Not a number where not identifiable; None if the mass is not, or not by more than 5 sigma.
         """
-        mass = float(self.values[0])
-        if not self.identifiable[0] or mass < 5 * self.sigma[0]:
+        if not self.identifiable[0] or self.values[0] < 5 * self.sigma[0]:
             return None
-        place = self.values[1:4] / mass
-        slope = np.column_stack([-place / mass, np.eye(3) / mass])
-        sigma = np.sqrt(np.diagonal(slope @ self.covariance[:4, :4] @ slope.T))
-        identifiable = np.array(self.identifiable[1:4])
-        return np.where(identifiable, place, np.nan), np.where(identifiable, sigma, np.nan)
+        return _centre(self.values, self.covariance, self.identifiable)
+
+
+def _centre(values: Array, covariance: Array, identifiable: ArrayLike) -> tuple[Array, Array]:
+    """Place and its sigma, (3,) each, by mass and first moments; nan where not identifiable."""
+    mass, place = values[0], values[1:4] / values[0]
+    slope = np.column_stack([-place / mass, np.eye(3) / mass])
+    sigma = np.sqrt(np.diagonal(slope @ covariance[:4, :4] @ slope.T))
+    found = np.where(np.asarray(identifiable)[1:4], [place, sigma], np.nan)
+    return found[0], found[1]
 
 
 def seen_of_payload(tree: Tree, minimal: MinimalSet, joint: str) -> Array:
@@ -138,7 +143,9 @@ def payload(
     return replace(found, diagnostics=(*found.diagnostics, diagnose("payload.scale", joint)))
 
 
-def payload_from(joint: str, adds: Array, difference: Array, noise: Array) -> PayloadEstimate:
+def payload_from(
+    joint: str, adds: Array, difference: Array, noise: Array, what: str = "payload"
+) -> PayloadEstimate:
     """Ten parameters of what they add to others, by the combinations that are seen.
 
     Args:
@@ -146,6 +153,7 @@ def payload_from(joint: str, adds: Array, difference: Array, noise: Array) -> Pa
         adds: What each of the ten adds to every other, (p, 10).
         difference: Of those, (p,).
         noise: Their covariance, (p, p).
+        what: "payload", of two recordings, or "tool", of one.
     """
     scale = np.sqrt(np.diagonal(noise))
     _, sizes, directions = np.linalg.svd(adds)
@@ -171,17 +179,17 @@ def payload_from(joint: str, adds: Array, difference: Array, noise: Array) -> Pa
         covariance=covariance,
         rank=rank,
         chance=chance,
-        diagnostics=tuple(_diagnostics(joint, chance, seen @ found, sigma, identifiable)),
+        diagnostics=tuple(_diagnostics(joint, chance, seen @ found, sigma, identifiable, what)),
     )
 
 
 def _diagnostics(
-    joint: str, chance: float, values: Array, sigma: Array, identifiable: Array
+    joint: str, chance: float, values: Array, sigma: Array, identifiable: Array, what: str
 ) -> Iterator[Diagnostic]:
     if chance < IMPOSSIBLE:
         yield diagnose("payload.unexplained", joint, chance)
     if identifiable[0] and values[0] < -5 * sigma[0]:
-        yield diagnose("payload.negative-mass", joint, values[0], sigma=sigma[0])
+        yield diagnose(f"{what}.negative-mass", joint, values[0], sigma=sigma[0])
 
 
 SPAN = 0.5
@@ -204,17 +212,13 @@ class Pose:
     Attributes:
         position: Of the joints, (n,) [rad or m].
         wrench: Mean, without the tare, (6,) [N, N m].
-        sigma: Of the mean, by its spans of half a second, (6,).
-        seconds: How long it lasted.
     """
 
     position: Array
     wrench: Array
-    sigma: Array
-    seconds: float
 
     def __post_init__(self) -> None:
-        freeze(self, position=(len(self.position),), wrench=(6,), sigma=(6,))
+        freeze(self, position=(len(self.position),), wrench=(6,))
 
 
 @dataclass(frozen=True)
@@ -263,7 +267,7 @@ def poses_at_rest(tree: Tree, recording: Recording | Source | str) -> tuple[Pose
             f"the recording shows {len(groups)} poses at rest; a pose is {SPAN:g} s in which no "
             f"joint moves more than {STILL:g} rad or m, and {LEAST} are needed"
         )
-    return tuple(_pose(group) for group in groups)
+    return tuple(Pose(*(np.mean(each, axis=0) for each in zip(*g, strict=True))) for g in groups)
 
 
 def _spans(source: Source, tree: Tree) -> Iterator[tuple[Array, Array]]:
@@ -272,13 +276,6 @@ def _spans(source: Source, tree: Tree) -> Iterator[tuple[Array, Array]]:
     for first in range(0, source.samples - count + 1, count):
         part = source.part(first, first + count).ordered(tree)
         yield part.position, part.measured("wrench")
-
-
-def _pose(group: list[tuple[Array, Array]]) -> Pose:
-    position, wrench = (np.array(each) for each in zip(*group, strict=True))
-    count = len(group)
-    sigma = wrench.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.full(6, np.nan)
-    return Pose(position.mean(axis=0), wrench.mean(axis=0), sigma, count * SPAN)
 
 
 def estimate_mass(tree: Tree, poses: Sequence[Pose]) -> MassEstimate:
@@ -326,23 +323,15 @@ def estimate_payload_mass(
             "the payload's mass is not identifiable beside the robot's: repeat some poses with and "
             "without the payload, or measure more different ones"
         )
-    mass, place = float(values[0]), values[1:] / values[0]
-    slope = np.column_stack([-place / mass, np.eye(3) / mass])
-    sigma = np.sqrt(np.diagonal(slope @ covariance @ slope.T))
-    return MassEstimate(
-        mass=mass,
-        sigma=float(np.sqrt(covariance[0, 0])),
-        centre=tuple(np.where(identifiable[1:], place, np.nan).tolist()),
-        centre_sigma=tuple(np.where(identifiable[1:], sigma, np.nan).tolist()),
-        poses=len(without) + len(loaded),
-    )
+    place, doubt = (tuple(x.tolist()) for x in _centre(values, covariance, identifiable))
+    poses = len(without) + len(loaded)
+    return MassEstimate(float(values[0]), float(np.sqrt(covariance[0, 0])), place, doubt, poses)
 
 
 def _weights(tree: Tree, poses: Sequence[Pose]) -> Array:
     """Wrench of a unit of every link's mass and first moment, (6 P, 4 n)."""
     standard = np.zeros((tree.n, 10, 4 * tree.n))
-    for link in range(tree.n):
-        standard[link, :4, 4 * link : 4 * link + 4] = np.eye(4)
+    standard[:, :4] = np.eye(4 * tree.n).reshape(tree.n, 4, -1)
     theta = to_barycentric(tree, standard)
     q = np.array([pose.position for pose in poses])
     still = np.zeros_like(q)

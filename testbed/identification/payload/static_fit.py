@@ -2,8 +2,8 @@
 
 The sensor shows F = F0 - R' G and M = M0 - c x R' G, with R from the sensor's axes to the ground's,
 G the tool's weight on the ground, c its centre, and a zero F0, M0. All twelve unknowns are found
-together by Gauss-Newton, from linear fits of the forces and then of the moments; with them, if that
-is asked for, a turn T of the sensor's axes: R T stands for R then.
+together by Gauss-Newton, whose first step finds the weight and whose second the centre; with them,
+if that is asked for, a turn T of the sensor's axes: R T stands for R then.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 from scipy import stats
 
 from testbed.arrays import Array, skew
-from testbed.errors import RecordingError
 from testbed.robot.inertia import from_vector
 
 UNKNOWNS = 12
@@ -31,6 +30,9 @@ OPEN = 1e-6
 
 STEPS = 20
 """Of Gauss-Newton at most."""
+
+LEVER = 0.1
+"""Least lever by which residuals of moments count as forces [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +59,29 @@ class RestFit:
         parts = zip(NAMES, self.open_part.reshape(-1, 3), strict=False)
         return tuple(name for name, part in parts if part.max() > OPEN)
 
+    @property
+    def weight(self) -> Array:
+        """Of the tool along the base's axes, (3,) [N]."""
+        return self.found[3:6]
+
+    @property
+    def share(self) -> float:
+        """Rms residual, moments by the centre's lever, over the tool's weight."""
+        lever = max(float(np.linalg.norm(self.found[9:])), LEVER)
+        return float(max(self.scale[0], self.scale[1] / lever) / np.linalg.norm(self.weight))
+
+    def tilt(self, gravity: Array) -> tuple[float, float]:
+        """Between the weight and a gravity, and its standard deviation [rad].
+
+        Args:
+            gravity: Of the model, (3,) [m/s^2].
+        """
+        length, doubt = np.linalg.norm(self.weight), self.covariance[3:6, 3:6]
+        along, level = self.weight / length, gravity / np.linalg.norm(gravity)
+        angle = np.arctan2(np.linalg.norm(np.cross(along, level)), along @ level)
+        across = np.trace(doubt) - along @ doubt @ along
+        return float(angle), float(np.sqrt(max(across, 0.0) / 2) / length)
+
     def errors(self, back: Array, wrench: Array) -> Array:
         """What it leaves of readings, (P, 6) [N, N m].
 
@@ -75,42 +100,24 @@ def rest_fit(back: Array, wrench: Array, turn: Array | None = None) -> RestFit:
         back: From the base's axes to the sensor's as they were said, (P, 3, 3).
         wrench: The readings, (P, 6) [N, N m].
         turn: Where a search for the sensor's axes begins, (3, 3); None takes them as said.
-
-    Raises:
-        RecordingError: The sensor shows no weight.
     """
     turns = turn is not None
     turn = np.eye(3) if turn is None else turn
-    found, scale = _start(turn.T @ back, wrench), np.ones(2)
-    for _ in range(STEPS):
+    found, scale = np.zeros(UNKNOWNS), np.ones(2)
+    for number in range(STEPS):
         rows, rest = _linearised(turn.T @ back, wrench, found, turns=turns)
-        scale = _scale(rest, rows.shape[1])
+        scale = _scale(rest, rows.shape[1]) if number > 1 else scale
         weights = np.tile(np.repeat(scale, 3), len(back))
         left, sizes, right = _svd(rows / weights[:, None])
         step = right.T @ (left.T @ (rest / weights) / sizes)
         found = found + step[:UNKNOWNS]
         turn = turn @ from_vector(step[UNKNOWNS:]) if turns else turn
-        if np.abs(step).max() < 1e-12 * np.abs(found).max():
+        if number > 1 and np.abs(step).max() < 1e-12 * np.abs(found).max():
             break
     freedom = len(rest) - len(sizes)
     widened = float(stats.t.ppf(0.975, max(freedom, 1)) / stats.norm.ppf(0.975))
     covariance = widened**2 * (right.T / sizes**2) @ right
     return RestFit(found, turn, covariance, 1 - np.sum(right**2, axis=0), scale)
-
-
-def _start(back: Array, wrench: Array) -> Array:
-    """Linear fits: weight and zero by the forces, centre and zero by the moments."""
-    force, moment = wrench[:, :3], wrench[:, 3:]
-    ones = np.tile(np.eye(3), (len(back), 1))
-    by_force = np.hstack([ones, -back.reshape(-1, 3)])
-    zero_and_weight = np.array(np.linalg.lstsq(by_force, force.ravel(), rcond=SMALLEST)[0])
-    weight = zero_and_weight[3:]
-    if not np.linalg.norm(weight) > 0:
-        raise RecordingError("the force sensor shows no weight in these poses")
-    lever = skew(back @ weight).reshape(-1, 3)
-    by_moment = np.hstack([ones, lever])
-    zero_and_centre = np.array(np.linalg.lstsq(by_moment, moment.ravel(), rcond=SMALLEST)[0])
-    return np.concatenate([zero_and_weight, zero_and_centre])
 
 
 def _linearised(back: Array, wrench: Array, found: Array, *, turns: bool) -> tuple[Array, Array]:
@@ -120,16 +127,12 @@ def _linearised(back: Array, wrench: Array, found: Array, *, turns: bool) -> tup
     """
     zero, weight, zero_moment, centre = found.reshape(4, 3)
     pull = back @ weight
-    rows = np.zeros((len(back), 6, UNKNOWNS + 3 * turns))
-    rows[:, :3, :3] = rows[:, 3:, 6:9] = np.eye(3)
-    rows[:, :3, 3:6] = -back
-    rows[:, 3:, 3:6] = -skew(centre) @ back
-    rows[:, 3:, 9:12] = skew(pull)
-    if turns:
-        rows[:, :3, 12:] = -skew(pull)
-        rows[:, 3:, 12:] = -skew(centre) @ skew(pull)
+    eye, none = np.broadcast_to(np.eye(3), back.shape), np.zeros_like(back)
+    arm, lever = skew(centre), skew(pull)
+    by_force, by_moment = [eye, -back, none, none, -lever], [none, -arm @ back, eye, lever]
+    rows = np.block([by_force, [*by_moment, -arm @ lever]]).reshape(6 * len(back), -1)
     shown = np.hstack([zero - pull, zero_moment - np.cross(centre, pull)])
-    return rows.reshape(6 * len(back), -1), (wrench - shown).ravel()
+    return rows[:, : UNKNOWNS + 3 * turns], (wrench - shown).ravel()
 
 
 def _scale(rest: Array, unknowns: int) -> Array:

@@ -2,24 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from testbed.arrays import Array, freeze
-from testbed.codec import with_properties
+from testbed.arrays import Array
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
-from testbed.dynamics.newton_euler import sensor_poses
-from testbed.errors import RecordingError, SettingsError
+from testbed.errors import RecordingError, SettingsError, UnknownName, few
 from testbed.identification.estimate import Estimate
 from testbed.identification.payload.payload import PayloadEstimate, payload_from, seen_of_payload
-from testbed.identification.payload.sensor_axes import DOUBTFUL, AxesTurn, axes_turn
-from testbed.identification.payload.static_fit import RestFit, rest_fit
+from testbed.identification.payload.pose_readings import (
+    ALIKE,
+    StaticPoses,
+    other_readings,
+    reading_of,
+    with_zero,
+)
+from testbed.identification.payload.sensor_axes import AxesTurn, axes_turn, turned
+from testbed.identification.payload.tool_check import checked, explains
+from testbed.parameters.prior import matrices, parameters
 from testbed.recordings.columns import AXES
-from testbed.recordings.importing.readers.delimited_text import read_file
+from testbed.recordings.importing.column_names import Group, read_name
+from testbed.recordings.importing.foreign_table import FORCES, MOMENTS, SLIDING, TURNING
+from testbed.recordings.importing.likely_signals import (
+    BY_SIZE,
+    LikelySource,
+    clock_of,
+    likely_plates,
+    likely_signals,
+)
+from testbed.recordings.importing.readers import open_foreign
 from testbed.robot.force_sensor import ForceSensor
-from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Placement, Tree
 
 LEAST = 4
@@ -36,86 +50,88 @@ def tool_of(tree: Tree, estimate: Estimate) -> PayloadEstimate:
     Raises:
         SettingsError: The estimate is by no force sensor, or joints lie beyond it.
     """
-    if tree.sensor is None or tree.sensor_body < 0 or not estimate.minimal.of_sensor:
+    sensor = _sensor_of_tool(tree)
+    adds = seen_of_payload(tree, estimate.minimal, tree.names[-1]) @ _to_body(sensor)
+    count = len(adds)
+    noise = estimate.covariance[:count, :count]
+    return payload_from(tree.names[-1], adds, estimate.values[:count], noise, "tool")
+
+
+def _sensor_of_tool(tree: Tree) -> Placement:
+    """The sensor that carries a single body."""
+    if tree.sensor is None or tree.sensor_body < 0:
         raise SettingsError("a tool is what a force sensor in the robot carries: --sensor LINK")
     if tree.children(tree.sensor_body):
         raise SettingsError(
             "joints lie beyond the force sensor, so that what it carries is no single body: hold "
             "them with --lock"
         )
-    adds = seen_of_payload(tree, estimate.minimal, tree.names[-1]) @ _to_body(tree.sensor)
-    count = len(adds)
-    noise = estimate.covariance[:count, :count]
-    return payload_from(tree.names[-1], adds, estimate.values[:count], noise)
+    return tree.sensor
 
 
 def _to_body(sensor: Placement) -> Array:
     """Standard parameters about the body's frame from those about the sensor's, (10, 10)."""
-    found = np.zeros((10, 10))
-    lower = np.tril_indices(3)
-    for k, unit in enumerate(np.eye(10)):
-        tensor = np.zeros((3, 3))
-        tensor[lower] = unit[4:]
-        tensor.T[lower] = unit[4:]
-        body = Inertia(unit[0], unit[1:4], tensor).moved(sensor.rotation, sensor.position)
-        found[:, k] = [body.mass, *body.first_moment, *body.tensor[lower]]
-    return found
-
-
-@dataclass(frozen=True, eq=False)
-class StaticPoses:
-    """Poses at rest: joint positions, and what a force sensor showed.
-
-    Attributes:
-        position: Of the joints that lead to the sensor, (P, n) [rad or m].
-        wrench: (P, 6) [N, N m].
-    """
-
-    position: Array
-    wrench: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, wrench=(None, 6))
-        shape = (len(self.wrench), np.shape(self.position)[-1])
-        freeze(self, position=shape)
+    place = np.eye(4)
+    place[:3, :3], place[:3, 3] = sensor.rotation, sensor.position
+    return parameters(place @ matrices(np.eye(10)) @ place.T).T
 
 
 def read_static_poses(path: Path, tree: Tree, *, degrees: bool = False) -> StaticPoses:
-    """A table of poses: a row a pose, a heading with the joints' names and Fx ... Mz.
+    """A table of poses: a row a pose, its heading read as the importer of recordings reads it.
 
     Args:
-        path: Text, as the importer of recordings reads it.
+        path: Of any format that is imported.
         tree: What the sensor feels.
-        degrees: Whether angles are in degrees.
+        degrees: Whether angles without a unit are in degrees.
 
     Raises:
         RecordingError: It is no such table.
+        UnknownName: A heading has a unit of something else.
     """
-    found = read_file(path, None)
-    if found.cut:
-        raise RecordingError(f"'{path}': the last row of the table is not complete")
-    known = {name.lower(): name for name in found.shapes}
-    wanted = [*tree.names, *AXES]
-    missing = [name for name in wanted if name.lower() not in known]
-    if missing:
+    table = open_foreign(path)
+    clock = clock_of(table)
+    names = [read_name(each, table.unit(each)) for each in table.columns if each != clock.column]
+    columns = [replace(x, kind="position") if x.kind is x.unit is None else x for x in names]
+    source = LikelySource("poses", path, None, table, tuple(columns), clock)
+    signal = likely_signals([source], tree.names).get("position")
+    wrench = next((each for _, _, each in likely_plates([source])), [])
+    group = signal.group if signal else Group((), ())
+    numbers = () if group.matched else group.numbers
+    counted = enumerate(tree.names, int(0 not in numbers))
+    missing = [name for k, name in counted if name not in group.names and k not in numbers]
+    if len(wrench) != len(AXES):
+        roles = {each.role for each in wrench}
+        missing += [axis for k, axis in enumerate(AXES) if divmod(k, 3) not in roles]
+    if missing or signal is None:
         raise RecordingError(
-            f"'{path}' has no column '{missing[0]}': a table of poses has a heading with the "
-            f"joints' names and {', '.join(AXES)}, found {', '.join(found.shapes)[:200]}"
+            f"'{path}' has no column of numbers for {few(missing, 90)}: a row has positions of the "
+            f"joints and {', '.join(AXES)}; found {few(table.columns, 90)}"
         )
-    columns = found.read(known[name.lower()] for name in wanted)
-    table = np.column_stack([columns[known[name.lower()]] for name in wanted])
-    if len(table) < LEAST or not np.isfinite(table).all():
+    asked = [(each, each.unit, FORCES if k < 3 else MOMENTS) for k, each in enumerate(wrench)]
+    for k, joint in enumerate(tree.joints):
+        at = group.names.index(joint.name)
+        unit = signal.units[at] or ("deg" if degrees and joint.revolute else None)
+        units = (TURNING if joint.revolute else SLIDING)["position"]
+        asked.insert(k, (group.columns[at], unit, units))
+    read, values = table.read(each.name for each, _, _ in asked), []
+    for each, unit, units in asked:
+        if unit and unit not in units:
+            raise UnknownName(f"unit of column '{each.name}'", unit, units)
+        values.append(read[each.name] * (units[unit] if unit else 1.0))
+    rows = np.column_stack(values)
+    whole = rows[np.isfinite(rows).all(axis=1)]
+    if len(whole) < LEAST:
         raise RecordingError(
-            f"'{path}' holds {len(table)} poses; {LEAST} of finite numbers are the least"
+            f"'{path}' holds {len(whole)} whole rows of numbers, a row a pose; {LEAST} poses are "
+            "the least, a dozen are better"
         )
-    position, wrench = table[:, : tree.n], table[:, tree.n :]
-    if degrees:
-        turns = [joint.revolute for joint in tree.joints]
-        position = np.where(turns, np.deg2rad(position), position)
-    return StaticPoses(position, wrench)
+    lost = len(rows) - len(whole) + table.cut
+    repairs = [diagnose("tool.rows", value=lost)] * (lost > 0)
+    repairs += [diagnose("tool.by-size")] * (signal.because == BY_SIZE)
+    return StaticPoses(whole[:, : tree.n], whole[:, tree.n :], tuple(repairs))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ToolEstimate(Diagnosed):
     """A tool by its weight.
 
@@ -129,9 +145,10 @@ class ToolEstimate(Diagnosed):
         residual: Rms of forces [N] and of moments [N m].
         poses: How many there were.
         unidentifiable: What these poses leave open; its numbers are one choice among many.
-        share: Rms residual of forces over the tool's weight.
+        share: Rms residual over the tool's weight, of moments by the centre's lever.
+        payload: Mass and first moments, about the sensor and along its axes; None where open.
         axes: Other axes of the sensor that explain the readings; None where those said will do.
-        upwards: Whether the tool would be pulled against the model's gravity, by these axes.
+        diagnostics: What a careful reader should know.
     """
 
     mass: tuple[float, float]
@@ -144,32 +161,16 @@ class ToolEstimate(Diagnosed):
     poses: int
     unidentifiable: tuple[str, ...]
     share: float
+    payload: PayloadEstimate | None
     axes: AxesTurn | None = None
-    upwards: bool = False
+    diagnostics: tuple[Diagnostic, ...] = ()
 
-    __get_pydantic_core_schema__ = with_properties("diagnostics")
 
-    @property
-    def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Axes other than those said, large residuals, poses that are missing."""
-        said: list[Diagnostic] = []
-        if self.axes is not None:
-            angle, sigma = np.rad2deg(self.axes.angle).tolist()
-            said.append(
-                diagnose(
-                    "tool.axes", value=angle, sigma=sigma, residual=self.residual[0],
-                    left=self.axes.residual, before=self.axes.held_out[0],
-                    after=self.axes.held_out[1], sensor=self.axes.sensor or "NAME",
-                    rpy=",".join(f"{round(x, 4) + 0.0:g}" for x in self.axes.rpy),
-                )
-            )  # fmt: skip
-        elif self.share > DOUBTFUL:
-            said.append(diagnose("tool.residual", value=self.share))
-        if self.upwards and (self.axes is not None or self.share <= DOUBTFUL):
-            said.append(diagnose("tool.upwards"))
-        if self.unidentifiable:
-            said.append(diagnose("tool.poses", ", ".join(self.unidentifiable)))
-        return tuple(said)
+ENOUGH = 6
+"""Poses from which other readings can be tried on some of them."""
+
+NOTABLE = 0.005
+"""Distance from the last joint from which a sensor's place shows where the tool is; else z [m]."""
 
 
 def tool_at_rest(tree: Tree, table: StaticPoses, sensor: ForceSensor | None = None) -> ToolEstimate:
@@ -181,42 +182,56 @@ def tool_at_rest(tree: Tree, table: StaticPoses, sensor: ForceSensor | None = No
         sensor: As it was said; default with the axes that it has in the tree.
 
     Raises:
-        SettingsError: There is no force sensor in the robot, or no gravity.
+        SettingsError: There is no force sensor in the robot, joints lie beyond it, or no gravity.
         RecordingError: The sensor shows no weight.
     """
-    if tree.sensor is None or tree.sensor_body < 0:
-        raise SettingsError("a tool is what a force sensor in the robot carries: --sensor LINK")
-    if not tree.gravity.any():
+    carrier = _sensor_of_tool(tree)
+    place, ahead = sensor or carrier, carrier.rotation.T @ carrier.position
+    if np.linalg.norm(ahead) < NOTABLE:
+        ahead = place.rotation[2]
+    size = float(np.linalg.norm(tree.gravity))
+    if not size:
         raise SettingsError("without gravity there is nothing to weigh a tool by")
-    back = np.swapaxes(sensor_poses(tree, table.position)[0], 1, 2)
-    fit = rest_fit(back, table.wrench)
-    axes = axes_turn(back, table.wrench, sensor or tree.sensor)
-    return _estimate(tree.gravity, fit, axes, len(back))
-
-
-def _estimate(gravity: Array, fit: RestFit, axes: AxesTurn | None, poses: int) -> ToolEstimate:
-    """What is said of a tool, from the unknowns and their covariance."""
-    sigmas = np.sqrt(np.diagonal(fit.covariance)).reshape(4, 3)
-    zero, _, zero_moment, centre = (
-        tuple((float(v), float(s)) for v, s in zip(values, sigma, strict=True))
-        for values, sigma in zip(fit.found.reshape(4, 3), sigmas, strict=True)
+    said, best, zero, axes = reading_of(tree, table.position, table.wrench), None, None, None
+    fit = said.fit
+    if not fit.weight.any():
+        raise RecordingError("the force sensor shows no weight in these poses")
+    if len(table.wrench) >= ENOUGH:
+        zero = with_zero(tree, table)
+        others = (*other_readings(tree, table), turned(said), zero)
+        tried = [each for each in others if explains(each, said)]
+        least = min((x.held_out for x in tried), default=0.0)
+        best = next((x for x in tried if x.held_out < ALIKE * least), None)
+        axes = axes_turn(best.fit, place.rotation) if best and best.code == "axes" else None
+    pull = fit.weight / np.linalg.norm(fit.weight)
+    mass = float(pull @ fit.weight) / size
+    moments = np.array([1, *fit.found[9:12]])
+    slope = np.zeros((4, 12))
+    slope[:, 3:6] = np.outer(moments, pull / size)
+    slope[1:, 9:] = mass * np.eye(3)
+    noise = slope @ fit.covariance @ slope.T
+    sigma = np.sqrt(np.diagonal(fit.covariance))
+    force_zero, _, moment_zero, centre = (
+        tuple(zip(values.tolist(), sigmas.tolist(), strict=True))
+        for values, sigmas in zip(fit.found.reshape(4, 3), sigma.reshape(4, 3), strict=True)
     )
-    size, pull, doubt = float(np.linalg.norm(gravity)), fit.found[3:6], fit.covariance[3:6, 3:6]
-    length = float(np.linalg.norm(pull))
-    along, expected = pull / length, gravity / size
-    across = np.eye(3) - np.outer(along, along)
-    tilt = float(np.arctan2(np.linalg.norm(np.cross(along, expected)), along @ expected))
     return ToolEstimate(
-        mass=(length / size, float(np.sqrt(along @ doubt @ along)) / size),
+        mass=(mass, float(np.sqrt(noise[0, 0]))),
         centre=centre,
-        force_zero=zero,
-        moment_zero=zero_moment,
-        gravity=(float(along[0]), float(along[1]), float(along[2])),
-        tilt=(tilt, float(np.sqrt(np.trace(across @ doubt @ across) / 2)) / length),
+        force_zero=force_zero,
+        moment_zero=moment_zero,
+        gravity=(float(pull[0]), float(pull[1]), float(pull[2])),
+        tilt=fit.tilt(tree.gravity),
         residual=(float(fit.scale[0]), float(fit.scale[1])),
-        poses=poses,
+        poses=len(table.wrench),
         unidentifiable=fit.open,
-        share=float(fit.scale[0]) / length,
+        share=fit.share,
+        payload=None
+        if fit.open
+        else payload_from(tree.names[-1], np.eye(4, 10), mass * moments, noise),
         axes=axes,
-        upwards=bool((pull if axes is None else np.array(axes.weight)) @ gravity < 0),
+        diagnostics=(
+            *table.diagnostics,
+            *checked(said, best or said, zero, tree.gravity, axes, ahead, place.name),
+        ),
     )

@@ -45,7 +45,8 @@ class FlangePayload:
         inertia: The body.
         axes: Of its principal moments, from their frame to the flange's, (3, 3).
         sigma: Standard deviations of mass, centre, the six of the inertia about the mass centre
-            in the order SIX, and the principal moments, (13,) [kg, m, kg m^2].
+            in the order SIX, and the principal moments, (13,) [kg, m, kg m^2]; of mass and centre
+            alone, (4,), where the inertia is not identifiable.
     """
 
     frame: str
@@ -55,8 +56,8 @@ class FlangePayload:
 
     @property
     def six(self) -> list[float]:
-        """Inertia about the mass centre: Ixx, Iyy, Izz, Ixy, Ixz, Iyz [kg m^2]."""
-        return [float(self.inertia.central[at]) for at in SIX]
+        """Inertia about the mass centre: Ixx, Iyy, Izz, Ixy, Ixz, Iyz [kg m^2]; or none."""
+        return [float(self.inertia.central[at]) for at in SIX[: len(self.sigma) - 4]]
 
     @property
     def sentences(self) -> list[str]:
@@ -65,7 +66,9 @@ class FlangePayload:
         return [
             f"payload about and along the frame of '{self.frame}'; standard deviations:",
             f"mass {_rounded(mass)} kg, centre {_rounded(centre)} m,",
-            f"Ixx Iyy Izz Ixy Ixz Iyz {_rounded(six)} kg m^2",
+            f"Ixx Iyy Izz Ixy Ixz Iyz {_rounded(six)} kg m^2"
+            if len(six)
+            else "the inertia is not identifiable by poses at rest: by a motion it is",
         ]
 
 
@@ -85,7 +88,10 @@ def at_flange(found: PayloadEstimate, tree: Tree, link: Link | None = None) -> F
         SettingsError: Not all of it is identifiable, it is no body that can exist, or the flange
             is on another link.
     """
-    lacking = [n for n, known in zip(found.names, found.identifiable, strict=True) if not known]
+    whole = any(found.identifiable[4:])
+    wanted = 10 if whole else 4
+    known = np.array(found.identifiable)
+    lacking = [name for name, one in zip(found.names[:wanted], known, strict=False) if not one]
     if lacking:
         raise SettingsError(
             f"a controller wants all of a payload, and {few(lacking)} are not identifiable"
@@ -101,7 +107,7 @@ def at_flange(found: PayloadEstimate, tree: Tree, link: Link | None = None) -> F
         return inertia if link is None else link.seen_from(inertia)
 
     inertia = seen(found.values)
-    flaw = inertia_flaw("payload", inertia.mass, inertia.central)
+    flaw = inertia_flaw("payload", inertia.mass, inertia.central if whole else np.eye(3))
     if flaw:
         remedy = "longer and faster motion makes it more precise"
         if found.values[0] < -CLEAR * found.sigma[0]:
@@ -109,7 +115,7 @@ def at_flange(found: PayloadEstimate, tree: Tree, link: Link | None = None) -> F
         elif abs(found.values[0]) <= CLEAR * found.sigma[0]:
             remedy = "the recordings do not differ by a payload"
         raise SettingsError(f"no controller should get a body that cannot exist: {flaw}; {remedy}")
-    _, axes = np.linalg.eigh(inertia.central)
+    _, axes = np.linalg.eigh(inertia.central if whole else np.eye(3))
     axes[:, 0] *= np.sign(np.linalg.det(axes))
 
     def numbers(values: Array) -> Array:
@@ -117,10 +123,11 @@ def at_flange(found: PayloadEstimate, tree: Tree, link: Link | None = None) -> F
         principal = np.diagonal(axes.T @ own.central @ axes)
         return np.array([own.mass, *own.com, *(own.central[at] for at in SIX), *principal])
 
-    steps = STEP * np.diag(found.sigma)
+    steps = STEP * np.diag(found.sigma)[known]
     pairs = [(numbers(found.values + d), numbers(found.values - d)) for d in steps]
-    slope = np.array([(one - other) / 2 for one, other in pairs]).T / np.diagonal(steps)
-    sigma = np.sqrt(np.diagonal(slope @ found.covariance @ slope.T))
+    slope = np.array([(one - other) / 2 for one, other in pairs]).T / steps.sum(axis=1)
+    covariance = found.covariance[np.ix_(known, known)]
+    sigma = np.sqrt(np.diagonal(slope @ covariance @ slope.T))[: 13 if whole else 4]
     own = tree.joints[body].body if sensor is None else sensor.name
     frame = own if link is None else link.name
     return FlangePayload(frame, inertia, axes, sigma)
@@ -129,7 +136,8 @@ def at_flange(found: PayloadEstimate, tree: Tree, link: Link | None = None) -> F
 def universal_robots(load: FlangePayload) -> str:
     """URScript: `set_target_payload`."""
     inertia = load.inertia
-    call = f"set_target_payload({inertia.mass!r}, {inertia.com.tolist()}, {load.six})"
+    words = [inertia.mass, inertia.com.tolist(), load.six][: 2 + bool(load.six)]
+    call = f"set_target_payload({str(words)[1:-1]})"
     return "\n".join([*_comment("# ", load.sentences), call])
 
 
@@ -139,9 +147,10 @@ def franka(load: FlangePayload) -> str:
     said = {
         "mass": inertia.mass,
         "centerOfMass": inertia.com.tolist(),
-        "inertia": inertia.central.ravel(order="F").tolist(),
         "comment": " ".join(load.sentences),
     }
+    if load.six:
+        said["inertia"] = inertia.central.ravel(order="F").tolist()
     return json.dumps(said, indent=1)
 
 
@@ -150,11 +159,12 @@ def kuka(load: FlangePayload) -> str:
     moments = np.diagonal(load.axes.T @ load.inertia.central @ load.axes)
     angles = np.rad2deg(to_rpy(load.axes)[::-1])
     centre = _fields("XYZABC", [*(1e3 * load.inertia.com), *angles])
-    call = (
-        f"LOAD_DATA[1]={{M {load.inertia.mass!r},CM {{{centre}}},J {{{_fields('XYZ', moments)}}}}}"
-    )
-    own = f"J X Y Z {_rounded(load.sigma[10:])} kg m^2"
-    return "\n".join([*_comment("; ", [*load.sentences, own]), call])
+    inertia, own = "", []
+    if load.six:
+        inertia = f",J {{{_fields('XYZ', moments)}}}"
+        own = [f"J X Y Z {_rounded(load.sigma[10:])} kg m^2"]
+    call = f"LOAD_DATA[1]={{M {load.inertia.mass!r},CM {{{centre}}}{inertia}}}"
+    return "\n".join([*_comment("; ", [*load.sentences, *own]), call])
 
 
 def ros(load: FlangePayload) -> str:
@@ -162,9 +172,9 @@ def ros(load: FlangePayload) -> str:
     inertia = load.inertia
     x, y, z = inertia.com.tolist()
     names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    tensor = dict(zip(names, load.six, strict=True))
+    tensor = dict(zip(names, load.six, strict=False))
     lines = [f"m: {inertia.mass!r}", f"com: {{x: {x!r}, y: {y!r}, z: {z!r}}}"]
-    lines += [f"{name}: {tensor[name]!r}" for name in sorted(names)]
+    lines += [f"{name}: {tensor[name]!r}" for name in sorted(tensor)]
     return "\n".join([*_comment("# ", load.sentences), *lines])
 
 

@@ -1,0 +1,223 @@
+"""Tables of poses as people bring them: wrong units, signs, axes and zeros are named, no others.
+
+If one fails, a tool that no robot carries is typed into it. The witness is a UR5 by rotations of
+SciPy alone.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.errors import RecordingError, UnknownName
+from testbed.identification.payload.tool import StaticPoses, read_static_poses, tool_at_rest
+from testbed.robot.force_sensor import ForceSensor
+from tests.helpers.command import command_line
+from tests.helpers.paths import ROOT
+from tests.helpers.refusals import refuses
+
+UR5 = ROOT / "tests/golden/robots/ur5.urdf"
+MASS, CENTRE = 1.4, np.array([0.012, -0.008, 0.095])
+ZERO = np.array([1.0, -2.0, 0.5, 0.01, 0.02, -0.03])
+NOISE = np.repeat([0.05, 0.002], 3)
+DOWN = np.array([0.0, 0.0, -9.81])
+KGF, LBF, DEG = 9.80665, 4.4482216, float(np.rad2deg(1.0))
+
+
+def orientation(q: Array) -> Rotation:
+    """Of the last link, by the UR5's Denavit-Hartenberg table."""
+    turns = [Rotation.from_rotvec(np.outer(each, [0, 0, 1])) for each in q.T]
+    tilts = [Rotation.from_rotvec([each, 0, 0], degrees=True) for each in (90, 0, 0, 90, -90)]
+    whole = turns[0]
+    for tilt, turn in zip(tilts, turns[1:], strict=True):
+        whole = whole * tilt * turn
+    return whole
+
+
+def poses(
+    count: int, seed: int, gravity: Array = DOWN, zero: Array = ZERO, still: int | None = None
+) -> tuple[Array, Array, Array]:
+    """Joint positions, what the sensor shows, and its orientation."""
+    rng = np.random.default_rng([71, seed])
+    q = rng.uniform(-2.5, 2.5, (count, 6))
+    if still is not None:
+        q[:, still] = 0.3
+    turn = orientation(q)
+    force = -MASS * turn.inv().apply(gravity)
+    shown = np.hstack([force, np.cross(CENTRE, force)]) + zero
+    return q, shown + NOISE * rng.normal(size=shown.shape), turn.as_matrix()
+
+
+def robot() -> tb.Tree:
+    return tb.load_tree(UR5, sensor=ForceSensor("b6"))
+
+
+def seen_from(turn: Array, wrench: Array) -> Array:
+    """A wrench along other axes."""
+    return np.einsum("pij,pkj->pki", turn, wrench.reshape(-1, 2, 3)).reshape(-1, 6)
+
+
+Fault = Callable[[Array, Array, Array], tuple[Array, Array]]
+
+
+def scaled(*factors: float) -> Fault:
+    return lambda q, wrench, turn: (q, wrench * np.repeat(factors, 3))
+
+
+FAULTS: dict[str, tuple[Fault, str, str]] = {
+    "nothing": (scaled(1, 1), "", ""),
+    "moments in N mm": (scaled(1, 1000), "tool.reach", "moments-in-mm"),
+    "moments in N cm": (scaled(1, 100), "tool.reach", "moments-in-cm"),
+    "forces in kgf": (scaled(1 / KGF, 1), "tool.reach", "forces-in-kgf"),
+    "forces in lbf": (scaled(1 / LBF, 1), "tool.reach", "forces-in-lbf"),
+    "lbf and lbf in": (scaled(1 / LBF, 1 / 0.11298), "tool.reach", "wrench-in-lbf-in"),
+    "opposite moments": (scaled(1, -1), "tool.behind", "moments-opposite"),
+    "opposite forces": (scaled(-1, 1), "tool.upwards", "forces-opposite"),
+    "all opposite": (scaled(-1, -1), "tool.upwards", "opposite-signs"),
+    "base": (lambda q, w, r: (q, seen_from(r, w)), "tool.base-axes", "base-axes"),
+    "UR's base": (
+        lambda q, w, r: (q, seen_from(np.diag([-1, -1, 1]) @ r, w)), "tool.turned-base", "base-axes"
+    ),
+    "forces along the base": (
+        lambda q, w, r: (q, np.hstack([seen_from(r, w)[:, :3], w[:, 3:]])),
+        "tool.base-axes", "base-axes",
+    ),
+    "degrees": (lambda q, w, r: (np.rad2deg(q), w), "tool.degrees", ""),
+    "an encoder's sign": (lambda q, w, r: (q * [1, 1, 1, 1, -1, 1], w), "tool.sign", ""),
+    "exchanged moments": (lambda q, w, r: (q, w[:, [0, 1, 2, 4, 3, 5]]), "tool.exchanged", ""),
+    "a zero": (lambda q, w, r: (q + 0.28 * np.eye(6)[4], w), "tool.zeros", ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize("zero", [ZERO, 0 * ZERO], ids=["offset", "tared"])
+def test_a_fault_is_named_first_and_nothing_of_a_right_table(name: str, zero: Array) -> None:
+    fault, code, cause = FAULTS[name]
+    for count, seed in ((8, 0), (16, 1)):
+        found = tool_at_rest(robot(), StaticPoses(*fault(*poses(count, seed, zero=zero))))
+        assert [each.code for each in found.diagnostics] == [code] * (code != "")
+        assert [*found.diagnostics[0].causes[:1]] == [cause] * (cause != "") if code else True
+
+
+@pytest.mark.parametrize(
+    ("angle", "code"), [(0.5, ""), (16, "tool.level"), (90, "tool.wall"), (180, "tool.upwards")]
+)
+def test_gravity_shows_how_the_base_stands(angle: float, code: str) -> None:
+    gravity = Rotation.from_euler("y", angle, degrees=True).apply(DOWN)
+    for count in (4, 12):
+        found = tool_at_rest(robot(), StaticPoses(*poses(count, 3, gravity)[:2]))
+        assert [each.code for each in found.diagnostics] == [code] * (code != "")
+        right = robot().with_gravity(gravity)
+        assert tool_at_rest(right, StaticPoses(*poses(count, 3, gravity)[:2])).diagnostics == ()
+
+
+def test_a_zero_that_looks_like_a_tilted_base_is_among_the_causes() -> None:
+    """Without a turn of the first joint, nobody can tell them apart; with it, they differ."""
+    for still, among in ((0, True), (None, False)):
+        gravity = Rotation.from_euler("y", 16, degrees=True).apply(DOWN)
+        q, wrench, _ = poses(16, 5, gravity, still=still)
+        if still == 0:  # the same table by the second joint's zero, about its axis
+            q, wrench, _ = poses(16, 5, still=0)
+            q = q + 0.28 * np.eye(6)[1]
+        (said,) = tool_at_rest(robot(), StaticPoses(q, wrench)).diagnostics
+        assert said.code == "tool.level"
+        assert ("joint-zero" in said.causes) == among
+
+
+def test_a_cable_that_pulls_beside_the_centre_is_the_first_cause() -> None:
+    q, wrench, turn = poses(16, 6)
+    pull = np.einsum("pji,j->pi", turn, [-3.0, 0, 0])
+    wrench = wrench + np.hstack([pull, np.cross([0, 0, 0.25], pull)])
+    said = {each.code: each for each in tool_at_rest(robot(), StaticPoses(q, wrench)).diagnostics}
+    assert said.keys() == {"tool.unexplained", "tool.level"}
+    assert said["tool.level"].causes[0] == "cable"
+
+
+JOINTS = [f"j{k}" for k in range(1, 7)]
+AXES = ["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
+HEADINGS: dict[str, tuple[list[str], list[str], float, float, float]] = {
+    "numbers": ([f"q{k}" for k in range(1, 7)], AXES, 1, 1, 1),
+    "brackets": ([f"J{k} [deg]" for k in range(1, 7)],
+                 [f"{x} [N]" for x in AXES[:3]] + [f"{x} [Nmm]" for x in AXES[3:]], DEG, 1, 1e3),
+    "suffixes": ([f"joint_{k}_deg" for k in range(1, 7)],
+                 ["Fx_kgf", "Fy_kgf", "Fz_kgf", "Tx_Nm", "Ty_Nm", "Tz_Nm"], DEG, 1 / KGF, 1),
+    "words": ([f"Joint {k} (rad)" for k in range(1, 7)],
+              [f"{x} {y}" for x in ("Force", "Torque") for y in "XYZ"], 1, 1, 1),
+    "from zero": ([f"position[{k}]" for k in range(6)],
+                  [f"wrench[{k}]" for k in range(6)], 1, 1, 1),
+    "by size": ([f"A{k}" for k in range(1, 7)], [f"force_{x}" for x in "xyz"] +
+                [f"moment_{x}" for x in "xyz"], DEG, 1, 1),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HEADINGS)
+def test_headings_are_read_as_recordings_are(name: str, tmp_path: Path) -> None:
+    """Beside numbers of poses, times and comments; a row with an empty field is left out."""
+    joints, axes, angle, force, moment = HEADINGS[name]
+    q, wrench, _ = poses(12, 8)
+    columns = np.hstack([q * angle, wrench * np.repeat([force, moment], 3)])
+    for mark in (",", ";", "\t"):
+        lines = [mark.join(["time [s]", "no", *joints, *axes, "remark"])]
+        for k, row in enumerate(columns):
+            fields = [f"{x:.9f}" for x in row]
+            lines.append(mark.join([f"{7.5 * k}", str(k + 1), *fields, f"pose number {k}"]))
+        lines[4] = mark.join([*lines[4].split(mark)[:9], "", *lines[4].split(mark)[10:]])
+        (tmp_path / "poses.csv").write_text("\n".join(lines))
+        read = read_static_poses(tmp_path / "poses.csv", robot())
+        kept = np.delete(np.arange(12), 3)
+        np.testing.assert_allclose(read.position, q[kept], atol=1e-7)
+        np.testing.assert_allclose(read.wrench, wrench[kept], atol=1e-6)
+        assert len(read.diagnostics) == 1 + (name == "by size")
+
+
+@pytest.mark.parametrize(
+    ("joints", "axes", "named"),
+    [
+        (JOINTS[:5], AXES, "j6"),
+        (["q1", "q2", "q4", "q5", "q6"], AXES, "j3"),
+        (JOINTS, AXES[:5], "Mz"),
+        (["j1 [mm]", *JOINTS[1:]], AXES, "mm"),
+        (JOINTS, ["Fx [A]", *AXES[1:]], "Fx [A]"),
+    ],
+)
+def test_what_a_table_lacks_is_named(
+    joints: list[str], axes: list[str], named: str, tmp_path: Path
+) -> None:
+    rows = np.random.default_rng(1).normal(size=(8, len(joints) + len(axes)))
+    file = tmp_path / "poses.csv"
+    np.savetxt(file, rows, delimiter=",", header=",".join([*joints, *axes]), comments="")
+    with refuses((RecordingError, UnknownName), named):  # type: ignore[arg-type]
+        read_static_poses(file, robot())
+
+
+def test_controllers_take_what_poses_identify_and_nothing_that_they_contradict(
+    tmp_path: Path,
+) -> None:
+    """About the flange that the model names, by the words that a controller reads."""
+    for name, scale, code in (("good", 1.0, 0), ("wrong", 1000.0, 2)):
+        q, wrench, _ = poses(12, 9)
+        table = np.hstack([q, wrench * np.repeat([1, scale], 3)])
+        file = tmp_path / f"{name}.csv"
+        np.savetxt(file, table, delimiter=",", header=",".join([*JOINTS, *AXES]), comments="")
+        words = ("tool", str(file), "--at-rest", "--model", str(UR5), "--sensor", "b6")
+        done = command_line(*words, "--as", "ur", "--flange", "b6", cwd=tmp_path)
+        assert done.returncode == code, done.stderr
+        if code == 0:
+            call = ast.parse(done.stdout.splitlines()[-1], mode="eval").body
+            assert isinstance(call, ast.Call)
+            mass, centre = map(ast.literal_eval, call.args)
+            assert mass == pytest.approx(MASS, abs=0.01)
+            np.testing.assert_allclose(centre, CENTRE, atol=1e-3)
+            for vendor in ("franka", "kuka", "ros"):
+                other = command_line(*words, "--as", vendor, cwd=tmp_path)
+                assert other.returncode == 0
+                assert 'inertia":' not in other.stdout
+                assert "ixx" not in other.stdout
+                assert ",J {" not in other.stdout
