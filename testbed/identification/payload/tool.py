@@ -192,8 +192,8 @@ def tool_at_rest(tree: Tree, table: StaticPoses, sensor: ForceSensor | None = No
     size = float(np.linalg.norm(tree.gravity))
     if not size:
         raise SettingsError("without gravity there is nothing to weigh a tool by")
-    said, best, zero, axes = reading_of(tree, table.position, table.wrench), None, None, None
-    fit = said.fit
+    said, zero = reading_of(tree, table.position, table.wrench), None
+    best, fit = said, said.fit
     if not fit.weight.any():
         raise RecordingError("the force sensor shows no weight in these poses")
     if len(table.wrench) >= ENOUGH:
@@ -201,8 +201,8 @@ def tool_at_rest(tree: Tree, table: StaticPoses, sensor: ForceSensor | None = No
         others = (*other_readings(tree, table), turned(said), zero)
         tried = [each for each in others if explains(each, said)]
         least = min((x.held_out for x in tried), default=0.0)
-        best = next((x for x in tried if x.held_out < ALIKE * least), None)
-        axes = axes_turn(best.fit, place.rotation) if best and best.code == "axes" else None
+        best = next((x for x in tried if x.held_out < ALIKE * least), said)
+    axes = axes_turn(best.fit, place.rotation) if best.code == "axes" else None
     pull = fit.weight / np.linalg.norm(fit.weight)
     mass = float(pull @ fit.weight) / size
     moments = np.array([1, *fit.found[9:12]])
@@ -232,6 +232,6 @@ def tool_at_rest(tree: Tree, table: StaticPoses, sensor: ForceSensor | None = No
         axes=axes,
         diagnostics=(
             *table.diagnostics,
-            *checked(said, best or said, zero, tree.gravity, axes, ahead, place.name),
+            *checked(said, best, zero, tree.gravity, axes, ahead, place.name),
         ),
     )

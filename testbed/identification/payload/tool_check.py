@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, Level, diagnose
 from testbed.identification.payload.pose_readings import ALIKE, BASES, LEVEL, PoseReading
 from testbed.identification.payload.sensor_axes import AxesTurn
 from testbed.identification.payload.static_fit import RestFit
@@ -17,6 +17,9 @@ BETTER = 0.25
 
 DOUBTFUL = 0.03
 """Part of a tool's weight in the residuals above which a reading does not explain the poses."""
+
+GROSS = 0.1
+"""The same part above which what was found is in doubt, and not only uncertain."""
 
 WEIGHTLESS = 0.5
 """The same part above which the sensor shows no weight: what shows one need not be better."""
@@ -97,7 +100,9 @@ def checked(
             rpy=_listed(axes.rpy) if axes else "",
         )  # fmt: skip
     elif not (sure or fit.open):
-        yield diagnose("tool.unexplained" if zero else "tool.residual", value=fit.share)
+        how: Level = "error" if fit.share > GROSS else "warning"  # below, noise will do it
+        code = "tool.unexplained" if zero else "tool.residual"
+        yield diagnose(code, value=fit.share, level=how)
     if fit.open:
         yield diagnose("tool.poses", ", ".join(fit.open))
     if fit.open or fit.scale[0] > DOUBTFUL * mass * size:
