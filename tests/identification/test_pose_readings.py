@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import RecordingError, UnknownName
-from testbed.identification.payload.tool import StaticPoses, read_static_poses, tool_at_rest
+from testbed.identification.payload.pose_readings import StaticPoses
+from testbed.identification.payload.tool import read_static_poses, tool_at_rest
 from testbed.robot.force_sensor import ForceSensor
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
@@ -61,7 +62,8 @@ def robot() -> tb.Tree:
 
 def seen_from(turn: Array, wrench: Array) -> Array:
     """A wrench along other axes."""
-    return np.einsum("pij,pkj->pki", turn, wrench.reshape(-1, 2, 3)).reshape(-1, 6)
+    found: Array = np.einsum("pij,pkj->pki", turn, wrench.reshape(-1, 2, 3)).reshape(-1, 6)
+    return found
 
 
 Fault = Callable[[Array, Array, Array], tuple[Array, Array]]

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError
+from testbed.identification.payload.pose_readings import StaticPoses
 from testbed.identification.payload.tool import (
-    StaticPoses,
     read_static_poses,
     tool_at_rest,
     tool_of,

@@ -25,10 +25,10 @@ from testbed.parameters.prior import matrices, parameters
 from testbed.recordings.columns import AXES
 from testbed.recordings.importing.column_names import Group, read_name
 from testbed.recordings.importing.foreign_table import FORCES, MOMENTS, SLIDING, TURNING
+from testbed.recordings.importing.likely_clock import clock_of
 from testbed.recordings.importing.likely_signals import (
     BY_SIZE,
     LikelySource,
-    clock_of,
     likely_plates,
     likely_signals,
 )
@@ -94,7 +94,7 @@ def read_static_poses(path: Path, tree: Tree, *, degrees: bool = False) -> Stati
     columns = [replace(x, kind="position") if x.kind is x.unit is None else x for x in names]
     source = LikelySource("poses", path, None, table, tuple(columns), clock)
     signal = likely_signals([source], tree.names).get("position")
-    wrench = next((each for _, _, each in likely_plates([source])), [])
+    wrench = next((each for _, _, each in likely_plates([source], {})), [])
     group = signal.group if signal else Group((), ())
     numbers = () if group.matched else group.numbers
     counted = enumerate(tree.names, int(0 not in numbers))
