@@ -101,7 +101,7 @@ class _Nuisance(_Part):
 
 
 class _Estimate(_Part):
-    """What both formats have of an estimate."""
+    """What is read of an estimate."""
 
     names: tuple[str, ...]
     values: Array
@@ -133,7 +133,7 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
             f"there is no result '{path}': name what `identify --json` printed, or a run folder"
         )
     content = _json(path)
-    every = content.get("estimates", content)  # format 1 has them beside all else
+    every = content.get("estimates")
     if not isinstance(every, dict) or not any(method in every for method in METHODS):
         raise ExperimentError(f"{path}: no result: it has no {' or '.join(METHODS)} estimate")
     found = tuple(
@@ -248,7 +248,7 @@ def _of_run(
         )
     experiment = Experiment.load(beside, words)
     used = content.get("model")
-    sha256 = used.get("sha256") if isinstance(used, dict) else content.get("model_sha256")
+    sha256 = used.get("sha256") if isinstance(used, dict) else None
     place = _checked_model(model or Path(experiment.model), sha256, path)
     experiment = experiment.model_copy(update={"model": str(place)})
     options = experiment.consistent or ConsistencyOptions()

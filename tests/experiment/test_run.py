@@ -165,10 +165,11 @@ def test_a_run_is_judged_under_the_gravity_of_its_recording_with_the_warnings_of
     run = run_of(tree, replace(there, facts={"gravity": moon}), experiment())
     assert run.metrics["external_max_relative_error"] < 1e-9
     assert run.metrics["internal_max_relative_error"] < 1e-9
-    there = replace(noisy(ideal(tree)), facts={"warnings": ["hot motor"]})
+    hot = Diagnostic("note", "hot motor")
+    there = replace(noisy(ideal(tree)), facts={"diagnostics": [hot.as_dict()]})
     odd = Diagnostic("note", "odd model")
     said = run_of(replace(tree, diagnostics=(odd,)), there).diagnostics
-    assert {odd, Diagnostic("note", "hot motor")} <= set(said)
+    assert {odd, hot} <= set(said)
 
 
 # warnings and words
