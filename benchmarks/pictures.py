@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.timing import least
-from testbed.experiment.assumptions import growth
 from testbed.experiment.carry_out import carry_out
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.results import read_run, write_run
@@ -23,11 +22,11 @@ def pictures(rounds: int = 3) -> dict[str, Any]:
         place, rrd, page = (Path(folder) / name for name in ("run", "run.rrd", "run.html"))
         write_run(carry_out(experiment), place)
         run = read_run(place)
-        scene = scene_of(run, growth(run))
+        scene = scene_of(run)
         seconds = least(
             {
                 "rrd": lambda: write_rrd([scene], rrd),
-                "scene and rrd": lambda: write_rrd([scene_of(run, growth(run))], rrd),
+                "scene and rrd": lambda: write_rrd([scene_of(run)], rrd),
                 "report": lambda: write_report(run, page),
             },
             rounds,

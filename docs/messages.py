@@ -20,11 +20,12 @@ def as_markdown(of: str = "") -> str:
         of: Nothing: there is one place.
     """
     del of
-    from testbed.diagnostics import NOTE, messages, phrase
+    from testbed.diagnostics import messages, phrase
 
     lines: list[str] = []
-    known = ((code, message) for code, message in messages().items() if code != NOTE)
-    for group, found in groupby(sorted(known), key=lambda each: each[0].partition(".")[0]):
+    for group, found in groupby(
+        sorted(messages().items()), key=lambda each: each[0].partition(".")[0]
+    ):
         rows = [
             (
                 f"`{code}` {message.level}",

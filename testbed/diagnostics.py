@@ -9,16 +9,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.resources import files
 from tomllib import loads
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from testbed.codec import decode
 
 Level = Literal["error", "warning", "info"]
-
-NOTE = "note"
-"""Code of a sentence that came without one, as from files of earlier versions."""
 
 ALIKE = 2
 """Most diagnostics of one code, causes and remedy that have a sentence each."""
@@ -222,16 +221,17 @@ def paragraphs(diagnostics: Iterable[Diagnostic]) -> tuple[tuple[str, ...], ...]
     )
 
 
-def from_json(content: Iterable[Any]) -> tuple[Diagnostic, ...]:
-    """Of `as_dict`; a sentence, as earlier versions kept, is a note.
+def from_json(content: Any) -> tuple[Diagnostic, ...]:
+    """Diagnostics of tables as `as_dict` makes them.
 
     Args:
-        content: Texts, or tables with at least code and text.
+        content: A list of tables with at least code and text.
 
     Raises:
-        ValueError: It is neither.
+        ValueError: It is something else.
     """
-    return tuple(_from_json(each) for each in content)
+    found: tuple[Diagnostic, ...] = decode(tuple[Diagnostic, ...], content, {})
+    return found
 
 
 def of_recording(facts: Mapping[str, Any]) -> tuple[Diagnostic, ...]:
@@ -241,12 +241,12 @@ def of_recording(facts: Mapping[str, Any]) -> tuple[Diagnostic, ...]:
         facts: The recording's.
 
     Raises:
-        ValueError: It is no list of diagnostics.
+        ValueError: Its diagnostics are something else.
     """
-    content = facts.get("diagnostics", facts.get("warnings", []))
-    if not isinstance(content, list):
-        raise ValueError("its 'diagnostics' are not a list")
-    return from_json(content)
+    try:
+        return from_json(facts.get("diagnostics", []))
+    except ValueError:
+        raise ValueError("its 'diagnostics' are not a list of tables with code and text") from None
 
 
 class Diagnosed:
@@ -267,7 +267,8 @@ class Diagnosed:
 @cache
 def messages() -> Mapping[str, Message]:
     """The table of messages, by code."""
-    found, rank = {NOTE: Message("{subject}")}, 0
+    found: dict[str, Message] = {}
+    rank = 0
     for group, table in _table().items():
         common = {key: said for key, said in table.items() if not isinstance(said, dict)}
         for name, own in table.items() if group != "causes" else ():
@@ -297,13 +298,13 @@ def _table() -> Mapping[str, Any]:
 
 
 def _message(code: str) -> Message:
-    """Of another version's code: that of a note."""
-    return messages().get(code) or messages()[NOTE]
+    """The table's, or one without anything for a code that it lacks."""
+    return messages().get(code, Message(""))
 
 
 def _kind(each: Diagnostic) -> tuple[str, ...]:
     """What diagnostics have in common that share a sentence."""
-    own = (each.text,) if each.code == NOTE or not (each.causes or each.remedy) else ()
+    own = () if each.causes or each.remedy else (each.text,)
     return (each.code, each.recording, each.instrument, each.level, each.remedy, *own, *each.causes)
 
 
@@ -326,20 +327,3 @@ def _significance(each: Diagnostic) -> float:
 
 def _finite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
-
-
-def _from_json(content: Any) -> Diagnostic:
-    if isinstance(content, str):
-        return Diagnostic(NOTE, content)
-    if not (isinstance(content, dict) and {"code", "text"} <= content.keys()):
-        raise ValueError("a diagnostic is neither a text nor a table with code and text")
-    causes = content.get("causes", [])
-    known = {each.name: each.type for each in fields(Diagnostic) if each.name != "causes"}
-    given = {name: value for name, value in content.items() if name in known}
-    texts = isinstance(causes, list) and all(isinstance(each, str) for each in causes)
-    for name, value in given.items():
-        numbers = (float, int, type(None)) if "None" in str(known[name]) else str
-        texts = texts and isinstance(value, numbers)
-    if not (texts and given.get("level", "info") in get_args(Level)):
-        raise ValueError(f"the diagnostic '{given['code']}' has fields of other kinds")
-    return Diagnostic(**given, causes=tuple(causes))

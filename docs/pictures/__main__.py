@@ -12,20 +12,12 @@ from __future__ import annotations
 import base64
 import subprocess
 import sys
-import sysconfig
 import tempfile
 import time
 from pathlib import Path
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
-PACKAGE = Path(sysconfig.get_paths()["purelib"]) / "cmeel.prefix/share/example-robot-data/robots"
-ROBOTS = {
-    "ur5": "ur_description/urdf/ur5_robot.urdf",
-    "panda": "panda_description/urdf/panda.urdf",
-    "g1": "g1_description/urdf/g1_29dof_rev_1_0.urdf",
-}
-"""In the viewer, with floating roots welded and joints held as `new` does."""
 WIDTH = 1440
 SIZE, ZOOM = "1920x1440", 10
 """Of the viewer's window [pixels], and steps of its zoom: words can be read on a page."""
@@ -40,7 +32,6 @@ def main() -> None:
         viewer(run, Path(folder))
         report(run, Path(folder))
         campaign(Path(folder) / "campaign")
-        robots(Path(folder))
 
 
 def testbed(*words: str) -> None:
@@ -50,17 +41,8 @@ def testbed(*words: str) -> None:
 
 def viewer(run: Path, folder: Path) -> None:
     """What the viewer shows in some of its tabs."""
-    for tab in ("overview", "wrench", "friction", "estimates"):
+    for tab in ("wrench", "friction"):
         shown(run, tab, f"viewer_{tab}", folder)
-
-
-def robots(folder: Path) -> None:
-    """Robots of example-robot-data as the commands make them, no file edited."""
-    for name, file in ROBOTS.items():
-        experiment, run = folder / f"{name}.toml", folder / name
-        testbed("new", str(PACKAGE / file), "--out", str(experiment))
-        testbed("run", str(experiment), "--out", str(run))
-        shown(run, "overview", f"viewer_{name}", folder)
 
 
 def shown(run: Path, tab: str, picture: str, folder: Path) -> None:
@@ -72,14 +54,12 @@ def shown(run: Path, tab: str, picture: str, folder: Path) -> None:
         picture: Name of the picture.
         folder: For files on the way.
     """
-    from testbed.experiment.assumptions import growth
     from testbed.experiment.results import read_run
     from testbed.viewer.log import write_rrd
     from testbed.viewer.scene import scene_of
     from tests.helpers.viewer import headless_viewer
 
-    found = read_run(run)
-    scene = scene_of(found, growth(found))
+    scene = scene_of(read_run(run))
     path = folder / f"{picture}.rrd"
     write_rrd([scene], path, tab)
     with headless_viewer(folder, SIZE) as (seen, _):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -108,7 +107,7 @@ def calibrate(
     ),
     loaded: Annotated[
         Path | None,
-        typer.Option(help="Another recording, with a payload: --known payload/mass=1.5."),
+        typer.Option(help="Of joint torques, with a payload: --known payload/mass=1.5."),
     ] = None,
     joint: Annotated[
         str | None,
@@ -126,9 +125,10 @@ def calibrate(
     """Calibrate the plate by the robot's own motion: sensitivities, zero, delay.
 
     Other numbers: --set 'identification.nuisances=["pose","skew"]'. Whether what is known
-    suffices is found out before any data are read. A known payload identifies the scale, too:
-    a recording with it beside RECORDING, which is without it. Of recordings of joint torques
-    alone, it identifies the scale of every joint's torque.
+    suffices is found out before any data are read.
+
+    With --loaded, the joint torques instead: RECORDING is without a known payload, the other one
+    with it, and the two give the scale of every joint's torque.
 
     Example: testbed calibrate run.parquet --model robot.urdf --known mass=20 --known gain/Mx=1
     """
@@ -137,7 +137,6 @@ def calibrate(
     from testbed.experiment.read_result import write_plate
     from testbed.files import check_writable
     from testbed.identification.calibration import calibrate as calibrated
-    from testbed.identification.payload.calibration_by_payload import calibrate_by_payload
     from testbed.identification.payload.torque_scales import torque_scales
     from testbed.identification.regression.constraints import parse_known
     from testbed.reporting import estimates as shown
@@ -154,7 +153,7 @@ def calibrate(
     tree = reading.tree(model)
     table = reading.tables().identification
     how: dict[str, Any] = {"gravity": gravity, "settings": table, "threads": threads}
-    if loaded is not None and "wrench" not in source.signals:
+    if loaded is not None:
         with output.Progress("calibrating torques") as progress:
             scales = torque_scales(tree, source, loaded, facts, joint, progress=progress, **how)
         if as_json:
@@ -162,11 +161,8 @@ def calibrate(
         else:
             output.print_tables(output.console(), [shown.scales_table(scales)])
         return
-    found = partial(calibrated, tree, source)
-    if loaded is not None:
-        found = partial(calibrate_by_payload, tree, source, loaded, joint=joint)
     with output.Progress("calibrating") as progress:
-        plate = found(facts, progress=progress, **how)
+        plate = calibrated(tree, source, facts, progress=progress, **how)
     write_plate(plate, out)
     if as_json:
         output.print_json(encode(plate, exclude={"estimate": {"normal_equations"}}))

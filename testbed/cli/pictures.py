@@ -63,7 +63,7 @@ def view(
     terms: Terms = None,
     unchecked: Unchecked = False,
 ) -> None:
-    """Show runs in the Rerun viewer: robot, reaction, predictions, friction, estimates.
+    """Show runs in the Rerun viewer: robot, reaction, predictions, friction.
 
     Of a motion that `testbed excite` wrote: the robot on its path, and what is left of every limit.
     A recording is shown with what its own estimates predict.
@@ -73,7 +73,6 @@ def view(
     Example: testbed view recording.parquet --model robot.urdf
     """
     from testbed.errors import ViewerError
-    from testbed.experiment.assumptions import growth
     from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.viewer.live import has_screen
@@ -100,7 +99,7 @@ def view(
         for k, path in enumerate(runs):
             progress(k, len(runs))
             run = _run_at(path, model, reading, unchecked=unchecked)
-            scenes.append(scene_of(run, growth(run)))
+            scenes.append(scene_of(run))
         write_rrd(scenes, log)
     _show(log, [each for scene in scenes for each in scene.diagnostics], serve, save is None, port)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import sys
 import tempfile
@@ -52,55 +51,40 @@ class Check:
 
 
 def checkup() -> list[Check]:
-    """Everything that was looked at, what must be there first."""
-    return [*_programs(), *_packages(), *_extras(), _kernel(), _viewer(), _folder()]
-
-
-def _programs() -> Iterator[Check]:
-    cores = os.cpu_count() or 1
-    yield Check("testbed", f"{own_version()}, in {Path(__file__).parent.parent}")
-    yield Check("Python", f"{platform.python_version()}, {sys.executable}")
-    yield Check("machine", f"{platform.machine()}, {platform.system()}, {cores} processors")
+    """Version and Python, packages, extras, the kernel's cache, the viewer."""
+    found = f"{own_version()}, in {Path(__file__).parent.parent}"
+    python = f"{platform.python_version()}, {sys.executable}"
+    return [Check("testbed", found), Check("Python", python), *_packages(), _kernel(), _viewer()]
 
 
 def _packages() -> Iterator[Check]:
-    """Packages that nothing works without."""
-    for text in requires(DISTRIBUTION) or ():
-        wanted = Requirement(text)
-        if wanted.marker is None or wanted.marker.evaluate({"extra": ""}):
-            fine, found = _there(wanted)
-            remedy = f"pip install '{wanted.name}{wanted.specifier}'"
-            yield Check(wanted.name, found, fine, True, remedy)
-
-
-def _extras() -> Iterator[Check]:
-    """Packages that only some commands need, extra by extra."""
+    """Packages that nothing works without; then those that only some commands need, by extra."""
+    wanted = [Requirement(text) for text in requires(DISTRIBUTION) or ()]
+    needed = [each for each in wanted if each.marker is None or each.marker.evaluate({"extra": ""})]
+    for each in needed:
+        fine, found = _installed(each)
+        yield Check(each.name, found, fine, True, f"pip install '{each.name}{each.specifier}'")
     for extra in metadata(DISTRIBUTION).get_all("Provides-Extra") or ():
-        if extra in NOT_FOR_USERS:
-            continue
-        wanted = [Requirement(text) for text in requires(DISTRIBUTION) or ()]
-        own = [
-            each
+        own = {
+            each.name: _installed(each)
             for each in wanted
-            if each.marker is not None
-            and each.marker.evaluate({"extra": extra})
-            and not each.marker.evaluate({"extra": ""})
-        ]
-        states = [_there(each) for each in own]
-        found = ", ".join(f"{w.name} {s}" for w, (_, s) in zip(own, states, strict=True))
-        remedy = f"from the project's folder, pip install -e '.[{extra}]'"
-        yield Check(f"extra [{extra}]", found, all(fine for fine, _ in states), False, remedy)
+            if each not in needed and each.marker and each.marker.evaluate({"extra": extra})
+        }
+        if extra not in NOT_FOR_USERS:
+            fine = all(there for there, _ in own.values())
+            found = ", ".join(f"{name} {state}" for name, (_, state) in own.items())
+            remedy = f"from the project's folder, pip install -e '.[{extra}]'"
+            yield Check(f"extra [{extra}]", found, fine, False, remedy)
 
 
-def _there(wanted: Requirement) -> tuple[bool, str]:
+def _installed(wanted: Requirement) -> tuple[bool, str]:
     """Whether a package is there in a version that will do, and which."""
     try:
         found = version(wanted.name)
     except PackageNotFoundError:
         return False, "not installed"
-    if wanted.specifier.contains(found, prereleases=True):
-        return True, found
-    return False, f"{found}, needed is {wanted.specifier}"
+    fine = wanted.specifier.contains(found, prereleases=True)
+    return fine, found if fine else f"{found}, needed is {wanted.specifier}"
 
 
 def _kernel() -> Check:
@@ -111,9 +95,8 @@ def _kernel() -> Check:
     if folder.is_relative_to(tempfile.gettempdir()):
         remedy = "make ~/.cache/testbed writable, and by you alone; else it is compiled every time"
         return Check("compiled kernel", f"kept in {folder}, for now", False, False, remedy)
-    if any(folder.glob("**/*.nbi")):
-        return Check("compiled kernel", f"ready, in {folder}")
-    return Check("compiled kernel", f"not yet: the first run or estimate compiles it into {folder}")
+    state = "ready" if any(folder.glob("**/*.nbi")) else "the first run or estimate compiles it"
+    return Check("compiled kernel", f"{state}, in {folder}")
 
 
 def _viewer() -> Check:
@@ -121,18 +104,9 @@ def _viewer() -> Check:
     from testbed.viewer.live import has_screen, viewer_program
 
     program = viewer_program()
-    if program is None:
-        return Check("viewer", "no command 'rerun'", False, False, "pip install rerun-sdk")
-    if not has_screen():
-        return Check("viewer", f"{program}; no screen here: testbed view with --save or --serve")
-    return Check("viewer", program)
-
-
-def _folder() -> Check:
-    """Whether runs can be written here."""
-    here = Path.cwd()
-    remedy = "work in a folder of your own, or give --out"
-    return Check("this folder", str(here), os.access(here, os.W_OK), False, remedy)
+    screen = "" if has_screen() else "; no screen here: testbed view with --save or --serve"
+    found = f"{program}{screen}" if program else "no command 'rerun'"
+    return Check("viewer", found, bool(program), False, "pip install rerun-sdk")
 
 
 @app.command()

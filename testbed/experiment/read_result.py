@@ -101,7 +101,7 @@ class _Nuisance(_Part):
 
 
 class _Estimate(_Part):
-    """What both formats have of an estimate."""
+    """What is read of an estimate."""
 
     names: tuple[str, ...]
     values: Array
@@ -133,8 +133,8 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
             f"there is no result '{path}': name what `identify --json` printed, or a run folder"
         )
     content = _json(path)
-    every = content.get("estimates", content)  # format 1 has them beside all else
-    added, every = (x if isinstance(x, dict) else {} for x in (content.get("posterior"), every))
+    said = content.get("posterior"), content.get("estimates")
+    added, every = (x if isinstance(x, dict) else {} for x in said)
     own = {m: _stated(every[m], m, f"{path}: {m}") for m in METHODS if m in every}
     with_file = {m: _added(added[m], f"{path}: {m}: posterior") for m in METHODS if m in added}
     there = [method for method in METHODS if method in own or method in with_file]
@@ -251,7 +251,7 @@ def _of_run(
         )
     experiment = Experiment.load(beside, words)
     used = content.get("model")
-    sha256 = used.get("sha256") if isinstance(used, dict) else content.get("model_sha256")
+    sha256 = used.get("sha256") if isinstance(used, dict) else None
     place = _checked_model(model or Path(experiment.model), sha256, path)
     experiment = experiment.model_copy(update={"model": str(place)})
     options = experiment.consistent or ConsistencyOptions()

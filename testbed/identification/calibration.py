@@ -102,7 +102,11 @@ def calibrate(
         RecordingError: The recording cannot be used.
         SettingsError: What is known does not suffice; says what is left open.
     """
-    settings = settings_of(settings, known)
+    settings = replace(
+        settings,
+        nuisances=settings.nuisances or UNKNOWN,
+        known={**settings.known, **known},
+    )
     estimate = identify(
         tree,
         recording,
@@ -111,31 +115,9 @@ def calibrate(
         threads=threads,
         progress=progress,
     )
-    return calibration_of(tree, settings.facts, estimate)
-
-
-def settings_of(settings: Settings, known: Mapping[str, float | Sequence[float]]) -> Settings:
-    """How signals are treated, with the unknowns of a plate and what is known.
-
-    Args:
-        settings: Their nuisances, if any, in place of `UNKNOWN`.
-        known: A value, or value and sigma, by name.
-    """
-    asked = settings.nuisances or UNKNOWN
-    return replace(settings, nuisances=asked, known={**settings.known, **known})
-
-
-def calibration_of(
-    tree: Tree, known: Mapping[str, tuple[float, float]], estimate: Estimate
-) -> Calibration:
-    """What an estimate says of the plate.
-
-    Args:
-        tree: The robot.
-        known: Value and sigma of what was known before, by name.
-        estimate: With nuisances.
-    """
-    return Calibration(tree.name, known, estimate.nuisances, estimate, _correlation(estimate))
+    return Calibration(
+        tree.name, settings.facts, estimate.nuisances, estimate, _correlation(estimate)
+    )
 
 
 def _correlation(estimate: Estimate) -> Array:

@@ -46,40 +46,6 @@ from testbed.robot.tree import Tree
 from testbed.stages import stage
 
 
-def ridge(values: Array, covariance: Array) -> tuple[Array, Array]:
-    """Values that are drawn towards zero, and their covariance without that bias.
-
-    Args:
-        values: Of the plain estimate, (p,).
-        covariance: Of it, (p, p), positive definite.
-    """
-    sigma = np.sqrt(np.diagonal(covariance))
-    inverse = np.linalg.inv(covariance / np.outer(sigma, sigma))
-    length = np.sqrt(np.diagonal(inverse))  # of the columns, in units of 1 / sigma
-    scale = length / sigma
-    correlation = inverse / np.outer(length, length)
-    scaled = values * scale
-    strength = len(values) / float(scaled @ scaled)
-    towards = np.linalg.solve(correlation + strength * np.eye(len(values)), correlation)
-    shrink = towards * scale / scale[:, None]
-    return shrink @ values, shrink @ covariance @ shrink.T
-
-
-def shrink(estimate: Estimate, wanted: bool) -> Estimate:
-    """An estimate by ridge regression, where that is wanted.
-
-    Args:
-        estimate: The plain one.
-        wanted: Else it stays as it is.
-    """
-    if not wanted:
-        return estimate
-    values, covariance = ridge(estimate.values, estimate.covariance)
-    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    said = (*estimate.diagnostics, diagnose("estimate.ridge"))
-    return replace(estimate, values=values, sigma=sigma, covariance=covariance, diagnostics=said)
-
-
 def identify(
     tree: Tree,
     recording: RecordingLike,
@@ -204,7 +170,7 @@ def _estimate_of(
     every += _rotors_within(problem)
     estimate = replace(estimate, choice=choice, diagnostics=ordered(every))
     zero = {*zero_unknown(estimate.noise), *model.with_unknown_zero}
-    return shrink(estimate, settings.ridge).without([n for n in estimate.names if n in zero])
+    return estimate.without([n for n in estimate.names if n in zero])
 
 
 def _of_problem(problem: Problem) -> Iterator[Diagnostic]:

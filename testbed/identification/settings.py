@@ -156,10 +156,6 @@ class Settings:
     curves, both methods combined; with the given terms, or with those that held-out data choose
     for each joint (docs/drives.md)."""
 
-    ridge: bool = False
-    """Ridge regression: parameters are drawn towards zero where the data say little, and sigma does
-    not count how far."""
-
     engine: Literal["by size", "compiled", "numpy"] = "by size"
     """What makes the rows: the compiled kernel, NumPy, or whichever is faster for the size of the
     job. They differ in rounding only."""
@@ -178,7 +174,6 @@ class Settings:
             "noise": _one_of("noise", self.noise, ("ar", "white")),
             "drives": _one_of("drives", self.drives, ("off", "given", "chosen")),
             "span": _span(self.span),
-            "ridge": _flag("ridge", self.ridge),
             "engine": _one_of("engine", self.engine, ("by size", "compiled", "numpy")),
             "nuisances": _nuisances(self.nuisances),
             "tare": _one_of("tare", self.tare, ("known", "unknown")),
@@ -287,12 +282,6 @@ def _speed(name: str, given: object) -> float:
     if number is None or number < 0:
         raise SettingsError(f"{name} is a speed [rad/s or m/s], found {given!r}")
     return number
-
-
-def _flag(name: str, given: object) -> bool:
-    if not isinstance(given, bool):
-        raise SettingsError(f"{name} is true or false, found {given!r}")
-    return given
 
 
 def _reach(given: object) -> float | None:

@@ -59,7 +59,7 @@ class Joined:
             at += part.samples + gap
         self.segments, self.samples = tuple(found), at - gap
         said = dict.fromkeys(each for part in self._parts for each in of_recording(part.facts))
-        facts = {k: fact for k, fact in first.facts.items() if k not in (COUNTED, "warnings")}
+        facts = {k: fact for k, fact in first.facts.items() if k != COUNTED}
         self.facts: dict[str, Any] = {**facts, "diagnostics": [d.as_dict() for d in said]}
 
     def part(self, first: int, last: int) -> Recording:

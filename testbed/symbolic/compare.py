@@ -1,15 +1,17 @@
 """Somebody's listing, read back and compared with the robot's own equations, term by term.
 
 Reads the notation of `languages.text`, the paper's: sums of products of names and numbers,
-brackets, NAME = ... on one line or several. Nothing of it is ever executed.
+brackets, NAME = ... on one line or several. Python's own parser makes a syntax tree of a right-hand
+side, and the few kinds of nodes above are read from it; nothing of it is ever executed.
 """
 
 from __future__ import annotations
 
+import ast
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial, reduce
 
 from numpy.typing import ArrayLike
 
@@ -17,7 +19,6 @@ from testbed.errors import ExpressionError, UnknownName
 from testbed.robot.tree import Tree
 from testbed.symbolic.equations import FORMS, KINDS, Form, Listing, equations, expander
 from testbed.symbolic.expression import (
-    LARGEST_NUMBER,
     MAX_TERMS,
     Budget,
     Expression,
@@ -33,18 +34,15 @@ from testbed.symbolic.expression import (
 from testbed.symbolic.polynomial import LARGEST as HIGHEST_DEGREE
 from testbed.symbolic.robot import Robot, draw
 
-_WORD = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_]\w*|\*\*|[-+*/^()]"
-_TOKEN = re.compile(_WORD, re.ASCII)
-_READABLE = re.compile(rf"(?:\s*+(?:{_WORD}))*+\s*+", re.ASCII)
-_NUMBER = frozenset("0123456789.")
+_ILLEGIBLE = re.compile(r"[^\w\s.+\-*/^()].{,9}", re.ASCII)
+_SUMMAND_END = re.compile(
+    r"((?<![\w.])(?>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_]\w*)|\))\s*(?=[+-])", re.ASCII
+)
 _WAVE = re.compile(r"[SC](?:\d+|(?:_m?\d+)+)", re.ASCII)
-_NAME = re.compile(r"\s*[A-Za-z_]\w*\s*", re.ASCII)
+_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
-DEEPEST = 50
-"""Brackets within brackets; more would overflow the reader's stack."""
 HIGHEST = 20
 """Largest exponent."""
-EXPONENTS = frozenset(str(k) for k in range(1, HIGHEST + 1))
 TERM_LENGTH = 40
 """Characters that a term of a listing takes, amply."""
 
@@ -61,7 +59,7 @@ def compare_equations(
 
     Args:
         tree: The robot.
-        text: The listing, in the notation of [FRS96]; see `parse.read_listing`. Names on the
+        text: The listing, in the notation of [FRS96]; see `read_listing`. Names on the
             left that are none of the robot's equations are definitions for those below.
         form: Whose parameters it is in: "full" or "reduced" ("recursive" is the same).
         gravity: (3,) [m/s^2], bedplate frame; default the model file's.
@@ -81,7 +79,7 @@ def compare_equations(
     if form not in FORMS:
         raise UnknownName("form", form, FORMS)
     literal: Form = "full" if form == "full" else "reduced"
-    kinds = _kinds(defined_names(text, max_terms))
+    kinds = _kinds([name for _, name, _ in _statements(text, max_terms)])
     listing = equations(tree, kinds, literal, gravity, zeros, max_terms=max_terms)
     robot = draw(tree, tree.gravity_or(gravity))
     steps = [step for each in listing.equations for step in each.program.steps]
@@ -101,9 +99,8 @@ def compare_equations(
     return {name: expand(read[name] - ours[name]) for name in found}
 
 
-def _kinds(names: Iterable[str]) -> list[str]:
+def _kinds(names: Sequence[str]) -> list[str]:
     """The kinds of equations that a listing's names belong to."""
-    names = list(names)
     comparable = [kind for kind in KINDS.values() if not kind.is_regressor]
     found = [
         kind.name
@@ -139,129 +136,70 @@ def _names(listing: Listing, robot: Robot) -> dict[str, Expression]:
     return names
 
 
-@dataclass
-class _Reader:
-    """Recursive descent through one right-hand side."""
+def _value(node: ast.AST, names: Mapping[str, Expression], budget: Budget) -> Expression:
+    """The expression of a syntax tree in which tuples are sums."""
+    match node:
+        case ast.Tuple(elts=summands):
+            terms: list[Term] = []
+            for summand in summands:
+                added = _value(summand, names, budget).terms
+                budget.write(max(1, len(added)))
+                terms += added
+            return collect(terms)
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
+            found = _value(operand, names, budget)
+            return -found if isinstance(sign, ast.USub) else found
+        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int(exponent))):
+            if not 1 <= exponent <= HIGHEST:
+                raise ExpressionError(f"an exponent is a number from 1 to {HIGHEST}")
+            base = _value(left, names, budget)
+            return reduce(partial(_multiplied, budget), [base] * exponent)
+        case ast.BinOp(left=left, op=ast.Mult() | ast.Div() as operator, right=right):
+            combined = _multiplied if isinstance(operator, ast.Mult) else _divided
+            return combined(budget, _value(left, names, budget), _value(right, names, budget))
+    return _leaf(node, names)
 
-    tokens: list[str]
-    names: Mapping[str, Expression]
-    budget: Budget
-    place: int = 0
-    depth: int = 0
 
-    def next(self) -> str:
-        """The token at hand, "" at the end."""
-        return self.tokens[self.place] if self.place < len(self.tokens) else ""
-
-    def take(self) -> str:
-        """The token at hand; the next one is at hand then."""
-        self.place += 1
-        return self.tokens[self.place - 1] if self.place <= len(self.tokens) else ""
-
-    def sum(self) -> Expression:
-        """Terms with signs."""
-        terms: list[Term] = []
-        first = True
-        while first or self.next() in ("+", "-"):
-            sign = -1 if self.next() == "-" else 1
-            if self.next() in ("+", "-"):
-                self.take()
-            part = expression(self.product() * sign).terms
-            self.budget.write(max(1, len(part)))
-            terms += part
-            first = False
-        return collect(terms)
-
-    def product(self) -> Expression:
-        """Powers with * between them; division by numbers."""
-        total = self.power()
-        factors = 1
-        while self.next() in ("*", "/"):
-            factors += 1
-            if factors > HIGHEST_DEGREE:
-                raise ExpressionError(f"a product of more than {HIGHEST_DEGREE} factors")
-            divides = self.take() == "/"
-            other = self.power()
-            if not divides:
-                total = self.multiplied(total, other)
-            elif len(other.terms) == 1 and not other.terms[0][0]:
-                self.budget.multiply(1 + len(total.terms))
-                total = total / other.terms[0][1]
-            else:
-                raise ExpressionError("a listing divides by numbers only, and not by zero")
-        return total
-
-    def power(self) -> Expression:
-        """A factor, perhaps with a whole exponent."""
-        sign = 1
-        while self.next() in ("-", "+"):
-            sign = -sign if self.take() == "-" else sign
-        base = self.factor()
-        if self.next() not in ("**", "^"):
-            return expression(base * sign)
-        self.take()
-        exponent = self.take()
-        if exponent not in EXPONENTS:
-            raise ExpressionError(f"an exponent is a number from 1 to {HIGHEST}")
-        total = base
-        for _ in range(int(exponent) - 1):
-            total = self.multiplied(total, base)
-        return expression(total * sign)
-
-    def multiplied(self, a: Expression, b: Expression) -> Expression:
-        """The product of two expressions."""
-        self.budget.multiply(len(a.terms) + len(b.terms))  # a sum becomes a bracket
-        product = expression(a * b)
-        if any(len(factors) > HIGHEST_DEGREE for factors, _ in product.terms):
-            raise ExpressionError(f"a product of more than {HIGHEST_DEGREE} factors")
-        return product
-
-    def factor(self) -> Expression:
-        """A number, a name, or a sum in brackets."""
-        token = self.take()
-        if token == "(":
-            self.depth += 1
-            if self.depth > DEEPEST:
-                raise ExpressionError(f"brackets in more than {DEEPEST} brackets")
-            inside = self.sum()
-            if self.take() != ")":
-                raise ExpressionError("a bracket is not closed")
-            self.depth -= 1
-            return inside
-        if token in self.names:
-            return self.names[token]
-        if token[:1] in _NUMBER:
-            value = float(token)
-            if value > LARGEST_NUMBER:
-                raise ExpressionError(f"the number {token} is too large")
+def _leaf(node: ast.AST, names: Mapping[str, Expression]) -> Expression:
+    match node:
+        case ast.Constant(value=int(value) | float(value)) if not isinstance(value, bool):
             return number(value)
-        if _WAVE.fullmatch(token):
-            return wave(token, self.names)
-        if _NAME.fullmatch(token):
-            raise UnknownName("name", token, self.names)
-        raise ExpressionError(f"'{token or 'the end'}' where a number or name should be")
+        case ast.Name(id=name) if name in names:
+            return names[name]
+        case ast.Name(id=name) if _WAVE.fullmatch(name):
+            return _wave(name, names)
+        case ast.Name(id=name):
+            raise UnknownName("name", name, names)
+    raise ExpressionError(f"'{ast.unparse(node)[:40]}' is no sum, product or power")
 
 
-def defined_names(text: str, max_terms: int = MAX_TERMS) -> list[str]:
-    """The names on the left of a listing's equations, in its order.
-
-    Args:
-        text: The listing.
-        max_terms: How many terms it may have.
-
-    Raises:
-        ExpressionError: The listing is too long.
-    """
-    _check_length(text, max_terms)
-    return [statement.partition("=")[0].strip() for _, statement in _statements(text)]
+def _divided(budget: Budget, a: Expression, b: Expression) -> Expression:
+    if len(b.terms) != 1 or b.terms[0][0]:
+        raise ExpressionError("a listing divides by numbers only, and not by zero")
+    budget.multiply(1 + len(a.terms))
+    return a / b.terms[0][1]
 
 
-def _check_length(text: str, max_terms: int) -> None:
-    most = TERM_LENGTH * max_terms
-    if len(text) > most:
-        raise ExpressionError(
-            f"a listing of more than {most} characters; --max-terms N (max_terms=N) allows more"
-        )
+def _multiplied(budget: Budget, a: Expression, b: Expression) -> Expression:
+    budget.multiply(len(a.terms) + len(b.terms))  # a sum becomes a bracket
+    product = expression(a * b)
+    if any(len(factors) > HIGHEST_DEGREE for factors, _ in product.terms):
+        raise ExpressionError(f"a product of more than {HIGHEST_DEGREE} factors")
+    return product
+
+
+def _right_side(text: str, names: Mapping[str, Expression], budget: Budget) -> Expression:
+    """What stands on the right of an equation; a sum becomes a tuple, however long it is."""
+    culprit = _ILLEGIBLE.search(text)
+    if culprit:
+        raise ExpressionError(f"'{culprit[0]}' cannot be read")
+    summands = _SUMMAND_END.sub(r"\1,", text.replace("^", "**")).strip()
+    try:
+        return _value(ast.parse(f"{summands},", mode="eval").body, names, budget)
+    except SyntaxError as error:
+        raise ExpressionError(f"'{text.strip()[:40]}' cannot be read: {error.msg}") from None
+    except (RecursionError, MemoryError):
+        raise ExpressionError("factors, signs or brackets are nested too deeply") from None
 
 
 def read_listing(
@@ -279,32 +217,23 @@ def read_listing(
         ExpressionError: It cannot be read, or has more terms.
         UnknownName: It holds a name that stands for nothing.
     """
-    _check_length(text, max_terms)
     known = dict(names)
     found: dict[str, Expression] = {}
     budget = Budget(max_terms)
-    for line, statement in _statements(text):
-        name, equals, right = statement.partition("=")
-        name = name.strip()
-        if not equals or not _NAME.fullmatch(name):
-            raise ExpressionError(f"line {line}: NAME = expression, found '{statement[:40]}'")
+    for line, name, right in _statements(text, max_terms):
         if name in found:
             raise ExpressionError(f"line {line}: {name} is defined twice")
-        reader = _Reader(_tokens(right, line), known, budget)
         try:
-            value = reader.sum()
-            if reader.next():
-                raise ExpressionError(f"'{reader.next()}' where an operator should be")
+            found[name] = _right_side(right, known, budget)
         except ExpressionError as error:
             raise ExpressionError(f"line {line}: {error}") from None
         except UnknownName as error:
             raise UnknownName(f"name on line {line}", error.name, error.known) from None
-        found[name] = value
-        known.setdefault(name, value)
+        known.setdefault(name, found[name])
     return found
 
 
-def wave(name: str, names: Mapping[str, Expression]) -> Expression:
+def _wave(name: str, names: Mapping[str, Expression]) -> Expression:
     """S223 as sin(2 q2 + q3), C_12_m3 as cos(q12 - q3).
 
     Raises:
@@ -327,25 +256,23 @@ def wave(name: str, names: Mapping[str, Expression]) -> Expression:
     return sine(angle) if name[0] == "S" else cosine(angle)
 
 
-def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """Whole statements, with the number of their first line."""
-    at, statement = 0, ""
-    for place, line in enumerate(text.splitlines(), start=1):
-        if line.startswith(("*", "#", "[")) or not line.strip():
+def _statements(text: str, max_terms: int) -> Iterator[tuple[int, str, str]]:
+    """Number of the first line, name and right-hand side of every equation."""
+    most = TERM_LENGTH * max_terms
+    if len(text) > most:
+        raise ExpressionError(
+            f"a listing of more than {most} characters; --max-terms N (max_terms=N) allows more"
+        )
+    statements: list[tuple[int, list[str]]] = []
+    for line, words in enumerate(text.splitlines(), start=1):
+        if words.startswith(("*", "#", "[")) or not words.strip():
             continue
-        if line[0] in " \t+-":
-            statement += line
-            continue
-        if statement:
-            yield at, statement
-        at, statement = place, line
-    if statement:
-        yield at, statement
-
-
-def _tokens(text: str, line: int) -> list[str]:
-    read = _READABLE.match(text)
-    end = read.end() if read else 0
-    if end < len(text):
-        raise ExpressionError(f"line {line}: '{text[end : end + 10]}' cannot be read")
-    return _TOKEN.findall(text)
+        if statements and words[0] in " \t+-":
+            statements[-1][1].append(words)
+        else:
+            statements.append((line, [words]))
+    for line, lines in statements:
+        name, equals, right = "".join(lines).partition("=")
+        if not equals or not _NAME.fullmatch(name.strip()):
+            raise ExpressionError(f"line {line}: NAME = expression, found '{lines[0][:40]}'")
+        yield line, name.strip(), right

@@ -5,17 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from testbed.experiment.assumptions import growing_errors
 from testbed.experiment.comparison import Signal
-from testbed.identification.estimate import Method
 from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.reporting.drives import BAND
 from testbed.robot.tree import Tree
-from testbed.viewer.curves import learned, scale_of
 from testbed.viewer.drives import CELL, TALL, TITLES
 from testbed.viewer.robot_drawing import CLOCK
 from testbed.viewer.scene import Scene, root, safe
@@ -31,17 +27,13 @@ Range = tuple[float, float]
 ROOM = 1.2
 """Of an axis, beyond the ends that its title says."""
 
-SETTLED = 1 / 3
-"""Growing errors are scaled by those after this part of the recording."""
 
-
-def blueprint(scenes: Sequence[Scene], tab: str = "overview") -> rrb.Blueprint:
+def blueprint(scenes: Sequence[Scene], tab: str = "wrench") -> rrb.Blueprint:
     """Robots on their plates to the left, everything over time to the right, in tabs.
 
     Args:
         scenes: One run, or several side by side.
-        tab: Which tab is in front: "overview", "wrench", "joints", "friction", "drives", "plate",
-            "estimates", "notes".
+        tab: Which tab is in front: "wrench", "joints", "friction", "drives", "plate", "notes".
     """
     count = len(scenes)
     roots = [root(k, count) for k in range(count)]
@@ -131,7 +123,7 @@ def _robot(name: str, size: float, at: str, shown: str = "robot and reaction") -
 
 
 def _tabs(scene: Scene, at: str, tab: str) -> rrb.Tabs:
-    views: list[rrb.Container | rrb.View] = [*_overview(scene, at)]
+    views: list[rrb.Container | rrb.View] = []
     torque = []
     for signal in scene.predictions.signals:
         rows = _rows(scene, signal, at)
@@ -144,39 +136,9 @@ def _tabs(scene: Scene, at: str, tab: str) -> rrb.Tabs:
         across = math.ceil(math.sqrt(scene.run.tree.n))
         views.append(rrb.Grid(*_friction(scene, at), grid_columns=across, name="friction"))
     views += [*_drives(scene, at), *_plate(scene, at)]
-    if scene.growth:
-        columns = [_stack(_growth(scene, at, method), method) for method in scene.growth]
-        many = scene.run.tree.n > MOST_ROWS
-        views.append((rrb.Tabs if many else rrb.Horizontal)(*columns, name="estimates"))
     views.append(rrb.TextDocumentView(origin=f"{at}/notes", name="notes"))
     front = next((k for k, view in enumerate(views) if view.name == tab), 0)
     return rrb.Tabs(*views, name=scene.run.name, active_tab=front)
-
-
-def _overview(scene: Scene, at: str) -> Iterator[rrb.Container]:
-    """What is learned of a few parameters, and beside it what is left over of the signals."""
-    shown = learned(scene)
-    most = scale_of(shown) if shown else 0.0
-    time = scene.run.recording.time
-    plots = [
-        _plot(
-            f"{at}/overview/{k}",
-            f"{each.name}: error [%], ±{most:g}",
-            (float(time[0]), float(time[-1])),
-            k == 0,
-            _within(most),
-        )
-        for k, each in enumerate(shown)
-    ]
-    rest = [
-        view
-        for signal in scene.predictions.signals[:1]
-        for k in range(min(len(signal.channels), MOST_ROWS))
-        for view in _residual(scene, signal, k, at)
-    ]
-    if plots:
-        columns = [rrb.Vertical(*views) for views in (plots, rest) if views]
-        yield rrb.Horizontal(*columns, name="overview")
 
 
 def _joints(
@@ -258,22 +220,6 @@ def _plate(scene: Scene, at: str) -> Iterator[rrb.Horizontal]:
             for name, title in TITLES.items()
         ]
         yield rrb.Horizontal(*maps, name="plate")
-
-
-def _growth(scene: Scene, at: str, method: Method) -> list[rrb.TimeSeriesView]:
-    """Errors by body, in percent, all of a method on one scale."""
-    names, grown = scene.run.tree.names, scene.growth[method]
-    errors = 100 * np.abs(growing_errors(scene.run, method, grown))
-    late = errors[grown.time >= SETTLED * grown.time[-1]]
-    most = 1.1 * max(float(np.nanmax(late, initial=0.0)), 1e-9)
-    against = "error" if scene.run.truths else "distance from the last value"
-    plots = []
-    for body in scene.bodies(method):
-        title = f"{method}, {names[body] if body >= 0 else 'bedplate'}: {against} [%]"
-        scale = rrb.ScalarAxis(range=(-most, most))
-        path = f"{at}/estimate/{method}/{body + 1}"
-        plots.append(_plot(path, title, axis_y=scale))
-    return plots
 
 
 def _plot(

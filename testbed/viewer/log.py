@@ -16,7 +16,6 @@ from testbed.errors import plural
 from testbed.excitation.collision_model import Obstacle
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.proof import Proof, Rules, Slack, slack
-from testbed.experiment.assumptions import growth
 from testbed.experiment.results import read_run
 from testbed.experiment.run import Run
 from testbed.files import replacing
@@ -24,7 +23,7 @@ from testbed.reporting.section import Table
 from testbed.robot.visuals.appearance import Appearance
 from testbed.viewer.blueprint import RATES, blueprint, motion_blueprint
 from testbed.viewer.colours import COLOURS
-from testbed.viewer.curves import log_friction, log_growth, log_overview, log_signals, series
+from testbed.viewer.curves import log_friction, log_signals, series
 from testbed.viewer.drives import log_constants, log_matrix
 from testbed.viewer.live import start_viewer
 from testbed.viewer.robot_drawing import (
@@ -115,7 +114,7 @@ def _notes(name: str, rules: Rules, proof: Proof) -> str:
     return "\n\n".join(lines)
 
 
-def write_rrd(scenes: Sequence[Scene], path: Path, tab: str = "overview") -> None:
+def write_rrd(scenes: Sequence[Scene], path: Path, tab: str = "wrench") -> None:
     """Write runs as one Rerun recording, with a blueprint for a first look.
 
     Args:
@@ -145,8 +144,6 @@ def log_scene(stream: rr.RecordingStream, scene: Scene, at: str = "") -> None:
     log_reaction(stream, scene, f"{at}/world/bedplate")
     log_signals(stream, scene, at)
     log_friction(stream, scene, f"{at}/friction")
-    log_growth(stream, scene, f"{at}/estimate")
-    log_overview(stream, scene, f"{at}/overview")
     if scene.run.drives is not None:
         log_constants(stream, scene.run.drives.estimates, f"{at}/constants")
     if scene.matrix is not None:
@@ -159,7 +156,7 @@ Shown = Run | str | Path
 
 
 def view(runs: Shown | Sequence[Shown], path: str | Path | None = None) -> Path:
-    """Show runs in Rerun's viewer: robot, reaction, predictions, friction, estimates.
+    """Show runs in Rerun's viewer: robot, reaction, predictions, friction.
 
     Args:
         runs: One or several, or folders of runs.
@@ -176,7 +173,7 @@ def view(runs: Shown | Sequence[Shown], path: str | Path | None = None) -> Path:
     several = [runs] if isinstance(runs, (Run, str, Path)) else list(runs)
     shown = [each if isinstance(each, Run) else read_run(Path(each)) for each in several]
     place = Path(tempfile.mkdtemp()) / f"{shown[0].name}.rrd" if path is None else Path(path)
-    write_rrd([scene_of(run, growth(run)) for run in shown], place)
+    write_rrd([scene_of(run) for run in shown], place)
     if path is None:
         start_viewer(place)
     return place

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -13,11 +12,9 @@ import rerun as rr
 from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, sentences
 from testbed.dynamics.newton_euler import Motion, poses
-from testbed.experiment.assumptions import Growth
 from testbed.experiment.comparison import Predictions, predict
 from testbed.experiment.run import MatrixErrors, Run, matrix_errors
 from testbed.experiment.summary import summary, verdict
-from testbed.identification.estimate import Method
 from testbed.robot.visuals.appearance import Appearance, load_appearance
 from testbed.viewer.drives import notes_of_drives, notes_of_plate
 
@@ -40,12 +37,10 @@ class Scene:
     Attributes:
         predictions: The run's recording beside what its estimates say of it.
         appearance: What the robot looks like.
-        growth: Estimates from more and more of the recording, by method.
     """
 
     predictions: Predictions
     appearance: Appearance
-    growth: Mapping[Method, Growth] = field(default_factory=dict)
 
     @property
     def run(self) -> Run:
@@ -105,13 +100,6 @@ class Scene:
         rest = [np.abs(signal.residual(m)[:, alike]).max(initial=0.0) for m in signal.predicted]
         return rounded_up(float(max(rest)))
 
-    def bodies(self, method: Method) -> dict[int, list[int]]:
-        """Which of a method's minimal parameters belong to which body, -1 for the bedplate."""
-        found: dict[int, list[int]] = {}
-        for k, body in enumerate(self.run.estimates[method].minimal.bodies):
-            found.setdefault(body, []).append(k)
-        return dict(sorted(found.items()))
-
     @cached_property
     def matrix(self) -> MatrixErrors | None:
         """What was wrong with the plate's matrix, if it was estimated."""
@@ -138,15 +126,14 @@ class Scene:
         return max(float(np.abs(self.motion.qd[:, j]).max()), 1e-9), torque
 
 
-def scene_of(run: Run, growth: Mapping[Method, Growth] | None = None) -> Scene:
+def scene_of(run: Run) -> Scene:
     """Compute what there is to see of a run.
 
     Args:
         run: The run.
-        growth: Its estimates from more and more of the recording; default none.
     """
     appearance = load_appearance(run.tree, run.model)
-    return Scene(predict(run), appearance, growth or {})
+    return Scene(predict(run), appearance)
 
 
 def span_of(look: Appearance, q: Array) -> float:

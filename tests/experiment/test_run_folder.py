@@ -49,7 +49,6 @@ from testbed.identification.validate import validate
 from testbed.robot.model_file import ModelFile
 from testbed.robot.visuals.appearance import load_shapes
 from tests.helpers.measured import measured
-from tests.helpers.paths import GOLDEN
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import MODELS
 from tests.scenarios.scenarios import result
@@ -273,16 +272,6 @@ def test_a_result_validates_to_the_same_bits(tmp_path: Path) -> None:
     document = identified_result([geared], puma, RecordingTables.of([])).document()
     path.write_bytes(json_text(document))
     assert [shaft.name for shaft in read_result(path).tree.shafts] == ["shoulder.motor"]
-
-
-def test_a_result_of_format_1_is_still_read() -> None:
-    """As it was printed by the version before, of the same robot, to the same figures."""
-    model = GOLDEN / "robots/pendulum.urdf"
-    kept = read_result(GOLDEN / "result_format_1.json", model)
-    other = measured(kept.tree, 2, duration=9)
-    for said in kept.estimates:
-        found = validate(kept.tree, other, said, settings=kept.settings)
-        assert 0.5 < float(np.nanmax(found.ratio)) < 1.5, said.method
 
 
 # motions

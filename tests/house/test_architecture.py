@@ -26,7 +26,7 @@ PLAN = {
     name: set(needs.split())
     for name, needs in {
         **dict.fromkeys([*BASE.split(), "codec", "installation", "stages"], ""),
-        "arrays": "codec",
+        **dict.fromkeys(["arrays", "diagnostics"], "codec"),
         "blas": "arrays",
         "kind_table": "errors arrays",
         "toml_text": "errors",

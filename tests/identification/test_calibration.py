@@ -15,7 +15,6 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError, TestbedError, UnknownName
 from testbed.experiment.read_result import read_plate, write_plate
 from testbed.identification.calibration import Calibration, calibrate, corrected
-from testbed.identification.payload.calibration_by_payload import calibrate_by_payload
 from testbed.identification.payload.payload import (
     estimate_mass,
     estimate_payload_mass,
@@ -115,45 +114,13 @@ def test_a_calibrated_plate_makes_other_recordings_right(tmp_path: Path) -> None
             corrected(right, tree, read_plate(path, tree))
 
 
-@pytest.mark.slow
-def test_a_payload_tells_the_scale_and_its_doubt_comes_back() -> None:
-    """One that weighs so much more makes the gains so much smaller: seen by moving it.
-
-    The zero of the plate may move between the recordings.
-    """
-    tree, matrix = robot("puma"), mixing(2)
-    without, other = (
-        on_plate(measured(each, seed, noise=0.01, duration=5.0), matrix)
-        for each, seed in ((tree, 2), (loaded(tree), 102))
-    )
-    zero = np.array([0.3, 0.2, -1.5, 0.05, 0.1, 0.02])
-    other = replace(other, wrench=other.measured("wrench") + zero)
-    exact, moved, doubted = (
-        calibrate_by_payload(tree, without, other, {"payload/mass": mass}, settings=MATRIX)
-        for mass in (LOAD.mass, 1.002 * LOAD.mass, (LOAD.mass, 2.4e-3))
-    )
-    np.testing.assert_allclose(np.diag(exact.matrix), np.diag(matrix), atol=5e-4)
-    step = np.diag(moved.matrix - exact.matrix)
-    np.testing.assert_allclose(step, -0.002, rtol=0.05)
-    wanted = np.hypot(np.diag(exact.matrix_sigma), step)
-    np.testing.assert_allclose(np.diag(doubted.matrix_sigma), wanted, rtol=0.05)
-
-
 def test_what_does_not_suffice_is_refused_before_the_data_are_read() -> None:
-    """A scale that nothing tells; a place without a mass; crosstalk of a robot that only turns."""
+    """A scale that nothing tells; a place without a mass."""
     for name, known in (("puma", {}), ("ur5", {"mass": 20.0}), ("gantry", {"centre/x": 0.1})):
         recording = measured(robot(name), duration=2.0)
         spoilt = replace(recording, wrench=np.zeros_like(recording.measured("wrench")))
         with pytest.raises(SettingsError, match="gain/Mz"):
             calibrate(robot(name), spoilt, known, settings=MATRIX)
-    tree = robot("puma")
-    recording = measured(tree, duration=2.0)
-    for known in ({"payload/x": 0.1}, {"payload/mass": -1.0}):
-        with refuses(TestbedError, "payload/mass"):
-            calibrate_by_payload(tree, recording, recording, known)
-    turning = measured(robot("random"), duration=2.0)
-    with pytest.raises(SettingsError, match="crosstalk/Mz"):
-        calibrate_by_payload(robot("random"), turning, turning, MASS)
 
 
 def ten() -> Array:
@@ -208,8 +175,9 @@ def test_torques_weigh_a_payload_in_their_scale_and_a_known_one_gives_it() -> No
             doubted.sigma, np.hypot(found.sigma, doubt * found.values), rtol=0.02
         )
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.4
-    with refuses(TestbedError, "payload/mass"):
-        torque_scales(tree, own[0], own[1], {"payload/x": 0.1})
+    for known in ({"payload/x": 0.1}, {"payload/mass": -1.0}):
+        with refuses(TestbedError, "payload/mass"):
+            torque_scales(tree, own[0], own[1], known)
     with refuses(SettingsError, "payload"):  # on the first link only its inertia shows
         torque_scales(tree, own[0], own[1], MASS, tree.names[0], settings=EXACT)
 

@@ -42,7 +42,6 @@ MEANINGLESS: tuple[tuple[dict[str, Any], str], ...] = (
     *(({"weights": given}, "weights") for given in ([["a"]], [[np.inf]], [[0.0]])),
     ({"zeros": 1}, "zeros"),
     ({"zeros": [1, 2]}, "zeros"),
-    ({"ridge": 1}, "ridge"),
     ({"nuisances": ("skw",)}, "'skew'"),
     ({"nuisances": ("skew", "skew")}, "nuisances"),
     ({"nuisances": ("skew",), "noise": "white"}, "nuisances"),

@@ -9,14 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import minimize
 
 import testbed as tb
 from testbed.arrays import Array
 from testbed.codec import encode, json_text
 from testbed.errors import SettingsError, TestbedError
 from testbed.identification.estimate import METHODS, Estimate, Method, by_influence, influence
-from testbed.identification.identify import ridge
 from testbed.identification.regression.constraints import parse_known
 from testbed.identification.validate import motion_in
 from testbed.robot.inertia import about
@@ -25,7 +23,7 @@ from tests.helpers.measured import measured
 from tests.helpers.plates import mass_of
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import noisy, robot, run_of
-from tests.helpers.strategies import few, rngs, settings
+from tests.helpers.strategies import few, settings
 
 
 def scores(tree: tb.Tree, estimate: Estimate) -> Array:
@@ -161,27 +159,6 @@ def test_facts_that_mean_nothing_are_refused() -> None:
     ):
         with pytest.raises(TestbedError, match=culprit):
             tb.identify(tree, recording, settings=tb.Settings(known=dict.fromkeys(names, 0.1)))
-
-
-@given(rngs)
-def test_ridge_minimises_misfit_and_length(rng: np.random.Generator) -> None:
-    """By a general minimiser, in the rows' own terms: columns of unit length, noise of one."""
-    rows = rng.normal(size=(40, 4)) @ rng.normal(size=(4, 4)) * [1.0, 30.0, 0.01, 5.0]
-    y = rows @ rng.normal(size=4) + rng.normal(size=40)
-    covariance: Array = np.asarray(np.linalg.inv(rows.T @ rows), dtype=np.float64)
-    plain = np.asarray(covariance @ rows.T @ y, dtype=np.float64)
-    length = np.linalg.norm(rows, axis=0)
-    strength = 4 / np.sum((plain * length) ** 2)
-
-    def cost(scaled: Array) -> float:
-        misfit = y - rows / length @ scaled
-        return float(misfit @ misfit + strength * scaled @ scaled)
-
-    values, spread = ridge(plain, covariance)
-    found = minimize(cost, plain * length, tol=1e-14)
-    assert cost(values * length) <= found.fun * (1 + 1e-9)
-    eigenvalues = np.linalg.eigvalsh((covariance - spread) * np.outer(length, length))
-    assert eigenvalues.min() >= -1e-9 * eigenvalues.max()  # never less certain
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from hypothesis import given
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.diagnostics import of_recording
+from testbed.diagnostics import Diagnostic, of_recording
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.problem import samples_of
@@ -279,9 +279,13 @@ def test_what_recordings_say_together_is_the_sum_of_what_each_says(method: Metho
 
 def test_a_stretch_of_joined_recordings_has_their_gaps(puma: tb.Tree) -> None:
     one, two = runs_of(puma, 1, 2, duration=2.0)
-    lines = ["a gap", "both"], ["both", "late"]  # as earlier versions kept them
+    words = ["a gap", "both"], ["both", "late"]
+    tables = [[Diagnostic("note", text).as_dict() for text in each] for each in words]
     both = Joined(
-        [replace(part, facts={"warnings": w}) for part, w in zip((one, two), lines, strict=True)]
+        [
+            replace(part, facts={"diagnostics": said})
+            for part, said in zip((one, two), tables, strict=True)
+        ]
     )
     assert [each.text for each in of_recording(both.facts)] == ["a gap", "both", "late"]
     (_, end), (begin, last) = both.segments

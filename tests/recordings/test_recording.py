@@ -239,7 +239,7 @@ def test_damaged_files_and_metadata_are_refused_in_one_line(path: Path, tmp_path
             Recording.load(tmp_path / name)
     for metadata in (
         [1, 2], {"format": "testbed recording 99"}, {"facts": [1]}, {"tare": [1, 2]},
-        {"tare": ["a"] * 6}, '{"tare": [NaN, 0, 0, 0, 0, 0]}', {"facts": {"warnings": [3]}},
+        {"tare": ["a"] * 6}, '{"tare": [NaN, 0, 0, 0, 0, 0]}', {"facts": {"diagnostics": [3]}},
         {"facts": {"diagnostics": [{"code": "note"}]}},
         {"facts": {"gravity": ["down", 0, 0]}}, {"facts": {"geometry": {"j1": 3}}},
         "[" * 100_000 + "]" * 100_000, "{", '"\\ud800',

@@ -282,10 +282,12 @@ def test_numbers_are_exact_and_written_as_people_do(over: int, shift: int) -> No
 
 
 NO_LISTING = {
-    "Q1 = g*": "line 1", "\nQ1 = (g + qp1": "line 2", "Q1 = g g": "'g'", "Q1 = g / qp1": "line 1",
-    "Q1 = 1 / 0": "line 1", "Q1 = 1e999*g": "1e999", "Q1 = 1e100*1e100": "large",
-    "Q1 = 1/1e-320": "line 1", "Q1 = " + "(" * 3000: "50", "Q1 = g ** 99": "20",
-    "Q1 = g\nQ1 = g": "Q1", "Q1 = \u0663*g": "\u0663", "Q1 = __import__('os')": "'os'",
+    "Q1 = g*": "line 1", "\nQ1 = (g + qp1": "line 2", "Q1 = g g": "'g g'",
+    "Q1 = g / qp1": "line 1", "Q1 = 1 / 0": "line 1", "Q1 = 1e999*g": "large",
+    "Q1 = 1e100*1e100": "large", "Q1 = 1/1e-320": "line 1", "Q1 = " + "(" * 3000: "line 1",
+    "Q1 = " + "-" * 100_000 + "g": "line 1", "Q1 = g ** 99": "20", "Q1 = g\nQ1 = g": "Q1",
+    "Q1 = \u0663*g": "\u0663", "Q1 = __import__('os')": "'os'", "Q1 = g(g)": "g(g)",
+    "Q1 = g if g else g": "line 1", "Q1 = True*g": "True",
     "Q1 = K9zz*qpp1": "K9zz", "Q1 = S_1_m9": "S_1_m9",
     "Q1 = " + "*".join(["g"] * (LARGEST + 1)): str(LARGEST),
 }  # fmt: skip
@@ -301,10 +303,12 @@ def test_what_is_no_listing_is_refused_with_its_line() -> None:
 def test_signs_powers_and_angles_that_cancel_are_read() -> None:
     """Another equation than the one that somebody wrote would be called wrong."""
     g, q = NAMES["g"], NAMES["q1"]
-    read = read_listing(f"Q1 = {'-' * 3000}g\nQ2 = .5*g**2 - 2*q1^3\ng = 7*q1", NAMES)
+    read = read_listing("Q1 = - -g\nQ2 = .5*g**2 -\t2*q1^3\ng = 7*q1", NAMES)
     assert read["Q1"] == g
     assert same(read["Q2"], expression(g * g) / 2 - 2 * expression(expression(q * q) * q))
     assert same(read_listing("Q1 = 3*S_1_m1 + 5*C_1_m1", NAMES)["Q1"], 5)
+    many = read_listing(f"Q1 = ({' + '.join(['g'] * 20_000)})*1e-3 - 2.-1E+1", NAMES)["Q1"]
+    assert same(many, expression(g * 20) - 12)
 
 
 def test_numbers_up_to_the_largest_and_degrees_up_to_the_greatest_are_exact() -> None:

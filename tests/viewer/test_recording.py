@@ -5,7 +5,6 @@ If one fails, people look at another robot, signal or size than was measured or 
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -21,11 +20,10 @@ from testbed.arrays import Array
 from testbed.campaign.summary import Figure, ParameterErrors, Summary
 from testbed.diagnostics import sentences
 from testbed.excitation.collision_model import Obstacle
-from testbed.experiment.assumptions import growing_errors, growth
-from testbed.identification.estimate import METHODS, by_influence
+from testbed.identification.estimate import METHODS
 from testbed.robot.visuals.appearance import load_appearance
 from testbed.robot.visuals.shapes import bounds, extents
-from testbed.viewer.curves import BINS, FEW, MOST, Learned, learned, scale_of, thinned, tick
+from testbed.viewer.curves import BINS, FEW, thinned, tick
 from testbed.viewer.drives import CELL, TALL, largest, picture
 from testbed.viewer.log import write_campaign_rrd, write_motion_rrd, write_rrd
 from testbed.viewer.robot_drawing import ARROW
@@ -42,8 +40,7 @@ slow = pytest.mark.slow
 
 @cache
 def scene(name: str) -> Scene:
-    run = run_named(name)
-    return scene_of(run, growth(run))
+    return scene_of(run_named(name))
 
 
 @cache
@@ -101,46 +98,6 @@ def test_what_is_thinned_looks_the_same(rng: np.random.Generator, rate: float, c
         for k in range(0, len(shown), 7):
             near = np.abs(time - instants[k]) <= step
             assert np.isin(shown[k], values[near]).all()
-
-
-@slow
-def test_estimates_are_shown_by_their_errors_a_body_a_plot() -> None:
-    """In percent, every parameter once, with its body; first those that add most to the signals."""
-    shown, path = scene("ur5"), rrd("ur5")
-    run = shown.run
-    for method in METHODS:
-        names, seen = run.estimates[method].names, []
-        errors = 100 * growing_errors(run, method, shown.growth[method])
-        matrix = run.estimates[method].base.matrix
-        for body, members in shown.bodies(method).items():
-            place = f"/estimate/{method}/{body + 1}"
-            there = np.isfinite(errors[:, members]).all(axis=1)
-            found = columns(path, place, SCALARS).reshape(-1, len(members))
-            np.testing.assert_array_equal(found, errors[there][:, members])
-            assert words(path, place, "SeriesLines:names") == [names[k] for k in members]
-            for k in members:  # what is regrouped comes from further out
-                touched = {int(column) // 10 for column in np.flatnonzero(matrix[k])}
-                assert body < 0 or min(touched) == body
-            seen += members
-        assert sorted(seen) == list(range(len(run.estimates[method].base.names)))
-    shared = set.intersection(*(set(each.base.names) for each in run.estimates.values()))
-    order = [n for n in by_influence(run.estimates.values(), run.truths) if n in shared]
-    first = learned(shown)
-    assert [each.name for each in first] == order[:MOST]
-    for each in first:
-        truth, base = run.truths[each.name], run.estimates["external"].base
-        off = 100 * (base.values[base.names.index(each.name)] - truth) / abs(truth)
-        assert each.errors["external"][-1] == pytest.approx(off)
-        assert abs(off) <= scale_of(first)
-    blind = replace(run, score=None, estimates={"external": run.estimates["external"]})
-    assert {x.errors["external"][-1] for x in learned(scene_of(blind, growth(blind)))} == {0.0}
-
-
-def test_the_scale_does_not_depend_on_when_the_clock_was_set() -> None:
-    """The first third of a recording, of which little is known, sets no scale."""
-    time, errors = np.linspace(0.0, 10.0, 21), np.append(np.full(6, 1e6), np.linspace(11, 0, 15))
-    every = [scale_of([Learned("m", time + by, {"external": errors})]) for by in (0, -3, 1e4)]
-    assert every == [15.0] * 3
 
 
 def assert_stands(path: Path, urdf: Path, motion: Array, names: tuple[str, ...]) -> None:

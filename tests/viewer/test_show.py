@@ -46,7 +46,7 @@ def test_every_view_looks_at_something_and_has_its_unit(name: str) -> None:
     for view in views(page.root_container):
         assert any(f"{at}/".startswith(f"{view.origin}/") for at in there), view.origin
         scale = view.properties.get("ScalarAxis")
-        if view.origin.startswith(("/wrench", "/torque", "/residual", "/friction", "/overview")):
+        if view.origin.startswith(("/wrench", "/torque", "/residual", "/friction")):
             assert "[" in view.name
         if "±" in view.name and scale is not None:
             low, high = scale.range.pa_array.to_pylist()[0]

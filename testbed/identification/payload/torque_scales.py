@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, freeze
 from testbed.blas import one_blas_thread
-from testbed.errors import SettingsError
-from testbed.identification.payload.calibration_by_payload import KnownPayload, known_payload
+from testbed.errors import SettingsError, UnknownName
 from testbed.identification.payload.payload import SEEN, SMALLEST, seen_of_payload
 from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import (
@@ -34,6 +33,64 @@ from testbed.robot.tree import Tree
 
 STEPS = 10
 """Of Gauss and Newton, from scales of one."""
+
+MASS = "payload/mass"
+
+CENTRE = ("payload/x", "payload/y", "payload/z")
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPayload:
+    """Ten parameters m, mx, ..., Izz about and along the frame of the link that carries it.
+
+    Attributes:
+        joint: The link is the one that this joint moves.
+        values: (10,); zero where nothing is known.
+        root: R with R R' their covariance, (10, 4).
+        unknown: Places of those that nothing is known of.
+    """
+
+    joint: str
+    values: Array
+    root: Array
+    unknown: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        freeze(self, values=(10,), root=(10, 4))
+
+
+def known_payload(
+    tree: Tree, joint: str | None, given: Mapping[str, tuple[float, float]]
+) -> KnownPayload:
+    """A payload of what is known of it: its mass, and coordinates of its centre.
+
+    Args:
+        tree: The robot.
+        joint: Of the link that carries it; default the last.
+        given: Value and sigma by name: "payload/mass" [kg], "payload/x", y, z [m], along and from
+            the link's frame.
+
+    Raises:
+        UnknownName: There is no such fact, or joint.
+        SettingsError: The mass is not among them, or not positive.
+    """
+    for name in given:
+        if name not in (MASS, *CENTRE):
+            raise UnknownName("known fact", name, (MASS, *CENTRE))
+    if MASS not in given or given[MASS][0] <= 0:
+        raise SettingsError(
+            f"of the payload its mass has to be known, in kg: --known {MASS}=1.5; "
+            "coordinates of its centre help where they are known"
+        )
+    mass, sigma = given[MASS]
+    values, root = np.zeros(10), np.zeros((10, 4))
+    values[0], root[0, 0] = mass, sigma
+    for k, name in enumerate(CENTRE, start=1):
+        place, spread = given.get(name, (0.0, 0.0))
+        values[k], root[k, 0], root[k, k] = mass * place, sigma * place, mass * spread
+    unknown = [k for k, name in enumerate(CENTRE, start=1) if name not in given]
+    carrier = tree.names[tree.index(joint or tree.names[-1])]
+    return KnownPayload(carrier, values, root, (*unknown, *range(4, 10)))
 
 
 @dataclass(frozen=True, eq=False)

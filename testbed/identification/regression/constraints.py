@@ -103,9 +103,6 @@ def _combination(minimal: MinimalSet, wanted: Array, name: str) -> Array:
     return np.asarray(found)
 
 
-PAYLOAD = "payload/"
-"""Of a payload that one of two recordings carries: no fact about one recording."""
-
 INDEPENDENT = 1e-9
 """Part of a fact that the others do not say."""
 
@@ -229,12 +226,6 @@ def facts(
             scale[k, : minimal.count] = total_mass(tree, minimal)
         elif name in unknowns:
             rows[k, unknowns.index(name)] = 1.0
-        elif name.startswith(PAYLOAD):
-            raise SettingsError(
-                f"'{name}': a payload that the robot always carries is a part of its link "
-                "and not identifiable; record the robot without it, too: testbed calibrate WITHOUT "
-                f"--loaded WITH --known {PAYLOAD}mass=1.5"
-            )
         else:
             raise UnknownName("known fact", name, (MASS, f"{CENTRE}x", *unknowns))
     return LinearConstraints(

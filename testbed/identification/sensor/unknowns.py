@@ -20,7 +20,6 @@ from testbed.identification.sensor.predicted_wrench import (
     RowFilter,
     predict_wrench,
 )
-from testbed.kernel.layout import Layout
 from testbed.kernel.records import Signals
 from testbed.robot.tree import Tree
 
@@ -229,9 +228,7 @@ def identifiable_subset(
     """
     names, wanted = problem.names, unknowns_of(problem.layout.tree, nuisances)
     count, rng = len(wanted.parts), np.random.default_rng(SEED)
-    theta = generic_robot(problem.layout, rng)
-    rows = enough(len(names) + count)
-    own, theirs = generic_columns(problem, nuisances, rows, theta, rng)
+    own, theirs = _generic_columns(problem, nuisances, 40 + (len(names) + count) // 2, rng)
     labels, sure = list(names), [False] * count
     if stated is not None and len(stated):
         left = free(stated)
@@ -241,7 +238,7 @@ def identifiable_subset(
         labels = [
             names[int(np.abs(column).argmax())] for column in left.lead[: len(names), about].T
         ]
-    kept, nonidentifiable = in_turn((own, labels), (theirs, wanted.names), sure)
+    kept, nonidentifiable = _in_turn((own, labels), (theirs, wanted.names), sure)
     return replace(wanted, kept=kept), nonidentifiable
 
 
@@ -249,7 +246,7 @@ Named = tuple[Array, Sequence[str]]
 """Columns, (rows, k), and what they are called."""
 
 
-def in_turn(
+def _in_turn(
     known: Named, others: Named, sure: Sequence[bool]
 ) -> tuple[tuple[int, ...], tuple[NonIdentifiable, ...]]:
     """Which columns those before them do not show, too.
@@ -302,29 +299,8 @@ def explain_nonidentifiable(
     )
     return (
         f"no motion identifies {phrase}: state a known value. A total mass (mass=20) and a gain "
-        f"(gain/Fz=1) fix the scale{zero}; so does a gain with a centre of mass (centre/x=0.1), "
-        "or a payload of known mass (--loaded)"
+        f"(gain/Fz=1) fix the scale{zero}; so does a gain with a centre of mass (centre/x=0.1)"
     )
-
-
-def enough(unknowns: int) -> int:
-    """Instants of a generic motion for so many unknowns.
-
-    Args:
-        unknowns: How many.
-    """
-    return 40 + unknowns // 2
-
-
-def generic_robot(layout: Layout, rng: np.random.Generator) -> Array:
-    """Barycentric parameters of which none has a special value, (n, 10).
-
-    Args:
-        layout: The robot's rows.
-        rng: Draws them.
-    """
-    lead = layout.theta @ layout.basis
-    return np.asarray(lead @ rng.normal(size=lead.shape[2]))
 
 
 def _unit(columns: Array) -> Array:
@@ -332,11 +308,10 @@ def _unit(columns: Array) -> Array:
     return np.asarray(columns / np.where(length > 0, length, 1.0))
 
 
-def generic_columns(
+def _generic_columns(
     problem: Problem,
     nuisances: Sequence[Nuisance],
     rows: int,
-    theta: Array,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """Columns of the parameters and of the nuisances along a generic motion, (6 rows, .).
@@ -345,10 +320,11 @@ def generic_columns(
         problem: Robot and recording.
         nuisances: The kinds.
         rows: Instants.
-        theta: Barycentric parameters, (n, 10).
-        rng: Draws the motion.
+        rng: Draws the robot and its motion.
     """
     layout, n = problem.layout, problem.tree.n
+    lead = layout.theta @ layout.basis
+    theta = np.asarray(lead @ rng.normal(size=lead.shape[2]))
     slopes = np.array([1, -8, 0, 8, -1]) / 12 * RATE  # a row is one instant; its slope needs five
     weights = np.array([0, 0, 1.0, 0, 0])
     filtered = RowFilter(1, weights, slopes, 1, weights, slopes)
@@ -359,7 +335,6 @@ def generic_columns(
     wave = size[0] * np.sin(phase) + size[1] * np.cos(phase)
     rate = speed * (size[0] * np.cos(phase) - size[1] * np.sin(phase))
     motion = Motion(time, *(s.sum(axis=1) for s in (wave, rate, -(speed**2) * wave)))
-    lead = layout.theta @ layout.basis
     middle = time[2:-2] - time.mean()
     none = np.zeros((rows, 6, 5))  # nothing was measured
     found = PredictedWrench(

@@ -160,9 +160,7 @@ class ImportReport:
         clocks = {name: ClockReport(**each) for name, each in said["clocks"].items()}
         signals = {}
         for name, each in said["signals"].items():
-            own = {key: value for key, value in each.items() if key != "notes"}  # texts, once
-            own["diagnostics"] = from_json(each.get("diagnostics", each.get("notes", ())))
-            signals[name] = SignalReport(**own)
+            signals[name] = SignalReport(**each | {"diagnostics": from_json(each["diagnostics"])})
         return ImportReport(said["rate"], said["samples"], clocks, signals)
 
     def lines(self) -> list[str]:
