@@ -216,12 +216,10 @@ def _missing_terms(tree: Tree, settings: Settings) -> Iterator[Diagnostic]:
 
 def _rotors_within(problem: Problem) -> Iterator[Diagnostic]:
     """Rotors that the model file states and that torques identify only in sums with bodies."""
-    drives, stated = problem.drives, ROTOR.coefficients(problem.tree)
-    for term, column in ({} if drives is None else drives.regrouped).items():
-        if term.law == ROTOR and term.joint < len(stated) and stated[term.joint]:
-            sums = [name for name, held in zip(problem.names, column, strict=True) if held]
-            own = f"{term.name(problem.tree)} ({stated[term.joint]:g} in the model file)"
-            yield diagnose("drives.rotor", own, method="internal", sums=few(sums))
+    stated = [f"+{ROTOR.kind}/{each.name}" for each in problem.tree.joints if each.rotor_inertia]
+    sums = [name for name in problem.names if name.endswith(tuple(stated))]
+    if sums:
+        yield diagnose("drives.rotor", few(sums), method="internal")
 
 
 def _refined(plan: Plan, fit: Fit, passes: Passes) -> GlsFit:

@@ -291,9 +291,10 @@ def usual_terms(tree: Tree, source: Source) -> list[str]:
         tree: The robot.
         source: The recording.
     """
-    laws = [*ALWAYS, *[OFFSET] * is_imported(source), *[ROTOR] * is_of_motors(source)]
-    stated = [] if ROTOR in laws else [joint.name for joint in tree.joints if joint.rotor_inertia]
-    return [*(law.kind for law in laws), *(f"{ROTOR.kind}/{name}" for name in stated)]
+    words = [law.kind for law in (*ALWAYS, *[OFFSET] * is_imported(source))]
+    if is_of_motors(source):
+        return [*words, ROTOR.kind]
+    return [*words, *(f"{ROTOR.kind}/{each.name}" for each in tree.joints if each.rotor_inertia)]
 
 
 def _complete(settings: Settings, tree: Tree, source: Source, method: Method) -> Settings:

@@ -122,7 +122,7 @@ class Settings:
     fades out at 0.1 rad/s; "stribeck" looks for the speed, too (testbed/robot/friction.py). Each
     holds at all joints and at all shafts that couple some, "rotor/elbow" at that one. "auto" lets
     held-out data choose. Default: "coulomb" and "viscous", "offset" of imported recordings, and
-    "rotor" of torques from motors."""
+    "rotor" of torques from motors, else of joints whose rotor the model file states."""
 
     weights: Literal["channels", "full"] | Sequence[Sequence[float]] = "channels"
     """Weights of the channels: "channels", by each one's own noise; "full", by the covariance

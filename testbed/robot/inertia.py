@@ -6,6 +6,7 @@ the mass centre, so the passage from there is here too.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -98,6 +99,11 @@ class Inertia:
         """Mass centre in the body frame, (3,) [m]; zero for a massless body."""
         centre: Array = self.first_moment / self.mass if self.mass else np.zeros(3)
         return centre
+
+    @property
+    def radius(self) -> float:
+        """Radius of gyration about the frame's origin: of its second moments' sum [m]."""
+        return math.sqrt(max(np.trace(self.tensor) / 2 / self.mass, 0.0)) if self.mass > 0 else 0.0
 
     @cached_property
     def central(self) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from testbed.arrays import Array, freeze
 from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import InertiaError, ModelError, UnknownName, quoted
-from testbed.robot.inertia import NOTHING, ROUNDING, Inertia, inertia_flaw, nearest_body
+from testbed.robot.inertia import NOTHING, ROUNDING, SMALL, Inertia, inertia_flaw, nearest_body
 
 Bodies: TypeAlias = Mapping[str, Inertia]
 """By the link that carries all that is fixed to it: its inertia about and along its frame."""
@@ -32,6 +32,15 @@ SLIGHT = 1e-4
 
 NEGLIGIBLE = 1e-9
 """The same in parts of the robot's: its mass times the square of its largest radius of gyration."""
+
+WIDEST = 10.0
+"""Radius of gyration of a body about its frame in parts of the robot's lengths at most."""
+
+DENSEST = 1e4
+"""Mass of a body over the cube of the robot's lengths at most, more than steel's [kg/m^3]."""
+
+DUST = 1e-7
+"""Mass of a body in parts of the robot's median one at least."""
 
 NAMED = 3
 """Flaws that are listed one by one."""
@@ -120,8 +129,9 @@ def repaired(
     parents: Sequence[int],
     given: Bodies | None,
     source: str,
+    reach: float,
 ) -> Repair:
-    """Bodies that can be, for those of a file that cannot.
+    """Bodies that can be, for those of a file that cannot, or not in a robot of its lengths.
 
     Args:
         links: All of the file, carriers before what they carry.
@@ -130,6 +140,7 @@ def repaired(
         given: Bodies to take in place of the file's, as `Repair.bodies` has them; what else is
             wrong is refused then. None takes the nearest bodies.
         source: The file's name, for messages.
+        reach: Sum of the distances from joint to joint [m].
 
     Raises:
         InertiaError: A body is wrong, and none is given in its place.
@@ -143,8 +154,10 @@ def repaired(
     for name in given or ():
         if name not in parts:
             raise UnknownName("link to repair", name, parts)
-    bodies = {name: _lump(named[name], own) for name, own in parts.items()}
-    bodies |= given or {}
+    bodies = {name: _lump(named[name], own) for name, own in parts.items()} | dict(given or {})
+    moving = {name: body for name, body in bodies.items() if named[name].body >= 0}
+    ball, odd = _out_of_scale(moving, reach)
+    bodies |= dict.fromkeys(odd, ball)
     judged = {name for name, own in parts.items() if any(part.name in suspects for part in own)}
     touched = [name for name in parts if name in judged or name in (given or ())]
     flaws = {name: line for name in touched if (line := _flaw(name, bodies[name]))}
@@ -156,13 +169,14 @@ def repaired(
     robot = _Size.of(bodies.values())
     nearest = {name: robot.nearest(bodies[name]) for name in flaws}
     grave = {n: line for n, line in flaws.items() if not robot.slight(bodies[n], nearest[n])}
-    if grave and given is not None:
-        raise InertiaError(source, list(grave.values()))
-    said = []
+    said = [diagnose("model.scale", line) for line in odd.values()]
     if slight := [name for name in flaws if name not in grave]:
         said.append(diagnose("model.rounding", quoted(slight)))
     if grave:
         said.append(diagnose("model.inertia", quoted(grave)))
+    nearest, grave = nearest | dict.fromkeys(odd, ball), grave | odd
+    if grave and given is not None:
+        raise InertiaError(source, list(grave.values()))
     changed = {name: bodies[name] for name in touched} | nearest
     emptied = (p.name for n in changed for p in parts[n] if p.name != n and p.inertia.pseudo.any())
     return Repair(
@@ -188,8 +202,7 @@ class _Size:
     @staticmethod
     def of(bodies: Iterable[Inertia]) -> _Size:
         heavy = [body for body in bodies if body.mass > 0]
-        spread = [float(np.trace(body.pseudo[:3, :3])) / body.mass for body in heavy]
-        reach = float(np.sqrt(max([0.0, *spread])))
+        reach = max([0.0, *(body.radius for body in heavy)])
         return _Size(sum(body.mass for body in heavy) or 1.0, reach or 1.0)
 
     def nearest(self, body: Inertia) -> Inertia:
@@ -203,6 +216,25 @@ class _Size:
         change = np.abs(new.pseudo - old.pseudo).max()
         whole = NEGLIGIBLE * self.mass * self.reach**2
         return bool(old.mass == new.mass and change <= max(own, whole))
+
+
+def _out_of_scale(bodies: Bodies, reach: float) -> tuple[Inertia, dict[str, str]]:
+    """Bodies that none is in a robot of such lengths, with their numbers; and what others are."""
+    known = {name: body for name, body in bodies.items() if body.mass > 0 and body.within_limits}
+    sizes = {name: (body.mass, body.radius) for name, body in known.items()}
+    dust, reach = DUST * np.median([0.0, *(mass for mass, _ in sizes.values())]), max(reach, 1.0)
+    odd, good = {}, []
+    for name, (mass, radius) in sizes.items():
+        if dust < mass < DENSEST * reach**3 and radius < WIDEST * reach:
+            good.append((mass, radius))
+        else:
+            odd[name] = _SIZE.format(name, mass, radius)
+    mass, radius = np.mean(good or [(1.0, SMALL * reach)], axis=0)
+    ball = 2 / 3 * mass * radius**2 * np.eye(3)
+    return Inertia.about_centre(mass, np.zeros(3), ball), odd
+
+
+_SIZE = "link '{}' has a mass of {:.4g} kg with a radius of gyration of {:.4g} m about its joint"
 
 
 def _lump(carrier: Link, parts: Sequence[Link]) -> Inertia:

@@ -327,8 +327,7 @@ def _equip(
 
 def _add_sensor(spec: mujoco.MjSpec, sensor: ForceSensor, prefix: str) -> None:
     """A force and a torque sensor at the cut before a link, at its place and along its axes."""
-    names = [each.name.removeprefix(prefix).replace(_WORLD, "world") for each in spec.bodies]
-    bodies = dict(zip(names[1:], spec.bodies[1:], strict=True))  # without MuJoCo's own world
+    bodies = {each.name.removeprefix(prefix): each for each in spec.bodies[1:]}  # not the world
     if sensor.link not in bodies:
         raise UnknownName("link", sensor.link, sorted(bodies))
     body = bodies[sensor.link]

@@ -28,6 +28,7 @@ from testbed.recordings.recording import Recording
 from testbed.robot.friction import LAWS, OFFSET, JointLaw
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.measured import measured
+from tests.helpers.mujoco_inverse import by_mj_inverse
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import noisy, robot
@@ -369,3 +370,38 @@ def test_what_those_weights_hide_of_filtered_noise_is_given_back() -> None:
             whole += float(weights[phase::step].sum() ** 2)
         assert hidden(weights, step, rows) == pytest.approx(whole / seen, rel=1e-9)
         assert hidden(np.ones(1), step, rows) == 1.0
+
+
+ARMATURE = """<mujoco><compiler angle="radian"/><default><default class="geared">
+<joint armature="0.3"/></default></default><worldbody><body name="up">
+<joint name="j1" axis="0 0 1" class="geared"/>
+<inertial mass="2" pos=".1 0 .2" diaginertia="3 2 1.5"/>
+<body name="mid" pos=".1 0 .5"><joint name="j2" axis="0 1 0" class="geared"/>
+<inertial mass="1" pos="0 .1 .2" diaginertia=".5 .5 .2"/><body name="end" pos="0 .1 .4">
+<joint name="j3" axis="1 0 0" {third}/><inertial mass="1" pos=".1 .1 .1" diaginertia=".3 .3 .2"/>
+</body></body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("third", ["", 'class="geared"'])
+def test_rotors_of_the_model_file_are_terms_and_bodies_come_out_right(
+    third: str, tmp_path: Path
+) -> None:
+    """Simulated or imported; MuJoCo, whose armature a default class gives, is the witness."""
+    (tmp_path / "r.xml").write_text(ARMATURE.format(third=third))
+    tree = tb.load_tree(tmp_path / "r.xml")
+    bare = tree.with_joints({name: {"rotor_inertia": 0.0} for name in tree.names})
+    recording = ideal(bare)
+    states = tuple(recording.measured(s) for s in ("position", "velocity", "acceleration"))
+    torque = by_mj_inverse(tmp_path / "r.xml", tree, states)
+    np.testing.assert_array_equal(np.ptp(torque - recording.measured("torque"), axis=0) > 0.1,
+                                  [True, True, bool(third)])  # fmt: skip
+    recording = replace(recording, torque=torque, truth=None)
+    for facts in ({}, {"mapping": {}}):
+        found = tb.identify(tree, replace(recording, facts=facts), "internal", settings=EXACT)
+        assert found.drives is not None
+        rotors = [t.joint for t in found.drives.asked if t.law.kind == "rotor"]
+        assert rotors == [0, 1, 2][: 3 if third else 2]
+        truth = found.drives.values(tb.barycentric(tree), tree)
+        np.testing.assert_allclose(found.values, truth, atol=1e-6)
+        (said,) = (each.subject for each in found.diagnostics if each.code == "drives.rotor")
+        assert said.split(", ") == [name for name in found.names if "+rotor/" in name]

@@ -12,6 +12,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -303,6 +304,56 @@ def test_what_is_misspelled_missing_or_doubled_is_not_passed_over() -> None:
             assert_same_tree(found, load(urdf(3)), 0.0)  # type: ignore[arg-type]
             found = str(found.diagnostics[0])
         assert f"'{owner.get('name')}'" in str(found), (part.tag, flaw)
+
+
+OTHERS = ('<vendor:plug at="1"/>', "<density>7800</density>", "<xacro:property/>")
+KEYS = ("iyx", "vendor:unit", "max_velocity", "velocities", "quat_xyzw")
+
+
+def test_what_robots_parsers_ignore_is_ignored_and_said(tmp_path: Path) -> None:
+    """Unknown names anywhere, with prefixes that stand nowhere; Pinocchio is the witness."""
+    path, plain = tmp_path / "r.urdf", urdf(3)
+    for k, (_, _, part) in enumerate(parts_of(plain)):
+        root = ET.fromstring(ET.tostring(plain))
+        owner, holder, same = parts_of(root)[k]
+        key, mark = KEYS[k % len(KEYS)], f"<mark{k}/>"
+        holder.append(ET.fromstring(mark))
+        same.set("mark", "0.5")
+        root.set("xmlns", "http://www.ros.org")
+        text = ET.tostring(root, encoding="unicode").replace(' mark="0.5"', f' {key}="0.5"')
+        path.write_text(text.replace(f"<mark{k} />", OTHERS[k % len(OTHERS)]))
+        found = tb.load_tree(path, repair={})
+        (said,) = (each for each in found.diagnostics if each.code == "model.ignored")
+        assert f"'{key}' in <{part.tag}> of {owner.tag} '{owner.get('name')}'" in said.text
+        assert said.level == "info"
+        assert said.text.startswith("r.urdf")
+        assert_same_tree(found, load(plain), 0.0)  # type: ignore[arg-type]
+        model = pin.buildModelFromUrdf(str(path))
+        np.testing.assert_allclose(
+            [each.mass for each in found.inertias], [each.mass for each in model.inertias[1:]]
+        )
+
+
+@pytest.mark.parametrize("k", range(3))
+def test_a_link_called_world_is_a_link(k: int, tmp_path: Path) -> None:
+    """MuJoCo has a world of its own, and would merge a root of this name into it."""
+    plants, masses = [], []
+    for name in ("dummy", "world"):
+        root, path = urdf(3), tmp_path / f"{name}.urdf"
+        old = root.findall("link")[k].get("name")
+        for each in root.iter():
+            for key in ("name", "link"):
+                if each.tag != "joint" and each.get(key) == old:
+                    each.set(key, name)
+        path.write_bytes(ET.tostring(root))
+        tree = tb.load_tree(path)
+        plants.append(build_plant(ModelFile(path), tree, 1e-3))
+        masses.append(sum(each.mass for each in (tree.pedestal, *tree.inertias)))
+    one, other = plants
+    np.testing.assert_array_equal(one.tare, other.tare)
+    np.testing.assert_array_equal(one.model.body_mass, other.model.body_mass)
+    np.testing.assert_allclose([each.model.body_mass.sum() for each in plants], masses)
+    assert one.tare[2] > 0
 
 
 def test_friction_that_drives_is_taken_as_none() -> None:

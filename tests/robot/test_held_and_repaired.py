@@ -291,6 +291,44 @@ def test_a_body_that_cannot_be_is_refused_or_repaired_alone(
         np.testing.assert_allclose(moments, [1e-3, 1e-3, 2e-3], atol=2e-7)
 
 
+SCALES = {"mass": (1e6, 1e-9), "moment": (1e6, 2e6), "x": (1e3, -1e3)}
+"""Numbers that no robot of a metre has: tons, micrograms, radii of gyration of a kilometre."""
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(("what", "number"), [(k, x) for k, each in SCALES.items() for x in each])
+def test_a_body_out_of_scale_becomes_one_as_others_are(
+    form: str, what: str, number: float, tmp_path: Path
+) -> None:
+    """By its name and number; else torques would be taken for those of another robot."""
+    robot = random_robot(np.random.default_rng(5), 4)
+    sound = tb.load_tree(written(robot, tmp_path, form))
+    assert sound.diagnostics == ()
+    at, (one, two, *others) = sound.index("j2"), robot.links
+    mass, com, central = two.mass, two.com, two.central
+    if what == "mass":
+        mass = number
+    elif what == "moment":
+        central = number * np.eye(3)
+    else:
+        com = np.array([number, 0.0, 0.0])
+    odd = replace(two, mass=mass, com=com, central=central)
+    path = written(replace(robot, links=(one, odd, *others)), tmp_path, form)
+    tree = tb.load_tree(path)
+    (said,) = tree.diagnostics
+    radius = np.sqrt(np.trace(central) / 2 / mass + com @ com)
+    assert f"'j2_body' has a mass of {mass:.4g} kg" in said.text
+    assert f"{radius:.4g} m" in said.text
+    masses = [each.mass for k, each in enumerate(sound.inertias) if k != at]
+    assert tree.inertias[at].mass == pytest.approx(np.mean(masses))
+    for k, (new, before) in enumerate(zip(tree.inertias, sound.inertias, strict=True)):
+        assert k == at or np.array_equal(new.pseudo, before.pseudo)
+    build_plant(ModelFile(path), tree, 1e-3)
+    with refuses(InertiaError, "'j2_body'"):
+        tb.load_tree(path, repair={})
+    assert tb.load_tree(path, repair=nearest_bodies(path).bodies).diagnostics == ()
+
+
 def test_a_chains_bare_end_gets_matter_and_a_frame_on_the_way_does_not(tmp_path: Path) -> None:
     """Else half of what exporters write is refused, or simulated with joints that carry nothing."""
     robot = random_robot(np.random.default_rng(3), 3)

@@ -26,7 +26,7 @@ from testbed.robot.formats.mjcf_compile import (
 )
 from testbed.robot.formats.mjcf_spec import VELOCITY_LIMIT, commands_kept, open_spec, parse
 from testbed.robot.formats.xml_bytes import Element, XmlBytes, as_tag, comment
-from testbed.robot.inertia import NOTHING, Inertia
+from testbed.robot.inertia import NOTHING, Inertia, about
 from testbed.robot.locks import Lock
 from testbed.robot.parsing import plain
 from testbed.robot.repair import Bodies, Edit, Link, Repair, repaired
@@ -51,7 +51,6 @@ def read_mjcf(
     """
     found = repaired_spec(path, weld_root=weld_root, repair=repair, lock=lock)
     model = compile_spec(found.spec, path)
-    _check_places(model, path)
     for k in range(model.nnumeric):
         name = model.numeric(k).name
         joint = name.removeprefix(VELOCITY_LIMIT)
@@ -88,9 +87,12 @@ def repaired_spec(
     """An MJCF file with bodies that can be, for every reader; otherwise as `read_mjcf`."""
     spec, said = open_spec(path, weld_root=weld_root, lock=lock)
     suspects, stated = stated_inertias(spec)
-    links = _links(compile_spec(spec, path), stated, path) if suspects or repair else ()
+    model = compile_spec(spec, path)
+    _check_places(model, path)
+    # bodies that the compiler makes stay as they are
+    reach = float(np.linalg.norm(model.body_pos, axis=1).sum()) if stated else np.inf
     # no chain ends without matter: MuJoCo takes no such file
-    found = repaired(links, suspects, (), repair, path.name)
+    found = repaired(_links(model, stated, path), suspects, (), repair, path.name, reach)
     for name, inertia in found.links.items():
         stated[name] = set_inertia(spec.body(name), inertia)
     return RepairedSpec(spec, stated, found, said)
@@ -195,7 +197,7 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, rotation: Array, positi
     attachment = position + rotation @ model.jnt_pos[j]
     kind = _KINDS[int(model.jnt_type[j])]
     if kind == "revolute":
-        rotation = rotation @ _turn(axis, -zero)
+        rotation = rotation @ about(axis, -zero)
     else:
         attachment = attachment - rotation @ axis * zero
     dof = model.jnt_dofadr[j]
@@ -245,12 +247,6 @@ def _matrix(quaternion: Array) -> Array:
     flat = np.empty(9)
     mujoco.mju_quat2Mat(flat, quaternion)
     return flat.reshape(3, 3)
-
-
-def _turn(axis: Array, angle: float) -> Array:
-    quaternion = np.empty(4)
-    mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
-    return _matrix(quaternion)
 
 
 _TURNS = ("diaginertia", "quat", "axisangle", "xyaxes", "zaxis", "euler")

@@ -7,6 +7,7 @@ meshes and `package://` addresses never matter.
 
 from __future__ import annotations
 
+import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
@@ -59,7 +60,9 @@ def repaired_xml(
     with errors_of(path):
         suspects = {name: line for name, link in elements.items() if (line := _link_flaw(link))}
     links, parents = _links(root, path)
-    found = repaired(links, suspects, parents, repair, path.name)
+    origins = (joint.find("origin") for joint in root.findall("joint"))
+    reach = sum(math.hypot(*numbers_of(origin, "xyz", "0 0 0")) for origin in origins)
+    found = repaired(links, suspects, parents, repair, path.name, reach)
     for name, inertia in found.links.items():
         _set_inertia(elements[name], inertia)
     return root, found, said

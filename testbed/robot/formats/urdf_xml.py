@@ -76,9 +76,7 @@ _ATTRIBUTES = {
     "origin": _PLACE,
     "axis": {"xyz": _Numbers(3, "1 0 0", FARTHEST)},
     "mass": {"value": _Numbers(1, None, HEAVIEST)},
-    "inertia": {
-        key: _Numbers(1, None, HEAVIEST) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    },
+    "inertia": {key: _Numbers(1, None, HEAVIEST) for key in TENSOR},
     "limit": {
         **{key: _Numbers(1, "0") for key in ("lower", "upper")},
         **{key: _Numbers(1, "0", signed=False) for key in ("effort", "velocity")},
@@ -132,7 +130,10 @@ def _checked(
     shown = root.findall("material") if keep_visuals else []
     with errors_of(path):
         said = [each for part in root.iter() for each in _accepted(part)]
-        said += _ignored(root, path, ("visual",) if keep_visuals else ())
+        unknown = [*_keep(root, "", ("visual",) if keep_visuals else ())]
+        if unknown:
+            first = [f"{what} of {owner}" for what, owner in dict(unknown[::-1]).items()]
+            said.append(diagnose("model.ignored", few(first[::-1]), file=path.name))
         root[:] = [*shown, *links, *joints]
         carriers = _carriers(links, joints)
         for joint in joints:
@@ -232,16 +233,6 @@ def _move_origin(joint: ET.Element, position: float) -> None:
         origin.set("rpy", plain(list(to_rpy(turn @ about(axis, position)))))
 
 
-def _ignored(root: ET.Element, path: Path, also: tuple[str, ...]) -> Iterator[Diagnostic]:
-    """Take out what does not count, all but `also`; what URDF does not know is named."""
-    unknown: dict[str, dict[str, None]] = {}
-    for what, owner in _keep(root, "", also):
-        unknown.setdefault(what, {})[owner] = None
-    if unknown:
-        found = [f"{what} ({few([*owners])})" for what, owners in unknown.items()]
-        yield diagnose("model.ignored", few(found), file=path.name)
-
-
 def _keep(element: ET.Element, owner: str, also: tuple[str, ...]) -> Iterator[tuple[str, str]]:
     """Leave only the parts that count, each once; yields what is unknown, and whose it is."""
     tag, tags = element.tag, [child.tag for child in element]
@@ -249,13 +240,13 @@ def _keep(element: ET.Element, owner: str, also: tuple[str, ...]) -> Iterator[tu
     parts, beside = _PARTS.get(tag, ()), _BESIDE.get(tag, ())
     attributes = (*_ATTRIBUTES.get(tag, ()), *_TEXTS.get(tag, ()))
     keys = [key for key in element.attrib if not key.startswith("xmlns")]
-    for names, known, form in ((tags, parts, "<{:.40}>"), (keys, attributes, "{:.40}")):
+    for names, known in ((tags, parts), (keys, attributes)):
         for name in sorted({*names} - {*known, *beside}):
             near = get_close_matches(name.lower(), {*known} - {*names}, n=1, cutoff=0.8)
             if near and near[0] not in name:  # a longer name is another one
-                said = f"<{tag}> holds the unknown {form}; did you mean {form}?"
-                raise ModelError(f"{owner}: {said.format(name, near[0])}")
-            yield f"{form.format(name)} in <{tag}>", owner
+                said = f"<{tag}> holds the unknown {name!r:.40}; did you mean {near[0]}?"
+                raise ModelError(f"{owner}: {said}")
+            yield f"'{name:.40}' in <{tag}>", owner
     element[:] = [child for child in element if child.tag in (*parts, *also)]
     for child in element:
         if tag != "robot" and tags.count(child.tag) > 1 and child.tag in parts:
