@@ -215,7 +215,7 @@ def identified(
         posterior=posterior or {},
         plain=plain,
         verdict=verdict_of(
-            found.values(), (posterior or {}).values(), PLAIN if plain else POSTERIOR
+            found.values(), (posterior or {}).values(), PLAIN if plain else POSTERIOR, diagnostics
         ),
         model=used,
         settings=settings,

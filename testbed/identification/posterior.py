@@ -74,6 +74,8 @@ class Posterior:
         used: Whether the prior is needed; else the values are those of least squares.
         residual: Rms of what it leaves of the recording itself, (C,) [N, N m].
         gravity: That was assumed, (3,) [m/s^2], bedplate frame.
+        by_part: Rms of what it leaves of consecutive parts of the recording, (parts, C) [N, N m].
+        duration: Of the recording [s].
         errors: What it leaves of held-out parts, and what others do.
         consistent: Of consistent bodies, (p,); None where they were not asked for.
     """
@@ -93,6 +95,8 @@ class Posterior:
     prior_error: float
     used: bool
     residual: Array
+    by_part: Array
+    duration: float
     gravity: Array
     errors: tuple[PredictionErrors, ...]
     consistent: Array | None = None
@@ -102,7 +106,7 @@ class Posterior:
     def __post_init__(self) -> None:
         p = len(self.names)
         freeze(self, file=(p,), refitted=(p,), prior_sigma=(p,), values=(p,), share=(p,))
-        freeze(self, covariance=(p, p), residual=(None,), gravity=(3,))
+        freeze(self, covariance=(p, p), residual=(None,), by_part=(None, None), gravity=(3,))
 
     @property
     def sigma(self) -> Array:
@@ -227,7 +231,7 @@ def posterior(
         else:
             values, covariance = made[0].values, np.array(made[0].covariance)
             alone = (True,) * len(values)
-        count = problem.minimal.count
+        count, constants = problem.minimal.count, parts.whole.constants(values)
         variance = np.maximum(before.variance, np.finfo(float).tiny)
         return Posterior(
             method=method,
@@ -245,6 +249,8 @@ def posterior(
             prior_error=error,
             used=used,
             residual=parts.whole.residual(values),
+            by_part=np.array([part.residual(values, constants) for part in parts.each]),
+            duration=problem.source.samples / problem.source.rate,
             gravity=problem.tree.gravity,
             errors=_held_out(problem, before, parts, used=used, plain=bool(made)),
         )

@@ -20,6 +20,15 @@ from testbed.identification.selection.prediction_errors import POSTERIOR
 NOTHING = 1.0
 """Error of the model file's bodies, in parts of themselves, with which it says next to nothing."""
 
+EPISODE, LONGEST, FAINT = 4.0, 2, 0.05
+"""Times the usual residual of a part that is no model's error; most parts in a row of it; part of
+the channel's signal that it is at least."""
+
+OF_RECORDING = {
+    "torque.gains", "torque.size", "position.step", "position.still", "mapping.unlikely",
+}  # fmt: skip
+"""Doubts of a recording that concern all that is identified from it."""
+
 WELL = "verdict.well"
 """Code of the one diagnostic of a verdict without reservations."""
 
@@ -28,6 +37,7 @@ def verdict_of(
     estimates: Iterable[Estimate],
     posteriors: Collection[Posterior] = (),
     shown: str = POSTERIOR,
+    doubts: Iterable[Diagnostic] = (),
 ) -> tuple[Diagnostic, ...]:
     """What to know first of estimates: reservations in order, or one line with the evidence.
 
@@ -35,9 +45,11 @@ def verdict_of(
         estimates: By least squares, of one recording.
         posteriors: With the model file as prior, of an imported recording.
         shown: The estimate that counts of a posterior: "posterior" or "plain".
+        doubts: About the robot and the recording.
     """
     made = list(estimates)
-    found = [said for each in posteriors for said in _reservations(each, shown)]
+    found = [each for each in doubts if each.code in OF_RECORDING]
+    found += [said for each in posteriors for said in _reservations(each, shown)]
     other = {each.method for each in posteriors if each.used and shown == POSTERIOR}
     found += [
         said
@@ -81,5 +93,28 @@ def _reservations(found: Posterior, shown: str) -> Iterator[Diagnostic]:
                 signal=signal[c],
                 unit=units[c],
             )
+    yield from _episodes(found)
     if shown == POSTERIOR and found.used and found.prior_error > NOTHING:
         yield diagnose("verdict.file", "the model file", found.prior_error, method=method)
+
+
+def _episodes(found: Posterior) -> Iterator[Diagnostic]:
+    """Channels whose residual in one part of a recording is far above that of all others."""
+    usual = np.median(found.by_part, axis=0)
+    apart = found.by_part > EPISODE * usual
+    ends = np.linspace(0.0, found.duration, len(found.by_part) + 1)
+    for c in np.flatnonzero((apart.sum(axis=0) > 0) & (apart.sum(axis=0) <= LONGEST)).tolist():
+        parts = np.flatnonzero(apart[:, c])
+        most = float(found.by_part[parts, c].max())
+        if parts[-1] - parts[0] >= LONGEST or most < FAINT * found.errors[0].signal[c]:
+            continue
+        yield diagnose(
+            "verdict.episode",
+            channel_label(found.method, found.errors[0].channels[c]),
+            most / max(float(usual[c]), np.finfo(float).tiny),
+            method=found.method,
+            begin=ends[parts[0]],
+            end=ends[parts[-1] + 1],
+            residual=most,
+            unit=found.errors[0].units[c],
+        )

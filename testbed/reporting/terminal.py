@@ -78,7 +78,7 @@ def print_estimates(
     """
     out = console()
     first = [] if plain else list(posteriors)
-    said = verdict_of(estimates, posteriors, PLAIN if plain else POSTERIOR)
+    said = verdict_of(estimates, posteriors, PLAIN if plain else POSTERIOR, diagnostics)
     well = said[0].code == WELL
     others = [*diagnostics, *diagnostics_of(estimates)]
     if not well:

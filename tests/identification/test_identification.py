@@ -396,7 +396,8 @@ def test_rotors_of_the_model_file_are_terms_and_bodies_come_out_right(
     np.testing.assert_array_equal(np.ptp(torque - recording.measured("torque"), axis=0) > 0.1,
                                   [True, True, bool(third)])  # fmt: skip
     recording = replace(recording, torque=torque, truth=None)
-    for facts in ({}, {"mapping": {}}):
+    several: tuple[dict[str, Any], ...] = ({}, {"mapping": {}})
+    for facts in several:
         found = tb.identify(tree, replace(recording, facts=facts), "internal", settings=EXACT)
         assert found.drives is not None
         rotors = [t.joint for t in found.drives.asked if t.law.kind == "rotor"]

@@ -96,9 +96,10 @@ class RowProducts:
         """
         return np.maximum(_inner(self.products, _ends(values, constants)), 0.0)
 
-    def residual(self, values: Array) -> Array:
-        """Rms of what values of the unknowns, (p,), leave, (C,)."""
-        return np.sqrt(self.squares(values, self.constants(values)) / np.maximum(self.rows, 1.0))
+    def residual(self, values: Array, constants: Array | None = None) -> Array:
+        """Rms of what values of the unknowns, (p,), leave, (C,); constants default to the mean."""
+        known = self.constants(values) if constants is None else constants
+        return np.sqrt(self.squares(values, known) / np.maximum(self.rows, 1.0))
 
     def correlation(self, values: Array, least: Array) -> Array:
         """Of residuals with those of the next row, (C,); none below zero.
