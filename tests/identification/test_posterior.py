@@ -5,6 +5,7 @@ If one fails, a file's numbers pass for measured ones, or measured ones for the 
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -351,6 +352,25 @@ def test_clean_data_are_well_and_data_of_another_scale_are_not() -> None:
         codes.append({each.code for each in verdict_of([estimate], [found])})
     assert codes[0] == {WELL}
     assert "estimate.worse-than-plain" in codes[1]
+
+
+def test_a_push_is_named_with_its_joint_and_its_time() -> None:
+    """Two of twenty seconds; neither clean data nor noise of larger size is an episode."""
+    tree = robot("puma")
+    wrong = wrong_bodies(tree, 0.15, np.random.default_rng(3))
+    for push, noise in ((0.0, 1.0), (0.0, 4.0), (25.0, 1.0)):
+        clean = measured(tree, 6, speed=0.5, noise=noise)
+        during = (clean.time > 11.0) & (clean.time < 13.0)
+        torque = clean.measured("torque") + push * np.outer(during, [0.0, 1.0, 0.0])
+        recording = replace(clean, torque=torque)
+        estimate = tb.identify(wrong, recording, "internal")
+        found = posterior(wrong, recording, prior_of(wrong), "internal", estimate)
+        said = [d for d in verdict_of([estimate], [found]) if d.code == "verdict.episode"]
+        assert bool(said) == bool(push)
+        if push:
+            times = [float(each) for each in re.findall(r"[0-9.]+", said[0].text)]
+            assert tree.names[1] in said[0].subject
+            assert any(abs(time - 10.0) < 0.1 for time in times)
 
 
 def test_a_simulated_recording_has_no_prior() -> None:
