@@ -40,6 +40,9 @@ DOUBTED = 10.0
 GOOD = 0.3
 """Share of a torque above which rarer hypotheses are looked for where there is no plate."""
 
+CLOSE = 0.05
+"""Share of a torque above which zeros are refined where there is no plate."""
+
 SIGMAS = 3.0
 """Standard deviations by which parameters that the plate hardly identifies may be off."""
 
@@ -230,7 +233,8 @@ class Search:
             if several[0].sized and min(plain, default=np.inf) > several[0].cost - DOUBTED:
                 del several[1:]  # torques of another size leave little to judge of the rest
                 return
-            yield self._at_best_zeros(2)
+            if not several[0].torques_explained(CLOSE):
+                yield self._at_best_zeros(2)
             likeliest = min(several, key=lambda each: each.cost)
             gain = several[0].as_recorded().cost - likeliest.cost
             if gain < DOUBTED or likeliest.torques_explained(GOOD):
