@@ -28,7 +28,7 @@ LATE = 0.2
 """Times as much as without that may be left where a signal is read later, for it to be late."""
 
 SPREAD = 20_000
-"""Samples, at least, by which the noise of a plate is told."""
+"""Samples, at least, that show the noise of a plate."""
 
 ENOUGH = 4
 """Values for each column from which delays are looked for."""

@@ -28,7 +28,7 @@ TRIALS = 6
 """Parts of the poses that are left out, one after the other."""
 
 ALIKE = 2.0
-"""Squares of what two readings leave over one another, up to which they are told apart by none."""
+"""Squares of what two readings leave over one another, up to which nothing distinguishes them."""
 
 BASES = {"base-axes": (1, 1, 1), "turned-base": (-1, -1, 1)}
 """By code: signs of a base's axes; UR's `base` is turned against the model's about the vertical."""

@@ -55,7 +55,7 @@ class RowProducts:
 
     @property
     def enough(self) -> NDArray[np.bool_]:
-        """Whether each channel has rows enough to tell its noise from its own unknowns, (C,)."""
+        """Whether rows are enough to separate a channel's noise from its own unknowns, (C,)."""
         seen = np.einsum("cii->ci", self.products)[:, :-2] > 0
         own = (seen & (seen.sum(axis=0) == 1)).sum(axis=1)
         return np.asarray(self.rows >= own + FREEDOM)

@@ -291,7 +291,7 @@ def grouped(columns: Sequence[ColumnName], joints: Sequence[str] = ()) -> Iterat
     for pairs in (*by_model.values(), every):
         if pairs and (group := _group(pairs, matched=True)):
             yield group.like([name for name in joints if name in group.names])
-    if len(joints) == len(columns) == 1 and not by_model:  # what is there to tell apart
+    if len(joints) == len(columns) == 1 and not by_model:  # nothing needs distinguishing
         yield Group(tuple(columns), tuple(joints), True)
     for pairs in members.values():
         if group := _group(pairs):

@@ -397,7 +397,7 @@ def _with_sizes(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySig
     values = values[np.isfinite(values)]
     largest, whole = float(np.nanmax(np.abs(values))), bool((values == np.round(values)).all())
     if any(q.units) and not (q.source.logger and largest > DEGREES[0]):
-        return signals  # a logger may have been told to write degrees
+        return signals  # loggers can be set to degrees
     if whole and COUNTED <= largest < COUNTS and values.min() >= 0:
         q = replace(_in_units(q, ["turn"] * len(q.units)), because=BY_SIZE, counts=COUNTS)
     elif DEGREES[0] < largest <= DEGREES[1] and not PER_CENT[0] <= largest <= PER_CENT[1]:

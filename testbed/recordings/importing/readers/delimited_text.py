@@ -57,8 +57,8 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
     del topic
     with readable(path):
         lines = _text(path).splitlines()
-        told = [k for k, line in enumerate(lines) if not _comment(line)]
-        probes = told[len(told) // 2 :]
+        numbered = [k for k, line in enumerate(lines) if not _comment(line)]
+        probes = numbered[len(numbered) // 2 :]
         probes = probes[:: len(probes) // LOOKED_AT + 1]
         separator, decimal = max(
             STYLES, key=lambda style: _numeric([lines[k] for k in probes], *style)
@@ -77,8 +77,8 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         read = [k for k in wanted if names[k] != str(k) or k in filled]
         texts = {names[k]: [field.strip() for field in held[k]] for k in read}
         instants = dict.fromkeys((n for n in texts if any(map(INSTANT.fullmatch, texts[n]))), "us")
-        cut = len(_fields(lines[told[-1]], separator)) < len(_fields(lines[first], separator))
-        body = [k for k in told[: -1 if cut else None] if k >= first]
+        cut = len(_fields(lines[numbered[-1]], separator)) < len(_fields(lines[first], separator))
+        body = [k for k in numbered[: -1 if cut else None] if k >= first]
         columns = _columns(path, lines, body, separator, {k: names[k] for k in read})
 
     def load(name: str) -> NDArray[Any]:
@@ -118,9 +118,9 @@ def _columns(
         return value
 
     def table(**how: Any) -> Array:
-        told = (lines[k] for k in body)
+        selected = (lines[k] for k in body)
         return np.loadtxt(
-            told,
+            selected,
             delimiter=separator,
             usecols=[*names],
             comments=None,
