@@ -15,8 +15,6 @@ from importlib.resources import files
 from tomllib import loads
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from testbed.codec import decode
-
 Level = Literal["error", "warning", "info"]
 
 ALIKE = 2
@@ -230,8 +228,9 @@ def from_json(content: Any) -> tuple[Diagnostic, ...]:
     Raises:
         ValueError: It is something else.
     """
-    found: tuple[Diagnostic, ...] = decode(tuple[Diagnostic, ...], content, {})
-    return found
+    from testbed.codec import decode  # loads NumPy
+
+    return tuple(decode(list[Diagnostic], content, {}))
 
 
 def of_recording(facts: Mapping[str, Any]) -> tuple[Diagnostic, ...]:

@@ -183,9 +183,6 @@ def campaign(
     against: Annotated[
         Path | None, typer.Option(help="With --summary: compare with this campaign's folder.")
     ] = None,
-    rrd: Annotated[
-        Path | None, typer.Option(help="With --summary: also write this .rrd file.")
-    ] = None,
     workers: Annotated[
         int | None,
         typer.Option(min=0, help="Local processes; default one per processor, 0: none."),
@@ -208,7 +205,7 @@ def campaign(
     Example: testbed campaign --summary runs/coverage-campaign
     """
     if summary or against is not None:
-        _summary(file, against, rrd)
+        _summary(file, against)
         return
     from testbed.campaign.campaign import Campaign
     from testbed.campaign.conduct import conduct
@@ -231,14 +228,12 @@ def campaign(
     raise typer.Exit(1 if failures else 0)
 
 
-def _summary(folder: Path, against: Path | None, rrd: Path | None) -> None:
+def _summary(folder: Path, against: Path | None) -> None:
     """Print what a campaign says, and write it beside its table."""
     from testbed.campaign.summary import changes, read_campaign, summarise, write_summary
-    from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.reporting.campaign import print_changes, print_summary, write_campaign_page
 
-    check_writable(rrd, read=(folder, against))
     with output.Progress("summarising"):
         found = summarise(read_campaign(folder))
     out, place = output.console(), folder if folder.is_dir() else folder.parent
@@ -250,10 +245,6 @@ def _summary(folder: Path, against: Path | None, rrd: Path | None) -> None:
     page = place / "summary.html"
     with output.Progress("drawing"):
         write_campaign_page(page, found)
-        if rrd is not None:
-            from testbed.viewer.log import write_campaign_rrd
-
-            write_campaign_rrd(found, rrd)
     print_summary(out, found, [page, *write_summary(found, place)])
 
 

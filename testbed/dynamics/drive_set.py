@@ -111,7 +111,7 @@ def random_states(tree: Tree, seed: int = 0) -> Motion:
     return Motion(np.arange(samples, dtype=float), q, qd, qdd)
 
 
-def verify(tree: Tree, minimal: MinimalSet, seed: int = 0) -> Agreement:
+def verify(tree: Tree, minimal: MinimalSet) -> Agreement:
     """Hold a minimal set by the rules against both witnesses.
 
     Parameters known to be zero are so for all three.
@@ -119,10 +119,9 @@ def verify(tree: Tree, minimal: MinimalSet, seed: int = 0) -> Agreement:
     Args:
         tree: The robot.
         minimal: Its set.
-        seed: Of the sampled states.
     """
     model, g, tared, zero = minimal.model, minimal.gravity, minimal.tared, minimal.known_zero
-    rows = sampled_regressor(tree, model, g, tared=tared, seed=seed)
+    rows = sampled_regressor(tree, model, g, tared=tared)
     sampled = row_space(rows, ZERO, zero)
     size = np.abs(rows).max(initial=1e-300)
     rows[:, zero.ravel()] = 0.0
@@ -167,16 +166,15 @@ class DriveAgreement:
         return same and self.change <= UNCHANGED
 
 
-def verify_drives(tree: Tree, drives: DriveSet, seed: int = 0) -> DriveAgreement:
+def verify_drives(tree: Tree, drives: DriveSet) -> DriveAgreement:
     """Hold a minimal set of bodies and drives together against sampled columns.
 
     Args:
         tree: The robot.
         drives: Its set.
-        seed: Of the sampled states.
     """
-    minimal, states = drives.minimal, random_states(tree, seed)
-    rows = sampled_regressor(tree, "dynamic", minimal.gravity, seed=seed)
+    minimal, states = drives.minimal, random_states(tree)
+    rows = sampled_regressor(tree, "dynamic", minimal.gravity)
     rows[:, minimal.known_zero.ravel()] = 0.0
     torques = np.zeros((len(states.qd), tree.n, len(drives.asked)))
     for k, term in enumerate(drives.asked):

@@ -395,14 +395,6 @@ class Estimate(Diagnosed):
         """The same for notebooks."""
         return self.words.html()
 
-    def to_dict(self) -> dict[str, dict[str, float | str]]:
-        """Value, sigma and unit by name; sigma is infinite where a value is not identifiable."""
-        numbers = zip(self.values.tolist(), self.sigma.tolist(), self.units, strict=True)
-        return {
-            name: {"value": value, "sigma": sigma, "unit": unit}
-            for name, (value, sigma, unit) in zip(self.names, numbers, strict=True)
-        }
-
     def to_frame(self) -> Any:
         """Names, values, sigmas and units as a data frame of pandas, or of polars.
 

@@ -40,8 +40,7 @@ def replay(model: ModelFile, recording: Recording, seconds: float = 2.0) -> Arra
     first, fitted, last = np.searchsorted(
         time, time[0] + [START, 2 * START, START + seconds], side="right"
     )
-    if last >= len(time):
-        last = len(time) - 1
+    last = min(last, len(time) - 1)
     if last <= fitted:
         raise RecordingError(f"a recording that is replayed lasts more than {2 * START:g} s")
     period = float((time[last] - time[first]) / (last - first))

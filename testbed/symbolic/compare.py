@@ -221,6 +221,8 @@ def read_listing(
     found: dict[str, Expression] = {}
     budget = Budget(max_terms)
     for line, name, right in _statements(text, max_terms):
+        if not right.strip() or not _NAME.fullmatch(name):
+            raise ExpressionError(f"line {line}: NAME = expression, found '{name[:40]}'")
         if name in found:
             raise ExpressionError(f"line {line}: {name} is defined twice")
         try:
@@ -272,7 +274,5 @@ def _statements(text: str, max_terms: int) -> Iterator[tuple[int, str, str]]:
         else:
             statements.append((line, [words]))
     for line, lines in statements:
-        name, equals, right = "".join(lines).partition("=")
-        if not equals or not _NAME.fullmatch(name.strip()):
-            raise ExpressionError(f"line {line}: NAME = expression, found '{lines[0][:40]}'")
+        name, _, right = "".join(lines).partition("=")
         yield line, name.strip(), right

@@ -73,7 +73,7 @@ COMMANDS = {
     "view": (f"view OUT/run no_torque.parquet {ROBOT} --save OUT/run.rrd", ""),
     "campaign": ("campaign quick.toml --workers 0 --out OUT/many", ""),
     "campaign, plan": ("campaign quick.toml --dry-run --limit 3", ""),
-    "campaign, summary": ("campaign --summary OUT/many --rrd OUT/many.rrd", ""),
+    "campaign, summary": ("campaign --summary OUT/many", ""),
     "excite": ("excite two.urdf --set excitation.starts=1 --set excitation.harmonics=2 --set "
                "motion.duration=6 --out OUT/m.toml --page OUT/m.html --trajectory OUT/m.csv --json",
                "aim complete criterion diagnostics file fundamental gain harmonics predicted proof "
@@ -135,7 +135,7 @@ def test_a_command_does_what_it_is_asked_to(name: str, told: Told, out: Path) ->
         assert done.stdout.strip()
     if keys:
         assert " ".join(sorted(json.loads(told(name).stdout))) == " ".join(sorted(keys.split()))
-    written = re.findall(r"--(?:out|page|trajectory|save|rrd|write) OUT/(\S+)", words)
+    written = re.findall(r"--(?:out|page|trajectory|save|write) OUT/(\S+)", words)
     assert [each for each in written if not (out / each).exists()] == []
 
 

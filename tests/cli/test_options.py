@@ -30,7 +30,6 @@ WRITERS = {
     ("report", "--out"): (".html", f"one.parquet {ROBOT}"),
     ("view", "--save"): (".rrd", f"one.parquet {ROBOT}"),
     ("campaign", "--out"): ("", "quick.toml --workers 0"),
-    ("campaign", "--rrd"): (".rrd", "run --summary"),
     ("equations", "--out"): (".txt", "puma562.xml --what gravity-forces"),
     ("import", "--out"): (".parquet", "map.toml"),
     ("import", "--page"): (".html", "log.csv --guess --model two.urdf"),

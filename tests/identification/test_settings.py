@@ -145,10 +145,6 @@ def test_every_form_holds_every_parameter(monkeypatch: pytest.MonkeyPatch) -> No
     page = found._repr_html_()
     assert page.count("<tr>") == len(found.names)
     assert "&lt;b&gt;mind" in page
-    said = found.to_dict()
-    assert {name: each["value"] for name, each in said.items()} == dict(
-        zip(found.names, found.values.tolist(), strict=True)
-    )
     monkeypatch.setitem(sys.modules, "pandas", None)
     monkeypatch.setitem(sys.modules, "polars", None)
     with refuses(TestbedError, "pandas"):

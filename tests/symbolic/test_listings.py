@@ -282,7 +282,8 @@ def test_numbers_are_exact_and_written_as_people_do(over: int, shift: int) -> No
 
 
 NO_LISTING = {
-    "Q1 = g*": "line 1", "\nQ1 = (g + qp1": "line 2", "Q1 = g g": "'g g'",
+    "K1zz": "NAME", "Q1 =": "NAME", "a b = g": "NAME", "Q1 = g*": "line 1",
+    "\nQ1 = (g + qp1": "line 2", "Q1 = g g": "'g g'",
     "Q1 = g / qp1": "line 1", "Q1 = 1 / 0": "line 1", "Q1 = 1e999*g": "large",
     "Q1 = 1e100*1e100": "large", "Q1 = 1/1e-320": "line 1", "Q1 = " + "(" * 3000: "line 1",
     "Q1 = " + "-" * 100_000 + "g": "line 1", "Q1 = g ** 99": "20", "Q1 = g\nQ1 = g": "Q1",

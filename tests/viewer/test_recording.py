@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.campaign.summary import Figure, ParameterErrors, Summary
 from testbed.diagnostics import sentences
 from testbed.excitation.collision_model import Obstacle
 from testbed.identification.estimate import METHODS
@@ -25,14 +24,14 @@ from testbed.robot.visuals.appearance import load_appearance
 from testbed.robot.visuals.shapes import bounds, extents
 from testbed.viewer.curves import BINS, FEW, thinned, tick
 from testbed.viewer.drives import CELL, TALL, largest, picture
-from testbed.viewer.log import write_campaign_rrd, write_motion_rrd, write_rrd
+from testbed.viewer.log import write_motion_rrd, write_rrd
 from testbed.viewer.robot_drawing import ARROW
 from testbed.viewer.scene import Scene, means, pressure, rounded_up, scene_of
 from tests.helpers.approved import hold
 from tests.helpers.pages import checked, run_named
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.strategies import rngs
-from tests.helpers.viewer import columns, tensor, tree, words
+from tests.helpers.viewer import columns, tree, words
 
 SCALARS = "Scalars:scalars"
 slow = pytest.mark.slow
@@ -239,36 +238,6 @@ def test_a_motion_is_shown_with_no_less_left_than_is_proven(tmp_path: Path) -> N
     np.testing.assert_allclose(size.ravel(), box.half, rtol=1e-6)
     motion = found.motion.at(np.linspace(0, found.motion.period, len(left))).q
     assert_stands(path, ROOT / "models/puma562.urdf", motion, found.rules.tree.names)
-
-
-@slow
-def test_a_campaign_is_bars_of_scores_and_points_of_both_sigmas(tmp_path: Path) -> None:
-    """Scores far out count in the outermost bars; points by powers of ten, larger ones higher."""
-    scores = np.array([-9.0, -3.9, 0.1, 0.1, 0.12, 3.99, 5.0, 4.0])
-    kept = [("m1", 0, 1e-3, 1e-2), ("K3d", 1, 10.0, 0.1), ("exact", 1, 0.0, 0.1)]
-    parts = tuple(
-        ParameterErrors(cell, "external", name, 8, 1.0, 0, 0, spread, 0, sigma, 7, 0.1)
-        for name, cell, sigma, spread in (*kept, ("alone", 1, 1.0, np.nan))
-    )
-    figures = (Figure(1, "external_rms_relative_error", 8, 0.0123, 0.001),)
-    about, z = {"name": "noise", "claim": ""}, {"external": {"m1/a": scores}}
-    summary = Summary(about, ("noise",), {0: (0.5,), 1: (2.0,)}, 16, (), parts, figures, z)
-    write_campaign_rrd(summary, path := tmp_path / "campaign.rrd")
-    (place,) = (each for each in tree(path) if each.startswith("/scores"))
-    middles, wanted = tensor(path, place, "BarChart:abscissa"), np.zeros(32)
-    for score in scores:
-        wanted[np.abs(middles - np.clip(score, -3.99, 3.99)).argmin()] += 1
-    np.testing.assert_array_equal(tensor(path, place, "BarChart:values"), wanted)
-    points = columns(path, "/sigma/external", "Points2D:positions", static=True).reshape(-1, 2)
-    np.testing.assert_allclose(points, [[-3.0, 2.0], [1.0, 1.0]], atol=1e-6)
-    assert words(path, "/sigma/external", "Points2D:labels") == ["m1, cell 0", "K3d, cell 1"]
-    (text,) = words(path, "/notes", "TextDocument:text")
-    assert text.splitlines()[-1].strip("| ").split(" | ") == [
-        "2.0",
-        figures[0].metric,
-        "8",
-        "0.0123",
-    ]
 
 
 @given(rngs)

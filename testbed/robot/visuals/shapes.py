@@ -78,15 +78,14 @@ def upright(direction: Array) -> Array:
     return np.column_stack([x, np.cross(z, x), z])
 
 
-def sticks(tree: Tree, thickness: float = 0.0) -> Iterator[Shape]:
+def sticks(tree: Tree) -> Iterator[Shape]:
     """A figure of sticks for a robot that no file draws: every body from its joint to the next.
 
     Args:
         tree: The robot.
-        thickness: Of the sticks [m]; default a thirtieth of the longest offset.
     """
     longest = max((float(np.linalg.norm(j.offset)) for j in tree.joints), default=0.0) or 0.3
-    radius = thickness or longest / 30
+    radius = longest / 30
     grey, dark = np.array([0.72, 0.74, 0.78, 1.0]), np.array([0.25, 0.28, 0.33, 1.0])
     for j, joint in enumerate(tree.joints):
         length = float(np.linalg.norm(joint.offset))

@@ -100,11 +100,11 @@ def _factor(factor: Factor, style: Style) -> str:
     return style.name(factor)
 
 
-def wrap(start: str, pieces: list[str], indent: str, width: int = WIDTH) -> list[str]:
-    """Pieces after a start in lines of a width; further lines are indented."""
+def wrap(start: str, pieces: list[str], indent: str) -> list[str]:
+    """Pieces after a start in lines up to `WIDTH`; further lines are indented."""
     lines = [start]
     for piece in pieces:
-        if len(lines[-1]) + 1 + len(piece) > width and lines[-1].strip():
+        if len(lines[-1]) + 1 + len(piece) > WIDTH and lines[-1].strip():
             lines.append(indent + piece)
         else:
             lines[-1] += f" {piece}" if lines[-1] else piece
