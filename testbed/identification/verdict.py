@@ -68,7 +68,7 @@ def verdict_of(
 def _well(instrument: str, share: Array, of: str) -> Diagnostic:
     """The evidence: errors in parts of the channels' signals, (C,)."""
     least, most = 100 * np.nanmin(share), 100 * np.nanmax(share)
-    return diagnose(WELL, instrument, float(most), least=least, of=phrase(of))
+    return diagnose("verdict.well", instrument, float(most), least=least, of=phrase(of))
 
 
 def _reservations(found: Posterior, shown: str) -> Iterator[Diagnostic]:
