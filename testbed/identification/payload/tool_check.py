@@ -101,8 +101,7 @@ def checked(
         )  # fmt: skip
     elif not (sure or fit.open):
         how: Level = "error" if fit.share > GROSS else "warning"  # below, noise will do it
-        code = "tool.unexplained" if zero else "tool.residual"
-        yield diagnose(code, value=fit.share, level=how)
+        yield diagnose("tool.unexplained" if zero else "tool.residual", value=fit.share, level=how)
     if fit.open:
         yield diagnose("tool.poses", ", ".join(fit.open))
     if fit.open or fit.scale[0] > DOUBTFUL * mass * size:
