@@ -5,12 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from docs.marks import write
-from testbed.instruments import faults
+from testbed.instruments.fault import Place
+from testbed.instruments.faults import KINDS
 from testbed.kind_table import in_words, rows
 from testbed.simulation.effects import EFFECTS
 
 DOCUMENT = Path(__file__).with_suffix(".md")
 MODULE = "docs.instruments"
+TITLES = {"position": "Encoders", "torque": "Drives", "wrench": "The plate", "tare": "The tare"}
 
 
 def as_markdown(of: str) -> str:
@@ -20,8 +22,26 @@ def as_markdown(of: str) -> str:
         of: Which of both.
     """
     if of == "faults":
-        return faults.as_markdown()
+        return catalogue()
     return "\n".join(["", *rows([in_words(effect) for effect in EFFECTS]), "", ""])
+
+
+def catalogue() -> str:
+    """Tables of all faults: their places, then one a signal."""
+    kinds = tuple(KINDS.values())
+    lines = ["", "| place | " + " | ".join(TITLES.values()) + " |"]
+    lines += ["| --- " * (1 + len(TITLES)) + "|"]
+    for place in Place:
+        here = [fault for fault in kinds if fault.place == place]
+        cells = [", ".join(f"`{f.kind}`" for f in here if f.signal == s) for s in TITLES]
+        lines.append(f"| {place.name.lower()} | {' | '.join(cells)} |")
+    for signal, title in TITLES.items():
+        own = [in_words(fault) for fault in kinds if fault.signal == signal]
+        lines += ["", f"### {title}", "", *rows(own)]
+    examples = "\n".join(f"    {in_words(fault).example}," for fault in kinds)
+    lines += ["", "### All of them, as they may be written", ""]
+    lines += ["```toml", "[measurement]", "fault = [", examples, "]", "```", ""]
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

@@ -77,9 +77,6 @@ from .recordings.joined import Joined as Joined
 from .recordings.recording import (
     Recording as Recording,
 )
-from .recordings.recording import (
-    import_recording as import_recording,
-)
 from .recordings.source import StoredRecording as StoredRecording
 from .reporting.plot import plot as plot
 from .reporting.run_page import report as report

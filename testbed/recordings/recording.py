@@ -308,15 +308,6 @@ class Recording:
         return recording
 
 
-def import_recording(path: str | Path) -> Recording:
-    """`Recording.from_mapping`: a recording made of other programs' files.
-
-    Args:
-        path: The mapping file, TOML.
-    """
-    return Recording.from_mapping(path)
-
-
 def _split(
     signal: str, values: Array, joints: tuple[str, ...], sensors: tuple[str, ...]
 ) -> dict[str, Array]:

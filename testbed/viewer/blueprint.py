@@ -10,9 +10,7 @@ import rerun.blueprint as rrb
 
 from testbed.experiment.comparison import Signal
 from testbed.recordings.columns import AXES, PLATE_UNITS
-from testbed.reporting.drives import BAND
 from testbed.robot.tree import Tree
-from testbed.viewer.drives import CELL, TALL, TITLES
 from testbed.viewer.robot_drawing import CLOCK
 from testbed.viewer.scene import Scene, root, safe
 
@@ -135,7 +133,6 @@ def _tabs(scene: Scene, at: str, tab: str) -> rrb.Tabs:
     if scene.predictions.unexplained_torque is not None:
         across = math.ceil(math.sqrt(scene.run.tree.n))
         views.append(rrb.Grid(*_friction(scene, at), grid_columns=across, name="friction"))
-    views += [*_drives(scene, at), *_plate(scene, at)]
     views.append(rrb.TextDocumentView(origin=f"{at}/notes", name="notes"))
     front = next((k for k, view in enumerate(views) if view.name == tab), 0)
     return rrb.Tabs(*views, name=scene.run.name, active_tab=front)
@@ -194,32 +191,6 @@ def _friction(scene: Scene, at: str) -> list[rrb.Spatial2DView]:
         )
         for joint in scene.run.tree.joints
     ]
-
-
-def _drives(scene: Scene, at: str) -> Iterator[rrb.Horizontal]:
-    """Torque constants, where the drives were held against the plate."""
-    if scene.run.drives is not None:
-        count = scene.run.tree.n
-        view = rrb.Spatial2DView(
-            origin=f"{at}/constants",
-            name=f"torque constants, reported over true, ± {BAND:g} sigma; line: the data sheet's",
-            visual_bounds=rrb.VisualBounds2D(
-                x_range=[-1, count], y_range=[-TALL - 0.5, TALL + 0.5]
-            ),
-        )
-        yield rrb.Horizontal(view, name="drives")
-
-
-def _plate(scene: Scene, at: str) -> Iterator[rrb.Horizontal]:
-    """The plate's matrix before and after, where it was estimated."""
-    if scene.matrix is not None:
-        reach = [-1.2 * CELL, 6.2 * CELL]
-        bounds = rrb.VisualBounds2D(x_range=reach, y_range=reach)
-        maps = [
-            rrb.Spatial2DView(origin=f"{at}/plate/{name}", name=title, visual_bounds=bounds)
-            for name, title in TITLES.items()
-        ]
-        yield rrb.Horizontal(*maps, name="plate")
 
 
 def _plot(

@@ -22,7 +22,6 @@ from testbed.robot.visuals.appearance import Appearance
 from testbed.viewer.blueprint import RATES, blueprint, motion_blueprint
 from testbed.viewer.colours import COLOURS
 from testbed.viewer.curves import log_friction, log_signals, series
-from testbed.viewer.drives import log_constants, log_matrix
 from testbed.viewer.live import start_viewer
 from testbed.viewer.robot_drawing import (
     log_appearance,
@@ -142,10 +141,6 @@ def log_scene(stream: rr.RecordingStream, scene: Scene, at: str = "") -> None:
     log_reaction(stream, scene, f"{at}/world/bedplate")
     log_signals(stream, scene, at)
     log_friction(stream, scene, f"{at}/friction")
-    if scene.run.drives is not None:
-        log_constants(stream, scene.run.drives.estimates, f"{at}/constants")
-    if scene.matrix is not None:
-        log_matrix(stream, scene.matrix, f"{at}/plate")
     notes = rr.TextDocument(scene.notes, media_type=rr.MediaType.MARKDOWN)
     stream.log(f"{at}/notes", notes, static=True)
 

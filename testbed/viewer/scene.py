@@ -13,7 +13,7 @@ from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, sentences
 from testbed.dynamics.newton_euler import Motion, poses
 from testbed.experiment.comparison import Predictions, predict
-from testbed.experiment.run import MatrixErrors, Run, matrix_errors
+from testbed.experiment.run import Run
 from testbed.experiment.summary import summary, verdict
 from testbed.robot.visuals.appearance import Appearance, load_appearance
 from testbed.viewer.drives import notes_of_drives, notes_of_plate
@@ -99,11 +99,6 @@ class Scene:
             alike = np.array([unit == signal.units[channel] for unit in signal.units])
         rest = [np.abs(signal.residual(m)[:, alike]).max(initial=0.0) for m in signal.predicted]
         return rounded_up(float(max(rest)))
-
-    @cached_property
-    def matrix(self) -> MatrixErrors | None:
-        """What was wrong with the plate's matrix, if it was estimated."""
-        return matrix_errors(self.run)
 
     @cached_property
     def notes(self) -> str:

@@ -15,11 +15,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
+from docs.instruments import catalogue
 from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError, TestbedError
 from testbed.instruments.chain import Instrument, measure, measured_again
 from testbed.instruments.fault import FULL_SCALE, Fault, Place, apply_chain, stream
-from testbed.instruments.faults import KINDS, as_markdown, fault_of
+from testbed.instruments.faults import KINDS, fault_of
 from testbed.instruments.joints import (
     EncoderEccentricity,
     EncoderInstantSampling,
@@ -204,7 +205,7 @@ def test_a_file_says_faults_as_python_does_and_every_kind_is_documented() -> Non
     text = '[{kind="plate_bias",force=[1,2,3]},{kind="encoder_zero_error",error={elbow=1e-3}}]'
     found = tb.Experiment.load(TABLE6, [f"measurement.fault={text}"]).measurement.fault
     assert found == (PlateBias((1.0, 2.0, 3.0)), EncoderZeroError({"elbow": 1e-3}))
-    assert as_markdown() in (ROOT / "docs/instruments.md").read_text()
+    assert catalogue() in (ROOT / "docs/instruments.md").read_text()
 
 
 WRONG = {

@@ -23,7 +23,6 @@ from testbed.identification.estimate import METHODS
 from testbed.robot.visuals.appearance import load_appearance
 from testbed.robot.visuals.shapes import bounds, extents
 from testbed.viewer.curves import BINS, FEW, thinned, tick
-from testbed.viewer.drives import CELL, TALL, largest, picture
 from testbed.viewer.log import write_motion_rrd, write_rrd
 from testbed.viewer.robot_drawing import ARROW
 from testbed.viewer.scene import Scene, means, pressure, rounded_up, scene_of
@@ -181,26 +180,6 @@ def test_friction_is_drawn_to_scale_and_its_axes_say_which() -> None:
         strips = columns(path, f"/friction/{name}/by_plate", "LineStrips2D:radii", static=True)
         radii = strips.reshape(-1, 3)
         assert (radii[:, 0] > 2 * radii[:, 1:].max(axis=1)).all()  # the band is thinner
-
-
-@slow
-def test_constants_and_the_matrix_are_drawn_as_wrong_as_they_are() -> None:
-    """Bars as long as two sigma to either side, cells as dark as they are wrong, by one scale."""
-    shown, path = scene("plate"), rrd("plate")
-    assert shown.run.drives is not None
-    assert shown.matrix is not None
-    drives, matrix = shown.run.drives.estimates, shown.matrix
-    strips = columns(path, "/constants/bars", "LineStrips2D:strips", static=True).reshape(-1, 2, 2)
-    for bar, drive in zip(strips[::3], drives, strict=True):
-        ends = sorted(-bar[:, 1] * largest(drives) / TALL + 1)
-        wanted = drive.constant + np.array([-2, 2]) * drive.sigma
-        np.testing.assert_allclose(ends, wanted, atol=1e-6)
-    for name, values in (("before", matrix.error), ("after", matrix.sigma)):
-        said = words(path, f"/plate/{name}/numbers", "Points2D:labels")
-        np.testing.assert_allclose(np.array(said, dtype=float), values.ravel(), rtol=0.06)
-    light = picture(matrix.error, matrix.most)[::CELL, ::CELL].sum(axis=2).ravel().astype(int)
-    assert (np.diff(light[np.argsort(np.abs(matrix.error).ravel())]) <= 0).all()
-    assert picture(matrix.sigma, matrix.most).sum() > picture(matrix.error, matrix.most).sum()
 
 
 @slow
