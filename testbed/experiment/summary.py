@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed.diagnostics import sentences
+from testbed.diagnostics import paragraphs, sentences
 from testbed.errors import few, plural, round_significant
 from testbed.experiment.score import share_of_signal
 from testbed.identification.verdict import WELL, verdict_of
@@ -53,8 +53,9 @@ def headline(run: Run) -> str:
     if not (run.estimates or made):
         return f"From {_data(run)} no estimate could be made."
     if made or run.score is None:
-        said = verdict_of(run.estimates.values(), made)
-        first = [f"{line[0].upper()}{line[1:]}." for line in sentences(said)]
+        said = verdict_of(run.estimates.values(), made, doubts=run.diagnostics)
+        shown = ([each for each in parts if each[:6] != "Remedy"] for parts in paragraphs(said))
+        first = [f"{text[0].upper()}{text[1:]}." for text in map(". ".join, shown)]
         return " ".join([*first, *data_lines(made, well=said[0].code == WELL)])
     phrases = []
     for name in ("wrench", "torque"):
