@@ -63,13 +63,15 @@ def write_mapping(
         if model is None:
             draft = guessed(files, folder)
         else:
-            draft, _, tree = draft_mapping(files, folder, reading.model_file(model))
+            draft, file, tree = draft_mapping(files, folder, reading.model_file(model))
+            welded = file.weld_root and not reading.weld_root
     if model is not None:
         with output.Progress("solving the mapping, hypotheses") as bar:
             found = solve_mapping(draft, out or folder / "mapping.toml", tree, bar)
         draft = found.draft
         locked = few([f"{name} at {q:.4g}" for name, q in draft.tables.get("lock", {}).items()])
         said = [diagnose("robot.locked", locked)] if locked else []
+        said += [diagnose("robot.welded", tree.name)] if welded else []
         output.print_lines((), [*tree.diagnostics, *said, *found.diagnostics])
         if page is not None:
             from testbed.reporting.mapping import write_mapping_page

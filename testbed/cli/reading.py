@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from testbed.diagnostics import Diagnostic
-from testbed.errors import RecordingError
+from testbed.errors import FreeRootError, RecordingError
 from testbed.installation import own_or_shipped
 from testbed.stages import stage
 
@@ -353,8 +353,26 @@ class Reading:
         given = self.model_file(model)
         file, fewer, _ = hold_still(given, source, lock_only=True)
         reading = (self if file.lock == given.lock else self.with_lock(file)).with_sensors(source)
-        tree = reading.tree(model)
+        reading, tree = reading.on_its_root(source, model)
         return reading, tree, on_its_base(fewer, tree)
+
+    def on_its_root(self, source: Source, model: Path) -> tuple[Reading, Tree]:
+        """The same and the robot, its root welded where it floats and no base was recorded.
+
+        Args:
+            source: The recording.
+            model: The model file.
+
+        Raises:
+            FreeRootError: The root floats, and the recording has its pose.
+        """
+        try:
+            return self, self.tree(model)
+        except FreeRootError:
+            if "base" in source.signals:
+                raise
+        reading = replace(self, weld_root=True)
+        return reading, reading.tree(model)
 
     def with_sensors(self, source: Source, *, alone: bool = False) -> Reading:
         """The same with the force sensors that a recording has, where --set says nothing of them.
@@ -395,11 +413,11 @@ class Reading:
         doubted = any(each.code == "position.still" for each in said)
         file, locked = lock_unrecorded(self.model_file(model), source)
         reading = self.with_lock(file) if locked else self
-        tree = reading.tree(model)
+        reading, tree = reading.on_its_root(source, model)
         if doubted or tree.floating or tree.is_part:
             return reading, source, [*kept, *locked]
-        file, fewer, held = hold_still(file, source)
-        reading = reading if fewer is source else self.with_lock(file)
+        file, fewer, held = hold_still(replace(file, weld_root=reading.weld_root), source)
+        reading = reading if fewer is source else reading.with_lock(file)
         return reading, fewer, [*kept, *locked, *held]
 
     def with_lock(self, file: ModelFile) -> Reading:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from testbed.errors import MimicError
+from testbed.errors import FreeRootError, MimicError
 from testbed.plausibility.remedies import own_joints
 from testbed.recordings.importing.guess import guessed
 from testbed.recordings.importing.import_report import Draft
@@ -21,6 +21,8 @@ def draft_mapping(
 ) -> tuple[Draft, ModelFile, Tree]:
     """Mapping by the columns' names, and a robot without the joints that the log lacks.
 
+    A root that floats is welded, unless the file already says how.
+
     Args:
         paths: Files of other programs.
         folder: Where the mapping is to stand.
@@ -33,6 +35,8 @@ def draft_mapping(
     followed: set[str] = set()
     try:
         tree = file.tree()
+    except FreeRootError:
+        return draft_mapping(paths, folder, replace(file, weld_root=True))
     except MimicError as error:
         followed = set(error.masters.values())
         file = replace(file, lock={**dict.fromkeys(mimic_joints(file.path)), **file.lock})
@@ -45,6 +49,6 @@ def draft_mapping(
     lacking = [joint for joint in tree.joints if joint.name in {*names} - {*logged}]
     places = {joint.name: Travel(*joint.position_range).rest for joint in lacking}
     for name, place in ({k: q for k, q in file.lock.items() if q is not None} | places).items():
-        draft = draft.saying("lock", name, float(place), "no column is of this joint [rad or m]")
+        draft = draft.saying("lock", name, float(place), "held: no column of it, or by --lock [rad or m]")
     file = replace(file, lock={**file.lock, **places})
     return draft, file, file.tree() if lacking else tree
