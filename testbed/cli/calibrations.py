@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from testbed.cli.identifications import Write, Writing
+from testbed.cli.opening import opened
 from testbed.cli.reading import (
     Gravity,
     Json,
@@ -24,7 +25,6 @@ from testbed.cli.reading import (
     Zeros,
     app,
     ending,
-    opened,
 )
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from testbed.cli.opening import corrected_source, opened
 from testbed.cli.reading import (
     Everything,
     Gravity,
@@ -28,8 +29,6 @@ from testbed.cli.reading import (
     Weld,
     Zeros,
     app,
-    corrected_source,
-    opened,
 )
 from testbed.diagnostics import diagnose
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.identifications import ConsistentBodies
+from testbed.cli.opening import corrected_source
 from testbed.cli.reading import (
     Lock,
     LockMimic,
@@ -22,7 +23,6 @@ from testbed.cli.reading import (
     Weld,
     Zeros,
     app,
-    corrected_source,
     ending,
 )
 from testbed.diagnostics import Diagnostic, diagnose, of_recording, ordered

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from testbed.cli.opening import corrected_source, opened_pieces, require_different
 from testbed.diagnostics import Diagnostic
-from testbed.errors import FreeRootError, RecordingError
+from testbed.errors import FreeRootError
 from testbed.installation import own_or_shipped
 from testbed.stages import stage
 
@@ -321,7 +320,7 @@ class Reading:
         from testbed.recordings.joined import joined
         from testbed.reporting import output
 
-        _require_different(paths)
+        require_different(paths)
         several = len(paths) > 1
         sources: list[Source] = []
         said: list[Diagnostic] = []
@@ -453,57 +452,3 @@ class Reading:
             return file.tree()
         tables = self.tables()
         return tables.sensed(tables.robot.on(file.tree()), file)
-
-
-def _require_different(paths: Sequence[Path]) -> None:
-    """See to it that no recording is given twice: its noise would count as another's."""
-    places = [os.path.realpath(path) for path in paths]  # of a link to itself, too
-    for path, place in zip(paths, places, strict=True):
-        if places.count(place) > 1:
-            raise RecordingError(f"'{path}' is given more than once: its data would count as new")
-
-
-def opened(path: Path) -> Source:
-    """A recording that stays in its file, or one that a mapping file makes.
-
-    Args:
-        path: Parquet, or TOML for a mapping.
-
-    Raises:
-        RecordingError: It is no recording.
-        ExperimentError: The mapping is not understood.
-    """
-    from testbed.recordings.recording import Recording
-    from testbed.recordings.source import open_source
-
-    return Recording.from_mapping(path) if path.suffix == ".toml" else open_source(path)
-
-
-def opened_pieces(path: Path) -> tuple[Sequence[Source], list[Diagnostic]]:
-    """The same; what a mapping file makes is cut where a source was silent.
-
-    Args:
-        path: Parquet, or TOML for a mapping.
-    """
-    if path.suffix != ".toml":
-        numbered = (path.with_stem(f"{path.stem}-{k}") for k in count(1))
-        parts = [] if path.exists() else [*takewhile(Path.exists, numbered)]
-        note(f"'{each}' is a part of '{path}'" for each in parts)
-        return [opened(each) for each in parts or [path]], []
-    from testbed.recordings.joined import pieces
-
-    return pieces(path)
-
-
-def corrected_source(source: Source, tree: Tree, plate: Path | None) -> Source:
-    """A recording as a perfect plate would have made it.
-
-    Args:
-        source: As it was made.
-        tree: The robot.
-        plate: The plate's file; None where it is taken as perfect.
-    """
-    from testbed.experiment.read_result import read_plate
-    from testbed.identification.calibration import corrected
-
-    return source if plate is None else corrected(source, tree, read_plate(plate, tree))

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from testbed.cli.calibrations import Flange, Vendor, flange_link, print_for
+from testbed.cli.opening import opened
 from testbed.cli.reading import (
     Gravity,
     Json,
@@ -19,7 +20,6 @@ from testbed.cli.reading import (
     Threads,
     Weld,
     app,
-    opened,
 )
 
 

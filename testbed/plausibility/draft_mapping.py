@@ -49,6 +49,8 @@ def draft_mapping(
     lacking = [joint for joint in tree.joints if joint.name in {*names} - {*logged}]
     places = {joint.name: Travel(*joint.position_range).rest for joint in lacking}
     for name, place in ({k: q for k, q in file.lock.items() if q is not None} | places).items():
-        draft = draft.saying("lock", name, float(place), "held: no column of it, or by --lock [rad or m]")
+        draft = draft.saying(
+            "lock", name, float(place), "held: no column of it, or by --lock [rad or m]"
+        )
     file = replace(file, lock={**file.lock, **places})
     return draft, file, file.tree() if lacking else tree

@@ -33,7 +33,6 @@ from testbed.plausibility.plate_map import (
     transform,
 )
 from testbed.plausibility.recording_diagnostics import CLEARLY, removed, share, weights
-from testbed.plausibility.remedies import in_words
 from testbed.plausibility.search import Progress
 from testbed.plausibility.time_offset import alignment, moving_average, time_offsets
 from testbed.recordings.importing.convert import clock_ranges
@@ -96,8 +95,6 @@ class MappingSolution(Diagnosed):
         diagnostics: What may be wrong with it.
         before: The plate by the columns' names alone, if there is one.
         after: The same by the mapping.
-        shares: Explanations in words, the mapping's first, and the part of the plate's channels
-            that each leaves, on average.
         refusal: What contradicts the mapping, as far as it was solved; None if nothing does.
         assessment: Of the recording that this very mapping makes; None where it was refined since.
     """
@@ -106,7 +103,6 @@ class MappingSolution(Diagnosed):
     diagnostics: tuple[Diagnostic, ...] = ()
     before: WrenchFit | None = None
     after: WrenchFit | None = None
-    shares: tuple[tuple[str, float], ...] = ()
     refusal: TestbedError | None = None
     assessment: Assessment | None = None
 
@@ -160,7 +156,7 @@ def solve_mapping(
     if any(each.code in ("plate.foreign", "recording.short") for each in said):
         draft = _doubted(draft)
     before, after = first.wrench_fit, assessment.wrench_fit
-    return MappingSolution(draft, said, before, after, _shares(tree, first), assessment=last)
+    return MappingSolution(draft, said, before, after, assessment=last)
 
 
 def missing(draft: Draft) -> list[str]:
@@ -480,13 +476,3 @@ def _doubted(draft: Draft) -> Draft:
         for place, note in draft.notes.items()
     }
     return replace(draft, notes=notes)
-
-
-def _shares(tree: Tree, assessment: Assessment) -> tuple[tuple[str, float], ...]:
-    """What explanations of a plate leave of its channels."""
-    shares: dict[str, float] = {}
-    for each in assessment.explanations:
-        if each.has_plate:
-            words = " and ".join(in_words(tree, hypothesis) for hypothesis in each.hypotheses)
-            shares.setdefault(words or "as assumed", float(each.plate.unexplained.mean()))
-    return tuple(shares.items())

@@ -1,23 +1,18 @@
-"""A mapping that was solved: the plate before and after, and what else was tried."""
+"""Page of a mapping that was solved: the plate before and after."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from testbed.diagnostics import sentences
 from testbed.plausibility.mapping_solution import MappingSolution, table_of
 from testbed.plausibility.plate import WrenchFit
 from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.recordings.importing.import_report import Draft
-from testbed.reporting.figures import Panel, named_panels
+from testbed.reporting.figures import Panel
 from testbed.reporting.output import write_page
 from testbed.reporting.section import Section, Table
-
-LEAST = 1e-4
-"""Where bars begin [%]."""
 
 
 def write_mapping_page(path: Path, solved: MappingSolution) -> None:
@@ -52,8 +47,6 @@ def mapping_contents(title: str, solved: MappingSolution) -> dict[str, Any]:
     for read, place, how in pairs:
         if read is not None:
             figures.append(_channels(read, place, how))
-    if solved.shares:
-        figures.append(_runner_ups(solved))
     return {
         "title": f"Mapping {title}",
         "summary": [
@@ -87,34 +80,5 @@ def _channels(read: WrenchFit, place: str, how: str) -> Section:
         table=Table(
             ["channel", "unexplained"],
             [[axis, f"{left:.3%}"] for axis, left in zip(AXES, read.unexplained, strict=True)],
-        ),
-    )
-
-
-def _runner_ups(solved: MappingSolution) -> Section:
-    words = [each for each, _ in solved.shares]
-    shares = 100 * np.array([share for _, share in solved.shares])
-    numbers = [str(k) for k in range(1, len(words) + 1)]
-    bars = {"external": (np.full(len(shares), LEAST), shares)}
-    return Section(
-        id="runner-ups",
-        title="Alternatives",
-        says=(
-            "Mean unexplained share of the plate's channels for the mapping (first) and for the "
-            "alternatives that come nearest."
-        ),
-        legend={"external": "unexplained"},
-        panels=(
-            named_panels(
-                "unexplained", numbers, {"external": shares}, "unexplained [%]", bars=bars, log=True
-            )
-        ),
-        caption=(
-            "; ".join(f"{k}: {each}" for k, each in zip(numbers, words, strict=True))
-            + ". Logarithmic."
-        ),
-        table=Table(
-            ["explanation", "unexplained"],
-            [[each, f"{share:.3g} %"] for each, share in zip(words, shares, strict=True)],
         ),
     )

@@ -139,10 +139,7 @@ def mapping() -> MappingSolution:
     read = WrenchFit(time, wrench, 0.9 * wrench, np.full(6, 0.01))
     notes = {("wrench", "rate"): KNOWN[0], ("wrench", "file"): KNOWN[0] + HOSTILE}
     draft = Draft({"wrench": {"rate": 100.0, "file": HOSTILE}}, notes)
-    shares = (("as it is", 0.01), (f"{HOSTILE} turned", 0.2))
-    return MappingSolution(
-        draft, (Diagnostic("note", HOSTILE),), read, replace(read, fit=wrench), shares
-    )
+    return MappingSolution(draft, (Diagnostic("note", HOSTILE),), read, replace(read, fit=wrench))
 
 
 @cache

@@ -46,7 +46,7 @@ SECTIONS = {
     "silent": "warnings prediction map asked",
     "motion": "sigma motion limits",
     "campaign": "heat marginals coverage scores sigma parameters failures",
-    "mapping": "values before after runner-ups",
+    "mapping": "values before after",
 }  # fmt: skip
 """What there is to read of each page."""
 
