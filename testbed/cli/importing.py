@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
 from collections.abc import Sequence
@@ -23,7 +24,7 @@ from testbed.cli.reading import (
     note,
 )
 from testbed.diagnostics import Diagnostic, diagnose, ordered
-from testbed.errors import few
+from testbed.errors import RecordingError, few
 
 if TYPE_CHECKING:
     from testbed.plausibility.mapping_solution import MappingSolution
@@ -85,7 +86,9 @@ def write_mapping(
         with replacing(out) as fresh:
             fresh.write_text(draft.text, encoding="utf-8")
     if found is not None and found.refusal is not None:
-        raise type(found.refusal)(f"{out}: {found.refusal}" if out else str(found.refusal))
+        named = re.search(r"\[([\w.]+)\] (\w+)", str(found.refusal))
+        number = draft.line(f"{named[1]}.{named[2]}") if named else 1
+        raise RecordingError(f"{out}:{number}: {found.refusal}" if out else str(found.refusal))
     if out is None:
         return None
     empty = missing(draft)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -132,19 +133,21 @@ def test_an_ordinary_log_is_taken_without_a_line_by_hand(
 
 
 def test_a_mapping_is_written_whatever_is_found(tmp_path: Path) -> None:
-    """Torques of another robot: refused, and the mapping says what is known."""
+    """Positions that no joint has, in a unit that the log states: refused, with the line."""
     robot = arm_with_fingers(tmp_path)
     names = tb.load_tree(GOLDEN / "robots/ur5.urdf").names
     log = moved(robot, 1)
-    log["torque"] = log["torque"][:, [3, 5, 4, 1, 0, 2]] * np.array([40, 0.2, -30, 4, 0.1, 9])
-    written(tmp_path / "log.csv", log, names, np.random.default_rng(4))
+    rows = np.column_stack([log["t"], log["position"] + 200.0, log["torque"]])
+    heads = ["t", *(f"q_{name} [rad]" for name in names), *(f"tau_{name} [Nm]" for name in names)]
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=",".join(heads), comments="")
     done = command_line("new", "robot.urdf", "--recording", "log.csv", cwd=tmp_path)
-    known = tomllib.loads((tmp_path / "log.toml").read_text())
-    assert len(known["position"]["columns"]) == len(names)
-    assert done.returncode in (0, 2)
-    if done.returncode:
-        assert "log.toml" in done.stderr
-        assert not (tmp_path / "log.parquet").exists()
+    lines = (tmp_path / "log.toml").read_text().splitlines()
+    assert len(tomllib.loads("\n".join(lines))["position"]["columns"]) == len(names)
+    assert done.returncode == 2
+    found = re.search(r"log.toml:([0-9]+): ", done.stderr)
+    assert found is not None
+    assert lines[int(found[1]) - 1].startswith("unit = ")
+    assert not (tmp_path / "log.parquet").exists()
 
 
 def test_encoders_that_wrap_are_unwrapped_and_a_step_is_named(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from testbed.errors import RecordingError
 from testbed.recordings.columns import check_times, checked_metadata
 from testbed.recordings.formats import parquet
 from testbed.recordings.geometry import TOLERANCE, check_robot, geometry
+from testbed.recordings.held import without as held_without
 from testbed.recordings.joined import Joined
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import gathered, open_source, write_parts
@@ -69,6 +70,21 @@ def same(one: Recording, other: Recording) -> None:
     for name, values in one.columns().items():
         np.testing.assert_array_equal(values, other.columns()[name])
     np.testing.assert_array_equal(one.tare, other.tare)
+
+
+@pytest.mark.parametrize("signals", [(), ("velocity",), ("velocity", "acceleration")])
+def test_a_recording_without_some_joints_senses_what_it_sensed(
+    whole: Recording, signals: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Velocities without accelerations are no analytic motion: held joints made all speeds zero."""
+    for lacking in {"velocity", "acceleration"} - {*signals}:
+        whole = without(whole, lacking)
+    whole = replace(whole, facts={})
+    whole.save(tmp_path / "r.parquet")
+    stored = open_source(tmp_path / "r.parquet")
+    fewer = held_without(stored, whole.names[:1])
+    assert fewer.senses_kinematics == stored.senses_kinematics == (len(signals) == 2)
+    assert fewer.names == whole.names[1:]
 
 
 @few(8)

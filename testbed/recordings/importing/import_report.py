@@ -76,18 +76,21 @@ class Draft:
         return "\n\n".join(blocks) + "\n"
 
     def line(self, key: str) -> int:
-        """Number of the line in `text` of a key, or of its table's first where it is not there.
+        """Number of the line in `text` of a key, of its table if it is not there, else 1.
 
         Args:
             key: Dotted, with its table's name.
         """
         table, _, name = key.rpartition(".")
-        above, own = "", re.compile(rf"(# )?{re.escape(name)} = |# \[{re.escape(key)}\]")
+        above, found = "", 1
         for number, line in enumerate(self.text.splitlines(), start=1):
-            above = line[1:-1] if line[:1] == "[" else above
-            if (above == table or line[:1] == "#") and own.match(line):
+            header = re.fullmatch(r"(?:# )?\[(.+?)\](?:  #.*)?", line)
+            above = header[1] if header else above
+            if header and above in (table, key):
+                found = number
+            elif above == table and line.startswith(f"{name} = "):
                 return number
-        return 1
+        return found
 
 
 def in_toml(value: Any) -> str:
