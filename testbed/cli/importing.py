@@ -88,7 +88,8 @@ def write_mapping(
     if found is not None and found.refusal is not None:
         named = re.search(r"\[([\w.]+)\] (\w+)", str(found.refusal))
         number = draft.line(f"{named[1]}.{named[2]}") if named else 1
-        raise RecordingError(f"{out}:{number}: {found.refusal}" if out else str(found.refusal))
+        reason = str(found.refusal).removeprefix(f"{out}: ")
+        raise RecordingError(f"{out}:{number}: {reason}" if out else reason)
     if out is None:
         return None
     empty = missing(draft)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import shlex
 import sys
 import tempfile
 import tomllib
@@ -176,6 +177,8 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None, reading: Rea
     from testbed.reporting import output
 
     made = mapping.with_suffix(".parquet")
+    if any(made.resolve() == each.resolve() for each in files):
+        made = made.with_stem(f"{made.stem}_recording")
     for path in (mapping, made):
         check_writable(path, read=(robot, *files))
     _check_free(mapping)
@@ -193,9 +196,10 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None, reading: Rea
     for recording, path in zip(several, paths, strict=True):
         recording.save(path)
     listed, taken = (made, made) if len(paths) == 1 else (f"{paths[0]} to {paths[-1]}", mapping)
-    last = f"{listed}: testbed identify {taken} --model {robot}"
+    words = ["identify", taken, "--model", robot]
     if several[0].wrench is not None:  # the plate's frame and clock are known to a sigma only
-        last += """ --set 'identification.nuisances=["pose","skew"]'"""
+        words += ["--set", 'identification.nuisances=["pose","skew"]']
+    last = f"{listed}: testbed {shlex.join(map(str, words))}"
     imported = ImportReport.from_dict(several[0].facts["import"]).diagnostics
     output.print_lines([last], [*cuts, *imported, *report.diagnostics])
 

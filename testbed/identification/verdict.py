@@ -6,6 +6,7 @@ Errors on held-out parts are its evidence, where there are some; else residuals.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,7 +26,8 @@ EPISODE, LONGEST, FAINT = 4.0, 2, 0.05
 the channel's signal that it is at least."""
 
 OF_RECORDING = {
-    "torque.gains", "torque.size", "position.step", "position.still", "mapping.unlikely",
+    "recording.unexplained", "torque.gains", "torque.size", "position.step", "position.still",
+    "mapping.unlikely",
 }  # fmt: skip
 """Doubts of a recording that concern all that is identified from it."""
 
@@ -48,8 +50,8 @@ def verdict_of(
         doubts: About the robot and the recording.
     """
     made = list(estimates)
-    found = [each for each in doubts if each.code in OF_RECORDING]
-    found += [said for each in posteriors for said in _reservations(each, shown)]
+    first = [replace(each, level="error") for each in doubts if each.code in OF_RECORDING]
+    found = [said for each in posteriors for said in _reservations(each, shown)]
     other = {each.method for each in posteriors if each.used and shown == POSTERIOR}
     found += [
         said
@@ -57,8 +59,8 @@ def verdict_of(
         if said.level == "error"
         and not (said.method in other and messages()[said.code].symptom)  # of least squares
     ]
-    if found:
-        return ordered(found)
+    if first or found:
+        return ordered([*first, *found])
     if not posteriors:
         return tuple(_well(each.instrument, each.relative_residual, "fitted") for each in made)
     held_out = [(each.instrument, each.errors[0]) for each in posteriors]
@@ -101,12 +103,12 @@ def _reservations(found: Posterior, shown: str) -> Iterator[Diagnostic]:
 def _episodes(found: Posterior) -> Iterator[Diagnostic]:
     """Channels whose residual in one part of a recording is far above that of all others."""
     usual = np.median(found.by_part, axis=0)
-    apart = found.by_part > EPISODE * usual
+    apart = (found.by_part > EPISODE * usual) & (usual > 0)
     ends = np.linspace(0.0, found.duration, len(found.by_part) + 1)
     for c in np.flatnonzero((apart.sum(axis=0) > 0) & (apart.sum(axis=0) <= LONGEST)).tolist():
         parts = np.flatnonzero(apart[:, c])
         most = float(found.by_part[parts, c].max())
-        if parts[-1] - parts[0] >= LONGEST or most < FAINT * found.errors[0].signal[c]:
+        if parts[-1] - parts[0] >= LONGEST or not most > FAINT * found.errors[0].signal[c]:
             continue
         yield diagnose(
             "verdict.episode",

@@ -32,14 +32,17 @@ from testbed.plausibility.plate_map import rotation_vector
 from testbed.plausibility.recording_diagnostics import (
     Alternatives,
     at_rest,
+    encoder_steps,
     negative_weight,
     odd_sizes,
     other_zero,
     out_of_range,
+    share,
     spikes,
     still_joints,
     undecided,
     unexplained_plate,
+    unknown_gains,
     unsaid_pedestal,
     wrong_mapping,
 )
@@ -71,6 +74,9 @@ CERTAIN, LIKELY = 12.0, 6.0
 WELL, NOISY, TIMES = 0.4, 3.0, 4.0
 """Part of a channel's variance that may be left where a hypothesis is called certain, times its
 noise's part that may be left besides; and times less than before that must be left."""
+
+EXPLAINING = 0.5
+"""Part of a torque up to which remedies may leave it unexplained; others explain nothing."""
 
 SAME = np.deg2rad(3.0)
 """Difference of zeros that are no other ones [rad]."""
@@ -204,7 +210,18 @@ def _judge(
     before[:torques] = best.torques.unexplained_as_recorded
     remedies = remedies_for(tree, hypotheses, before, best.unexplained, mapping, torques)
     others = _alternatives(tree, explanations)
-    said = [] if wrong else list(beyond)
+    said = [] if wrong and clear else list(beyond)
+    nothing = [each for each in remedies if wrong and each.after > EXPLAINING]
+    if nothing and not best.has_plate:
+        worst, wrong, remedies = nothing[0], [], ()
+        said.append(
+            diagnose(
+                "recording.unexplained",
+                worst.channel,
+                before=share(worst.before),
+                after=share(worst.after),
+            )
+        )
     if not (wrong and clear):
         said += plate
     if wrong:
@@ -316,9 +333,6 @@ def _near(one: Hypothesis, other: Hypothesis) -> bool:
 RESTS = 5e-3
 """By how much a base that is welded may seem to move [m]."""
 
-STEPS = ("position.step", "position.unwrapped")
-"""Codes of what an import finds of encoders."""
-
 FACT = "verdict"
 """Where a recording keeps it."""
 
@@ -363,7 +377,7 @@ def check_recording(
     doubts = [] if tree.floating else [*_base_motion(source)]
     if doubts and not unchecked:
         raise RecordingError(str(doubts[0]))
-    doubts += [*encoder_steps(source), *_unknown_gains(source)]
+    doubts += [*encoder_steps(source), *unknown_gains(source)]
     if unchecked:
         doubts.append(diagnose("recording.unchecked"))
     else:
@@ -380,22 +394,6 @@ def check_recording(
         for each, lines in _alignments(offsets, source)
     ]
     return CheckReport(tuple(offsets), tuple(doubts))
-
-
-def encoder_steps(source: Source) -> list[Diagnostic]:
-    """Steps of encoders that its import has found.
-
-    Args:
-        source: The recording.
-    """
-    return [each for each in of_recording(source.facts) if each.code in STEPS]
-
-
-def _unknown_gains(source: Source) -> Iterator[Diagnostic]:
-    """Torque constants that a mapping has of the model file's masses."""
-    mapping = source.facts.get("mapping") or {}
-    if (mapping.get("torque") or {}).get("gain_from") == "model":
-        yield diagnose("torque.gains", "the torque")
 
 
 def _base_motion(source: Source) -> Iterator[Diagnostic]:

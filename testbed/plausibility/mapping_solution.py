@@ -21,7 +21,7 @@ from testbed.errors import (
     TestbedError,
     round_significant,
 )
-from testbed.plausibility.check import Assessment, assess, encoder_steps, zero_hypothesis
+from testbed.plausibility.check import Assessment, assess, zero_hypothesis
 from testbed.plausibility.explanation import Explanation
 from testbed.plausibility.plate import WrenchFit, frame_of
 from testbed.plausibility.plate_map import (
@@ -32,7 +32,13 @@ from testbed.plausibility.plate_map import (
     rotation_vector,
     transform,
 )
-from testbed.plausibility.recording_diagnostics import CLEARLY, removed, share, weights
+from testbed.plausibility.recording_diagnostics import (
+    CLEARLY,
+    encoder_steps,
+    removed,
+    share,
+    weights,
+)
 from testbed.plausibility.search import Progress
 from testbed.plausibility.time_offset import alignment, moving_average, time_offsets
 from testbed.recordings.importing.convert import clock_ranges
@@ -268,6 +274,8 @@ def _with_sizes(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
         if THOUSAND / 2 < np.median(finite) < 2 * THOUSAND:
             note = "solved: a thousand times what the model file's masses make"
             return draft.saying("torque", "unit", "N mm", note)
+        if np.median(finite) > 1:
+            return draft
         note = f"{ASSUMED}: currents, or torques on the motors' side of gears"
         return draft.saying("torque", "unit", "raw", note).saying("torque", "gain", 1.0, ASSUMED)
     if draft.tables.get("torque", {}).get("gain") == 1.0 and len(finite):

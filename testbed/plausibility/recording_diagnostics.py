@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics import Diagnostic, diagnose
+from testbed.diagnostics import Diagnostic, diagnose, of_recording
 from testbed.errors import components, few, round_significant
 from testbed.plausibility.explanation import Explanation
 from testbed.plausibility.instants import Instants
@@ -18,6 +18,7 @@ from testbed.plausibility.remedies import KINDS, Hypothesis, Remedy, in_mapping,
 from testbed.recordings.columns import AXES
 from testbed.recordings.held import STILL
 from testbed.recordings.recording import Recording
+from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 
 NOISE_RESTS, ROUNDING = 1e-2, 1e-9
@@ -350,7 +351,9 @@ def odd_sizes(
     times = np.median(finite) * (1e3 if small else 1e-3)
     thousand = 0.5 < times < 2.0 and unit in units
     size = "small" if small else "large"
-    causes = ("unit-n-mm",) if thousand or not small else ("motor-side", "currents")
+    causes: tuple[str, ...]
+    causes = ("motor-side", "currents") if small else ("tool", "other-masses", "unit-n-mm")
+    causes = ("unit-n-mm",) if thousand else causes
     if thousand:
         lines = f'[torque] unit = "{units[unit]}"'
     elif small:
@@ -361,7 +364,7 @@ def odd_sizes(
             f"with gain about {needed}"
         )
     else:
-        causes, lines = (*causes, "other-masses"), "[torque] unit"
+        lines = "[torque] unit; or add the tool to the model file"
     yield diagnose(
         "torque.size",
         "the torque",
@@ -388,3 +391,27 @@ def undecided(tree: Tree, hypotheses: Sequence[Hypothesis]) -> Iterator[Diagnost
             parts.append(f"the {what} of {few([tree.names[k] for k in sorted(joints)])}")
     if parts:
         yield diagnose("recording.undecided", "; ".join(parts))
+
+
+STEPS = ("position.step", "position.unwrapped")
+"""Codes of what an import finds of encoders."""
+
+
+def encoder_steps(source: Source) -> list[Diagnostic]:
+    """Steps of encoders that its import has found.
+
+    Args:
+        source: The recording.
+    """
+    return [each for each in of_recording(source.facts) if each.code in STEPS]
+
+
+def unknown_gains(source: Source) -> Iterator[Diagnostic]:
+    """Torque constants that a mapping has of the model file's masses.
+
+    Args:
+        source: The recording.
+    """
+    mapping = source.facts.get("mapping") or {}
+    if (mapping.get("torque") or {}).get("gain_from") == "model":
+        yield diagnose("torque.gains", "the torque")

@@ -122,6 +122,10 @@ class TimeOffset:
         )
 
 
+SHORTEST = 2.0
+"""Recordings below which no delay is looked for [s]."""
+
+
 @one_blas_thread()
 def time_offsets(
     tree: Tree,
@@ -142,6 +146,8 @@ def time_offsets(
     """
     check_robot(source, tree)
     tree = in_its_gravity(tree, source)
+    if source.samples < SHORTEST * source.rate:
+        return []
     most = int(MOST_INSTANTS * max(1, source.rate / FINE))
     first = max(0, (source.samples - most) // 2)
     part = source.part(first, min(source.samples, first + most)).ordered(tree)

@@ -10,7 +10,7 @@ import rerun as rr
 from testbed.arrays import Array
 from testbed.identification.estimate import NAMES
 from testbed.viewer.colours import COLOURS, Colour, palette
-from testbed.viewer.drives import log_curve, log_map
+from testbed.viewer.drives import log_curve
 from testbed.viewer.robot_drawing import clock
 from testbed.viewer.scene import Scene, safe
 
@@ -148,8 +148,6 @@ def log_friction(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
             stream.log(f"{path}/curve", strip, static=True)
         if scene.run.drives is not None:
             log_curve(stream, path, scene.run.drives.curves[j], (width, height))
-            for cells in scene.run.drives.maps[j : j + 1]:  # none in results without maps
-                log_map(stream, path, cells, (width, height))
 
 
 def _log_axes(

@@ -6,28 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
-from testbed.arrays import Array
 from testbed.experiment.run import Run
 from testbed.identification.drives.friction_curves import FrictionCurve
-from testbed.identification.drives.friction_map import FrictionMap
 from testbed.reporting.drives import BAND, TITLE, drive_table
 from testbed.reporting.section import Table
 from testbed.viewer.colours import COLOURS
-
-LIGHTEST = (245.0, 246.0, 248.0)
-"""Of a cell of zero; the largest has the colour itself."""
-
-
-def _shades(values: Array, most: float) -> NDArray[np.uint8]:
-    """Colours from light to dark by size, (..., 3)."""
-    share = np.abs(values)[..., None] / (most or 1.0)
-    colour = np.array(COLOURS["external"][:3])
-    found: NDArray[np.uint8] = np.rint(LIGHTEST + share * (colour - np.array(LIGHTEST))).astype(
-        np.uint8
-    )
-    return found
 
 
 def log_curve(
@@ -51,26 +35,6 @@ def log_curve(
     if lines:
         strips = rr.LineStrips2D(lines, colors=[COLOURS["external"]], radii=widths)
         stream.log(f"{path}/by_plate", strips, static=True)
-
-
-def log_map(
-    stream: rr.RecordingStream, path: str, cells: FrictionMap, axes: tuple[float, float]
-) -> None:
-    """Means of a joint's map over velocity, the darker the larger the load, with what they are.
-
-    Args:
-        stream: Where to.
-        path: The plot's place among the entities.
-        cells: The joint's.
-        axes: Largest speed and torque, where the axes end.
-    """
-    if not len(cells.rows):
-        return
-    colours = _shades(cells.load, float(np.abs(cells.load).max()))
-    places = np.column_stack([cells.speed / axes[0], -cells.friction / axes[1]])
-    said = [f"load {load:.3g} {cells.unit}" for load in cells.load.tolist()]
-    dots = rr.Points2D(places, colors=colours, radii=[0.012], labels=said)
-    stream.log(f"{path}/map", dots, static=True)
 
 
 def _directions(curve: FrictionCurve) -> Iterator[slice]:

@@ -158,6 +158,7 @@ def _linear(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
     equations = rows.equations(prior.root, prior.mean)
     used = np.maximum(equations.used, 1.0)
     variance = np.maximum(equations.squares / used, prior.noise)
+    floor = np.where(rows.enough, prior.noise, variance)  # few rows show no noise
     repeated, z = np.ones(len(used)), np.zeros(prior.root.shape[1])
     after: Array = np.eye(len(z))
     for _ in range(ROUNDS):
@@ -170,7 +171,7 @@ def _linear(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
         repeated = (1 + correlation) / (1 - correlation)
         lost = np.einsum("cij,ji->c", equations.normal, after) / variance
         left = np.diagonal(equations.residual(z)) / np.maximum(used - lost, FEWEST * used)
-        variance = np.maximum(left, prior.noise)
+        variance = np.maximum(left, floor)
     return z, after
 
 

@@ -259,10 +259,11 @@ class Group:
         n = len(joints)
         if self.matched or not n or len(self.numbers) < n:
             return self
-        last = [([int(w) for w in words_of(name) if w.isdigit()] or [-1])[-1] for name in joints]
+        own = [[int(w) for w in words_of(name) if w.isdigit()] or [-1] for name in joints]
         numbers = self.numbers[:n]
-        same = sorted(last) == sorted(numbers)
-        places = [last.index(number) for number in numbers] if same else range(n)
+        several = ([each[at] for each in own] for at in (-1, 0))  # joint_12.0 is the twelfth
+        fits = [each for each in several if sorted(each) == sorted(numbers)]
+        places = [fits[0].index(number) for number in numbers] if fits else range(n)
         return Group(self.columns[:n], tuple(joints[k] for k in places), True).like(joints)
 
     def like(self, names: Sequence[str]) -> Group:

@@ -379,7 +379,8 @@ def _check_signal(kind: Kind, table: SignalTable, joints: int, geared: bool) -> 
         raise ValueError(f"{kind}.matrix: a row has as many numbers as there are columns")
     if table.matrix is None and columns != joints:
         raise ValueError(
-            f"{kind}.columns: {plural(columns, 'column')}, {plural(joints, 'joint')}, and no matrix"
+            f"[{kind}] columns: {plural(columns, 'column')} for {plural(joints, 'joint')}: say the "
+            "others, or take joints without columns out of all lists and into [lock]"
         )
     if (geared and kind != "temperature") != (table.side is not None):
         said = "say `side`: joint or motor" if geared else "`side` needs a table [gear]"
