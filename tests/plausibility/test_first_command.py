@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import example, given
 
@@ -171,3 +173,40 @@ def test_encoders_that_wrap_are_unwrapped_and_a_step_is_named(tmp_path: Path) ->
     assert "position.unwrapped" in said
     first = next(line for line in (done.stdout + done.stderr).splitlines() if "warning" in line)
     assert names[4] in first
+
+
+def test_logs_of_any_length_and_ending_end_in_words(tmp_path: Path) -> None:
+    """Parquet is not replaced by the recording that is made of it; half a second says little."""
+    robot = arm_with_fingers(tmp_path)
+    names = tb.load_tree(GOLDEN / "robots/ur5.urdf").names
+    log = moved(robot, 3)
+    for samples in (60, 120, 240):
+        columns = {"t": log["t"][:samples]}
+        for kind, head in (("position", "q"), ("torque", "tau")):
+            columns |= {f"{head}_{n}": x[:samples] for n, x in zip(names, log[kind].T, strict=True)}
+        pq.write_table(pa.table(columns), tmp_path / f"log{samples}.parquet")
+        before = (tmp_path / f"log{samples}.parquet").read_bytes()
+        new = command_line(
+            "new", "robot.urdf", "--recording", f"log{samples}.parquet", cwd=tmp_path
+        )
+        assert new.returncode in (0, 2), new.stderr
+        assert (tmp_path / f"log{samples}.toml").exists()
+        assert (tmp_path / f"log{samples}.parquet").read_bytes() == before
+        made = f"log{samples}_recording.parquet"
+        done = command_line("identify", made, "--model", "robot.urdf", "--json", cwd=tmp_path)
+        assert done.returncode in (0, 2), done.stderr
+
+
+def test_torques_that_no_robot_makes_are_not_explained(tmp_path: Path) -> None:
+    """External torques in place of the drives': said first, and nothing is solved from them."""
+    robot = arm_with_fingers(tmp_path)
+    names = tb.load_tree(GOLDEN / "robots/ur5.urdf").names
+    log = moved(robot, 4)
+    noise = np.random.default_rng(5).normal(size=log["torque"].shape)
+    rows = np.column_stack([log["t"], log["position"], 0.1 * noise])
+    heads = ["t", *(f"q_{name} [rad]" for name in names), *(f"tau_{name} [Nm]" for name in names)]
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=",".join(heads), comments="")
+    done = command_line("new", "robot.urdf", "--recording", "log.csv", cwd=tmp_path)
+    mapping = tomllib.loads((tmp_path / "log.toml").read_text())
+    assert not {"offset", "sign"} & {*mapping["position"], *mapping["torque"]}
+    assert done.returncode == 2 or "unexplained" in done.stdout + done.stderr
