@@ -406,7 +406,7 @@ class Reading:
             model: The model file.
             said: What its check has said.
         """
-        from testbed.recordings.held import hold_still, lock_unrecorded
+        from testbed.recordings.held import hold_resting, lock_unrecorded
 
         kept = [each for each in said if each.code != "position.held"]
         doubted = any(each.code == "position.still" for each in said)
@@ -415,7 +415,7 @@ class Reading:
         reading, tree = reading.on_its_root(source, model)
         if doubted or tree.floating or tree.is_part:
             return reading, source, [*kept, *locked]
-        file, fewer, held = hold_still(replace(file, weld_root=reading.weld_root), source)
+        file, fewer, held = hold_resting(replace(file, weld_root=reading.weld_root), source)
         reading = reading if fewer is source else reading.with_lock(file)
         return reading, fewer, [*kept, *locked, *held]
 

@@ -201,7 +201,8 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None, reading: Rea
         words += ["--set", 'identification.nuisances=["pose","skew"]']
     last = f"{listed}: testbed {shlex.join(map(str, words))}"
     imported = ImportReport.from_dict(several[0].facts["import"]).diagnostics
-    output.print_lines([last], [*cuts, *imported, *report.diagnostics])
+    said = [*cuts, *imported, *report.diagnostics]
+    output.print_lines([last], [each for each in said if each not in found.diagnostics])
 
 
 def _check_free(path: Path) -> None:

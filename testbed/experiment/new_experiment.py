@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +13,6 @@ import tomli_w
 from testbed.arrays import Array
 from testbed.diagnostics import sentences
 from testbed.errors import (
-    FreeRootError,
-    LoopError,
-    MimicError,
     ModelError,
     plural,
     round_significant,
@@ -37,10 +34,11 @@ from testbed.experiment.experiment_tables import MOST_HARMONICS
 from testbed.experiment.robot_tables import BodyTable
 from testbed.identification.settings import Settings
 from testbed.parameters.minimal_set import minimal_set
+from testbed.robot.arms import fingers
 from testbed.robot.friction import VISCOUS
 from testbed.robot.inertia import Inertia
 from testbed.robot.locks import Lock, Travel
-from testbed.robot.model_file import ModelFile, mimic_joints, nearest_bodies
+from testbed.robot.model_file import ModelFile, expressible, nearest_bodies
 from testbed.robot.repair import NAMED, Bodies, Repair
 from testbed.robot.tree import Tree
 
@@ -82,35 +80,21 @@ def find_robot(model: Path, repair: Bodies | None, lock: Lock | None = None) -> 
         ModelError: The file cannot be read, or nothing in it moves that has a mass.
         UnknownName: A joint to be held is not there.
     """
-    weld, masters = False, set[str]()
     asked = {name for name, place in (lock or {}).items() if place is None}
-    holding = {name: place for name, place in (lock or {}).items() if place is not None}
-    while True:
-        try:
-            held: dict[str, float | None] = dict.fromkeys(mimic_joints(model)) if masters else {}
-            tree = ModelFile(model, weld, repair, held | holding).tree()
-            break
-        except FreeRootError:
-            if weld:
-                raise
-            weld = True
-        except MimicError as error:
-            if masters:
-                raise
-            masters = set(error.masters.values())
-        except LoopError as error:
-            holding |= error.joints
-    further = _at_rest(tree, {tree.index(name) for name in asked})
-    further |= _grippers(tree, masters) | _stuck(tree) | _held_by_friction(tree)
+    given = {name: place for name, place in (lock or {}).items() if place is not None}
+    file, tree, followed = expressible(ModelFile(model, repair=repair, lock=given))
+    further = _at_rest(tree, map(tree.index, asked))
+    further |= _grippers(tree, followed) | _stuck(tree) | _held_by_friction(tree)
     if further:
-        holding |= further
-        tree = ModelFile(model, weld, repair, held | holding).tree()
+        file = replace(file, lock={**file.lock, **further})
+        tree = file.tree()
     if not any(inertia.mass for inertia in tree.inertias):
         raise ModelError(
             f"{model}: no moving link has a mass; `testbed minimal` lists the base parameters"
         )
-    nearest = nearest_bodies(model, weld_root=weld, lock=held | holding)
-    return RobotFound(tree, weld, bool(masters), holding, nearest)
+    nearest = nearest_bodies(model, weld_root=file.weld_root, lock=file.lock)
+    holding = {name: place for name, place in file.lock.items() if place is not None}
+    return RobotFound(tree, file.weld_root, bool(followed), holding, nearest)
 
 
 def _stuck(tree: Tree) -> dict[str, float]:
@@ -119,12 +103,12 @@ def _stuck(tree: Tree) -> dict[str, float]:
     Their range is one position, or so short that a motion is never faster than what counts as
     rest: no torque of theirs would identify anything, and none of the robot's without them.
     """
-    found = {
-        joint.name: round_significant(Travel(*joint.position_range).rest, 6)
-        for joint in tree.joints
+    narrow = [
+        j
+        for j, joint in enumerate(tree.joints)
         if min(np.ptp(joint.position_range) / 2 * SWING, joint.max_velocity) < Settings().deadband
-    }
-    return found if len(found) < tree.n else {}
+    ]
+    return _at_rest(tree, narrow) if len(narrow) < tree.n else {}
 
 
 def _held_by_friction(tree: Tree) -> dict[str, float]:
@@ -132,28 +116,20 @@ def _held_by_friction(tree: Tree) -> dict[str, float]:
     weight = 9.81 * sum(body.mass for body in tree.inertias)
     lever = np.where([joint.revolute for joint in tree.joints], size(tree), 1.0)
     brakes = VISCOUS.coefficients(tree) * calm_speeds(tree) > HOLDING * weight * lever
-    found = {
-        joint.name: round_significant(Travel(*joint.position_range).rest, 6)
-        for joint, held in zip(tree.joints, brakes, strict=True)
-        if held
-    }
-    return found if len(found) < tree.n else {}
+    return _at_rest(tree, np.flatnonzero(brakes).tolist()) if not brakes.all() else {}
 
 
-def _grippers(tree: Tree, masters: set[str]) -> dict[str, float]:
-    """Joints that others follow and that carry none, and where they rest: a gripper's fingers.
+def _grippers(tree: Tree, followed: Collection[str]) -> dict[str, float]:
+    """Rest positions of joints that others follow and that carry none [rad or m].
 
-    Their stroke is too short for their masses to be identified.
+    The stroke of a gripper's fingers is too short for their masses to be identified.
     """
-    carrying = {joint.parent for joint in tree.joints}
-    own = [j for j, name in enumerate(tree.names) if name in masters and j not in carrying]
-    if len(own) == tree.n:  # the robot is a gripper
-        return {}
-    return _at_rest(tree, own)
+    own = fingers(tree, followed)
+    return _at_rest(tree, own) if len(own) < tree.n else {}  # else the robot is a gripper
 
 
 def _at_rest(tree: Tree, own: Iterable[int]) -> dict[str, float]:
-    """Where some joints rest, by name [rad or m]."""
+    """Rest positions of some joints, by name [rad or m]."""
     joints = [tree.joints[j] for j in own]
     return {
         joint.name: round_significant(Travel(*joint.position_range).rest, 6) for joint in joints

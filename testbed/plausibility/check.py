@@ -48,9 +48,7 @@ from testbed.plausibility.recording_diagnostics import (
 )
 from testbed.plausibility.remedies import (
     Hypothesis,
-    Line,
     Remedy,
-    in_mapping,
     in_words,
     remedies_for,
     with_lines,
@@ -58,6 +56,7 @@ from testbed.plausibility.remedies import (
 from testbed.plausibility.search import Progress, Search
 from testbed.plausibility.time_offset import TimeOffset, alignment, time_offsets
 from testbed.recordings.geometry import check_robot, geometry, in_its_gravity
+from testbed.recordings.importing.import_report import Line, in_mapping
 from testbed.recordings.importing.mapping import Mapping
 from testbed.recordings.joined import pieces
 from testbed.recordings.recording import Recording

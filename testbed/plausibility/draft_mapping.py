@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from testbed.errors import FreeRootError, MimicError
 from testbed.plausibility.remedies import own_joints
 from testbed.recordings.importing.foreign_table import TURNING
 from testbed.recordings.importing.guess import guessed
 from testbed.recordings.importing.import_report import Draft
 from testbed.robot.arms import joint_sets
 from testbed.robot.locks import Travel
-from testbed.robot.model_file import ModelFile, mimic_joints
+from testbed.robot.model_file import ModelFile, expressible
 from testbed.robot.tree import Tree
 
 
@@ -33,15 +32,7 @@ def draft_mapping(
         RecordingError: A file cannot be read, or holds no columns.
         ModelError: The model file cannot be read.
     """
-    followed: set[str] = set()
-    try:
-        tree = file.tree()
-    except FreeRootError:
-        return draft_mapping(paths, folder, replace(file, weld_root=True))
-    except MimicError as error:
-        followed = set(error.masters.values())
-        file = replace(file, lock={**dict.fromkeys(mimic_joints(file.path)), **file.lock})
-        tree = file.tree()
+    file, tree, followed = expressible(file)
     names = [tree.names[k] for k in own_joints(tree)]
     draft = guessed(paths, folder, names, joint_sets(tree, names, followed))
     logged = draft.tables[""]["joints"]

@@ -14,9 +14,10 @@ from testbed.errors import components, few, round_significant
 from testbed.plausibility.explanation import Explanation
 from testbed.plausibility.instants import Instants
 from testbed.plausibility.plate import MIXED, UNEXPLAINED, WrenchFit
-from testbed.plausibility.remedies import KINDS, Hypothesis, Remedy, in_mapping, own_joints
+from testbed.plausibility.remedies import KINDS, Hypothesis, Remedy, own_joints
 from testbed.recordings.columns import AXES
 from testbed.recordings.held import STILL
+from testbed.recordings.importing.import_report import in_mapping
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree

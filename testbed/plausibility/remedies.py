@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from testbed.arrays import Array
 from testbed.errors import few
 from testbed.recordings.columns import AXES
 from testbed.recordings.importing.foreign_table import LENGTHS, factor
-from testbed.recordings.importing.import_report import in_toml
+from testbed.recordings.importing.import_report import Line
 from testbed.robot.free_base import FREE
 from testbed.robot.inertia import from_rpy, to_rpy
 from testbed.robot.tree import Tree
@@ -259,10 +259,6 @@ def merge(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
     return tuple(merged)
 
 
-Line: TypeAlias = tuple[str, str, Any]
-"""A table of the mapping, a key of it, and the value that it should have."""
-
-
 @dataclass(frozen=True)
 class Remedy:
     """One thing to change in a mapping, and what it does to the data.
@@ -310,18 +306,6 @@ def remedies_for(tree: Tree, hypotheses: Sequence[Hypothesis], before: Array, af
         shares = float(before[best]), float(after[best])
         remedies.append(Remedy(each.kind, joints, each.values, lines, channels[best], *shares))
     return tuple(remedies)
-
-
-def in_mapping(lines: Iterable[Line]) -> str:
-    """What the mapping should say: of lines about one key the last, which builds on the others.
-
-    Args:
-        lines: To be applied together, in this order.
-    """
-    last = {(table, key): value for table, key, value in lines}
-    return "in the mapping: " + "; ".join(
-        f"[{table}] {key} = {in_toml(value)}" for (table, key), value in last.items()
-    )
 
 
 def with_lines(mapping: Mapping[str, Any], lines: Iterable[Line]) -> dict[str, Any]:

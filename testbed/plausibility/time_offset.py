@@ -23,9 +23,9 @@ from testbed.identification.regression.windows import motion_taps, row_weights
 from testbed.identification.sensor.plate import reach, shifted
 from testbed.parameters.minimal_set import minimal_set
 from testbed.plausibility.instants import ENOUGH, LATE, decimate, delay, directions
-from testbed.plausibility.remedies import Line, wrench_tables
+from testbed.plausibility.remedies import wrench_tables
 from testbed.recordings.geometry import check_robot, in_its_gravity
-from testbed.recordings.importing.import_report import ImportReport
+from testbed.recordings.importing.import_report import ImportReport, Line
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree

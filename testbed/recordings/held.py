@@ -45,7 +45,16 @@ def hold_still(
     Raises:
         RecordingError: The recording moves a joint that is to be held, or has it elsewhere.
     """
-    file, said = lock_unrecorded(file, source)
+    file, locked = lock_unrecorded(file, source)
+    found, fewer, said = hold_resting(file, source, lock_only=lock_only)
+    return found, fewer, (*locked, *said)
+
+
+def hold_resting(
+    file: ModelFile, source: Source, *, lock_only: bool = False
+) -> tuple[ModelFile, Source, tuple[Diagnostic, ...]]:
+    """Model file with recorded joints held that are locked or rest; arguments of `hold_still`."""
+    said: tuple[Diagnostic, ...] = ()
     asked = [name for name in file.lock if name in source.names]
     if lock_only and not asked:
         return file, source, said

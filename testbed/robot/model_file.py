@@ -9,11 +9,11 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-from testbed.errors import ModelError
+from testbed.errors import FreeRootError, LoopError, MimicError, ModelError
 from testbed.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.robot.inertia import HEAVIEST
 from testbed.robot.locks import Lock, Travel
@@ -166,6 +166,35 @@ def mimic_joints(path: str | Path) -> tuple[str, ...]:
     """
     found = _travels(Path(path))
     return tuple(name for name, each in found.items() if each.coupling and each.coupling.master)
+
+
+def expressible(file: ModelFile) -> tuple[ModelFile, Tree, frozenset[str]]:
+    """Model file with its root welded and joints held as far as a tree needs it, and the tree.
+
+    Args:
+        file: The model file, and how it was asked to be read.
+
+    Returns:
+        The file as it can be read, its tree, and the joints that others follow.
+
+    Raises:
+        ModelError: The file cannot be read, or holds what is not supported.
+    """
+    followed: frozenset[str] = frozenset()
+    while True:
+        try:
+            return file, file.tree(), followed
+        except FreeRootError:
+            if file.weld_root:
+                raise
+            file = replace(file, weld_root=True)
+        except MimicError as error:
+            if followed:
+                raise
+            followed = frozenset(error.masters.values())
+            file = replace(file, lock={**dict.fromkeys(mimic_joints(file.path)), **file.lock})
+        except LoopError as error:
+            file = replace(file, lock={**file.lock, **error.joints})
 
 
 def joint_names(path: str | Path) -> tuple[str, ...]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping as Columns
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import RecordingError
 from testbed.recordings.importing.foreign_table import UNITS, Kind, plain
-from testbed.recordings.importing.import_report import SignalReport, in_toml
+from testbed.recordings.importing.import_report import Line, SignalReport, in_mapping, in_toml
 from testbed.recordings.importing.mapping import Mapping, SignalTable
 
 PARTS = (200, 60, 20)
@@ -43,10 +42,6 @@ CLEARLY = 2.0
 
 MOVED = 0.02
 """Integral of a velocity from which a joint has moved [rad or m]."""
-
-
-Line = tuple[str, str, Any]
-"""A table of the mapping, a key of it, and its value."""
 
 
 class DerivativeError(RecordingError):
@@ -200,11 +195,14 @@ def _diagnostics(
         lines, other = _lines(kind, table, of, below, order, np.where(sure, slope, 1.0), read)
         names = [joints[k] for k in range(n) if wrong[k] or order[k] != k]
         said = f"it is {_times(slope[wrong])}" if wrong.any() else "it is that of other joints"
-        advice = "; ".join(f"[{t}] {key} = {in_toml(value)}" for t, key, value in lines)
+        advice = (
+            in_mapping(lines)
+            if lines
+            else f"in the mapping: check [{kind}] unit, side, sign and matrix"
+        )
         raise DerivativeError(
-            f"the {kind} of {_listed(names, n)} is not the derivative of the {of}: {said}; in the "
-            f"mapping: {advice or f'check [{kind}] unit, side, sign and matrix'}; or leave "
-            f"[{kind}] out{other}",
+            f"the {kind} of {_listed(names, n)} is not the derivative of the {of}: {said}; "
+            f"{advice}; or leave [{kind}] out{other}",
             lines,
         )
     moving = (found.fit.max(axis=1) > 0) & ~sure

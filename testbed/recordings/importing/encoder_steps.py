@@ -48,7 +48,9 @@ def without_turns(
         steps = {i: size for i, size in _steps(time, found[:, k]) if abs(size) * scale > LEAST}
         if 0 < len(steps) <= MOST:
             times = ", ".join(f"{time[i + 1] - time[0]:.6g}" for i in steps)
-            said.append(diagnose("position.step", name, max(steps.values()) * scale, at=times))
+            said.append(
+                diagnose("position.step", name, scale * max(steps.values(), key=abs), at=times)
+            )
     if wrapped:
         names_of = ", ".join(f"{name} {count} times" for name, count in wrapped.items())
         said.append(diagnose("position.unwrapped", names_of, sum(wrapped.values())))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 from testbed.diagnostics import Diagnostic, diagnose, from_json
 from testbed.errors import plural, printable
@@ -104,6 +104,22 @@ def in_toml(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(in_toml, value))}]"
     return f"{value:.15g}" if isinstance(value, float) else json.dumps(value, ensure_ascii=True)
+
+
+Line: TypeAlias = tuple[str, str, Any]
+"""A table of a mapping, a key of it, and its value."""
+
+
+def in_mapping(lines: Iterable[Line]) -> str:
+    """Advice to write lines into a mapping; of those about one key the last.
+
+    Args:
+        lines: To be applied together, in this order.
+    """
+    last = {(table, key): value for table, key, value in lines}
+    return "in the mapping: " + "; ".join(
+        f"[{table}] {key} = {in_toml(value)}" for (table, key), value in last.items()
+    )
 
 
 JITTER = 0.1

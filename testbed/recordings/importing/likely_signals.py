@@ -22,7 +22,7 @@ from testbed.recordings.importing.column_names import (
     read_name,
     says_signal,
 )
-from testbed.recordings.importing.derivative import SURE, slopes, unit_of
+from testbed.recordings.importing.derivative import SURE, Slopes, slopes, unit_of
 from testbed.recordings.importing.foreign_table import (
     KINDS,
     UNITS,
@@ -71,6 +71,16 @@ class LikelySource:
     clock: Clock
     logger: str = ""
     empty: tuple[ColumnName, ...] = ()
+
+    def values(self, group: Group) -> Array:
+        """Columns of a group as the file holds them, (M, n).
+
+        Args:
+            group: Of the table.
+        """
+        names = [each.name for each in group.columns]
+        read = self.table.read(names)
+        return np.stack([read[name] for name in names], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,16 +320,18 @@ def _by_data(
             yield "torque", source, left, "ASSUMED: no other columns are left, joint by joint"
 
 
+def _slopes(source: LikelySource, position: Group, velocity: Group) -> Slopes | None:
+    """Increments of positions regressed on integrals of velocities; None if lengths differ."""
+    values, rates = (source.values(group) for group in (position, velocity))
+    time = source.clock.time(source.table, len(values))
+    same = values.shape == rates.shape and len(values) == len(time)
+    return slopes(values, rates, time) if same else None
+
+
 def _follows(source: LikelySource, position: Group, velocity: Group) -> bool:
     """Whether columns are the derivatives of others at half of the joints or more."""
-    columns = [[c.name for c in group.columns] for group in (position, velocity)]
-    read = source.table.read([*columns[0], *columns[1]])
-    values, rates = (np.stack([read[name] for name in each], axis=1) for each in columns)
-    time = source.clock.time(source.table, len(values))
-    if len(values) != len(time):
-        return False
-    sure = np.diagonal(slopes(values, rates, time).fit) > SURE
-    return bool(2 * np.count_nonzero(sure) >= len(sure))
+    found = _slopes(source, position, velocity)
+    return found is not None and bool(2 * (np.diagonal(found.fit) > SURE).sum() >= len(found.fit))
 
 
 def _is(column: ColumnName, kind: str) -> bool:
@@ -332,13 +344,11 @@ def _followed(signals: Mapping[Kind, LikelySignal]) -> Array | None:
     That of a joint that hardly moves is nan.
     """
     q, v = signals.get("position"), signals.get("velocity")
-    if q is None or v is None or q.source is not v.source or len(q.units) != len(v.units):
+    if q is None or v is None or q.source is not v.source or q.counts:
         return None
-    positions, velocities = values_of(q), values_of(v)
-    time = q.source.clock.time(q.source.table, len(positions))
-    if not len(positions) == len(velocities) == len(time) or q.counts:
+    found = _slopes(q.source, q.group, v.group)
+    if found is None:
         return None
-    found = slopes(positions, velocities, time)
     sure = np.diagonal(found.fit) > SURE
     return np.where(sure, np.diagonal(found.slope), np.nan) if sure.any() else None
 
@@ -409,10 +419,8 @@ def _with_sizes(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySig
 
 
 def values_of(signal: LikelySignal) -> Array:
-    """A signal's columns as the file holds them, (M, n)."""
-    names = [each.name for each in signal.group.columns]
-    read = signal.source.table.read(names)
-    return np.stack([read[name] for name in names], axis=1)
+    """Columns of a signal as the file holds them, (M, n)."""
+    return signal.source.values(signal.group)
 
 
 def likely_plates(
