@@ -297,7 +297,7 @@ def _table() -> Mapping[str, Any]:
 
 
 def _message(code: str) -> Message:
-    """The table's, or one without anything for a code that it lacks."""
+    """Message of a diagnostic code; an empty message for an unknown code."""
     return messages().get(code, Message(""))
 
 

@@ -35,7 +35,7 @@ def write_mapping(
     files: Sequence[Path], out: Path | None, model: Path | None, reading: Reading,
     page: Path | None = None,
 ) -> MappingSolution | None:  # fmt: skip
-    """Write a mapping where it is wanted, or on standard output; say what to do with it.
+    """Solve the mapping of logs, write it, and print the next command.
 
     Args:
         files: Of other programs.

@@ -356,7 +356,7 @@ class Reading:
         return reading, tree, on_its_base(fewer, tree)
 
     def on_its_root(self, source: Source, model: Path) -> tuple[Reading, Tree]:
-        """The same and the robot, its root welded where it floats and no base was recorded.
+        """Reading and robot; a floating root is welded where no base pose was recorded.
 
         Args:
             source: The recording.

@@ -112,7 +112,7 @@ def random_states(tree: Tree, seed: int = 0) -> Motion:
 
 
 def verify(tree: Tree, minimal: MinimalSet) -> Agreement:
-    """Hold a minimal set by the rules against both witnesses.
+    """Compare a minimal set by the rules with two numerical witnesses.
 
     Parameters known to be zero are so for all three.
 

@@ -21,7 +21,7 @@ from testbed.experiment.simulate import simulate
 from testbed.identification.estimate_summary import summary_of
 from testbed.identification.identify import identify
 from testbed.identification.payload.payload import payload
-from testbed.identification.posterior import answer_of
+from testbed.identification.posterior import reported_estimate
 from testbed.identification.regression.passes import Progress
 from testbed.identification.validate import validate
 from testbed.recordings.recording import Recording
@@ -87,7 +87,7 @@ def validated(run: Run, recording: Recording) -> Run:
     recording = on_its_base(recording, run.tree)
     run = replace(run, unseen=recording)
     answers = {
-        method: answer_of(summary_of(estimate), run.posterior.get(method))
+        method: reported_estimate(summary_of(estimate), run.posterior.get(method))
         for method, estimate in run.estimates.items()
     }
     try:

@@ -120,7 +120,7 @@ def _held_by_friction(tree: Tree) -> dict[str, float]:
 
 
 def _grippers(tree: Tree, followed: Collection[str]) -> dict[str, float]:
-    """Rest positions of joints that others follow and that carry none [rad or m].
+    """Rest positions of finger joints that other joints follow [rad or m].
 
     The stroke of a gripper's fingers is too short for their masses to be identified.
     """

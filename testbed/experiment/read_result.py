@@ -23,7 +23,7 @@ from testbed.identification.calibration import Calibration
 from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import METHODS, Estimate, Method, channels_of
 from testbed.identification.estimate_summary import EstimateSummary, estimate_of_summary
-from testbed.identification.posterior import Answer, Posterior, answer_of
+from testbed.identification.posterior import Posterior, ReportedEstimate, reported_estimate
 from testbed.identification.sensor.correction import NUISANCES
 from testbed.identification.sensor.estimates import NuisanceEstimate
 from testbed.identification.settings import Settings
@@ -59,7 +59,7 @@ class KeptResult:
     estimates: tuple[EstimateSummary, ...]
     file: ModelFile
     prior: Tree
-    answers: tuple[Answer, ...] = ()
+    answers: tuple[ReportedEstimate, ...] = ()
     options: ConsistencyOptions = field(default_factory=ConsistencyOptions)
 
     @property
@@ -101,7 +101,7 @@ class _Nuisance(_Part):
 
 
 class _Estimate(_Part):
-    """What is read of an estimate."""
+    """Table of an estimate in a result file."""
 
     names: tuple[str, ...]
     values: Array
@@ -144,7 +144,7 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
     tree, identification, file, prior, options = of(content, path, model, settings)
     plain = bool(content.get("plain"))
     try:
-        answers = tuple(answer_of(own.get(m), with_file.get(m), plain=plain) for m in there)
+        answers = tuple(reported_estimate(own.get(m), with_file.get(m), plain=plain) for m in there)
     except ValueError as error:
         raise ExperimentError(f"{path}: {error}") from None
     for each in (answer.estimate for answer in answers):
@@ -159,7 +159,7 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
 
 
 def _added(kept: Any, source: str) -> Posterior:
-    """What a result says with the model file as prior.
+    """Read a posterior estimate with the model file as prior.
 
     Raises:
         ExperimentError: A part is not what it should be.

@@ -69,7 +69,7 @@ class BodyTable(Table):
 
     @property
     def body(self) -> Inertia:
-        """About and along the link's frame."""
+        """Inertia about the origin of the link's frame, along its axes [kg m^2]."""
         xx, yy, zz, xy, xz, yz = self.inertia
         central = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
         return Inertia.about_centre(self.mass, self.centre, central)

@@ -136,8 +136,8 @@ class Posterior:
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
-    """What a result says by one method, among the candidates that it has.
+class ReportedEstimate:
+    """Estimate that a result reports for one method, and its rivals.
 
     Attributes:
         estimate: With the model file as prior, where that is needed; else by least squares.
@@ -150,10 +150,10 @@ class Answer:
     models: Mapping[str, Array]
 
 
-def answer_of(
+def reported_estimate(
     own: EstimateSummary | None, found: Posterior | None, *, plain: bool = False
-) -> Answer:
-    """What counts of a method's estimates.
+) -> ReportedEstimate:
+    """Choose between least squares and posterior of one method.
 
     Args:
         own: By least squares; None where the data determine none.
@@ -166,7 +166,7 @@ def answer_of(
     if found is None:
         if own is None:
             raise ValueError("there is no estimate")
-        return Answer(own, PLAIN, {})
+        return ReportedEstimate(own, PLAIN, {})
     said = EstimateSummary(
         method=found.method,
         names=found.names,
@@ -177,14 +177,14 @@ def answer_of(
         nuisances={},
     )
     if own is None:
-        return Answer(said, POSTERIOR, found.models)
+        return ReportedEstimate(said, POSTERIOR, found.models)
     if own.names != found.names:
         raise ValueError("least squares and the posterior are of other parameters")
     models = {**found.models, PLAIN: own.values}
     if plain or not found.used:
-        return Answer(own, PLAIN, models)
+        return ReportedEstimate(own, PLAIN, models)
     said = replace(said, nuisances=own.nuisances, unidentifiable=own.unidentifiable)
-    return Answer(replace(said, settings=own.settings), POSTERIOR, models)
+    return ReportedEstimate(replace(said, settings=own.settings), POSTERIOR, models)
 
 
 def posterior(

@@ -41,7 +41,7 @@ def verdict_of(
     shown: str = POSTERIOR,
     doubts: Iterable[Diagnostic] = (),
 ) -> tuple[Diagnostic, ...]:
-    """What to know first of estimates: reservations in order, or one line with the evidence.
+    """Verdict on estimates: reservations in order, or one line of prediction errors.
 
     Args:
         estimates: By least squares, of one recording.
@@ -68,13 +68,13 @@ def verdict_of(
 
 
 def _well(instrument: str, share: Array, of: str) -> Diagnostic:
-    """The evidence: errors in parts of the channels' signals, (C,)."""
+    """Line of prediction errors relative to the channels' signals, (C,)."""
     least, most = 100 * np.nanmin(share), 100 * np.nanmax(share)
     return diagnose("verdict.well", instrument, float(most), least=least, of=phrase(of))
 
 
 def _reservations(found: Posterior, shown: str) -> Iterator[Diagnostic]:
-    """Rivals that predict better, channels that are not predicted, a file that says nothing."""
+    """Reservations: rivals that predict better, channels not predicted, a file without use."""
     yield from found.worse(shown)
     method, held_out = found.method, found.errors[0]
     left, signal, units = held_out.residual[shown], held_out.signal, held_out.units
@@ -101,7 +101,7 @@ def _reservations(found: Posterior, shown: str) -> Iterator[Diagnostic]:
 
 
 def _episodes(found: Posterior) -> Iterator[Diagnostic]:
-    """Channels whose residual in one part of a recording is far above that of all others."""
+    """Channels whose residual in one interval is far above all other intervals'."""
     usual = np.median(found.by_part, axis=0)
     apart = (found.by_part > EPISODE * usual) & (usual > 0)
     ends = np.linspace(0.0, found.duration, len(found.by_part) + 1)

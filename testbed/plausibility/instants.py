@@ -81,7 +81,7 @@ class Instants:
         )
 
     def every(self, step: int) -> Instants:
-        """One of so many instants.
+        """Every n-th instant.
 
         Args:
             step: Instants from one to the next.
@@ -135,7 +135,7 @@ def sample(recording: Recording, late: float = 0.0, cutoff: float = CUTOFF) -> I
 
 
 def decimate(signal: Array, weights: Array, reach: int, at: slice | NDArray[np.intp]) -> Array:
-    """A signal filtered, without `reach` samples at either end, at some of its samples.
+    """Filter and downsample a signal; `reach` samples at either end are cut.
 
     Args:
         signal: (M, k).
@@ -197,7 +197,7 @@ def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
 
 
 def _correlated(signal: Array, rows: Array) -> Array:
-    """Products of rows with as many rows of a longer signal, at all delays, along axis 0."""
+    """Correlation of rows with a longer signal at all delays, along axis 0."""
     size = len(signal) + len(rows)
     product = np.fft.rfft(signal, size, axis=0) * np.fft.rfft(rows, size, axis=0).conj()
     found: Array = np.fft.irfft(product, size, axis=0)[: len(signal) - len(rows) + 1]

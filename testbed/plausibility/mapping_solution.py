@@ -198,7 +198,7 @@ def _mapping(draft: Draft, out: Path) -> MappingFile:
 
 
 def _recording(draft: Draft, out: Path, tree: Tree) -> tuple[Draft, Source]:
-    """Mapping without what derivatives contradict, and the longest recording that it makes."""
+    """Mapping corrected by derivatives, and the longest recording imported by it."""
     for _ in range(ROUNDS):
         try:
             recordings, _ = pieces(out, _mapping(draft, out))
@@ -267,7 +267,7 @@ def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
 
 
 def _with_sizes(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
-    """The torques' unit, or their gains, by how large they are."""
+    """Mapping with the unit or the gains of torques, by their size."""
     best, finite = assessment.best, assessment.sizes[np.isfinite(assessment.sizes)]
     odd = any(each.code == "torque.size" for each in assessment.certain)
     if odd and draft.notes.get(("torque", "unit")) == ASSUMED:
@@ -285,7 +285,7 @@ def _with_sizes(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
 
 
 def _with_gains(draft: Draft, sizes: Array, tree: Tree, origin: str) -> Draft:
-    """Gains by which torques are of the size that a plate or the model file's masses make.
+    """Mapping with gains by a force plate or the model file's masses.
 
     Args:
         draft: The mapping.

@@ -399,7 +399,7 @@ STEPS = ("position.step", "position.unwrapped")
 
 
 def encoder_steps(source: Source) -> list[Diagnostic]:
-    """Steps of encoders that its import has found.
+    """Diagnose encoder steps that the import of a source has found.
 
     Args:
         source: The recording.
@@ -408,7 +408,7 @@ def encoder_steps(source: Source) -> list[Diagnostic]:
 
 
 def unknown_gains(source: Source) -> Iterator[Diagnostic]:
-    """Torque constants that a mapping has of the model file's masses.
+    """Diagnose torque constants computed from the model file's masses.
 
     Args:
         source: The recording.

@@ -259,7 +259,7 @@ class Search:
         return self._apply(first, Hypothesis("late", (), (late,)))
 
     def _look(self, beside: HypothesisFit, hypotheses: Iterable[Hypothesis]) -> None:
-        """Fit hypotheses besides others, but for those that a few instants refute."""
+        """Fit further hypotheses, except those that a few instants refute."""
         several = list(hypotheses)
         step = len(beside.instants.position) // COARSE
         few = beside.instants.every(max(step, 1))

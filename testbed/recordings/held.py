@@ -83,7 +83,7 @@ def hold_resting(
 
 
 def lock_unrecorded(file: ModelFile, source: Source) -> tuple[ModelFile, tuple[Diagnostic, ...]]:
-    """Model file with the joints held that a recording lacks: as its mapping says, else at rest.
+    """Model file with unrecorded joints held, at the mapping's positions or at rest.
 
     Args:
         file: The model file.

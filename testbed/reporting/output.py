@@ -250,7 +250,7 @@ def print_tables(out: Console, *layouts: Sequence[Table]) -> None:
 
 
 def _drawn(table: Table, width: int | None = None) -> RichTable:
-    """A table; words are wrapped, then the rows' names folded, so that it has a width, if any."""
+    """Table wrapped to a width: first cells, then row names."""
     columns = list(zip(*([printable(cell) for cell in row] for row in table.rows), strict=True))
 
     def least(head: str, cells: Sequence[str]) -> int:

@@ -70,7 +70,7 @@ def errors_table(found: PredictionErrors) -> Table:
 
 
 def validation_table(found: Validation) -> Table:
-    """What an estimate leaves of another recording, beside what other candidates leave.
+    """Table of prediction errors on another recording, by candidate.
 
     Args:
         found: By one method.
@@ -99,7 +99,7 @@ def validation_table(found: Validation) -> Table:
 
 
 def _error_columns(found: PredictionErrors, held: str = "") -> dict[str, list[str]]:
-    """Signals, and errors by candidate, the one that is judged with a star."""
+    """Columns of signals and errors by candidate; a star marks the reported one."""
     names = HEADS | ({REFITTED: "file, zero fitted"} if found.method == "external" else {})
     errors = {name: found.residual[name] for name in HEADS if name in found.residual}
     return {"signal": _texts(found.signal)} | {

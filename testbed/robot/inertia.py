@@ -102,7 +102,7 @@ class Inertia:
 
     @property
     def radius(self) -> float:
-        """Radius of gyration about the frame's origin: of its second moments' sum [m]."""
+        """Radius of gyration about the frame's origin, by the sum of second moments [m]."""
         return math.sqrt(max(np.trace(self.tensor) / 2 / self.mass, 0.0)) if self.mass > 0 else 0.0
 
     @cached_property

@@ -66,7 +66,7 @@ def read_xml(path: Path) -> ET.Element:
 
 
 def _parsed(path: Path) -> ET.Element:
-    """Names stay as they stand: robots' parsers know no namespaces, whose prefixes may be open."""
+    """Parse XML without namespaces, whose prefixes robot files may leave undeclared."""
     parser, found = ParserCreate(), _Limited()
     parser.StartElementHandler, parser.EndElementHandler = found.start, found.end
     with path.open("rb") as file:

@@ -131,7 +131,7 @@ def repaired(
     source: str,
     reach: float,
 ) -> Repair:
-    """Bodies that can be, for those of a file that cannot, or not in a robot of its lengths.
+    """Replace inertias of a file that no body, or none of such lengths, has.
 
     Args:
         links: All of the file, carriers before what they carry.
@@ -219,7 +219,7 @@ class _Size:
 
 
 def _out_of_scale(bodies: Bodies, reach: float) -> tuple[Inertia, dict[str, str]]:
-    """Bodies that none is in a robot of such lengths, with their numbers; and what others are."""
+    """Body of average size, and a message for bodies out of proportion, by name."""
     known = {name: body for name, body in bodies.items() if body.mass > 0 and body.within_limits}
     sizes = {name: (body.mass, body.radius) for name, body in known.items()}
     dust, reach = DUST * np.median([0.0, *(mass for mass, _ in sizes.values())]), max(reach, 1.0)

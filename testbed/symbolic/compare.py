@@ -137,7 +137,7 @@ def _names(listing: Listing, robot: Robot) -> dict[str, Expression]:
 
 
 def _value(node: ast.AST, names: Mapping[str, Expression], budget: Budget) -> Expression:
-    """The expression of a syntax tree in which tuples are sums."""
+    """Expression of a syntax tree; tuples stand for sums."""
     match node:
         case ast.Tuple(elts=summands):
             terms: list[Term] = []
@@ -189,7 +189,7 @@ def _multiplied(budget: Budget, a: Expression, b: Expression) -> Expression:
 
 
 def _right_side(text: str, names: Mapping[str, Expression], budget: Budget) -> Expression:
-    """What stands on the right of an equation; a sum becomes a tuple, however long it is."""
+    """Right-hand side of an equation; a sum of any length becomes a tuple."""
     culprit = _ILLEGIBLE.search(text)
     if culprit:
         raise ExpressionError(f"'{culprit[0]}' cannot be read")

@@ -223,7 +223,7 @@ class _Joint:
 def _disagreement(
     bodies: Estimate, before: Array, values: Array, covariance: Array
 ) -> Disagreement:
-    """By how much the estimate moves, in sigmas of the difference; covariances before and after."""
+    """Change of an estimate in standard deviations of the difference, by both covariances."""
     moved, spread = values - bodies.values, before - covariance
     size = np.sqrt(np.diagonal(before))
     scale = np.where(size > 0, size, 1.0)

@@ -81,7 +81,7 @@ class PayloadEstimate(Diagnosed):
 
 
 def _centre(values: Array, covariance: Array, identifiable: ArrayLike) -> tuple[Array, Array]:
-    """Place and its sigma, (3,) each, by mass and first moments; nan where not identifiable."""
+    """Centre of mass and standard deviations, (3,) each [m]; nan where not identifiable."""
     mass, place = values[0], values[1:4] / values[0]
     slope = np.column_stack([-place / mass, np.eye(3) / mass])
     sigma = np.sqrt(np.diagonal(slope @ covariance[:4, :4] @ slope.T))

@@ -77,7 +77,7 @@ class PoseReading:
 
     @cached_property
     def fit(self) -> RestFit:
-        """What explains it best."""
+        """Least-squares fit of a tool's weight and moments to the poses."""
         return rest_fit(self.back, self.wrench, self.turn)
 
     @cached_property
@@ -100,7 +100,7 @@ class PoseReading:
 
 
 def reading_of(tree: Tree, position: Array, wrench: Array) -> PoseReading:
-    """A table of poses as it is said.
+    """Reading of a table of poses as its options state it.
 
     Args:
         tree: What the sensor feels.
@@ -111,7 +111,7 @@ def reading_of(tree: Tree, position: Array, wrench: Array) -> PoseReading:
 
 
 def other_readings(tree: Tree, table: StaticPoses) -> Iterator[PoseReading]:
-    """Along the base's axes, in degrees, a column of opposite sign, two columns exchanged.
+    """Other readings: moments along base axes, degrees, opposite signs, exchanged columns.
 
     Args:
         tree: What the sensor feels.
@@ -139,7 +139,7 @@ def other_readings(tree: Tree, table: StaticPoses) -> Iterator[PoseReading]:
 
 
 def with_zero(tree: Tree, table: StaticPoses) -> PoseReading:
-    """With another zero of that joint which explains the poses best under the model's gravity.
+    """Reading with the joint offset that fits the poses best under the model's gravity.
 
     Gravity shows no zero of the first joint: it turns with the base.
 

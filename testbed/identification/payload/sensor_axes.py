@@ -34,7 +34,7 @@ class AxesTurn:
 
 
 def turned(said: PoseReading) -> PoseReading:
-    """The reading with the sensor's axes that explain it best.
+    """Reading of a table of poses with the sensor axes of the best fit.
 
     Args:
         said: As it was said.
@@ -46,7 +46,7 @@ def turned(said: PoseReading) -> PoseReading:
 
 
 def axes_turn(found: RestFit, said: Array) -> AxesTurn:
-    """The sensor's axes by a fit that has turned them.
+    """Rotation of the sensor's axes by a fit in which it is free.
 
     Args:
         found: With a turn.

@@ -61,7 +61,7 @@ class RestFit:
 
     @property
     def weight(self) -> Array:
-        """Of the tool along the base's axes, (3,) [N]."""
+        """Weight of the tool along the base's axes, (3,) [N]."""
         return self.found[3:6]
 
     @property
@@ -71,7 +71,7 @@ class RestFit:
         return float(max(self.scale[0], self.scale[1] / lever) / np.linalg.norm(self.weight))
 
     def tilt(self, gravity: Array) -> tuple[float, float]:
-        """Between the weight and a gravity, and its standard deviation [rad].
+        """Angle between weight and gravity, and its standard deviation [rad].
 
         Args:
             gravity: Of the model, (3,) [m/s^2].

@@ -20,7 +20,7 @@ from testbed.identification.payload.pose_readings import (
     with_zero,
 )
 from testbed.identification.payload.sensor_axes import AxesTurn, axes_turn, turned
-from testbed.identification.payload.tool_check import checked, explains
+from testbed.identification.payload.tool_check import diagnose_tool, explains
 from testbed.parameters.prior import matrices, parameters
 from testbed.recordings.columns import AXES
 from testbed.recordings.importing.column_names import Group, read_name
@@ -232,6 +232,6 @@ def tool_at_rest(tree: Tree, table: StaticPoses, sensor: ForceSensor | None = No
         axes=axes,
         diagnostics=(
             *table.diagnostics,
-            *checked(said, best, zero, tree.gravity, axes, ahead, place.name),
+            *diagnose_tool(said, best, zero, tree.gravity, axes, ahead, place.name),
         ),
     )

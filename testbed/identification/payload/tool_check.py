@@ -54,7 +54,7 @@ SYSTEMS = {
 
 
 def explains(other: PoseReading, said: PoseReading) -> bool:
-    """Whether a reading explains the poses, also those that it has not seen.
+    """Whether a reading fits the poses, also those left out of the fit.
 
     Args:
         other: The reading.
@@ -64,11 +64,11 @@ def explains(other: PoseReading, said: PoseReading) -> bool:
     return few.share < DOUBTFUL and not few.open and other.held_out < most * said.held_out
 
 
-def checked(
+def diagnose_tool(
     said: PoseReading, best: PoseReading, zero: PoseReading | None, gravity: Array,
     axes: AxesTurn | None, ahead: Array, sensor: str,
 ) -> Iterator[Diagnostic]:  # fmt: skip
-    """What a careful reader should know of a tool at rest.
+    """Diagnose a tool identified at rest: residuals, signs, units, gravity.
 
     Args:
         said: The poses as they were said.
@@ -123,13 +123,13 @@ def checked(
         value, sigma = np.rad2deg([tilt, sigma]).tolist()
         yield diagnose(f"tool.{found}", value=value, sigma=sigma, causes=causes, gravity=pull)
     near = arm - CLEAR * doubt
-    causes = _systems(fit, mass, arm)
+    causes = _unit_systems(fit, mass, arm)
     if sure and mass < (THINNEST if causes else AIR) * near**3:
         yield diagnose("tool.reach", value=arm, mass=mass, causes=causes or ["no-unit"])
 
 
-def _systems(fit: RestFit, mass: float, arm: float) -> list[str]:
-    """Units in which noise and centre are those of sensors and tools, the likeliest first."""
+def _unit_systems(fit: RestFit, mass: float, arm: float) -> list[str]:
+    """Unit systems with plausible sensor noise and centre of mass, the likeliest first."""
     shown = np.array([fit.scale[1] / fit.scale[0], arm])
     odd = sorted(
         (float(np.abs(np.log(shown * by / USUAL)).sum()), code)

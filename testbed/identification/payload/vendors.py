@@ -56,7 +56,7 @@ class FlangePayload:
 
     @property
     def six(self) -> list[float]:
-        """Inertia about the mass centre: Ixx, Iyy, Izz, Ixy, Ixz, Iyz [kg m^2]; or none."""
+        """Inertia about the mass centre: Ixx, Iyy, Izz, Ixy, Ixz, Iyz [kg m^2], or empty."""
         return [float(self.inertia.central[at]) for at in SIX[: len(self.sigma) - 4]]
 
     @property

@@ -76,7 +76,7 @@ class LinearPrior:
 
 
 def linear_prior(problem: Problem, prior: Prior, error: float, rows: RowProducts) -> LinearPrior:
-    """Unknowns by the model file; terms of the joints are free: as large as torques and file allow.
+    """Gaussian prior of the unknowns by the model file; joint terms are nearly free.
 
     Args:
         problem: Says which unknowns.

@@ -79,7 +79,7 @@ class PredictionErrors:
         return replace(self, residual=residual, chance=chance)
 
     def share(self, which: str) -> Array:
-        """What is left in parts of the signals, (C,); nan where there is none.
+        """Rms prediction error over rms signal, (C,); nan where a channel has none.
 
         Args:
             which: What predicts.

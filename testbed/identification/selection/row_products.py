@@ -55,7 +55,7 @@ class RowProducts:
 
     @property
     def enough(self) -> NDArray[np.bool_]:
-        """Whether rows are enough to separate a channel's noise from its own unknowns, (C,)."""
+        """Whether rows suffice to separate a channel's noise from its unknowns, (C,)."""
         seen = np.einsum("cii->ci", self.products)[:, :-2] > 0
         own = (seen & (seen.sum(axis=0) == 1)).sum(axis=1)
         return np.asarray(self.rows >= own + FREEDOM)
@@ -97,7 +97,7 @@ class RowProducts:
         return np.maximum(_inner(self.products, _ends(values, constants)), 0.0)
 
     def residual(self, values: Array, constants: Array | None = None) -> Array:
-        """Rms of what values of the unknowns, (p,), leave, (C,); constants default to the mean."""
+        """Rms residual of unknowns (p,), by channel (C,); constants default to the mean."""
         known = self.constants(values) if constants is None else constants
         return np.sqrt(self.squares(values, known) / np.maximum(self.rows, 1.0))
 

@@ -249,7 +249,7 @@ Named = tuple[Array, Sequence[str]]
 def _in_turn(
     known: Named, others: Named, sure: Sequence[bool]
 ) -> tuple[tuple[int, ...], tuple[NonIdentifiable, ...]]:
-    """Which columns those before them do not show, too.
+    """Columns that are linearly independent of those before them, and the rest.
 
     Args:
         known: The first.

@@ -199,7 +199,7 @@ def _role(words: tuple[str, ...]) -> tuple[int, int] | None:
 
 
 def _has_part(word: str, parts: tuple[str, ...]) -> bool:
-    """Whether a word begins or ends with a part, or holds a long one, as Istposition."""
+    """Whether a word begins or ends with a part, or contains a long one."""
     inside = any(part in word for part in parts if len(part) > 4)
     return inside or word.startswith(parts) or word.endswith(parts)
 
@@ -308,7 +308,7 @@ def grouped(columns: Sequence[ColumnName], joints: Sequence[str] = ()) -> Iterat
 
 
 def as_torques(column: ColumnName, joints: Sequence[str]) -> ColumnName:
-    """Column, of a joint's torque where its name says force or moment and one of the joints.
+    """Column as a joint torque, if its name states a force and a joint.
 
     Args:
         column: As its name states it.

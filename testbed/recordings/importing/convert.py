@@ -81,7 +81,7 @@ class Imported:
 
 @dataclass(frozen=True, eq=False)
 class _Stream:
-    """A signal's samples as its source has them: those in which no number is missing.
+    """Samples of a signal at its source's rate, without incomplete ones.
 
     Attributes:
         table: What the mapping says of the signal.
@@ -230,7 +230,7 @@ def _open(folder: Path, mapping: Mapping, name: str) -> ForeignTable:
 
 
 def _times(mapping: Mapping, name: str, table: ForeignTable) -> Times:
-    """When a source's samples were taken by its clock, drift taken back; nan where not said."""
+    """Sample times of a source, corrected for clock drift [s]; nan where not recorded."""
     source = mapping.sources[name]
     if source.time is None:
         first = _used(mapping)[name][0]
@@ -249,7 +249,7 @@ def _times(mapping: Mapping, name: str, table: ForeignTable) -> Times:
 
 
 def _streams(mapping: Mapping, folder: Path) -> dict[str, _Stream]:
-    """Signals as their sources have them, by the label of their tables in the mapping."""
+    """Samples of all signals, by the label of their tables in the mapping."""
     files = {name: _open(folder, mapping, name) for name in _used(mapping)}
     clocks = {name: _times(mapping, name, file) for name, file in files.items()}
     times = by_one_clock(clocks, {name: mapping.sources[name].offset for name in clocks})
@@ -270,7 +270,7 @@ def _streams(mapping: Mapping, folder: Path) -> dict[str, _Stream]:
 
 
 def _stream(label: str, table: AnyTable, file: ForeignTable, time: Array) -> _Stream:
-    """The samples of a signal in which no number is missing.
+    """Samples of a signal, without incomplete ones.
 
     Raises:
         RecordingError: There are hardly any.
@@ -291,7 +291,7 @@ def _stream(label: str, table: AnyTable, file: ForeignTable, time: Array) -> _St
 
 
 def _window(mapping: Mapping, streams: Table[str, _Stream]) -> Window:
-    """First and last instant that are wanted and that all signals have [s]."""
+    """First and last time common to all signals and the requested interval [s]."""
     first = max(float(each.time.min()) for each in streams.values())
     last = min(float(each.time.max()) for each in streams.values())
     times = {each.table.source: each.time for each in streams.values()}
@@ -316,7 +316,7 @@ def _window(mapping: Mapping, streams: Table[str, _Stream]) -> Window:
 
 
 def _samples(mapping: Mapping, label: str, stream: _Stream, window: Window) -> _Samples:
-    """A signal's samples in the window and one beyond at either end, of a slow device once each."""
+    """Samples in a window and one beyond either end, repeated samples dropped."""
     table, time, name = stream.table, stream.time, stream.table.source
     source = mapping.sources[name]
     low, high = np.searchsorted(np.maximum.accumulate(time), window)

@@ -45,7 +45,7 @@ MOVED = 0.02
 
 
 class DerivativeError(RecordingError):
-    """Signal in other units, senses or order than those of the derivative that it should be.
+    """Mismatch of units, signs or order between a signal and a derivative.
 
     Attributes:
         lines: Lines of the mapping that correct it; none where a matrix is in the way.

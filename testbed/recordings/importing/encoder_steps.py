@@ -24,7 +24,7 @@ MOST = 3
 def without_turns(
     table: SignalTable, names: Sequence[str], time: Array, values: Array
 ) -> tuple[Array, tuple[Diagnostic, ...]]:
-    """Positions without steps of whole turns, (M, k), and what was taken back or is left.
+    """Unwrapped positions (M, k), and the steps removed or left.
 
     Args:
         table: Of the positions.
@@ -58,7 +58,7 @@ def without_turns(
 
 
 def _steps(time: Array, values: Array) -> Iterator[tuple[int, float]]:
-    """Samples after which a column steps, and by how much: it goes on as fast as before."""
+    """Samples and sizes of steps across which a column's velocity is continuous."""
     speed = np.diff(values) / np.diff(time)
     if len(speed) < 5:
         return

@@ -216,7 +216,7 @@ class ForeignTable:
         return {k: np.array(row, dtype=np.float64) for k, row in self._rows(columns).items()}
 
     def _rows(self, columns: Iterable[str]) -> dict[str, NDArray[Any]]:
-        """Some columns as they are held."""
+        """Rows of the given columns, (M, k)."""
         places, wanted = self._places(), list(columns)
         for name in wanted:
             if name not in places and len(places) == 1:

@@ -107,7 +107,7 @@ def guessed(
 
 
 def _with_source(draft: Draft, source: LikelySource, folder: Path, *, needed: bool) -> Draft:
-    """A source's table, or the columns of one that no signal is of."""
+    """Mapping with a source's table, or a comment that lists its unused columns."""
     name = f"sources.{source.name}"
     file = os.path.relpath(source.file.resolve(), folder.resolve())
     known = [f"# {source.table.about}"] if source.table.about else []

@@ -37,8 +37,8 @@ LOOKED_AT = 3
 
 
 @dataclass(frozen=True)
-class Clock:
-    """A source's likely clock.
+class LikelyClock:
+    """Time column of a source, its unit and its sampling rate.
 
     Attributes:
         column: Of its times; None if none looks like it.
@@ -70,7 +70,7 @@ class Clock:
         since = Times.of(table.stamps(self.column), self.unit or "s").since
         return steady_line(since)[0] if self.steady else since
 
-    def by_velocity(self, seconds: float) -> Clock:
+    def by_velocity(self, seconds: float) -> LikelyClock:
         """The clock if one of `time` is so many seconds, by velocities against positions."""
         because = "by velocity and position"
         if self.column is None:
@@ -93,8 +93,8 @@ class Clock:
 
 def clock_of(
     table: ForeignTable, layout: Layout | None = None, rows: NDArray[np.bool_] | None = None
-) -> Clock:
-    """Likely clock of a table.
+) -> LikelyClock:
+    """Find the time column of a table, its unit and its sampling rate.
 
     Args:
         table: Of a file of another program.
@@ -107,8 +107,8 @@ def clock_of(
         if known:
             seconds, rest = (table.stamps(each) for each in known)
             since = (seconds - seconds[0]) + (rest - rest[0]) * TIMES["ns"]
-            return Clock(None, rate=rate_of(since), because=f"by {' and '.join(known)}")
-        return Clock(None, rate=layout.rate, because=because)
+            return LikelyClock(None, rate=rate_of(since), because=f"by {' and '.join(known)}")
+        return LikelyClock(None, rate=layout.rate, because=because)
     timed = {c for c in table.columns if plain(table.unit(c) or "") in TIMES}
     named = [c for c in table.columns if c in timed or like_time(c) < len(TIME_WORDS)]
     likely = known or sorted(named, key=like_time)
@@ -133,12 +133,12 @@ def clock_of(
         one = TIMES[unit] if unit else 1.0
         if not coarse:
             rate = rate_of(stamps) / one
-            return Clock(column, unit, given, rounded(rate, 1e-12) if unit else rate, because)
+            return LikelyClock(column, unit, given, rounded(rate, 1e-12) if unit else rate, because)
         rate = rounded(1 / (one * float(line[1] - line[0])), 2 / len(stamps))
         said = f"{stands:.0%} of the stamps are those before, as of a clock that ticks slower"
-        return Clock(column, unit, given, rate, because, said)
+        return LikelyClock(column, unit, given, rate, because, said)
     count = max(table.lengths.values(), default=0)
-    return Clock(None, because=f"no column of {count} numbers looks like times [Hz]")
+    return LikelyClock(None, because=f"no column of {count} numbers looks like times [Hz]")
 
 
 def like_time(column: str) -> int:

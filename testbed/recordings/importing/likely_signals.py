@@ -30,7 +30,7 @@ from testbed.recordings.importing.foreign_table import (
     Kind,
 )
 from testbed.recordings.importing.known_layouts import layout_of
-from testbed.recordings.importing.likely_clock import Clock, clock_of
+from testbed.recordings.importing.likely_clock import LikelyClock, clock_of
 from testbed.recordings.importing.readers import tables
 from testbed.recordings.importing.signal_maps import sign_bit_of
 
@@ -68,7 +68,7 @@ class LikelySource:
     topic: str | None
     table: ForeignTable
     columns: tuple[ColumnName, ...]
-    clock: Clock
+    clock: LikelyClock
     logger: str = ""
     empty: tuple[ColumnName, ...] = ()
 
@@ -262,7 +262,7 @@ def _with_own_rows(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, Likely
 
 
 def _with_counts(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySignal]:
-    """Signals with torques of no unit that are whole numbers as a servo's loads."""
+    """Signals with integer torques of no unit read as loads of a servo."""
     if (tau := signals.get("torque")) is None or any(tau.units):
         return signals
     values = values_of(tau)
@@ -288,7 +288,7 @@ def _signal(
 def _by_data(
     found: Mapping[Kind, LikelySignal], sources: Sequence[LikelySource], joints: Sequence[str]
 ) -> Iterator[tuple[Kind, LikelySource, Group, str]]:
-    """Signals that names leave open: by integration of velocities, torques by elimination.
+    """Signals without known names: velocities by integration, torques by elimination.
 
     Columns of forces or moments without an axis are torques of joints if nothing else is.
     """

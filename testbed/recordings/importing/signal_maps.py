@@ -57,7 +57,7 @@ SIGN_BITS = (1 << 10, 1 << 11, 1 << 15)
 
 
 def without_sign_bit(values: Array, bit: int) -> Array:
-    """Numbers of which a bit is the sign, as numbers with a sign.
+    """Signed numbers of unsigned numbers with a sign bit.
 
     Args:
         values: Whole, not negative.
@@ -67,7 +67,7 @@ def without_sign_bit(values: Array, bit: int) -> Array:
 
 
 def sign_bit_of(values: Array) -> int:
-    """The bit that is the sign of whole numbers, without which they change far less; 0 for none.
+    """Sign bit of whole numbers, by the continuity of the signal; 0 for none.
 
     Args:
         values: Of all columns of a signal, (M, k).
@@ -83,7 +83,7 @@ def sign_bit_of(values: Array) -> int:
 
 
 def signed(table: SignalTable, values: Array) -> Array:
-    """Torques as they are counted, without a sign bit, (M, k).
+    """Torques as signed counts, (M, k).
 
     Args:
         table: What the mapping says of them.
@@ -195,7 +195,7 @@ def effort_kinds(mapping: Mapping) -> dict[str, str]:
 
 def _check_file_units(label: str, kind: str, columns: Sequence[str], units: Sequence[str],
                      table: ForeignTable) -> None:  # fmt: skip
-    """Whether what the file says of units is what the mapping says.
+    """Compare one source's stated units with those of a mapping.
 
     Args:
         label: Of the mapping's table.
@@ -218,7 +218,7 @@ def _check_file_units(label: str, kind: str, columns: Sequence[str], units: Sequ
 
 
 def check_units(label: str, table: AnyTable, file: ForeignTable) -> None:
-    """Whether the file says the units that the mapping says, where it says any.
+    """Compare the units that a file states with those of a mapping.
 
     Args:
         label: Of the mapping's table.

@@ -148,7 +148,7 @@ def sample_times(
 def without_repeats(
     name: str, time: Array, values: Array, *, steady: bool = False
 ) -> NDArray[np.bool_]:
-    """Samples that are not the one before once more, (M,) of bool.
+    """Whether a sample differs from the one before, (M,) of bool.
 
     Where values change while the stamps of a steady device stand, its clock is coarse: all are.
 
@@ -177,7 +177,7 @@ def without_repeats(
 
 
 def steady_times(name: str, time: Array, rows: NDArray[np.intp]) -> Array:
-    """Times of the line through stamps that jitter or are coarse, (M,) [s].
+    """Equidistant times of stamps with jitter or coarse resolution, (M,) [s].
 
     Args:
         name: Of the source.
@@ -202,7 +202,7 @@ def steady_times(name: str, time: Array, rows: NDArray[np.intp]) -> Array:
 
 
 def steady_line(time: Array, rows: NDArray[np.intp] | None = None) -> tuple[Array, Array, bool]:
-    """The line through stamps, how far they stray from it, and whether a steady device's may.
+    """Fit a line to time stamps: line, deviations, whether a constant rate explains them.
 
     Stamps of a coarse clock stand and jump by its tick: the line is that of the jumps.
 
@@ -225,7 +225,7 @@ def steady_line(time: Array, rows: NDArray[np.intp] | None = None) -> tuple[Arra
 
 
 def _line(number: Array, time: Array) -> tuple[float, float]:
-    """Slope, and value at zero, of the line through points."""
+    """Slope and intercept of the line through points."""
     if len(number) < 2:
         return 0.0, 0.0
     centred = number - number.mean()
@@ -345,7 +345,7 @@ def without_gaps(
 
 
 def _gaps(source: SourceTable, time: Array, rows: NDArray[np.intp]) -> list[Window]:
-    """Times of the samples around each gap that is not bridged.
+    """Times of the samples on either side of each gap [s].
 
     Late stamps of a steady device are no gap, but samples without numbers are.
     """

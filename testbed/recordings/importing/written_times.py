@@ -18,7 +18,7 @@ DAY = 86_400e6
 
 
 def microseconds(text: str) -> float:
-    """Microseconds of an instant since 1970, or since midnight where it has no date.
+    """Time of a written instant since 1970, or since midnight without a date [us].
 
     Of 4.3.2026 the day is first, of 3/4/2026 the month, if it can be one.
 

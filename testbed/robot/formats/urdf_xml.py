@@ -234,7 +234,7 @@ def _move_origin(joint: ET.Element, position: float) -> None:
 
 
 def _keep(element: ET.Element, owner: str, also: tuple[str, ...]) -> Iterator[tuple[str, str]]:
-    """Leave only the parts that count, each once; yields what is unknown, and whose it is."""
+    """Remove unknown elements; yields unknown elements and attributes, and their owners."""
     tag, tags = element.tag, [child.tag for child in element]
     owner = f"{tag} '{element.get('name', '?')}'" if tag in _BESIDE else owner
     parts, beside = _PARTS.get(tag, ()), _BESIDE.get(tag, ())

@@ -101,7 +101,7 @@ def _factor(factor: Factor, style: Style) -> str:
 
 
 def wrap(start: str, pieces: list[str], indent: str) -> list[str]:
-    """Pieces after a start in lines up to `WIDTH`; further lines are indented."""
+    """Wrap pieces of an expression at `WIDTH` columns; further lines are indented."""
     lines = [start]
     for piece in pieces:
         if len(lines[-1]) + 1 + len(piece) > WIDTH and lines[-1].strip():
