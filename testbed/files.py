@@ -1,25 +1,81 @@
-"""Files appear whole or not at all: they are written beside their place, and renamed."""
+"""Files and folders that are replaced whole and in one step, or stay as they were."""
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import hashlib
+import os
 import stat
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
-from itertools import count
+from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
+from typing import Any
 
 HIDDEN = ".testbed-"
-"""How temporary folders begin; one of a writer that was killed stays."""
+"""First characters of a temporary folder's name; the folder of a killed process remains."""
+
+FROM_WORKING_FOLDER, EXCHANGE = -100, 2
+"""AT_FDCWD and RENAME_EXCHANGE of renameat2(2)."""
+
+NO_EXCHANGE = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP)
+"""Errors of a file system, or of a kernel, that cannot exchange two paths."""
+
+
+class _Replacements(ExitStack):
+    """Complete files and folders that wait to be put in place, each with its temporary folder."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.waiting: list[tuple[Path, Path, Path]] = []
+
+    def put_in_place(self) -> None:
+        """Put all in place; after an error or Ctrl-C, all older ones are there again.
+
+        Raises:
+            OSError: One cannot be put there; in the words of its path.
+        """
+        new = [fresh.stat().st_ino for fresh, _, _ in self.waiting]
+        try:
+            for fresh, place, path in self.waiting:
+                with _in_words_of(path, place.parent):
+                    _exchange(fresh, place)
+                with suppress(OSError):  # a file system that does not flush folders
+                    _flush(place.parent)
+        except BaseException:
+            for number, (fresh, place, _) in zip(new, self.waiting, strict=True):
+                if place.exists() and place.stat().st_ino == number:
+                    _exchange(fresh, place) if fresh.exists() else place.rename(fresh)
+            raise
+
+
+_TOGETHER: ContextVar[_Replacements | None] = ContextVar("_TOGETHER", default=None)
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """Delay all `replacing` within the block to its end: all paths are replaced, or none.
+
+    Raises:
+        OSError: A path cannot be replaced.
+    """
+    with _Replacements() as replacements:
+        token = _TOGETHER.set(replacements)
+        try:
+            yield
+        finally:
+            _TOGETHER.reset(token)
+        replacements.put_in_place()
 
 
 @contextmanager
 def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
-    """A temporary path beside `path`, which takes its place if the block succeeds.
+    """A temporary path beside `path`, which takes its place in one step if the block succeeds.
 
-    What stands there is complete at every instant; a folder that is replaced is away for one.
+    The content is flushed to the disk before. Where the file system cannot exchange two folders,
+    an older folder is away for an instant, under a name of its own beside.
 
     Args:
         path: What is to appear; what stands there is replaced only if it is of its kind.
@@ -31,21 +87,108 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
 
     Raises:
         OSError: A folder stands where a file is to appear or the other way round, or a
-            device, or the place may not be written to.
+            device, or the place may not be written to; always in the words of `path`.
     """
     place = _place(path, folder)
-    with _beside(place, path) as hidden:
-        fresh = hidden / "fresh"
-        yield fresh
-        for turn in count():
-            try:
-                fresh.replace(place)
+    with _Replacements() as alone:
+        replacements = _TOGETHER.get() or alone
+        fresh = replacements.enter_context(_beside(place, path)) / "fresh"
+        with _in_words_of(path, fresh.parent):
+            yield fresh
+            for each in (fresh, *fresh.rglob("*")):
+                if not each.is_symlink():
+                    _flush(each)
+        replacements.waiting.append((fresh, place, path))
+        alone.put_in_place()
+
+
+@contextmanager
+def _in_words_of(path: Path, temporary: Path) -> Iterator[None]:
+    """Errors of a temporary path, and of no path, as errors of the path that is to appear."""
+    try:
+        yield
+    except OSError as error:
+        read = error.filename is not None and not str(error.filename).startswith(str(temporary))
+        if read or isinstance(error, BrokenPipeError):  # of standard output
+            raise
+        said = str(error if error.errno is None else error.strerror)
+        reason = said.replace(str(temporary / "fresh"), str(path))
+        begin = "" if error.errno is None else f"'{path}' cannot be written: "
+        raise OSError(f"{begin}{reason}") from None
+
+
+def _flush(path: Path) -> None:
+    """Write what the system still holds of a file or folder to the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _exchange(fresh: Path, place: Path) -> None:
+    """Exchange what stands at two paths; the second may be empty.
+
+    Raises:
+        OSError: They are as before.
+    """
+    while True:  # until no other process has moved it away or put its own there
+        if not place.exists():
+            with suppress(FileExistsError, IsADirectoryError):
+                fresh.rename(place)
                 return
-            except OSError as error:  # a folder cannot replace a full one
-                if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
-                    raise
-            with suppress(FileNotFoundError):  # another writer has moved it
-                place.rename(hidden / f"older-{turn}")
+        elif not (number := _exchange_in_one_step(fresh, place)):
+            return
+        elif number in NO_EXCHANGE:
+            _exchange_in_steps(fresh, place)
+            return
+        elif number != errno.ENOENT or not fresh.exists():
+            raise OSError(number, os.strerror(number))
+
+
+def _exchange_in_one_step(first: Path, second: Path) -> int:
+    """Exchange two paths by renameat2(2); the number of its error, 0 if there is none."""
+    rename: Any = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if rename is None:
+        return errno.ENOSYS
+    one, other = os.fsencode(first), os.fsencode(second)
+    failed = rename(FROM_WORKING_FOLDER, one, FROM_WORKING_FOLDER, other, EXCHANGE)
+    return ctypes.get_errno() if failed else 0
+
+
+def _exchange_in_steps(fresh: Path, place: Path) -> None:
+    """Exchange two paths; a folder is away for an instant, a file is not.
+
+    Raises:
+        OSError: They are as before, or the message says where the older one is.
+    """
+    older = place.with_name(f"{place.name}-before-{os.getpid()}")
+    try:
+        try:
+            os.link(place, older)
+        except OSError:  # a folder, or a file system without links
+            place.rename(older)
+        fresh.replace(place)
+        older.rename(fresh)
+    except BaseException:
+        if older.exists():
+            _put_back(fresh, place, older)
+        raise
+
+
+def _put_back(fresh: Path, place: Path, older: Path) -> None:
+    """Undo an exchange that stopped half-way.
+
+    Raises:
+        OSError: It cannot be undone; the message says where the older one is.
+    """
+    try:
+        if not fresh.exists():
+            place.rename(fresh)
+        older.replace(place)
+    except OSError as error:
+        raise OSError(f"what stood there is in '{older}': {error.strerror}") from None
+    older.unlink(missing_ok=True)  # to rename a link to the same file does nothing
 
 
 def check_writable(

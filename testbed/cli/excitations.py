@@ -82,7 +82,7 @@ def excite(
     """
     from testbed.experiment.excite import check_ending, write_motion, write_trajectory
     from testbed.experiment.excite import excite as excited
-    from testbed.files import check_writable
+    from testbed.files import check_writable, together
     from testbed.reporting import output
     from testbed.reporting.motion import print_excitation
 
@@ -97,7 +97,7 @@ def excite(
     known = None if prior is None else _covariance(prior, experiment)
     with output.Progress("searching") as progress, _interrupt() as interrupted:
         found = excited(experiment, _Searching(progress, _budget(experiment)), known, interrupted)
-    with output.Progress("writing"):
+    with output.Progress("writing"), together():
         if trajectory is not None:
             write_trajectory(trajectory, found, rate)
         write_motion(out, found)

@@ -231,6 +231,7 @@ def campaign(
 def _summary(folder: Path, against: Path | None) -> None:
     """Print what a campaign says, and write it beside its table."""
     from testbed.campaign.summary import changes, read_campaign, summarise, write_summary
+    from testbed.files import together
     from testbed.reporting import output
     from testbed.reporting.campaign import print_changes, print_summary, write_campaign_page
 
@@ -243,9 +244,10 @@ def _summary(folder: Path, against: Path | None) -> None:
         print_changes(out, lines)
         return
     page = place / "summary.html"
-    with output.Progress("drawing"):
+    with output.Progress("drawing"), together():
         write_campaign_page(page, found)
-    print_summary(out, found, [page, *write_summary(found, place)])
+        files = [page, *write_summary(found, place)]
+    print_summary(out, found, files)
 
 
 def _tls(authority: Path | None, certificate: Path | None, key: Path | None) -> Tls | None:

@@ -21,6 +21,9 @@ RESERVE = 1_000_000
 YOUNG = 100_000
 """Objects between two collections of cycles: imports alone make a million, and leave few."""
 
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that end a command: by Ctrl-C, by another process, by a terminal that is closed."""
+
 INPUT_AT_FAULT, OUR_FAULT, INTERRUPTED, UNREAD = 2, 70, 130, 141
 
 
@@ -52,15 +55,18 @@ def main() -> None:
 class _Interrupts:
     """The first Ctrl-C is an exception and the work is tidied up; the next one ends at once.
 
+    So are the signals by which a system or a closing terminal ends a process.
     An import that is interrupted may raise any other exception instead: `seen` says. Where
     Python swallows an exception, in callbacks of its own, it is raised again a moment later.
     """
 
     def __init__(self) -> None:
         self.seen = False
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not under nohup
-            signal.signal(signal.SIGINT, self._interrupt)
-            sys.unraisablehook = self._swallowed
+        usual = (signal.default_int_handler, signal.SIG_DFL)  # else ignored, as under nohup
+        self._caught = [each for each in ENDING if signal.getsignal(each) in usual]
+        for each in self._caught:
+            signal.signal(each, self._interrupt)
+        sys.unraisablehook = self._swallowed
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         self.seen = True
@@ -80,9 +86,10 @@ class _Interrupts:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def default(self) -> None:
-        """From now on Ctrl-C ends the process without a word."""
-        if signal.getsignal(signal.SIGINT) == self._interrupt:
-            signal.signal(signal.SIGINT, signal.SIG_DFL)
+        """From now on a signal ends the process without a word."""
+        for each in self._caught:
+            if signal.getsignal(each) == self._interrupt:
+                signal.signal(each, signal.SIG_DFL)
 
 
 def _ready_streams() -> None:

@@ -171,7 +171,7 @@ def new(
 
 def _recorded(files: list[Path], mapping: Path, robot: Path | None, reading: Reading) -> None:
     """A mapping for logs, and the recording that it makes of a robot."""
-    from testbed.files import check_writable
+    from testbed.files import check_writable, together
     from testbed.plausibility.check import import_and_check
     from testbed.recordings.importing.import_report import ImportReport
     from testbed.reporting import output
@@ -193,8 +193,9 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None, reading: Rea
             assessment=found.assessment,
         )
     paths = numbered(made, len(several))
-    for recording, path in zip(several, paths, strict=True):
-        recording.save(path)
+    with together():
+        for recording, path in zip(several, paths, strict=True):
+            recording.save(path)
     listed, taken = (made, made) if len(paths) == 1 else (f"{paths[0]} to {paths[-1]}", mapping)
     words = ["identify", taken, "--model", robot]
     if several[0].wrench is not None:  # the plate's frame and clock are known to a sigma only

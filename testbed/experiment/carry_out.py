@@ -14,7 +14,7 @@ from testbed.errors import RecordingError, TestbedError
 from testbed.experiment.evaluate import evaluate, robot_of
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.motions import another_motion
-from testbed.experiment.results import write_recorded, write_result
+from testbed.experiment.results import write_recorded, write_run
 from testbed.experiment.run import Run, shown_motion
 from testbed.experiment.score import Score, accuracies
 from testbed.experiment.simulate import simulate
@@ -178,26 +178,26 @@ def carry_out(
         experiment: What to do.
         progress: Called with samples done and samples in all.
         watch: Called with what happens while it is simulated, a second or so at a time.
-        folder: Run folder to write: the recording as soon as it is measured, then the result.
+        folder: Run folder to write at the end; an older one stays until the new one is there.
         stage: Makes what is called in place of `progress`, stage by stage.
 
     Raises:
-        TestbedError: It cannot be carried out; what is in the folder by then is kept.
+        TestbedError: It cannot be carried out. Where nothing stands in the folder, it then has
+            the recording.
     """
     begun = stage or (lambda name: nullcontext(progress))
     with begun("simulating") as bar:
         recording = simulate(experiment, bar, watch)
-    if folder is not None:
-        write_recorded(experiment, recording, folder)
     try:
         with begun("identifying") as bar:
             run = evaluate(experiment, recording, bar)
     except TestbedError as error:
-        if folder is None:
+        if folder is None or folder.exists():
             raise
+        write_recorded(experiment, recording, folder)
         raise RecordingError(f"{error}; the recording is kept in '{folder}'") from None
     with begun("validating on an unseen motion") as bar:
         run = on_unseen_motion(with_payload_metrics(run, bar), bar)
     if folder is not None:
-        write_result(run, folder)
+        write_run(run, folder)
     return run

@@ -324,7 +324,7 @@ def check_folder(folder: Path, experiment: Experiment, *, force: bool = False) -
 
 
 def write_run(run: Run, folder: Path) -> None:
-    """Write a run folder; an older one is replaced at once.
+    """Write a run folder; an older one stays until all of the new one is there.
 
     Args:
         run: Of an experiment.
@@ -335,43 +335,38 @@ def write_run(run: Run, folder: Path) -> None:
     """
     if run.experiment is None:
         raise ExperimentError(f"run '{run.name}' is of no experiment: it has no run folder")
-    write_recorded(run.experiment, run.recording, folder)
-    write_result(run, folder)
+    with replacing(folder, folder=True) as fresh:
+        _write_files(run.experiment, run.recording, fresh)
+        if run.unseen is not None:
+            run.unseen.blind().save(fresh / UNSEEN)
+        result = result_of(run, _source(fresh))
+        write_estimates(result, fresh / ESTIMATES)
+        (fresh / RESULT).write_bytes(json_text(result.document()) + b"\n")
 
 
 def write_recorded(experiment: Experiment, recording: Recording, folder: Path) -> None:
-    """Write a run folder without its result: what has been measured is safe from here on.
+    """Write a run folder without a result.
 
     Args:
         experiment: What was carried out.
         recording: What was measured.
-        folder: Where to; an older run is replaced at once.
+        folder: Where to; an older run stays until all of the new one is there.
     """
     with replacing(folder, folder=True) as fresh:
-        fresh.mkdir()
-        model = copy_model(Path(experiment.model), fresh / MODEL).relative_to(fresh)
-        changed: dict[str, object] = {"model": model.as_posix()}
-        if experiment.motion.file:
-            shutil.copyfile(experiment.motion.file, fresh / MOTION)
-            changed["motion"] = experiment.motion.model_copy(update={"file": MOTION})
-        here = experiment.model_copy(update=changed)
-        (fresh / EXPERIMENT).write_text(here.as_toml(), encoding="utf-8")
-        recording.save(fresh / RECORDING)
+        _write_files(experiment, recording, fresh)
 
 
-def write_result(run: Run, folder: Path) -> None:
-    """Write the result into a run folder that has its recording.
-
-    Args:
-        run: What came of it.
-        folder: Its folder.
-    """
-    if run.unseen is not None:
-        run.unseen.blind().save(folder / UNSEEN)
-    result = result_of(run, _source(folder))
-    write_estimates(result, folder / ESTIMATES)
-    with replacing(folder / RESULT) as fresh:
-        fresh.write_bytes(json_text(result.document()) + b"\n")
+def _write_files(experiment: Experiment, recording: Recording, folder: Path) -> None:
+    """Write a new folder with an experiment, its model file and motion, and the recording."""
+    folder.mkdir()
+    model = copy_model(Path(experiment.model), folder / MODEL).relative_to(folder)
+    changed: dict[str, object] = {"model": model.as_posix()}
+    if experiment.motion.file:
+        shutil.copyfile(experiment.motion.file, folder / MOTION)
+        changed["motion"] = experiment.motion.model_copy(update={"file": MOTION})
+    here = experiment.model_copy(update=changed)
+    (folder / EXPERIMENT).write_text(here.as_toml(), encoding="utf-8")
+    recording.save(folder / RECORDING)
 
 
 def _identity(experiment: Experiment) -> str:

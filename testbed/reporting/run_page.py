@@ -19,7 +19,7 @@ from testbed.experiment.experiment_tables import MotionTable
 from testbed.experiment.results import read_run, versions
 from testbed.experiment.run import Run
 from testbed.experiment.summary import obtained, summary, verdict
-from testbed.files import replacing
+from testbed.files import replacing, together
 from testbed.identification.estimate import OPEN_ZERO, Estimate, by_influence
 from testbed.parameters.identifiability import identifiability
 from testbed.parameters.symbols import STANDARD
@@ -62,7 +62,7 @@ def write_report(run: Run, path: Path) -> Path:
     content = contents(run)
     text = rendered("report.html", content)
     beside = path.with_suffix(".json")
-    with replacing(path) as fresh, replacing(beside) as numbers:
+    with together(), replacing(path) as fresh, replacing(beside) as numbers:
         fresh.write_text(text, encoding="utf-8")
         numbers.write_text(
             json.dumps(_without_drawings(content), indent=1, sort_keys=True) + "\n", "utf-8"
