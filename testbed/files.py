@@ -6,8 +6,9 @@ import ctypes
 import errno
 import hashlib
 import os
+import secrets
+import shutil
 import stat
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
@@ -40,7 +41,7 @@ class _Replacements(ExitStack):
         new = [fresh.stat().st_ino for fresh, _, _ in self.waiting]
         try:
             for fresh, place, path in self.waiting:
-                with _in_words_of(path, place.parent):
+                with _in_words_of(path, fresh):
                     _exchange(fresh, place)
                 with suppress(OSError):  # a file system that does not flush folders
                     _flush(place.parent)
@@ -93,7 +94,7 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
     with _Replacements() as alone:
         replacements = _TOGETHER.get() or alone
         fresh = replacements.enter_context(_beside(place, path)) / "fresh"
-        with _in_words_of(path, fresh.parent):
+        with _in_words_of(path, fresh):
             yield fresh
             for each in (fresh, *fresh.rglob("*")):
                 if not each.is_symlink():
@@ -103,18 +104,20 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def _in_words_of(path: Path, temporary: Path) -> Iterator[None]:
+def _in_words_of(path: Path, fresh: Path) -> Iterator[None]:
     """Errors of a temporary path, and of no path, as errors of the path that is to appear."""
     try:
         yield
+    except BrokenPipeError:  # of standard output
+        raise
     except OSError as error:
-        read = error.filename is not None and not str(error.filename).startswith(str(temporary))
-        if read or isinstance(error, BrokenPipeError):  # of standard output
-            raise
-        said = str(error if error.errno is None else error.strerror)
-        reason = said.replace(str(temporary / "fresh"), str(path))
-        begin = "" if error.errno is None else f"'{path}' cannot be written: "
-        raise OSError(f"{begin}{reason}") from None
+        place = str(path) if error.filename is None else os.fsdecode(error.filename)
+        if error.filename is not None and not place.startswith(str(fresh)):
+            raise  # of a file that is read
+        said = (
+            str(error) if error.errno is None else f"'{place}' cannot be written: {error.strerror}"
+        )
+        raise OSError(said.replace(str(fresh), str(path))) from None
 
 
 def _flush(path: Path) -> None:
@@ -222,20 +225,23 @@ def _beside(place: Path, path: Path) -> Iterator[Path]:
         OSError: It cannot be made there; in the words of `path`.
     """
     missing = [each for each in place.parents if not each.exists()]
-    try:
+    hidden = place.parent / f"{HIDDEN}{secrets.token_hex(4)}"
+    with ExitStack() as left:
+        for each in reversed(missing):
+            left.callback(_remove_empty, each)
+        for _ in range(2):  # once more where Ctrl-C ends the first
+            left.callback(shutil.rmtree, hidden, ignore_errors=True)
         try:
-            place.parent.mkdir(parents=True, exist_ok=True)
-            hidden = tempfile.TemporaryDirectory(
-                prefix=HIDDEN, dir=place.parent, ignore_cleanup_errors=True
-            )
+            hidden.mkdir(mode=0o700, parents=True)
         except OSError as error:
             raise OSError(f"'{path}' may not be written there: {error.strerror}") from None
-        with hidden as name:
-            yield Path(name)
-    finally:
-        for each in missing:
-            with suppress(OSError):  # what was written stands there
-                each.rmdir()
+        yield hidden
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove a folder unless something stands in it."""
+    with suppress(OSError):
+        folder.rmdir()
 
 
 def read_text(path: Path, most: int) -> str:

@@ -1,127 +1,320 @@
-"""Processes killed while they replace a run folder, a recording or a report."""
+"""Commands that are killed, interrupted, or meet a full disk while they replace their outputs.
+
+Each command is carried out with two arguments, one after the other. Then the second is repeated
+onto the outputs of the first under strace, which lets one of its system calls fail or sends a
+signal there: the outputs of the first or of the second must stand there, to the last byte.
+"""
 
 from __future__ import annotations
 
-import json
+import hashlib
 import random
+import re
+import shutil
 import subprocess
 import sys
 import tempfile
-import time
-import tomllib
-from collections.abc import Callable
-from functools import cache
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import testbed as tb
-from testbed.experiment.evaluate import evaluate
-from testbed.experiment.results import write_run
-from testbed.experiment.run import Run
+import pyarrow.csv as pc
+import pyarrow.parquet as pq
+
 from testbed.files import HIDDEN
-from testbed.recordings.recording import Recording
-from testbed.reporting.run_page import write_report
-from tests.helpers.paths import GOLDEN, ROOT
+from testbed.recordings.importing.foreign_table import ForeignTable
+from testbed.recordings.importing.readers import tables
+from tests.helpers.paths import GOLDEN
 
-DURATIONS = (1.0, 1.2)
-"""Of the two runs that replace each other [s]; what is found must be of one of them."""
+FAILING = ("rename", "renameat2", "link", "mkdir", "fsync", "write", "pwrite64")
+"""System calls that a full or broken disk refuses."""
 
+TRACED = ",".join((*FAILING, "unlink", "unlinkat", "rmdir", "openat"))
 
-@cache
-def made(turn: int) -> Run:
-    """A short run of a pendulum."""
-    experiment = tb.Experiment(
-        name="pendulum",
-        model=str(GOLDEN / "robots/pendulum.urdf"),
-        motion={"duration": DURATIONS[turn % 2], "candidates": 1},
-        simulation={"step": 1e-3},
+SET = tuple(
+    word
+    for key in (
+        "motion.duration=12", "simulation.step=1e-3", "measurement.rate=200", "motion.candidates=1",
     )
-    return evaluate(experiment, tb.simulate(experiment))
+    for word in ("--set", key)
+)  # fmt: skip
+
+LOG = ("a{}.parquet", "--model", "robot.urdf")
+WRITERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "run": (("run", "robot.toml", *SET, "--set", "seed={}", "--out", "out", "--force"), ("out",)),
+    "simulate": (
+        ("simulate", "robot.toml", *SET, "--set", "seed={}", "--out", "out.parquet"),
+        ("out.parquet",),
+    ),
+    "report": (("report", *LOG, "--out", "out.html"), ("out.html", "out.json")),
+    "view": (("view", *LOG, "--save", "out.rrd"), ("out.rrd",)),
+    "identify": (("identify", *LOG, "--write", "out.urdf"), ("out.urdf",)),
+    "drives": (
+        ("drives", *LOG, "--write", "out.urdf", "--friction", "out.csv"),
+        ("out.urdf", "out.csv"),
+    ),
+    "calibrate": (
+        (
+            "calibrate", "p1.parquet", "--model", "puma562.xml", "--known", "mass=2{}",
+            "--known", "gain/Fz=1", "--known", "gain/Mx=1", "--out", "out.toml",
+        ),
+        ("out.toml",),
+    ),
+    "excite": (
+        (
+            "excite", "robot.toml", *SET, "--set", "excitation.starts=1", "--set", "seed={}",
+            "--out", "out.toml", "--trajectory", "out.csv", "--page", "out.html",
+        ),
+        ("out.toml", "out.csv", "out.html"),
+    ),
+    "equations": (("equations", "robot{}.urdf", "--out", "out.txt"), ("out.txt",)),
+    "sample": (("sample", "i{}.json", "-n", "3", "--out", "out"), ("out",)),
+    "import": (("import", "m{}.toml", "--model", "robot.urdf", "--out", "out.parquet"),
+               ("out.parquet",)),
+    "guess": (("import", "--guess", "l{}.csv", "--model", "robot.urdf", "--out", "out.toml"),
+              ("out.toml",)),
+    "summary": (("campaign", "--summary", "c{}"), ("c2",)),
+}  # fmt: skip
+"""Words and outputs of every command that replaces something; {} is 1 or 2."""
+
+FORCED = ("simulate", "report", "view", "identify", "drives", "calibrate", "excite", "equations",
+          "import", "guess", "sample")  # fmt: skip
+"""Commands that replace a file by --force only."""
+
+CAMPAIGN = """
+name = "c"
+claim = "as a witness"
+experiment = "robot.toml"
+set = ["motion.duration=4", "simulation.step=1e-3", "measurement.rate=200", "motion.candidates=1"]
+replicates = 2
+seed = {}
+"""
 
 
-def _write_recording(run: Run, place: Path) -> None:
-    run.recording.save(place)
+@dataclass(frozen=True)
+class Fault:
+    """A system call that fails, or at which a signal comes.
+
+    Attributes:
+        call: Name of the system call.
+        when: Number of the call, from 1, in its thread.
+        what: `error=ENOSPC`, `signal=KILL` and so on.
+        more: Another fault, as strace writes it.
+    """
+
+    call: str
+    when: int
+    what: str
+    more: tuple[str, ...] = ()
+
+    @property
+    def options(self) -> list[str]:
+        """Words for strace."""
+        own = f"inject={self.call}:{self.what}:when={self.when}"
+        return [word for each in (*self.more, own) for word in ("-e", each)]
 
 
-WRITERS: dict[str, Callable[[Run, Path], object]] = {
-    "run": write_run,
-    "recording": _write_recording,
-    "report": write_report,
-}
-NAMES = {"run": "run", "recording": "r.parquet", "report": "report.html"}
+@dataclass(frozen=True)
+class Scene:
+    """A folder in which one command replaces its older outputs.
+
+    Attributes:
+        folder: The folder, with inputs alone.
+        words: Of the command, the first time and the second.
+        outputs: Files or folders that the command writes.
+    """
+
+    folder: Path
+    words: tuple[list[str], list[str]]
+    outputs: tuple[str, ...]
+
+    def content(self, place: Path) -> Mapping[str, str]:
+        """Digests of all outputs, by path."""
+        tops = [place / name for name in self.outputs]
+        files = [each for top in tops for each in (top, *top.rglob("*")) if each.is_file()]
+        return {str(each.relative_to(place)): _digest(each) for each in files}
 
 
-def samples(seconds: float) -> int:
-    """Of a recording at 1 kHz."""
-    return round(seconds * 1000)
+def _digest(path: Path) -> str:
+    """SHA-256 of a file; of Rerun's, which has other identifiers each time, of the numbers."""
+    if path.suffix != ".rrd":
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    found = hashlib.sha256()
+    for topic, table in sorted(tables(path).items()):
+        if isinstance(table, ForeignTable):
+            for name, values in table.read(table.columns).items():
+                found.update(f"{topic} {name}".encode() + values.tobytes())
+    return found.hexdigest()
 
 
-def check(kind: str, place: Path) -> None:
-    """Whether what stands there is whole, and of one run."""
-    if kind == "recording":
-        assert Recording.load(place).samples in map(samples, DURATIONS)
-    elif kind == "report":
-        assert place.read_text().rstrip().endswith("</html>")
-        assert json.loads(place.with_suffix(".json").read_text())
-    else:
-        said = tomllib.loads((place / "experiment.toml").read_text())["motion"]["duration"]
-        recording = Recording.load(place / "recording.parquet")
-        assert recording.samples == samples(said)
-        assert (place / "model").is_dir()
-        if (place / "result.json").exists():  # written after the others
-            assert json.loads((place / "result.json").read_text())["name"] == "pendulum"
+def prepared(folder: Path) -> None:
+    """Inputs of all commands."""
+    shutil.copyfile(GOLDEN / "robots/pendulum.urdf", folder / "robot.urdf")
+    text = (folder / "robot.urdf").read_text()
+    run = _Runner(folder)
+    run("new", "robot.urdf", "--out", "robot.toml")
+    run("simulate", "table6", *SET, "--out", "p1.parquet")
+    for k in (1, 2):
+        (folder / f"robot{k}.urdf").write_text(text.replace("3.654014", f"3.{k}"))
+        run("simulate", "robot.toml", *SET, "--set", f"seed={k}", "--out", f"a{k}.parquet")
+        said = run("identify", f"a{k}.parquet", "--model", "robot.urdf", "--json")
+        (folder / f"i{k}.json").write_text(said)
+        table = pq.read_table(folder / f"a{k}.parquet")
+        kept = [n for n in table.column_names if n.split("/")[0] in ("time", "position", "torque")]
+        pc.write_csv(table.select(kept), folder / f"l{k}.csv")
+        run("import", "--guess", f"l{k}.csv", "--model", "robot.urdf", "--out", f"m{k}.toml")
+        (folder / f"c{k}.toml").write_text(CAMPAIGN.format(k))
+        run("campaign", f"c{k}.toml", "--workers", "0", "--out", f"c{k}")
 
 
-def kills(count: int, seed: int) -> dict[str, Any]:
-    """Kill writers at random moments; what they were to replace must stay whole.
+class _Runner:
+    """Commands in a folder, without strace."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def __call__(self, *words: str) -> str:
+        """Carry out a command that must succeed; its standard output.
+
+        Raises:
+            RuntimeError: It does not succeed.
+        """
+        done = subprocess.run(
+            [sys.executable, "-m", "testbed", *words], cwd=self._folder, text=True,
+            capture_output=True, check=False,
+        )  # fmt: skip
+        if done.returncode not in (0, 1):
+            raise RuntimeError(f"{' '.join(words)}: {done.stderr}")
+        return done.stdout
+
+
+def scene(name: str, inputs: Path) -> Scene:
+    """One command's folder.
+
+    Args:
+        name: Of `WRITERS`.
+        inputs: What `prepared` has made.
+    """
+    words, outputs = WRITERS[name]
+    forced = ("--force",) if name in FORCED else ()
+    old, new = ([each.format(k) for each in [*words, *forced]] for k in (1, 2))
+    return Scene(inputs, (old, new), outputs)
+
+
+def _traced(scene: Scene, place: Path, faults: list[str]) -> subprocess.CompletedProcess[str]:
+    """The second command under strace, in a folder."""
+    log = place.with_name("strace")
+    shutil.rmtree(log, ignore_errors=True)
+    log.mkdir()
+    command = ["strace", "-ff", "-qq", "-e", f"trace={TRACED}", *faults]
+    command += ["-o", str(log / "log"), sys.executable, "-m", "testbed", *scene.words[1]]
+    return subprocess.run(command, cwd=place, text=True, capture_output=True, check=False)
+
+
+def _calls(log: Path) -> list[tuple[str, int]]:
+    """System calls from the first that touches a temporary folder, with their numbers."""
+    found: list[tuple[str, int]] = []
+    for file in sorted(log.iterdir()):
+        numbers: dict[str, int] = {}
+        begun = False
+        for line in file.read_text(errors="replace").splitlines():
+            match = re.match(r"(\w+)\(", line)
+            if match is None:
+                continue
+            call = match[1]
+            numbers[call] = numbers.get(call, 0) + 1
+            begun = begun or HIDDEN in line
+            if begun:
+                found.append((call, numbers[call]))
+    return found
+
+
+def _fault(calls: list[tuple[str, int]], rng: random.Random) -> Fault:
+    """One fault of a random kind at a random call."""
+    kind = rng.choice(["KILL", "INT", "TERM", "HUP", "ENOSPC", "EIO", "two"])
+    if kind in ("KILL", "INT", "TERM", "HUP"):
+        rare = rng.choice(sorted({call for call, _ in calls}))  # else most are `openat`
+        call, when = rng.choice([each for each in calls if each[0] == rare])
+        return Fault(call, when, f"signal={kind}")
+    names = sorted({call for call, _ in calls if call in FAILING})
+    rare = rng.choice(names)
+    call, when = rng.choice([each for each in calls if each[0] == rare])
+    if kind == "two":  # a file system that cannot exchange, and then fails
+        steps = [("rename", k) for k in (1, 2, 3, 4)] + [("link", 1)]
+        call, when = rng.choice(steps)
+        what = rng.choice(["error=ENOSPC", "error=EIO", "signal=INT"])
+        return Fault(call, when, what, ("inject=renameat2:error=EINVAL",))
+    return Fault(call, when, f"error={kind}")
+
+
+def kills(count: int, seed: int, only: str = "") -> dict[str, Any]:
+    """Faults while outputs are replaced; the older ones or the new ones must stand there, whole.
 
     Args:
         count: How many.
-        seed: Of the moments.
+        seed: Of all choices.
+        only: Commands whose names hold this.
     """
     rng = random.Random(f"{seed}/kills")
-    left = 0
+    ends: dict[str, int] = {}
     broken: list[str] = []
-    for number in range(count):
-        kind = list(WRITERS)[number % len(WRITERS)]
-        with tempfile.TemporaryDirectory() as folder:
-            place = Path(folder) / NAMES[kind]
-            WRITERS[kind](made(0), place)
-            _kill(kind, place, rng.uniform(0.0, 0.4))
-            left += any(Path(folder).rglob(f"{HIDDEN}*"))
-            try:
-                check(kind, place)
-                WRITERS[kind](made(1), place)  # the next writer
-                check(kind, place)
-            except Exception as error:
-                broken.append(f"{kind}, kill {number}: {type(error).__name__} {error}"[:200])
-    return {
-        "bench": "kills while writing",
-        "kills": count,
-        "left something": left,
-        "not treated well": broken,
-    }
+    names = [name for name in WRITERS if only in name]
+    with tempfile.TemporaryDirectory() as folder:
+        inputs = Path(folder) / "inputs"
+        inputs.mkdir()
+        prepared(inputs)
+        for k, name in enumerate(names):
+            share = count // len(names) + (k < count % len(names))
+            for end in _of_one(name, inputs, share, rng, broken):
+                ends[end] = ends.get(end, 0) + 1
+    return {"bench": "faults while replacing", **ends, "not treated well": broken}
 
 
-def _kill(kind: str, place: Path, seconds: float) -> None:
-    """Start a writer, and kill it after a while."""
-    command = [sys.executable, "-m", "benchmarks.hostile.kills", kind, str(place)]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        process.stdout.readline()
-        time.sleep(seconds)
-        process.kill()
+def _of_one(
+    name: str, inputs: Path, count: int, rng: random.Random, broken: list[str]
+) -> Iterator[str]:
+    """Which outputs stand there after each fault in one command."""
+    here, old_place = scene(name, inputs), inputs.with_name("old")
+    place = inputs.with_name("place")
+    for folder in (old_place, place):
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(inputs, folder)
+    _Runner(old_place)(*here.words[0])
+    shutil.rmtree(place)
+    shutil.copytree(old_place, place)
+    done = _traced(here, place, [])
+    if done.returncode not in (0, 1):
+        broken.append(f"{name}: {done.stderr[-300:]}")
+        return
+    states = {"old": here.content(old_place), "new": here.content(place)}
+    calls = _calls(place.with_name("strace"))
+    for _ in range(count):
+        shutil.rmtree(place)
+        shutil.copytree(old_place, place)
+        fault = _fault(calls, rng)
+        done = _traced(here, place, fault.options)
+        found = here.content(place)
+        end = next((end for end, state in states.items() if state == found), "neither")
+        yield end
+        wrong = _wrong(end, done, fault, place)
+        if wrong:
+            broken.append(f"{name} {' '.join(fault.options)}: {wrong}: {done.stderr[-200:]}")
 
 
-def write_for_ever(kind: str, place: Path) -> None:
-    """Replace what stands there by two runs in turn."""
-    made(0), made(1)
-    print("here", flush=True)
-    turn = 0
-    while True:
-        turn += 1
-        WRITERS[kind](made(turn), place)
-
-
-if __name__ == "__main__":
-    write_for_ever(sys.argv[1], Path(sys.argv[2]))
+def _wrong(end: str, done: subprocess.CompletedProcess[str], fault: Fault, place: Path) -> str:
+    """What is wrong with how a command ended; nothing if it ended well."""
+    said = done.stderr.splitlines()
+    there = [each.name for each in place.iterdir()]
+    left = [name for name in there if name.startswith(HIDDEN) or "-before-" in name]
+    if end == "neither":
+        return "neither the older outputs nor the new ones"
+    if done.returncode in (0, 1) and end != "new":
+        return "it says that it has done what it has not"
+    if "KILL" in fault.what:
+        return ""
+    if "Traceback" in done.stderr or done.returncode == 70:
+        return f"a traceback, exit code {done.returncode}"
+    if any(HIDDEN in line for line in said):
+        return "a temporary folder in a message"
+    return f"left behind: {left[0]}" if left and fault.call not in ("unlink", "rmdir") else ""

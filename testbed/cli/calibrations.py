@@ -222,7 +222,7 @@ def drives(
     """
     from testbed.codec import encode
     from testbed.errors import SettingsError
-    from testbed.files import check_writable
+    from testbed.files import check_writable, together
     from testbed.identification.drives.friction_files import write_friction
     from testbed.identification.drives.identify_drives import identify_drives
     from testbed.identification.identify import identify
@@ -268,20 +268,21 @@ def drives(
             threads=threads,
             progress=progress,
         )
-    if friction is not None:
-        write_friction(found, friction)
     said = [*tree.diagnostics, *held, *bodies.diagnostics, *found.diagnostics]
-    if write is not None:
-        links, _ = writing.bodies(reading, model, source, [bodies], {})
-        said += writing.written(links, reading, model, [recording], found, late)
-        lines.append(f"model file: {write}")
-        if unseen is not None:
-            from testbed.reporting.drives import replay_lines
-            from testbed.simulation.replay import replay
+    with together():
+        if friction is not None:
+            write_friction(found, friction)
+        if write is not None:
+            links, _ = writing.bodies(reading, model, source, [bodies], {})
+            said += writing.written(links, reading, model, [recording], found, late)
+            lines.append(f"model file: {write}")
+    if write is not None and unseen is not None:
+        from testbed.reporting.drives import replay_lines
+        from testbed.simulation.replay import replay
 
-            files = (reading.model_file(model), reading.model_file(write))
-            motion = Recording.load(unseen)
-            lines += replay_lines(tree.names, *(replay(each, motion) for each in files))
+        files = (reading.model_file(model), reading.model_file(write))
+        motion = Recording.load(unseen)
+        lines += replay_lines(tree.names, *(replay(each, motion) for each in files))
     if as_json:
         output.print_json({**encode(found), "delay": late})
     else:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import os
+from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
 
-from testbed.files import replacing
+from testbed import files
+from testbed.files import replacing, together
 from tests.helpers.refusals import refuses
 
 
@@ -89,3 +92,98 @@ def test_a_place_where_nothing_can_stand_is_refused_by_name(kind: str, tmp_path:
             write(tmp_path / name, kind)
     assert names(tmp_path) == before
     assert content(tmp_path / "full") == "kept"
+
+
+@pytest.fixture(params=["in one step", "in steps"])
+def exchange(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file system that exchanges two paths, and one that cannot."""
+    if request.param == "in steps":
+        monkeypatch.setattr(files, "_exchange_in_one_step", lambda first, second: errno.EINVAL)
+
+
+def failing(monkeypatch: pytest.MonkeyPatch, call: str, number: int, error: BaseException) -> None:
+    """Make one call of a function of `os`, by its number, raise an error."""
+    done, real = [0], getattr(os, call)
+
+    def once(*words: object) -> object:
+        done[0] += 1
+        if done[0] == number:
+            raise error
+        return real(*words)
+
+    monkeypatch.setattr(os, call, once)
+
+
+FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.usefixtures("exchange")
+@pytest.mark.parametrize("kind", ["file", "folder"])
+@pytest.mark.parametrize("error", [FULL, KeyboardInterrupt()])
+@pytest.mark.parametrize(("call", "number"), [
+    ("rename", 1), ("rename", 2), ("rename", 3), ("replace", 1), ("link", 1), ("fsync", 1),
+])  # fmt: skip
+def test_a_disk_that_fails_or_ctrl_c_leaves_the_older_one_or_the_new_one(
+    kind: str, error: BaseException, call: str, number: int, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """At any step of replacing; nothing else is left, and no message names a temporary file."""
+    write(tmp_path / "place", kind, "old")
+    failing(monkeypatch, call, number, error)
+    left, said = "new", "'place'"
+    try:
+        write(tmp_path / "place", kind)
+    except (OSError, KeyboardInterrupt) as raised:
+        left, said = "old", str(raised)
+    assert content(tmp_path / "place") == left
+    assert names(tmp_path) == ["place"]
+    assert "place" in said or error is not FULL
+    assert ".testbed-" not in said
+
+
+@pytest.mark.usefixtures("exchange")
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_of_several_that_are_written_together_all_are_replaced_or_none(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of them is new; the error names the one that could not be put there."""
+    old, new, last = (tmp_path / name for name in ("old", "new", "last"))
+    for place in (old, last):
+        write(place, kind, "before")
+
+    def write_all(*, then: Callable[[], object] = lambda: None) -> None:
+        with together():
+            for place in (old, new, last):
+                write(place, kind, "after")
+            assert content(old) == "before"
+            then()
+
+    with pytest.raises(ZeroDivisionError):
+        write_all(then=lambda: 1 / 0)
+    real, done = files._exchange, [0]
+
+    def third_fails(fresh: Path, place: Path) -> None:
+        done[0] += 1
+        if done[0] == 3:
+            raise FULL
+        real(fresh, place)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(files, "_exchange", third_fails)
+        with refuses(OSError, str(last), os.strerror(errno.ENOSPC)):
+            write_all()
+    assert (content(old), content(last), names(tmp_path)) == ("before", "before", ["last", "old"])
+    write_all()
+    assert {content(place) for place in (old, new, last)} == {"after"}
+    assert names(tmp_path) == ["last", "new", "old"]
+
+
+def test_an_error_while_writing_names_what_was_to_be_written(tmp_path: Path) -> None:
+    """Not the temporary file; an error of another file that is read stays as it is."""
+    with refuses(OSError, str(tmp_path / "place/part")), replacing(tmp_path / "place") as fresh:
+        (fresh / "part").write_text("in a folder that is not there")
+    with refuses(OSError, "'place'", os.strerror(errno.ENOSPC)), replacing(Path("place")):
+        raise FULL
+    with refuses(FileNotFoundError, "input"), replacing(tmp_path / "place"):
+        (tmp_path / "input").read_text()
+    assert names(tmp_path) == []

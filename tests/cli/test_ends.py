@@ -90,14 +90,20 @@ def test_output_that_nobody_takes(place: Path) -> None:
 
 
 def test_ctrl_c_is_one_line_then_the_end() -> None:
-    """Also where a library turns it into an error of its own; a second one ends at once."""
+    """Also where a library turns it into an error of its own; a second one ends at once.
+
+    The same by the signals of another process and of a terminal that is closed.
+    """
     kill = "import os, signal\n    try: os.kill(os.getpid(), signal.SIGINT)\n    "
     said = process(program(f"{kill}except KeyboardInterrupt: raise ImportError('no numpy')"))
     assert (said.returncode, said.stderr) == (130, "testbed: interrupted\n")
     twice = process(program(f"{kill}finally: os.kill(os.getpid(), signal.SIGINT)"), "exec {}")
     assert (twice.returncode, twice.stderr) == (-signal.SIGINT, "")
-    ignored = process(program(f"{kill}finally: pass\n    return 0"), "trap '' INT; {}")
-    assert (ignored.returncode, ignored.stderr) == (0, "")
+    for number in ("INT", "TERM", "HUP"):
+        ended = kill.replace("SIGINT", f"SIG{number}") + "finally: pass\n    return 0"
+        heard, ignored = process(program(ended)), process(program(ended), f"trap '' {number}; {{}}")
+        assert (heard.returncode, heard.stderr) == (130, "testbed: interrupted\n")
+        assert (ignored.returncode, ignored.stderr) == (0, "")
 
 
 def test_ctrl_c_ends_a_search_with_the_best_motion_so_far(place: Path, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ and scheduler.
 
 from __future__ import annotations
 
+import shutil
 import sys
 from typing import Any
 
@@ -15,6 +16,7 @@ from benchmarks import campaign
 from benchmarks.hostile.bombs import BOMBS
 from benchmarks.hostile.case import Case
 from benchmarks.hostile.judge import complaints
+from benchmarks.hostile.kills import WRITERS, kills
 from benchmarks.hostile.program import Worker
 from benchmarks.hostile.worker import MEGABYTES, SECONDS
 
@@ -34,6 +36,12 @@ def test_no_bomb_explodes() -> None:
 
 def test_a_worker_killed_at_a_random_moment_costs_no_run() -> None:
     assert campaign.kills("worker", 3, 20, 1)["same_table"] == 3
+
+
+@pytest.mark.skipif(shutil.which("strace") is None, reason="strace makes system calls fail")
+def test_a_fault_while_outputs_are_replaced_leaves_the_older_ones_or_the_new_ones() -> None:
+    """In every command that writes, once; `python -m benchmarks hostile --kills 200` tries more."""
+    assert kills(len(WRITERS), 1)["not treated well"] == []
 
 
 REFUSED: dict[str, Any] = {
