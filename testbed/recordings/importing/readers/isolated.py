@@ -37,63 +37,65 @@ def read_isolated(module: str, path: Path, topic: str | None, *, every: bool = F
         RecordingError: It cannot be read.
     """
 
-    def called(array: str | None, topic: str | None, *, every: bool) -> Returned:
+    def called(topic: str | None, first: str | None, *, every: bool) -> Returned:
         parts = [each for each in (path, *path.rglob("*")) if each.is_file()]
         size = sum(each.stat().st_size for each in parts)
         return call_in_child(
-            f"{__name__}:read", str(path), module, topic, every, array,
+            f"{__name__}:read", str(path), module, topic, every, first,
             file=path, error=RecordingError,
             seconds=FIRST_SECONDS + size / BYTES_A_SECOND,
             memory=FIRST_MEMORY + UNPACKED * size,
         )  # fmt: skip
 
-    def table(topic: str | None, said: dict[str, Any], place: int) -> ForeignTable:
-        own = {name: arrays[f"{place} {name}"] for name in said["sent"]}
-
+    def table(topic: str, said: Any) -> ForeignTable:
         def load(name: str) -> NDArray[Any]:
-            return own[name] if name in own else called(name, topic, every=False)[1][name]
+            if (key := topic + name) not in arrays:
+                arrays.clear()
+                arrays.update(called(topic or None, name, every=False)[1])
+            return arrays[key]
 
         shapes = {name: tuple(shape) for name, shape in said["shapes"].items()}
         return ForeignTable(path, shapes, load, said["units"])
 
-    found, arrays = called(None, topic, every=every)
+    found, read = called(topic, None, every=every)
+    arrays = {**read}
     return {
-        name: RecordingError(said) if isinstance(said, str) else table(name, said, place)
-        for place, (name, said) in enumerate(found)
+        name: RecordingError(said) if isinstance(said, str) else table(name, said)
+        for name, said in found
     }
 
 
-def read(file: str, module: str, topic: str | None, every: bool, array: str | None) -> Returned:
-    """What a file's tables are called and hold, in the child process.
+def read(file: str, module: str, topic: str | None, every: bool, first: str | None) -> Returned:
+    """What a file's tables hold, in the child process.
 
     Args:
         file: The file or folder.
         module: Of the reader.
         topic: Of one table.
         every: Whether all tables are read.
-        array: The only one that is wanted, of one table; None for descriptions of all.
+        first: The array from which on arrays are sent; None for all of them.
 
     Returns:
-        Topics with descriptions or refusals, and arrays by the table's place and their names.
+        Topics, each with a table's shapes and units or why it is refused; and arrays by topic and
+        name, as many as `SENT` allows.
     """
     path, reader = Path(file), import_module(f"{__package__}.{module}")
     tables: Tables = reader.tables(path) if every else {topic or "": reader.read_file(path, topic)}
     said: list[tuple[str, Any]] = []
     arrays: dict[str, NDArray[Any]] = {}
     room = SENT
-    for place, (name, table) in enumerate(tables.items()):
+    for name, table in tables.items():
         if not isinstance(table, ForeignTable):
             said.append((name, str(table)))
             continue
-        if array is not None:
-            with readable(path):
-                return None, {array: table.load(array)}
-        sent = []
+        said.append((name, {"shapes": table.shapes, "units": table.units}))
+        wanted = first is None
         for each, shape in table.shapes.items():
-            room -= math.prod(shape)
-            with suppress(ValueError, OSError, RuntimeError, KeyError):  # said when it is asked for
-                if room > 0:
-                    arrays[f"{place} {each}"] = table.load(each)
-                    sent.append(each)
-        said.append((name, {"shapes": table.shapes, "units": table.units, "sent": sent}))
+            if each == first:
+                wanted = True
+                with readable(path):
+                    arrays[name + each] = table.load(each)
+            elif wanted and (room := room - math.prod(shape)) > 0:
+                with suppress(ValueError, OSError, RuntimeError, KeyError):  # said when asked for
+                    arrays[name + each] = table.load(each)
     return said, arrays

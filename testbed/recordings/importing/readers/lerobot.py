@@ -25,6 +25,7 @@ from testbed.recordings.importing.foreign_table import (
     MOST_COLUMNS,
     MOST_NUMBERS,
     ForeignTable,
+    check_count,
     readable,
 )
 from testbed.recordings.importing.readers.parquet_columns import read_column
@@ -70,12 +71,12 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         stamp = np.concatenate([read_column(file, "timestamp") for file in files]).astype(float)
         wanted, time = _chosen(path, topic, episode, stamp, fps)
         names = pq.read_schema(files[0]).names
-        columns = {
-            column: (feature, k)
-            for feature in names
-            if feature in features and feature not in (*COUNTED, "timestamp")
-            for k, column in enumerate(_columns(feature, features[feature]))
-        }
+        columns: dict[str, tuple[str, int]] = {}
+        for feature in names:
+            if feature in features and feature not in (*COUNTED, "timestamp"):
+                own = _columns(feature, features[feature])
+                columns |= {column: (feature, k) for k, column in enumerate(own)}
+                check_count(path, "columns", len(columns), MOST_COLUMNS)
 
     @lru_cache(maxsize=2)
     def values(feature: str) -> Array:
