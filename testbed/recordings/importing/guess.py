@@ -112,6 +112,8 @@ def _with_source(draft: Draft, source: LikelySource, folder: Path, *, needed: bo
     file = os.path.relpath(source.file.resolve(), folder.resolve())
     known = [f"# {source.table.about}"] if source.table.about else []
     known += [f"# {source.logger} names its columns like this"] if source.logger else []
+    rows = max(source.table.lengths.values(), default=0)
+    known += [f"# the last line is incomplete: {rows} rows are read"] if source.table.cut else []
     known += [] if needed else [f"# no signal is of {printable(f'{file} {source.topic or str()}')}"]
     draft = draft.remarking(name, *known, *_listed(source.table))
     keys = [("file", file, ""), ("topic", source.topic, ""), *source.clock.said()]

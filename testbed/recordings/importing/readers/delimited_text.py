@@ -64,7 +64,7 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
     """
     del topic
     with readable(path):
-        lines = _lines(path)
+        lines, ended = _lines(path)
         numbered = [k for k, line in enumerate(lines) if not _comment(line)]
         probes = numbered[len(numbered) // 2 :]
         probes = probes[:: len(probes) // LOOKED_AT + 1]
@@ -89,6 +89,10 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         texts = {names[k]: [field.strip() for field in held[k]] for k in read}
         instants = dict.fromkeys((n for n in texts if any(map(INSTANT.fullmatch, texts[n]))), "us")
         cut = len(_fields(lines[numbered[-1]], separator)) < len(_fields(lines[first], separator))
+        if not ended:  # of numbers with so many digits each, the last may have lost some
+            ends = ["".join(_fields(lines[k], separator)[-1:]) for k in (*probes, numbered[-1])]
+            *digits, last = [len(end.partition(".")[2]) for end in ends]
+            cut |= numbered[-1] not in probes and len({*digits}) == 1 and last < digits[0]
         body = [k for k in numbered[: -1 if cut else None] if k >= first]
         columns = _columns(path, lines, body, separator, {k: names[k] for k in read})
 
@@ -174,16 +178,19 @@ def _counted(texts: list[str], read: NDArray[Any]) -> NDArray[Any]:
         return read
 
 
-def _lines(path: Path, encoding: str = "utf-8-sig") -> list[str]:
-    """Lines of a file, read one by one: few packed bytes can be a line that fills the memory."""
+def _lines(path: Path, encoding: str = "utf-8-sig") -> tuple[list[str], bool]:
+    """Lines of a file, and whether the last one is ended.
+
+    They are read one by one: few packed bytes can be a line that fills the memory.
+    """
     opened: Callable[..., TextIO] = gzip.open if path.suffix.lower() == ".gz" else open
     lines: list[str] = []
-    total = 0
+    total, ended = 0, True
     try:
         with opened(path, "rt", encoding=encoding) as stream:
             while line := stream.readline(LONGEST_LINE + 1):
                 lines.append(line.rstrip("\n"))
-                total += len(line)
+                total, ended = total + len(line), line.endswith("\n")
                 check_count(path, f"characters in line {len(lines)}", len(line), LONGEST_LINE)
                 if "\0" in line:
                     raise ValueError("it is no text")
@@ -193,7 +200,7 @@ def _lines(path: Path, encoding: str = "utf-8-sig") -> list[str]:
         return _lines(path, "latin-1")
     check_count(path, "characters", total, MOST_TEXT)
     check_count(path, "lines", len(lines), MOST_LINES)
-    return lines
+    return lines, ended
 
 
 def _numeric(lines: list[str], separator: str | None, decimal: str) -> float:
