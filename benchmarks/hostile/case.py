@@ -18,7 +18,7 @@ class Case:
     """
 
     words: tuple[str, ...]
-    files: dict[str, bytes] = field(default_factory=dict)
+    files: dict[str, bytes] = field(default_factory=dict, repr=False)
     outputs: tuple[str, ...] = ()
     links: dict[str, str] = field(default_factory=dict)
     named: tuple[str, ...] = ()

@@ -174,7 +174,7 @@ def test_files_that_hold_no_log_and_libraries_that_are_missing_are_named(
         plate.read(["wrench/force/w"])
     monkeypatch.setitem(sys.modules, "rosbags.rosbag1", None)  # as where it is not installed
     with refuses(RecordingError, "rosbags", "[import]"):
-        ros_bag.read_file(tmp_path / "log.bag", "/plate")
+        ros_bag.tables(tmp_path / "log.bag", "/plate")
 
 
 def test_parquet_tables_of_other_programs_hold_numbers_times_truths_and_lists(

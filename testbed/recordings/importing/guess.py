@@ -56,9 +56,6 @@ def guessed(
         RecordingError: One cannot be read, or they hold no columns.
         UnknownName: An ending is that of no known format.
     """
-    for path in paths:
-        if "\0" in str(path) or not path.exists():
-            raise RecordingError(f"there is no file '{path}'")
     sources = likely_sources(paths, len(joints))
     if not sources:
         listed = ", ".join(f"'{path}'" for path in paths)

@@ -1,19 +1,17 @@
-"""Readers of foreign formats: one module a format, each with `read_file(path, topic)`."""
+"""Readers of foreign formats: one module each, with `read_file` or, by topics, `tables`."""
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
-from testbed.errors import WIDTH, RecordingError, UnknownName, few
+from testbed.errors import WIDTH, RecordingError, UnknownName, few, no_file
 from testbed.recordings.importing.foreign_table import (
     ForeignTable,
     Tables,
     check_count,
     readable,
 )
-from testbed.recordings.importing.readers.isolated import read_isolated
+from testbed.recordings.importing.readers.isolated import read_isolated, tables_of
 
 READERS = {
     "delimited_text": (".csv", ".tsv", ".txt", ".dat"),
@@ -46,19 +44,12 @@ def open_foreign(path: Path, topic: str | None = None) -> ForeignTable:
         RecordingError: The file is missing or damaged, or a library is not installed.
         UnknownName: The ending is that of no known format.
     """
-    if "\0" in str(path) or not path.exists():
-        raise RecordingError(f"there is no file '{path}'")
     module = _reader_of(path)
     if topic is not None and module not in PARTED:
         raise RecordingError(f"{path}: `topic` is for bags, MCAP, .rrd and datasets of LeRobot")
-    if topic is None and module in SEVERAL:
-        found = tables(path)
-        if len(found) > 1:
-            raise RecordingError(f"{path}: say `topic`: {few([*found], WIDTH)}")
-    elif module in ISOLATED:
-        found = read_isolated(module, path, topic)
-    else:
-        found = {"": _reader(module).read_file(path, topic)}
+    found = _tables(path, module, topic)
+    if len(found) > 1:
+        raise RecordingError(f"{path}: say `topic`: {few([*found], WIDTH)}")
     (table,) = found.values()
     if isinstance(table, Exception):
         raise table
@@ -75,26 +66,17 @@ def tables(path: Path) -> Tables:
         RecordingError: It is damaged, or a library is not installed.
         UnknownName: The ending is that of no known format.
     """
-    if (module := _reader_of(path)) not in SEVERAL:
-        return {"": open_foreign(path)}
-    found: Tables = (
-        read_isolated(module, path, None, every=True)
-        if module in ISOLATED
-        else _reader(module).tables(path)
-    )
+    return _tables(path, _reader_of(path), None)
+
+
+def _tables(path: Path, module: str, topic: str | None) -> Tables:
+    found = (read_isolated if module in ISOLATED else tables_of)(module, path, topic)
     if not found:
         raise RecordingError(f"{path}: there are no messages or numbers in it")
     return found
 
 
-def _reader(module: str) -> Any:
-    return import_module(f"{__name__}.{module}")  # one of READERS, not the file's word
-
-
-SEVERAL = ("ros_bag", "mcap", "rerun_log")
-"""Modules that give several tables, by topics."""
-
-PARTED = (*SEVERAL, "lerobot")
+PARTED = ("ros_bag", "mcap", "rerun_log", "lerobot")
 """Modules whose files may hold several tables."""
 
 ISOLATED = ("matlab", "hdf5", "ros_bag", "rerun_log")
@@ -118,8 +100,8 @@ def _reader_of(path: Path) -> str:
                 return module
         marks = " or ".join(FOLDERS.values())
         raise RecordingError(f"'{path}' is a folder without {marks}: no dataset and no ROS 2 bag")
-    if not path.is_file():
-        raise RecordingError(f"'{path}' is no file")
+    if "\0" in str(path) or not path.is_file():
+        raise RecordingError(no_file(path, "file"))
     above = path.absolute().parents
     if path.suffix == ".parquet" and len(above) > 2 and (above[2] / FOLDERS["lerobot"]).is_file():
         _check_folder(above[2])

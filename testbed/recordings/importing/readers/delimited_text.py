@@ -33,7 +33,7 @@ from testbed.recordings.importing.foreign_table import (
 )
 from testbed.recordings.importing.written_times import DAY, INSTANT, microseconds
 
-MOST_TEXT, MOST_LINES, LONGEST_LINE = 500_000_000, 10_000_000, 1_000_000
+MOST_TEXT, MOST_LINES, LONGEST_LINE = 500_000_000, 5_000_000, 1_000_000
 """Characters of text, unpacked; its lines, and the characters of one."""
 
 MOST_FIELDS, LOOKED_AT = 200_000, 60

@@ -24,24 +24,42 @@ FIRST_MEMORY, UNPACKED = 1_500_000_000, 50
 """Memory that a small file takes at most [bytes], and bytes for each byte of a larger one."""
 
 
-def read_isolated(module: str, path: Path, topic: str | None, *, every: bool = False) -> Tables:
-    """Tables of a file by topic, read in a child process.
+def tables_of(module: str, path: Path, topic: str | None) -> Tables:
+    """Tables of a file by topic, "" where it is one.
 
     Args:
         module: Of the reader, in this package.
         path: The file or folder.
-        topic: Of one table.
-        every: Whether all tables are read.
+        topic: Of the only table that is wanted; None for all.
 
     Raises:
         RecordingError: It cannot be read.
+        UnknownName: There is no such topic.
+    """
+    reader = import_module(f"{__package__}.{module}")
+    if hasattr(reader, "tables"):
+        found: Tables = reader.tables(path, topic)
+        return found
+    return {"": reader.read_file(path, topic)}
+
+
+def read_isolated(module: str, path: Path, topic: str | None) -> Tables:
+    """The same, read in a child process.
+
+    Args:
+        module: Of the reader, in this package.
+        path: The file or folder.
+        topic: Of the only table that is wanted; None for all.
+
+    Raises:
+        RecordingError: It cannot be read, or there is no such topic.
     """
 
-    def called(topic: str | None, first: str | None, *, every: bool) -> Returned:
+    def called(topic: str | None, first: str | None) -> Returned:
         parts = [each for each in (path, *path.rglob("*")) if each.is_file()]
         size = sum(each.stat().st_size for each in parts)
         return call_in_child(
-            f"{__name__}:read", str(path), module, topic, every, first,
+            f"{__name__}:read", str(path), module, topic, first,
             file=path, error=RecordingError,
             seconds=FIRST_SECONDS + size / BYTES_A_SECOND,
             memory=FIRST_MEMORY + UNPACKED * size,
@@ -51,13 +69,13 @@ def read_isolated(module: str, path: Path, topic: str | None, *, every: bool = F
         def load(name: str) -> NDArray[Any]:
             if (key := topic + name) not in arrays:
                 arrays.clear()
-                arrays.update(called(topic or None, name, every=False)[1])
+                arrays.update(called(topic or None, name)[1])
             return arrays[key]
 
         shapes = {name: tuple(shape) for name, shape in said["shapes"].items()}
         return ForeignTable(path, shapes, load, said["units"])
 
-    found, read = called(topic, None, every=every)
+    found, read = called(topic, None)
     arrays = {**read}
     return {
         name: RecordingError(said) if isinstance(said, str) else table(name, said)
@@ -65,26 +83,23 @@ def read_isolated(module: str, path: Path, topic: str | None, *, every: bool = F
     }
 
 
-def read(file: str, module: str, topic: str | None, every: bool, first: str | None) -> Returned:
+def read(file: str, module: str, topic: str | None, first: str | None) -> Returned:
     """What a file's tables hold, in the child process.
 
     Args:
         file: The file or folder.
         module: Of the reader.
-        topic: Of one table.
-        every: Whether all tables are read.
+        topic: Of the only table that is wanted; None for all.
         first: The array from which on arrays are sent; None for all of them.
 
     Returns:
         Topics, each with a table's shapes and units or why it is refused; and arrays by topic and
         name, as many as `SENT` allows.
     """
-    path, reader = Path(file), import_module(f"{__package__}.{module}")
-    tables: Tables = reader.tables(path) if every else {topic or "": reader.read_file(path, topic)}
+    path, room = Path(file), SENT
     said: list[tuple[str, Any]] = []
     arrays: dict[str, NDArray[Any]] = {}
-    room = SENT
-    for name, table in tables.items():
+    for name, table in tables_of(module, path, topic).items():
         if not isinstance(table, ForeignTable):
             said.append((name, str(table)))
             continue

@@ -19,7 +19,6 @@ from typing import Any
 from testbed.errors import RecordingError, UnknownName
 from testbed.recordings.importing.foreign_table import (
     MOST_NUMBERS,
-    ForeignTable,
     Tables,
     library,
     readable,
@@ -50,36 +49,19 @@ Decoder = Callable[[bytes], Numbers]
 """Numbers of a message by their paths."""
 
 
-def read_file(path: Path, topic: str | None) -> ForeignTable:
-    """Columns of a topic.
+def tables(path: Path, topic: str | None) -> Tables:
+    """Every topic, or one.
 
     Args:
         path: The file.
-        topic: Of its topics.
-
-    Raises:
-        RecordingError: The file is damaged, the topic's messages are of no known encoding or have
-            different fields, or a library is not installed.
-        UnknownName: There is no such topic.
-    """
-    with readable(path):
-        found = _tables(path, topic)[str(topic)]
-    if isinstance(found, Exception):
-        raise found
-    return found
-
-
-def tables(path: Path) -> Tables:
-    """Every topic.
-
-    Args:
-        path: The file.
+        topic: The only one that is wanted; None for all.
 
     Raises:
         RecordingError: The file is damaged, or mcap is not installed.
+        UnknownName: There is no such topic.
     """
     with readable(path):
-        return _tables(path, None)
+        return _tables(path, topic)
 
 
 def _tables(path: Path, wanted: str | None) -> Tables:

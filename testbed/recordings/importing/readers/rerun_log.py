@@ -26,40 +26,26 @@ Stamps = dict[str, NDArray[np.int64]]
 """Times by timeline, (M,) each."""
 
 
-def read_file(path: Path, topic: str | None) -> ForeignTable:
-    """Columns of an entity, and of all that was logged at the same times.
-
-    Args:
-        path: The file.
-        topic: Path of the entity.
-
-    Raises:
-        RecordingError: The file is damaged.
-        UnknownName: There is no such entity.
-    """
-    with readable(path):
-        found = _tables(path)
-    for columns, units in found:
-        if topic in columns:
-            return _table(path, columns, units)
-    known = [name for columns, units in found for name in columns if name not in units]
-    raise UnknownName("entity", str(topic), known)
-
-
-def tables(path: Path) -> Tables:
+def tables(path: Path, topic: str | None) -> Tables:
     """What was logged at the same times, by an entity of it; the largest first.
 
     Args:
         path: The file.
+        topic: An entity whose table alone is wanted; None for all.
 
     Raises:
         RecordingError: It is damaged.
+        UnknownName: There is no such entity.
     """
     with readable(path):
         found = _tables(path)
+    wanted = [each for each in found if topic is None or topic in each[0]]
+    if topic is not None and not wanted:
+        known = [name for columns, units in found for name in columns if name not in units]
+        raise UnknownName("entity", topic, known)
     return {
         next(name for name in columns if name not in units): _table(path, columns, units)
-        for columns, units in found
+        for columns, units in wanted
     }
 
 
