@@ -90,9 +90,10 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         instants = dict.fromkeys((n for n in texts if any(map(INSTANT.fullmatch, texts[n]))), "us")
         cut = len(_fields(lines[numbered[-1]], separator)) < len(_fields(lines[first], separator))
         if not ended:  # of numbers with so many digits each, the last may have lost some
-            ends = ["".join(_fields(lines[k], separator)[-1:]) for k in (*probes, numbered[-1])]
+            others = [k for k in probes if k != numbered[-1]]
+            ends = ["".join(_fields(lines[k], separator)[-1:]) for k in (*others, numbered[-1])]
             *digits, last = [len(end.partition(".")[2]) for end in ends]
-            cut |= numbered[-1] not in probes and len({*digits}) == 1 and last < digits[0]
+            cut |= len({*digits}) == 1 and last < digits[0]
         body = [k for k in numbered[: -1 if cut else None] if k >= first]
         columns = _columns(path, lines, body, separator, {k: names[k] for k in read})
 
