@@ -236,10 +236,8 @@ class ForeignTable:
             if name not in places:
                 raise UnknownName(f"column of '{self.path}'", name, places)
         arrays = dict.fromkeys(places[name][0] for name in wanted)
-        if sum(int(np.prod(self.shapes[array])) for array in arrays) > MOST_NUMBERS:
-            raise RecordingError(
-                f"{self.path}: more than {MOST_NUMBERS:.0e} numbers; cut it into parts"
-            )
+        count = sum(math.prod(self.shapes[array]) for array in arrays)
+        check_count(self.path, "numbers", count, MOST_NUMBERS)
         with readable(self.path):
             loaded = {array: self._loaded(array) for array in arrays}
         return {name: loaded[places[name][0]][places[name][1]] for name in wanted}
@@ -318,7 +316,7 @@ def check_count(path: Path, what: str, count: int, most: int) -> None:
     if count > most:
         raise RecordingError(
             f"{path}: {count} {what}, and an import takes at most {most}: is this a recording? "
-            "Write the signals of the robot alone into a file"
+            "Write the signals of the robot alone into a file, or cut it into parts"
         )
 
 

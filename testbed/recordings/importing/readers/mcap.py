@@ -16,10 +16,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from testbed.errors import RecordingError, UnknownName
+from testbed.errors import UnknownName
 from testbed.recordings.importing.foreign_table import (
     MOST_NUMBERS,
     Tables,
+    check_count,
     library,
     readable,
     refusal,
@@ -89,8 +90,7 @@ def _tables(path: Path, wanted: str | None) -> Tables:
             rows.pop(channel.topic, None)
             continue
         count += len(numbers) + 1
-        if count > MOST_NUMBERS:
-            raise RecordingError(f"{path}: more than {MOST_NUMBERS:.0e} numbers")
+        check_count(path, "numbers", count, MOST_NUMBERS)
     topics = dict.fromkeys(each.topic for each in known["Channel"].values())
     if wanted is not None and wanted not in topics:
         raise UnknownName("topic", wanted, sorted(topics))

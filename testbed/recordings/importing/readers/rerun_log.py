@@ -13,8 +13,14 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from testbed.errors import RecordingError, UnknownName
-from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable, Tables, readable
+from testbed.errors import UnknownName
+from testbed.recordings.importing.foreign_table import (
+    MOST_NUMBERS,
+    ForeignTable,
+    Tables,
+    check_count,
+    readable,
+)
 
 OWN = ("log_time", "log_tick")
 """Timelines that Rerun adds: when something was logged, and how much before it."""
@@ -70,8 +76,7 @@ def _tables(path: Path) -> list[tuple[dict[str, NDArray[Any]], dict[str, str]]]:
             stamps, values = _scalars(batch, units)
             parts.setdefault(chunk.entity_path.lstrip("/"), []).append((stamps, values))
             count += values.size + len(stamps) * len(values)
-            if count > MOST_NUMBERS:
-                raise RecordingError(f"{path}: more than {MOST_NUMBERS:.0e} numbers")
+            check_count(path, "numbers", count, MOST_NUMBERS)
     alike: dict[tuple[Any, ...], dict[str, NDArray[Any]]] = {}
     for name, pieces in parts.items():
         stamps, values = _joined(pieces)

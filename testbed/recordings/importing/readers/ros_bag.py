@@ -20,6 +20,7 @@ from testbed.recordings.importing.foreign_table import (
     MOST_NUMBERS,
     ForeignTable,
     Tables,
+    check_count,
     library,
     readable,
     refusal,
@@ -267,8 +268,8 @@ class Rows:
             self._times |= {name: isinstance(each, Nanoseconds) for name, each in found.items()}
         self._rows.append([found.get(name, math.nan) for name in self._times])
         self._received.append(when)
-        if len(self._rows) * (len(self._times) + 1) > MOST_NUMBERS:
-            raise RecordingError(f"{self.path}: more than {MOST_NUMBERS:.0e} numbers")
+        count = len(self._rows) * (len(self._times) + 1)
+        check_count(self.path, "numbers", count, MOST_NUMBERS)
 
     def table(self) -> ForeignTable:
         """Columns by path, and their times, in the order of these."""
