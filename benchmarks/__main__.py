@@ -226,13 +226,16 @@ def hostile(
     kills: Annotated[int, typer.Option(help="Writers that are killed.")] = 60,
     seed: Annotated[int, typer.Option(help="Of all choices.")] = 0,
     only: Annotated[str, typer.Option(help="Only kinds whose names hold this.")] = "",
+    seconds: Annotated[float, typer.Option(help="Of all inputs; 0 for no limit.")] = 0.0,
 ) -> None:
     """Hostile inputs through the real commands; exit code 1 if one is not treated well."""
     from benchmarks.hostile.inputs import KINDS
     from benchmarks.hostile.kills import kills as killed
     from benchmarks.hostile.program import hostile as tried
 
-    lines = list(_printed(tried(kind, inputs, seed) for kind in KINDS if only in kind))
+    kinds = [kind for kind in KINDS if only in kind]
+    each = seconds / max(len(kinds), 1) or float("inf")
+    lines = list(_printed(tried(kind, inputs, seed, each) for kind in kinds))
     lines += _printed(killed(count, seed) for count in (kills,) if count)
     raise typer.Exit(int(any(line["not treated well"] for line in lines)))
 

@@ -13,8 +13,12 @@ class Case:
         words: The command line, in the case's folder.
         files: What lies there, by name.
         outputs: What the command may leave there.
+        links: What symbolic links there point to, by name; a pipe where that is nothing.
+        named: What a refusal must name.
     """
 
     words: tuple[str, ...]
-    files: dict[str, bytes] = field(default_factory=dict)
+    files: dict[str, bytes] = field(default_factory=dict, repr=False)
     outputs: tuple[str, ...] = ()
+    links: dict[str, str] = field(default_factory=dict)
+    named: tuple[str, ...] = ()

@@ -23,6 +23,7 @@ import testbed as tb
 from benchmarks.hostile.bombs import BOMBS
 from benchmarks.hostile.case import Case
 from benchmarks.hostile.datasets import datasets
+from benchmarks.hostile.logs import logs
 from testbed.recordings.formats.parquet import KEY, write_table
 from tests.helpers.foreign_files import FORMATS, some_log
 from tests.helpers.paths import GOLDEN, ROOT
@@ -329,6 +330,7 @@ KINDS: dict[str, SearchStrategy[Case]] = {
     "recordings": recordings(),
     "foreign": foreign(),
     "datasets": datasets(),
+    "logs": logs(),
     "experiments": experiments(),
     "listings": listings(),
 }

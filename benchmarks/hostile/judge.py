@@ -30,8 +30,9 @@ def complaints(
         found.append("a traceback" if done["code"] == 70 else f"exit code {done['code']}")
     elif done["code"] == 2:
         found += _refusal(done["stderr"])
+        found += [f"{name} is not named" for name in case.named if name not in done["stderr"]]
     found += _words(done)
-    if done["seconds"] > SECONDS:
+    if max(done["seconds"], done["wall"]) > SECONDS:
         found.append(f"more than {SECONDS} s")
     if done["megabytes"] > MEGABYTES:
         found.append(f"more than {MEGABYTES} MB")
@@ -48,7 +49,7 @@ def complaints(
 def _refusal(stderr: str) -> list[str]:
     """Of what is said on standard error where the input is refused."""
     lines = [line for line in stderr.split("\n") if line]
-    notes = [line for line in lines if line.startswith("note: ")]
+    notes = [line for line in lines if line.startswith("note: ") or line.endswith(" ...")]
     if len(lines) - len(notes) != 1 or not lines[-1].startswith(START):
         return [f"{len(lines)} lines of refusal"]
     return [] if lines[-1].removeprefix(START).strip() else ["a refusal without words"]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
@@ -51,6 +54,9 @@ class Worker:
             for file, data in case.files.items():
                 (folder / file).parent.mkdir(parents=True, exist_ok=True)
                 (folder / file).write_bytes(data)
+            for file, target in case.links.items():
+                (folder / file).parent.mkdir(parents=True, exist_ok=True)
+                (folder / file).symlink_to(target) if target else os.mkfifo(folder / file)
             before = _content(folder)
             done = self._run(folder, case.words)
             self.refused += done.get("code") == 2
@@ -89,15 +95,16 @@ class Worker:
             self._process = None
 
 
-def hostile(kind: str, count: int, seed: int) -> dict[str, Any]:
+def hostile(kind: str, count: int, seed: int, seconds: float = math.inf) -> dict[str, Any]:
     """Many inputs of one kind, and the smallest that is not treated well.
 
     Args:
         kind: Of `KINDS`.
         count: How many.
         seed: Of all choices.
+        seconds: After which no further input is tried.
     """
-    met = 0
+    met, said, end = 0, "", time.monotonic() + seconds
     settings = hypothesis.settings(
         max_examples=count, deadline=None, database=None, derandomize=False, print_blob=False,
         suppress_health_check=list(hypothesis.HealthCheck),
@@ -108,16 +115,20 @@ def hostile(kind: str, count: int, seed: int) -> dict[str, Any]:
         @settings
         @hypothesis.given(KINDS[kind])
         def is_treated_well(case: Case) -> None:
-            nonlocal met
+            nonlocal met, said
+            if time.monotonic() > end:
+                return
             met += 1
-            wrong = worker.complaints(case)
-            assert not wrong, f"{wrong}: {' '.join(case.words)} with {case.files}"[:2000]
+            if wrong := worker.complaints(case):
+                said = f"{wrong}: {' '.join(case.words)} with {case.files}"[:2000]
+            assert not wrong
 
-        wrong = ""
         try:
             is_treated_well()
-        except AssertionError as error:
-            wrong = str(error)
+        except (AssertionError, hypothesis.errors.Flaky):  # time on the clock differs each time
+            wrong = said
+        else:
+            wrong = ""
     return {"bench": f"hostile {kind}", "inputs": met, "refused": worker.refused, "seed": seed,
             "not treated well": wrong}  # fmt: skip
 

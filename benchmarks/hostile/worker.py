@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 SECONDS = 20
-"""Of processor time that a command may take."""
+"""Of processor time, and on the clock, that a command may take."""
 MEGABYTES = 1000
 """That it may take above what the loaded libraries do."""
 SHOWN = 100_000

@@ -60,6 +60,7 @@ def write_mapping(
     if out is not None and out.exists():
         raise typer.BadParameter(f"--out {out} is there; a mapping is not replaced")
     folder, found = out.parent if out else Path(), None
+    written = out or folder / "mapping.toml"
     with output.Progress("reading"):
         if model is None:
             draft = guessed(files, folder)
@@ -68,7 +69,7 @@ def write_mapping(
             welded = file.weld_root and not reading.weld_root
     if model is not None:
         with output.Progress("solving the mapping, hypotheses") as bar:
-            found = solve_mapping(draft, out or folder / "mapping.toml", tree, bar)
+            found = solve_mapping(draft, written, tree, bar)
         draft = found.draft
         locked = few([f"{name} at {q:.4g}" for name, q in draft.tables.get("lock", {}).items()])
         said = [diagnose("robot.locked", locked)] if locked else []
@@ -88,7 +89,7 @@ def write_mapping(
     if found is not None and found.refusal is not None:
         named = re.search(r"\[([\w.]+)\] (\w+)", str(found.refusal))
         number = draft.line(f"{named[1]}.{named[2]}") if named else 1
-        reason = str(found.refusal).removeprefix(f"{out}: ")
+        reason = str(found.refusal).removeprefix(f"{written}: ")
         raise RecordingError(f"{out}:{number}: {reason}" if out else reason)
     if out is None:
         return None

@@ -12,7 +12,7 @@ import numpy as np
 from testbed.diagnostics import Diagnostic, of_recording
 from testbed.errors import RecordingError
 from testbed.recordings.columns import COUNTED, check_columns
-from testbed.recordings.importing.convert import converted_pieces
+from testbed.recordings.importing.convert import converted_pieces, naming
 from testbed.recordings.importing.mapping import Mapping, read_mapping
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, counted
@@ -124,8 +124,9 @@ def pieces(
         ExperimentError: The mapping is not understood.
         RecordingError: A file is missing or damaged, or does not hold what the mapping says.
     """
-    found, said = converted_pieces(mapping or read_mapping(path), path.parent)
-    made = [Recording.from_columns(each.columns, each.metadata, str(path)) for each in found]
-    for recording in made:
-        check_columns(recording.columns(), str(path))
+    with naming(path, mapping := mapping or read_mapping(path)):
+        found, said = converted_pieces(mapping, path.parent)
+        made = [Recording.from_columns(each.columns, each.metadata, str(path)) for each in found]
+        for recording in made:
+            check_columns(recording.columns(), str(path))
     return tuple(made), said

@@ -300,11 +300,13 @@ class Recording:
             ExperimentError: The mapping is not understood.
             RecordingError: A file is missing or damaged, or does not hold what the mapping says.
         """
-        from testbed.recordings.importing.convert import imported
+        from testbed.recordings.importing.convert import converted, naming
+        from testbed.recordings.importing.mapping import read_mapping
 
-        found = imported(Path(path))
-        recording = Recording.from_columns(found.columns, found.metadata, str(path))
-        check_columns(recording.columns(), str(path))
+        with naming(path := Path(path), mapping := read_mapping(path)):
+            found = converted(mapping, path.parent)
+            recording = Recording.from_columns(found.columns, found.metadata, str(path))
+            check_columns(recording.columns(), str(path))
         return recording
 
 

@@ -14,7 +14,14 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError
-from testbed.recordings.columns import COUNTED, SIGNALS, check_sampling_time, joints_in, signal_of
+from testbed.recordings.columns import (
+    COUNTED,
+    SIGNALS,
+    check_sampling_time,
+    check_values,
+    joints_in,
+    signal_of,
+)
 from testbed.recordings.formats import open_table
 from testbed.recordings.formats.parquet import write_table
 from testbed.recordings.recording import Recording
@@ -77,10 +84,12 @@ class StoredRecording:
         """Samples `first` to `last` - 1; cheap where parts are asked for in their order.
 
         Raises:
-            RecordingError: The file is damaged there.
+            RecordingError: The file is damaged there, or a value is no measurement.
         """
         columns = self._table.read(self._wanted, first, last)
-        return Recording.from_columns(columns, self._table.metadata, str(self._path))
+        found = Recording.from_columns(columns, self._table.metadata, str(self._path))
+        check_values(columns, str(self._path), first)
+        return found
 
 
 def write_parts(parts: Iterable[Recording], path: Path) -> None:

@@ -210,6 +210,10 @@ def torques_beside(
     return Torques(drives, passes, equations, lift, joints, combined)
 
 
+SILENT = 1e-12
+"""Root mean square of a torque that is none [N m or N]."""
+
+
 def regressions(
     torques: Torques, bodies: Estimate, pick: Pick = all_terms
 ) -> tuple[JointRegression, ...]:
@@ -227,6 +231,12 @@ def regressions(
     picked = {joint: pick(joint, drives, equations) for joint in torques.joints}
     own = {joint: block_diag(1.0, terms) for joint, terms in picked.items()}
     for joint, each in own.items():
+        _, _, squares = equations.of_channel(joint)
+        if not squares > SILENT**2 * equations.used[joint]:
+            raise RecordingError(
+                f"the torque of joint '{equations.channels[joint]}' is zero throughout, which says "
+                "nothing of its drive: record it, or hold the joint (--lock)"
+            )
         if dependent(equations, joint, torques.combined @ each):
             raise RecordingError(
                 f"{int(equations.used[joint])} rows of joint '{equations.channels[joint]}' do not "

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as Table
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, diagnose
-from testbed.errors import RecordingError, plural
+from testbed.errors import WIDTH, RecordingError, UnknownName, few, plural
 from testbed.recordings.columns import members_of
 from testbed.recordings.importing.derivative import derivatives
 from testbed.recordings.importing.encoder_steps import without_turns
@@ -27,7 +28,6 @@ from testbed.recordings.importing.mapping import (
     Mapping,
     SixAxisTable,
     WrenchTable,
-    read_mapping,
 )
 from testbed.recordings.importing.readers import open_foreign
 from testbed.recordings.importing.resampling import (
@@ -113,17 +113,24 @@ class _Samples:
     report: SignalReport
 
 
-def imported(path: Path) -> Imported:
-    """What a mapping file and the files that it names say.
+@contextmanager
+def naming(path: Path, mapping: Mapping) -> Iterator[None]:
+    """Errors of the data in a block, each naming the mapping file and the data file.
 
     Args:
-        path: The mapping file; files are relative to it.
-
-    Raises:
-        ExperimentError: The mapping is not understood.
-        RecordingError: A file is missing or damaged, has no such columns, or its clock is none.
+        path: The mapping file.
+        mapping: What it says.
     """
-    return converted(read_mapping(path), path.parent)
+    try:
+        yield
+    except (RecordingError, UnknownName) as error:
+        said = str(error).removeprefix(f"{path}: ")
+        files = {name: source.file for name, source in mapping.sources.items()}
+        if not any(file in said for file in files.values()):
+            own = [file for name, file in files.items() if f"sources.{name}:" in said]
+            said = f"{few(own or [*files.values()], WIDTH)}: {said}"
+        error.args = (f"{path}: {said}",)
+        raise
 
 
 def converted(mapping: Mapping, folder: Path) -> Imported:

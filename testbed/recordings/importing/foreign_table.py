@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -140,7 +141,7 @@ MOST_NUMBERS = 100_000_000
 """That are held in memory at once: an import is made in memory."""
 
 MOST_COLUMNS = 10_000
-"""Of one array: what has more is a picture, or no table of samples."""
+"""Of a table, and of each of its arrays: what has more is no table of samples."""
 
 NUMBERS = "fiub"
 """Kinds of NumPy's types that are real numbers."""
@@ -188,19 +189,27 @@ class ForeignTable:
     about: str = ""
     plates: Sequence[StatedPlate] = ()
 
+    def __post_init__(self) -> None:
+        """Refuse a table of more than `MOST_COLUMNS`.
+
+        Raises:
+            RecordingError: It has more.
+        """
+        check_count(self.path, "columns", sum(map(_width, self.shapes.values())), MOST_COLUMNS)
+
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of all columns."""
-        return tuple(self._places())
+        return tuple(self._places)
 
-    @property
+    @cached_property
     def lengths(self) -> dict[str, int]:
         """Number of samples of every column, by name."""
-        return {name: max(self.shapes[array]) for name, (array, _) in self._places().items()}
+        return {name: max(self.shapes[array]) for name, (array, _) in self._places.items()}
 
     def unit(self, column: str) -> str | None:
         """What the file says of a column's unit; None if nothing."""
-        array = self._places()[column][0]
+        array = self._places[column][0]
         return self.units.get(column, self.units.get(array))
 
     def read(self, columns: Iterable[str]) -> dict[str, Array]:
@@ -217,7 +226,7 @@ class ForeignTable:
 
     def _rows(self, columns: Iterable[str]) -> dict[str, NDArray[Any]]:
         """Rows of the given columns, (M, k)."""
-        places, wanted = self._places(), list(columns)
+        places, wanted = self._places, list(columns)
         for name in wanted:
             if name not in places and len(places) == 1:
                 raise RecordingError(
@@ -227,10 +236,8 @@ class ForeignTable:
             if name not in places:
                 raise UnknownName(f"column of '{self.path}'", name, places)
         arrays = dict.fromkeys(places[name][0] for name in wanted)
-        if sum(int(np.prod(self.shapes[array])) for array in arrays) > MOST_NUMBERS:
-            raise RecordingError(
-                f"{self.path}: more than {MOST_NUMBERS:.0e} numbers; cut it into parts"
-            )
+        count = sum(math.prod(self.shapes[array]) for array in arrays)
+        check_count(self.path, "numbers", count, MOST_NUMBERS)
         with readable(self.path):
             loaded = {array: self._loaded(array) for array in arrays}
         return {name: loaded[places[name][0]][places[name][1]] for name in wanted}
@@ -262,12 +269,12 @@ class ForeignTable:
             found = found.T
         return found
 
+    @cached_property
     def _places(self) -> dict[str, tuple[str, int]]:
         """Array and row among its columns, by the column's name."""
         found = {}
         for name, shape in self.shapes.items():
-            count = min(shape) if len(shape) == 2 else 1
-            if count == 1:
+            if (count := _width(shape)) == 1:
                 found[name] = (name, 0)
             else:
                 found |= {f"{name}[{k}]": (name, k) for k in range(count)}
@@ -285,9 +292,47 @@ def is_column(shape: tuple[int, ...], kind: str) -> bool:
         shape: Of the array.
         kind: Of its type, as NumPy says it.
     """
-    columns = min(shape, default=0) if len(shape) == 2 else 1
-    fits = 1 <= len(shape) <= 2 and 1 <= columns <= MOST_COLUMNS
+    fits = 1 <= len(shape) <= 2 and 1 <= _width(shape) <= MOST_COLUMNS
     return kind in NUMBERS and fits and max(shape) > 1
+
+
+def _width(shape: tuple[int, ...]) -> int:
+    """Number of columns of an array; the longer axis is that of the samples."""
+    return min(shape) if len(shape) == 2 else 1
+
+
+def check_count(path: Path, what: str, count: int, most: int) -> None:
+    """Refuse a file that holds more than an import takes.
+
+    Args:
+        path: The file or folder.
+        what: Is counted: columns, lines.
+        count: Found.
+        most: Taken.
+
+    Raises:
+        RecordingError: There are more.
+    """
+    if count > most:
+        raise RecordingError(
+            f"{path}: {count} {what}, and an import takes at most {most}: is this a recording? "
+            "Write the signals of the robot alone into a file, or cut it into parts"
+        )
+
+
+def each_once(names: Iterable[str]) -> list[str]:
+    """Names in their order, the second of a kind with its place behind it.
+
+    Args:
+        names: Of columns.
+    """
+    found: dict[str, None] = {}
+    for k, given in enumerate(names):
+        name = given
+        while name in found:
+            name += f" ({k})"
+        found[name] = None
+    return [*found]
 
 
 @contextmanager

@@ -56,9 +56,6 @@ def guessed(
         RecordingError: One cannot be read, or they hold no columns.
         UnknownName: An ending is that of no known format.
     """
-    for path in paths:
-        if "\0" in str(path) or not path.exists():
-            raise RecordingError(f"there is no file '{path}'")
     sources = likely_sources(paths, len(joints))
     if not sources:
         listed = ", ".join(f"'{path}'" for path in paths)
@@ -112,6 +109,8 @@ def _with_source(draft: Draft, source: LikelySource, folder: Path, *, needed: bo
     file = os.path.relpath(source.file.resolve(), folder.resolve())
     known = [f"# {source.table.about}"] if source.table.about else []
     known += [f"# {source.logger} names its columns like this"] if source.logger else []
+    rows = max(source.table.lengths.values(), default=0)
+    known += [f"# the last line is incomplete: {rows} rows are read"] if source.table.cut else []
     known += [] if needed else [f"# no signal is of {printable(f'{file} {source.topic or str()}')}"]
     draft = draft.remarking(name, *known, *_listed(source.table))
     keys = [("file", file, ""), ("topic", source.topic, ""), *source.clock.said()]

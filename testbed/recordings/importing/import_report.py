@@ -199,7 +199,7 @@ class ImportReport:
     def _of_clocks(self) -> Iterator[Diagnostic]:
         for name, clock in self.clocks.items():
             if clock.cut:
-                yield diagnose("import.incomplete", name)
+                yield diagnose("import.incomplete", name, clock.samples)
             if clock.jitter > JITTER:
                 advice = (
                     f"say `steady = true` in [sources.{name}] if the device samples at a constant "

@@ -280,8 +280,8 @@ def _signal(
     """Signal of a group of columns, in the order of the joints or of the signals before."""
     kept = group.of(joints)
     kept = kept.like(next(iter(found.values())).group.names) if found else kept
-    kind = kept.columns[0].kind
-    others = [c.name for c in source.columns if kind and _is(c, kind) and c not in kept.columns]
+    kind, taken = kept.columns[0].kind, set(kept.columns)
+    others = [c.name for c in source.columns if kind and _is(c, kind) and c not in taken]
     return LikelySignal(source, kept, tuple(others), tuple(c.unit for c in kept.columns))
 
 

@@ -94,7 +94,7 @@ class Times:
             return Times.of(np.asarray(stamps * TIMES[unit], dtype=np.float64), "s")
         minute = round(MINUTE / TIMES[unit])  # of these units
         first = stamps[np.isfinite(stamps)][:1]
-        minutes = int(first[0] // minute) if len(first) else 0
+        minutes = int(first[0] / minute) if len(first) else 0  # never beyond the counters' range
         since = np.asarray(stamps - minutes * minute, dtype=np.float64)
         return Times(MINUTE * minutes, since * TIMES[unit])
 

@@ -1,13 +1,17 @@
-"""Readers of foreign formats: one module a format, each with `read_file(path, topic)`."""
+"""Readers of foreign formats: one module each, with `read_file` or, by topics, `tables`."""
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
-from testbed.errors import RecordingError, UnknownName
-from testbed.recordings.importing.foreign_table import ForeignTable, Tables
+from testbed.errors import WIDTH, RecordingError, UnknownName, few, no_file
+from testbed.recordings.importing.foreign_table import (
+    ForeignTable,
+    Tables,
+    check_count,
+    readable,
+)
+from testbed.recordings.importing.readers.isolated import read_isolated, tables_of
 
 READERS = {
     "delimited_text": (".csv", ".tsv", ".txt", ".dat"),
@@ -40,17 +44,15 @@ def open_foreign(path: Path, topic: str | None = None) -> ForeignTable:
         RecordingError: The file is missing or damaged, or a library is not installed.
         UnknownName: The ending is that of no known format.
     """
-    if "\0" in str(path) or not path.exists():
-        raise RecordingError(f"there is no file '{path}'")
     module = _reader_of(path)
     if topic is not None and module not in PARTED:
         raise RecordingError(f"{path}: `topic` is for bags, MCAP, .rrd and datasets of LeRobot")
-    if topic is None and hasattr(_reader(path), "tables"):
-        (found, *others) = tables(path).items()
-        if others:
-            raise RecordingError(f"{path}: say `topic`: {', '.join((found[0], *dict(others)))}")
-        topic = found[0]
-    table: ForeignTable = _reader(path).read_file(path, topic)
+    found = _tables(path, module, topic)
+    if len(found) > 1:
+        raise RecordingError(f"{path}: say `topic`: {few([*found], WIDTH)}")
+    (table,) = found.values()
+    if isinstance(table, Exception):
+        raise table
     return table
 
 
@@ -64,21 +66,24 @@ def tables(path: Path) -> Tables:
         RecordingError: It is damaged, or a library is not installed.
         UnknownName: The ending is that of no known format.
     """
-    reader = _reader(path)
-    if not hasattr(reader, "tables"):
-        return {"": open_foreign(path)}
-    found: Tables = reader.tables(path)
+    return _tables(path, _reader_of(path), None)
+
+
+def _tables(path: Path, module: str, topic: str | None) -> Tables:
+    found = (read_isolated if module in ISOLATED else tables_of)(module, path, topic)
     if not found:
         raise RecordingError(f"{path}: there are no messages or numbers in it")
     return found
 
 
-def _reader(path: Path) -> Any:
-    return import_module(f"{__name__}.{_reader_of(path)}")  # one of READERS, not the file's word
-
-
 PARTED = ("ros_bag", "mcap", "rerun_log", "lerobot")
 """Modules whose files may hold several tables."""
+
+ISOLATED = ("matlab", "hdf5", "ros_bag", "rerun_log")
+"""Modules whose libraries a damaged file can crash or flood."""
+
+MOST_FILES = 100_000
+"""Of a folder."""
 
 
 def _reader_of(path: Path) -> str:
@@ -91,13 +96,15 @@ def _reader_of(path: Path) -> str:
     if path.is_dir():
         for module, mark in FOLDERS.items():
             if (path / mark).is_file():
+                _check_folder(path)
                 return module
         marks = " or ".join(FOLDERS.values())
         raise RecordingError(f"'{path}' is a folder without {marks}: no dataset and no ROS 2 bag")
-    if not path.is_file():
-        raise RecordingError(f"'{path}' is no file")
+    if "\0" in str(path) or not path.is_file():
+        raise RecordingError(no_file(path, "file"))
     above = path.absolute().parents
     if path.suffix == ".parquet" and len(above) > 2 and (above[2] / FOLDERS["lerobot"]).is_file():
+        _check_folder(above[2])
         return "lerobot"  # a file of a dataset
     name = path.name.lower().removesuffix(".gz")
     ending = Path(name).suffix
@@ -105,3 +112,21 @@ def _reader_of(path: Path) -> str:
     if ending not in ENDINGS or (packed and ENDINGS[ending] != "delimited_text"):
         raise UnknownName("format", "".join(path.suffixes[-2:]) or path.name, ENDINGS)
     return ENDINGS[ending]
+
+
+def _check_folder(path: Path) -> None:
+    """Refuse a folder in which a reader could wait, or leave the folder.
+
+    Raises:
+        RecordingError: A pipe, a device or a link to elsewhere is in it, or too many files are.
+    """
+    with readable(path):
+        for count, each in enumerate(path.rglob("*"), start=1):
+            check_count(path, "files", count, MOST_FILES)
+            linked = each.is_symlink() and not each.resolve().is_relative_to(path.resolve())
+            if linked or not (each.is_file() or each.is_dir()):
+                kind = "a link out of the folder" if linked else "a pipe, device or broken link"
+                raise RecordingError(
+                    f"{path}: '{each.relative_to(path)}' is {kind}, which is not read; put the "
+                    "file itself there, or remove it"
+                )

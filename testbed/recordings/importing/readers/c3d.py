@@ -22,9 +22,12 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.recordings.importing.foreign_table import (
     LENGTHS,
+    MOST_COLUMNS,
     MOST_NUMBERS,
     ForeignTable,
     StatedPlate,
+    check_count,
+    each_once,
     plain,
     readable,
 )
@@ -62,6 +65,7 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
             raise RecordingError(f"{path}: no C3D file")
         said, order = _parameters(data)
         points, analog, rates, missing = _frames(data, said, order)
+        check_count(path, "columns", 3 * points.shape[1] + analog.shape[1], MOST_COLUMNS)
         channels = _analog(analog, said)
         columns = _points(points, said, missing) | channels
         plates = []
@@ -221,11 +225,7 @@ def _analog(analog: Array, said: Parameters) -> dict[str, Array]:
 def _labels(kind: str, said: Parameters, count: int) -> list[str]:
     """A name for each channel or point, each once."""
     given = _texts(kind, "LABELS", said)
-    names: list[str] = []
-    for k in range(count):
-        name = given[k] if k < len(given) and given[k] else str(k)
-        names.append(name if name not in names else f"{name} ({k})")
-    return names
+    return each_once(given[k] if k < len(given) and given[k] else str(k) for k in range(count))
 
 
 def _units(kind: str, said: Parameters) -> dict[str, str]:

@@ -15,24 +15,32 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError
-from testbed.recordings.importing.foreign_table import KNOWN, ForeignTable, plain, readable
+from testbed.recordings.importing.foreign_table import (
+    KNOWN,
+    MOST_COLUMNS,
+    ForeignTable,
+    check_count,
+    each_once,
+    plain,
+    readable,
+)
 from testbed.recordings.importing.written_times import DAY, INSTANT, microseconds
 
-MOST_TEXT = 500_000_000
-"""Bytes of text, unpacked."""
+MOST_TEXT, MOST_LINES, LONGEST_LINE = 500_000_000, 5_000_000, 1_000_000
+"""Characters of text, unpacked; its lines, and the characters of one."""
+
+MOST_FIELDS, LOOKED_AT = 200_000, 60
+"""Fields and lines by which a table's style is known."""
 
 LONGEST_PREAMBLE = 1000
 """Lines before the first one of numbers."""
-
-LOOKED_AT = 60
-"""Lines by which a table's style is known."""
 
 WHOLE = 2.0**53
 """From here on floating-point numbers leave out whole ones."""
@@ -56,10 +64,13 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
     """
     del topic
     with readable(path):
-        lines = _text(path).splitlines()
+        lines, ended = _lines(path)
         numbered = [k for k, line in enumerate(lines) if not _comment(line)]
         probes = numbered[len(numbered) // 2 :]
         probes = probes[:: len(probes) // LOOKED_AT + 1]
+        fields = 1 + max((lines[k].count(mark) for k in probes for mark in ";\t,"), default=0)
+        check_count(path, "fields in a line", fields, 2 * MOST_COLUMNS)  # 1,5;2,5 has more commas
+        probes = probes[: max(1, MOST_FIELDS // fields)]
         separator, decimal = max(
             STYLES, key=lambda style: _numeric([lines[k] for k in probes], *style)
         )
@@ -78,6 +89,11 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         texts = {names[k]: [field.strip() for field in held[k]] for k in read}
         instants = dict.fromkeys((n for n in texts if any(map(INSTANT.fullmatch, texts[n]))), "us")
         cut = len(_fields(lines[numbered[-1]], separator)) < len(_fields(lines[first], separator))
+        if not ended:  # of numbers with so many digits each, the last may have lost some
+            others = [k for k in probes if k != numbered[-1]]
+            ends = ["".join(_fields(lines[k], separator)[-1:]) for k in (*others, numbered[-1])]
+            *digits, last = [len(end.partition(".")[2]) for end in ends]
+            cut |= len({*digits}) == 1 and last < digits[0]
         body = [k for k in numbered[: -1 if cut else None] if k >= first]
         columns = _columns(path, lines, body, separator, {k: names[k] for k in read})
 
@@ -132,25 +148,30 @@ def _columns(
     try:
         read = table()
     except ValueError:
+        last = max(names)
         for k in body:
-            if (count := len(_fields(lines[k], separator))) <= max(names):
-                said = f"line {k + 1} ends after {count} of {max(names) + 1} fields"
+            if (count := len(_fields(lines[k], separator))) <= last:
+                said = f"line {k + 1} ends after {count} of {last + 1} fields"
                 raise RecordingError(f"{path}: {said}") from None
         read = table(converters={k: reader(k) for k in names}, encoding="utf-8")
-    found: dict[str, NDArray[Any] | RecordingError] = {}
-    for column, (k, name) in zip(read.T, names.items(), strict=True):
-        found[name] = column
-        if k in odd:
-            line = next(
-                n for n in body if _fields(lines[n], separator)[k].strip() == odd[k].strip()
-            )
-            found[name] = RecordingError(f"{path}: line {line + 1}: '{name}' is '{odd[k].strip()}'")
-        elif np.nanmax(np.abs(column), initial=0) >= WHOLE:
-            found[name] = _counted([_fields(lines[n], separator)[k] for n in body], column)
+    found: dict[str, NDArray[Any] | RecordingError] = dict(zip(names.values(), read.T, strict=True))
+    large = np.nanmax(np.abs(read), axis=0, initial=0) >= WHOLE
+    counted = {k: list[str]() for k, each in zip(names, large, strict=True) if each}
+    for n in body if counted or odd else ():
+        fields = _fields(lines[n], separator)
+        for k, texts in counted.items():
+            texts.append(fields[k])
+        for k in [k for k, text in odd.items() if text.strip() == fields[k].strip()]:
+            said = f"line {n + 1}: '{names[k]}' is '{odd.pop(k).strip()}'"
+            found[names[k]] = RecordingError(f"{path}: {said}")
+    found |= {names[k]: RecordingError(f"{path}: '{names[k]}': '{odd[k]}'") for k in odd}
+    for k, texts in counted.items():
+        if not isinstance(column := found[names[k]], RecordingError):
+            found[names[k]] = _counted(texts, column)
     return found
 
 
-def _counted(texts: list[str], read: Array) -> NDArray[Any]:
+def _counted(texts: list[str], read: NDArray[Any]) -> NDArray[Any]:
     """A column of numbers so large that floating-point ones have not all their digits."""
     try:
         return np.array([int(text) for text in texts], dtype=np.int64)
@@ -158,19 +179,29 @@ def _counted(texts: list[str], read: Array) -> NDArray[Any]:
         return read
 
 
-def _text(path: Path) -> str:
-    """What stands in a file."""
-    opened = gzip.open if path.suffix.lower() == ".gz" else open
-    with opened(path, "rb") as stream:
-        data = stream.read(MOST_TEXT + 1)
-    if len(data) > MOST_TEXT:
-        raise ValueError(f"it has more than {MOST_TEXT:.0e} bytes of text")
-    if b"\0" in data:
-        raise ValueError("it is no text")
+def _lines(path: Path, encoding: str = "utf-8-sig") -> tuple[list[str], bool]:
+    """Lines of a file, and whether the last one is ended.
+
+    They are read one by one: few packed bytes can be a line that fills the memory.
+    """
+    opened: Callable[..., TextIO] = gzip.open if path.suffix.lower() == ".gz" else open
+    lines: list[str] = []
+    total, ended = 0, True
     try:
-        return data.decode("utf-8-sig")
+        with opened(path, "rt", encoding=encoding) as stream:
+            while line := stream.readline(LONGEST_LINE + 1):
+                lines.append(line.rstrip("\n"))
+                total, ended = total + len(line), line.endswith("\n")
+                check_count(path, f"characters in line {len(lines)}", len(line), LONGEST_LINE)
+                if "\0" in line:
+                    raise ValueError("it is no text")
+                if total > MOST_TEXT or len(lines) > MOST_LINES:
+                    break
     except UnicodeDecodeError:
-        return data.decode("latin-1")
+        return _lines(path, "latin-1")
+    check_count(path, "characters", total, MOST_TEXT)
+    check_count(path, "lines", len(lines), MOST_LINES)
+    return lines, ended
 
 
 def _numeric(lines: list[str], separator: str | None, decimal: str) -> float:
@@ -213,10 +244,7 @@ def _head(above: list[list[str]], width: int) -> tuple[list[str], dict[str, str]
     units = [fields for fields in stated if _are_units(fields)]
     others = [fields for fields in stated if fields not in units]
     given = (others or units or [[]])[-1]
-    names: list[str] = []
-    for k in range(width):
-        name = (given[k] if k < len(given) else "") or str(k)
-        names.append(name if name not in names else f"{name} ({k})")
+    names = each_once((given[k] if k < len(given) else "") or str(k) for k in range(width))
     said = zip(names, units[-1] if units and others else [], strict=False)
     return names, {name: unit for name, text in said if (unit := _unit(text))}
 

@@ -25,6 +25,7 @@ from testbed.recordings.importing.foreign_table import (
     MOST_COLUMNS,
     MOST_NUMBERS,
     ForeignTable,
+    check_count,
     readable,
 )
 from testbed.recordings.importing.readers.parquet_columns import read_column
@@ -32,8 +33,8 @@ from testbed.recordings.importing.readers.parquet_columns import read_column
 VERSIONS = ("v2", "v3")
 """Beginnings of the formats' versions that are known."""
 
-LONGEST_INFO, MOST_FILES = 10_000_000, 100_000
-"""Bytes of `meta/info.json`; files of a dataset."""
+LONGEST_INFO = 10_000_000
+"""Bytes of `meta/info.json`."""
 
 SILENCE, SILENT_FRAMES = 1.0, 10.0
 """Between episodes [s], or so many frames if that is more."""
@@ -57,8 +58,8 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         features, fps = _info(path if path.is_dir() else path.absolute().parents[2])
         found = (path / "data").rglob("*.parquet") if path.is_dir() else [path]
         files = sorted(each for each in found if each.is_file())
-        if not files or len(files) > MOST_FILES:
-            raise RecordingError(f"{path}: {len(files)} Parquet files in its folder 'data'")
+        if not files:
+            raise RecordingError(f"{path}: there is no Parquet file in its folder 'data'")
         if sum(pq.read_metadata(file).num_rows for file in files) > MOST_NUMBERS:
             raise RecordingError(
                 f"{path}: more than {MOST_NUMBERS:.0e} rows; name an episode's file"
@@ -70,12 +71,12 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         stamp = np.concatenate([read_column(file, "timestamp") for file in files]).astype(float)
         wanted, time = _chosen(path, topic, episode, stamp, fps)
         names = pq.read_schema(files[0]).names
-        columns = {
-            column: (feature, k)
-            for feature in names
-            if feature in features and feature not in (*COUNTED, "timestamp")
-            for k, column in enumerate(_columns(feature, features[feature]))
-        }
+        columns: dict[str, tuple[str, int]] = {}
+        for feature in names:
+            if feature in features and feature not in (*COUNTED, "timestamp"):
+                own = _columns(feature, features[feature])
+                columns |= {column: (feature, k) for k, column in enumerate(own)}
+                check_count(path, "columns", len(columns), MOST_COLUMNS)
 
     @lru_cache(maxsize=2)
     def values(feature: str) -> Array:

@@ -5,8 +5,6 @@ Fields of structs are named by their path, as log/q[0].
 
 from __future__ import annotations
 
-import struct
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +14,8 @@ from testbed.errors import RecordingError
 from testbed.recordings.importing.foreign_table import ForeignTable, is_column, readable
 from testbed.recordings.importing.readers import hdf5
 
-MOST_BYTES = 800_000_000
-"""Of a file's content, unpacked."""
-
-HEADER, PACKED = 128, 15
-"""Bytes before the first element; the kind of an element that is packed."""
+HEADER = 128
+"""Bytes before the first element."""
 
 
 def read_file(path: Path, topic: str | None) -> ForeignTable:
@@ -40,7 +35,6 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
             return hdf5.read_file(path, topic)
         if not head.startswith(b"MATLAB 5.0"):
             raise RecordingError(f"{path}: no MATLAB file of version 5 or 7.3")
-        _check_size(path)
         from scipy.io import loadmat
 
         found = _nested(loadmat(path, simplify_cells=True, verify_compressed_data_integrity=True))
@@ -59,31 +53,3 @@ def _nested(content: dict[str, Any], before: str = "") -> dict[str, np.ndarray[A
         elif isinstance(value, np.ndarray) and not name.startswith("__"):
             found[before + name] = value
     return found
-
-
-def _check_size(path: Path) -> None:
-    """Whether what is packed in a file would fit into memory.
-
-    Raises:
-        RecordingError: It would not.
-    """
-    size = path.stat().st_size
-    with path.open("rb") as stream:
-        order = "<" if stream.read(HEADER)[-2:] == b"IM" else ">"
-        total, place = 0, HEADER
-        while place + 8 <= size:
-            stream.seek(place)
-            kind, length = struct.unpack(f"{order}II", stream.read(8))
-            total += _unpacked(stream.read(length)) if kind == PACKED else length
-            place += 8 + length
-            if total > MOST_BYTES:
-                raise RecordingError(f"{path}: more than {MOST_BYTES:.0e} bytes, unpacked")
-
-
-def _unpacked(data: bytes) -> int:
-    """How many bytes packed data are; the count stops soon after `MOST_BYTES`."""
-    unpacker, total, rest = zlib.decompressobj(), 0, data
-    while rest and not unpacker.eof and total <= MOST_BYTES:
-        total += len(unpacker.decompress(rest, 1_000_000))
-        rest = unpacker.unconsumed_tail
-    return total

@@ -16,11 +16,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from testbed.errors import RecordingError, UnknownName
+from testbed.errors import UnknownName
 from testbed.recordings.importing.foreign_table import (
     MOST_NUMBERS,
-    ForeignTable,
     Tables,
+    check_count,
     library,
     readable,
     refusal,
@@ -50,36 +50,19 @@ Decoder = Callable[[bytes], Numbers]
 """Numbers of a message by their paths."""
 
 
-def read_file(path: Path, topic: str | None) -> ForeignTable:
-    """Columns of a topic.
+def tables(path: Path, topic: str | None) -> Tables:
+    """Every topic, or one.
 
     Args:
         path: The file.
-        topic: Of its topics.
-
-    Raises:
-        RecordingError: The file is damaged, the topic's messages are of no known encoding or have
-            different fields, or a library is not installed.
-        UnknownName: There is no such topic.
-    """
-    with readable(path):
-        found = _tables(path, topic)[str(topic)]
-    if isinstance(found, Exception):
-        raise found
-    return found
-
-
-def tables(path: Path) -> Tables:
-    """Every topic.
-
-    Args:
-        path: The file.
+        topic: The only one that is wanted; None for all.
 
     Raises:
         RecordingError: The file is damaged, or mcap is not installed.
+        UnknownName: There is no such topic.
     """
     with readable(path):
-        return _tables(path, None)
+        return _tables(path, topic)
 
 
 def _tables(path: Path, wanted: str | None) -> Tables:
@@ -107,8 +90,7 @@ def _tables(path: Path, wanted: str | None) -> Tables:
             rows.pop(channel.topic, None)
             continue
         count += len(numbers) + 1
-        if count > MOST_NUMBERS:
-            raise RecordingError(f"{path}: more than {MOST_NUMBERS:.0e} numbers")
+        check_count(path, "numbers", count, MOST_NUMBERS)
     topics = dict.fromkeys(each.topic for each in known["Channel"].values())
     if wanted is not None and wanted not in topics:
         raise UnknownName("topic", wanted, sorted(topics))

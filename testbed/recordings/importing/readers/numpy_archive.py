@@ -9,7 +9,11 @@ from typing import IO, Any
 import numpy as np
 
 from testbed.errors import RecordingError
-from testbed.recordings.importing.foreign_table import ForeignTable, is_column, readable
+from testbed.recordings.importing.foreign_table import (
+    ForeignTable,
+    is_column,
+    readable,
+)
 
 LONGEST_HEADER = 10_000
 """Bytes of the words before an array's numbers."""
@@ -31,24 +35,23 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
             with path.open("rb") as stream:
                 found = {"array": _header(stream, path.stat().st_size)}
             return _table(path, found, lambda name: np.load(path, allow_pickle=False))
-        with zipfile.ZipFile(path) as archive:
-            found = {}
-            for member in archive.infolist():
-                if member.filename.endswith(".npy"):
-                    with archive.open(member) as stream:
-                        name = member.filename.removesuffix(".npy")
-                        found[name] = _header(stream, member.file_size)
-    return _table(path, found, lambda name: _member(path, name))
+        archive, found = zipfile.ZipFile(path), {}  # stays open: some have thousands of members
+        for member in archive.infolist():
+            if member.filename.endswith(".npy"):
+                with archive.open(member) as inside:
+                    name = member.filename.removesuffix(".npy")
+                    found[name] = _header(inside, member.file_size)
+
+    def load(name: str) -> Any:
+        with archive.open(f"{name}.npy") as stream:
+            return np.lib.format.read_array(stream, allow_pickle=False)
+
+    return _table(path, found, load)
 
 
 def _table(path: Path, found: dict[str, tuple[tuple[int, ...], str]], load: Any) -> ForeignTable:
     shapes = {name: shape for name, (shape, kind) in found.items() if is_column(shape, kind)}
     return ForeignTable(path, shapes, load)
-
-
-def _member(path: Path, name: str) -> Any:
-    with np.load(path, allow_pickle=False) as archive:
-        return archive[name]
 
 
 def _header(stream: IO[bytes], size: int) -> tuple[tuple[int, ...], str]:

@@ -13,8 +13,14 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from testbed.errors import RecordingError, UnknownName
-from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable, Tables, readable
+from testbed.errors import UnknownName
+from testbed.recordings.importing.foreign_table import (
+    MOST_NUMBERS,
+    ForeignTable,
+    Tables,
+    check_count,
+    readable,
+)
 
 OWN = ("log_time", "log_tick")
 """Timelines that Rerun adds: when something was logged, and how much before it."""
@@ -26,40 +32,26 @@ Stamps = dict[str, NDArray[np.int64]]
 """Times by timeline, (M,) each."""
 
 
-def read_file(path: Path, topic: str | None) -> ForeignTable:
-    """Columns of an entity, and of all that was logged at the same times.
-
-    Args:
-        path: The file.
-        topic: Path of the entity.
-
-    Raises:
-        RecordingError: The file is damaged.
-        UnknownName: There is no such entity.
-    """
-    with readable(path):
-        found = _tables(path)
-    for columns, units in found:
-        if topic in columns:
-            return _table(path, columns, units)
-    known = [name for columns, units in found for name in columns if name not in units]
-    raise UnknownName("entity", str(topic), known)
-
-
-def tables(path: Path) -> Tables:
+def tables(path: Path, topic: str | None) -> Tables:
     """What was logged at the same times, by an entity of it; the largest first.
 
     Args:
         path: The file.
+        topic: An entity whose table alone is wanted; None for all.
 
     Raises:
         RecordingError: It is damaged.
+        UnknownName: There is no such entity.
     """
     with readable(path):
         found = _tables(path)
+    wanted = [each for each in found if topic is None or topic in each[0]]
+    if topic is not None and not wanted:
+        known = [name for columns, units in found for name in columns if name not in units]
+        raise UnknownName("entity", topic, known)
     return {
         next(name for name in columns if name not in units): _table(path, columns, units)
-        for columns, units in found
+        for columns, units in wanted
     }
 
 
@@ -84,8 +76,7 @@ def _tables(path: Path) -> list[tuple[dict[str, NDArray[Any]], dict[str, str]]]:
             stamps, values = _scalars(batch, units)
             parts.setdefault(chunk.entity_path.lstrip("/"), []).append((stamps, values))
             count += values.size + len(stamps) * len(values)
-            if count > MOST_NUMBERS:
-                raise RecordingError(f"{path}: more than {MOST_NUMBERS:.0e} numbers")
+            check_count(path, "numbers", count, MOST_NUMBERS)
     alike: dict[tuple[Any, ...], dict[str, NDArray[Any]]] = {}
     for name, pieces in parts.items():
         stamps, values = _joined(pieces)

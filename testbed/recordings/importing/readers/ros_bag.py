@@ -20,6 +20,7 @@ from testbed.recordings.importing.foreign_table import (
     MOST_NUMBERS,
     ForeignTable,
     Tables,
+    check_count,
     library,
     readable,
     refusal,
@@ -179,41 +180,27 @@ STAMP = "header/stamp"
 """Where messages say when it was."""
 
 
-def read_file(path: Path, topic: str | None) -> ForeignTable:
-    """Columns of a topic.
+def tables(path: Path, topic: str | None) -> Tables:
+    """Every topic of a bag, or one.
 
     Args:
         path: The bag.
-        topic: Of its topics.
-
-    Raises:
-        RecordingError: The bag is damaged, the topic's messages have different fields, or
-            rosbags is not installed.
-        UnknownName: There is no such topic.
-    """
-    with readable(path), _opened(path) as bag:
-        known = [each for each in bag.connections if each.topic == topic]
-        if not known:
-            raise UnknownName("topic", str(topic), sorted({c.topic for c in bag.connections}))
-        return _table(path, bag, known)
-
-
-def tables(path: Path) -> Tables:
-    """Every topic of a bag.
-
-    Args:
-        path: The bag.
+        topic: The only one that is wanted; None for all.
 
     Raises:
         RecordingError: The bag is damaged, or rosbags is not installed.
+        UnknownName: There is no such topic.
     """
     found: Tables = {}
     with readable(path), _opened(path) as bag:
-        for topic in dict.fromkeys(each.topic for each in bag.connections):
+        known = dict.fromkeys(each.topic for each in bag.connections)
+        if topic is not None and topic not in known:
+            raise UnknownName("topic", topic, sorted(known))
+        for name in known if topic is None else [topic]:
             try:
-                found[topic] = _table(path, bag, [c for c in bag.connections if c.topic == topic])
+                found[name] = _table(path, bag, [c for c in bag.connections if c.topic == name])
             except Exception as error:  # whatever a damaged message makes a library raise
-                found[topic] = refusal(path, error)
+                found[name] = refusal(path, error)
     return found
 
 
@@ -281,8 +268,8 @@ class Rows:
             self._times |= {name: isinstance(each, Nanoseconds) for name, each in found.items()}
         self._rows.append([found.get(name, math.nan) for name in self._times])
         self._received.append(when)
-        if len(self._rows) * (len(self._times) + 1) > MOST_NUMBERS:
-            raise RecordingError(f"{self.path}: more than {MOST_NUMBERS:.0e} numbers")
+        count = len(self._rows) * (len(self._times) + 1)
+        check_count(self.path, "numbers", count, MOST_NUMBERS)
 
     def table(self) -> ForeignTable:
         """Columns by path, and their times, in the order of these."""
