@@ -106,11 +106,11 @@ class Numbers:
 
     def sin(self, angle: AnyArray) -> AnyArray:
         """Elementwise sine."""
-        return np.asarray(np.sin(angle))
+        return np.sin(angle)
 
     def cos(self, angle: AnyArray) -> AnyArray:
         """Elementwise cosine."""
-        return np.asarray(np.cos(angle))
+        return np.cos(angle)
 
     def keep(self, name: str, value: AnyArray) -> AnyArray:
         """The value itself."""

@@ -63,7 +63,7 @@ class Start:
 
     def place(self, t: Array) -> Array:
         """Where on the path at times t, as a time of the motion, not after 0 [s]."""
-        return np.asarray(self.duration * (_RATE.integ()(t / self.duration) - 0.5))
+        return self.duration * (_RATE.integ()(t / self.duration) - 0.5)
 
     @cached_property
     def _largest(self) -> Array:
@@ -77,7 +77,7 @@ class Start:
 
     def _rate(self, t: Array, order: int) -> Array:
         """The rate at which the path is run, or a derivative of it [1/s^order]."""
-        return np.asarray(_RATE.deriv(order)(t / self.duration) / self.duration**order)
+        return _RATE.deriv(order)(t / self.duration) / self.duration**order
 
 
 @dataclass(frozen=True, eq=False)

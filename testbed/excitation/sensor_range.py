@@ -42,7 +42,7 @@ class SensorTerm:
         """Shares less what is allowed, (k, G)."""
         q, qd, qdd = (each[:, self._joints] for each in (samples.q, samples.qd, samples.qdd))
         wrench = base_wrench(self._beyond, Motion(np.arange(float(len(q))), q, qd, qdd))
-        return np.asarray(self._rows @ wrench.T - self._most[:, None])
+        return self._rows @ wrench.T - self._most[:, None]
 
     def slopes(self, samples: Samples) -> Array:
         """Derivatives, (k, 3 n, G)."""

@@ -297,8 +297,7 @@ def relative_errors(values: Array, truth: Array, units: Sequence[str]) -> Array:
         truth: (p,).
         units: (p,).
     """
-    relative: Array = (values - truth) / _usual(truth, units)
-    return relative
+    return (values - truth) / _usual(truth, units)
 
 
 def _root_mean_square(values: Array) -> float:

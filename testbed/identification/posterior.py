@@ -111,7 +111,7 @@ class Posterior:
     @property
     def sigma(self) -> Array:
         """Standard deviations, the prior's doubt among them, (p,)."""
-        return np.asarray(np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)))
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
 
     @property
     def models(self) -> dict[str, Array]:

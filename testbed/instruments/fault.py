@@ -140,7 +140,7 @@ class GainFault(Fault):
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Signal times one plus the error, (M, k)."""
         del time, rng
-        return np.asarray((1 + each_joint(self.error)) * signal)
+        return (1 + each_joint(self.error)) * signal
 
 
 class EncoderFault(Fault):

@@ -20,7 +20,7 @@ class NoiseFault(Fault):
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Signal with noise, (M, n)."""
         del time
-        return np.asarray(signal + each_joint(self.sigma) * rng.normal(size=signal.shape))
+        return signal + each_joint(self.sigma) * rng.normal(size=signal.shape)
 
 
 class OffsetFault(Fault):
@@ -31,7 +31,7 @@ class OffsetFault(Fault):
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Signal plus the error, (M, n)."""
         del time, rng
-        return np.asarray(signal + each_joint(self.error))
+        return signal + each_joint(self.error)
 
 
 class WaveFault(Fault):
@@ -48,7 +48,7 @@ class WaveFault(Fault):
             position: True joint positions q, (M, n) [rad or m].
         """
         turn = 2 * np.pi * position / each_joint(self.period) + each_joint(self.phase or 0.0)
-        return np.asarray(each_joint(self.amplitude) * np.sin(turn))
+        return each_joint(self.amplitude) * np.sin(turn)
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,7 @@ class EncoderResolution(EncoderFault):
         del time, rng
         count = each_joint(self.count)
         step = np.where(count > 0, count, 1.0)
-        rounded: Array = np.where(count > 0, step * np.round(signal / step), signal)
-        return rounded
+        return np.where(count > 0, step * np.round(signal / step), signal)
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ class AddedWrench(PlateFault):
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Wrench with the error, (M, 6) [N, N m]."""
         sizes = [np.broadcast_to(np.asarray(each), 3) for each in (self.force, self.moment)]
-        return np.asarray(signal + np.concatenate(sizes) * self.pattern(signal, time, rng))
+        return signal + np.concatenate(sizes) * self.pattern(signal, time, rng)
 
 
 @dataclass(frozen=True)
@@ -427,8 +427,7 @@ class MeasuredTare(Fault):
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """The mean, in every row, of what the plate shows at rest, (M, 6) [N, N m]."""
         del time, rng
-        mean: Array = np.broadcast_to(signal.mean(axis=0), signal.shape)
-        return mean
+        return np.broadcast_to(signal.mean(axis=0), signal.shape)
 
 
 def in_frame(wrench: Array, rotation: Array, origin: Array) -> Array:

@@ -144,8 +144,7 @@ class PlateDroppedSamples(PlateFault):
         del time
         lost = rng.random(len(signal)) < self.share
         last = np.maximum.accumulate(np.where(lost, 0, np.arange(len(signal))))
-        repeated: Array = signal[last]
-        return repeated
+        return signal[last]
 
 
 def at_times(signal: Array, time: Array, wanted: Array) -> Array:

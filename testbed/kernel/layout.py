@@ -131,8 +131,7 @@ def _upright(axis: Array) -> Array:
 def _between(tree: Tree, frames: list[Array], j: int) -> Array:
     """From joint j's canonical frame at rest to its carrier's, (3, 3)."""
     joint = tree.joints[j]
-    turn: Array = frames[joint.parent + 1].T @ joint.rotation @ frames[j + 1]
-    return turn
+    return frames[joint.parent + 1].T @ joint.rotation @ frames[j + 1]
 
 
 def _lean(turn: Array) -> float | None:

@@ -49,7 +49,7 @@ def matrices(standard: Array) -> Array:
     Args:
         standard: Their standard parameters, (..., 10) [kg, kg m, kg m^2].
     """
-    return np.asarray(np.tensordot(standard, OF_STANDARD, 1))
+    return np.tensordot(standard, OF_STANDARD, 1)
 
 
 def parameters(matrices: Array) -> Array:
@@ -82,7 +82,7 @@ def of_coordinates(coordinates: Array) -> Array:
     Args:
         coordinates: (..., 10).
     """
-    return np.asarray(np.tensordot(coordinates, OF_COORDINATES, 1))
+    return np.tensordot(coordinates, OF_COORDINATES, 1)
 
 
 def standard_of_coordinates(roots: Array) -> Array:
@@ -92,7 +92,7 @@ def standard_of_coordinates(roots: Array) -> Array:
         roots: U, (..., 4, 4): makes Y a matrix of numbers near one.
     """
     bodies = np.einsum("...ab,kbc,...dc->...kad", roots, OF_COORDINATES, roots)
-    return np.asarray(np.swapaxes(parameters(bodies), -1, -2))
+    return np.swapaxes(parameters(bodies), -1, -2)
 
 
 THINNEST = 1e-2

@@ -362,7 +362,7 @@ def _remainder(rows: Array, weights: Array) -> Remainder:
 
     def rest(signal: Array) -> Array:
         flat = (signal * weights).reshape(-1)
-        return np.asarray((flat - basis @ (basis.T @ flat)).reshape(signal.shape))
+        return (flat - basis @ (basis.T @ flat)).reshape(signal.shape)
 
     return rest
 

@@ -303,8 +303,7 @@ def _inertias(model: mujoco.MjModel) -> Array:
     mujoco.mj_forward(model, data)
     matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, matrix)
-    found: Array = np.diagonal(matrix)[[int(model.joint(n).dofadr[0]) for n in _FREEDOMS]]
-    return found
+    return np.diagonal(matrix)[[int(model.joint(n).dofadr[0]) for n in _FREEDOMS]]
 
 
 def _first(values: Array, value: float) -> Array:

@@ -29,7 +29,7 @@ def smooth_sign(velocity: Array) -> Array:
     Args:
         velocity: [rad/s or m/s].
     """
-    return np.asarray(np.tanh(velocity / SMOOTH))
+    return np.tanh(velocity / SMOOTH)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class StribeckFriction(Effect):
 
         def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
             del time, q, motor
-            return np.asarray(-size * np.exp(-((qd / speed) ** 2)) * smooth_sign(qd))
+            return -size * np.exp(-((qd / speed) ** 2)) * smooth_sign(qd)
 
         return push
 
@@ -83,7 +83,7 @@ class PowerFriction(Effect):
 
         def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
             del time, q, motor
-            return np.asarray(-size * np.abs(qd) ** self.exponent * smooth_sign(qd))
+            return -size * np.abs(qd) ** self.exponent * smooth_sign(qd)
 
         return push
 
@@ -111,7 +111,7 @@ class AsymmetricFriction(Effect):
         def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
             del time, q, motor
             forward = np.maximum(qd, 0.0)
-            return np.asarray(-dry * smooth_sign(forward) - wet * forward)
+            return -dry * smooth_sign(forward) - wet * forward
 
         return push
 
@@ -235,7 +235,7 @@ class LuGreFriction(Effect):
             before = bent
             bent = _bent(before, qd, slip, stiff, step)
             rate = (bent - before) / step
-            return np.asarray(-(stiff * bent + damping * rate + wet * qd))
+            return -(stiff * bent + damping * rate + wet * qd)
 
         return push
 

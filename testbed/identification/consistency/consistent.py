@@ -86,12 +86,12 @@ class Reconciliation:
     def sigmas(self) -> Array:
         """By how many of its own sigmas each parameter was moved, (p,)."""
         gap = self.values - self.plain
-        return np.asarray(gap / np.maximum(self.plain_sigma, np.finfo(float).tiny))
+        return gap / np.maximum(self.plain_sigma, np.finfo(float).tiny)
 
     @property
     def sigma(self) -> Array:
         """Standard deviations of the consistent values, (p,)."""
-        return np.asarray(np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)))
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +277,7 @@ def spread_at(problem: Scaled, z: Array, metric: Metric, weight: float) -> tuple
     lead = problem.lead @ program.free
 
     def covariance(hessian: Array) -> Array:
-        return np.asarray(lead @ np.linalg.inv(program.free.T @ hessian @ program.free) @ lead.T)
+        return lead @ np.linalg.inv(program.free.T @ hessian @ program.free) @ lead.T
 
     prior, found = np.diagonal(covariance(before)), covariance(after)
     open_before = prior > FAINT * (problem.lead**2).sum(axis=1)  # else what is known settles it

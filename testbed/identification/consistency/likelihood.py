@@ -97,7 +97,7 @@ def sizes(values: Array, units: Sequence[str]) -> Array:
     for unit in set(units):
         same = np.array([each == unit for each in units])
         found[same] = np.maximum(found[same], SMALL * found[same].max())
-    return np.asarray(found)
+    return found
 
 
 def _rotors(estimate: Estimate) -> Array:
@@ -115,7 +115,7 @@ def _of_bodies(standard: Array) -> Array:
     """
     scaled = standard_of_coordinates(np.diag([LENGTH, LENGTH, LENGTH, 1.0]))
     by_body = standard.reshape(len(standard), -1, 10) @ scaled
-    return np.asarray(by_body.reshape(len(standard), -1))
+    return by_body.reshape(len(standard), -1)
 
 
 def _separating(forms: Array, rotors: Array, wanted: Array, root: Array) -> Array:
@@ -170,7 +170,7 @@ class Likelihood:
 
     def left(self, x: Array) -> Array:
         """How far the estimate is from what x says, in independent sigmas, (p,)."""
-        return np.asarray(self.white @ (self.rows @ x - self.estimate.values))
+        return self.white @ (self.rows @ x - self.estimate.values)
 
 
 def precise(estimate: Estimate) -> bool:

@@ -73,7 +73,7 @@ class Program:
     @cached_property
     def square(self) -> Array:
         """B' B, (m, m)."""
-        return np.asarray(self.rows.T @ self.rows)
+        return self.rows.T @ self.rows
 
     @property
     def fades(self) -> bool:

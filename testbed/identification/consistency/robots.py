@@ -167,7 +167,7 @@ def losses_of_file(
     """
     stated = [law.coefficients(tree) for law in LOSSES[:2]]
     file = np.stack([*stated, prior.rotors], axis=-1)
-    return np.asarray(file * np.exp(error * rng.normal(size=(count, *file.shape))))
+    return file * np.exp(error * rng.normal(size=(count, *file.shape)))
 
 
 def _log_prior(bodies: Array, error: float) -> Array:

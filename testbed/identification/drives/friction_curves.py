@@ -104,8 +104,7 @@ class FrictionCurve:
         """
         if not len(self.speed):
             return np.zeros_like(speed)
-        found: Array = np.interp(speed, self.speed, self.torque)
-        return found
+        return np.interp(speed, self.speed, self.torque)
 
 
 HYSTERESIS = JointLaw("hysteresis", "N m", "N", lambda qd, qdd: np.sign(qdd))

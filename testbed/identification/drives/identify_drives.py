@@ -179,7 +179,7 @@ def _root(covariance: Array) -> Array:
     scale = np.where(size > 0, size, 1.0)
     spread, axes = eigh(covariance / np.outer(scale, scale))
     kept = spread > EXACT
-    return np.asarray(scale[:, None] * axes[:, kept] * np.sqrt(spread[kept]))
+    return scale[:, None] * axes[:, kept] * np.sqrt(spread[kept])
 
 
 @dataclass(frozen=True, eq=False)

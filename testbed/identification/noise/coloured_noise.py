@@ -387,7 +387,7 @@ def _in_channels(units: Whitening, directions: Array) -> Array:
     """Constants along directions, in the channels as measured, (C, k) [N, N m]."""
     back = np.linalg.inv(units.root.T) @ directions
     back[np.abs(back) < ROUNDING * np.abs(back).max(initial=0.0)] = 0.0
-    return np.asarray(back)
+    return back
 
 
 def _large(part: Array, names: tuple[str, ...]) -> tuple[str, ...]:

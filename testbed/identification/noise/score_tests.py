@@ -293,20 +293,20 @@ def _independent(squares: Array, base: int) -> Array:
     found[:base, : first.shape[1]] = first
     found[base:, first.shape[1] :] = rest
     found[:base, first.shape[1] :] = -first @ across @ rest
-    return np.asarray(scale[:, None] * found)
+    return scale[:, None] * found
 
 
 def _scales(squares: Array) -> Array:
     """What makes columns of length one; zero columns stay."""
     length = np.sqrt(np.maximum(np.diagonal(squares), 0.0))
-    return np.asarray(1 / np.where(length > 0, length, 1.0))
+    return 1 / np.where(length > 0, length, 1.0)
 
 
 def _orthonormal(squares: Array) -> Array:
     """T with T' squares T = 1, of the directions that are no combinations of others."""
     spread, axes = eigh((squares + squares.T) / 2)
     identifiable = spread > IMITATED
-    return np.asarray(axes[:, identifiable] / np.sqrt(spread[identifiable]))
+    return axes[:, identifiable] / np.sqrt(spread[identifiable])
 
 
 def _tests(squares: Array, question: Question, base: int, free: int) -> list[Trace]:

@@ -131,7 +131,7 @@ class _Half(NamedTuple):
             normal, right, square = self.equations.of_channel(j)
             left = float(square - 2 * k * (right @ x) + k**2 * (x @ normal @ x))
             found.append(max(left, 1e-12 * square, float(np.finfo(float).tiny)))
-        return np.asarray(np.maximum(self.equations.used, 1.0) / found)
+        return np.maximum(self.equations.used, 1.0) / found
 
 
 def torque_scales(

@@ -100,7 +100,7 @@ def _combination(minimal: MinimalSet, wanted: Array, name: str) -> Array:
                 "another posture"
             )
         )
-    return np.asarray(found)
+    return found
 
 
 INDEPENDENT = 1e-9
@@ -155,7 +155,7 @@ class LinearConstraints:
             added: To the unknowns so far, (m,).
         """
         size = np.abs(self.reached + self.scale @ added)
-        return np.asarray(np.where(self.scale.any(axis=1), size, 1.0)[:, None] * self.root)
+        return np.where(self.scale.any(axis=1), size, 1.0)[:, None] * self.root
 
 
 @dataclass(frozen=True, eq=False)

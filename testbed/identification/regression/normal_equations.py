@@ -33,7 +33,7 @@ def scaled_solve(matrix: Array, right: Array) -> Array:
         right: (m,) or (m, k).
     """
     root = inverse_root(matrix)
-    return np.asarray(root @ (root.T @ right))
+    return root @ (root.T @ right)
 
 
 def scaled_inverse(matrix: Array) -> Array:
@@ -43,7 +43,7 @@ def scaled_inverse(matrix: Array) -> Array:
         matrix: Symmetric and positive definite, (m, m).
     """
     root = inverse_root(matrix)
-    return np.asarray(root @ root.T)
+    return root @ root.T
 
 
 def inverse_and_solution(matrix: Array, right: Array) -> tuple[Array, Array]:
@@ -75,7 +75,7 @@ def square_root(matrix: Array) -> Array:
     except np.linalg.LinAlgError:
         scale = np.sqrt(np.maximum(np.diagonal(matrix), np.finfo(float).tiny))
         size, axes = eigh(matrix / np.outer(scale, scale))
-        return np.asarray(scale[:, None] * axes * np.sqrt(np.maximum(size, ROUNDING)))
+        return scale[:, None] * axes * np.sqrt(np.maximum(size, ROUNDING))
 
 
 def inverse_root(matrix: Array) -> Array:
@@ -103,7 +103,7 @@ def _inverse_root(matrix: Array) -> Array:
     diagonal = np.diagonal(matrix)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     size, axes = eigh(matrix * np.outer(scale, scale))
-    return np.asarray(scale[:, None] * axes / np.sqrt(np.maximum(size, ROUNDING)))
+    return scale[:, None] * axes / np.sqrt(np.maximum(size, ROUNDING))
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ class NormalEquations:
     @property
     def rms(self) -> Array:
         """Of each channel's measurements over the rows that count, (C,)."""
-        return np.asarray(np.sqrt(self.squares / np.maximum(self.used, 1.0)))
+        return np.sqrt(self.squares / np.maximum(self.used, 1.0))
 
     def of_channel(self, c: int) -> tuple[Array, Array, float]:
         """Of one channel alone: X' X, (p, p), X' y, (p,), and y' y."""
@@ -169,7 +169,7 @@ class NormalEquations:
         """
         if self.joined:
             return np.asarray(np.einsum("cd,cdij->ij", weights, self.normal))
-        return np.asarray(np.tensordot(np.diagonal(weights), self.normal, 1))
+        return np.tensordot(np.diagonal(weights), self.normal, 1)
 
     def vector(self, weights: Array) -> Array:
         """X' W y, (p,).
@@ -179,7 +179,7 @@ class NormalEquations:
         """
         if self.joined:
             return np.asarray(np.einsum("cd,cdi->i", weights, self.right))
-        return np.asarray(np.diagonal(weights) @ self.right)
+        return np.diagonal(weights) @ self.right
 
     def residual(self, values: Array) -> Array:
         """Products of the channels' residuals, (C, C), to 1e-8 of the measurement's square.
@@ -191,7 +191,7 @@ class NormalEquations:
             found = self.square - 2 * self.right @ values + self.normal @ values @ values
             return np.diag(np.maximum(found, 0.0))
         mixed = self.right @ values
-        return np.asarray(self.square - mixed - mixed.T + self.normal @ values @ values)
+        return self.square - mixed - mixed.T + self.normal @ values @ values
 
 
 def gather(

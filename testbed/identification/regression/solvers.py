@@ -123,8 +123,7 @@ def sandwich(inverse: Array, squares: Array) -> Array:
         inverse: Of X' W X, (p, p).
         squares: Of the scores, (p, p).
     """
-    covariance: Array = inverse @ squares @ inverse
-    return covariance
+    return inverse @ squares @ inverse
 
 
 def hidden(weights: Array, step: int, rate: float) -> float:

@@ -207,8 +207,7 @@ def alone_determined(rows: RowProducts, prior: LinearPrior) -> NDArray[np.bool_]
         prior: Of the unknowns.
     """
     _, covariance = with_prior(rows, replace(prior, root=WIDE * prior.root))
-    found: NDArray[np.bool_] = np.diagonal(covariance) <= (1 - DETERMINED) * prior.variance
-    return found
+    return np.diagonal(covariance) <= (1 - DETERMINED) * prior.variance
 
 
 def refitted(rows: RowProducts, prior: LinearPrior) -> Array:

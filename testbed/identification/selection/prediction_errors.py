@@ -85,7 +85,7 @@ class PredictionErrors:
             which: What predicts.
         """
         signal = np.where(self.signal > 0, self.signal, np.nan)
-        return np.asarray(self.residual[which] / signal)
+        return self.residual[which] / signal
 
     def over_file(self, which: str) -> float:
         """Rms over channels of what is left, over what the file with its friction fitted leaves.

@@ -167,7 +167,7 @@ def _constant(predicted: PredictedWrench) -> Array:
 
 
 def _trend(predicted: PredictedWrench) -> Array:
-    return np.asarray(predicted.time[:, None, None] * np.eye(6))
+    return predicted.time[:, None, None] * np.eye(6)
 
 
 def _without_constant(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:

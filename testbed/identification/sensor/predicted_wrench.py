@@ -109,14 +109,12 @@ class PredictedWrench:
     @cached_property
     def shown(self) -> Array:
         """The measured wrench, with the tare, at the rows, (rows, 6) [N, N m]."""
-        found: Array = self.measured @ self.filter.every_weight + self.tare
-        return found
+        return self.measured @ self.filter.every_weight + self.tare
 
     @cached_property
     def shown_rate(self) -> Array:
         """Its derivative in time, (rows, 6) [N/s, N m/s]."""
-        found: Array = self.measured @ self.filter.every_slope
-        return found
+        return self.measured @ self.filter.every_slope
 
     @cached_property
     def moving(self) -> Array:
@@ -126,8 +124,7 @@ class PredictedWrench:
     @cached_property
     def wrench(self) -> Array:
         """Wrench of robot and pedestal, (m, 6) [N, N m]."""
-        found: Array = self.moving + self.tare
-        return found
+        return self.moving + self.tare
 
     def along(self, joint: int, change: Change) -> Array:
         """Derivative of the wrench by an error of one joint's coordinate, (m, 6).
@@ -176,7 +173,7 @@ class PredictedWrench:
 
     def _filtered(self, signals: Array, weights: Array) -> Array:
         windows = np.lib.stride_tricks.sliding_window_view(signals, len(weights), axis=0)
-        return np.asarray(windows[:: self.filter.step] @ weights)
+        return windows[:: self.filter.step] @ weights
 
 
 def _rate(signal: Array, time: Array) -> Array:
@@ -186,7 +183,7 @@ def _rate(signal: Array, time: Array) -> Array:
         step = time[1] - time[0]
         near, far = signal[3:-1] - signal[1:-3], signal[4:] - signal[:-4]
         found[2:-2] = (8 * near - far) / (12 * step)
-    return np.asarray(found)
+    return found
 
 
 def predict_wrench(
