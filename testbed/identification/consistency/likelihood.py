@@ -18,7 +18,11 @@ from scipy.linalg import null_space
 from testbed.arrays import Array
 from testbed.dynamics.drive_set import drive_set
 from testbed.identification.estimate import METHODS, Estimate
-from testbed.identification.regression.normal_equations import inverse_root, square_root
+from testbed.identification.regression.normal_equations import (
+    TINY,
+    inverse_root,
+    square_root,
+)
 from testbed.parameters.minimal_set import minimal_set, selection
 from testbed.parameters.prior import standard_of_coordinates
 from testbed.parameters.symbols import on_standard
@@ -75,7 +79,7 @@ def rigid_body_test(
     base = estimate.base
     scale = sizes(base.values, base.units)
     covariance = base.covariance + np.diag((model_error * scale) ** 2)
-    unit = 1 / np.sqrt(np.maximum(np.diagonal(covariance), np.finfo(float).tiny))
+    unit = 1 / np.sqrt(np.maximum(np.diagonal(covariance), TINY))
     limit = float(np.sqrt(special.chdtri(len(scale), 2 * special.ndtr(-sigmas))))
     forms, rotors = _of_bodies(estimate.minimal.standard_matrix), _rotors(estimate)
     root = square_root(covariance * np.outer(unit, unit))

@@ -31,7 +31,10 @@ from testbed.identification.drives.joint_regression import (
 )
 from testbed.identification.estimate import Estimate
 from testbed.identification.problem import Problem
-from testbed.identification.regression.normal_equations import scaled_inverse
+from testbed.identification.regression.normal_equations import (
+    scaled_inverse,
+    standard_deviations,
+)
 from testbed.identification.regression.passes import Progress
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.recordings.recording import Recording
@@ -161,7 +164,7 @@ def combined(
             break
     values, spread = bodies.values + root @ state[:count], covariance[:count, :count]
     spread = root @ spread @ root.T
-    sigma = np.sqrt(np.maximum(np.diagonal(spread), 0.0))
+    sigma = standard_deviations(spread)
     places = count + np.cumsum([0, *(joint.width for joint in inputs[:-1])])
     return Combined(
         names=bodies.names,

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from testbed.arrays import Array
+from testbed.identification.regression.normal_equations import TINY
 from testbed.kernel.records import Ints
 
 HIGHEST = 6
@@ -95,7 +96,7 @@ def best_order(moments: Array, rows: int, highest: int = HIGHEST) -> int:
     """
     scores = []
     for order in range(1, highest + 1):
-        left = np.maximum(innovation_variance(moments, fit(moments, order)), np.finfo(float).tiny)
+        left = np.maximum(innovation_variance(moments, fit(moments, order)), TINY)
         scores.append(rows * np.log(left).sum() + 2 * order * len(moments))
     return 1 + int(np.argmin(scores))
 

@@ -30,6 +30,7 @@ from testbed.identification.noise.lagged_products import (
     NoiseMaker,
     Whitened,
 )
+from testbed.identification.regression.normal_equations import TINY
 from testbed.stages import stage
 
 REPLICAS = 12
@@ -139,7 +140,7 @@ def _alike(products: Array) -> Array:
 def _squares(found: NoiseFit, lead: Array) -> Array:
     m = lead.shape[1]  # a fit may have unknowns of its own after these
     variance = ((lead @ found.covariance[:m, :m]) * lead).sum(axis=1)
-    return np.asarray((lead @ found.values[:m]) ** 2 / np.maximum(variance, np.finfo(float).tiny))
+    return np.asarray((lead @ found.values[:m]) ** 2 / np.maximum(variance, TINY))
 
 
 IMITATED = 1e-9
@@ -316,7 +317,7 @@ def _tests(squares: Array, question: Question, base: int, free: int) -> list[Tra
     first, across, left = _beside(squares * np.outer(scale, scale), base)
     every = _orthonormal(left[:-1, :-1])
     variance = (left[-1, -1] - float(np.sum((every.T @ left[:-1, -1]) ** 2))) / free
-    variance = max(variance, float(np.finfo(float).tiny))
+    variance = max(variance, TINY)
     found, end = [], 0
     for kind in question.kinds:
         own = slice(end, end := end + kind)

@@ -20,6 +20,9 @@ from testbed.kernel.records import Sums
 ROUNDING = 1e-15
 """Least eigenvalue, of a matrix with a diagonal of ones, that is no rounding."""
 
+TINY = float(np.finfo(float).tiny)
+"""Least positive number: against division by zero."""
+
 CLEAR = 1e-6
 """Part of its length, squared, that every unknown has for itself beside those before it: then
 Cholesky's factors serve, which are several times faster than eigenvalues."""
@@ -64,6 +67,15 @@ def inverse_and_solution(matrix: Array, right: Array) -> tuple[Array, Array]:
     return inverse, solution
 
 
+def standard_deviations(covariance: Array) -> Array:
+    """Roots of the diagonal, (m,); zero where rounding leaves less.
+
+    Args:
+        covariance: (m, m).
+    """
+    return np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+
+
 def square_root(matrix: Array) -> Array:
     """R with R R' the matrix, (m, m); of one that is singular but for rounding, nearly so.
 
@@ -73,7 +85,7 @@ def square_root(matrix: Array) -> Array:
     try:
         return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
     except np.linalg.LinAlgError:
-        scale = np.sqrt(np.maximum(np.diagonal(matrix), np.finfo(float).tiny))
+        scale = np.sqrt(np.maximum(np.diagonal(matrix), TINY))
         size, axes = eigh(matrix / np.outer(scale, scale))
         return scale[:, None] * axes * np.sqrt(np.maximum(size, ROUNDING))
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from testbed.arrays import Array
 from testbed.identification.problem import Problem
 from testbed.identification.regression.constraints import CENTRE, MASS, facts
+from testbed.identification.regression.normal_equations import TINY
 from testbed.identification.selection.row_products import RowProducts
 from testbed.parameters.prior import Prior
 
@@ -96,7 +97,7 @@ def linear_prior(problem: Problem, prior: Prior, error: float, rows: RowProducts
         own = drives.values(np.zeros((problem.tree.n, 10)), problem.tree)
         mean += own
         root = np.hstack([root, drives.columns * np.hypot(scale, drives.columns.T @ own)])
-    tiny = np.full(len(rows.channels), np.finfo(float).tiny)
+    tiny = np.full(len(rows.channels), TINY)
     before = LinearPrior(mean, root, bodies.shape[1], tiny, _bounds(problem, mean, root))
     before = _with_facts(problem, before)
     left = refitted(rows, before)
