@@ -37,6 +37,16 @@ class Motion:
         shape = (len(self.t), np.shape(self.q)[-1] if np.ndim(self.q) else 0)
         freeze(self, q=shape, qd=shape, qdd=shape)
 
+    @staticmethod
+    def at_rest(postures: Array) -> Motion:
+        """A sample of rest in each posture.
+
+        Args:
+            postures: Joint positions, (M, n) [rad or m].
+        """
+        still = np.zeros_like(postures)
+        return Motion(np.arange(float(len(postures))), postures, still, still)
+
     @property
     def samples(self) -> int:
         """Number M of samples."""

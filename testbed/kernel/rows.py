@@ -17,12 +17,6 @@ SCREW = 6 * B  # of a screw: turning u, sliding v at the body's origin
 
 
 @inline
-def cross(a0, a1, a2, b0, b1, b2):
-    """A x b."""
-    return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
-
-
-@inline
 def turn(c, s, x, y, z):
     """A vector in a frame turned about z."""
     return c * x + s * y, c * y - s * x, z

@@ -78,11 +78,11 @@ class Symbols:
 
     def sin(self, angle: AnyArray) -> AnyArray:
         """Sine of every angle."""
-        return _each(angle, sine)
+        return np.asarray(np.frompyfunc(sine, 1, 1)(angle))
 
     def cos(self, angle: AnyArray) -> AnyArray:
         """Cosine of every angle."""
-        return _each(angle, cosine)
+        return np.asarray(np.frompyfunc(cosine, 1, 1)(angle))
 
     def keep(self, name: str, value: AnyArray) -> AnyArray:
         """Auxiliary variables for all components that take an operation to compute.
@@ -103,13 +103,6 @@ class Symbols:
             if isinstance(one, Expression):
                 self._budget.write(len(one.terms))
         return kept
-
-
-def _each(angle: AnyArray, function: Callable[[Expression], Expression]) -> AnyArray:
-    values = np.empty(np.shape(angle), dtype=object)
-    for place in np.ndindex(values.shape):
-        values[place] = function(angle.item(place))
-    return values
 
 
 def auxiliary(name: str, value: Any) -> Any:
@@ -158,8 +151,7 @@ class Recursion:
 
 def _forces(recursion: Recursion) -> Content:
     forces, _ = recursion.run(recursion.robot.qd, recursion.robot.qdd)
-    for j in range(recursion.robot.n):
-        yield _name(f"Q{j + 1}"), ((j,), forces[j, 0])
+    return _of_joints("Q", forces)
 
 
 def _wrench(recursion: Recursion) -> Content:
@@ -206,8 +198,13 @@ def _mass_matrix(recursion: Recursion) -> Content:
 def _gravity_forces(recursion: Recursion) -> Content:
     still = np.zeros(recursion.robot.n, dtype=object)
     forces, _ = recursion.run(still, still)
-    for j in range(recursion.robot.n):
-        yield _name(f"G{j + 1}"), ((j,), forces[j, 0])
+    return _of_joints("G", forces)
+
+
+def _of_joints(letter: str, forces: AnyArray) -> Content:
+    """Joint forces, (n, 1), by joint: Q1, Q2, ..."""
+    for j, force in enumerate(forces[:, 0]):
+        yield _name(f"{letter}{j + 1}"), ((j,), force)
 
 
 def _name(name: str) -> Factor:

@@ -443,13 +443,10 @@ class ChosenTerms:
         self, tree: Tree, torques: Torques, found: Sequence[JointRegression]
     ) -> tuple[DriveEstimate, ...]:
         """Every joint's regression in words."""
-        asked = torques.drives.asked
-        estimates = tuple(drive_of(tree, asked, each) for each in found)
-        if self.choices is None:
-            return estimates
+        chosen: Sequence[Choice | None] = self.choices or [None] * tree.n
         return tuple(
-            replace(each, choice=self.choices[own.joint])
-            for each, own in zip(estimates, found, strict=True)
+            replace(drive_of(tree, torques.drives.asked, each), choice=chosen[each.joint])
+            for each in found
         )
 
 

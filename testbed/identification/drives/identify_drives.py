@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 from scipy.linalg import block_diag
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.blas import eigh
 from testbed.codec import with_properties
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
@@ -77,7 +77,7 @@ class Disagreement(Diagnosed):
     chance: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "z", readonly(self.z, (len(self.names),), "z"))
+        freeze(self, z=(len(self.names),))
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
@@ -116,11 +116,8 @@ class Combined:
     disagreement: Disagreement
 
     def __post_init__(self) -> None:
-        for name, like in (("values", self.names), ("sigma", self.names)):
-            object.__setattr__(self, name, readonly(getattr(self, name), (len(like),), name))
-        n = len(self.constants)
-        for name in ("constants", "constant_sigma"):
-            object.__setattr__(self, name, readonly(getattr(self, name), (n,), name))
+        p, n = len(self.names), len(self.constants)
+        freeze(self, values=(p,), sigma=(p,), constants=(n,), constant_sigma=(n,))
 
 
 def combined(

@@ -139,15 +139,11 @@ _of_pairs = always(*(Part(f"crosstalk/{AXES[s]}/{AXES[f]}", "") for s, f in _PAI
 
 
 def _own(predicted: PredictedWrench) -> Array:
-    return predicted.rows(predicted.wrench[:, :, None] * np.eye(6))
+    return _columns(predicted)[..., ::7]
 
 
 def _others(predicted: PredictedWrench) -> Array:
-    filtered = predicted.rows(predicted.wrench[:, :, None])[..., 0]
-    found = np.zeros((len(filtered), 6, len(_PAIRS)))
-    for k, (shown, felt) in enumerate(_PAIRS):
-        found[:, shown, k] = filtered[:, felt]
-    return found
+    return _columns(predicted)[..., [6 * shown + felt for shown, felt in _PAIRS]]
 
 
 GAINS = Nuisance("gains", _of_channels, _own)

@@ -16,6 +16,7 @@ from testbed.arrays import Array
 from testbed.dynamics.newton_euler import Motion
 from testbed.dynamics.wrench_derivatives import base_wrench_derivatives
 from testbed.identification.regression.windows import TRANSITION, Plan, slope_weights
+from testbed.kernel.numpy_engine import motion_of
 from testbed.kernel.records import Signals
 from testbed.robot.tree import Tree
 
@@ -210,22 +211,9 @@ def predict_wrench(
         tree=layout.tree,
         gravity=layout.gravity,
         theta=theta,
-        motion=_motion(signals, at, count, filtered.stride, rate),
+        motion=motion_of(signals, at, count, filtered.stride, rate),
         tare=plan.tare,
         time=rows,
         filter=filtered,
         measured=windows[:: signals.step][: signals.number],
     )
-
-
-def _motion(signals: Signals, first: int, count: int, stride: int, rate: float) -> Motion:
-    """Coordinates at every so many samples."""
-    time = np.arange(count) * stride / rate
-    if len(signals.velocity):
-        part = slice(first, first + (count - 1) * stride + 1, stride)
-        found = (signals.position[part], signals.velocity[part], signals.acceleration[part])
-        return Motion(time, *found)
-    half = signals.taps.shape[1] // 2
-    around = signals.position[first - half : first + (count - 1) * stride + half + 1]
-    windows = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1, axis=0)[::stride]
-    return Motion(time, *(windows @ taps for taps in signals.taps))
