@@ -274,7 +274,11 @@ PRESSURE = 100.0
 
 
 class PlateTerm:
-    """The plate's ranges, and the centre of pressure on it."""
+    """The plate's ranges, and the centre of pressure on it.
+
+    Attributes:
+        labels: What each is a limit of, (k,).
+    """
 
     def __init__(self, plate: PlateRange, pedestal: Array, margin: float) -> None:
         """Ready to be asked.
@@ -284,13 +288,8 @@ class PlateTerm:
             pedestal: Wrench on what stands on the plate without moving, (6,) [N, N m].
             margin: Share of each range that may be used.
         """
-        self._labels, self._rows, most = plate.rows(margin)
+        self.labels, self._rows, most = plate.rows(margin)
         self._most = most - self._rows @ pedestal
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """What each is a limit of."""
-        return self._labels
 
     def values(self, samples: Instants) -> Array:
         """Shares less what is allowed, (k, G)."""
