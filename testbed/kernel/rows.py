@@ -33,20 +33,11 @@ def sine_cosine(q, shift, s, c):
         sign = 1.0 - 2.0 * odd * odd
         z = r * r
         p = SINE[0]
-        p = p * z + SINE[1]
-        p = p * z + SINE[2]
-        p = p * z + SINE[3]
-        p = p * z + SINE[4]
-        p = p * z + SINE[5]
-        p = p * z + SINE[6]
-        p = p * z + SINE[7]
+        for each in SINE[1:]:
+            p = p * z + each
         g = COSINE[0]
-        g = g * z + COSINE[1]
-        g = g * z + COSINE[2]
-        g = g * z + COSINE[3]
-        g = g * z + COSINE[4]
-        g = g * z + COSINE[5]
-        g = g * z + COSINE[6]
+        for each in COSINE[1:]:
+            g = g * z + each
         s[k] = sign * (r + r * z * p)
         c[k] = sign * (1.0 - 0.5 * z + z * z * g)
 
