@@ -222,7 +222,7 @@ def transmitted(
     tree: Skeleton,
     moving: Sequence[BodyMotion],
     theta: AnyArray,
-    keep: Keep,
+    keep: Keep = unchanged,
     sensor: Placement | None = None,
     base: int = -1,
 ) -> tuple[AnyArray, AnyArray]:

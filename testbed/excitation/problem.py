@@ -31,19 +31,6 @@ NEAREST = 0.005
 """Part of the way to a limit that a step must leave."""
 
 
-class Jacobian(Protocol):
-    """Derivatives J of the limits, (m, k), by their products."""
-
-    def times(self, x: Array) -> Array:
-        """J x, (m,)."""
-
-    def transposed(self, weights: Array) -> Array:
-        """J' w, (k,)."""
-
-    def squared(self, weights: Array) -> Array:
-        """J' diag(w) J, (k, k)."""
-
-
 @dataclass(frozen=True, eq=False)
 class Inside:
     """A function and its limits at a point: strictly inside, all are negative.
@@ -74,7 +61,7 @@ class Point(Inside):
 
     x: Array
     gradient: Array
-    jacobian: Jacobian
+    jacobian: BlockJacobian
 
 
 class Search(Protocol):

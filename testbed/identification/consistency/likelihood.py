@@ -22,6 +22,7 @@ from testbed.identification.regression.normal_equations import (
     TINY,
     inverse_root,
     square_root,
+    unit_diagonal,
 )
 from testbed.parameters.minimal_set import minimal_set, selection
 from testbed.parameters.prior import standard_of_coordinates
@@ -189,8 +190,7 @@ def precise(estimate: Estimate) -> bool:
     variance = np.diagonal(estimate.covariance)
     if (variance < 0).any():
         return False
-    scale = np.sqrt(np.where(variance > 0, variance, 1.0))
-    size = np.linalg.eigvalsh(estimate.covariance / np.outer(scale, scale))
+    size = np.linalg.eigvalsh(unit_diagonal(estimate.covariance)[0])
     return bool(size[0] >= -ROUNDING * size[-1])
 
 

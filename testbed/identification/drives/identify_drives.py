@@ -34,6 +34,7 @@ from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import (
     scaled_inverse,
     standard_deviations,
+    unit_diagonal,
 )
 from testbed.identification.regression.passes import Progress
 from testbed.identification.settings import DEFAULTS, Settings
@@ -175,9 +176,8 @@ def combined(
 
 def _root(covariance: Array) -> Array:
     """R with R R' the covariance, (p, r): what is known exactly does not move."""
-    size = np.sqrt(np.diagonal(covariance))
-    scale = np.where(size > 0, size, 1.0)
-    spread, axes = eigh(covariance / np.outer(scale, scale))
+    unit, scale = unit_diagonal(covariance)
+    spread, axes = eigh(unit)
     kept = spread > EXACT
     return scale[:, None] * axes[:, kept] * np.sqrt(spread[kept])
 
@@ -225,8 +225,7 @@ def _disagreement(
 ) -> Disagreement:
     """Change of an estimate in standard deviations of the difference, by both covariances."""
     moved, spread = values - bodies.values, before - covariance
-    size = np.sqrt(np.diagonal(before))
-    scale = np.where(size > 0, size, 1.0)
+    _, scale = unit_diagonal(before)
     unit = spread / np.outer(scale, scale)
     said = np.diagonal(unit) > INFORMATIVE
     z = (moved[said] / scale[said]) / np.sqrt(np.diagonal(unit)[said])

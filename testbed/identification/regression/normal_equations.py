@@ -76,6 +76,17 @@ def standard_deviations(covariance: Array) -> Array:
     return np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
 
 
+def unit_diagonal(matrix: Array) -> tuple[Array, Array]:
+    """Matrix with a diagonal of ones, (m, m), and its scale, (m,): one where the diagonal is zero.
+
+    Args:
+        matrix: Symmetric, (m, m).
+    """
+    diagonal = np.diagonal(matrix)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    return matrix / np.outer(scale, scale), scale
+
+
 def square_root(matrix: Array) -> Array:
     """R with R R' the matrix, (m, m); of one that is singular but for rounding, nearly so.
 
