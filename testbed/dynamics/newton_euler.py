@@ -58,7 +58,7 @@ class Motion:
 
 
 Keep = Callable[[str, AnyArray], AnyArray]
-"""Hook that sees every intermediate by name, such as "w3"; its result is used from there on."""
+"""Function of an intermediate's name, such as "w3", and value; its result replaces the value."""
 
 
 def unchanged(name: str, value: AnyArray) -> AnyArray:
@@ -142,7 +142,7 @@ def kinematics(
         qd: Joint velocities, likewise.
         qdd: Joint accelerations, likewise.
         gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2].
-        keep: Sees the intermediates.
+        keep: Called on each intermediate.
     """
     still = np.zeros((*q.shape[:-1], 3), dtype=q.dtype)
     flat = np.zeros((*q.shape[:-1], 3, 3), dtype=q.dtype)
@@ -232,7 +232,7 @@ def transmitted(
         tree: The robot's geometry.
         moving: The motion of its bodies.
         theta: Barycentric parameters, (n, 10, p).
-        keep: Sees the intermediates.
+        keep: Called on each intermediate.
         sensor: Where the wrench is measured; None for the bedplate.
         base: Index of the body that a sensor moves with.
 

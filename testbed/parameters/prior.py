@@ -58,7 +58,7 @@ def parameters(matrices: Array) -> Array:
 
 
 def _complement(tensors: Array, share: float) -> Array:
-    """Second moments of inertia tensors by half the trace, and back by all of it, (..., 3, 3)."""
+    """Share of the trace times one, less the tensors, (..., 3, 3): second moments, and back."""
     trace = np.trace(tensors, axis1=-2, axis2=-1)
     return np.asarray(share * trace[..., None, None] * np.eye(3) - tensors)
 

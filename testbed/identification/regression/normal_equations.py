@@ -77,7 +77,7 @@ def standard_deviations(covariance: Array) -> Array:
 
 
 def unit_diagonal(matrix: Array) -> tuple[Array, Array]:
-    """Matrix with a diagonal of ones, (m, m), and its scale, (m,): one where the diagonal is zero.
+    """Matrix with a diagonal of ones, (m, m), and its scale, (m,); one for zeros.
 
     Args:
         matrix: Symmetric, (m, m).
