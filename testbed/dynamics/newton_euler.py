@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -37,6 +37,16 @@ class Motion:
         shape = (len(self.t), np.shape(self.q)[-1] if np.ndim(self.q) else 0)
         freeze(self, q=shape, qd=shape, qdd=shape)
 
+    @staticmethod
+    def at_rest(postures: Array) -> Motion:
+        """A sample of rest in each posture.
+
+        Args:
+            postures: Joint positions, (M, n) [rad or m].
+        """
+        still = np.zeros_like(postures)
+        return Motion(np.arange(float(len(postures))), postures, still, still)
+
     @property
     def samples(self) -> int:
         """Number M of samples."""
@@ -47,22 +57,14 @@ class Motion:
         return Motion(self.t[part], self.q[part], self.qd[part], self.qdd[part])
 
 
-class Algebra(Protocol):
-    """Sine, cosine, and a hook that sees every intermediate vector."""
+Keep = Callable[[str, AnyArray], AnyArray]
+"""Function of an intermediate's name, such as "w3", and value; its result replaces the value."""
 
-    def sin(self, angle: AnyArray) -> AnyArray:
-        """Elementwise sine."""
 
-    def cos(self, angle: AnyArray) -> AnyArray:
-        """Elementwise cosine."""
-
-    def keep(self, name: str, value: AnyArray) -> AnyArray:
-        """Called on each intermediate; what it returns is used from there on.
-
-        Args:
-            name: What the vector is, such as "w3".
-            value: The vector or matrix.
-        """
+def unchanged(name: str, value: AnyArray) -> AnyArray:
+    """The value itself: numbers need no names."""
+    del name
+    return value
 
 
 class Link(Protocol):
@@ -101,26 +103,6 @@ class Skeleton(Protocol):
         """One a body, parents first."""
 
 
-class Numbers:
-    """NumPy's floats; nothing is kept."""
-
-    def sin(self, angle: AnyArray) -> AnyArray:
-        """Elementwise sine."""
-        return np.asarray(np.sin(angle))
-
-    def cos(self, angle: AnyArray) -> AnyArray:
-        """Elementwise cosine."""
-        return np.asarray(np.cos(angle))
-
-    def keep(self, name: str, value: AnyArray) -> AnyArray:
-        """The value itself."""
-        del name  # numbers need no names
-        return value
-
-
-NUMBERS = Numbers()
-
-
 @dataclass(frozen=True, eq=False)
 class BodyMotion:
     """The motion of body j in frame j; leading axes are samples.
@@ -145,7 +127,12 @@ class BodyMotion:
 
 
 def kinematics(
-    tree: Skeleton, q: AnyArray, qd: AnyArray, qdd: AnyArray, gravity: AnyArray, algebra: Algebra
+    tree: Skeleton,
+    q: AnyArray,
+    qd: AnyArray,
+    qdd: AnyArray,
+    gravity: AnyArray,
+    keep: Keep = unchanged,
 ) -> tuple[BodyMotion, ...]:
     """The motion of every body of the tree.
 
@@ -155,7 +142,7 @@ def kinematics(
         qd: Joint velocities, likewise.
         qdd: Joint accelerations, likewise.
         gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2].
-        algebra: Numbers or symbols.
+        keep: Called on each intermediate.
     """
     still = np.zeros((*q.shape[:-1], 3), dtype=q.dtype)
     flat = np.zeros((*q.shape[:-1], 3, 3), dtype=q.dtype)
@@ -163,7 +150,7 @@ def kinematics(
     moving: list[BodyMotion] = []
     for j, joint in enumerate(tree.joints):
         carrier = bedplate if joint.parent < 0 else moving[joint.parent]
-        moving.append(_step(joint, j, carrier, q[..., j], qd[..., j], qdd[..., j], algebra))
+        moving.append(_step(joint, j, carrier, q[..., j], qd[..., j], qdd[..., j], keep))
     return tuple(moving)
 
 
@@ -175,7 +162,7 @@ def poses(tree: Skeleton, q: Array) -> list[tuple[Array, Array]]:
         q: Joint positions, (M, n) [rad or m].
     """
     still = np.zeros_like(q)
-    moving = kinematics(tree, q, still, still, np.zeros(3), NUMBERS)
+    moving = kinematics(tree, q, still, still, np.zeros(3))
     found: list[tuple[Array, Array]] = []
     for joint, body in zip(tree.joints, moving, strict=True):
         base = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
@@ -192,26 +179,26 @@ def _step(
     q: AnyArray,
     qd: AnyArray,
     qdd: AnyArray,
-    algebra: Algebra,
+    keep: Keep,
 ) -> BodyMotion:
     """From body i to body j."""
     e, label = joint.axis, str(j + 1)
-    turn = _turn(joint, q, algebra)
+    turn = _turn(joint, q)
     back = np.swapaxes(turn, -1, -2)
     w, wd = apply(back, carrier.w), apply(back, carrier.wd)
     point = apply(back, carrier.a + apply(carrier.W, joint.offset))  # xdd - g of O'^j
     speed, rate = _along(e, qd), _along(e, qdd)
     if joint.revolute:
-        wd = algebra.keep("wd" + label, wd + apply(skew(w), speed) + rate)
-        w = algebra.keep("w" + label, w + speed)
+        wd = keep("wd" + label, wd + apply(skew(w), speed) + rate)
+        w = keep("w" + label, w + speed)
         z = zdd = np.zeros_like(w)
     else:
-        w, wd = algebra.keep("w" + label, w), algebra.keep("wd" + label, wd)
+        w, wd = keep("w" + label, w), keep("wd" + label, wd)
         z = _along(e, q)
         whirl = skew(wd) + skew(w) @ skew(w)
-        zdd = algebra.keep("zdd" + label, apply(whirl, z) + 2 * apply(skew(w), speed) + rate)
-    W = algebra.keep("W" + label, skew(wd) + skew(w) @ skew(w))
-    return BodyMotion(turn, z, zdd, w, wd, W, algebra.keep("a" + label, point + zdd))
+        zdd = keep("zdd" + label, apply(whirl, z) + 2 * apply(skew(w), speed) + rate)
+    W = keep("W" + label, skew(wd) + skew(w) @ skew(w))
+    return BodyMotion(turn, z, zdd, w, wd, W, keep("a" + label, point + zdd))
 
 
 def _along(e: AnyArray, scalar: AnyArray) -> AnyArray:
@@ -219,13 +206,13 @@ def _along(e: AnyArray, scalar: AnyArray) -> AnyArray:
     return np.asarray(scalar)[..., None] * e
 
 
-def _turn(joint: Link, q: AnyArray, algebra: Algebra) -> AnyArray:
+def _turn(joint: Link, q: AnyArray) -> AnyArray:
     """From frame j to frame i: A, times Rot(e, q) = e e' + c (1 - e e') + s e~ if revolute."""
     if not joint.revolute:
         fixed = np.broadcast_to(joint.rotation, (*np.shape(q), 3, 3))
         return fixed.astype(np.asarray(q).dtype)
     e = joint.axis
-    c, s = (np.asarray(f(q))[..., None, None] for f in (algebra.cos, algebra.sin))
+    c, s = (np.asarray(f(q))[..., None, None] for f in (np.cos, np.sin))
     axial = np.outer(e, e)
     rotation: AnyArray = joint.rotation @ (axial + c * (np.eye(3) - axial) + s * skew(e))
     return rotation
@@ -235,7 +222,7 @@ def transmitted(
     tree: Skeleton,
     moving: Sequence[BodyMotion],
     theta: AnyArray,
-    algebra: Algebra,
+    keep: Keep = unchanged,
     sensor: Placement | None = None,
     base: int = -1,
 ) -> tuple[AnyArray, AnyArray]:
@@ -245,7 +232,7 @@ def transmitted(
         tree: The robot's geometry.
         moving: The motion of its bodies.
         theta: Barycentric parameters, (n, 10, p).
-        algebra: Numbers or symbols.
+        keep: Called on each intermediate.
         sensor: Where the wrench is measured; None for the bedplate.
         base: Index of the body that a sensor moves with.
 
@@ -263,11 +250,11 @@ def transmitted(
     for j in reversed(range(tree.n)):
         joint, body = tree.joints[j], moving[j]
         own = own_wrench(body) @ theta[j]  # (..., 6, p)
-        F = algebra.keep(f"F{j + 1}", own[..., :3, :] + force[j])
+        F = keep(f"F{j + 1}", own[..., :3, :] + force[j])
         L = own[..., 3:, :] + moment[j]
         if not joint.revolute:
             L = L + skew(body.z) @ F
-        L = algebra.keep(f"L{j + 1}", L)
+        L = keep(f"L{j + 1}", L)
         if j == base:
             whole = np.concatenate([F, L - skew(body.z) @ F], axis=-2)
         joint_forces[j] = np.tensordot(L if joint.revolute else F, joint.axis, (-2, 0))
@@ -453,8 +440,8 @@ def linear(
     p = theta.shape[-1]
     joints, base = np.empty((motion.samples, tree.n, p)), np.empty((motion.samples, 6, p))
     for part in blocks(motion.samples):
-        moving = kinematics(tree, motion.q[part], motion.qd[part], motion.qdd[part], g, NUMBERS)
+        moving = kinematics(tree, motion.q[part], motion.qd[part], motion.qdd[part], g)
         joints[part], base[part] = transmitted(
-            tree, moving, theta, NUMBERS, tree.sensor, tree.sensor_body
+            tree, moving, theta, unchanged, tree.sensor, tree.sensor_body
         )
     return joints, base

@@ -299,7 +299,7 @@ class ClearanceTerm:
         if self._seen is None or len(self._seen[0]) != len(postures):
             return np.full((len(postures), len(self._collision.pairs)), -np.inf)
         before, least = self._seen
-        return np.asarray(least - np.abs(postures - before) @ self._levers.T)
+        return least - np.abs(postures - before) @ self._levers.T
 
 
 NARROW = 1.5

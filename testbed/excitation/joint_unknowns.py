@@ -118,4 +118,4 @@ class JointUnknowns:
         """What a joint's coefficients multiply, (laws, G)."""
         by = [BY_LOAD[law.by](load, load) if law.by else 1.0 for law in self.laws]
         made = [law.columns(qd, qdd, SMOOTH) * b for law, b in zip(self.laws, by, strict=True)]
-        return np.asarray(self.scale[:, [joint]] * np.array(made))
+        return self.scale[:, [joint]] * np.array(made)

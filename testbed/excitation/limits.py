@@ -177,7 +177,7 @@ class _Moving:
     @property
     def turning(self) -> Array:
         """What a point a metre away has more of acceleration."""
-        return np.asarray(self.angular + _times(self.speed, self.speed))
+        return self.angular + _times(self.speed, self.speed)
 
 
 def _carried(joint: Joint, carrier: _Moving, own: Array) -> _Moving:
@@ -274,7 +274,11 @@ PRESSURE = 100.0
 
 
 class PlateTerm:
-    """The plate's ranges, and the centre of pressure on it."""
+    """The plate's ranges, and the centre of pressure on it.
+
+    Attributes:
+        labels: What each is a limit of, (k,).
+    """
 
     def __init__(self, plate: PlateRange, pedestal: Array, margin: float) -> None:
         """Ready to be asked.
@@ -284,17 +288,12 @@ class PlateTerm:
             pedestal: Wrench on what stands on the plate without moving, (6,) [N, N m].
             margin: Share of each range that may be used.
         """
-        self._labels, self._rows, most = plate.rows(margin)
+        self.labels, self._rows, most = plate.rows(margin)
         self._most = most - self._rows @ pedestal
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """What each is a limit of."""
-        return self._labels
 
     def values(self, samples: Instants) -> Array:
         """Shares less what is allowed, (k, G)."""
-        return np.asarray(self._rows @ samples.forces("reaction") - self._most[:, None])
+        return self._rows @ samples.forces("reaction") - self._most[:, None]
 
     def slopes(self, samples: Samples) -> Array:
         """Derivatives, (k, 3 n, G)."""
@@ -343,7 +342,7 @@ class EffortTerm:
         torque += _along(self._rotor, samples.qdd)
         share = torque[self._joints] / self._effort[:, None]
         both = np.stack([share, -share], axis=1) - self._most[:, None, None]
-        return np.asarray(both.reshape(-1, share.shape[1]))
+        return both.reshape(-1, share.shape[1])
 
     def slopes(self, samples: Samples) -> Array:
         """Derivatives, (2 k, 3 n, G)."""
@@ -353,7 +352,7 @@ class EffortTerm:
         slopes[own, n + own] += self._viscous[:, None]
         slopes[own, 2 * n + own] += self._rotor[:, None]
         share = slopes[self._joints] / self._effort[:, None, None]
-        return np.asarray(np.stack([share, -share], axis=1).reshape(-1, *share.shape[1:]))
+        return np.stack([share, -share], axis=1).reshape(-1, *share.shape[1:])
 
     def curvatures(self, bounds: ForceBounds) -> Array:
         """Bounds of second derivatives by time, (2 k, W)."""
@@ -364,4 +363,4 @@ class EffortTerm:
 
 def _along(coefficients: Array, motion: Array) -> Array:
     """Coefficients times what joints do, (n, G)."""
-    return np.asarray(coefficients[:, None] * motion.T)
+    return coefficients[:, None] * motion.T

@@ -31,19 +31,6 @@ NEAREST = 0.005
 """Part of the way to a limit that a step must leave."""
 
 
-class Jacobian(Protocol):
-    """Derivatives J of the limits, (m, k), by their products."""
-
-    def times(self, x: Array) -> Array:
-        """J x, (m,)."""
-
-    def transposed(self, weights: Array) -> Array:
-        """J' w, (k,)."""
-
-    def squared(self, weights: Array) -> Array:
-        """J' diag(w) J, (k, k)."""
-
-
 @dataclass(frozen=True, eq=False)
 class Inside:
     """A function and its limits at a point: strictly inside, all are negative.
@@ -74,7 +61,7 @@ class Point(Inside):
 
     x: Array
     gradient: Array
-    jacobian: Jacobian
+    jacobian: BlockJacobian
 
 
 class Search(Protocol):
@@ -176,7 +163,7 @@ def _inside_duals(dual: Array, move: Array, there: Point, barrier: float) -> Arr
     most = float((-dual[falling] / move[falling]).min()) if falling.any() else np.inf
     moved = np.maximum(dual + min(1.0, 0.99 * most) * move, 1e-12)
     central = barrier / -there.limits
-    return np.asarray(np.clip(moved, central / 10, 10 * central))
+    return np.clip(moved, central / 10, 10 * central)
 
 
 def _bfgs(curvature: Array, here: Point, there: Point, dual: Array, *, first: bool) -> Array:
@@ -191,7 +178,7 @@ def _bfgs(curvature: Array, here: Point, there: Point, dual: Array, *, first: bo
     share = 1.0 if found >= 0.2 * own else 0.8 * own / (own - found)
     damped = share * change + (1 - share) * along
     lost, won = np.outer(along, along) / own, np.outer(damped, damped)
-    return np.asarray(curvature - lost + won / float(damped @ step))
+    return curvature - lost + won / float(damped @ step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,7 +252,7 @@ class Series:
 
     def unknowns(self, motion: Fourier) -> Array:
         """The unknowns of a motion of these frequencies, (n p,)."""
-        return np.asarray((motion.coefficients / self.units).ravel())
+        return (motion.coefficients / self.units).ravel()
 
     def at(self, x: Array) -> Array:
         """q, qd and qdd at the instants, (3, G, n)."""
@@ -341,7 +328,7 @@ class BlockJacobian:
         for j, weight in enumerate(first.sum(axis=1)):
             own = slice(j * p, (j + 1) * p)
             found[own, own] += self.linear[j].T @ (weight[:, None] * self.linear[j])
-        return np.asarray(found)
+        return found
 
     def _split(self, weights: Array) -> tuple[Array, Array]:
         n, rows, _ = self.linear.shape

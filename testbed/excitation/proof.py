@@ -166,12 +166,7 @@ def seems_to_hold(motion: Fourier, rules: Rules, instants: int = GLANCE) -> bool
     """Whether all limits are kept at some instants: no proof, but quick."""
     times, limits = np.arange(instants) * motion.period / instants, rules.limits
     here = Computed(rules.tree, motion.at(times))
-    shares = (
-        (here.q - limits.middle) / limits.half,
-        here.qd / limits.velocity,
-        here.qdd / limits.acceleration,
-    )
-    if any((np.abs(share) > rules.margin).any() for share in shares):
+    if any((share > rules.margin).any() for share in _shares(here.motion, limits).values()):
         return False
     if any((term.values(here) > 0).any() for term in rules.terms):
         return False
@@ -187,17 +182,22 @@ def _linear(motion: Fourier, rules: Rules) -> list[Margin]:
     count = max(spans_of(motion.period), DENSE * motion.harmonics)
     slack = np.cos(np.pi * motion.harmonics / count)
     times = np.arange(count) * motion.period / count
-    kinds = ("position", "velocity", "acceleration")
-    still = np.zeros(rules.tree.n)
-    centres = (limits.middle, still, still)
     found = []
-    for order, largest in enumerate((limits.half, limits.velocity, limits.acceleration)):
-        share = np.abs(motion.derivative(times, order) - centres[order]) / largest
-        for name, used in zip(rules.tree.names, share.T, strict=True):
+    for kind, shares in _shares(motion.at(times), limits).items():
+        for name, used in zip(rules.tree.names, shares.T, strict=True):
             worst = int(used.argmax())
             left = rules.margin - float(used[worst] / slack)
-            found.append(Margin(f"{kinds[order]} of '{name}'", left, float(times[worst])))
+            found.append(Margin(f"{kind} of '{name}'", left, float(times[worst])))
     return found
+
+
+def _shares(motion: Motion, limits: Limits) -> dict[str, Array]:
+    """Positions, velocities and accelerations over their limits, by kind, (M, n) each."""
+    return {
+        "position": np.abs(motion.q - limits.middle) / limits.half,
+        "velocity": np.abs(motion.qd) / limits.velocity,
+        "acceleration": np.abs(motion.qdd) / limits.acceleration,
+    }
 
 
 def force_margins(path: Path, rules: Rules) -> tuple[list[Margin], int]:
@@ -313,12 +313,8 @@ def slack(motion: Fourier, rules: Rules, times: Array) -> list[Slack]:
         rules: What it must respect.
         times: (M,) [s].
     """
-    here, limits = Computed(rules.tree, motion.at(times)), rules.limits
-    shares = {
-        "position": np.abs(here.q - limits.middle) / limits.half,
-        "velocity": np.abs(here.qd) / limits.velocity,
-        "acceleration": np.abs(here.qdd) / limits.acceleration,
-    }
+    here = Computed(rules.tree, motion.at(times))
+    shares = _shares(here.motion, rules.limits)
     left = {kind: rules.margin - used.max(axis=1) for kind, used in shares.items()}
     left |= {term.labels[0].split()[0]: -term.values(here).max(axis=0) for term in rules.terms}
     found = [Slack(f"{kind} limits", "%", 100 * values) for kind, values in left.items()]

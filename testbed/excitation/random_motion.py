@@ -35,7 +35,7 @@ def rest_posture(rules: Rules) -> Array:
         terms.append(ClearanceTerm(rules.collision, rules.limits, rules.clearance))
 
     def excess(postures: Array) -> Array:
-        still = Computed(rules.tree, _still(postures))
+        still = Computed(rules.tree, Motion.at_rest(postures))
         found = [term.values(still).max(axis=0) for term in terms]
         return np.asarray(np.max(found, axis=0, initial=-np.inf))
 
@@ -54,7 +54,7 @@ def easiest_posture(tree: Tree, limits: Limits) -> Array:
         limits: Of its joints.
     """
     postures = tried_postures(limits)
-    share = np.abs(motor_efforts(tree, _still(postures))) / limits.effort
+    share = np.abs(motor_efforts(tree, Motion.at_rest(postures))) / limits.effort
     return np.asarray(postures[share.max(axis=1).argmin()])
 
 
@@ -66,11 +66,6 @@ def tried_postures(limits: Limits) -> Array:
     """
     random = np.random.default_rng(0).uniform(limits.low, limits.high, (POSTURES, len(limits.low)))
     return np.vstack([limits.home, random])
-
-
-def _still(postures: Array) -> Motion:
-    nothing = np.zeros_like(postures)
-    return Motion(np.arange(float(len(postures))), postures, nothing, nothing)
 
 
 MARGIN = 0.95

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import comb
 
 import numpy as np
 
@@ -63,7 +64,7 @@ class Start:
 
     def place(self, t: Array) -> Array:
         """Where on the path at times t, as a time of the motion, not after 0 [s]."""
-        return np.asarray(self.duration * (_RATE.integ()(t / self.duration) - 0.5))
+        return self.duration * (_RATE.integ()(t / self.duration) - 0.5)
 
     @cached_property
     def _largest(self) -> Array:
@@ -77,7 +78,7 @@ class Start:
 
     def _rate(self, t: Array, order: int) -> Array:
         """The rate at which the path is run, or a derivative of it [1/s^order]."""
-        return np.asarray(_RATE.deriv(order)(t / self.duration) / self.duration**order)
+        return _RATE.deriv(order)(t / self.duration) / self.duration**order
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,22 +185,22 @@ def _accelerations(start: Start, rules: Rules) -> list[Margin]:
 
 
 def _chain(parts: list[Array], rates: list[Array], order: int) -> Array:
-    """The chain rule: a derivative of F(place), of F's derivatives and of the rates of place."""
-    f = parts
-    if order == 0:
-        return f[0]
-    s = rates
-    if order == 1:
-        return f[1] * s[0]
-    if order == 2:
-        return f[2] * s[0] ** 2 + f[1] * s[1]
-    if order == 3:
-        return f[3] * s[0] ** 3 + 3 * f[2] * s[0] * s[1] + f[1] * s[2]
-    if order == 4:
-        curved = 3 * s[1] ** 2 + 4 * s[0] * s[2]
-        return f[4] * s[0] ** 4 + 6 * f[3] * s[0] ** 2 * s[1] + f[2] * curved + f[1] * s[3]
-    third = 15 * s[0] * s[1] ** 2 + 10 * s[0] ** 2 * s[2]
-    second = 10 * s[1] * s[2] + 5 * s[0] * s[3]
-    return (
-        f[5] * s[0] ** 5 + 10 * f[4] * s[0] ** 3 * s[1] + f[3] * third + f[2] * second + f[1] * s[4]
+    """Derivative of F(place) in time, by the chain rule.
+
+    Args:
+        parts: Derivatives of F at the place, of order 0 to `order`, (M, n) each.
+        rates: Derivatives of place, of order 1 to `order`, (M, 1) each.
+        order: Of the derivative.
+    """
+    each = [part * _bell(rates, order, k) for k, part in enumerate(parts)]
+    return np.asarray(np.sum(each, axis=0))
+
+
+def _bell(rates: list[Array], order: int, parts: int) -> Array | float:
+    """Partial Bell polynomial of derivatives of an inner function."""
+    if not parts:
+        return float(not order)
+    return sum(
+        comb(order - 1, k) * rates[k] * _bell(rates, order - 1 - k, parts - 1)
+        for k in range(order - parts + 1)
     )

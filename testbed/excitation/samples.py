@@ -216,8 +216,7 @@ class Samples:
 
     def forces(self, model: Model) -> Array:
         """Joint forces or bedplate wrench by the a-priori model, (channels, G) [N m, N]."""
-        found: Array = self._seen[model][:, 0]
-        return found
+        return self._seen[model][:, 0]
 
     def force_slopes(self, model: Model) -> Array:
         """Their derivatives by q, then qd, then qdd, (channels, 3 n, G)."""

@@ -13,7 +13,11 @@ from testbed.robot.tree import Tree
 
 
 class SensorTerm:
-    """The ranges of a force sensor in the robot: a plate that moves, under the links beyond it."""
+    """The ranges of a force sensor in the robot: a plate that moves, under the links beyond it.
+
+    Attributes:
+        labels: What each is a limit of, (k,).
+    """
 
     def __init__(
         self, tree: Tree, beyond: Tree, ranges: PlateRange, margin: float, name: str = "plate"
@@ -29,20 +33,15 @@ class SensorTerm:
         """
         self._beyond, self._joints = beyond, [tree.index(name) for name in beyond.names]
         labels, self._rows, most = ranges.rows(margin)
-        self._labels = tuple(label.replace("plate", name) for label in labels)
+        self.labels = tuple(label.replace("plate", name) for label in labels)
         self._most = most - self._rows @ pedestal_wrench(beyond)
         self._sampled = SampledRows(beyond, minimal_set(beyond, "reaction"), self._joints)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """What each is a limit of."""
-        return self._labels
 
     def values(self, samples: Instants) -> Array:
         """Shares less what is allowed, (k, G)."""
         q, qd, qdd = (each[:, self._joints] for each in (samples.q, samples.qd, samples.qdd))
         wrench = base_wrench(self._beyond, Motion(np.arange(float(len(q))), q, qd, qdd))
-        return np.asarray(self._rows @ wrench.T - self._most[:, None])
+        return self._rows @ wrench.T - self._most[:, None]
 
     def slopes(self, samples: Samples) -> Array:
         """Derivatives, (k, 3 n, G)."""

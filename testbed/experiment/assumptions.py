@@ -172,8 +172,8 @@ def _rotors(tree: Tree, matrices: Array) -> dict[str, dict[str, float]]:
 
 def _efforts(tree: Tree) -> dict[str, dict[str, float]]:
     """Efforts of motors that do not hold the robot even where that asks least of them."""
-    posture, nothing = easiest_posture(tree, limits_of(tree))[None], np.zeros((1, tree.n))
-    asked = np.abs(joint_forces(tree, Motion(np.zeros(1), posture, nothing, nothing))[0])
+    posture = easiest_posture(tree, limits_of(tree))
+    asked = np.abs(joint_forces(tree, Motion.at_rest(posture[None]))[0])
     asked += np.array([joint.coulomb for joint in tree.joints])
     return {
         joint.name: {"max_effort": round_significant(STRONGER * float(need), 2)}

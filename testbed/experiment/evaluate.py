@@ -28,6 +28,7 @@ from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.identify import identify
 from testbed.identification.problem import samples_of
+from testbed.identification.regression.normal_equations import TINY
 from testbed.identification.regression.passes import Progress
 from testbed.instruments.chain import Instrument, measured_again
 from testbed.instruments.fault import stream
@@ -279,7 +280,7 @@ def _metrics(run: Run, found: Consistent) -> dict[str, float]:
     plain = [f"{method}_rms_relative_error" for method in run.estimates]
     plain_metrics = [run.metrics[name] for name in plain if name in run.metrics]
     if plain_metrics and "consistent_rms_relative_error" in known_metrics:
-        floor = float(np.finfo(float).tiny)
+        floor = TINY
         known_metrics["consistent_to_plain"] = known_metrics["consistent_rms_relative_error"] / max(
             *plain_metrics[:1], floor
         )

@@ -27,6 +27,7 @@ from testbed.experiment.robot_tables import RobotTables, SensorTable
 from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.settings import Settings
 from testbed.instruments.chain import Instrument
+from testbed.kind_table import KindTable
 from testbed.robot.inertia import to_rpy
 from testbed.toml_text import Finite, checked, complaints, override, read_toml
 
@@ -160,26 +161,21 @@ class Experiment(ExperimentTables):
     @property
     def joint_tables(self) -> Mapping[str, Iterable[str]]:
         """Joint names by the table that is keyed by them, to be checked against the model."""
-        faults = {
-            f"measurement.fault ({fault.kind}).{name}": joints
-            for fault in self.measurement.fault
-            for name, joints in fault.by_joint.items()
+        said: dict[str, tuple[KindTable, ...]] = {
+            "measurement.fault": self.measurement.fault,
+            "simulation.effect": self.simulation.effect,
         }
-        effects = {
-            f"simulation.effect ({effect.kind}).{name}": joints
-            for effect in self.simulation.effect
-            for name, joints in effect.by_joint.items()
+        return {
+            f"{table} ({each.kind}).{name}": joints
+            for table, values in said.items()
+            for each in values
+            for name, joints in each.by_joint.items()
+        } | {
+            "robot.joint": self.robot.joint,
+            "motion.max_velocity": self.motion.max_velocity,
+            "motion.max_acceleration": self.motion.max_acceleration,
+            "measurement.torque_constant_error": self.measurement.torque_constant_error,
         }
-        return (
-            faults
-            | effects
-            | {
-                "robot.joint": self.robot.joint,
-                "motion.max_velocity": self.motion.max_velocity,
-                "motion.max_acceleration": self.motion.max_acceleration,
-                "measurement.torque_constant_error": self.measurement.torque_constant_error,
-            }
-        )
 
 
 GENERIC = ("robot", "model", "scene", "main", "mjcf", "urdf")

@@ -13,6 +13,7 @@ from testbed.experiment.experiment import Experiment
 from testbed.identification.drives.friction_curves import DriveEstimate, FrictionCurve
 from testbed.identification.drives.identify_drives import DriveFindings
 from testbed.identification.estimate import Estimate, Method
+from testbed.identification.regression.normal_equations import TINY
 from testbed.instruments.joints import TorqueConstantError
 from testbed.kind_table import each_joint
 from testbed.parameters.minimal_set import MinimalSet, minimal_set, selection
@@ -213,7 +214,7 @@ def score(
         metrics["friction_max_relative_error"] = _largest(resisting)
     ours, theirs = (metrics.get(f"{m}_rms_relative_error") for m in ("internal", "external"))
     if ours is not None and theirs is not None:
-        metrics["internal_to_external"] = ours / max(theirs, np.finfo(float).tiny)
+        metrics["internal_to_external"] = ours / max(theirs, TINY)
     known = {name: value for name, value in metrics.items() if value is not None}
     return Score(errors, known, accuracies(tree, estimates, zeros, motion))
 
@@ -252,7 +253,7 @@ def _inertial(
 
 def _errors(estimate: Estimate, truth: Array, motion: Motion, torque: Array | None) -> Errors:
     error = estimate.values - truth
-    sigma = np.maximum(estimate.sigma, np.finfo(float).tiny)
+    sigma = np.maximum(estimate.sigma, TINY)
     base, count = estimate.base, estimate.minimal.count
     scales = [_usual(truth[:count], base.units), *_of_terms(estimate, truth, motion, torque)]
     scale = np.concatenate(scales)
@@ -297,8 +298,7 @@ def relative_errors(values: Array, truth: Array, units: Sequence[str]) -> Array:
         truth: (p,).
         units: (p,).
     """
-    relative: Array = (values - truth) / _usual(truth, units)
-    return relative
+    return (values - truth) / _usual(truth, units)
 
 
 def _root_mean_square(values: Array) -> float:

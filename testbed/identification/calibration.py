@@ -16,7 +16,10 @@ from testbed.arrays import Array
 from testbed.codec import with_properties
 from testbed.identification.estimate import Estimate
 from testbed.identification.identify import identify
-from testbed.identification.regression.normal_equations import square_root
+from testbed.identification.regression.normal_equations import (
+    square_root,
+    unit_diagonal,
+)
 from testbed.identification.regression.passes import Progress
 from testbed.identification.sensor.correction import (
     NUISANCES,
@@ -122,10 +125,7 @@ def calibrate(
 
 def _correlation(estimate: Estimate) -> Array:
     """Of the instrument's numbers, (k, k): one with itself, even where it is known."""
-    covariance = estimate.nuisance_covariance
-    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    scale = np.where(sigma > 0, sigma, 1.0)
-    found: Array = covariance / np.outer(scale, scale)
+    found, _ = unit_diagonal(estimate.nuisance_covariance)
     np.fill_diagonal(found, 1.0)
     return found
 

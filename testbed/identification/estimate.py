@@ -17,7 +17,7 @@ from testbed.codec import TableSchema
 from testbed.diagnostics import Diagnosed, Diagnostic, sentences
 from testbed.errors import TestbedError, plural
 from testbed.identification.noise.noise_model import NoiseModel
-from testbed.identification.regression.normal_equations import NormalEquations
+from testbed.identification.regression.normal_equations import TINY, NormalEquations
 from testbed.identification.selection.held_out import TermChoice
 from testbed.identification.sensor.estimates import NuisanceEstimate, TraceTest
 from testbed.identification.settings import DEFAULTS, Settings
@@ -430,7 +430,7 @@ def influence(estimate: Estimate, truths: Mapping[str, float]) -> Array:
     shares = []
     for unit in dict.fromkeys(estimate.channel_units):
         same = units == unit
-        size = max(float(equations.squares[same].sum()), np.finfo(float).tiny)
+        size = max(float(equations.squares[same].sum()), TINY)
         square = np.maximum(squares[same].sum(axis=0), 0.0)  # of a column of zeros by rounding
         shares.append(np.sqrt(square / size))
     return np.asarray(np.abs(values) * np.max(shares, axis=0))

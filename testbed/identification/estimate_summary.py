@@ -12,7 +12,10 @@ from testbed.dynamics.drive_set import drive_set
 from testbed.errors import SettingsError, components, few
 from testbed.identification.estimate import Estimate, Method, channel_units, channels_of
 from testbed.identification.problem import Problem, set_of
-from testbed.identification.regression.normal_equations import NormalEquations
+from testbed.identification.regression.normal_equations import (
+    NormalEquations,
+    standard_deviations,
+)
 from testbed.identification.sensor.correction import lastingly_corrected
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.recordings.source import Source
@@ -90,7 +93,7 @@ def estimate_of_summary(tree: Tree, said: EstimateSummary) -> Estimate:
     none = NormalEquations(
         said.names, channels, np.zeros(c), np.zeros((c, p, p)), np.zeros((c, p)), np.zeros(c)
     )
-    sigma = np.sqrt(np.maximum(np.diagonal(said.covariance), 0.0))
+    sigma = standard_deviations(said.covariance)
     return Estimate(
         method=said.method,
         names=said.names,

@@ -20,7 +20,10 @@ from testbed.identification.estimate import Estimate, Method, channel_units, sen
 from testbed.identification.noise.coloured_noise import GlsFit, generalized_least_squares
 from testbed.identification.problem import Problem
 from testbed.identification.regression.constraints import MASS
-from testbed.identification.regression.normal_equations import NormalEquations
+from testbed.identification.regression.normal_equations import (
+    NormalEquations,
+    standard_deviations,
+)
 from testbed.identification.regression.passes import Passes, Progress
 from testbed.identification.regression.solvers import (
     Fit,
@@ -258,7 +261,7 @@ def _estimate(
         names=equations.unknowns,
         units=problem.units,
         values=fit.values,
-        sigma=np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0)),  # but for rounding
+        sigma=standard_deviations(fit.covariance),  # but for rounding
         covariance=fit.covariance,
         gravity=problem.tree.gravity,
         channels=equations.channels,

@@ -22,7 +22,11 @@ from testbed.diagnostics import Diagnostic
 from testbed.identification.estimate import Estimate, Method, instrument_of
 from testbed.identification.estimate_summary import EstimateSummary, corrected_by, summary_of
 from testbed.identification.problem import Problem
-from testbed.identification.regression.normal_equations import scaled_solve
+from testbed.identification.regression.normal_equations import (
+    TINY,
+    scaled_solve,
+    standard_deviations,
+)
 from testbed.identification.regression.solvers import noise_weights
 from testbed.identification.selection.linear_prior import (
     DETERMINED,
@@ -111,7 +115,7 @@ class Posterior:
     @property
     def sigma(self) -> Array:
         """Standard deviations, the prior's doubt among them, (p,)."""
-        return np.asarray(np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)))
+        return standard_deviations(self.covariance)
 
     @property
     def models(self) -> dict[str, Array]:
@@ -232,7 +236,7 @@ def posterior(
             values, covariance = made[0].values, np.array(made[0].covariance)
             alone = (True,) * len(values)
         count, constants = problem.minimal.count, parts.whole.constants(values)
-        variance = np.maximum(before.variance, np.finfo(float).tiny)
+        variance = np.maximum(before.variance, TINY)
         return Posterior(
             method=method,
             instrument=instrument_of(problem.minimal, method),

@@ -167,8 +167,7 @@ class Settings:
             "zeros": _zeros(self.zeros),
             "position_cutoff": _cutoff("position_cutoff", self.position_cutoff),
             "cutoff": _cutoff("cutoff", self.cutoff),
-            "deadband": _speed("deadband", self.deadband),
-            "reversal_reach": _reach(self.reversal_reach),
+            "deadband": _not_negative("deadband is a speed [rad/s or m/s]", self.deadband),
             "terms": _terms(self.terms),
             "weights": _weights(self.weights),
             "noise": _one_of("noise", self.noise, ("ar", "white")),
@@ -179,6 +178,9 @@ class Settings:
             "tare": _one_of("tare", self.tare, ("known", "unknown")),
             "known": stated_values(self.known),
         }
+        if self.reversal_reach is not None:
+            reach = _not_negative("reversal_reach is a time [s]", self.reversal_reach)
+            checked["reversal_reach"] = reach
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         if self.nuisances and (self.noise != "ar" or self.row_low_pass is None):
@@ -260,9 +262,14 @@ def _hertz(cutoff: Cutoff | None, fit: float) -> float | None:
 def _zeros(given: object) -> bool | tuple[str, ...]:
     if isinstance(given, bool):
         return given
+    return _names("zeros is true, false or a list of parameters' names", given)
+
+
+def _names(what: str, given: object) -> tuple[str, ...]:
+    """A name, or a list of names."""
     names = (given,) if isinstance(given, str) else given
     if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
-        raise SettingsError(f"zeros is true, false or a list of parameters' names, found {given!r}")
+        raise SettingsError(f"{what}, found {given!r}")
     return tuple(names)
 
 
@@ -277,17 +284,10 @@ def _cutoff(name: str, given: object) -> Cutoff:
     return number
 
 
-def _speed(name: str, given: object) -> float:
+def _not_negative(what: str, given: object) -> float:
     number = finite_number(given)
     if number is None or number < 0:
-        raise SettingsError(f"{name} is a speed [rad/s or m/s], found {given!r}")
-    return number
-
-
-def _reach(given: object) -> float | None:
-    number = finite_number(given)
-    if given is not None and (number is None or number < 0):
-        raise SettingsError(f"reversal_reach is a time [s], found {given!r}")
+        raise SettingsError(f"{what}, found {given!r}")
     return number
 
 
@@ -325,15 +325,13 @@ def _one_of(name: str, given: object, known: tuple[str, ...]) -> str:
 
 
 def _nuisances(given: object) -> tuple[str, ...]:
-    names = (given,) if isinstance(given, str) else given
-    if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
-        raise SettingsError(f"nuisances is a list of names, found {given!r}")
+    names = _names("nuisances is a list of names", given)
     for name in names:
         if name not in KINDS:
             raise UnknownName("nuisance", name, KINDS)
     if len(set(names)) < len(names):
         raise SettingsError(f"nuisances names something twice: {', '.join(names)}")
-    return tuple(names)
+    return names
 
 
 def _weights(given: ArrayLike) -> str | tuple[tuple[float, ...], ...]:

@@ -218,7 +218,7 @@ class Validation(Diagnosed):
     @property
     def allowed(self) -> Array:
         """Rms that noise and covariance make together, (C,) [N, N m]."""
-        return np.asarray(np.hypot(self.noise, self.spread))
+        return np.hypot(self.noise, self.spread)
 
     @property
     def ratio(self) -> Array:
@@ -233,7 +233,7 @@ class Validation(Diagnosed):
     @property
     def scatter(self) -> Array:
         """Rms of the residual about its mean, (C,) [N, N m]."""
-        return np.asarray(np.sqrt(np.maximum(self.residual**2 - self.mean**2, 0.0)))
+        return np.sqrt(np.maximum(self.residual**2 - self.mean**2, 0.0))
 
     @property
     def matters(self) -> tuple[bool, ...]:
@@ -369,4 +369,4 @@ def _diagnostics(found: Validation) -> Iterator[Diagnostic]:
 def _over(above: Array, below: Array) -> Array:
     """A quotient; nan where nothing is over nothing."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(above / below)
+        return above / below

@@ -16,6 +16,7 @@ from testbed.identification.diagnostics.diagnosis import UNEXPLAINED
 from testbed.identification.diagnostics.residuals import diagnostics_of
 from testbed.identification.estimate import Estimate, channel_label, matters
 from testbed.identification.posterior import Posterior
+from testbed.identification.regression.normal_equations import TINY
 from testbed.identification.selection.prediction_errors import POSTERIOR
 
 NOTHING = 1.0
@@ -113,7 +114,7 @@ def _episodes(found: Posterior) -> Iterator[Diagnostic]:
         yield diagnose(
             "verdict.episode",
             channel_label(found.method, found.errors[0].channels[c]),
-            most / max(float(usual[c]), np.finfo(float).tiny),
+            most / max(float(usual[c]), TINY),
             method=found.method,
             begin=ends[parts[0]],
             end=ends[parts[-1] + 1],

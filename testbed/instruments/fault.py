@@ -27,7 +27,7 @@ from typing import Any, ClassVar, Literal, Self, TypeAlias
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.kind_table import COUNTS, KindTable
+from testbed.kind_table import COUNTS, KindTable, PerJoint, each_joint
 
 Signal = Literal["position", "torque", "wrench", "tare"]
 """What a fault spoils; the tare is what the plate shows at rest without the robot."""
@@ -132,10 +132,33 @@ class Fault(KindTable):
         return replace(self, **found)
 
 
-def each_channel(force: PerAxis, moment: PerAxis) -> Array:
-    """Forces' and moments' values, channel by channel, (6,) [N, N m]."""
-    three = [np.broadcast_to(np.asarray(part, dtype=float), 3) for part in (force, moment)]
-    return np.concatenate(three)
+class GainFault(Fault):
+    """Signal on a wrong scale, by a relative `error` of each joint or channel."""
+
+    error: PerJoint
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Signal times one plus the error, (M, k)."""
+        del time, rng
+        return (1 + each_joint(self.error)) * signal
+
+
+class EncoderFault(Fault):
+    """Fault of joint positions, (M, n) [rad or m]."""
+
+    signal: ClassVar[Signal] = "position"
+
+
+class TorqueFault(Fault):
+    """Fault of reported joint torques, (M, n) [N m or N]."""
+
+    signal: ClassVar[Signal] = "torque"
+
+
+class PlateFault(Fault):
+    """Fault of a plate's wrench, (M, 6) [N, N m]."""
+
+    signal: ClassVar[Signal] = "wrench"
 
 
 def stream(kind: str, seed: int, number: int = 0, use: str = "") -> np.random.Generator:

@@ -8,12 +8,51 @@ from typing import ClassVar
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.instruments.fault import Fault, Place, Signal
+from testbed.instruments.fault import EncoderFault, Fault, GainFault, Place, TorqueFault
 from testbed.kind_table import PerJoint, each_joint, hidden, key
 
 
+class NoiseFault(Fault):
+    """White noise of standard deviation `sigma`, joint by joint."""
+
+    sigma: PerJoint
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Signal with noise, (M, n)."""
+        del time
+        return signal + each_joint(self.sigma) * rng.normal(size=signal.shape)
+
+
+class OffsetFault(Fault):
+    """Constant `error` of a signal, joint by joint."""
+
+    error: PerJoint
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Signal plus the error, (M, n)."""
+        del time, rng
+        return signal + each_joint(self.error)
+
+
+class WaveFault(Fault):
+    """Error that repeats with every `period` of a joint's position."""
+
+    amplitude: PerJoint
+    period: PerJoint
+    phase: PerJoint | None
+
+    def wave(self, position: Array) -> Array:
+        """Amplitude times sin(2 pi q / period + phase), (M, n).
+
+        Args:
+            position: True joint positions q, (M, n) [rad or m].
+        """
+        turn = 2 * np.pi * position / each_joint(self.period) + each_joint(self.phase or 0.0)
+        return each_joint(self.amplitude) * np.sin(turn)
+
+
 @dataclass(frozen=True)
-class EncoderNoise(Fault):
+class EncoderNoise(NoiseFault, EncoderFault):
     """White noise on positions, besides that of `measurement.encoder_noise`.
 
     Source    Interpolation noise of encoders of the 16-bit class.
@@ -23,19 +62,12 @@ class EncoderNoise(Fault):
     """
 
     kind: ClassVar[str] = "encoder_noise"
-    signal: ClassVar[Signal] = "position"
     place: ClassVar[Place] = Place.NOISE
     sigma: PerJoint = key(1e-4, "joints", least=0)
 
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Positions with noise, (M, n) [rad or m]."""
-        del time
-        noisy: Array = signal + each_joint(self.sigma) * rng.normal(size=signal.shape)
-        return noisy
-
 
 @dataclass(frozen=True)
-class EncoderResolution(Fault):
+class EncoderResolution(EncoderFault):
     """Positions rounded to the nearest count.
 
     Source    16 bits a turn: 9.6e-5 rad.
@@ -45,7 +77,6 @@ class EncoderResolution(Fault):
     """
 
     kind: ClassVar[str] = "encoder_resolution"
-    signal: ClassVar[Signal] = "position"
     place: ClassVar[Place] = Place.CONVERTER
     count: PerJoint = key(1e-4, "joints", least=0)
 
@@ -54,12 +85,11 @@ class EncoderResolution(Fault):
         del time, rng
         count = each_joint(self.count)
         step = np.where(count > 0, count, 1.0)
-        rounded: Array = np.where(count > 0, step * np.round(signal / step), signal)
-        return rounded
+        return np.where(count > 0, step * np.round(signal / step), signal)
 
 
 @dataclass(frozen=True)
-class EncoderInstantSampling(Fault):
+class EncoderInstantSampling(EncoderFault):
     """Positions at the first instant of each sample, while all else is the mean over it.
 
     What a controller's counter does: it latches. Against a plate that averages, positions are
@@ -69,7 +99,6 @@ class EncoderInstantSampling(Fault):
     """
 
     kind: ClassVar[str] = "encoder_instant_sampling"
-    signal: ClassVar[Signal] = "position"
     place: ClassVar[Place] = Place.CLOCK
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
@@ -79,7 +108,7 @@ class EncoderInstantSampling(Fault):
 
 
 @dataclass(frozen=True)
-class EncoderZeroError(Fault):
+class EncoderZeroError(OffsetFault, EncoderFault):
     """A constant error of the positions: wrong zeros.
 
     Source    An arm zeroed by eye at engraved marks: 0.2 degrees.
@@ -89,19 +118,12 @@ class EncoderZeroError(Fault):
     """
 
     kind: ClassVar[str] = "encoder_zero_error"
-    signal: ClassVar[Signal] = "position"
     place: ClassVar[Place] = Place.SENSOR
     error: PerJoint = key(3.5e-3, "joints", "sign")
 
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Positions from a wrong zero, (M, n) [rad or m]."""
-        del time, rng
-        shifted: Array = signal + each_joint(self.error)
-        return shifted
-
 
 @dataclass(frozen=True)
-class EncoderGain(Fault):
+class EncoderGain(GainFault, EncoderFault):
     """Positions on a wrong scale: a wrong gear ratio or pitch.
 
     Source    A ratio typed with two digits, 1 %.
@@ -111,19 +133,12 @@ class EncoderGain(Fault):
     """
 
     kind: ClassVar[str] = "encoder_gain"
-    signal: ClassVar[Signal] = "position"
     place: ClassVar[Place] = Place.SENSOR
     error: PerJoint = key(0.01, "joints", "sign")
 
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Positions on a wrong scale, (M, n) [rad or m]."""
-        del time, rng
-        scaled: Array = (1 + each_joint(self.error)) * signal
-        return scaled
-
 
 @dataclass(frozen=True)
-class EncoderEccentricity(Fault):
+class EncoderEccentricity(WaveFault, EncoderFault):
     """Eccentric discs: an error that repeats with every turn.
 
     Shown is q + amplitude sin(2 pi q / period + phase). A sliding joint has the period of its
@@ -138,7 +153,6 @@ class EncoderEccentricity(Fault):
     """
 
     kind: ClassVar[str] = "encoder_eccentricity"
-    signal: ClassVar[Signal] = "position"
     place: ClassVar[Place] = Place.SENSOR
     amplitude: PerJoint = key(4e-4, "joints")
     period: PerJoint = key(2 * np.pi, "joints", positive=True)
@@ -147,9 +161,7 @@ class EncoderEccentricity(Fault):
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Positions with the wave, (M, n) [rad or m]."""
         del time, rng
-        turn = 2 * np.pi * signal / each_joint(self.period) + each_joint(self.phase or 0.0)
-        wavy: Array = signal + each_joint(self.amplitude) * np.sin(turn)
-        return wavy
+        return signal + self.wave(signal)
 
 
 def first_instants(means: Array, time: Array) -> Array:
@@ -174,7 +186,7 @@ def first_instants(means: Array, time: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class TorqueConstantError(Fault):
+class TorqueConstantError(GainFault, TorqueFault):
     """Torques reported with wrong torque constants.
 
     Source    Tolerances of motors' torque constants in data sheets: 5 to 10 %.
@@ -184,19 +196,12 @@ class TorqueConstantError(Fault):
     """
 
     kind: ClassVar[str] = "torque_constant_error"
-    signal: ClassVar[Signal] = "torque"
     place: ClassVar[Place] = Place.SENSOR
     error: PerJoint = key(0.05, "joints", "sign")
 
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Torques as they are reported, (M, n) [N m or N]."""
-        del time, rng
-        reported: Array = (1 + each_joint(self.error)) * signal
-        return reported
-
 
 @dataclass(frozen=True, eq=False)
-class TorqueRipple(Fault):
+class TorqueRipple(WaveFault, TorqueFault):
     """Ripple: torque constants that change periodically with the position.
 
     Reported is torque (1 + amplitude sin(2 pi q / period + phase)), q the true position. A
@@ -212,7 +217,6 @@ class TorqueRipple(Fault):
     """
 
     kind: ClassVar[str] = "torque_ripple"
-    signal: ClassVar[Signal] = "torque"
     place: ClassVar[Place] = Place.SENSOR
     amplitude: PerJoint = key(0.02, "joints")
     period: PerJoint = key(np.pi / 100, "joints", positive=True)
@@ -224,13 +228,11 @@ class TorqueRipple(Fault):
         del time, rng
         if self.position is None:
             raise ValueError("torque_ripple acts where positions are known: put it on a Rig")
-        turn = 2 * np.pi * self.position / each_joint(self.period) + each_joint(self.phase or 0.0)
-        reported: Array = (1 + each_joint(self.amplitude) * np.sin(turn)) * signal
-        return reported
+        return (1 + self.wave(self.position)) * signal
 
 
 @dataclass(frozen=True)
-class TorqueOffset(Fault):
+class TorqueOffset(OffsetFault, TorqueFault):
     """A constant error of the reported torques.
 
     Source    Zero error of Hall-effect current sensors in data sheets: 0.5 to 1 % of their
@@ -241,19 +243,12 @@ class TorqueOffset(Fault):
     """
 
     kind: ClassVar[str] = "torque_offset"
-    signal: ClassVar[Signal] = "torque"
     place: ClassVar[Place] = Place.NOISE
     error: PerJoint = key(1.0, "joints", "sign")
 
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Torques with the offset, (M, n) [N m or N]."""
-        del time, rng
-        shifted: Array = signal + each_joint(self.error)
-        return shifted
-
 
 @dataclass(frozen=True)
-class TorqueNoise(Fault):
+class TorqueNoise(NoiseFault, TorqueFault):
     """White noise on the reported torques, besides that of `measurement.torque_noise`.
 
     Source    Noise of current sensors in data sheets: 0.5 % of their range.
@@ -263,15 +258,8 @@ class TorqueNoise(Fault):
     """
 
     kind: ClassVar[str] = "torque_noise"
-    signal: ClassVar[Signal] = "torque"
     place: ClassVar[Place] = Place.NOISE
     sigma: PerJoint = key(0.5, "joints", least=0)
-
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Torques with noise, (M, n) [N m or N]."""
-        del time
-        noisy: Array = signal + each_joint(self.sigma) * rng.normal(size=signal.shape)
-        return noisy
 
 
 FAULTS: tuple[type[Fault], ...] = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
@@ -12,20 +13,44 @@ from testbed.errors import SettingsError
 from testbed.instruments.fault import (
     FULL_SCALE,
     Fault,
+    GainFault,
     Matrix,
     PerAxis,
     PerChannel,
     Place,
+    PlateFault,
     Rig,
     Signal,
-    each_channel,
 )
 from testbed.kind_table import hidden, key
 from testbed.robot.inertia import from_vector
 
 
+class AddedWrench(PlateFault):
+    """Error added to the plate's channels: their sizes times a pattern over time."""
+
+    place: ClassVar[Place] = Place.NOISE
+    force: PerAxis
+    moment: PerAxis
+
+    @abstractmethod
+    def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Error of channels of size one, (M, 6) or (M, 1).
+
+        Args:
+            signal: Wrench before the fault, (M, 6) [N, N m].
+            time: (M,) [s].
+            rng: The fault's own random numbers.
+        """
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Wrench with the error, (M, 6) [N, N m]."""
+        sizes = [np.broadcast_to(np.asarray(each), 3) for each in (self.force, self.moment)]
+        return signal + np.concatenate(sizes) * self.pattern(signal, time, rng)
+
+
 @dataclass(frozen=True)
-class PlateNoise(Fault):
+class PlateNoise(AddedWrench):
     """White noise on the plate's channels, besides that of `measurement.force_noise`.
 
     Source    Our own choice: the noise of experiments/table6.toml, of a plate for 1 kN.
@@ -36,22 +61,17 @@ class PlateNoise(Fault):
     """
 
     kind: ClassVar[str] = "plate_noise"
-    signal: ClassVar[Signal] = "wrench"
-    place: ClassVar[Place] = Place.NOISE
     force: PerAxis = key(0.5, "axes", least=0)
     moment: PerAxis = key(0.1, "axes", least=0)
 
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench with noise, (M, 6) [N, N m]."""
+    def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Noise of variance one, (M, 6)."""
         del time
-        noisy: Array = signal + each_channel(self.force, self.moment) * rng.normal(
-            size=signal.shape
-        )
-        return noisy
+        return rng.normal(size=signal.shape)
 
 
 @dataclass(frozen=True)
-class PlateBias(Fault):
+class PlateBias(AddedWrench):
     """A constant error of the zero.
 
     Source    Zero error of amplifiers in data sheets: 0.2 to 0.5 % of full scale.
@@ -62,20 +82,17 @@ class PlateBias(Fault):
     """
 
     kind: ClassVar[str] = "plate_bias"
-    signal: ClassVar[Signal] = "wrench"
-    place: ClassVar[Place] = Place.NOISE
     force: PerAxis = key(2.0, "axes", "sign")
     moment: PerAxis = key(0.5, "axes", "sign")
 
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench from a wrong zero, (M, 6) [N, N m]."""
+    def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """One, at every sample."""
         del time, rng
-        shifted: Array = signal + each_channel(self.force, self.moment)
-        return shifted
+        return np.ones_like(signal)
 
 
 @dataclass(frozen=True)
-class PlateDrift(Fault):
+class PlateDrift(AddedWrench):
     """An error of the zero that grows in proportion to time, from none at time 0.
 
     Source    Drift of charge amplifiers in data sheets, 0.01 N/s, five times over: one that
@@ -87,20 +104,17 @@ class PlateDrift(Fault):
     """
 
     kind: ClassVar[str] = "plate_drift"
-    signal: ClassVar[Signal] = "wrench"
-    place: ClassVar[Place] = Place.NOISE
     force: PerAxis = key(0.05, "axes", "sign")
     moment: PerAxis = key(0.01, "axes", "sign")
 
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench on a slope, (M, 6) [N, N m]."""
-        del rng
-        sloped: Array = signal + time[:, None] * each_channel(self.force, self.moment)
-        return sloped
+    def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Time, (M, 1) [s]."""
+        del signal, rng
+        return time[:, None]
 
 
 @dataclass(frozen=True)
-class PlateRandomWalk(Fault):
+class PlateRandomWalk(AddedWrench):
     """An error of the zero that wanders at random, from none at time 0.
 
     Source    Our own choice: after a second it is where the drift of 0.05 N/s would be.
@@ -111,21 +125,17 @@ class PlateRandomWalk(Fault):
     """
 
     kind: ClassVar[str] = "plate_random_walk"
-    signal: ClassVar[Signal] = "wrench"
-    place: ClassVar[Place] = Place.NOISE
     force: PerAxis = key(0.05, "axes", least=0)
     moment: PerAxis = key(0.01, "axes", least=0)
 
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench with a wandering zero, (M, 6) [N, N m]."""
+    def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Random walk of variance one a second, (M, 6) [sqrt(s)]."""
         spread = np.sqrt(np.append(abs(time[0]), np.diff(time)))
-        walk = np.cumsum(spread[:, None] * rng.normal(size=signal.shape), axis=0)
-        wandering: Array = signal + each_channel(self.force, self.moment) * walk
-        return wandering
+        return np.cumsum(spread[:, None] * rng.normal(size=signal.shape), axis=0)
 
 
 @dataclass(frozen=True)
-class PlateColouredNoise(Fault):
+class PlateColouredNoise(AddedWrench):
     """Coloured noise: autoregressive of first order, stationary.
 
     Its correlation fades as exp(-t / time_constant).
@@ -140,27 +150,22 @@ class PlateColouredNoise(Fault):
     """
 
     kind: ClassVar[str] = "plate_coloured_noise"
-    signal: ClassVar[Signal] = "wrench"
-    place: ClassVar[Place] = Place.NOISE
     force: PerAxis = key(0.5, "axes", least=0)
     moment: PerAxis = key(0.1, "axes", least=0)
     time_constant: float = key(0.3, positive=True)
 
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench with noise, (M, 6) [N, N m]."""
+    def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Noise of variance one, (M, 6)."""
         from scipy.signal import lfilter
 
         white = rng.normal(size=signal.shape)
         kept = np.exp(-_step(time) / self.time_constant)
         white[1:] *= np.sqrt(1 - kept**2)  # the first sample is as large as all others
-        noisy: Array = signal + each_channel(self.force, self.moment) * lfilter(
-            [1.0], [1.0, -kept], white, axis=0
-        )
-        return noisy
+        return np.asarray(lfilter([1.0], [1.0, -kept], white, axis=0))
 
 
 @dataclass(frozen=True)
-class PlatePinkNoise(Fault):
+class PlatePinkNoise(AddedWrench):
     """Pink noise: of density 1/f, as of amplifiers at low frequencies, and level below `lowest`.
 
     Source    Our own choice: as much as the white noise of experiments/table6.toml.
@@ -172,14 +177,12 @@ class PlatePinkNoise(Fault):
     """
 
     kind: ClassVar[str] = "plate_pink_noise"
-    signal: ClassVar[Signal] = "wrench"
-    place: ClassVar[Place] = Place.NOISE
     force: PerAxis = key(0.5, "axes", least=0)
     moment: PerAxis = key(0.1, "axes", least=0)
     lowest: float = key(0.01, positive=True)
 
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench with noise, (M, 6) [N, N m]."""
+    def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Noise of variance one, (M, 6)."""
         samples, step = len(signal), _step(time)
         around = 2 * samples  # so that the end forgets the start
         frequency = np.maximum(np.fft.rfftfreq(around, step), self.lowest)
@@ -189,13 +192,11 @@ class PlatePinkNoise(Fault):
         twice[[0, -1]] = 1.0
         density *= around / (twice @ density)
         white = np.fft.rfft(rng.normal(size=(around, signal.shape[1])), axis=0)
-        pink = np.fft.irfft(np.sqrt(density)[:, None] * white, around, axis=0)[:samples]
-        noisy: Array = signal + each_channel(self.force, self.moment) * pink
-        return noisy
+        return np.fft.irfft(np.sqrt(density)[:, None] * white, around, axis=0)[:samples]
 
 
 @dataclass(frozen=True)
-class PlateHum(Fault):
+class PlateHum(AddedWrench):
     """Hum of the mains: a sine in every channel, each of its own phase.
 
     Source    50 Hz: frequency of the mains in Europe and most of Asia and Africa (60 Hz in
@@ -209,19 +210,16 @@ class PlateHum(Fault):
     """
 
     kind: ClassVar[str] = "plate_hum"
-    signal: ClassVar[Signal] = "wrench"
-    place: ClassVar[Place] = Place.NOISE
     force: PerAxis = key(2.0, "axes")
     moment: PerAxis = key(0.5, "axes")
     frequency: float = key(50.0, positive=True)
     phase: PerChannel | None = key(None, "channels", "phase")
 
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench with the mains, (M, 6) [N, N m]."""
-        del rng
+    def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Sine of the mains, (M, 6)."""
+        del signal, rng
         turn = 2 * np.pi * self.frequency * time[:, None] + np.asarray(self.phase or 0.0)
-        humming: Array = signal + each_channel(self.force, self.moment) * np.sin(turn)
-        return humming
+        return np.asarray(np.sin(turn))
 
 
 def _step(time: Array) -> float:
@@ -234,7 +232,7 @@ _MOST_SAMPLES = 1e6
 
 
 @dataclass(frozen=True)
-class PlateGain(Fault):
+class PlateGain(GainFault, PlateFault):
     """Channels on wrong scales.
 
     Source    Accuracy of force plates and six-axis sensors in data sheets: 0.5 %.
@@ -244,19 +242,12 @@ class PlateGain(Fault):
     """
 
     kind: ClassVar[str] = "plate_gain"
-    signal: ClassVar[Signal] = "wrench"
     place: ClassVar[Place] = Place.SENSOR
     error: PerChannel = key(0.005, "channels", "sign")
 
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench on wrong scales, (M, 6) [N, N m]."""
-        del time, rng
-        scaled: Array = (1 + np.asarray(self.error)) * signal
-        return scaled
-
 
 @dataclass(frozen=True)
-class PlateCrosstalk(Fault):
+class PlateCrosstalk(PlateFault):
     """Channels that show some of the others' loads, in proportion to their full scales.
 
     With D = diag(full scale) shown is (1 + D X D^-1) W. The off-diagonal entries of X are drawn
@@ -272,7 +263,6 @@ class PlateCrosstalk(Fault):
     """
 
     kind: ClassVar[str] = "plate_crosstalk"
-    signal: ClassVar[Signal] = "wrench"
     place: ClassVar[Place] = Place.SENSOR
     size: float = key(0.01, least=0, most=1)
     matrix: Matrix | None = key(None, "matrix")
@@ -295,7 +285,7 @@ class PlateCrosstalk(Fault):
 
 
 @dataclass(frozen=True)
-class PlatePose(Fault):
+class PlatePose(PlateFault):
     """A plate that is turned and shifted against the bedplate frame.
 
     The plate's frame has the origin p and the axes R, both in the bedplate frame; it shows
@@ -309,7 +299,6 @@ class PlatePose(Fault):
     """
 
     kind: ClassVar[str] = "plate_pose"
-    signal: ClassVar[Signal] = "wrench"
     place: ClassVar[Place] = Place.SENSOR
     rotation: PerAxis = key(3.5e-3, "axes", "sign")
     translation: PerAxis = key(1e-3, "axes", "sign")
@@ -322,7 +311,7 @@ class PlatePose(Fault):
 
 
 @dataclass(frozen=True)
-class PlateOriginHeight(Fault):
+class PlateOriginHeight(PlateFault):
     """Moments about a point above or below the origin: a cover not counted, a wrong data sheet.
 
     Source    [BS90] and data sheets: origins of force plates lie 30 to 60 mm below the cover,
@@ -333,7 +322,6 @@ class PlateOriginHeight(Fault):
     """
 
     kind: ClassVar[str] = "plate_origin_height"
-    signal: ClassVar[Signal] = "wrench"
     place: ClassVar[Place] = Place.SENSOR
     height: float = key(5e-3)
 
@@ -344,7 +332,7 @@ class PlateOriginHeight(Fault):
 
 
 @dataclass(frozen=True)
-class PlateSaturation(Fault):
+class PlateSaturation(PlateFault):
     """Saturation: a range too small for the motion, at whose ends channels stop.
 
     By default the range covers a share of each channel's swing in this recording, around its
@@ -358,7 +346,6 @@ class PlateSaturation(Fault):
     """
 
     kind: ClassVar[str] = "plate_saturation"
-    signal: ClassVar[Signal] = "wrench"
     place: ClassVar[Place] = Place.RANGE
     covered: PerChannel = key(0.9, "channels", least=0)
     limit: PerChannel | None = key(None, "channels", positive=True)
@@ -375,7 +362,7 @@ class PlateSaturation(Fault):
 
 
 @dataclass(frozen=True)
-class PlateConverter(Fault):
+class PlateConverter(PlateFault):
     """An analog-to-digital converter: values in whole counts, within its range.
 
     Its range is `full_scale` of the instrument, to both sides.
@@ -387,7 +374,6 @@ class PlateConverter(Fault):
     """
 
     kind: ClassVar[str] = "plate_converter"
-    signal: ClassVar[Signal] = "wrench"
     place: ClassVar[Place] = Place.CONVERTER
     bits: int = key(12, least=1, most=32, whole=True)
     full_scale: tuple[float, ...] = hidden(FULL_SCALE)
@@ -441,8 +427,7 @@ class MeasuredTare(Fault):
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """The mean, in every row, of what the plate shows at rest, (M, 6) [N, N m]."""
         del time, rng
-        mean: Array = np.broadcast_to(signal.mean(axis=0), signal.shape)
-        return mean
+        return np.broadcast_to(signal.mean(axis=0), signal.shape)
 
 
 def in_frame(wrench: Array, rotation: Array, origin: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import SettingsError
-from testbed.instruments.fault import Fault, Place, Signal
+from testbed.instruments.fault import Fault, Place, PlateFault
 from testbed.kind_table import key
 
 _LEAST_CUTOFF = 1e-5
@@ -17,7 +17,7 @@ _LEAST_CUTOFF = 1e-5
 
 
 @dataclass(frozen=True)
-class PlateAntiAliasFilter(Fault):
+class PlateAntiAliasFilter(PlateFault):
     """A low-pass before the plate's converter, which the joints' signals do not pass.
 
     A causal Butterworth filter, exact for signals that are straight between samples; it is at
@@ -32,7 +32,6 @@ class PlateAntiAliasFilter(Fault):
     """
 
     kind: ClassVar[str] = "plate_anti_alias_filter"
-    signal: ClassVar[Signal] = "wrench"
     place: ClassVar[Place] = Place.FILTER
     cutoff: float = key(100.0, positive=True)
     order: int = key(2, least=1, most=8, whole=True)
@@ -66,7 +65,7 @@ def _sections(cutoff: float, order: int) -> list[tuple[list[float], list[float]]
 
 
 @dataclass(frozen=True)
-class PlateDelay(Fault):
+class PlateDelay(PlateFault):
     """Skew: plate samples that are older than the joints' of the same time, by a constant delay.
 
     Source    Two loggers started by software: one sample at a thousand a second.
@@ -76,7 +75,6 @@ class PlateDelay(Fault):
     """
 
     kind: ClassVar[str] = "plate_delay"
-    signal: ClassVar[Signal] = "wrench"
     place: ClassVar[Place] = Place.CLOCK
     delay: float = key(1e-3)
 
@@ -87,7 +85,7 @@ class PlateDelay(Fault):
 
 
 @dataclass(frozen=True)
-class PlateClockRate(Fault):
+class PlateClockRate(PlateFault):
     """A plate with a clock of its own that runs too fast: a skew that grows from time 0.
 
     Source    Tolerance of quartz clocks in data sheets: 50 parts in a million.
@@ -97,7 +95,6 @@ class PlateClockRate(Fault):
     """
 
     kind: ClassVar[str] = "plate_clock_rate"
-    signal: ClassVar[Signal] = "wrench"
     place: ClassVar[Place] = Place.CLOCK
     error: float = key(5e-5, least=-0.5, most=1.0)
 
@@ -108,7 +105,7 @@ class PlateClockRate(Fault):
 
 
 @dataclass(frozen=True)
-class PlateJitter(Fault):
+class PlateJitter(PlateFault):
     """Samples taken somewhat earlier or later than they should be, at random.
 
     Source    Latencies of software-timed loops on real-time systems: 50 us.
@@ -118,7 +115,6 @@ class PlateJitter(Fault):
     """
 
     kind: ClassVar[str] = "plate_jitter"
-    signal: ClassVar[Signal] = "wrench"
     place: ClassVar[Place] = Place.CLOCK
     sigma: float = key(5e-5, least=0)
 
@@ -130,7 +126,7 @@ class PlateJitter(Fault):
 
 
 @dataclass(frozen=True)
-class PlateDroppedSamples(Fault):
+class PlateDroppedSamples(PlateFault):
     """Samples that are lost on the way, and the ones before them repeated.
 
     Source    A bus without retransmission: one sample in a thousand.
@@ -140,7 +136,6 @@ class PlateDroppedSamples(Fault):
     """
 
     kind: ClassVar[str] = "plate_dropped_samples"
-    signal: ClassVar[Signal] = "wrench"
     place: ClassVar[Place] = Place.LINE
     share: float = key(1e-3, least=0, most=1)
 
@@ -149,8 +144,7 @@ class PlateDroppedSamples(Fault):
         del time
         lost = rng.random(len(signal)) < self.share
         last = np.maximum.accumulate(np.where(lost, 0, np.arange(len(signal))))
-        repeated: Array = signal[last]
-        return repeated
+        return signal[last]
 
 
 def at_times(signal: Array, time: Array, wanted: Array) -> Array:

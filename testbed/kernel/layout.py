@@ -95,7 +95,7 @@ def canonical(tree: Tree) -> Canonical:
     Args:
         tree: The robot; only its geometry matters.
     """
-    frames = [np.eye(3), *(_upright(joint.axis) for joint in tree.joints)]  # bedplate first
+    frames = [np.eye(3), *(upright(joint.axis) for joint in tree.joints)]  # bedplate first
     for i in range(-1, tree.n):
         leans = [_lean(_between(tree, frames, j)) for j in tree.children(i)]
         first = next((angle for angle in leans if angle is not None), None)
@@ -122,8 +122,8 @@ def canonical(tree: Tree) -> Canonical:
     return Canonical(tuple(links), tuple(place), np.stack(frames[1:]), frames[0])
 
 
-def _upright(axis: Array) -> Array:
-    """A frame with its z along a unit vector."""
+def upright(axis: Array) -> Array:
+    """A right-handed frame with its z along a unit vector, columns, (3, 3)."""
     x = across(axis).axes[0]
     return np.column_stack([x, np.cross(axis, x), axis])
 
@@ -131,8 +131,7 @@ def _upright(axis: Array) -> Array:
 def _between(tree: Tree, frames: list[Array], j: int) -> Array:
     """From joint j's canonical frame at rest to its carrier's, (3, 3)."""
     joint = tree.joints[j]
-    turn: Array = frames[joint.parent + 1].T @ joint.rotation @ frames[j + 1]
-    return turn
+    return frames[joint.parent + 1].T @ joint.rotation @ frames[j + 1]
 
 
 def _lean(turn: Array) -> float | None:

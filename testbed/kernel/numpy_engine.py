@@ -66,7 +66,7 @@ def _block(layout: Layout, signals: Signals, number: int) -> Block:
     rests = np.zeros((layout.width, signals.number, signals.number) if signals.deadband > 0 else 0)
     for at in range(0, span, SAMPLES):
         some = min(SAMPLES, span - at)
-        motion = _motion(signals, begin + at, some)
+        motion = motion_of(signals, begin + at, some)
         y = _unfiltered(layout, signals, begin + at, motion)
         first, last = (at - 2 * half - 1) // signals.step + 1, (at + some - 1) // signals.step + 1
         reached = slice(max(first, 0), min(last, signals.number))
@@ -105,15 +105,26 @@ def _whitened(z: Array, rests: Array) -> tuple[Array, NDArray[np.bool_]]:
     return solve_triangular(root, z.T, lower=True).T, counts
 
 
-def _motion(signals: Signals, first: int, count: int) -> Motion:
-    """Coordinates at `count` samples."""
-    time, part = np.arange(count, dtype=np.float64), slice(first, first + count)
+def motion_of(
+    signals: Signals, first: int, count: int, stride: int = 1, rate: float = 1.0
+) -> Motion:
+    """Coordinates at every so many samples, by convolution of the positions where need be.
+
+    Args:
+        signals: The window's.
+        first: Number of the first sample.
+        count: How many instants.
+        stride: Samples from one to the next.
+        rate: Samples a second [Hz].
+    """
+    time, last = np.arange(count) * stride / rate, first + (count - 1) * stride + 1
     if len(signals.velocity):
+        part = slice(first, last, stride)
         found = (signals.position[part], signals.velocity[part], signals.acceleration[part])
         return Motion(time, *found)
     half = signals.taps.shape[1] // 2
-    around = signals.position[first - half : first + count + half]
-    windows = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1, axis=0)
+    around = signals.position[first - half : last + half]
+    windows = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1, axis=0)[::stride]
     return Motion(time, *(windows @ taps for taps in signals.taps))
 
 
@@ -148,7 +159,7 @@ def _smoothed(layout: Layout, signals: Signals, first: int, load: Array) -> Arra
     half, last = signals.taps.shape[1] // 2, first + len(load)
     low, high = max(first - reach, half), min(last + reach, len(signals.position) - half)
     ends = [
-        linear(layout.tree, _motion(signals, a, b - a), layout.theta, layout.gravity)[0]
+        linear(layout.tree, motion_of(signals, a, b - a), layout.theta, layout.gravity)[0]
         @ signals.load
         for a, b in ((low, first), (last, high))
         if b > a

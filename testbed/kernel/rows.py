@@ -17,12 +17,6 @@ SCREW = 6 * B  # of a screw: turning u, sliding v at the body's origin
 
 
 @inline
-def cross(a0, a1, a2, b0, b1, b2):
-    """A x b."""
-    return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
-
-
-@inline
 def turn(c, s, x, y, z):
     """A vector in a frame turned about z."""
     return c * x + s * y, c * y - s * x, z
@@ -39,20 +33,11 @@ def sine_cosine(q, shift, s, c):
         sign = 1.0 - 2.0 * odd * odd
         z = r * r
         p = SINE[0]
-        p = p * z + SINE[1]
-        p = p * z + SINE[2]
-        p = p * z + SINE[3]
-        p = p * z + SINE[4]
-        p = p * z + SINE[5]
-        p = p * z + SINE[6]
-        p = p * z + SINE[7]
+        for each in SINE[1:]:
+            p = p * z + each
         g = COSINE[0]
-        g = g * z + COSINE[1]
-        g = g * z + COSINE[2]
-        g = g * z + COSINE[3]
-        g = g * z + COSINE[4]
-        g = g * z + COSINE[5]
-        g = g * z + COSINE[6]
+        for each in COSINE[1:]:
+            g = g * z + each
         s[k] = sign * (r + r * z * p)
         c[k] = sign * (1.0 - 0.5 * z + z * z * g)
 

@@ -190,7 +190,7 @@ class Elimination:
 
 
 @dataclass(frozen=True, eq=False)
-class _Direction:
+class Direction:
     """Parameters of a body and of those it carries, and the body's redefined ten, (10,)."""
 
     value: Array
@@ -198,22 +198,25 @@ class _Direction:
 
     @property
     def size(self) -> float:
+        """Largest magnitude of its parameters."""
         return max(float(np.abs(numbers).max()) for numbers in self.parts.values())
 
-    def plus(self, factor: float, other: _Direction) -> _Direction:
+    def plus(self, factor: float, other: Direction) -> Direction:
+        """Sum with a multiple of another."""
         if factor == 0.0:
             return self
         parts = dict(self.parts)
         for body, numbers in other.parts.items():
             parts[body] = parts.get(body, 0.0) + factor * numbers
-        return _Direction(self.value + factor * other.value, parts)
+        return Direction(self.value + factor * other.value, parts)
 
-    def times(self, factor: float) -> _Direction:
+    def times(self, factor: float) -> Direction:
+        """Multiple."""
         parts = {body: factor * numbers for body, numbers in self.parts.items()}
-        return _Direction(factor * self.value, parts)
+        return Direction(factor * self.value, parts)
 
 
-_Bound = dict[int, _Direction]  # entry -> its direction
+_Bound = dict[int, Direction]  # entry -> its direction
 
 
 def eliminate(
@@ -234,7 +237,7 @@ def eliminate(
     members: dict[int, list[int]] = {body: [] for body in range(BEDPLATE, tree.n)}
     for k, entry in enumerate(entries):
         members[entry.body].append(k)
-    free: dict[int, list[_Direction]] = {body: [] for body in members}
+    free: dict[int, list[Direction]] = {body: [] for body in members}
     bound: dict[int, _Bound] = {body: {} for body in members}
     done: dict[int, Parts] = {}
     dependent: dict[int, dict[int, float]] = {}
@@ -247,10 +250,10 @@ def eliminate(
         left, taken, combined = _chosen(own, spare, bound[body])
         dependent |= combined
         gain = passed_on(tree, bodies, body)
-        echelon = _echelon([_Direction(gain @ each.value, each.parts) for each in left])
-        free[carrier] += list(echelon.values())
+        leading = echelon([Direction(gain @ each.value, each.parts) for each in left])
+        free[carrier] += list(leading.values())
         for k, each in taken.items():
-            passed = _settled(_Direction(gain @ each.value, each.parts), echelon)
+            passed = _settled(Direction(gain @ each.value, each.parts), leading)
             if np.abs(passed.value).max() <= ROUNDING * passed.size:
                 done[k] = passed.parts
             else:
@@ -272,24 +275,24 @@ def _undisturbed(body: int, own: dict[int, Entry], bound: _Bound) -> dict[int, P
 
 def _of_the_body(
     body: int, own: dict[int, Entry], known_zero: NDArray[np.bool_]
-) -> list[_Direction]:
+) -> list[Direction]:
     """Directions of a body's own parameters: its entries' alone, and single parameters."""
     alone = [each for each in _alone(body, own).values() if not each.value[known_zero].any()]
     units = (np.eye(10)[c] for c in np.flatnonzero(~known_zero))
-    return alone + [_Direction(unit, {body: unit}) for unit in units]
+    return alone + [Direction(unit, {body: unit}) for unit in units]
 
 
 def _alone(body: int, own: dict[int, Entry]) -> _Bound:
     return {
-        k: _Direction(entry.alone, {body: entry.alone})
+        k: Direction(entry.alone, {body: entry.alone})
         for k, entry in own.items()
         if entry.alone is not None
     }
 
 
 def _chosen(
-    own: dict[int, Entry], spare: list[_Direction], bound: _Bound
-) -> tuple[list[_Direction], _Bound, dict[int, dict[int, float]]]:
+    own: dict[int, Entry], spare: list[Direction], bound: _Bound
+) -> tuple[list[Direction], _Bound, dict[int, dict[int, float]]]:
     """Directions for a body's entries, out of spare ones.
 
     Returns:
@@ -313,19 +316,19 @@ def _chosen(
     return spare, taken, combined
 
 
-def _without(entry: Entry, direction: _Direction, pivot: _Direction) -> _Direction | None:
+def _without(entry: Entry, direction: Direction, pivot: Direction) -> Direction | None:
     """What is left of a direction that no longer changes an entry; None if nothing is."""
     rest = direction.plus(-float(entry.form @ direction.value), pivot)
     return rest if rest.size > ROUNDING * direction.size else None
 
 
-def _echelon(directions: list[_Direction]) -> dict[int, _Direction]:
+def echelon(directions: list[Direction]) -> dict[int, Direction]:
     """Independent directions for the same space: each alone has 1 at its own place.
 
     Returns:
         By place among a body's ten redefined parameters.
     """
-    found: dict[int, _Direction] = {}
+    found: dict[int, Direction] = {}
     for each in directions:
         rest = _settled(each, found)
         place = int(np.argmax(np.abs(rest.value)))
@@ -338,7 +341,7 @@ def _echelon(directions: list[_Direction]) -> dict[int, _Direction]:
     return found
 
 
-def _settled(direction: _Direction, echelon: dict[int, _Direction]) -> _Direction:
+def _settled(direction: Direction, echelon: dict[int, Direction]) -> Direction:
     """The direction with zeros at the places of an echelon."""
     for place, each in echelon.items():
         direction = direction.plus(-float(direction.value[place]), each)

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
 from testbed.codec import named
-from testbed.parameters.elimination import INDEPENDENT
+from testbed.parameters.elimination import INDEPENDENT, Direction, echelon
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.regroup import NEW, Lengths, beyond, seen_wrenches
 from testbed.parameters.symbols import DriveSymbol, Formula, Label, Term
@@ -224,28 +224,14 @@ def _merged(minimal: MinimalSet, lone: tuple[int, ...]) -> _Merged:
         for k, share in shares.items():
             if k in inertias:
                 row[lone.index(inertias[k])] -= share
-    own = _reduced(told_rotors)
+    rows = [Direction(row, {0: row}) for row in told_rotors[told_rotors.any(axis=1)]]
+    own = {column: each.value for column, each in echelon(rows).items()}
     regrouped = tuple(j for column, j in enumerate(lone) if column not in own)
     held = {j: {j: 1.0} for j in regrouped}
     for column, row in own.items():
         with_it = {j: -float(row[lone.index(j)]) for j in regrouped}
-        held[lone[column]] = {j: share for j, share in with_it.items() if share}
+        held[lone[column]] = {j: share for j, share in with_it.items() if abs(share) > INDEPENDENT}
     return _Merged(inertias, regrouped, held)
-
-
-def _reduced(rows: Array) -> dict[int, Array]:
-    """The row space in reduced echelon form: by the column of its one, each row."""
-    found: dict[int, Array] = {}
-    for row in rows[rows.any(axis=1)]:
-        for column, other in found.items():
-            row = row - row[column] * other
-        row = np.where(np.abs(row) > INDEPENDENT, row, 0.0)
-        if not row.any():
-            continue
-        column = int(np.argmax(np.abs(row)))
-        row = row / row[column]
-        found = {c: other - other[column] * row for c, other in found.items()} | {column: row}
-    return found
 
 
 def _lone(tree: Tree, gravity: Array, offsets: Collection[int]) -> dict[int, float]:

@@ -225,8 +225,7 @@ class MinimalSet:
 
     def values(self, theta: ArrayLike) -> Array:
         """Delta = S theta, (N,), of barycentric parameters theta, (n, 10)."""
-        delta: Array = self.matrix @ np.ravel(np.asarray(theta, dtype=np.float64))
-        return delta
+        return self.matrix @ np.ravel(np.asarray(theta, dtype=np.float64))
 
 
 def minimal_set(

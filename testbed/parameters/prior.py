@@ -10,26 +10,15 @@ import numpy as np
 from testbed.arrays import Array, freeze
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.errors import quoted
-from testbed.parameters.symbols import STANDARD, standard
+from testbed.parameters.symbols import standard
 from testbed.robot.inertia import ROUNDING, SMALL, Inertia, nearest_body, upper_root
 from testbed.robot.tree import Tree
 
 UPPER = tuple((a, b) for b in range(4) for a in range(b + 1))
 """Entries of the upper triangle, column by column: the order of `coordinates`."""
 
-
-def _of_standard() -> Array:
-    """J of each standard parameter alone, (10, 4, 4)."""
-    found = np.zeros((10, 4, 4))
-    found[0, 3, 3] = 1.0
-    for k in range(3):
-        found[1 + k, k, 3] = found[1 + k, 3, k] = 1.0
-    for k, name in enumerate(STANDARD[4:], start=4):
-        a, b = ("xyz".index(letter) for letter in name[1:])
-        if a == b:
-            found[k, :3, :3] = np.eye(3) / 2
-        found[k, a, b] = found[k, b, a] = -0.5 if a == b else -1.0
-    return found
+ROWS, COLUMNS = (list(each) for each in zip(*UPPER[:6], strict=True))
+"""Of an inertia tensor's entries, in the order of STANDARD."""
 
 
 def _of_coordinates() -> Array:
@@ -40,7 +29,7 @@ def _of_coordinates() -> Array:
     return found
 
 
-OF_STANDARD, OF_COORDINATES = _of_standard(), _of_coordinates()
+OF_COORDINATES = _of_coordinates()
 
 
 def matrices(standard: Array) -> Array:
@@ -49,7 +38,12 @@ def matrices(standard: Array) -> Array:
     Args:
         standard: Their standard parameters, (..., 10) [kg, kg m, kg m^2].
     """
-    return np.asarray(np.tensordot(standard, OF_STANDARD, 1))
+    found = np.empty((*standard.shape[:-1], 4, 4))
+    found[..., ROWS, COLUMNS] = found[..., COLUMNS, ROWS] = standard[..., 4:]
+    found[..., :3, :3] = _complement(found[..., :3, :3], 0.5)
+    found[..., 3, :3] = found[..., :3, 3] = standard[..., 1:4]
+    found[..., 3, 3] = standard[..., 0]
+    return found
 
 
 def parameters(matrices: Array) -> Array:
@@ -58,13 +52,15 @@ def parameters(matrices: Array) -> Array:
     Args:
         matrices: Their J, (..., 4, 4), symmetric.
     """
-    second = matrices[..., :3, :3]
-    spread = np.einsum("...kk->...", second)
-    found = [matrices[..., 3, 3], *(matrices[..., k, 3] for k in range(3))]
-    for name in STANDARD[4:]:
-        a, b = ("xyz".index(letter) for letter in name[1:])
-        found.append(spread - second[..., a, a] if a == b else -second[..., a, b])
-    return np.stack(found, axis=-1)
+    tensor = _complement(matrices[..., :3, :3], 1.0)
+    parts = matrices[..., 3, 3:], matrices[..., 3, :3], tensor[..., ROWS, COLUMNS]
+    return np.concatenate(parts, axis=-1)
+
+
+def _complement(tensors: Array, share: float) -> Array:
+    """Share of the trace times one, less the tensors, (..., 3, 3): second moments, and back."""
+    trace = np.trace(tensors, axis1=-2, axis2=-1)
+    return np.asarray(share * trace[..., None, None] * np.eye(3) - tensors)
 
 
 def coordinates(matrices: Array) -> Array:
@@ -82,7 +78,7 @@ def of_coordinates(coordinates: Array) -> Array:
     Args:
         coordinates: (..., 10).
     """
-    return np.asarray(np.tensordot(coordinates, OF_COORDINATES, 1))
+    return np.tensordot(coordinates, OF_COORDINATES, 1)
 
 
 def standard_of_coordinates(roots: Array) -> Array:
@@ -92,7 +88,7 @@ def standard_of_coordinates(roots: Array) -> Array:
         roots: U, (..., 4, 4): makes Y a matrix of numbers near one.
     """
     bodies = np.einsum("...ab,kbc,...dc->...kad", roots, OF_COORDINATES, roots)
-    return np.asarray(np.swapaxes(parameters(bodies), -1, -2))
+    return np.swapaxes(parameters(bodies), -1, -2)
 
 
 THINNEST = 1e-2

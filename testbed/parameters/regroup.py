@@ -212,8 +212,7 @@ def _standard_from_barycentric(tree: Tree) -> Array:
     """(m, h, I) of every body, I in the order xx xy xz yy yz zz, from theta, (10 n, 10 n)."""
     theta = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
     in_our_order = [STANDARD.index(name) for name in ("m", "mx", "my", "mz", *_INERTIA)]
-    standard: Array = to_standard(tree, theta)[:, in_our_order].reshape(10 * tree.n, -1)
-    return standard
+    return to_standard(tree, theta)[:, in_our_order].reshape(10 * tree.n, -1)
 
 
 def _screw(joint: Joint) -> Array:

@@ -119,8 +119,7 @@ def to_standard(tree: Tree, theta: AnyArray) -> AnyArray:
         if tree.parents[j] >= 0:
             mass = point_mass(tree.joints[j].offset)
             own[tree.parents[j]] -= np.multiply.outer(mass, theta[j, 0])
-    standard: AnyArray = own[:, _TO_STANDARD_ORDER]
-    return standard
+    return own[:, _TO_STANDARD_ORDER]
 
 
 def parameter_symbols(tree: Tree) -> tuple[Symbol, ...]:

@@ -200,8 +200,7 @@ def _correlated(signal: Array, rows: Array) -> Array:
     """Correlation of rows with a longer signal at all delays, along axis 0."""
     size = len(signal) + len(rows)
     product = np.fft.rfft(signal, size, axis=0) * np.fft.rfft(rows, size, axis=0).conj()
-    found: Array = np.fft.irfft(product, size, axis=0)[: len(signal) - len(rows) + 1]
-    return found
+    return np.fft.irfft(product, size, axis=0)[: len(signal) - len(rows) + 1]
 
 
 def _noise(signal: Array | None) -> Array:
@@ -212,5 +211,4 @@ def _noise(signal: Array | None) -> Array:
     """
     if signal is None:
         return np.zeros(0)
-    variance: Array = np.median(np.diff(signal, 2, axis=0) ** 2, axis=0) / (6 * MEDIAN)
-    return variance
+    return np.median(np.diff(signal, 2, axis=0) ** 2, axis=0) / (6 * MEDIAN)

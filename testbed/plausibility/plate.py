@@ -133,8 +133,7 @@ class Frame:
         size = np.repeat([FORCES[units[0]], ratio * MOMENTS[units[1]]], 3)
         own_size = np.repeat([FORCES[self.units[0]], MOMENTS[self.units[1]]], 3)
         columns = np.diag(size) @ np.eye(6)[list(order)] @ np.diag(1 / own_size)
-        matrix: Array = transform(turn, self.place) @ columns @ self._inverse
-        return matrix
+        return transform(turn, self.place) @ columns @ self._inverse
 
 
 def frame_of(mapping: Mapping[str, Any]) -> Frame:
@@ -392,8 +391,7 @@ class PlateEvidence:
     def wrench(self, each: PlateExplanation) -> Array:
         """The bedplate's wrench by an explanation, in time, (T, 6) [N, N m]."""
         data = self._instants
-        wrench: Array = (data.wrench + each.late * data.wrench_rate) @ each.map.T
-        return wrench
+        return (data.wrench + each.late * data.wrench_rate) @ each.map.T
 
     def posterior(self, each: PlateExplanation) -> tuple[Array, Array]:
         """Parameters by the varying part of the wrench, (10 n,), and their sigmas' root, (10 n, k).

@@ -226,13 +226,11 @@ class PlateRows:
         Args:
             each: The map, (6, 6).
         """
-        share: Array = self._noise_variance(each) / _at_least(self._variance(each))
-        return share
+        return self._noise_variance(each) / _at_least(self._variance(each))
 
     def _noise_variance(self, maps: Array) -> Array:
         """Of the plate's own noise after maps, (..., 6, 6), in parts of the model's, (..., 6)."""
-        noise: Array = self.weight**2 * (maps**2 @ self._noise)
-        return noise
+        return self.weight**2 * (maps**2 @ self._noise)
 
     def least_share(self, *, late: bool = False) -> float:
         """What the best of all maps leaves, crosstalk and all.
@@ -265,5 +263,4 @@ def _sigma(instants: Instants) -> Array:
 def _at_least(variance: Array) -> Array:
     """Variances of channels, (..., 6), each at least a part of its neighbours' mean."""
     mean = variance.reshape(*variance.shape[:-1], 2, 3).mean(axis=-1)
-    bounded: Array = np.maximum(variance, np.maximum(SILENT * np.repeat(mean, 3, axis=-1), 1e-300))
-    return bounded
+    return np.maximum(variance, np.maximum(SILENT * np.repeat(mean, 3, axis=-1), 1e-300))

@@ -71,5 +71,4 @@ def _root(tree: Tree) -> Array:
     sigma[:, 4:] = MASS * np.abs(own[:, 4:]) + (mass * reach**2)[:, None]
     sigma[: tree.massless] = 0.0
     spread = np.diag(sigma.ravel()).reshape(tree.n, 10, 10 * tree.n)
-    root: Array = to_barycentric(tree, spread).reshape(10 * tree.n, 10 * tree.n)
-    return root
+    return to_barycentric(tree, spread).reshape(10 * tree.n, 10 * tree.n)

@@ -19,6 +19,7 @@ from testbed.diagnostics import Diagnostic, diagnose
 from testbed.dynamics.newton_euler import Motion, regressor
 from testbed.errors import RecordingError
 from testbed.identification.estimate import Estimate
+from testbed.identification.regression.normal_equations import standard_deviations
 from testbed.identification.regression.windows import motion_taps, row_weights
 from testbed.identification.sensor.plate import reach, shifted
 from testbed.parameters.minimal_set import minimal_set
@@ -362,7 +363,7 @@ def _remainder(rows: Array, weights: Array) -> Remainder:
 
     def rest(signal: Array) -> Array:
         flat = (signal * weights).reshape(-1)
-        return np.asarray((flat - basis @ (basis.T @ flat)).reshape(signal.shape))
+        return (flat - basis @ (basis.T @ flat)).reshape(signal.shape)
 
     return rest
 
@@ -390,5 +391,5 @@ def _sigma(residual: Array, columns: Array) -> Array:
         product = scores[lag:].T @ scores[:-lag]
         spread = spread + (1 - lag / LAGS) * (product + product.T)
     inverse = np.linalg.inv(normal)
-    sigma: Array = np.sqrt(np.maximum(np.diagonal(inverse @ spread @ inverse), 0.0))
+    sigma: Array = standard_deviations(inverse @ spread @ inverse)
     return sigma

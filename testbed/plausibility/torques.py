@@ -279,5 +279,4 @@ def _friction(velocity: Array, acceleration: Array) -> Array:
     """Viscous and dry friction, a constant, the rotor; of size one, (T, 4)."""
     speed = velocity / max(float(np.abs(velocity).max()), 1e-9)
     rotor = acceleration / max(float(np.abs(acceleration).max()), 1e-9)
-    columns: Array = np.column_stack([speed, np.tanh(100 * speed), np.ones(len(speed)), rotor])
-    return columns
+    return np.column_stack([speed, np.tanh(100 * speed), np.ones(len(speed)), rotor])

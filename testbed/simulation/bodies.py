@@ -12,6 +12,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.dynamics.newton_euler import Motion, base_wrench, poses
 from testbed.errors import SettingsError, UnknownName
+from testbed.kernel.layout import upright
 from testbed.kind_table import PerJoint, each_joint, key
 from testbed.robot.formats.mjcf_compile import no_mujoco_warnings
 from testbed.robot.inertia import Inertia, about
@@ -111,7 +112,7 @@ class GearedRotor(Effect):
             hinge = spec.joint(prefix + name)
             carrier = hinge.parent.parent
             turn, place = _at_zero(tree, joint)
-            onto_axis = turn @ _onto(tree.joints[joint].axis)
+            onto_axis = turn @ upright(tree.joints[joint].axis)
             turn, place = _seen_from(spec, carrier.name, onto_axis, place)
             moments = inertia * np.array([0.5, 0.5, 1.0])
             _weld(carrier, _rotor(name), turn, place, MASSLESS, moments)
@@ -177,13 +178,6 @@ def _seen_from(spec: mujoco.MjSpec, body: str, turn: Array, place: Array) -> tup
     mujoco.mj_kinematics(model, data)
     there = data.body(body).xmat.reshape(3, 3)
     return there.T @ turn, there.T @ (place - data.body(body).xpos)
-
-
-def _onto(axis: Array) -> Array:
-    """A turn that takes z to an axis, (3, 3)."""
-    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    x = across / np.linalg.norm(across)
-    return np.column_stack([x, np.cross(axis, x), axis])
 
 
 def _weld(
@@ -303,8 +297,7 @@ def _inertias(model: mujoco.MjModel) -> Array:
     mujoco.mj_forward(model, data)
     matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, matrix)
-    found: Array = np.diagonal(matrix)[[int(model.joint(n).dofadr[0]) for n in _FREEDOMS]]
-    return found
+    return np.diagonal(matrix)[[int(model.joint(n).dofadr[0]) for n in _FREEDOMS]]
 
 
 def _first(values: Array, value: float) -> Array:

@@ -7,6 +7,7 @@ friction that grows with the load is solved with the motion, and needs no such s
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -29,11 +30,28 @@ def smooth_sign(velocity: Array) -> Array:
     Args:
         velocity: [rad/s or m/s].
     """
-    return np.asarray(np.tanh(velocity / SMOOTH))
+    return np.tanh(velocity / SMOOTH)
+
+
+class VelocityFriction(Effect):
+    """Friction that depends on the velocity alone."""
+
+    @abstractmethod
+    def torque(self, qd: Array) -> Array:
+        """Against the motion, (n,) [N m or N].
+
+        Args:
+            qd: Velocities, (n,) [rad/s or m/s].
+        """
+
+    def forces(self, tree: Tree, step: float) -> StepForces:
+        """Minus the friction."""
+        del tree, step
+        return lambda time, q, qd, motor: -self.torque(qd)
 
 
 @dataclass(frozen=True, eq=False)
-class StribeckFriction(Effect):
+class StribeckFriction(VelocityFriction):
     """Friction that is higher at low speed: coefficient sign(v) exp(-(v / speed)^2).
 
     It comes on top of the joints' own dry and viscous friction.
@@ -49,20 +67,14 @@ class StribeckFriction(Effect):
     coefficient: PerJoint = key(3.0, "joints", least=0)
     speed: PerJoint = key(0.08, "joints", positive=True)
 
-    def forces(self, tree: Tree, step: float) -> StepForces:
-        """Against the motion, the more the slower."""
-        del tree, step
-        size, speed = each_joint(self.coefficient), each_joint(self.speed)
-
-        def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
-            del time, q, motor
-            return np.asarray(-size * np.exp(-((qd / speed) ** 2)) * smooth_sign(qd))
-
-        return push
+    def torque(self, qd: Array) -> Array:
+        """The more the slower."""
+        fading = np.exp(-((qd / each_joint(self.speed)) ** 2))
+        return each_joint(self.coefficient) * fading * smooth_sign(qd)
 
 
 @dataclass(frozen=True, eq=False)
-class PowerFriction(Effect):
+class PowerFriction(VelocityFriction):
     """Friction that grows with a power of the speed: coefficient sign(v) abs(v)^exponent.
 
     Source    Our own choice: lubricated gears have exponents from one half to two.
@@ -76,20 +88,13 @@ class PowerFriction(Effect):
     coefficient: PerJoint = key(2.0, "joints", least=0)
     exponent: float = key(0.5, positive=True, most=4)
 
-    def forces(self, tree: Tree, step: float) -> StepForces:
-        """Against the motion, the more the faster."""
-        del tree, step
-        size = each_joint(self.coefficient)
-
-        def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
-            del time, q, motor
-            return np.asarray(-size * np.abs(qd) ** self.exponent * smooth_sign(qd))
-
-        return push
+    def torque(self, qd: Array) -> Array:
+        """The more the faster."""
+        return each_joint(self.coefficient) * np.abs(qd) ** self.exponent * smooth_sign(qd)
 
 
 @dataclass(frozen=True, eq=False)
-class AsymmetricFriction(Effect):
+class AsymmetricFriction(VelocityFriction):
     """Friction that is higher in one direction: by so much more where the joint moves forwards.
 
     Source    Our own choice: directions differ by 15 % on a PUMA's joints.
@@ -103,17 +108,10 @@ class AsymmetricFriction(Effect):
     coulomb: PerJoint = key(1.0, "joints", least=0)
     viscous: PerJoint = key(1.0, "joints", least=0)
 
-    def forces(self, tree: Tree, step: float) -> StepForces:
-        """Against forward motion."""
-        del tree, step
-        dry, wet = each_joint(self.coulomb), each_joint(self.viscous)
-
-        def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
-            del time, q, motor
-            forward = np.maximum(qd, 0.0)
-            return np.asarray(-dry * smooth_sign(forward) - wet * forward)
-
-        return push
+    def torque(self, qd: Array) -> Array:
+        """Of forward motion."""
+        forward = np.maximum(qd, 0.0)
+        return each_joint(self.coulomb) * smooth_sign(forward) + each_joint(self.viscous) * forward
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +233,7 @@ class LuGreFriction(Effect):
             before = bent
             bent = _bent(before, qd, slip, stiff, step)
             rate = (bent - before) / step
-            return np.asarray(-(stiff * bent + damping * rate + wet * qd))
+            return -(stiff * bent + damping * rate + wet * qd)
 
         return push
 

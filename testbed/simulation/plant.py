@@ -350,8 +350,7 @@ def _addresses(model: mujoco.MjModel, sensors: Sequence[ForceSensor]) -> NDArray
     """Where the force and moment of each stand among the sensor data, (6 S,)."""
     parts = [f"{_SENSOR}{each.name}/{what}" for each in sensors for what in ("force", "torque")]
     first = np.array([model.sensor(name).adr[0] for name in parts], dtype=np.int64)
-    found: NDArray[np.int64] = (first[:, None] + np.arange(3)).ravel()
-    return found
+    return (first[:, None] + np.arange(3)).ravel()
 
 
 def _plant_of(model: mujoco.MjModel, tree: Tree, path: Path, prefix: str) -> Plant:

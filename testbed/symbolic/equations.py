@@ -15,6 +15,7 @@ import gc
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -33,10 +34,8 @@ from testbed.symbolic.expression import (
     Expression,
     Factor,
     Nature,
-    cosine,
     expression,
     of,
-    sine,
 )
 from testbed.symbolic.polynomial import Ring
 from testbed.symbolic.program import Program, literal, recursive, with_numbers
@@ -63,53 +62,27 @@ Content: TypeAlias = Iterator[tuple[Factor, tuple[tuple[int, ...], Any]]]
 """Name, place in the result, and value of each equation."""
 
 
-class Symbols:
-    """The algebra of expressions, with which the recursions of `dynamics` run on symbols."""
+def named_components(budget: Budget, mark: str, name: str, value: AnyArray) -> AnyArray:
+    """Auxiliary variables for all components that take an operation to compute.
 
-    def __init__(self, budget: Budget, mark: str = "") -> None:
-        """An algebra.
-
-        Args:
-            budget: Counts the terms of auxiliary variables.
-            mark: Put behind the names of auxiliary variables.
-        """
-        self._budget = budget
-        self._mark = mark
-
-    def sin(self, angle: AnyArray) -> AnyArray:
-        """Sine of every angle."""
-        return _each(angle, sine)
-
-    def cos(self, angle: AnyArray) -> AnyArray:
-        """Cosine of every angle."""
-        return _each(angle, cosine)
-
-    def keep(self, name: str, value: AnyArray) -> AnyArray:
-        """Auxiliary variables for all components that take an operation to compute.
-
-        Args:
-            name: w3 gives w3x, W3 of a matrix W3xy, F3 of many columns F3x_7.
-            value: (3,), (3, 3) or (3, p).
-        """
-        kept = np.empty(value.shape, dtype=object)
-        for place in np.ndindex(value.shape):
-            one = value.item(place)
-            if value.ndim == 1 or name.startswith("W"):
-                component = name + "".join("xyz"[index] for index in place)
-            else:
-                column = f"_{place[1] + 1}" if value.shape[1] > 1 else ""
-                component = name + "xyz"[place[0]] + column
-            kept[place] = auxiliary(component + self._mark, one)
-            if isinstance(one, Expression):
-                self._budget.write(len(one.terms))
-        return kept
-
-
-def _each(angle: AnyArray, function: Callable[[Expression], Expression]) -> AnyArray:
-    values = np.empty(np.shape(angle), dtype=object)
-    for place in np.ndindex(values.shape):
-        values[place] = function(angle.item(place))
-    return values
+    Args:
+        budget: Counts their terms.
+        mark: Put behind their names.
+        name: w3 gives w3x, W3 of a matrix W3xy, F3 of many columns F3x_7.
+        value: (3,), (3, 3) or (3, p).
+    """
+    kept = np.empty(value.shape, dtype=object)
+    for place in np.ndindex(value.shape):
+        one = value.item(place)
+        if value.ndim == 1 or name.startswith("W"):
+            component = name + "".join("xyz"[index] for index in place)
+        else:
+            column = f"_{place[1] + 1}" if value.shape[1] > 1 else ""
+            component = name + "xyz"[place[0]] + column
+        kept[place] = auxiliary(component + mark, one)
+        if isinstance(one, Expression):
+            budget.write(len(one.terms))
+    return kept
 
 
 def auxiliary(name: str, value: Any) -> Any:
@@ -151,15 +124,14 @@ class Recursion:
             qdd: See there.
             mark: Put behind the names of auxiliary variables.
         """
-        algebra = Symbols(self.budget, mark)
-        motion = kinematics(self.robot, self.robot.q, qd, qdd, self.robot.gravity, algebra)
-        return transmitted(self.robot, motion, self.theta, algebra)
+        keep = partial(named_components, self.budget, mark)
+        motion = kinematics(self.robot, self.robot.q, qd, qdd, self.robot.gravity, keep)
+        return transmitted(self.robot, motion, self.theta, keep)
 
 
 def _forces(recursion: Recursion) -> Content:
     forces, _ = recursion.run(recursion.robot.qd, recursion.robot.qdd)
-    for j in range(recursion.robot.n):
-        yield _name(f"Q{j + 1}"), ((j,), forces[j, 0])
+    return _of_joints("Q", forces)
 
 
 def _wrench(recursion: Recursion) -> Content:
@@ -206,8 +178,13 @@ def _mass_matrix(recursion: Recursion) -> Content:
 def _gravity_forces(recursion: Recursion) -> Content:
     still = np.zeros(recursion.robot.n, dtype=object)
     forces, _ = recursion.run(still, still)
-    for j in range(recursion.robot.n):
-        yield _name(f"G{j + 1}"), ((j,), forces[j, 0])
+    return _of_joints("G", forces)
+
+
+def _of_joints(letter: str, forces: AnyArray) -> Content:
+    """Joint forces, (n, 1), by joint: Q1, Q2, ..."""
+    for j, force in enumerate(forces[:, 0]):
+        yield _name(f"{letter}{j + 1}"), ((j,), force)
 
 
 def _name(name: str) -> Factor:

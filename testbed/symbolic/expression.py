@@ -177,6 +177,14 @@ class Expression:
         """By a number; exact if it is a power of two."""
         return Expression(tuple((factors, exact(size / other)) for factors, size in self.terms))
 
+    def sin(self) -> Expression:
+        """Sine, as NumPy asks for it of arrays of expressions."""
+        return sine(self)
+
+    def cos(self) -> Expression:
+        """Cosine, likewise."""
+        return cosine(self)
+
 
 ZERO = Expression(())
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import AnyArray, Array
-from testbed.dynamics.newton_euler import NUMBERS, kinematics, transmitted
+from testbed.dynamics.newton_euler import kinematics, transmitted
 from testbed.errors import RecordingError, UnknownName, UnseenParameters
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
 from testbed.identification.regression.solvers import ScoreSquares, bin_size, hidden
@@ -305,8 +305,8 @@ def extended(tree: tb.Tree, motion: tb.Motion, minimal: tb.MinimalSet) -> Array:
     states: tuple[AnyArray, ...] = (motion.q, motion.qd, motion.qdd)
     q, qd, qdd = (x.astype(np.longdouble) for x in states)
     lift = minimal.lift.reshape(tree.n, 10, minimal.count).astype(np.longdouble)
-    moving = kinematics(tree, q, qd, qdd, minimal.gravity, NUMBERS)
-    base: Array = transmitted(tree, moving, lift, NUMBERS)[1]
+    moving = kinematics(tree, q, qd, qdd, minimal.gravity)
+    base: Array = transmitted(tree, moving, lift)[1]
     return base.reshape(-1, minimal.count)
 
 

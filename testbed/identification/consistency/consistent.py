@@ -25,6 +25,7 @@ from testbed.identification.consistency.options import ConsistencyOptions, Metri
 from testbed.identification.consistency.program import Scaled, scaled, solve
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.posterior import chosen_prior_error
+from testbed.identification.regression.normal_equations import TINY, standard_deviations
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.parameters.prior import Prior, matrices
 from testbed.parameters.symbols import with_standard
@@ -86,12 +87,12 @@ class Reconciliation:
     def sigmas(self) -> Array:
         """By how many of its own sigmas each parameter was moved, (p,)."""
         gap = self.values - self.plain
-        return np.asarray(gap / np.maximum(self.plain_sigma, np.finfo(float).tiny))
+        return gap / np.maximum(self.plain_sigma, TINY)
 
     @property
     def sigma(self) -> Array:
         """Standard deviations of the consistent values, (p,)."""
-        return np.asarray(np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)))
+        return standard_deviations(self.covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +196,7 @@ def _consistent(
     spread, shares = spread_at(problem, z, options.metric, weight)
     bent = tuple(_bent(each, x, spread) for each in likelihoods)
     eigenvalues, margin = _certificates(problem, z, bodies)
-    sigma = np.sqrt(np.maximum(np.diagonal(spread), 0.0))
+    sigma = standard_deviations(spread)
     edge = [j.body for j, own in zip(tree.joints, margin, strict=True) if own < THIN]
     return Consistent(
         joints=tree.names,
@@ -277,7 +278,7 @@ def spread_at(problem: Scaled, z: Array, metric: Metric, weight: float) -> tuple
     lead = problem.lead @ program.free
 
     def covariance(hessian: Array) -> Array:
-        return np.asarray(lead @ np.linalg.inv(program.free.T @ hessian @ program.free) @ lead.T)
+        return lead @ np.linalg.inv(program.free.T @ hessian @ program.free) @ lead.T
 
     prior, found = np.diagonal(covariance(before)), covariance(after)
     open_before = prior > FAINT * (problem.lead**2).sum(axis=1)  # else what is known settles it
@@ -309,7 +310,7 @@ def _certificates(problem: Scaled, z: Array, bodies: Array) -> tuple[Array, Arra
         whole = matrices(bodies[body])
         centre = whole[:3, 3] / whole[3, 3]
         square = np.trace(whole[:3, :3]) / whole[3, 3] - centre @ centre
-        size = np.append(np.full(3, 1 / np.sqrt(max(square, np.finfo(float).tiny))), 1.0)
+        size = np.append(np.full(3, 1 / np.sqrt(max(square, TINY))), 1.0)
         eigenvalues[body] = np.linalg.eigvalsh(whole * np.outer(size, size) / whole[3, 3])
         margin[body] = np.linalg.eigvalsh(own)[0]
     return eigenvalues, margin

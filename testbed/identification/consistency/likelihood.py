@@ -18,7 +18,12 @@ from scipy.linalg import null_space
 from testbed.arrays import Array
 from testbed.dynamics.drive_set import drive_set
 from testbed.identification.estimate import METHODS, Estimate
-from testbed.identification.regression.normal_equations import inverse_root, square_root
+from testbed.identification.regression.normal_equations import (
+    TINY,
+    inverse_root,
+    square_root,
+    unit_diagonal,
+)
 from testbed.parameters.minimal_set import minimal_set, selection
 from testbed.parameters.prior import standard_of_coordinates
 from testbed.parameters.symbols import on_standard
@@ -75,7 +80,7 @@ def rigid_body_test(
     base = estimate.base
     scale = sizes(base.values, base.units)
     covariance = base.covariance + np.diag((model_error * scale) ** 2)
-    unit = 1 / np.sqrt(np.maximum(np.diagonal(covariance), np.finfo(float).tiny))
+    unit = 1 / np.sqrt(np.maximum(np.diagonal(covariance), TINY))
     limit = float(np.sqrt(special.chdtri(len(scale), 2 * special.ndtr(-sigmas))))
     forms, rotors = _of_bodies(estimate.minimal.standard_matrix), _rotors(estimate)
     root = square_root(covariance * np.outer(unit, unit))
@@ -97,7 +102,7 @@ def sizes(values: Array, units: Sequence[str]) -> Array:
     for unit in set(units):
         same = np.array([each == unit for each in units])
         found[same] = np.maximum(found[same], SMALL * found[same].max())
-    return np.asarray(found)
+    return found
 
 
 def _rotors(estimate: Estimate) -> Array:
@@ -115,7 +120,7 @@ def _of_bodies(standard: Array) -> Array:
     """
     scaled = standard_of_coordinates(np.diag([LENGTH, LENGTH, LENGTH, 1.0]))
     by_body = standard.reshape(len(standard), -1, 10) @ scaled
-    return np.asarray(by_body.reshape(len(standard), -1))
+    return by_body.reshape(len(standard), -1)
 
 
 def _separating(forms: Array, rotors: Array, wanted: Array, root: Array) -> Array:
@@ -170,7 +175,7 @@ class Likelihood:
 
     def left(self, x: Array) -> Array:
         """How far the estimate is from what x says, in independent sigmas, (p,)."""
-        return np.asarray(self.white @ (self.rows @ x - self.estimate.values))
+        return self.white @ (self.rows @ x - self.estimate.values)
 
 
 def precise(estimate: Estimate) -> bool:
@@ -185,8 +190,7 @@ def precise(estimate: Estimate) -> bool:
     variance = np.diagonal(estimate.covariance)
     if (variance < 0).any():
         return False
-    scale = np.sqrt(np.where(variance > 0, variance, 1.0))
-    size = np.linalg.eigvalsh(estimate.covariance / np.outer(scale, scale))
+    size = np.linalg.eigvalsh(unit_diagonal(estimate.covariance)[0])
     return bool(size[0] >= -ROUNDING * size[-1])
 
 

@@ -15,6 +15,7 @@ from testbed.arrays import Array
 from testbed.errors import WIDTH, SettingsError, few
 from testbed.identification.consistency.likelihood import Cone, Likelihood, minimise
 from testbed.identification.consistency.options import Conditions, Metric
+from testbed.identification.regression.normal_equations import TINY
 from testbed.parameters.prior import (
     OF_COORDINATES,
     Prior,
@@ -73,7 +74,7 @@ class Program:
     @cached_property
     def square(self) -> Array:
         """B' B, (m, m)."""
-        return np.asarray(self.rows.T @ self.rows)
+        return self.rows.T @ self.rows
 
     @property
     def fades(self) -> bool:
@@ -147,7 +148,7 @@ class Program:
         hessian = self.square + self.prior_hessian(z, barrier) + barrier * scaled.T @ scaled
         inner = self.free.T @ hessian @ self.free
         across = self.free.T @ slope
-        size = 1 / np.sqrt(np.maximum(np.diagonal(inner), np.finfo(float).tiny))
+        size = 1 / np.sqrt(np.maximum(np.diagonal(inner), TINY))
         factor = linalg.cho_factor(inner * np.outer(size, size) + 1e-15 * np.eye(len(size)))
         move = -size * linalg.cho_solve(factor, size * across)
         return self.free @ move, float(-across @ move)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.blas import one_blas_thread
 from testbed.codec import with_properties
 from testbed.errors import SettingsError
@@ -77,9 +77,7 @@ class Robots:
 
     def __post_init__(self) -> None:
         one = (len(self.joints), len(self.names))
-        shapes = {"values": (len(self.values), *one), "share": one}
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+        freeze(self, values=(len(self.values), *one), share=one)
 
     @property
     def mean(self) -> Array:
@@ -167,7 +165,7 @@ def losses_of_file(
     """
     stated = [law.coefficients(tree) for law in LOSSES[:2]]
     file = np.stack([*stated, prior.rotors], axis=-1)
-    return np.asarray(file * np.exp(error * rng.normal(size=(count, *file.shape))))
+    return file * np.exp(error * rng.normal(size=(count, *file.shape)))
 
 
 def _log_prior(bodies: Array, error: float) -> Array:

@@ -13,6 +13,7 @@ from testbed.diagnostics import Diagnostic, diagnose, ordered, phrase
 from testbed.errors import few
 from testbed.identification.estimate import METHODS, Estimate
 from testbed.identification.noise.noise_model import NoiseModel
+from testbed.identification.regression.normal_equations import TINY
 from testbed.identification.sensor.encoders import (
     ECCENTRICITY,
     ENCODER_DELAYS,
@@ -42,7 +43,6 @@ NAMED = 3
 OF_ENCODERS = (JOINT_ZEROS, ENCODER_GAINS, ENCODER_DELAYS, ECCENTRICITY, SAMPLING)
 """Faults that spoil estimates by torques as well."""
 
-TINY = float(np.finfo(float).tiny)
 """Least chance that has a number of standard deviations."""
 
 LIKE_TILT = {"crosstalk", "gains", "pose"}

@@ -26,7 +26,10 @@ from testbed.identification.drives.joint_regression import (
 )
 from testbed.identification.estimate import Estimate
 from testbed.identification.problem import Problem
-from testbed.identification.regression.normal_equations import NormalEquations
+from testbed.identification.regression.normal_equations import (
+    NormalEquations,
+    standard_deviations,
+)
 from testbed.identification.selection.held_out import ALWAYS, OFFERED, Parts, Step, grown, rivals
 from testbed.parameters.joint_terms import DriveSet
 from testbed.robot.friction import (
@@ -104,8 +107,7 @@ class FrictionCurve:
         """
         if not len(self.speed):
             return np.zeros_like(speed)
-        found: Array = np.interp(speed, self.speed, self.torque)
-        return found
+        return np.interp(speed, self.speed, self.torque)
 
 
 HYSTERESIS = JointLaw("hysteresis", "N m", "N", lambda qd, qdd: np.sign(qdd))
@@ -242,7 +244,7 @@ def _straight(places: Array, nodes: Array) -> Array:
 
 def _curve(tree: Tree, found: JointRegression, nodes: list[tuple[int, int]]) -> FrictionCurve:
     torque, covariance = found.as_they_are
-    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    sigma = standard_deviations(covariance)
     speed = np.array([way * NODES[number] for number, way in nodes])
     order = np.lexsort((np.array([way for _, way in nodes]), speed))
     joint = tree.joints[found.joint]
@@ -441,13 +443,10 @@ class ChosenTerms:
         self, tree: Tree, torques: Torques, found: Sequence[JointRegression]
     ) -> tuple[DriveEstimate, ...]:
         """Every joint's regression in words."""
-        asked = torques.drives.asked
-        estimates = tuple(drive_of(tree, asked, each) for each in found)
-        if self.choices is None:
-            return estimates
+        chosen: Sequence[Choice | None] = self.choices or [None] * tree.n
         return tuple(
-            replace(each, choice=self.choices[own.joint])
-            for each, own in zip(estimates, found, strict=True)
+            replace(drive_of(tree, torques.drives.asked, each), choice=chosen[each.joint])
+            for each in found
         )
 
 
@@ -484,7 +483,7 @@ def drive_of(tree: Tree, asked: Sequence[JointTerm], found: JointRegression) -> 
     laws = [asked[k].law for k in found.terms.argmax(axis=0)]
     joint = tree.joints[found.joint]
     terms, covariance = found.as_they_are
-    sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    sigmas = standard_deviations(covariance)
     return DriveEstimate(
         joint=joint.name,
         constant=float(found.values[0]),

@@ -19,6 +19,7 @@ from testbed.identification.drives.friction_curves import LEAST
 from testbed.identification.drives.joint_regression import JointRegression, Torques, torques_beside
 from testbed.identification.estimate import Estimate
 from testbed.identification.problem import Problem
+from testbed.identification.regression.normal_equations import TINY
 from testbed.robot.friction import ROOM, VISCOUS, WARM_VISCOUS
 from testbed.robot.tree import Joint
 
@@ -134,7 +135,7 @@ class _Cells:
         velocity, warm, load = columns[:, :3].T
         normal, used = torques.equations.of_channel(joint)[0], torques.equations.used[joint]
         rms = float(np.sqrt(load @ normal @ load / max(used, 1.0)))
-        square = max(float(velocity @ normal @ velocity), np.finfo(float).tiny)
+        square = max(float(velocity @ normal @ velocity), TINY)
         mean = float(warm @ normal @ velocity) / square  # where it is fast: that shows viscosity
         spread = np.sqrt(max(float(warm @ normal @ warm) / square - mean**2, 0.0))
         edges = np.zeros(0)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 from scipy.linalg import block_diag
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.blas import eigh
 from testbed.codec import with_properties
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
@@ -31,7 +31,11 @@ from testbed.identification.drives.joint_regression import (
 )
 from testbed.identification.estimate import Estimate
 from testbed.identification.problem import Problem
-from testbed.identification.regression.normal_equations import scaled_inverse
+from testbed.identification.regression.normal_equations import (
+    scaled_inverse,
+    standard_deviations,
+    unit_diagonal,
+)
 from testbed.identification.regression.passes import Progress
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.recordings.recording import Recording
@@ -74,7 +78,7 @@ class Disagreement(Diagnosed):
     chance: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "z", readonly(self.z, (len(self.names),), "z"))
+        freeze(self, z=(len(self.names),))
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
@@ -113,11 +117,8 @@ class Combined:
     disagreement: Disagreement
 
     def __post_init__(self) -> None:
-        for name, like in (("values", self.names), ("sigma", self.names)):
-            object.__setattr__(self, name, readonly(getattr(self, name), (len(like),), name))
-        n = len(self.constants)
-        for name in ("constants", "constant_sigma"):
-            object.__setattr__(self, name, readonly(getattr(self, name), (n,), name))
+        p, n = len(self.names), len(self.constants)
+        freeze(self, values=(p,), sigma=(p,), constants=(n,), constant_sigma=(n,))
 
 
 def combined(
@@ -161,7 +162,7 @@ def combined(
             break
     values, spread = bodies.values + root @ state[:count], covariance[:count, :count]
     spread = root @ spread @ root.T
-    sigma = np.sqrt(np.maximum(np.diagonal(spread), 0.0))
+    sigma = standard_deviations(spread)
     places = count + np.cumsum([0, *(joint.width for joint in inputs[:-1])])
     return Combined(
         names=bodies.names,
@@ -175,11 +176,10 @@ def combined(
 
 def _root(covariance: Array) -> Array:
     """R with R R' the covariance, (p, r): what is known exactly does not move."""
-    size = np.sqrt(np.diagonal(covariance))
-    scale = np.where(size > 0, size, 1.0)
-    spread, axes = eigh(covariance / np.outer(scale, scale))
+    unit, scale = unit_diagonal(covariance)
+    spread, axes = eigh(unit)
     kept = spread > EXACT
-    return np.asarray(scale[:, None] * axes[:, kept] * np.sqrt(spread[kept]))
+    return scale[:, None] * axes[:, kept] * np.sqrt(spread[kept])
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,8 +225,7 @@ def _disagreement(
 ) -> Disagreement:
     """Change of an estimate in standard deviations of the difference, by both covariances."""
     moved, spread = values - bodies.values, before - covariance
-    size = np.sqrt(np.diagonal(before))
-    scale = np.where(size > 0, size, 1.0)
+    _, scale = unit_diagonal(before)
     unit = spread / np.outer(scale, scale)
     said = np.diagonal(unit) > INFORMATIVE
     z = (moved[said] / scale[said]) / np.sqrt(np.diagonal(unit)[said])

@@ -20,6 +20,7 @@ from testbed.identification.noise.score_tests import REPLICAS, SEED, Replicas
 from testbed.identification.noise.whitening import counted
 from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import (
+    TINY,
     NormalEquations,
     scaled_inverse,
     scaled_solve,
@@ -36,9 +37,6 @@ LEAST = 0.5
 
 POOLED = 400
 """Coefficients of replicas, of a joint's regression: its sigma is found to 4 %."""
-
-TINY = float(np.finfo(float).tiny)
-"""Against division by nothing."""
 
 
 class AttenuationCorrection(NamedTuple):

@@ -43,7 +43,7 @@ from testbed.identification.noise.whitening import (
     whitening_of,
 )
 from testbed.identification.regression import solvers
-from testbed.identification.regression.normal_equations import scaled_solve
+from testbed.identification.regression.normal_equations import TINY, scaled_solve
 from testbed.identification.regression.passes import Passes
 from testbed.identification.regression.windows import Plan
 from testbed.stages import stage
@@ -293,7 +293,7 @@ def sensor_step(
     squares = np.einsum("c,cii->i", found.noise.sigma**-2.0, given.products[0])[own]
     lead = units.lead[own]
     variance = np.einsum("si,ij,sj->s", lead, found.covariance, lead)
-    variance = np.maximum(variance, np.finfo(float).tiny)
+    variance = np.maximum(variance, TINY)
     share = 1 / np.sqrt(np.maximum(squares * variance, 1.0))
     share[~lead.any(axis=1)] = 1.0  # known
     return (units.fixed + units.lead @ found.values)[own], np.sqrt(variance), share
@@ -387,7 +387,7 @@ def _in_channels(units: Whitening, directions: Array) -> Array:
     """Constants along directions, in the channels as measured, (C, k) [N, N m]."""
     back = np.linalg.inv(units.root.T) @ directions
     back[np.abs(back) < ROUNDING * np.abs(back).max(initial=0.0)] = 0.0
-    return np.asarray(back)
+    return back
 
 
 def _large(part: Array, names: tuple[str, ...]) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from testbed.identification.noise.lagged_products import LaggedProducts, LaggedS
 from testbed.identification.regression.normal_equations import square_root
 from testbed.identification.regression.passes import Columns, motion_rows
 from testbed.identification.regression.windows import Plan
+from testbed.kernel.numpy_engine import motion_of
 from testbed.kernel.records import Signals
 
 HELD = 1024
@@ -237,10 +238,8 @@ class QuantizationReplicas:
 
 def at_rows(signals: Signals) -> Array:
     """Measured positions, velocities and accelerations at the rows, (3, rows, n)."""
-    half = signals.taps.shape[1] // 2
-    around = np.lib.stride_tricks.sliding_window_view(signals.position, 2 * half + 1, axis=0)
-    at = signals.start - half + np.arange(signals.number) * signals.step
-    return np.moveaxis(around[at] @ signals.taps.T, 2, 0)
+    motion = motion_of(signals, signals.start, signals.number, signals.step)
+    return np.stack([motion.q, motion.qd, motion.qdd])
 
 
 def changed(plan: Plan, motion: Array, noise: Array, lead: Array) -> Array:

@@ -163,7 +163,7 @@ def _at_least(share: float, least: Array, matrix: Array) -> Array:
     inverse = np.linalg.inv(root)
     spread, axes = eigh(inverse @ matrix @ inverse.T)
     half = root @ axes * np.sqrt(np.maximum(spread, share))
-    return np.asarray(half @ half.T)
+    return half @ half.T
 
 
 class _Weighted(NamedTuple):
@@ -222,7 +222,7 @@ def _solutions(sums: Array, m: int) -> tuple[Array, Array]:
 
 def _spread(left: Array, free: Array) -> Array:
     """Noise of every channel, of squares of residuals and degrees of freedom."""
-    return np.asarray(np.maximum(np.sqrt(np.maximum(left, 0.0) / np.maximum(free, 1.0)), LEAST))
+    return np.maximum(np.sqrt(np.maximum(left, 0.0) / np.maximum(free, 1.0)), LEAST)
 
 
 def _moments(given: LaggedProducts, found: _Weighted, order: int) -> Array:

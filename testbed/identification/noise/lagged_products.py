@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from testbed.arrays import Array
+from testbed.identification.regression.normal_equations import TINY
 from testbed.kernel.records import Ints
 
 HIGHEST = 6
@@ -95,7 +96,7 @@ def best_order(moments: Array, rows: int, highest: int = HIGHEST) -> int:
     """
     scores = []
     for order in range(1, highest + 1):
-        left = np.maximum(innovation_variance(moments, fit(moments, order)), np.finfo(float).tiny)
+        left = np.maximum(innovation_variance(moments, fit(moments, order)), TINY)
         scores.append(rows * np.log(left).sum() + 2 * order * len(moments))
     return 1 + int(np.argmin(scores))
 
@@ -113,7 +114,7 @@ def _forgetting(coefficients: Array) -> Array:
     """The same, with roots inside the unit circle, (..., P)."""
     largest = np.maximum(_largest_roots(coefficients), LARGEST_ROOT)[..., None]
     powers = np.arange(1, coefficients.shape[-1] + 1)
-    return np.asarray(coefficients * (LARGEST_ROOT / largest) ** powers)
+    return coefficients * (LARGEST_ROOT / largest) ** powers
 
 
 class NoiseMaker:
@@ -142,7 +143,7 @@ class NoiseMaker:
                 bands[back, : order - back] = 0.0  # what is made already stays
             made[channel], _ = lapack.dtbtrs(bands, made[channel], uplo="L", diag="U")
         self._recent = made[:, count:]
-        return np.asarray(made[:, order:])
+        return made[:, order:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +234,7 @@ class LaggedProducts:
         """
         found = weights.swapaxes(1, 2).reshape(len(weights), -1) @ self.flat
         found = found.reshape(-1, *self.products.shape[2:])
-        return np.asarray(found if self.alike else (found + found.swapaxes(1, 2)) / 2)
+        return found if self.alike else (found + found.swapaxes(1, 2)) / 2
 
     def traces(self, inner: Array) -> Array:
         """Traces of each lag's times a matrix, (R, C, K + 1).
@@ -242,7 +243,7 @@ class LaggedProducts:
             inner: The matrices, symmetric, (R, q, q).
         """
         found = inner.reshape(len(inner), -1) @ self.flat.T
-        return np.asarray(found.reshape(len(inner), *self.products.shape[:2]).swapaxes(1, 2))
+        return found.reshape(len(inner), *self.products.shape[:2]).swapaxes(1, 2)
 
     def squares(self, combinations: Array) -> Array:
         """B' of each lag's products b, (R, C, K + 1).
@@ -335,7 +336,7 @@ class Whitened:
         whole = self._given.sums(weights[..., None] * self._share)
         edges = self._edges * np.sqrt(weights)[:, None, :, None, None]
         edges = edges.reshape(len(edges), -1, edges.shape[-1])
-        return np.asarray(whole - edges.swapaxes(1, 2) @ edges)
+        return whole - edges.swapaxes(1, 2) @ edges
 
     def traces(self, inner: Array) -> Array:
         """Traces of each channel's times a matrix, (R, C).
@@ -378,7 +379,7 @@ def _times(rows: Array, matrices: Array) -> Array:
         matrices: (R, q, r).
     """
     found = rows.reshape(len(rows), -1, rows.shape[-1]) @ matrices
-    return np.asarray(found.reshape(len(matrices), *rows.shape[1:-1], matrices.shape[-1]))
+    return found.reshape(len(matrices), *rows.shape[1:-1], matrices.shape[-1])
 
 
 def _together(now: Array, before: Array) -> Array:

@@ -245,7 +245,7 @@ def _slopes(sums: Array, way: int) -> Array:
 def _without(rests: Array, across: Array, slopes: Array, delay: float) -> Array:
     """Sums of residuals times residuals, j rows apart, a delay taken back, (2K - 3, C)."""
     inner = rests[2:-2] + delay * (across[1:-1] + across[::-1][1:-1])
-    return np.asarray(inner + delay**2 * slopes)
+    return inner + delay**2 * slopes
 
 
 COARSE = 0.05

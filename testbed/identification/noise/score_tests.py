@@ -30,6 +30,7 @@ from testbed.identification.noise.lagged_products import (
     NoiseMaker,
     Whitened,
 )
+from testbed.identification.regression.normal_equations import TINY
 from testbed.stages import stage
 
 REPLICAS = 12
@@ -139,7 +140,7 @@ def _alike(products: Array) -> Array:
 def _squares(found: NoiseFit, lead: Array) -> Array:
     m = lead.shape[1]  # a fit may have unknowns of its own after these
     variance = ((lead @ found.covariance[:m, :m]) * lead).sum(axis=1)
-    return np.asarray((lead @ found.values[:m]) ** 2 / np.maximum(variance, np.finfo(float).tiny))
+    return np.asarray((lead @ found.values[:m]) ** 2 / np.maximum(variance, TINY))
 
 
 IMITATED = 1e-9
@@ -293,20 +294,20 @@ def _independent(squares: Array, base: int) -> Array:
     found[:base, : first.shape[1]] = first
     found[base:, first.shape[1] :] = rest
     found[:base, first.shape[1] :] = -first @ across @ rest
-    return np.asarray(scale[:, None] * found)
+    return scale[:, None] * found
 
 
 def _scales(squares: Array) -> Array:
     """What makes columns of length one; zero columns stay."""
     length = np.sqrt(np.maximum(np.diagonal(squares), 0.0))
-    return np.asarray(1 / np.where(length > 0, length, 1.0))
+    return 1 / np.where(length > 0, length, 1.0)
 
 
 def _orthonormal(squares: Array) -> Array:
     """T with T' squares T = 1, of the directions that are no combinations of others."""
     spread, axes = eigh((squares + squares.T) / 2)
     identifiable = spread > IMITATED
-    return np.asarray(axes[:, identifiable] / np.sqrt(spread[identifiable]))
+    return axes[:, identifiable] / np.sqrt(spread[identifiable])
 
 
 def _tests(squares: Array, question: Question, base: int, free: int) -> list[Trace]:
@@ -316,7 +317,7 @@ def _tests(squares: Array, question: Question, base: int, free: int) -> list[Tra
     first, across, left = _beside(squares * np.outer(scale, scale), base)
     every = _orthonormal(left[:-1, :-1])
     variance = (left[-1, -1] - float(np.sum((every.T @ left[:-1, -1]) ** 2))) / free
-    variance = max(variance, float(np.finfo(float).tiny))
+    variance = max(variance, TINY)
     found, end = [], 0
     for kind in question.kinds:
         own = slice(end, end := end + kind)

@@ -133,14 +133,14 @@ class Whitening:
             return self.grown
         found = self.grown @ self.free.lead
         size = np.abs(self.grown).max(axis=1, keepdims=True)
-        return np.asarray(np.where(np.abs(found) > ROUNDING * size, found, 0.0))
+        return np.where(np.abs(found) > ROUNDING * size, found, 0.0)
 
     @cached_property
     def fixed(self) -> Array:
         """All unknowns where what is free is zero, (p + s,)."""
         if self.free is None or self.facts is None:
             return np.zeros(len(self.grown))
-        return np.asarray(self.grown @ self.free.fixed @ self.facts.values)
+        return self.grown @ self.free.fixed @ self.facts.values
 
     def of_free(self, columns: Array) -> Array:
         """Columns of what is free, and those after the unknowns', of all columns, (C, k, q)."""

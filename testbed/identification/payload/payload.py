@@ -16,7 +16,11 @@ from testbed.dynamics.newton_euler import Motion, linear
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.estimate import Estimate
 from testbed.identification.problem import check_source, tare_of
-from testbed.identification.regression.normal_equations import scaled_inverse
+from testbed.identification.regression.normal_equations import (
+    TINY,
+    scaled_inverse,
+    standard_deviations,
+)
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.parameters.symbols import STANDARD, to_barycentric
 from testbed.recordings.recording import Recording
@@ -168,7 +172,7 @@ def payload_from(
     covariance = seen @ inverse @ seen.T
     left = float(np.sum((right - columns @ found) ** 2))
     chance = float(special.chdtrc(max(len(adds) - rank, 1), left))
-    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    sigma = standard_deviations(covariance)
     return PayloadEstimate(
         joint=joint,
         names=STANDARD,
@@ -361,7 +365,7 @@ def _solved(columns: Array, measured: Array, asked: Array) -> tuple[Array, Array
         half = (asked @ seen) / sizes[:rank]
         covariance = variance * half @ half.T
         rms = [np.sqrt(np.mean(rest[part] ** 2)) for part in (force, ~force)]
-        least = max(1e-6 * max(rms), np.finfo(float).tiny)
+        least = max(1e-6 * max(rms), TINY)
         scale = np.where(force, max(rms[0], least), max(rms[1], least))
     identifiable = np.linalg.norm(asked - (asked @ seen) @ seen.T, axis=1) < SEEN
     return asked @ found, covariance, identifiable

@@ -90,7 +90,7 @@ class RestFit:
             wrench: The readings, (P, 6) [N, N m].
         """
         rest = _linearised(self.turn.T @ back, wrench, self.found, turns=False)[1]
-        return np.asarray(rest.reshape(-1, 6))
+        return rest.reshape(-1, 6)
 
 
 def rest_fit(back: Array, wrench: Array, turn: Array | None = None) -> RestFit:
@@ -147,5 +147,4 @@ def _svd(rows: Array) -> tuple[Array, Array, Array]:
     """Of what is seen only: singular values, and vectors to either side."""
     left, sizes, right = np.linalg.svd(rows, full_matrices=False)
     rank = int((sizes > SMALLEST * sizes[0]).sum())
-    found: tuple[Array, Array, Array] = left[:, :rank], sizes[:rank], right[:rank]
-    return found
+    return left[:, :rank], sizes[:rank], right[:rank]

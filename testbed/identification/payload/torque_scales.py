@@ -20,9 +20,11 @@ from testbed.errors import SettingsError, UnknownName
 from testbed.identification.payload.payload import SEEN, SMALLEST, seen_of_payload
 from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import (
+    TINY,
     NormalEquations,
     inverse_and_solution,
     scaled_inverse,
+    standard_deviations,
 )
 from testbed.identification.regression.passes import Passes, Progress
 from testbed.identification.regression.solvers import ScoreSquares, bin_size, hidden, sandwich
@@ -130,8 +132,8 @@ class _Half(NamedTuple):
         for j, k in enumerate(scales):
             normal, right, square = self.equations.of_channel(j)
             left = float(square - 2 * k * (right @ x) + k**2 * (x @ normal @ x))
-            found.append(max(left, 1e-12 * square, float(np.finfo(float).tiny)))
-        return np.asarray(np.maximum(self.equations.used, 1.0) / found)
+            found.append(max(left, 1e-12 * square, TINY))
+        return np.maximum(self.equations.used, 1.0) / found
 
 
 def torque_scales(
@@ -185,7 +187,7 @@ def torque_scales(
         for column in payload.root.T[payload.root.any(axis=0)]:
             moved = _solved(halves, payload.values + column)[0] - values
             covariance = covariance + np.outer(moved, moved)
-    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    sigma = standard_deviations(covariance)
     return TorqueScales(tree.names, facts, values, sigma, covariance)
 
 

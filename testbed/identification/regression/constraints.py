@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.newton_euler import Motion, linear
+from testbed.dynamics.newton_euler import Motion, parameter_regressor
 from testbed.errors import SettingsError, UnknownName
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.robot.tree import Tree
@@ -80,10 +80,8 @@ def _posture(tree: Tree, name: str, where: str) -> Array:
 
 def _wrench(tree: Tree, q: Array, pulled: int) -> Array:
     """Of every barycentric parameter at rest, gravity of 1 m/s^2 against an axis, (6, 10 n)."""
-    still = np.zeros((1, tree.n))
-    every = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
-    found = linear(tree, Motion(np.zeros(1), q[None], still, still), every, -np.eye(3)[pulled])
-    return np.asarray(found[1][0])
+    gravity = -np.eye(3)[pulled]
+    return np.asarray(parameter_regressor(tree, Motion.at_rest(q[None]), "reaction", gravity)[0])
 
 
 def _combination(minimal: MinimalSet, wanted: Array, name: str) -> Array:
@@ -100,7 +98,7 @@ def _combination(minimal: MinimalSet, wanted: Array, name: str) -> Array:
                 "another posture"
             )
         )
-    return np.asarray(found)
+    return found
 
 
 INDEPENDENT = 1e-9
@@ -155,7 +153,7 @@ class LinearConstraints:
             added: To the unknowns so far, (m,).
         """
         size = np.abs(self.reached + self.scale @ added)
-        return np.asarray(np.where(self.scale.any(axis=1), size, 1.0)[:, None] * self.root)
+        return np.where(self.scale.any(axis=1), size, 1.0)[:, None] * self.root
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,9 @@ from testbed.kernel.records import Sums
 ROUNDING = 1e-15
 """Least eigenvalue, of a matrix with a diagonal of ones, that is no rounding."""
 
+TINY = float(np.finfo(float).tiny)
+"""Least positive number: against division by zero."""
+
 CLEAR = 1e-6
 """Part of its length, squared, that every unknown has for itself beside those before it: then
 Cholesky's factors serve, which are several times faster than eigenvalues."""
@@ -33,7 +36,7 @@ def scaled_solve(matrix: Array, right: Array) -> Array:
         right: (m,) or (m, k).
     """
     root = inverse_root(matrix)
-    return np.asarray(root @ (root.T @ right))
+    return root @ (root.T @ right)
 
 
 def scaled_inverse(matrix: Array) -> Array:
@@ -43,7 +46,7 @@ def scaled_inverse(matrix: Array) -> Array:
         matrix: Symmetric and positive definite, (m, m).
     """
     root = inverse_root(matrix)
-    return np.asarray(root @ root.T)
+    return root @ root.T
 
 
 def inverse_and_solution(matrix: Array, right: Array) -> tuple[Array, Array]:
@@ -64,6 +67,26 @@ def inverse_and_solution(matrix: Array, right: Array) -> tuple[Array, Array]:
     return inverse, solution
 
 
+def standard_deviations(covariance: Array) -> Array:
+    """Roots of the diagonal, (m,); zero where rounding leaves less.
+
+    Args:
+        covariance: (m, m).
+    """
+    return np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+
+
+def unit_diagonal(matrix: Array) -> tuple[Array, Array]:
+    """Matrix with a diagonal of ones, (m, m), and its scale, (m,); one for zeros.
+
+    Args:
+        matrix: Symmetric, (m, m).
+    """
+    diagonal = np.diagonal(matrix)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    return matrix / np.outer(scale, scale), scale
+
+
 def square_root(matrix: Array) -> Array:
     """R with R R' the matrix, (m, m); of one that is singular but for rounding, nearly so.
 
@@ -73,9 +96,9 @@ def square_root(matrix: Array) -> Array:
     try:
         return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
     except np.linalg.LinAlgError:
-        scale = np.sqrt(np.maximum(np.diagonal(matrix), np.finfo(float).tiny))
+        scale = np.sqrt(np.maximum(np.diagonal(matrix), TINY))
         size, axes = eigh(matrix / np.outer(scale, scale))
-        return np.asarray(scale[:, None] * axes * np.sqrt(np.maximum(size, ROUNDING)))
+        return scale[:, None] * axes * np.sqrt(np.maximum(size, ROUNDING))
 
 
 def inverse_root(matrix: Array) -> Array:
@@ -103,7 +126,7 @@ def _inverse_root(matrix: Array) -> Array:
     diagonal = np.diagonal(matrix)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     size, axes = eigh(matrix * np.outer(scale, scale))
-    return np.asarray(scale[:, None] * axes / np.sqrt(np.maximum(size, ROUNDING)))
+    return scale[:, None] * axes / np.sqrt(np.maximum(size, ROUNDING))
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +163,7 @@ class NormalEquations:
     @property
     def rms(self) -> Array:
         """Of each channel's measurements over the rows that count, (C,)."""
-        return np.asarray(np.sqrt(self.squares / np.maximum(self.used, 1.0)))
+        return np.sqrt(self.squares / np.maximum(self.used, 1.0))
 
     def of_channel(self, c: int) -> tuple[Array, Array, float]:
         """Of one channel alone: X' X, (p, p), X' y, (p,), and y' y."""
@@ -169,7 +192,7 @@ class NormalEquations:
         """
         if self.joined:
             return np.asarray(np.einsum("cd,cdij->ij", weights, self.normal))
-        return np.asarray(np.tensordot(np.diagonal(weights), self.normal, 1))
+        return np.tensordot(np.diagonal(weights), self.normal, 1)
 
     def vector(self, weights: Array) -> Array:
         """X' W y, (p,).
@@ -179,7 +202,7 @@ class NormalEquations:
         """
         if self.joined:
             return np.asarray(np.einsum("cd,cdi->i", weights, self.right))
-        return np.asarray(np.diagonal(weights) @ self.right)
+        return np.diagonal(weights) @ self.right
 
     def residual(self, values: Array) -> Array:
         """Products of the channels' residuals, (C, C), to 1e-8 of the measurement's square.
@@ -191,7 +214,7 @@ class NormalEquations:
             found = self.square - 2 * self.right @ values + self.normal @ values @ values
             return np.diag(np.maximum(found, 0.0))
         mixed = self.right @ values
-        return np.asarray(self.square - mixed - mixed.T + self.normal @ values @ values)
+        return self.square - mixed - mixed.T + self.normal @ values @ values
 
 
 def gather(

@@ -126,14 +126,8 @@ class Surveyor:
         """All that was kept, in the order of time."""
         parts = [self._kept[first] for first in sorted(self._kept)]
         position, measured = (np.concatenate(group) for group in zip(*parts, strict=True))
-        counts = self._repeats.values()
-        repeats = Repeats(
-            steps=sum(each.steps for each in counts),
-            channels=np.sum([each.channels for each in counts], axis=0),
-            together=sum(each.together for each in counts),
-            held=sum(each.held for each in counts),
-            pairs=sum(each.pairs for each in counts),
-        )
+        windows = [vars(each) for each in self._repeats.values()]
+        repeats = Repeats(**{name: sum(each[name] for each in windows) for name in windows[0]})
         rough = np.stack([self._rough[first] for first in sorted(self._rough)])
         # poses that were recorded again say nothing of it
         known = repeats.held < HELD * repeats.pairs

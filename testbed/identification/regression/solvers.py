@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import NoReturn, Protocol
+from typing import NoReturn
 
 import numpy as np
 from scipy import linalg
@@ -12,7 +12,7 @@ from scipy import linalg
 from testbed.arrays import Array
 from testbed.blas import eigh
 from testbed.errors import UnknownName, UnseenParameters
-from testbed.identification.regression.normal_equations import NormalEquations
+from testbed.identification.regression.normal_equations import NormalEquations, unit_diagonal
 
 REWEIGHTINGS = 4
 """Times that the channels' noise is estimated anew from the residuals."""
@@ -57,9 +57,7 @@ def _from_residuals(equations: NormalEquations, squares: Array, floor: Array, fu
 def _rough(equations: NormalEquations, weights: Array) -> Array:
     """A solution good enough for weights, whatever the condition."""
     matrix, vector = equations.matrix(weights), equations.vector(weights)
-    scale = np.sqrt(np.diagonal(matrix))
-    scale[scale == 0] = 1.0
-    unit = matrix / np.outer(scale, scale)
+    unit, scale = unit_diagonal(matrix)
     values: Array = np.linalg.lstsq(unit, vector / scale, rcond=1e-13)[0] / scale
     return values
 
@@ -123,8 +121,7 @@ def sandwich(inverse: Array, squares: Array) -> Array:
         inverse: Of X' W X, (p, p).
         squares: Of the scores, (p, p).
     """
-    covariance: Array = inverse @ squares @ inverse
-    return covariance
+    return inverse @ squares @ inverse
 
 
 def hidden(weights: Array, step: int, rate: float) -> float:
@@ -170,20 +167,10 @@ class Fit:
     correctable: bool
 
 
-class Solver(Protocol):
-    """A way to solve weighted least squares."""
+Solver = Callable[[NormalEquations, Array, Rows], Fit]
+"""A way to solve weighted least squares: of equations, weights W, (C, C), and the rows.
 
-    def __call__(self, equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
-        """The solution.
-
-        Args:
-            equations: Of all rows.
-            weights: W, (C, C).
-            rows: For solvers that look at the rows themselves.
-
-        Raises:
-            UnseenParameters: The equations do not determine the unknowns; names them.
-        """
+It raises UnseenParameters, naming them, where the equations do not determine the unknowns."""
 
 
 def refuse(names: tuple[str, ...], directions: Array, rows: int) -> NoReturn:
@@ -252,9 +239,7 @@ def by_orthogonal_columns(equations: NormalEquations, weights: Array, rows: Rows
     """
     matrix: Array = equations.matrix(weights)
     root: Array = np.asarray(np.linalg.cholesky(weights), dtype=np.float64)
-    scale = np.sqrt(np.diagonal(matrix))
-    scale[scale == 0] = 1.0
-    unit = matrix / np.outer(scale, scale)
+    unit, scale = unit_diagonal(matrix)
     factor, failed = linalg.lapack.dpotrf(unit)
     if failed or np.linalg.cond(unit) >= TRIANGLE**2:
         triangle = _triangle(root, scale, rows)

@@ -108,7 +108,7 @@ def slope_weights(weights: Array, places: NDArray[np.int64], rate: float) -> Arr
     found = -float(places[1] - places[0]) * _slopes(weights)[at]
     found[[0, -1]] /= 2
     found[[0, -1]] += np.array([-1.0, 1.0]) * weights[at[-1]]
-    return np.asarray(found * rate / (found @ places))
+    return found * rate / (found @ places)
 
 
 def _slopes(values: Array) -> Array:

@@ -10,7 +10,11 @@ import numpy as np
 
 from testbed.arrays import Array, freeze
 from testbed.errors import round_significant
-from testbed.identification.regression.normal_equations import scaled_inverse, scaled_solve
+from testbed.identification.regression.normal_equations import (
+    TINY,
+    scaled_inverse,
+    scaled_solve,
+)
 from testbed.robot.friction import (
     ASYMMETRIC,
     COULOMB,
@@ -192,7 +196,7 @@ def grown(
         What was added, in this order, and how.
     """
     own, open_ones, chosen = list(always), dict(offered), list[Key]()
-    whole = max(float(parts.unseen[:, -1, -1].sum()), np.finfo(float).tiny)
+    whole = max(float(parts.unseen[:, -1, -1].sum()), TINY)
     left = parts.left(own)
     steps = [Step("", float(np.sqrt(left.sum() / whole)), 0.0)]
     while open_ones:
@@ -232,8 +236,8 @@ def _gains(before: Array, after: Array) -> Array:
 
     Shares of what is left: what changes most in one part, as a drift does, is gained in all.
     """
-    tiny = np.finfo(float).tiny
+    tiny = TINY
     same = np.where(np.isfinite(after), after, before[:, None])
     gained = np.log(np.maximum(before, tiny)[:, None] / np.maximum(same, tiny))
     error = gained.std(axis=0, ddof=1) / np.sqrt(len(gained))
-    return np.asarray(gained.mean(axis=0) / np.maximum(error, np.finfo(float).tiny))
+    return np.asarray(gained.mean(axis=0) / np.maximum(error, TINY))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from testbed.arrays import Array
 from testbed.identification.problem import Problem
 from testbed.identification.regression.constraints import CENTRE, MASS, facts
+from testbed.identification.regression.normal_equations import TINY
 from testbed.identification.selection.row_products import RowProducts
 from testbed.parameters.prior import Prior
 
@@ -96,7 +97,7 @@ def linear_prior(problem: Problem, prior: Prior, error: float, rows: RowProducts
         own = drives.values(np.zeros((problem.tree.n, 10)), problem.tree)
         mean += own
         root = np.hstack([root, drives.columns * np.hypot(scale, drives.columns.T @ own)])
-    tiny = np.full(len(rows.channels), np.finfo(float).tiny)
+    tiny = np.full(len(rows.channels), TINY)
     before = LinearPrior(mean, root, bodies.shape[1], tiny, _bounds(problem, mean, root))
     before = _with_facts(problem, before)
     left = refitted(rows, before)
@@ -207,8 +208,7 @@ def alone_determined(rows: RowProducts, prior: LinearPrior) -> NDArray[np.bool_]
         prior: Of the unknowns.
     """
     _, covariance = with_prior(rows, replace(prior, root=WIDE * prior.root))
-    found: NDArray[np.bool_] = np.diagonal(covariance) <= (1 - DETERMINED) * prior.variance
-    return found
+    return np.diagonal(covariance) <= (1 - DETERMINED) * prior.variance
 
 
 def refitted(rows: RowProducts, prior: LinearPrior) -> Array:

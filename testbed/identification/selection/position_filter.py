@@ -14,6 +14,7 @@ from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import RecordingError, few
 from testbed.identification.problem import Problem
+from testbed.identification.regression.normal_equations import TINY
 from testbed.identification.regression.windows import motion_taps
 from testbed.identification.selection.term_choice import held_out
 from testbed.recordings.source import segments_of
@@ -48,7 +49,7 @@ def with_position_filter(problem: Problem) -> tuple[Problem, tuple[Diagnostic, .
     tried = [each for each in tried if (each.settings.position_low_pass or rate) < rate / 2]
     with suppress(RecordingError):  # too short to be cut into parts
         default, *left = (held_out(each).residual for each in (problem, *tried))
-        tiny = np.finfo(float).tiny
+        tiny = TINY
         parts = [float(np.exp(2 * np.mean(np.log((a + tiny) / (default + tiny))))) for a in left]
         best = int(np.argmin(parts))
         if parts[best] < BETTER:
@@ -72,4 +73,4 @@ def _noise(problem: Problem, cutoff: float) -> Array:
         signals = (np.convolve(q, taps[::-1], "valid") for q in part.position.T)
         squares.append([float(np.mean(signal**2)) for signal in signals])
     whole, slow = np.array(squares)
-    return np.asarray(1 - slow / np.maximum(whole, np.finfo(float).tiny))
+    return np.asarray(1 - slow / np.maximum(whole, TINY))

@@ -12,6 +12,7 @@ from testbed.codec import with_properties
 from testbed.diagnostics import Diagnostic, diagnose, phrase
 from testbed.identification.estimate import Method, channel_label, channel_units
 from testbed.identification.problem import Problem
+from testbed.identification.regression.normal_equations import TINY
 from testbed.identification.selection.row_products import RowProducts, sum_of
 
 FILE, REFITTED, PLAIN = "file", "refitted", "plain"
@@ -28,9 +29,6 @@ NOTICEABLE = 5e-3
 
 CHANCE = 0.01
 """Of such an error by the scatter of parts alone, below which it is worth one."""
-
-TINY = float(np.finfo(float).tiny)
-"""Square that is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +83,7 @@ class PredictionErrors:
             which: What predicts.
         """
         signal = np.where(self.signal > 0, self.signal, np.nan)
-        return np.asarray(self.residual[which] / signal)
+        return self.residual[which] / signal
 
     def over_file(self, which: str) -> float:
         """Rms over channels of what is left, over what the file with its friction fitted leaves.

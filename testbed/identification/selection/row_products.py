@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.identification.problem import Problem
-from testbed.identification.regression.normal_equations import NormalEquations
+from testbed.identification.regression.normal_equations import TINY, NormalEquations
 from testbed.kernel.records import Signals
 from testbed.recordings.source import Source
 
@@ -165,7 +165,7 @@ class Parts:
         found = {
             "like": [(sum_of([*parts[:k], *parts[k + 1 :]]), [own]) for k, own in enumerate(parts)]
         }
-        size = np.maximum(self.speed.mean(axis=0), np.finfo(float).tiny)
+        size = np.maximum(self.speed.mean(axis=0), TINY)
         pace = (self.speed / size).mean(axis=1)
         slow, fast = np.split(np.argsort(pace, kind="stable"), 2)
         if pace[fast].mean() > FASTER**2 * pace[slow].mean():

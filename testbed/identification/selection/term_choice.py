@@ -12,7 +12,11 @@ from testbed.blas import one_blas_thread
 from testbed.errors import RecordingError, plural, round_significant
 from testbed.identification.estimate import Estimate, channel_units
 from testbed.identification.problem import Problem, usual_terms
-from testbed.identification.regression.normal_equations import NormalEquations, scaled_solve
+from testbed.identification.regression.normal_equations import (
+    TINY,
+    NormalEquations,
+    scaled_solve,
+)
 from testbed.identification.regression.solvers import noise_weights
 from testbed.identification.selection.held_out import (
     OFFERED,
@@ -83,7 +87,7 @@ def _cost(equations: NormalEquations) -> float:
     weights: Array = noise_weights(equations, None, False)
     values = scaled_solve(equations.matrix(weights), equations.vector(weights))
     left = np.diagonal(equations.residual(values)) / np.maximum(equations.used, 1.0)
-    tiny = np.finfo(float).tiny
+    tiny = TINY
     return float(equations.used @ np.log(np.maximum(left, tiny)))
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.sensor.estimates import Nuisance, Part, always
+from testbed.identification.sensor.estimates import Nuisance, Numbers, Part, always
 from testbed.identification.sensor.predicted_wrench import Change, Number, PredictedWrench
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
@@ -19,8 +19,9 @@ def _zeros(tree: Tree) -> tuple[Part, ...]:
     return tuple(Part(f"joint_zeros/{j}", u) for j, u in zip(tree.names, units, strict=True))
 
 
-def _gains(tree: Tree) -> tuple[Part, ...]:
-    return tuple(Part(f"encoder_gains/{joint}", "") for joint in tree.names)
+def _of_joints(kind: str, unit: str) -> Numbers:
+    """A number of every joint, of one unit."""
+    return lambda tree: tuple(Part(f"{kind}/{joint}", unit) for joint in tree.names)
 
 
 def _waves(tree: Tree) -> tuple[Part, ...]:
@@ -28,10 +29,6 @@ def _waves(tree: Tree) -> tuple[Part, ...]:
     return tuple(
         Part(f"eccentricity/{j}/{wave}", "rad") for j in turning for wave in ("sin", "cos")
     )
-
-
-def _delays(tree: Tree) -> tuple[Part, ...]:
-    return tuple(Part(f"encoder_delays/{joint}", "s") for joint in tree.names)
 
 
 def _late(predicted: PredictedWrench) -> Array:
@@ -95,7 +92,7 @@ JOINT_ZEROS = Nuisance("joint_zeros", _zeros, _moved, _back, unfolded=True)
 
 ENCODER_GAINS = Nuisance(
     "encoder_gains",
-    _gains,
+    _of_joints("encoder_gains", ""),
     _scaled,
 )
 """Relative."""
@@ -109,7 +106,7 @@ ECCENTRICITY = Nuisance(
 
 ENCODER_DELAYS = Nuisance(
     "encoder_delays",
-    _delays,
+    _of_joints("encoder_delays", "s"),
     _late,
     covers=("skew",),
 )

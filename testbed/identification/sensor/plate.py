@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from testbed.arrays import Array, apply
 from testbed.dynamics.newton_euler import wrench_transforms
-from testbed.identification.sensor.estimates import Nuisance, Numbers, Part, always
+from testbed.identification.sensor.estimates import Nuisance, Numbers, Part, Undo, always
 from testbed.identification.sensor.predicted_wrench import PredictedWrench
 from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.recordings.recording import Recording
@@ -109,9 +110,14 @@ def _columns(predicted: PredictedWrench) -> Array:
     return found
 
 
-def _felt(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
-    del time, tree
-    return replace(recording, wrench=recording.measured("wrench") @ _unmixed(values).T)
+def _with_wrench(change: Callable[[Array, Array, Array], Array]) -> Undo:
+    """Undo by a function of the wrench, the numbers, and time."""
+
+    def undo(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
+        del tree
+        return replace(recording, wrench=change(recording.measured("wrench"), values, time))
+
+    return undo
 
 
 def _unmixed(values: Array) -> Array:
@@ -122,7 +128,7 @@ MATRIX = Nuisance(
     "matrix",
     always(*SENSITIVITIES),
     _columns,
-    _felt,
+    _with_wrench(lambda wrench, values, time: wrench @ _unmixed(values).T),
     covers=("gains", "crosstalk", "pose", "height"),
     whole=True,
     added=True,
@@ -139,15 +145,11 @@ _of_pairs = always(*(Part(f"crosstalk/{AXES[s]}/{AXES[f]}", "") for s, f in _PAI
 
 
 def _own(predicted: PredictedWrench) -> Array:
-    return predicted.rows(predicted.wrench[:, :, None] * np.eye(6))
+    return _columns(predicted)[..., ::7]
 
 
 def _others(predicted: PredictedWrench) -> Array:
-    filtered = predicted.rows(predicted.wrench[:, :, None])[..., 0]
-    found = np.zeros((len(filtered), 6, len(_PAIRS)))
-    for k, (shown, felt) in enumerate(_PAIRS):
-        found[:, shown, k] = filtered[:, felt]
-    return found
+    return _columns(predicted)[..., [6 * shown + felt for shown, felt in _PAIRS]]
 
 
 GAINS = Nuisance("gains", _of_channels, _own)
@@ -167,17 +169,10 @@ def _constant(predicted: PredictedWrench) -> Array:
 
 
 def _trend(predicted: PredictedWrench) -> Array:
-    return np.asarray(predicted.time[:, None, None] * np.eye(6))
+    return predicted.time[:, None, None] * np.eye(6)
 
 
-def _without_constant(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
-    del time, tree
-    return replace(recording, wrench=recording.measured("wrench") - values)
-
-
-def _without_trend(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
-    del tree
-    return replace(recording, wrench=recording.measured("wrench") - time[:, None] * values)
+_without_constant = _with_wrench(lambda wrench, values, time: wrench - values)
 
 
 def _channels(kind: str, per: str = "") -> Numbers:
@@ -228,7 +223,7 @@ SLOPE = Nuisance(
     "slope",
     _channels("slope", "/s"),
     _trend,
-    _without_trend,
+    _with_wrench(lambda wrench, values, time: wrench - time[:, None] * values),
     passing=True,
     added=True,
 )
@@ -270,24 +265,19 @@ def _height_of_measured(predicted: PredictedWrench) -> Array:
     return _pose_of_measured(predicted)[..., 5:]
 
 
-def _moved_back(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
-    del time, tree
-    wrench = recording.measured("wrench")
-    turn = from_vector(values[:3])
+def _moved_back(wrench: Array, pose: Array) -> Array:
+    """Wrench in the bedplate's frame of one that a plate in a pose, (6,), shows, (M, 6)."""
+    turn = from_vector(pose[:3])
     force = wrench[:, :3] @ turn.T
-    moment = wrench[:, 3:] @ turn.T + np.cross(values[3:], force)
-    return replace(recording, wrench=np.hstack([force, moment]))
-
-
-def _lowered(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
-    return _moved_back(recording, np.array([0.0, 0.0, 0.0, 0.0, 0.0, values[0]]), time, tree)
+    moment = wrench[:, 3:] @ turn.T + np.cross(pose[3:], force)
+    return np.hstack([force, moment])
 
 
 POSE = Nuisance(
     "pose",
     always(*_PARTS),
     _pose,
-    _moved_back,
+    _with_wrench(lambda wrench, values, time: _moved_back(wrench, values)),
     by_measured=_pose_of_measured,
 )
 
@@ -295,7 +285,7 @@ HEIGHT = Nuisance(
     "height",
     always(Part("height", "m")),
     _height,
-    _lowered,
+    _with_wrench(lambda wrench, values, time: _moved_back(wrench, np.pad(values, (5, 0)))),
     by_measured=_height_of_measured,
 )
 """The third component of the pose's shift alone."""

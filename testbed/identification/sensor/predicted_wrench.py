@@ -16,6 +16,7 @@ from testbed.arrays import Array
 from testbed.dynamics.newton_euler import Motion
 from testbed.dynamics.wrench_derivatives import base_wrench_derivatives
 from testbed.identification.regression.windows import TRANSITION, Plan, slope_weights
+from testbed.kernel.numpy_engine import motion_of
 from testbed.kernel.records import Signals
 from testbed.robot.tree import Tree
 
@@ -109,14 +110,12 @@ class PredictedWrench:
     @cached_property
     def shown(self) -> Array:
         """The measured wrench, with the tare, at the rows, (rows, 6) [N, N m]."""
-        found: Array = self.measured @ self.filter.every_weight + self.tare
-        return found
+        return self.measured @ self.filter.every_weight + self.tare
 
     @cached_property
     def shown_rate(self) -> Array:
         """Its derivative in time, (rows, 6) [N/s, N m/s]."""
-        found: Array = self.measured @ self.filter.every_slope
-        return found
+        return self.measured @ self.filter.every_slope
 
     @cached_property
     def moving(self) -> Array:
@@ -126,8 +125,7 @@ class PredictedWrench:
     @cached_property
     def wrench(self) -> Array:
         """Wrench of robot and pedestal, (m, 6) [N, N m]."""
-        found: Array = self.moving + self.tare
-        return found
+        return self.moving + self.tare
 
     def along(self, joint: int, change: Change) -> Array:
         """Derivative of the wrench by an error of one joint's coordinate, (m, 6).
@@ -176,7 +174,7 @@ class PredictedWrench:
 
     def _filtered(self, signals: Array, weights: Array) -> Array:
         windows = np.lib.stride_tricks.sliding_window_view(signals, len(weights), axis=0)
-        return np.asarray(windows[:: self.filter.step] @ weights)
+        return windows[:: self.filter.step] @ weights
 
 
 def _rate(signal: Array, time: Array) -> Array:
@@ -186,7 +184,7 @@ def _rate(signal: Array, time: Array) -> Array:
         step = time[1] - time[0]
         near, far = signal[3:-1] - signal[1:-3], signal[4:] - signal[:-4]
         found[2:-2] = (8 * near - far) / (12 * step)
-    return np.asarray(found)
+    return found
 
 
 def predict_wrench(
@@ -213,22 +211,9 @@ def predict_wrench(
         tree=layout.tree,
         gravity=layout.gravity,
         theta=theta,
-        motion=_motion(signals, at, count, filtered.stride, rate),
+        motion=motion_of(signals, at, count, filtered.stride, rate),
         tare=plan.tare,
         time=rows,
         filter=filtered,
         measured=windows[:: signals.step][: signals.number],
     )
-
-
-def _motion(signals: Signals, first: int, count: int, stride: int, rate: float) -> Motion:
-    """Coordinates at every so many samples."""
-    time = np.arange(count) * stride / rate
-    if len(signals.velocity):
-        part = slice(first, first + (count - 1) * stride + 1, stride)
-        found = (signals.position[part], signals.velocity[part], signals.acceleration[part])
-        return Motion(time, *found)
-    half = signals.taps.shape[1] // 2
-    around = signals.position[first - half : first + (count - 1) * stride + half + 1]
-    windows = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1, axis=0)[::stride]
-    return Motion(time, *(windows @ taps for taps in signals.taps))

@@ -20,7 +20,11 @@ from testbed.identification.noise.coloured_noise import GlsFit, sensor_step
 from testbed.identification.noise.whitening import NuisanceColumns
 from testbed.identification.problem import Problem
 from testbed.identification.regression.constraints import LinearConstraints, facts
-from testbed.identification.regression.normal_equations import NormalEquations
+from testbed.identification.regression.normal_equations import (
+    TINY,
+    NormalEquations,
+    standard_deviations,
+)
 from testbed.identification.regression.passes import Passes
 from testbed.identification.regression.solvers import Fit
 from testbed.identification.regression.windows import Plan
@@ -202,7 +206,7 @@ class SensorModel:
             values: By which the recording was corrected, (s,).
             fit: The last fit, of what remains.
         """
-        sigma = np.sqrt(np.maximum(np.diagonal(fit.further_covariance), 0.0))
+        sigma = standard_deviations(fit.further_covariance)
         own = self.unknowns
         numbers = zip(own.kinds, own.names, own.units, values + fit.further, sigma, strict=True)
         return tuple(
@@ -247,7 +251,7 @@ class SensorModel:
             problem: Robot and recording.
             fit: The last fit.
         """
-        sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance), np.finfo(float).tiny))
+        sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance), TINY))
         tests = []
         for nuisance, (trace, chance) in zip(self.tested.nuisances, fit.traces, strict=False):
             moved = np.abs(trace.shift) / sigma

@@ -182,7 +182,7 @@ class Columns:
         made = ((estimated and nuisance.by_measured) or nuisance.columns)(found)
         if not nuisance.added or self._unmixed is None:
             return made
-        return np.asarray(self._unmixed @ made)
+        return self._unmixed @ made
 
 
 DEPENDENT = 1e-6
@@ -305,7 +305,7 @@ def explain_nonidentifiable(
 
 def _unit(columns: Array) -> Array:
     length = np.linalg.norm(columns, axis=0)
-    return np.asarray(columns / np.where(length > 0, length, 1.0))
+    return columns / np.where(length > 0, length, 1.0)
 
 
 def _generic_columns(
