@@ -51,6 +51,10 @@ FORMAT = "testbed campaign 1"
 KEY = b"testbed"
 """Under which the schema keeps the metadata."""
 
+KINDS = {"struct<": "records", "string": "text"}
+KINDS |= dict.fromkeys(("int", "double", "float"), "numbers")
+"""Kinds of types, by a part of their names."""
+
 AT_ONCE = 10_000
 """Rows of a group: what is held twice while a table is written."""
 
@@ -60,12 +64,8 @@ LONGEST_REASON = 130
 TEXT, NUMBER = pa.string(), pa.float64()
 
 SURE = {
-    "run": TEXT,
-    "status": TEXT,
-    "error": TEXT,
-    "command": TEXT,
-    "cell": pa.int32(),
-    "replicate": pa.int32(),
+    **dict.fromkeys(("run", "status", "error", "command"), TEXT),
+    **dict.fromkeys(("cell", "replicate"), pa.int32()),
     "seed": pa.int64(),
 }
 """Columns that have a value in every row."""
@@ -176,9 +176,7 @@ def _declared(found: pa.Schema) -> pa.Schema:
 def _kind(of: pa.DataType) -> str:
     """A type in words; types that differ in precision or storage are of one kind."""
     said = str(of)
-    number = any(word in said for word in ("int", "double", "float"))
-    content = "text" if "string" in said else "numbers" if number else said
-    content = "records" if "struct<" in said else content
+    content = next((kind for mark, kind in KINDS.items() if mark in said), said)
     return f"lists of {content}" if "list<" in said else content
 
 
@@ -305,10 +303,7 @@ def _rows_at(path: Path, rows: NDArray[np.int64]) -> pa.Table:
 
 
 def _fitted(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """The same rows with a schema's columns: those that are missing are empty.
-
-    So are levels of a factor that had names and has numbers now, or the other way round.
-    """
+    """The same rows with a schema's columns, empty where missing or now of another type."""
     columns = []
     for field in schema:
         same = field.name in table.column_names and table.schema.field(field.name).equals(field)

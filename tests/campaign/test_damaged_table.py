@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -16,7 +17,7 @@ from testbed.campaign.summary import changes, read_campaign, summarise, write_su
 from testbed.errors import TestbedError
 from tests.helpers.campaigns import NOISES, Odd, campaign_file
 
-FAULTY = {
+FAULTY: dict[str, list[Any]] = {
     "status": ["perhaps"],
     "cell": [1.5],
     "factor/noise": [float("nan"), None],

@@ -93,7 +93,7 @@ def test_what_stands_there_is_written_over_by_force(
 ) -> None:
     ending, words = WRITERS[command, option]
     shutil.copytree(place, home := tmp_path / "home")
-    old = shutil.copy(place / "other.parquet", home / f"old{ending}")
+    old = Path(shutil.copy(place / "other.parquet", home / f"old{ending}"))
     before = old.read_bytes()
     quick = "--set motion.duration=4 --set excitation.starts=1" if command == "excite" else ""
     call = (command, *words.split(), *quick.split(), option, old.name)
