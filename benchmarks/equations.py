@@ -121,7 +121,7 @@ def _process(rounds: int = 10) -> float:
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "puma.urdf").write_text(robots()["puma6"])
         words = ["equations", "puma.urdf", "--what", "dynamic-regressor", "--form", "recursive"]
-        command = [sys.executable, "-m", "testbed", *words, "--out", "regressor.py"]
+        command = [sys.executable, "-m", "testbed", *words, "--out", "regressor.py", "--force"]
 
         def run() -> None:
             subprocess.run([*command, "--language", "python"], cwd=folder, check=True)

@@ -167,11 +167,15 @@ class UnknownName(TestbedError):
     def __init__(self, what: str, name: str, known: Iterable[str]) -> None:
         self.name = name
         self.known = tuple(known)
+        shown = printable(name, WIDTH)
+        if same := [each for each in self.known if each.casefold() == name.casefold()]:
+            super().__init__(f"there is no {what} '{shown}'; there is {quoted(same)}")
+            return
         short = [each for each in self.known if len(each) <= LONGEST_NAME]
         near = get_close_matches(name, short[:SEARCHED], NEAR) if len(name) <= LONGEST_NAME else []
         hint = f"; did you mean '{near[0]}'?" if near else ""
         listed = few(list(dict.fromkeys([*near, *short])), WIDTH)
-        super().__init__(f"unknown {what} '{printable(name, WIDTH)}'{hint} (known: {listed})")
+        super().__init__(f"unknown {what} '{shown}'{hint} (known: {listed})")
 
 
 def no_file(path: Path, what: str) -> str:

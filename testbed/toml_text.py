@@ -12,12 +12,10 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from testbed.errors import ExperimentError, UnknownName, few, no_file, printable
+from testbed.file_kinds import kind_of, kind_of_tables, misplaced
 
 LARGEST_FILE = 1_000_000
 """Bytes of a TOML file."""
-
-MODELS = (".urdf", ".xml", ".mjcf")
-"""Endings of model files, which people run where they mean an experiment."""
 
 FAULTS = 270
 """Characters for faults of a file in one message."""
@@ -56,10 +54,10 @@ def read_toml(path: Path, what: str = "experiment") -> dict[str, Any]:
 
     Args:
         path: The file.
-        what: It is of.
+        what: Kind of the file.
 
     Raises:
-        ExperimentError: There is no such file, or it is not TOML.
+        ExperimentError: There is no such file, or it is not TOML, or of another kind.
     """
     if not path.is_file():
         raise ExperimentError(no_file(path, f"{what} file"))
@@ -69,15 +67,19 @@ def read_toml(path: Path, what: str = "experiment") -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
         if any(line.partition("=")[0].count(".") > LONGEST_KEY for line in text.splitlines()):
             raise ValueError(f"a key has more than {LONGEST_KEY} parts")
-        return tomllib.loads(text)
+        content = tomllib.loads(text)
+        kind = kind_of_tables(content)
     except RecursionError:
         raise ExperimentError(f"{path}: not a readable TOML file: nested too deeply") from None
     except (OSError, ValueError) as error:
-        if path.suffix.lower() in MODELS and what == "experiment":
+        if not (kind := kind_of(path)):
             raise ExperimentError(
-                f"'{path}' is a model file, no experiment; testbed new {path} writes one for it"
+                f"{path}: not a readable TOML file: {_of_parser(error)}"
             ) from None
-        raise ExperimentError(f"{path}: not a readable TOML file: {_of_parser(error)}") from None
+        content = {}
+    if kind not in ("", what):
+        raise ExperimentError(misplaced(path, kind, what))
+    return content
 
 
 def override(content: dict[str, Any], settings: Iterable[str]) -> None:

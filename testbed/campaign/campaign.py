@@ -185,13 +185,7 @@ class Campaign:
             ExperimentError: A file cannot be read, or says what is not understood.
         """
         path = Path(path)
-        said = read_toml(path, "campaign")
-        if "model" in said and "experiment" not in said:
-            raise ExperimentError(
-                f"{path}: this is an experiment; a campaign names it: experiment = "
-                f'"{path.name}", with name, replicates and [[factor]]'
-            )
-        tables = checked(CampaignTables, said, str(path))
+        tables = checked(CampaignTables, read_toml(path, "campaign"), str(path))
         tables = tables.model_copy(update={"set": (*tables.set, *settings)})
         base = (path.parent / tables.experiment).resolve()
         names = [factor.name for factor in tables.factor]

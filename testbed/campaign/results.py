@@ -17,17 +17,18 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from sys import intern
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import tomli_w
 from numpy.typing import NDArray
 
-from testbed.campaign.bundle import Outcome
+from testbed.campaign.bundle import Outcome, Status
 from testbed.campaign.campaign import Campaign, CampaignTables, Place
-from testbed.errors import ExperimentError, RecordingError
+from testbed.errors import ExperimentError, RecordingError, plural, printable, quoted
 from testbed.experiment.experiment_tables import METRICS
 from testbed.files import replacing
 from testbed.identification.estimate import METHODS
@@ -50,33 +51,42 @@ FORMAT = "testbed campaign 1"
 KEY = b"testbed"
 """Under which the schema keeps the metadata."""
 
+KINDS = {"struct<": "records", "string": "text"}
+KINDS |= dict.fromkeys(("int", "double", "float"), "numbers")
+"""Kinds of types, by a part of their names."""
+
 AT_ONCE = 10_000
 """Rows of a group: what is held twice while a table is written."""
 
-NUMBERS = ("truth", "values", "sigma", "relative_error")
+LONGEST_REASON = 130
+"""Characters of why a table is refused."""
+
+TEXT, NUMBER = pa.string(), pa.float64()
+
+SURE = {
+    **dict.fromkeys(("run", "status", "error", "command"), TEXT),
+    **dict.fromkeys(("cell", "replicate"), pa.int32()),
+    "seed": pa.int64(),
+}
+"""Columns that have a value in every row."""
+
+LISTS = ("names", "truth", "values", "sigma", "relative_error")
 """Of every estimate, a list each in the order of its names."""
+
+FOUND = {
+    **{f"{m}/{k}": pa.list_(TEXT if k == LISTS[0] else NUMBER) for m in METHODS for k in LISTS},
+    "diagnostics": pa.list_(pa.struct([(name, TEXT) for name in SAID])),
+}
+"""Columns that are empty where a run has no result; before them come factors and metrics."""
 
 
 def schema_of(campaign: Campaign) -> pa.Schema:
     """The columns of a campaign's table, and what is said of it there."""
-    fields = [
-        pa.field("run", pa.string()),
-        pa.field("status", pa.string()),
-        pa.field("error", pa.string()),
-        pa.field("command", pa.string()),
-        pa.field("cell", pa.int32()),
-        pa.field("replicate", pa.int32()),
-        pa.field("seed", pa.int64()),
-    ]
+    columns = dict(SURE)
     for k, name in enumerate(campaign.factors):
         named = any(isinstance(cell.levels[k], str) for cell in campaign.cells)
-        fields.append(pa.field(f"factor/{name}", pa.string() if named else pa.float64()))
-    fields += [pa.field(f"metric/{name}", pa.float64()) for name in METRICS]
-    for method in METHODS:
-        fields.append(pa.field(f"{method}/names", pa.list_(pa.string())))
-        fields += [pa.field(f"{method}/{kind}", pa.list_(pa.float64())) for kind in NUMBERS]
-    said = pa.struct([(name, pa.string()) for name in SAID])
-    fields.append(pa.field("diagnostics", pa.list_(said)))
+        columns[f"factor/{name}"] = TEXT if named else NUMBER
+    columns |= {f"metric/{name}": NUMBER for name in METRICS} | FOUND
     about = {
         "format": FORMAT,
         "name": campaign.tables.name,
@@ -85,8 +95,9 @@ def schema_of(campaign: Campaign) -> pa.Schema:
         "cells": len(campaign.cells),
         "methods": list(campaign.tables.methods),
         "logarithmic": [f.name for f in campaign.tables.factor if f.log],
+        "columns": list(columns),
     }
-    return pa.schema(fields, metadata={KEY: json.dumps(about, sort_keys=True)})
+    return pa.schema(columns, metadata={KEY: json.dumps(about, sort_keys=True)})
 
 
 def write_rows(path: Path, parts: Iterable[pa.Table], schema: pa.Schema) -> None:
@@ -110,18 +121,111 @@ def read_rows(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
         columns: Only these; those that it lacks are left out.
 
     Raises:
-        RecordingError: It is no campaign's table, or damaged.
+        RecordingError: The file is no campaign's table, damaged or edited; names the column.
+    """
+    with _opened(path) as (file, schema):
+        wanted = [name for name in schema.names if columns is None or name in columns]
+        return _checked(file.read(wanted), schema, path)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[pq.ParquetFile, pa.Schema]]:
+    """A table's file, and the declared schema of its columns.
+
+    Raises:
+        RecordingError: The file is no campaign's table, or is found to be wrong in the block.
     """
     try:
         with pq.ParquetFile(path) as file:
-            if about(file.schema_arrow).get("format") != FORMAT:
-                raise ValueError(f"it is not of the layout '{FORMAT}'")
-            there = file.schema_arrow.names
-            wanted = None if columns is None else [name for name in columns if name in there]
-            return file.read(wanted)
+            yield file, _declared(file.schema_arrow)
     except (pa.ArrowException, OSError, ValueError, KeyError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise RecordingError(f"{path}: not a readable table of a campaign: {reason}") from None
+        reason = printable(str(error), LONGEST_REASON)
+        raise RecordingError(
+            f"{path}: not a readable table of a campaign: {reason}; put back a copy, or move the "
+            "file away: the campaign's command then makes its runs again"
+        ) from None
+
+
+def _declared(found: pa.Schema) -> pa.Schema:
+    """Declared types of the columns of a file; columns that nobody declares are left out.
+
+    Raises:
+        ValueError: Of another layout, or a column is missing or of another kind.
+    """
+    said, known = about(found), SURE | FOUND
+    if said.get("format") != FORMAT:
+        raise ValueError(f"it is not of the layout '{FORMAT}'")
+    listed = said.get("columns")  # tables of older versions do not list them
+    for name in [*known, *(listed if isinstance(listed, list) else ())]:
+        if (times := found.names.count(name)) != 1:
+            raise ValueError(f"column '{name}' is there {times} times, not once")
+    columns = {}
+    for field in found:
+        kind, name = _kind(field.type), field.name
+        if name.startswith("factor/"):
+            known[name] = TEXT if kind == "text" else NUMBER
+        elif name.startswith("metric/"):
+            known[name] = NUMBER
+        if name in known:
+            columns[name] = known[name]
+            if kind not in (_kind(known[name]), "null"):
+                raise ValueError(f"column '{name}' holds {kind}, not {_kind(known[name])}")
+    return pa.schema(columns, metadata=found.metadata)
+
+
+def _kind(of: pa.DataType) -> str:
+    """A type in words; types that differ in precision or storage are of one kind."""
+    said = str(of)
+    content = next((kind for mark, kind in KINDS.items() if mark in said), said)
+    return f"lists of {content}" if "list<" in said else content
+
+
+def _checked(rows: pa.Table, schema: pa.Schema, path: Path) -> pa.Table:
+    """Rows in the declared types, where every value is one that a campaign writes.
+
+    Raises:
+        ValueError: A value is none; names the column.
+    """
+    columns: dict[str, pa.ChunkedArray] = {}
+    for name in rows.column_names:
+        try:
+            values = columns[name] = rows[name].cast(schema.field(name).type)
+        except pa.ArrowException as error:
+            raise ValueError(f"column '{name}': {error}") from None
+        level = name.startswith("factor/") and path.name != EARLIER
+        if values.null_count and (level or name in SURE):
+            raise ValueError(f"column '{name}' has {plural(values.null_count, 'empty value')}")
+        if level and values.type == NUMBER and not pc.all(pc.is_finite(values)).as_py():
+            raise ValueError(f"column '{name}' has a level that is not finite")
+    if others := {*columns.get("status", pa.array([])).to_pylist()} - {*get_args(Status)}:
+        raise ValueError(f"column 'status' has {quoted(others)}, not {quoted(get_args(Status))}")
+    for method in METHODS:
+        if f"{method}/names" in columns:
+            _check_estimates(columns, method)
+    return pa.table(columns, metadata=schema.metadata)
+
+
+def _check_estimates(columns: Mapping[str, pa.ChunkedArray], method: str) -> None:
+    """Whether the lists of estimates belong together.
+
+    Raises:
+        ValueError: They do not; names the column.
+    """
+    lists = {kind: columns[f"{method}/{kind}"] for kind in LISTS}
+    sizes = [pc.fill_null(pc.list_value_length(each), -1) for each in lists.values()]
+    names, truth, value, sigma, _ = (pc.list_flatten(each).to_numpy() for each in lists.values())
+    faults = {kind: not size.equals(sizes[0]) for kind, size in zip(LISTS, sizes, strict=True)}
+    if not any(faults.values()):
+        seen = np.isfinite(value)  # else no motion separates the parameter from others
+        faults = {
+            "names": any(name is None for name in names),
+            "truth": not np.isfinite(truth).all(),
+            "values": (np.isfinite(sigma) & ~seen).any(),
+            "sigma": ((sigma < 0) | np.isnan(sigma) & seen).any(),
+        }
+    for kind, wrong in faults.items():
+        if wrong:
+            raise ValueError(f"'{method}/names' and '{method}/{kind}' hold what no estimate gives")
 
 
 def about(schema: pa.Schema) -> dict[str, Any]:
@@ -187,24 +291,23 @@ class StoredRows:
 
 def _rows_at(path: Path, rows: NDArray[np.int64]) -> pa.Table:
     """Some rows of a file; only the groups that hold them are read."""
-    with pq.ParquetFile(path) as file:
+    with _opened(path) as (file, schema):
         sizes = np.array([file.metadata.row_group(g).num_rows for g in range(file.num_row_groups)])
         ends = np.cumsum(sizes)
         group = np.searchsorted(ends, rows, side="right")
         wanted = np.unique(group)
         before = np.cumsum([0, *sizes[wanted][:-1]])
         at = rows - (ends - sizes)[group] + before[np.searchsorted(wanted, group)]
-        return file.read_row_groups(wanted.tolist()).take(pa.array(at))
+        whole = file.read_row_groups(wanted.tolist(), columns=schema.names)
+        return _checked(whole.take(pa.array(at)), schema, path)
 
 
 def _fitted(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """The same rows with a schema's columns: those that are missing are empty."""
+    """The same rows with a schema's columns, empty where missing or now of another type."""
     columns = []
     for field in schema:
-        if field.name in table.column_names:
-            columns.append(table[field.name].cast(field.type))
-        else:
-            columns.append(pa.nulls(len(table), field.type))
+        same = field.name in table.column_names and table.schema.field(field.name).equals(field)
+        columns.append(table[field.name] if same else pa.nulls(len(table), field.type))
     return pa.table(columns, schema=schema)
 
 
@@ -297,7 +400,8 @@ class CampaignFolder:
         runs = texts_of(rows, "run")
         self.status |= dict(zip(runs, texts_of(rows, "status"), strict=True))
         if self._campaign.tables.stop is not None:
-            values = rows[f"metric/{self._campaign.tables.stop.figure}"].to_pylist()
+            figures = rows[f"metric/{self._campaign.tables.stop.figure}"]
+            values = pc.if_else(pc.is_nan(figures), None, figures).to_pylist()
             self.figures |= dict(zip(runs, values, strict=True))
 
     def compact(self) -> None:

@@ -216,7 +216,8 @@ def _figures(rows: Sequence[Mapping[str, Any]]) -> Iterator[Figure]:
         for key in here[0]:
             if not key.startswith("metric/"):
                 continue
-            values = np.array([row[key] for row in here if row[key] is not None])
+            values = np.array([row[key] for row in here], dtype=float)
+            values = values[~np.isnan(values)]
             if values.size:
                 spread = float(np.std(values, ddof=1)) if values.size > 1 else math.nan
                 error = spread / math.sqrt(values.size)

@@ -11,6 +11,7 @@ import typer
 from testbed.cli.identifications import Write, Writing
 from testbed.cli.opening import opened
 from testbed.cli.reading import (
+    Force,
     Gravity,
     Json,
     Lock,
@@ -24,6 +25,7 @@ from testbed.cli.reading import (
     Weld,
     Zeros,
     app,
+    check_outputs,
     ending,
 )
 
@@ -119,6 +121,7 @@ def calibrate(
     weld_root: Weld = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
+    force: Force = False,
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
@@ -135,7 +138,6 @@ def calibrate(
     from testbed.codec import encode
     from testbed.errors import SettingsError
     from testbed.experiment.read_result import write_plate
-    from testbed.files import check_writable
     from testbed.identification.calibration import calibrate as calibrated
     from testbed.identification.payload.torque_scales import torque_scales
     from testbed.identification.regression.constraints import parse_known
@@ -143,7 +145,8 @@ def calibrate(
     from testbed.reporting import output, terminal
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic)
-    check_writable(out, read=(recording, loaded, model))
+    if loaded is None:  # else scales are printed, and nothing is written
+        check_outputs(out, force=force, read=(recording, model))
     if joint is not None and loaded is None:
         raise SettingsError("--joint names the link of --loaded: both are needed")
     said: list[Diagnostic] = []
@@ -202,6 +205,7 @@ def drives(
             help="File for friction: .csv (map and law) or .json (BAM).",
         ),
     ] = None,
+    force: Force = False,
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
@@ -222,7 +226,7 @@ def drives(
     """
     from testbed.codec import encode
     from testbed.errors import SettingsError
-    from testbed.files import check_writable, together
+    from testbed.files import together
     from testbed.identification.drives.friction_files import write_friction
     from testbed.identification.drives.identify_drives import identify_drives
     from testbed.identification.identify import identify
@@ -231,10 +235,9 @@ def drives(
     from testbed.reporting import output, terminal
     from testbed.reporting.drives import delay_line
 
-    if friction is not None:
-        check_writable(friction, read=(recording, model))
+    check_outputs(friction, force=force, read=(recording, model))
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, sensor=sensor)
-    writing = Writing(write=write)
+    writing = Writing(write=write, force=force)
     writing.check(reading, model, [recording])
     if unseen is not None and write is None:
         raise SettingsError("--unseen drives the file that --write writes")

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.reading import Json, Set, app, ending, note
+from testbed.cli.reading import Force, Json, Set, app, check_outputs, ending, note
 from testbed.diagnostics import sentences
+from testbed.file_kinds import expecting
 from testbed.installation import own_or_shipped
 
 if TYPE_CHECKING:
@@ -56,7 +57,10 @@ def excite(
     ] = False,
     trajectory: Annotated[
         Path | None,
-        typer.Option(help="Samples for a controller (.csv, .parquet), from rest to rest."),
+        typer.Option(
+            callback=ending(".csv", ".parquet"),
+            help="Samples for a controller (.csv, .parquet), from rest to rest.",
+        ),
     ] = None,
     rate: Annotated[float, typer.Option(min=1e-3, help="Sampling rate of those [Hz].")] = 1000.0,
     page: Annotated[
@@ -69,6 +73,7 @@ def excite(
     everything: Annotated[
         bool, typer.Option("--all", help="Print all parameters and limits.")
     ] = False,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Design the motion that makes parameters most certain, and prove that it may be run.
@@ -80,19 +85,17 @@ def excite(
 
     Example: testbed excite models/puma562.xml --out motion.toml --set motion.duration=20
     """
-    from testbed.experiment.excite import check_ending, write_motion, write_trajectory
     from testbed.experiment.excite import excite as excited
-    from testbed.files import check_writable, together
+    from testbed.experiment.excite import write_motion, write_trajectory
+    from testbed.files import together
     from testbed.reporting import output
     from testbed.reporting.motion import print_excitation
 
-    if trajectory is not None:
-        check_ending(trajectory)
     settings = [*(settings or []), *([] if aim is None else [f"excitation.aim={aim}"])]
     if check:
         _require_nothing({"--trajectory": trajectory, "--page": page, "--prior": prior})
         _check(file, settings, everything=everything, as_json=as_json)
-    check_writable(out, trajectory, page, read=(file, prior))
+    check_outputs(out, trajectory, page, force=force, read=(file, prior))
     experiment = _experiment(file, settings)
     known = None if prior is None else _covariance(prior, experiment)
     with output.Progress("searching") as progress, _interrupt() as interrupted:
@@ -179,7 +182,8 @@ def _experiment(file: Path, settings: list[str]) -> Experiment:
 
     if file.suffix.lower() == ".toml":
         return Experiment.load(file, settings)
-    experiment, said = with_nearest_bodies(Experiment.of_model(file, settings))
+    with expecting(file, "model file"):
+        experiment, said = with_nearest_bodies(Experiment.of_model(file, settings))
     note(sentences(said))
     return experiment
 

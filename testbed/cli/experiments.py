@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.reading import Everything, ExperimentFile, Json, Set, app, ending, note
+from testbed.cli.reading import (
+    Everything,
+    ExperimentFile,
+    Force,
+    Json,
+    Set,
+    app,
+    check_outputs,
+    ending,
+    note,
+)
 from testbed.diagnostics import sentences
 from testbed.errors import plural
 from testbed.installation import own_or_shipped
@@ -54,12 +64,11 @@ def run(
     from testbed.experiment.carry_out import carry_out
     from testbed.experiment.experiment import Experiment
     from testbed.experiment.results import check_folder, default_folder, result_of
-    from testbed.files import check_writable
     from testbed.reporting import output, terminal
 
     experiment = Experiment.load(file, settings or ())
     folder = out or default_folder(experiment)
-    check_writable(folder, folder=True)
+    check_outputs(folder, force=True, folder=True)  # the same run again needs no --force
     check_folder(folder, experiment, force=force)
     watch = _watcher(experiment) if live else _unwatched
     done = carry_out(experiment, watch=watch, folder=folder, stage=output.Progress)
@@ -105,6 +114,7 @@ def simulate(
         Path, typer.Option(callback=ending(".parquet"), help="Recording to write (Parquet).")
     ],
     settings: Set = None,
+    force: Force = False,
 ) -> None:
     """Simulate an experiment and write only its recording.
 
@@ -112,10 +122,9 @@ def simulate(
     """
     from testbed.experiment.experiment import Experiment
     from testbed.experiment.simulate import simulate as simulated
-    from testbed.files import check_writable
     from testbed.reporting import output
 
-    check_writable(out, read=(file,))
+    check_outputs(out, force=force, read=(file,))
     experiment = Experiment.load(file, settings or ())
     with output.Progress("simulating") as progress:
         recording = simulated(experiment, progress)
@@ -210,7 +219,6 @@ def campaign(
     from testbed.campaign.campaign import Campaign
     from testbed.campaign.conduct import conduct
     from testbed.campaign.results import CAMPAIGN, LOCK
-    from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.reporting.campaign import Throughput, print_conducted, print_plan
 
@@ -220,7 +228,7 @@ def campaign(
         print_plan(output.console(), asked, folder, limit)
         return
     if not (folder / LOCK).exists():  # the folder's own file may ask for what is missing
-        check_writable(folder / CAMPAIGN, read=(file, asked.base))
+        check_outputs(folder / CAMPAIGN, force=True, read=(file, asked.base))
     tls = _tls(tls_ca, tls_cert, tls_key)
     with _engine(workers, scheduler, tls) as engine, Throughput() as throughput:
         found = conduct(asked, folder, engine, limit, throughput.of)

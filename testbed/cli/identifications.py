@@ -13,6 +13,7 @@ import typer
 from testbed.cli.opening import corrected_source, opened
 from testbed.cli.reading import (
     Everything,
+    Force,
     Gravity,
     Json,
     Lock,
@@ -29,6 +30,7 @@ from testbed.cli.reading import (
     Weld,
     Zeros,
     app,
+    check_outputs,
 )
 from testbed.diagnostics import diagnose
 
@@ -84,12 +86,14 @@ class Writing:
         write: The file to write, which wants them too.
         fixed: What fixed links get.
         in_place: Whether the model file may be replaced.
+        force: Whether another file may be.
     """
 
     consistent: bool = False
     write: Path | None = None
     fixed: Fixed = Fixed.lump
     in_place: bool = False
+    force: bool = False
 
     @property
     def wanted(self) -> bool:
@@ -109,7 +113,6 @@ class Writing:
             SettingsError: Something is wished of bodies that nobody asked for.
         """
         from testbed.errors import SettingsError
-        from testbed.files import check_writable
         from testbed.identification.consistency.options import ConsistencyOptions
         from testbed.robot.write_model import check_place
 
@@ -120,8 +123,10 @@ class Writing:
         if self.in_place and self.write is None:
             raise SettingsError("--in-place needs --write FILE")
         if self.write is not None:
-            check_writable(self.write, read=(*recordings, reading.plate))
             check_place(model, self.write, over_source=self.in_place)
+            own = self.in_place and self.write.resolve() == model.resolve()
+            read = *recordings, reading.plate
+            check_outputs(self.write, force=self.force or own, read=read)
 
     def bodies(
         self,
@@ -240,6 +245,7 @@ def identify(
     write: Write = None,
     fixed: FixedLinks = Fixed.lump,
     in_place: InPlace = False,
+    force: Force = False,
     unchecked: Unchecked = False,
     threads: Threads = None,
     timings: Timings = False,
@@ -265,7 +271,7 @@ def identify(
     from testbed.reporting import output, terminal
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms, sensor)
-    writing = Writing(consistent, write, fixed, in_place)
+    writing = Writing(consistent, write, fixed, in_place, force)
     writing.check(reading, model, recordings)
     table = reading.tables().identification
     reading, source, accepted = reading.joined(recordings, model, unchecked=unchecked)
@@ -409,6 +415,7 @@ def sample(
     ] = None,
     settings: RecordingSet = None,
     fixed: FixedLinks = Fixed.lump,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Draw robots that could be the one that was measured, as model files and MuJoCo's fields.
@@ -426,13 +433,12 @@ def sample(
     from testbed.experiment.evaluate import prior_from
     from testbed.experiment.read_result import read_result
     from testbed.experiment.results import versions
-    from testbed.files import check_writable
     from testbed.identification.consistency.robots import robots
     from testbed.reporting import bodies as shown
     from testbed.reporting import output
     from testbed.robot.write_model import ARCHIVE, write_models
 
-    check_writable(out, folder=True, read=(result, model))
+    check_outputs(out, force=True, folder=True, read=(result, model))
     kept = read_result(result, model, settings or ())
     if kept.tree.is_part:
         raise SettingsError(f"'{result}' is of a force sensor: robots need plate or joint torques")
@@ -442,6 +448,7 @@ def sample(
         raise SettingsError(
             f"'{out}' holds {others[0]}, not robots alone: --out names a new folder"
         )
+    check_outputs(out, force=force, folder=True)
     prior = prior_from(kept.prior, kept.file, shapes=kept.options.centres_in_shapes)
     rng = np.random.default_rng(seed)
     with output.Progress("drawing robots"):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.reading import (
+    Force,
     Json,
     Lock,
     LockMimic,
@@ -20,11 +21,13 @@ from testbed.cli.reading import (
     Unchecked,
     Weld,
     app,
+    check_outputs,
     ending,
     note,
 )
 from testbed.diagnostics import Diagnostic, diagnose, ordered
 from testbed.errors import RecordingError, few
+from testbed.file_kinds import LOG, kind_of, misplaced
 
 if TYPE_CHECKING:
     from testbed.plausibility.mapping_solution import MappingSolution
@@ -48,7 +51,6 @@ def write_mapping(
         The mapping with the robot that it was solved for; None where it is not complete.
 
     Raises:
-        typer.BadParameter: The mapping is there.
         TestbedError: The data contradict the mapping, which is written as far as it is known.
     """
     from testbed.files import replacing
@@ -57,8 +59,6 @@ def write_mapping(
     from testbed.recordings.importing.guess import guessed
     from testbed.reporting import output
 
-    if out is not None and out.exists():
-        raise typer.BadParameter(f"--out {out} is there; a mapping is not replaced")
     folder, found = out.parent if out else Path(), None
     written = out or folder / "mapping.toml"
     with output.Progress("reading"):
@@ -149,6 +149,7 @@ def import_(
     weld_root: Weld = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Make a recording of other programs' files: CSV, MATLAB, HDF5, ROS, LeRobot, and others.
@@ -166,11 +167,9 @@ def import_(
 
     for each in files:
         if not guess and each.suffix.lower() != ".toml":
-            raise typer.BadParameter(
-                f"'{each}' is no mapping file (.toml): testbed new --recording {each} writes one"
-            )
-    _check_out(out, [*files, model], guess=guess)
-    _check_page(page, [*files, model, out], said=bool(guess and model))
+            raise typer.BadParameter(misplaced(each, kind_of(each) or LOG, "mapping"))
+    _check_out(out, [*files, model], guess=guess, force=force)
+    _check_page(page, [*files, model, out], said=bool(guess and model), force=force)
     reading = Reading(settings, False, weld_root, lock, lock_mimic)
     if guess:
         write_mapping(files, out, model, reading, page)
@@ -204,6 +203,7 @@ def import_(
         ]
         checked = [*tree.diagnostics, *found.diagnostics]
     paths = numbered(out, len(made))
+    check_outputs(*paths, force=force)
     for recording, path in zip(made, paths, strict=True):
         recording.save(path)
     reports = [ImportReport.from_dict(recording.facts["import"]) for recording in made]
@@ -224,23 +224,20 @@ def import_(
     output.print_lines([*reported, *lines, last], [*cuts, *doubts])
 
 
-def _check_out(out: Path | None, read: list[Path | None], *, guess: bool) -> None:
+def _check_out(out: Path | None, read: list[Path | None], *, guess: bool, force: bool) -> None:
     """Whether there may be written, and nothing that is read is replaced."""
-    from testbed.files import check_writable
     from testbed.recordings.importing.mapping import sources
 
     mapping = read[0]
     named = sources(mapping) if not guess and out is not None and mapping is not None else ()
-    check_writable(out, read=(*read, *named))
+    check_outputs(out, force=force, read=(*read, *named))
 
 
-def _check_page(page: Path | None, others: list[Path | None], *, said: bool) -> None:
+def _check_page(page: Path | None, others: list[Path | None], *, said: bool, force: bool) -> None:
     """Whether the page may be written, and all is said that it is of."""
-    from testbed.files import check_writable
-
     if page is not None and not said:
         raise typer.BadParameter("--page is of a mapping: --guess and --model go with it")
-    check_writable(page, read=tuple(others))
+    check_outputs(page, force=force, read=tuple(others))
 
 
 def numbered(out: Path, count: int) -> list[Path]:

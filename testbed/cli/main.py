@@ -142,7 +142,9 @@ def _told(error: BaseException) -> int:
         code = OUR_FAULT
     elif hasattr(error, "format_message"):  # what the option parser found
         if message := error.format_message():  # none where it has printed the help instead
-            _say(f"{message} (see testbed --help)")
+            context = getattr(error, "ctx", None)
+            command = f" {context.info_name}" if context is not None and context.parent else ""
+            _say(f"{message} (see testbed{command} --help)")
     else:
         import traceback
 

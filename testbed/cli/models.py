@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 import typer
 
 from testbed.cli.reading import (
+    Force,
     Gravity,
     Json,
     Lock,
@@ -23,6 +24,7 @@ from testbed.cli.reading import (
     Zero,
     Zeros,
     app,
+    check_outputs,
 )
 
 if TYPE_CHECKING:
@@ -165,13 +167,14 @@ def equations(
     weld_root: Weld = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Write a robot's literal equations: motion, reaction, regressors.
 
     Example: testbed equations models/puma562.xml --zeros --form reduced
     """
-    from testbed.files import check_writable, fingerprint, replacing
+    from testbed.files import fingerprint, replacing
     from testbed.reporting import output
     from testbed.symbolic.equations import KINDS
     from testbed.symbolic.equations import equations as derived
@@ -181,7 +184,7 @@ def equations(
 
     tree = Reading(None, False, weld_root, lock, lock_mimic).tree(model)
     tree = right_angles(tree) if square else tree
-    check_writable(out, read=(model, against))
+    check_outputs(out, force=force, read=(model, against))
     if zeros and zero:
         raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")
     known, most = _known(zeros, zero), max_terms or MAX_TERMS

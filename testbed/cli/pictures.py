@@ -13,6 +13,7 @@ import typer
 from testbed.cli.identifications import ConsistentBodies
 from testbed.cli.opening import corrected_source
 from testbed.cli.reading import (
+    Force,
     Lock,
     LockMimic,
     Plate,
@@ -23,9 +24,11 @@ from testbed.cli.reading import (
     Weld,
     Zeros,
     app,
+    check_outputs,
     ending,
 )
 from testbed.diagnostics import Diagnostic, diagnose, of_recording, ordered
+from testbed.file_kinds import expecting
 
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
@@ -62,6 +65,7 @@ def view(
     plate: Plate = None,
     terms: Terms = None,
     unchecked: Unchecked = False,
+    force: Force = False,
 ) -> None:
     """Show runs in the Rerun viewer: robot, reaction, predictions, friction.
 
@@ -73,7 +77,6 @@ def view(
     Example: testbed view recording.parquet --model robot.urdf
     """
     from testbed.errors import ViewerError
-    from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.viewer.live import has_screen
     from testbed.viewer.log import write_rrd
@@ -81,7 +84,7 @@ def view(
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
     log = save or _beside(runs[0], ".rrd")
-    check_writable(log, read=(*runs, model, plate))
+    check_outputs(log, force=force or save is None, read=(*runs, model, plate))
     if save is None and not serve and not has_screen():
         raise ViewerError(
             f"there is no screen to open the viewer on: --save {log.name} writes a file for "
@@ -162,6 +165,7 @@ def report(
         typer.Option(help="Another recording, for cross-validation."),
     ] = None,
     unchecked: Unchecked = False,
+    force: Force = False,
 ) -> None:
     """Write a run's report: one HTML file that needs nothing else, and its numbers as JSON.
 
@@ -171,12 +175,13 @@ def report(
 
     Example: testbed report a.parquet --model robot.urdf --validate b.parquet
     """
-    from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.reporting.run_page import write_report
 
     path = out or _beside(run, ".html")
-    check_writable(path, path.with_suffix(".json"), read=(run, model, plate, validate))
+    again = out is None and path.is_file()  # the run's own page, and the numbers beside it
+    read = run, model, plate, validate
+    check_outputs(path, path.with_suffix(".json"), force=force or again, read=read)
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
     _check_said([run], model, reading, consistent=consistent, other=validate)
     with output.Progress("identifying") as progress:
@@ -233,9 +238,10 @@ def _run_at(path: Path, model: Path | None, reading: Reading, *, unchecked: bool
         if (path / "campaign.toml").is_file():
             raise ExperimentError(f"'{path}' is a campaign: testbed campaign --summary {path}")
         return read_run(path)
-    if model is None:
-        raise ExperimentError(f"'{path}' is no run folder; a recording needs --model")
-    reading, recording, accepted = _loaded(path, model, reading, unchecked=unchecked)
+    with expecting(path, "recording", "mapping"):
+        if model is None:
+            raise ExperimentError(f"'{path}' is no run folder; a recording needs --model")
+        reading, recording, accepted = _loaded(path, model, reading, unchecked=unchecked)
     reading, source, accepted = reading.holding(recording, model, accepted)
     tree = reading.tree(model)
     run = assemble_run(
@@ -268,7 +274,8 @@ def _loaded(
     """A recording in memory, the plate's faults taken back, and what to doubt of it."""
     from testbed.recordings.recording import Recording
 
-    whole = Recording.from_mapping(path) if path.suffix == ".toml" else Recording.load(path)
+    with expecting(path, "recording", "mapping"):
+        whole = Recording.from_mapping(path) if path.suffix == ".toml" else Recording.load(path)
     reading, tree, source = reading.robot_of(whole, model)
     accepted = reading.accepted(source, tree, unchecked=unchecked)
     return reading, _in_memory(corrected_source(source, tree, reading.plate)), accepted

@@ -13,6 +13,7 @@ import typer
 from testbed.cli.opening import corrected_source, opened_pieces, require_different
 from testbed.diagnostics import Diagnostic
 from testbed.errors import FreeRootError
+from testbed.file_kinds import expecting
 from testbed.installation import own_or_shipped
 from testbed.stages import stage
 
@@ -37,6 +38,31 @@ def ending(*endings: str) -> Callable[[Path | None], Path | None]:
         return path
 
     return checked
+
+
+def check_outputs(
+    *paths: Path | None, force: bool, folder: bool = False, read: Iterable[Path | None] = ()
+) -> None:
+    """Whether a command may write its files: said before the work.
+
+    Args:
+        paths: Files to write; None for nothing.
+        force: Whether what stands there is replaced.
+        folder: Whether they are folders.
+        read: Files that are read, and never replaced; None for nothing.
+
+    Raises:
+        BadParameter: Something stands there.
+        OSError: As `check_writable`.
+    """
+    from testbed.files import check_writable
+
+    check_writable(*paths, folder=folder, read=read)
+    for path in paths:
+        if path is not None and not force and path.exists() and (not folder or any(path.iterdir())):
+            raise typer.BadParameter(
+                f"'{path}' is there and is not replaced; choose another name, or say --force"
+            )
 
 
 class Vector(NamedTuple):
@@ -201,6 +227,10 @@ Gravity = Annotated[
 Threads = Annotated[
     int | None, typer.Option(min=1, help="Default: one per processor.", rich_help_panel=OUTPUT)
 ]
+Force = Annotated[
+    bool,
+    typer.Option("--force", help="Replace files that are there.", rich_help_panel=OUTPUT),
+]
 Model = Annotated[
     Path, typer.Argument(metavar="MODEL", parser=own_or_shipped, help="MJCF or URDF file.")
 ]
@@ -284,8 +314,15 @@ class Reading:
     def model_file(self, path: Path) -> ModelFile:
         """A model file, and how to read it."""
         from testbed.robot.locks import parse_lock
-        from testbed.robot.model_file import ModelFile, joint_names, mimic_joints
+        from testbed.robot.model_file import (
+            ModelFile,
+            joint_names,
+            mimic_joints,
+            model_format,
+        )
 
+        with expecting(path, "model file"):
+            model_format(path)
         held = parse_lock(self.lock or (), lambda: joint_names(path))
         welded, follow, bodies = self.weld_root, self.lock_mimic, None
         if self.settings:  # else there is no need to import the tables of experiments

@@ -17,7 +17,7 @@ import typer
 from packaging.requirements import Requirement
 
 from testbed.cli.importing import numbered, write_mapping
-from testbed.cli.reading import Json, Lock, LockMimic, Reading, app
+from testbed.cli.reading import Force, Json, Lock, LockMimic, Reading, app, check_outputs
 from testbed.installation import DISTRIBUTION, own_or_shipped
 from testbed.installation import version as own_version
 
@@ -133,6 +133,7 @@ def new(
     ] = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
+    force: Force = False,
 ) -> None:
     """Write an experiment file for a robot, commented and ready to run.
 
@@ -146,32 +147,31 @@ def new(
     """
     if robot is None and not recording:
         raise typer.BadParameter("name a robot's model file, or --recording and a logger's file")
-    from testbed.files import check_writable, replacing
+    from testbed.files import replacing
     from testbed.reporting import output
 
-    if out:
-        check_writable(out, read=(robot, *(recording or ())))
-        _check_free(out)
+    check_outputs(out, force=force, read=(robot, *(recording or ())))
     reading = Reading(lock=lock, lock_mimic=lock_mimic)
     if recording:
         stem = recording[0].name.partition(".")[0]
-        _recorded(recording, out or Path(f"{stem}.toml"), robot, reading)
+        _recorded(recording, out or Path(f"{stem}.toml"), robot, reading, force=force)
         return
     assert robot is not None
     folder = out.parent if out else Path()
     with output.Progress("reading"):
         text = _experiment(robot, folder, strict, exact_torque_constants, reading)
     path = out or Path(f"{tomllib.loads(text)['name']}.toml")
-    check_writable(path)
-    _check_free(path)
+    check_outputs(path, force=force, read=(robot,))
     with replacing(path) as fresh:
         fresh.write_text(text, encoding="utf-8")
     typer.echo(f"{path}: testbed run {path}")
 
 
-def _recorded(files: list[Path], mapping: Path, robot: Path | None, reading: Reading) -> None:
-    """A mapping for logs, and the recording that it makes of a robot."""
-    from testbed.files import check_writable, together
+def _recorded(
+    files: list[Path], mapping: Path, robot: Path | None, reading: Reading, *, force: bool
+) -> None:
+    """Write a mapping for logs, and the recording that it makes of a robot."""
+    from testbed.files import together
     from testbed.plausibility.check import import_and_check
     from testbed.recordings.importing.import_report import ImportReport
     from testbed.reporting import output
@@ -179,9 +179,8 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None, reading: Rea
     made = mapping.with_suffix(".parquet")
     if any(made.resolve() == each.resolve() for each in files):
         made = made.with_stem(f"{made.stem}_recording")
-    for path in (mapping, made):
-        check_writable(path, read=(robot, *files))
-    _check_free(mapping)
+    written = (mapping,) if robot is None else (mapping, made)
+    check_outputs(*written, force=force, read=(robot, *files))
     found = write_mapping(files, mapping, robot, reading)
     if found is None or robot is None:
         return
@@ -193,6 +192,7 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None, reading: Rea
             assessment=found.assessment,
         )
     paths = numbered(made, len(several))
+    check_outputs(*paths, force=force)
     with together():
         for recording, path in zip(several, paths, strict=True):
             recording.save(path)
@@ -204,11 +204,6 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None, reading: Rea
     imported = ImportReport.from_dict(several[0].facts["import"]).diagnostics
     said = [*cuts, *imported, *report.diagnostics]
     output.print_lines([last], [each for each in said if each not in found.diagnostics])
-
-
-def _check_free(path: Path) -> None:
-    if path.exists():
-        raise typer.BadParameter(f"{path} is there and is not replaced; choose another --out")
 
 
 def _experiment(model: Path, folder: Path, strict: bool, exact: bool, reading: Reading) -> str:

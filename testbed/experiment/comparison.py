@@ -112,7 +112,7 @@ class Comparison:
                 would need another simulation.
         """
         path = Path(path)
-        tables = checked(ComparisonTables, read_toml(path), str(path))
+        tables = checked(ComparisonTables, read_toml(path, "comparison"), str(path))
         throughout = [*tables.set, *settings]
 
         def made(words: Sequence[str], expect: Expectations) -> Experiment:

@@ -10,7 +10,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, diagnose
-from testbed.errors import ExperimentError, TestbedError
+from testbed.errors import ExperimentError, TestbedError, UnknownName
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import SimulationTable
 from testbed.experiment.robot_tables import BodyTable
@@ -113,15 +113,13 @@ def robot_of(experiment: Experiment) -> Tree:
         experiment: Names the model file.
 
     Raises:
-        ExperimentError: A table names a joint that the robot has not.
+        UnknownName: A table names a joint that the robot has not.
     """
     tree = model_of(experiment).tree()
     for table, entries in experiment.joint_tables.items():
         for name in entries:
             if name not in tree.names:
-                raise ExperimentError(
-                    f"{table} names joint '{name}', the model has {', '.join(tree.names)}"
-                )
+                raise UnknownName(f"joint of {table}", name, tree.names)
     if experiment.robot.base == "measured":
         raise ExperimentError(
             'robot.base = "measured" is for recordings: experiments have a bedplate'

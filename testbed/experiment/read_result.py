@@ -18,6 +18,7 @@ from testbed.experiment.evaluate import model_of, robot_of, wrong_prior
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.results import EXPERIMENT, RESULT, versions
 from testbed.experiment.robot_tables import RecordingTables, Table
+from testbed.file_kinds import expecting
 from testbed.files import fingerprint, read_text, replacing
 from testbed.identification.calibration import Calibration
 from testbed.identification.consistency.options import ConsistencyOptions
@@ -132,7 +133,8 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
         raise ExperimentError(
             f"there is no result '{path}': name what `identify --json` printed, or a run folder"
         )
-    content = _json(path)
+    with expecting(path, "result"):
+        content = _json(path)
     said = content.get("posterior"), content.get("estimates")
     added, every = (x if isinstance(x, dict) else {} for x in said)
     own = {m: _stated(every[m], m, f"{path}: {m}") for m in METHODS if m in every}
@@ -356,7 +358,7 @@ def read_plate(path: Path, tree: Tree) -> Calibration:
     Raises:
         ExperimentError: It is no such file.
     """
-    found = checked(_Plate, read_toml(path, "plate"), str(path))
+    found = checked(_Plate, read_toml(path, "plate's calibration"), str(path))
     kinds = {part.name: n.kind for n in NUISANCES for part in n.parts(tree)}
     numbers = tuple(
         NuisanceEstimate(kinds.get(name, name), name, each.unit, each.value, each.sigma)

@@ -417,7 +417,7 @@ def _heats(summary: Summary) -> Iterator[HeatTable]:
     if len(summary.factors) != 2:
         return
     levels = [list(dict.fromkeys(cell[k] for cell in summary.cells.values())) for k in range(2)]
-    if len(levels[0]) * len(levels[1]) != len(summary.cells):
+    if len(levels[0]) * len(levels[1]) != len({*summary.cells.values()}):
         return  # points, no grid
     where = {cell: number for number, cell in summary.cells.items()}
     means = {(each.metric, each.cell): each.mean for each in summary.figures}

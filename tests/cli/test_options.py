@@ -26,7 +26,7 @@ WRITERS = {
     ("drives", "--write"): (".xml", f"one.parquet {ROBOT}"),
     ("drives", "--friction"): (".csv", f"one.parquet {ROBOT}"),
     ("sample", "--out"): ("", "result.json"),
-    ("calibrate", "--out"): (".toml", f"one.parquet {ROBOT} --known mass=20"),
+    ("calibrate", "--out"): (".toml", f"one.parquet {ROBOT} --known mass=20 --known gain/Mx=1"),
     ("report", "--out"): (".html", f"one.parquet {ROBOT}"),
     ("view", "--save"): (".rrd", f"one.parquet {ROBOT}"),
     ("campaign", "--out"): ("", "quick.toml --workers 0"),
@@ -65,15 +65,61 @@ def test_what_stands_there_is_not_written_over_and_that_is_said_before_the_work(
             link = home / f"link-{name}{ending}"
             if (home / name).is_file() and not link.exists():
                 link.symlink_to(name)
+        shutil.copy(home / "one.parquet", home / f"theirs{ending or '.folder'}")
     before = {path: path.is_file() and path.read_bytes() for path in home.rglob("*")}
     for (command, option), (ending, words) in WRITERS.items():
         read = [word for word in words.split() if (home / word).is_file() and ending]
         outs = [f"{name}{ending}" for name in ("taken", "puma562.xml/x", "x" * 300)]
+        outs.append(f"theirs{ending or '.folder'}")
         for out in (*outs, *read, *(f"link-{name}{ending}" for name in read)):
             done = command_line(command, *words.split(), option, out, cwd=home)
             assert (done.returncode, done.stdout) == (2, ""), (command, option, out)
             assert len(done.stderr.splitlines()) == 1, done.stderr
     assert {path: path.is_file() and path.read_bytes() for path in home.rglob("*")} == before
+
+
+def test_only_a_campaign_and_its_summary_go_on_without_force() -> None:
+    for command in app.registered_commands:
+        assert command.callback is not None
+        name = command.name or command.callback.__name__
+        forced = "force" in get_type_hints(command.callback)
+        assert forced == (name != "campaign" and any(name == each for each, _ in WRITERS)), name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("command", "option"), [key for key in WRITERS if WRITERS[key][0]])
+def test_what_stands_there_is_written_over_by_force(
+    command: str, option: str, place: Path, tmp_path: Path
+) -> None:
+    ending, words = WRITERS[command, option]
+    shutil.copytree(place, home := tmp_path / "home")
+    old = Path(shutil.copy(place / "other.parquet", home / f"old{ending}"))
+    before = old.read_bytes()
+    quick = "--set motion.duration=4 --set excitation.starts=1" if command == "excite" else ""
+    call = (command, *words.split(), *quick.split(), option, old.name)
+    assert command_line(*call, cwd=home).returncode == 2
+    assert old.read_bytes() == before
+    done = command_line(*call, "--force", cwd=home)
+    assert done.returncode == 0, done.stderr
+    assert old.read_bytes() != before
+
+
+@pytest.mark.slow
+def test_files_of_names_that_nobody_gave_are_kept(place: Path, tmp_path: Path) -> None:
+    """Also numbers beside a page; a run's own page is written again."""
+    shutil.copytree(place, home := tmp_path / "home")
+    for name, words in {
+        "one.json": f"report one.parquet {ROBOT}",
+        "motion.toml": "excite two.urdf",
+        "plate.toml": f"calibrate one.parquet {ROBOT} --known mass=20 --known gain/Mx=1",
+        "log.toml": "new --recording log.csv",
+        "two.toml": "new two.urdf",
+    }.items():
+        (home / name).write_text("mine")
+        assert command_line(*words.split(), cwd=home).returncode == 2, words
+        assert (home / name).read_text() == "mine", words
+    for _ in range(2):
+        assert command_line("report", "run", cwd=home).returncode == 0
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from tests.helpers.paths import ROOT
 HOUSE = ROOT / "testbed"
 MODULES = sorted(HOUSE.rglob("*.py"))
 
-BASE = "errors codec arrays files blas diagnostics child_process"
+BASE = "errors codec arrays files blas diagnostics child_process file_kinds"
 ROBOT = f"{BASE} robot parameters dynamics"
 DATA = f"{ROBOT} excitation recordings identification experiment campaign"
 PLAN = {
@@ -30,7 +30,8 @@ PLAN = {
         "blas": "arrays",
         "child_process": "errors",
         "kind_table": "errors arrays",
-        "toml_text": "errors",
+        "file_kinds": "errors",
+        "toml_text": "errors file_kinds",
         "robot": BASE,
         "parameters": f"{BASE} robot",
         "dynamics": f"{BASE} robot parameters",

@@ -1,0 +1,103 @@
+"""A file that is given for another kind: the refusal says what it is and where it belongs."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import testbed as tb
+from testbed.campaign.campaign import Campaign
+from testbed.errors import TestbedError, UnknownName
+from testbed.experiment.comparison import Comparison
+from testbed.experiment.motions import read_motion
+from testbed.experiment.read_result import read_result
+from testbed.file_kinds import BELONGS, kind_of
+from tests.helpers.command import command_line
+
+FILES = {
+    "model file": ("puma562.xml", "two.urdf"),
+    "recording": ("one.parquet",),
+    "log of another program": ("log.csv",),
+    "result": ("result.json", "run/result.json"),
+    "experiment": ("table.toml",),
+    "comparison": ("variants.toml",),
+    "campaign": ("quick.toml",),
+    "mapping": ("map.toml",),
+}
+"""Files of each kind; see conftest.py."""
+
+ASKED = {
+    "identify FILE --model puma562.xml": ("recording", "mapping"),
+    "identify one.parquet --model FILE": ("model file",),
+    "validate one.parquet FILE": ("result",),
+    "minimal FILE": ("model file",),
+    "run FILE": ("experiment",),
+    "compare FILE": ("comparison",),
+    "campaign FILE": ("campaign",),
+    "import FILE --out new.parquet": ("mapping",),
+    "new FILE": ("model file",),
+    "report FILE --model puma562.xml": ("recording", "mapping"),
+    "view FILE --model puma562.xml --save new.rrd": ("recording", "mapping"),
+    "excite FILE": ("model file", "experiment"),
+    "identify one.parquet --model puma562.xml --plate FILE": (),
+}
+"""Commands, and kinds of the file that they take."""
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "experiment": tb.Experiment.load,
+    "comparison": Comparison.load,
+    "campaign": Campaign.load,
+    "mapping": tb.Recording.from_mapping,
+    "result": read_result,
+    "motion": read_motion,
+}
+"""Functions for Python, by the kind that they read."""
+
+
+def test_every_file_is_known_by_its_content(place: Path, tmp_path: Path) -> None:
+    """Whatever its name is, but for logs, which may be anything."""
+    for kind, names in FILES.items():
+        for name in names:
+            assert kind_of(place / name) == kind
+            if "log" not in kind:
+                assert kind_of(Path(shutil.copy(place / name, tmp_path / "any"))) == kind
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", ASKED)
+def test_a_command_says_what_it_was_given(words: str, place: Path, tmp_path: Path) -> None:
+    shutil.copytree(place, home := tmp_path / "home")
+    for kind, names in FILES.items():
+        for name in names if kind not in ASKED[words] else ():
+            done = command_line(*words.replace("FILE", name).split(), cwd=home)
+            assert done.returncode == 2, (words, name)
+            (line,) = done.stderr.splitlines()
+            assert kind in line, line
+            assert BELONGS[kind].replace("{}", name) in line, line
+            assert len(line) <= 300, line
+
+
+@pytest.mark.parametrize("asked", READERS)
+def test_a_reader_for_python_says_it_too(asked: str, place: Path) -> None:
+    for kind, names in FILES.items():
+        if kind != asked:
+            with pytest.raises(TestbedError, match=f" {kind}, no {asked}"):
+                READERS[asked](place / names[0])
+
+
+def test_a_name_that_differs_by_case_only_is_singled_out() -> None:
+    for name in ("Waist", "WAIST"):
+        said = str(UnknownName("joint", name, ("hip", "waist", "knee")))
+        assert "'waist'" in said
+        assert name in said
+        assert "hip" not in said
+
+
+def test_an_option_that_is_none_points_to_the_help_of_its_command(tmp_path: Path) -> None:
+    for words in ("run", "run --frce", "simulate x.toml --out x.csv"):
+        done = command_line(*words.split(), cwd=tmp_path)
+        assert f"testbed {words.split()[0]} --help" in done.stderr
+    assert "testbed --help" in command_line("--nothing", cwd=tmp_path).stderr
