@@ -19,7 +19,7 @@ TABLES = {
     "motion": {"fundamental", "joint"},
     "plate's calibration": {"robot", "numbers"},
     "comparison": {"experiment", "variant"},
-    "campaign": {"experiment"},
+    "campaign": {"experiment", "replicates"},
     "experiment": {"model"},
 }
 """Keys without which a TOML file is not of a kind; the first kind that has all counts."""

@@ -113,13 +113,13 @@ def robot_of(experiment: Experiment) -> Tree:
         experiment: Names the model file.
 
     Raises:
-        UnknownName: A table names a joint that the robot has not.
+        ExperimentError: A table names a joint that the robot has not.
     """
     tree = model_of(experiment).tree()
     for table, entries in experiment.joint_tables.items():
         for name in entries:
             if name not in tree.names:
-                raise UnknownName(f"joint of {table}", name, tree.names)
+                raise ExperimentError(str(UnknownName(f"joint of {table}", name, tree.names)))
     if experiment.robot.base == "measured":
         raise ExperimentError(
             'robot.base = "measured" is for recordings: experiments have a bedplate'

@@ -76,7 +76,7 @@ identify {ONE} --terms slip | 'slip' coulomb
 identify {ONE} --method magic | --method 'magic' 'both'
 identify {ONE} --consistent --write x.urdf | 'x.urdf' .xml
 identify {ONE} --consistent --set consistent.known={{"mass/lnk3"=4}} | 'lnk3' 'link3'
-identify {ONE} --plate map.toml | map.toml numbers
+identify {ONE} --plate map.toml | map.toml mapping
 identify one.parquet one.parquet {ROBOT} | 'one.parquet'
 identify no_wrench.parquet {ROBOT} --method external | wrench external
 validate one.parquet none.json | 'none.json' identify
@@ -105,13 +105,13 @@ report run {ROBOT} | 'run' --model
 report {ONE} --out x.pdf | --out 'x.pdf' .html
 view {ONE} --save x.png | --save 'x.png' .rrd
 simulate table.toml | --out
-compare table.toml | table.toml variant
+compare table.toml | 'table.toml' experiment run
 campaign quick.toml --workers -1 | --workers 0
 campaign quick.toml --tls-key log.csv | --tls-ca --tls-cert
 campaign quick.toml --tls-key log.csv --tls-ca log.csv --tls-cert log.csv | TLS --scheduler
 campaign --summary none | 'none' results.parquet
 excite two.urdf --trajectory t.txt | 't.txt' .csv
-excite two.urdf --check | two.urdf TOML
+excite two.urdf --check | 'two.urdf' model testbed new
 excite two.urdf --check --page x.html --trajectory t.csv | --trajectory --page
 excite two.urdf --set excitation.plate_range=[1,1,1,1,1,1] | plate
 minimal puma562.xml --zero mb9x | 'mb9x' 'mb3x'
