@@ -18,8 +18,8 @@ JOINT = (
 ITSELF = (
     b'<COLLADA version="1.4.1"><library_nodes><node id="a"><instance_node url="#a"/></node>'
     b'</library_nodes><library_visual_scenes><visual_scene id="s"><node><instance_node url="#a"/>'
-    b'</node></visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene>'
-    b"</COLLADA>"
+    b"</node></visual_scene></library_visual_scenes>"
+    b'<scene><instance_visual_scene url="#s"/></scene></COLLADA>'
 )
 """A DAE whose node is part of itself: recursion without end in assimp."""
 AXES = ("1 0 0", "0 1 0", "0 0 1", "1 1 0")

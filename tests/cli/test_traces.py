@@ -54,7 +54,7 @@ def strays(trace: str, folders: tuple[Path, ...], cwd: Path) -> list[str]:
 def test_no_command_reaches_the_network_or_writes_where_it_was_not_told(
     place: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """In an empty home folder: compiled code and Matplotlib's list of fonts alone are kept there."""
+    """In an empty home folder: compiled code and a list of fonts alone are kept there."""
     room = tmp_path_factory.mktemp("room")
     home, scratch, out = (room / name for name in ("home", "scratch", "out"))
     for folder in (home, scratch, out):
