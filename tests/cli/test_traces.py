@@ -57,7 +57,7 @@ def test_no_command_reaches_the_network_or_writes_where_it_was_not_told(
     """In an empty home folder: compiled code and a list of fonts alone are kept there."""
     room = tmp_path_factory.mktemp("room")
     home, scratch, out = (room / name for name in ("home", "scratch", "out"))
-    for folder in (home, scratch, out):
+    for folder in (home, scratch, out, home / ".cache", home / ".config"):
         folder.mkdir()
     environment = os.environ | {
         "HOME": str(home), "TMPDIR": str(scratch), "PYTHONPATH": str(ROOT),
