@@ -21,6 +21,8 @@ ENOUGH = 3
 """Values for each unknown that are enough of a motion that does not repeat."""
 LISTED, WIDTH = 6, 100
 """Names that a line lists of many, and characters that an error's may have together."""
+FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+"""How cells of a CSV file begin that spreadsheets compute."""
 NEAR, SEARCHED = 5, 2000
 """Likely meant names that come first in a list, and names that are searched for them."""
 
@@ -36,8 +38,7 @@ def printable(text: str, limit: int = LONGEST_MESSAGE) -> str:
         Blanks and line ends of every kind as single spaces; what a terminal would obey and not
         show (escape sequences, C1 controls, bidirectional marks) spelled out, as \x1b.
     """
-    plain = " ".join(text.split())
-    shown = [c if c.isprintable() else c.encode("unicode_escape").decode() for c in plain]
+    shown = [visible(letter) for letter in " ".join(text.split())]
     count = sum(map(len, shown))
     if count <= limit:
         return "".join(shown)
@@ -45,6 +46,19 @@ def printable(text: str, limit: int = LONGEST_MESSAGE) -> str:
     gap = gap if 2 * len(gap) < limit else "..."
     left = limit - len(gap)
     return _start(shown, left - left // 2) + gap + _start(shown[::-1], left // 2, backwards=True)
+
+
+def visible(text: str) -> str:
+    r"""Text of any lines, with what a terminal would obey spelled out: \x1b, \u202e, \r."""
+    return "".join(
+        c if c.isprintable() or c in "\n\t\u00a0" else c.encode("unicode_escape").decode()
+        for c in text
+    )
+
+
+def formula_free(text: str) -> str:
+    """A cell of a CSV file that no spreadsheet takes for a formula: an apostrophe comes first."""
+    return f"'{text}" if text.startswith(FORMULA) else text
 
 
 def round_significant(value: float, digits: int) -> float:

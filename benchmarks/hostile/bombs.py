@@ -15,6 +15,13 @@ JOINT = (
     '<origin xyz=".1 .2 .3"/><axis xyz="{axis}"/>'
     '<limit lower="-3" upper="3" effort="9" velocity="9"/></joint>'
 )
+ITSELF = (
+    b'<COLLADA version="1.4.1"><library_nodes><node id="a"><instance_node url="#a"/></node>'
+    b'</library_nodes><library_visual_scenes><visual_scene id="s"><node><instance_node url="#a"/>'
+    b"</node></visual_scene></library_visual_scenes>"
+    b'<scene><instance_visual_scene url="#s"/></scene></COLLADA>'
+)
+"""A DAE whose node is part of itself: recursion without end in assimp."""
 AXES = ("1 0 0", "0 1 0", "0 0 1", "1 1 0")
 LEAF = '<body pos="0 0 .1"><joint axis="0 1 0"/><geom size=".1" mass="1"/>{inside}</body>'
 
@@ -114,6 +121,23 @@ BOMBS: dict[str, Bomb] = {
     "a mesh that is a folder": lambda: {"model.urdf": _meshes("/")},
     "a mesh from a network": lambda: {"model.urdf": _meshes("http://127.0.0.1:9/x.stl")},
     "a mesh of a package": lambda: {"model.urdf": _meshes("package://nowhere/x.stl")},
+    **{
+        f"a mesh that is {what}, .{kind}": lambda kind=kind, data=data: {  # type: ignore[misc]
+            "model.urdf": _meshes(f"m.{kind}"),
+            f"m.{kind}": data,
+        }
+        for kind in ("stl", "obj", "dae", "ply", "glb", "off")
+        for what, data in {"empty": b"", "noise": bytes(range(256)) * 40}.items()
+    },
+    "a scene that holds itself": lambda: {"model.urdf": _meshes("m.dae"), "m.dae": ITSELF},
+    "materials that are a device": lambda: {
+        "model.urdf": _meshes("m.obj"),
+        "m.obj": b"mtllib /dev/zero\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+    },
+    "a mesh of MJCF with faces beyond its corners": lambda: {
+        "model.xml": _mjcf_mesh('file="m.msh"'),
+        "m.msh": struct.pack("<4i12f3i", 4, 0, 0, 1, *range(12), -5, 1 << 30, 2),
+    },
     "a mesh of four thousand million triangles": lambda: {
         "model.urdf": _meshes("m.stl"),
         "m.stl": _mesh(0xFFFFFFFF),

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 
 from testbed.arrays import Array
 from testbed.campaign.results import NEW, RESULTS, StoredRows, about, read_rows
-from testbed.errors import ExperimentError
+from testbed.errors import ExperimentError, formula_free
 from testbed.files import replacing
 from testbed.identification.estimate import METHODS
 
@@ -311,11 +311,22 @@ def write_summary(summary: Summary, folder: Path) -> list[Path]:
             path = folder / f"{name}.{ending}"
             with replacing(path) as fresh:
                 if ending == "csv":
-                    pc.write_csv(table, fresh)
+                    pc.write_csv(_formula_free(table), fresh)
                 else:
                     pq.write_table(table, fresh)
             written.append(path)
     return written
+
+
+def _formula_free(table: pa.Table) -> pa.Table:
+    """A table whose heads and texts no spreadsheet takes for formulas."""
+    for k, field in enumerate(table.schema):
+        column = table.column(k)
+        if pa.types.is_string(field.type):
+            texts = column.to_pylist()
+            column = pa.array([text and formula_free(text) for text in texts], pa.string())
+        table = table.set_column(k, formula_free(field.name), column)
+    return table
 
 
 @dataclass(frozen=True)

@@ -86,11 +86,13 @@ def print_for(
         link: The flange.
         said: What to know of it.
     """
+    from testbed.errors import printable
     from testbed.identification.payload.vendors import VENDORS, at_flange
 
     typer.echo(VENDORS[vendor](at_flange(found, tree, link)))
     for each in said:
-        typer.echo(f"{'note' if each.level == 'info' else 'warning'}: {each}", err=True)
+        kind = "note" if each.level == "info" else "warning"
+        typer.echo(printable(f"{kind}: {each}"), err=True)
 
 
 @app.command()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from testbed.diagnostics import Diagnostic
-from testbed.errors import RecordingError
+from testbed.errors import RecordingError, printable
 from testbed.file_kinds import expecting
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def opened_pieces(path: Path) -> tuple[Sequence[Source], list[Diagnostic]]:
         numbered = (path.with_stem(f"{path.stem}-{k}") for k in count(1))
         parts = [] if path.exists() else [*takewhile(Path.exists, numbered)]
         for each in parts:
-            typer.echo(f"note: '{each}' is a part of '{path}'", err=True)
+            typer.echo(printable(f"note: '{each}' is a part of '{path}'"), err=True)
         return [opened(each) for each in parts or [path]], []
     from testbed.recordings.joined import pieces
 

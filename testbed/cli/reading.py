@@ -12,7 +12,7 @@ import typer
 
 from testbed.cli.opening import corrected_source, opened_pieces, require_different
 from testbed.diagnostics import Diagnostic
-from testbed.errors import FreeRootError
+from testbed.errors import FreeRootError, printable
 from testbed.file_kinds import expecting
 from testbed.installation import own_or_shipped
 from testbed.stages import stage
@@ -253,7 +253,7 @@ ExperimentFile = Annotated[
 def note(lines: Iterable[str]) -> None:
     """Say on standard error what a person should know, a line each."""
     for line in lines:
-        typer.echo(f"note: {line}", err=True)
+        typer.echo(printable(f"note: {line}"), err=True)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from rich.table import Table as RichTable
 
 from testbed.codec import json_text
 from testbed.diagnostics import Diagnostic, ordered, paragraphs
-from testbed.errors import plural, printable
+from testbed.errors import plural, printable, visible
 from testbed.files import replacing
 from testbed.stages import stage, stages
 
@@ -107,7 +107,8 @@ class Progress:
         Args:
             label: What is going on.
         """
-        shown = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+        text = TextColumn("{task.description}", markup=False)
+        shown = (text, BarColumn(), TimeRemainingColumn())
         self._bar = Bar(  # what goes to standard output stays there
             *shown,
             console=Console(stderr=True),
@@ -116,7 +117,7 @@ class Progress:
             redirect_stderr=False,
         )
         self._bar.disable = not sys.stderr.isatty()
-        self._task = self._bar.add_task(label, total=None)
+        self._task = self._bar.add_task(printable(label), total=None)
         self._label, self._part, self._ended = label, "", Event()
         self._lines: Thread | None = None
 
@@ -146,7 +147,9 @@ class Progress:
         """Show how much is done, and in other words what is going on."""
         much = f"{done / total:.0%}" if total else str(done or "")
         self._label, self._part = label, f", {much}" if much else ""
-        self._bar.update(self._task, completed=done, total=total or None, description=label)
+        self._bar.update(
+            self._task, completed=done, total=total or None, description=printable(label)
+        )
 
     def _show(self) -> None:
         if not self._bar.disable:
@@ -170,12 +173,21 @@ class Progress:
                 sys.stderr.flush()
 
 
+class PlainConsole(Console):
+    """Console whose text, names out of files above all, no terminal obeys."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print as Rich does, control characters of texts spelled out."""
+        shown = (visible(each) if isinstance(each, str) else each for each in objects)
+        super().print(*shown, **options)
+
+
 def console() -> Console:
     """Standard output; 120 columns where it is no terminal and nobody says otherwise."""
-    plain = Console(markup=False, highlight=False)
+    plain = PlainConsole(markup=False, highlight=False)
     if plain.is_terminal or "COLUMNS" in os.environ:
         return plain
-    return Console(markup=False, highlight=False, width=120)
+    return PlainConsole(markup=False, highlight=False, width=120)
 
 
 @contextmanager
@@ -269,7 +281,7 @@ def _drawn(table: Table, width: int | None = None) -> RichTable:
     for k, head in enumerate(table.heads):
         words = k == 0 or head in table.left
         grid.add_column(
-            head,
+            visible(head),
             justify="left" if words else "right",
             style="dim" if head == "unit" else "",
             overflow="fold",

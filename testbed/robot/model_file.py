@@ -13,7 +13,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-from testbed.errors import FreeRootError, LoopError, MimicError, ModelError
+from testbed.diagnostics import diagnose
+from testbed.errors import WIDTH, FreeRootError, LoopError, MimicError, ModelError, few
+from testbed.robot.asset_files import asset_fault, mjcf_files
 from testbed.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.robot.inertia import HEAVIEST
 from testbed.robot.locks import Lock, Travel
@@ -23,11 +25,6 @@ from testbed.robot.tree import Tree
 
 MOST_JOINTS = 1_000
 """Matrices of a robot grow with the square of its joints."""
-ENDINGS = {
-    ".xml", ".mjcf", ".urdf", ".stl", ".obj", ".dae", ".ply", ".msh", ".off", ".glb", ".gltf",
-    ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".hf", ".skn", ".bin", ".mtl",
-}  # fmt: skip
-"""Of files that a model may bring along; whatever else it names stays where it is."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +122,9 @@ def load_tree(
     tree = read(path, weld_root=weld_root, repair=repair, lock=lock)
     with errors_of(path):
         check_tree(tree)
+    if strange := [f"'{each.name}' ({why})" for each, why in _strange_files(path).items()]:
+        said = diagnose("model.not-copied", few(strange, WIDTH, "; "))
+        tree = replace(tree, diagnostics=(*tree.diagnostics, said))
     if sensor is None:
         return tree
     links = ModelFile(path, weld_root, repair, lock or {}).links()
@@ -246,7 +246,7 @@ def copy_model(path: Path, folder: Path) -> Path:
     """Copy a model file with all that it refers to.
 
     The files keep their places relative to each other, so that the copy finds them; what is
-    missing is left out, as it is when the model is read.
+    missing is left out, as it is when the model is read, and what `asset_fault` finds strange.
 
     Args:
         path: The model file.
@@ -274,8 +274,19 @@ def references(path: Path) -> dict[Path, Path]:
     Raises:
         ModelError: The model file cannot be read.
     """
-    found = _of_mjcf(path) if model_format(path) == "mjcf" else _of_urdf(path)
-    return {file: place for file, place in found if file.suffix.lower() in ENDINGS}
+    home = path.resolve()
+    return {file: at for file, at in _named_files(path) if asset_fault(file, home) is None}
+
+
+def _strange_files(path: Path) -> dict[Path, str]:
+    """Files that a model refers to and copies of it do without, and why."""
+    home = path.resolve()
+    faults = {file: asset_fault(file, home) for file, _ in _named_files(path)}
+    return {file: fault for file, fault in faults.items() if fault}
+
+
+def _named_files(path: Path) -> Iterator[tuple[Path, Path]]:
+    return mjcf_files(path) if model_format(path) == "mjcf" else _of_urdf(path)
 
 
 def _of_urdf(path: Path) -> Iterator[tuple[Path, Path]]:
@@ -284,31 +295,6 @@ def _of_urdf(path: Path) -> Iterator[tuple[Path, Path]]:
         if found is not None:
             place, file = found
             yield Path(os.path.normpath(file)), place
-
-
-def _of_mjcf(path: Path) -> Iterator[tuple[Path, Path]]:
-    waiting, seen, assets = [path], {path}, {""}
-    while waiting:
-        here = waiting.pop()
-        root = read_xml(here)
-        for compiler in root.iter("compiler"):
-            assets |= {compiler.get(key, "") for key in ("meshdir", "texturedir", "assetdir")}
-        folders = {place / name for place in (path.parent, here.parent) for name in assets}
-        names = [
-            value
-            for element in root.iter()
-            for key, value in element.attrib.items()
-            if key.startswith("file") and value
-        ]
-        for name in names:
-            for folder in folders:
-                file = Path(os.path.normpath(folder / name))
-                if file in seen or not file.is_file():
-                    continue
-                seen.add(file)
-                yield file, folder.resolve()
-                if file.suffix.lower() in (".xml", ".mjcf"):
-                    waiting.append(file)
 
 
 def find_mesh(name: str, model: Path) -> tuple[Path, Path] | None:

@@ -24,6 +24,9 @@ from testbed.viewer.robot_drawing import ARROW, clock, log_appearance, send_arro
 from testbed.viewer.scene import POSES, safe
 
 LOOPBACK = "127.0.0.1"
+QUIET = {"CI": "1"}
+"""Environment in which Rerun's programs send and keep no usage statistics; they have no other
+switch that leaves the home folder as it is."""
 
 
 def open_viewer(path: Path) -> NoReturn:
@@ -57,7 +60,8 @@ def start_viewer(path: Path) -> None:
         raise ViewerError(
             f"there is no {'screen' if program else 'viewer'} to show it; it is all in '{path}'"
         )
-    subprocess.Popen([program, str(path), "--bind", LOOPBACK], start_new_session=True)
+    command = [program, str(path), "--bind", LOOPBACK]
+    subprocess.Popen(command, env=_environment(), start_new_session=True)
 
 
 def serve(path: Path, port: int) -> NoReturn:
@@ -76,7 +80,12 @@ def _become(command: list[str]) -> NoReturn:
     if program is None:
         raise ViewerError("the command 'rerun' is not there; pip install rerun-sdk brings it")
     sys.stdout.flush()
-    os.execv(program, command)
+    os.execve(program, command, _environment())
+
+
+def _environment() -> dict[str, str]:
+    """This process's, with Rerun's usage statistics off."""
+    return {k: v for k, v in os.environ.items() if k != "FORCE_RERUN_ANALYTICS"} | QUIET
 
 
 def viewer_program() -> str | None:

@@ -67,7 +67,13 @@ def test_the_viewer_is_started_for_this_machine_alone_where_there_is_a_screen(
 ) -> None:
     """The rerun beside Python, else that of the path; a page for a browser needs no screen."""
     started: list[tuple[str, list[str]]] = []
-    monkeypatch.setattr(os, "execv", lambda program, command: started.append((program, command)))
+    environments: list[dict[str, str]] = []
+
+    def started_as(program: str, command: list[str], environment: dict[str, str]) -> None:
+        started.append((program, command))
+        environments.append(environment)
+
+    monkeypatch.setattr(os, "execve", started_as)
     for folder in ("beside", "path"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "rerun").touch(mode=0o755)
@@ -90,6 +96,7 @@ def test_the_viewer_is_started_for_this_machine_alone_where_there_is_a_screen(
         serve(Path("run.rrd"), 9123)
     programs = [str(tmp_path / at / "rerun") for at in ("beside", "path")]
     assert [program for program, _ in started] == [programs[0]] * bool(screen) + programs
+    assert all(each["CI"] and "FORCE_RERUN_ANALYTICS" not in each for each in environments)
     for _, command in started:
         assert command[:2] == ["rerun", "run.rrd"]
         assert command[command.index("--bind") + 1] == "127.0.0.1"

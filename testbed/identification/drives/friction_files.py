@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from testbed.errors import formula_free
 from testbed.files import replacing
 from testbed.identification.drives.friction_curves import DriveEstimate
 from testbed.identification.drives.identify_drives import DriveFindings
@@ -53,7 +54,7 @@ def table(found: DriveFindings) -> str:
             cells.temperature, cells.friction, cells.sigma, cells.rows, law,
         ]  # fmt: skip
         for row in np.column_stack(numbers).tolist():
-            writer.writerow([cells.joint, *row])
+            writer.writerow([formula_free(cells.joint), *row])
     return text.getvalue()
 
 

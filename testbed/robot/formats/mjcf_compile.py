@@ -16,6 +16,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import ModelError
+from testbed.robot.asset_files import mjcf_files
 from testbed.robot.inertia import Inertia, inertia_flaw
 from testbed.robot.parsing import capture_stderr, decimals, read_xml
 
@@ -61,6 +62,8 @@ def check_files(path: Path) -> None:
             f"elements in all; {MOST_MADE_BODIES} and {MOST_MADE_ELEMENTS} are the limits (see "
             "<replicate>, <attach>, <include>)"
         )
+    for _ in mjcf_files(path):  # refuses what cannot be read to an end
+        pass
 
 
 class _Files:

@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from copy import deepcopy
 from pathlib import Path
 
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from testbed.arrays import Array
+from testbed.child_process import Returned, call_in_child
 from testbed.diagnostics import Diagnostic, diagnose
 from testbed.errors import WIDTH, ModelError, few
+from testbed.robot.asset_files import blocking
 from testbed.robot.formats.urdf_xml import rewrite_numbers, supported_xml
 from testbed.robot.locks import Lock
 from testbed.robot.model_file import find_mesh
 from testbed.robot.parsing import capture_stderr
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.shapes import DrawnShapes, Shape
+from testbed.robot.visuals.shapes import DrawnShapes, Kind, Shape
 
+PATIENCE = 60.0
+"""For finding the meshes that cannot be read [s]."""
 _GREY = np.array([0.7, 0.72, 0.75, 1.0])
+_PARTS = ("size", "position", "rotation", "colour", "vertices", "faces")
+"""Of a shape, as a child returns them."""
 
 
 def read_shapes(
@@ -43,30 +50,122 @@ def read_shapes(
     coloured = root.find("link/visual/material") is not None
     root.set("version", "1.2")  # capsules are new in it
     try:
-        model, seen = _built(root)
-    except Exception:  # Pinocchio raises whatever a mesh makes it meet
-        missing += [each for link in root.findall("link") for each in _without_unreadable(link)]
-        try:
-            model, seen = _built(root)
-        except Exception as error:
-            raise ModelError(f"{path}: {' '.join(str(error).split())}") from None
-    return DrawnShapes(tuple(_shapes(model, seen, tree, coloured)), tuple(missing))
+        shapes = _read(path, root, tree, coloured)
+    except ModelError:  # a mesh that cannot be read, as a rule
+        visuals = [(link, visual) for link in root.iter("link") for visual in link.iter("visual")]
+        alone = [_alone(visual) for _, visual in visuals]
+        faults = _faults(path, alone, time.monotonic() + PATIENCE)
+        for (link, visual), fault in zip(visuals, faults, strict=True):
+            if fault:
+                link.remove(visual)
+                mesh = visual.find("geometry/mesh")
+                what = "a shape" if mesh is None else f"mesh file '{mesh.get('filename')}'"
+                missing.append(
+                    diagnose("model.shape", f"{what} of link '{link.get('name')}'", reason=fault)
+                )
+        shapes = _read(path, root, tree, coloured)
+    return DrawnShapes(shapes, tuple(missing))
 
 
-def _shapes(
-    model: pin.Model, seen: pin.GeometryModel, tree: Tree, coloured: bool
-) -> Iterator[Shape]:
-    for shape in seen.geometryObjects:
-        joint = shape.parentJoint
-        body = tree.index(model.names[joint]) if joint else -1
-        colour = np.array(shape.meshColor) if coloured else _GREY
-        placed = (shape.placement.translation, shape.placement.rotation, colour)
-        yield from _drawn(body, shape.geometry, *placed)
-
-
-def _built(root: ET.Element) -> tuple[pin.Model, pin.GeometryModel]:
-    """The robot, and what there is to see of it."""
+def _read(path: Path, root: ET.Element, tree: Tree, coloured: bool) -> tuple[Shape, ...]:
+    """Shapes as Pinocchio and its libraries read them; where there are meshes, in a child."""
     text = ET.tostring(root, encoding="unicode")
+    if root.find("link/visual/geometry/mesh") is None:
+        said, arrays = read_visuals(str(path), text)
+    else:
+        call = f"{__name__}:{read_visuals.__name__}"
+        said, arrays = call_in_child(call, str(path), text, file=path, error=ModelError)
+    found = []
+    for k, (joint, kind) in enumerate(said):
+        size, position, rotation, colour, vertices, faces = (
+            arrays[f"{k} {part}"] for part in _PARTS
+        )
+        body = tree.index(joint) if joint else -1
+        colour = colour if coloured else _GREY
+        found.append(Shape(body, kind, size, position, rotation, colour, vertices, faces))
+    return tuple(found)
+
+
+def read_visuals(path: str, text: str) -> Returned:
+    """Visual elements of a URDF, as in a child process.
+
+    Args:
+        path: The model file, as errors name it.
+        text: URDF whose meshes have absolute names.
+
+    Returns:
+        The joint that carries each shape (empty: the bedplate) and its kind; arrays "k PART".
+
+    Raises:
+        ModelError: Pinocchio refuses the shapes.
+    """
+    try:
+        model, seen = _built(text)
+    except Exception as error:  # Pinocchio raises whatever a mesh makes it meet
+        raise ModelError(f"{path}: {' '.join(str(error).split())}") from None
+    said: list[tuple[str, str]] = []
+    arrays: dict[str, NDArray[np.float64]] = {}
+    for shape in seen.geometryObjects:
+        for kind, *form in _drawn(shape.geometry):
+            place = (shape.placement.translation, shape.placement.rotation, shape.meshColor)
+            parts = (form[0], *place, *form[1:])
+            arrays |= {f"{len(said)} {x}": np.array(y) for x, y in zip(_PARTS, parts, strict=True)}
+            joint = shape.parentJoint
+            said.append((model.names[joint] if joint else "", kind))
+    return said, arrays
+
+
+def visual_faults(path: str, texts: list[str]) -> Returned:
+    """What is wrong with each of some URDFs of one visual, empty where nothing is; as in a child.
+
+    Args:
+        path: The model file, for errors.
+        texts: As `read_visuals` takes them.
+    """
+    del path
+    faults = []
+    for text in texts:
+        try:
+            _built(text)
+            faults.append("")
+        except Exception as error:
+            faults.append(" ".join(str(error).split()) or type(error).__name__)
+    return faults, {}
+
+
+def _faults(path: Path, texts: list[str], until: float) -> list[str]:
+    """The same for all of them; those with which a child dies are found by halving.
+
+    Args:
+        path: The model file.
+        texts: One a visual.
+        until: When to give up, by the monotonic clock [s].
+    """
+    left = until - time.monotonic()
+    if left <= 0:
+        return ["other meshes took too long"] * len(texts)
+    call, shortest = f"{__name__}:{visual_faults.__name__}", min(left, PATIENCE / 3)
+    try:
+        faults: list[str] = call_in_child(
+            call, str(path), texts, file=path, error=ModelError, seconds=shortest
+        )[0]
+    except ModelError as error:
+        half = len(texts) // 2
+        if not half:
+            return [str(error).removeprefix(f"{path}: ")] * len(texts)
+        return _faults(path, texts[:half], until) + _faults(path, texts[half:], until)
+    return faults
+
+
+def _alone(visual: ET.Element) -> str:
+    """A URDF of one visual."""
+    robot = ET.Element("robot", name="one", version="1.2")
+    ET.SubElement(robot, "link", name="one").append(visual)
+    return ET.tostring(robot, encoding="unicode")
+
+
+def _built(text: str) -> tuple[pin.Model, pin.GeometryModel]:
+    """The robot, and what there is to see of it."""
     with capture_stderr() as said, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         model = pin.buildModelFromXML(text)
@@ -76,27 +175,23 @@ def _built(root: ET.Element) -> tuple[pin.Model, pin.GeometryModel]:
         return model, seen
 
 
-def _drawn(
-    body: int, form: object, position: Array, rotation: Array, colour: Array
-) -> Iterator[Shape]:
-    """Coal's geometry as ours; what it cannot be is left out."""
+def _drawn(form: object) -> Iterator[tuple[Kind, Array, Array, Array]]:
+    """Kind, size, vertices and faces of Coal's geometry; what it cannot be is left out."""
+    none = np.zeros((0, 3))
     if isinstance(form, coal.Box):
-        yield Shape(body, "box", np.array(form.halfSide).ravel(), position, rotation, colour)
+        yield "box", np.array(form.halfSide).ravel(), none, none
     elif isinstance(form, coal.Sphere):
-        yield Shape(body, "ellipsoid", np.repeat(form.radius, 3), position, rotation, colour)
+        yield "ellipsoid", np.repeat(form.radius, 3), none, none
     elif isinstance(form, coal.Cylinder | coal.Capsule):
-        size = np.array([form.radius, form.halfLength])
-        kind = type(form).__name__.lower()
-        yield Shape(body, kind, size, position, rotation, colour)  # type: ignore[arg-type]
+        kind: Kind = "cylinder" if isinstance(form, coal.Cylinder) else "capsule"
+        yield kind, np.array([form.radius, form.halfLength]), none, none
     elif isinstance(form, coal.BVHModelBase):
         faces = [
             [triangle[c] for c in range(3)]
             for triangle in map(form.tri_indices, range(form.num_tris))
         ]
-        vertices, size = np.array(form.vertices()), np.zeros(0)
         if faces:
-            at = (position, rotation, colour)
-            yield Shape(body, "mesh", size, *at, vertices, np.array(faces, dtype=float))
+            yield "mesh", np.zeros(0), np.array(form.vertices()), np.array(faces, dtype=float)
 
 
 def _prepared(link: ET.Element, path: Path, lost: list[str]) -> Iterator[Diagnostic]:
@@ -123,20 +218,8 @@ def _prepared(link: ET.Element, path: Path, lost: list[str]) -> Iterator[Diagnos
             if found is None:
                 link.remove(visual)
                 lost.append(f"mesh file '{name}' of {owner}")
+            elif fault := blocking(found[1]):
+                link.remove(visual)
+                yield diagnose("model.shape", f"mesh file '{name}' of {owner}", reason=fault)
             else:
                 mesh.set("filename", str(found[1]))
-
-
-def _without_unreadable(link: ET.Element) -> Iterator[Diagnostic]:
-    """Drop visuals that Pinocchio cannot read, each tried alone; names them."""
-    for visual in link.findall("visual"):
-        alone = ET.Element("robot", name="one", version="1.2")
-        ET.SubElement(alone, "link", name="one").append(deepcopy(visual))
-        try:
-            _built(alone)
-        except Exception as error:
-            link.remove(visual)
-            mesh = visual.find("geometry/mesh")
-            what = "a shape" if mesh is None else f"mesh file '{mesh.get('filename')}'"
-            said = " ".join(str(error).split())
-            yield diagnose("model.shape", f"{what} of link '{link.get('name')}'", reason=said)
