@@ -1,23 +1,20 @@
 """Meshes, pictures and parts of models: which of them a copy of a model may bring along.
 
-A model of a stranger may name any file of this machine, by its path or through a link. Only such
-are copied that lie with the model and are by content what their ending says.
+A model of a stranger may name any file of this machine, by its path or through a link. Only meshes,
+pictures and parts of models that lie with the model, links resolved, are copied.
 """
 
 from __future__ import annotations
 
 import os
-import re
-import stat
-import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from testbed.errors import ModelError
 from testbed.robot.parsing import read_xml
 
 BEGINNING = 4096
-"""Bytes by which a file's kind is recognised."""
+"""Bytes by which a model is recognised."""
 PARTS = (".xml", ".mjcf", ".urdf")
 """Endings of models and of what they include."""
 LAYOUT = {
@@ -26,57 +23,9 @@ LAYOUT = {
     "stl", "obj", "dae",
 }  # fmt: skip
 """Names of folders that stand beside each other in a robot's description."""
-_OBJ = re.compile(rb"(#[^\n]*|(v[nt]?|f|o|g|s|l|mtllib|usemtl) [^\n]*|\s*)")
-
-
-def _stl(head: bytes, size: int) -> bool:
-    if len(head) >= 84 and size == 84 + 50 * struct.unpack_from("<I", head, 80)[0]:
-        return True
-    return head.lstrip()[:5].lower() == b"solid" and b"facet" in head.lower()
-
-
-def _obj(head: bytes, size: int) -> bool:
-    lines = [line.strip() for line in head.splitlines()][: -1 if size > len(head) else None]
-    return any(line[:2] == b"v " for line in lines) and all(map(_OBJ.fullmatch, lines))
-
-
-def _msh(head: bytes, size: int) -> bool:
-    if len(head) < 16:
-        return False
-    corners, normals, places, faces = struct.unpack_from("<4i", head)
-    numbers = 3 * (corners + normals + faces) + 2 * places
-    return bool(corners > 0 and size == 16 + 4 * numbers)
-
-
-def _heights(head: bytes, size: int) -> bool:
-    if len(head) < 8:
-        return False
-    rows, columns = struct.unpack_from("<2i", head)
-    return bool(rows > 0 and size == 8 + 4 * rows * columns)
-
-
-def _begins(*marks: bytes) -> Callable[[bytes, int], bool]:
-    return lambda head, size: head.startswith(marks)
-
-
-_KINDS: dict[str, Callable[[bytes, int], bool]] = {
-    ".stl": _stl,
-    ".obj": _obj,
-    ".msh": _msh,
-    ".hf": _heights,
-    ".dae": lambda head, size: b"<COLLADA" in head,
-    ".ply": _begins(b"ply\n", b"ply\r"),
-    ".off": _begins(b"OFF"),
-    ".glb": _begins(b"glTF"),
-    ".gltf": lambda head, size: head.lstrip()[:1] == b"{" and b'"asset"' in head,
-    ".png": _begins(b"\x89PNG\r\n"),
-    ".jpg": _begins(b"\xff\xd8\xff"),
-    ".jpeg": _begins(b"\xff\xd8\xff"),
-    ".bmp": _begins(b"BM"),
-    **dict.fromkeys(PARTS, lambda head, size: head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"<"),
-}
-"""By ending: whether a file of such a beginning and size [bytes] is what its name says."""
-ENDINGS = frozenset(_KINDS)
+MESHES = (".stl", ".obj", ".dae", ".ply", ".msh", ".off", ".glb", ".gltf", ".bin", ".mtl")
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".hf", ".skn")
+ENDINGS = {*PARTS, *MESHES, *PICTURES}
 
 
 def asset_fault(file: Path, model: Path) -> str | None:
@@ -86,18 +35,17 @@ def asset_fault(file: Path, model: Path) -> str | None:
         file: As the model names it.
         model: The model file, links resolved.
     """
-    ending, place = file.suffix.lower(), file.resolve()
-    if ending not in ENDINGS:
-        return f"'{ending}' is no ending of a mesh or picture"
-    if not stat.S_ISREG(place.stat().st_mode):
+    place = file.resolve()
+    for ending in (file.suffix.lower(), place.suffix.lower()):
+        if ending not in ENDINGS:
+            return f"'{ending}' is no ending of a mesh or picture"
+    if not place.is_file():
         return "no regular file"
-    with place.open("rb") as stream:
-        head = stream.read(BEGINNING)
-    if not _KINDS[ending](head, place.stat().st_size):
-        return f"its content is no {ending[1:].upper()}"
-    if (ending in PARTS and b"<mujoco" in head) or _beside(place, model):
+    if _beside(place, model):
         return None
-    return "it lies outside of the model's package"
+    with place.open("rb") as stream:
+        part = file.suffix.lower() in PARTS and b"<mujoco" in stream.read(BEGINNING)
+    return None if part else "it lies outside of the model's package"
 
 
 def blocking(file: Path) -> str | None:

@@ -46,15 +46,16 @@ def robot(path: Path, *meshes: str) -> Path:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_of_a_home_folder_goes_along(kind: str, tmp_path: Path) -> None:
-    """Through a link, by a path upwards, under a mesh's ending: all are named, none is copied."""
+    """Through a link, by a path upwards, by another ending: all are named, none is copied."""
     home, load = tmp_path / "home", tmp_path / "load"
     home.mkdir()
     (home / "key").write_text(SECRET)
     (home / f"scan.{kind}").write_text(f"solid {SECRET}\nfacet\n")
-    names = [f"link.{kind}", f"own.{kind}", f"../home/scan.{kind}"]
+    names = [f"link.{kind}", "notes.txt", f"../home/scan.{kind}", f"scan.{kind}"]
     path = robot(load / "r.urdf", *names)
     (load / names[0]).symlink_to(home / "key")
     (load / names[1]).write_text(SECRET)
+    (load / names[3]).symlink_to(home / names[3])
     copy = copy_model(path, tmp_path / "out/copy")
     assert [each for each in (tmp_path / "out/copy").rglob("*") if each.is_file()] == [copy]
     assert any(names[0] in line for line in sentences(tb.load_tree(path).diagnostics))
