@@ -32,6 +32,7 @@ from testbed.file_kinds import LOG, kind_of, misplaced
 if TYPE_CHECKING:
     from testbed.plausibility.mapping_solution import MappingSolution
     from testbed.recordings.importing.import_report import Draft
+    from testbed.recordings.recording import Recording
 
 
 def write_mapping(
@@ -53,7 +54,7 @@ def write_mapping(
     Raises:
         TestbedError: The data contradict the mapping, which is written as far as it is known.
     """
-    from testbed.files import replacing
+    from testbed.files import replacing, together
     from testbed.plausibility.draft_mapping import draft_mapping
     from testbed.plausibility.mapping_solution import missing, solve_mapping
     from testbed.recordings.importing.guess import guessed
@@ -75,17 +76,18 @@ def write_mapping(
         said = [diagnose("robot.locked", locked)] if locked else []
         said += [diagnose("robot.welded", tree.name)] if welded else []
         output.print_lines((), [*tree.diagnostics, *said, *found.diagnostics])
-        if page is not None:
+    if out is None:
+        typer.echo(draft.text, nl=False)
+    elif model is not None:
+        _show(draft)
+    with together():
+        if page is not None and found is not None:
             from testbed.reporting.mapping import write_mapping_page
 
             write_mapping_page(page, found)
-    if out is None:
-        typer.echo(draft.text, nl=False)
-    else:
-        if model is not None:
-            _show(draft)
-        with replacing(out) as fresh:
-            fresh.write_text(draft.text, encoding="utf-8")
+        if out is not None:
+            with replacing(out) as fresh:
+                fresh.write_text(draft.text, encoding="utf-8")
     if found is not None and found.refusal is not None:
         named = re.search(r"\[([\w.]+)\] (\w+)", str(found.refusal))
         number = draft.line(f"{named[1]}.{named[2]}") if named else 1
@@ -162,14 +164,17 @@ def import_(
     """
     from testbed.plausibility.check import import_and_check
     from testbed.recordings.importing.import_report import ImportReport
+    from testbed.recordings.importing.mapping import sources
     from testbed.recordings.joined import pieces
     from testbed.reporting import output
 
     for each in files:
         if not guess and each.suffix.lower() != ".toml":
             raise typer.BadParameter(misplaced(each, kind_of(each) or LOG, "mapping"))
-    _check_out(out, [*files, model], guess=guess, force=force)
-    _check_page(page, [*files, model, out], said=bool(guess and model), force=force)
+    if page is not None and not (guess and model):
+        raise typer.BadParameter("--page is of a mapping: --guess and --model go with it")
+    named = () if guess or out is None else sources(files[0])
+    check_outputs(out, page, force=force, read=(*files, model, *named))
     reading = Reading(settings, False, weld_root, lock, lock_mimic)
     if guess:
         write_mapping(files, out, model, reading, page)
@@ -202,10 +207,7 @@ def import_(
             for each in found.offsets
         ]
         checked = [*tree.diagnostics, *found.diagnostics]
-    paths = numbered(out, len(made))
-    check_outputs(*paths, force=force)
-    for recording, path in zip(made, paths, strict=True):
-        recording.save(path)
+    paths = save_pieces(made, out, force=force)
     reports = [ImportReport.from_dict(recording.facts["import"]) for recording in made]
     doubts = ordered([*(each for report in reports for each in report.diagnostics), *checked])
     if as_json:
@@ -224,29 +226,31 @@ def import_(
     output.print_lines([*reported, *lines, last], [*cuts, *doubts])
 
 
-def _check_out(out: Path | None, read: list[Path | None], *, guess: bool, force: bool) -> None:
-    """Whether there may be written, and nothing that is read is replaced."""
-    from testbed.recordings.importing.mapping import sources
-
-    mapping = read[0]
-    named = sources(mapping) if not guess and out is not None and mapping is not None else ()
-    check_outputs(out, force=force, read=(*read, *named))
-
-
-def _check_page(page: Path | None, others: list[Path | None], *, said: bool, force: bool) -> None:
-    """Whether the page may be written, and all is said that it is of."""
-    if page is not None and not said:
-        raise typer.BadParameter("--page is of a mapping: --guess and --model go with it")
-    check_outputs(page, force=force, read=tuple(others))
-
-
-def numbered(out: Path, count: int) -> list[Path]:
-    """Where recordings go: `out`, or its name with a number each.
+def save_pieces(pieces: Sequence[Recording], out: Path, *, force: bool) -> list[Path]:
+    """Write recordings to `out`, or to its name with a number each if there are several.
 
     Args:
-        out: Of one.
-        count: How many there are.
+        pieces: Recordings, in the order of time.
+        out: File of one.
+        force: Whether files that are there are replaced.
+
+    Returns:
+        The files.
+
+    Raises:
+        BadParameter: A file is there, or one more piece of an older recording is.
     """
-    if count == 1:
-        return [out]
-    return [out.with_name(f"{out.stem}-{k}{out.suffix}") for k in range(1, count + 1)]
+    from testbed.files import together
+
+    count = len(pieces)
+    *several, older = (out.with_name(f"{out.stem}-{k + 1}{out.suffix}") for k in range(count + 1))
+    paths = several if count > 1 else [out]
+    check_outputs(*paths, force=force)
+    if count > 1 and older.exists():
+        raise typer.BadParameter(
+            f"'{older}' is of an older recording, and '{out}' would include it; remove it first"
+        )
+    with together():
+        for recording, path in zip(pieces, paths, strict=True):
+            recording.save(path)
+    return paths

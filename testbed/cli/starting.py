@@ -16,7 +16,7 @@ from typing import Annotated
 import typer
 from packaging.requirements import Requirement
 
-from testbed.cli.importing import numbered, write_mapping
+from testbed.cli.importing import save_pieces, write_mapping
 from testbed.cli.reading import Force, Json, Lock, LockMimic, Reading, app, check_outputs
 from testbed.installation import DISTRIBUTION, own_or_shipped
 from testbed.installation import version as own_version
@@ -171,7 +171,6 @@ def _recorded(
     files: list[Path], mapping: Path, robot: Path | None, reading: Reading, *, force: bool
 ) -> None:
     """Write a mapping for logs, and the recording that it makes of a robot."""
-    from testbed.files import together
     from testbed.plausibility.check import import_and_check
     from testbed.recordings.importing.import_report import ImportReport
     from testbed.reporting import output
@@ -191,11 +190,7 @@ def _recorded(
             progress=bar,
             assessment=found.assessment,
         )
-    paths = numbered(made, len(several))
-    check_outputs(*paths, force=force)
-    with together():
-        for recording, path in zip(several, paths, strict=True):
-            recording.save(path)
+    paths = save_pieces(several, made, force=force)
     listed, taken = (made, made) if len(paths) == 1 else (f"{paths[0]} to {paths[-1]}", mapping)
     words = ["identify", taken, "--model", robot]
     if several[0].wrench is not None:  # the plate's frame and clock are known to a sigma only

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import base64
-import struct
-import zlib
 from dataclasses import dataclass
 from html import escape
+from io import BytesIO
 
 import numpy as np
+from matplotlib.image import imsave
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
@@ -293,13 +293,6 @@ def png(picture: Picture) -> bytes:
     Args:
         picture: Red, green, blue and opacity, (height, width, 4).
     """
-    height, width, _ = picture.shape
-    rows = np.concatenate([np.zeros((height, 1), np.uint8), picture.reshape(height, -1)], axis=1)
-    head = struct.pack(">2I5B", width, height, 8, 6, 0, 0, 0)
-    body = _chunk(b"IHDR", head) + _chunk(b"IDAT", zlib.compress(rows.tobytes(), 9))
-    return b"\x89PNG\r\n\x1a\n" + body + _chunk(b"IEND", b"")
-
-
-def _chunk(kind: bytes, content: bytes) -> bytes:
-    check = zlib.crc32(kind + content)
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", check)
+    file = BytesIO()
+    imsave(file, picture, format="png")
+    return file.getvalue()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from testbed.arrays import Array
 from testbed.diagnostics import sentences
@@ -58,18 +60,13 @@ def write_motion_rrd(
     kinds = [f"{kind.label} [{kind.unit}]" for kind in left]
     postures = motion.at(times).q
     size = span_of(look, postures)
-    with replacing(path) as fresh:
-        stream = rr.RecordingStream("testbed", recording_id=path.stem, send_properties=False)
-        arranged = motion_blueprint(path.stem, tree, size, kinds, motion.period)
-        stream.save(fresh, default_blueprint=arranged)
+    with _written(path, motion_blueprint(path.stem, tree, size, kinds, motion.period)) as stream:
         log_appearance(stream, look, "/world")
         log_paths(stream, look, send_poses(stream, look, times, postures, "/world"), "/world")
         _log_obstacles(stream, obstacles)
         _log_curves(stream, rules, motion, times, left)
         notes = rr.TextDocument(_notes(path.stem, rules, proof), media_type=rr.MediaType.MARKDOWN)
         stream.log("/notes", notes, static=True)
-        stream.flush()
-        stream.disconnect()
 
 
 def _log_obstacles(stream: rr.RecordingStream, obstacles: tuple[Obstacle, ...]) -> None:
@@ -119,13 +116,25 @@ def write_rrd(scenes: Sequence[Scene], path: Path, tab: str = "wrench") -> None:
         path: The .rrd file; appears whole or not at all.
         tab: Which tab is in front.
     """
-    with replacing(path) as fresh:
-        stream = rr.RecordingStream("testbed", recording_id=path.stem, send_properties=False)
-        stream.save(fresh, default_blueprint=blueprint(scenes, tab))
+    with _written(path, blueprint(scenes, tab)) as stream:
         for k, scene in enumerate(scenes):
             log_scene(stream, scene, root(k, len(scenes)))
-        stream.flush()
-        stream.disconnect()
+
+
+@contextmanager
+def _written(path: Path, arranged: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
+    """A stream in memory that is written to a file; Rerun's own writer hangs on a full disk.
+
+    Args:
+        path: The .rrd file; appears whole or not at all.
+        arranged: Blueprint for a first look.
+    """
+    stream = rr.RecordingStream("testbed", recording_id=path.stem, send_properties=False)
+    memory = stream.memory_recording()
+    stream.send_blueprint(arranged, make_active=False)
+    yield stream
+    with replacing(path) as fresh:
+        fresh.write_bytes(memory.drain_as_bytes())
 
 
 def log_scene(stream: rr.RecordingStream, scene: Scene, at: str = "") -> None:
