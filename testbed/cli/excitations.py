@@ -14,7 +14,6 @@ import typer
 
 from testbed.cli.reading import Force, Json, Set, app, check_outputs, ending, note
 from testbed.diagnostics import sentences
-from testbed.file_kinds import expecting
 from testbed.installation import own_or_shipped
 
 if TYPE_CHECKING:
@@ -182,8 +181,7 @@ def _experiment(file: Path, settings: list[str]) -> Experiment:
 
     if file.suffix.lower() == ".toml":
         return Experiment.load(file, settings)
-    with expecting(file, "model file"):
-        experiment, said = with_nearest_bodies(Experiment.of_model(file, settings))
+    experiment, said = with_nearest_bodies(Experiment.of_model(file, settings))
     note(sentences(said))
     return experiment
 

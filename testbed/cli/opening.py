@@ -12,7 +12,6 @@ import typer
 
 from testbed.diagnostics import Diagnostic
 from testbed.errors import RecordingError, printable
-from testbed.file_kinds import expecting
 
 if TYPE_CHECKING:
     from testbed.recordings.source import Source
@@ -47,8 +46,7 @@ def opened(path: Path) -> Source:
     from testbed.recordings.recording import Recording
     from testbed.recordings.source import open_source
 
-    with expecting(path, "recording", "mapping"):
-        return Recording.from_mapping(path) if path.suffix == ".toml" else open_source(path)
+    return Recording.from_mapping(path) if path.suffix == ".toml" else open_source(path)
 
 
 def opened_pieces(path: Path) -> tuple[Sequence[Source], list[Diagnostic]]:

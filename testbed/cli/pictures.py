@@ -274,8 +274,7 @@ def _loaded(
     """A recording in memory, the plate's faults taken back, and what to doubt of it."""
     from testbed.recordings.recording import Recording
 
-    with expecting(path, "recording", "mapping"):
-        whole = Recording.from_mapping(path) if path.suffix == ".toml" else Recording.load(path)
+    whole = Recording.from_mapping(path) if path.suffix == ".toml" else Recording.load(path)
     reading, tree, source = reading.robot_of(whole, model)
     accepted = reading.accepted(source, tree, unchecked=unchecked)
     return reading, _in_memory(corrected_source(source, tree, reading.plate)), accepted

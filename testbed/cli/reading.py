@@ -13,7 +13,6 @@ import typer
 from testbed.cli.opening import corrected_source, opened_pieces, require_different
 from testbed.diagnostics import Diagnostic
 from testbed.errors import FreeRootError, printable
-from testbed.file_kinds import expecting
 from testbed.installation import own_or_shipped
 from testbed.stages import stage
 
@@ -314,15 +313,8 @@ class Reading:
     def model_file(self, path: Path) -> ModelFile:
         """A model file, and how to read it."""
         from testbed.robot.locks import parse_lock
-        from testbed.robot.model_file import (
-            ModelFile,
-            joint_names,
-            mimic_joints,
-            model_format,
-        )
+        from testbed.robot.model_file import ModelFile, joint_names, mimic_joints
 
-        with expecting(path, "model file"):
-            model_format(path)
         held = parse_lock(self.lock or (), lambda: joint_names(path))
         welded, follow, bodies = self.weld_root, self.lock_mimic, None
         if self.settings:  # else there is no need to import the tables of experiments

@@ -15,6 +15,7 @@ from typing import Literal
 
 from testbed.diagnostics import diagnose
 from testbed.errors import WIDTH, FreeRootError, LoopError, MimicError, ModelError, few
+from testbed.file_kinds import expecting
 from testbed.robot.asset_files import asset_fault, mjcf_files
 from testbed.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.robot.inertia import HEAVIEST
@@ -71,15 +72,16 @@ def model_format(path: Path) -> Literal["mjcf", "urdf"]:
     Raises:
         ModelError: The file is missing, not XML, or neither MJCF nor URDF.
     """
-    root = read_xml(path)
-    if root.tag == "mujoco":
-        return "mjcf"
-    if root.tag == "robot":
-        return "urdf"
-    raise ModelError(
-        f"{path}: the root element is <{root.tag:.40}>; MJCF starts with <mujoco>, URDF with "
-        "<robot>"
-    )
+    with expecting(path, "model file"):
+        root = read_xml(path)
+        if root.tag == "mujoco":
+            return "mjcf"
+        if root.tag == "robot":
+            return "urdf"
+        raise ModelError(
+            f"{path}: the root element is <{root.tag:.40}>; MJCF starts with <mujoco>, URDF with "
+            "<robot>"
+        )
 
 
 def load_tree(

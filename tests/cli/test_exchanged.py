@@ -53,6 +53,8 @@ READERS: dict[str, Callable[[Path], object]] = {
     "mapping": tb.Recording.from_mapping,
     "result": read_result,
     "motion": read_motion,
+    "recording": tb.Recording.load,
+    "model file": tb.load_tree,
 }
 """Functions for Python, by the kind that they read."""
 
@@ -74,7 +76,7 @@ def test_a_command_says_what_it_was_given(words: str, place: Path, tmp_path: Pat
         for name in names if kind not in ASKED[words] else ():
             done = command_line(*words.replace("FILE", name).split(), cwd=home)
             assert done.returncode == 2, (words, name)
-            (line,) = done.stderr.splitlines()
+            (line,) = done.stderr.replace(f"{home}/", "").splitlines()
             assert kind in line, line
             assert BELONGS[kind].replace("{}", name) in line, line
             assert len(line) <= 300, line

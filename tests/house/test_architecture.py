@@ -75,7 +75,7 @@ GUESTS = {
     "tomli_w": "experiment/ campaign/results.py",
     "typer": "cli/",
     "rich": "reporting/",
-    "matplotlib": "reporting/plot.py",
+    "matplotlib": "reporting/plot.py reporting/portrait.py",
     "jinja2": "reporting/output.py",
     "markupsafe": "reporting/output.py",
     "subprocess": "viewer/live.py child_process.py",  # Rerun's viewer; calls that may crash

@@ -11,6 +11,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 
 from testbed.errors import RecordingError, no_file
+from testbed.file_kinds import expecting
 from testbed.recordings.columns import Table
 
 
@@ -34,17 +35,20 @@ def open_table(path: Path) -> Table:
     Raises:
         RecordingError: The file is missing or damaged, or its ending is that of no known format.
     """
-    if not path.exists():
-        raise RecordingError(no_file(path, "recording"))
-    if not path.is_file():
-        raise RecordingError(f"'{path}' is no file; testbed new --recording makes one of a dataset")
-    ending, known = path.suffix.lower(), formats()
-    if ending not in known:  # a file's name never names code: only one of ours is imported
-        if ending and not is_parquet(path):
+    with expecting(path, "recording"):
+        if not path.exists():
+            raise RecordingError(no_file(path, "recording"))
+        if not path.is_file():
             raise RecordingError(
-                f"unknown format of a recording '{ending}' (known: {', '.join(known)}); another "
-                f"program's file becomes one by a mapping: testbed new --recording {path}"
+                f"'{path}' is no file; testbed new --recording makes one of a dataset"
             )
-        ending = ".parquet"
-    found: Table = import_module(f"{__name__}{ending}").open_table(path)
-    return found
+        ending, known = path.suffix.lower(), formats()
+        if ending not in known:  # a file's name never names code: only one of ours is imported
+            if ending and not is_parquet(path):
+                raise RecordingError(
+                    f"unknown format of a recording '{ending}' (known: {', '.join(known)}); "
+                    f"another program's file becomes one: testbed new --recording {path}"
+                )
+            ending = ".parquet"
+        found: Table = import_module(f"{__name__}{ending}").open_table(path)
+        return found
