@@ -40,6 +40,7 @@ SET = tuple(
     for word in ("--set", key)
 )  # fmt: skip
 
+NEW = ("new", "robot.urdf", "--recording", "l{}.csv", "--out", "out.toml")
 LOG = ("a{}.parquet", "--model", "robot.urdf")
 WRITERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "run": (("run", "robot.toml", *SET, "--set", "seed={}", "--out", "out", "--force"), ("out",)),
@@ -72,14 +73,23 @@ WRITERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "sample": (("sample", "i{}.json", "-n", "3", "--out", "out"), ("out",)),
     "import": (("import", "m{}.toml", "--model", "robot.urdf", "--out", "out.parquet"),
                ("out.parquet",)),
-    "guess": (("import", "--guess", "l{}.csv", "--model", "robot.urdf", "--out", "out.toml"),
-              ("out.toml",)),
+    "guess": (
+        (
+            "import", "--guess", "l{}.csv", "--model", "robot.urdf", "--out", "out.toml",
+            "--page", "out.html",
+        ),
+        ("out.toml", "out.html"),
+    ),
+    # the recording is made of the mapping that stands there by then: each is replaced alone
+    "new mapping": (NEW, ("out.toml",)),
+    "new recording": (NEW, ("out.parquet",)),
+    "new experiment": (("new", "robot{}.urdf", "--out", "out.toml"), ("out.toml",)),
     "summary": (("campaign", "--summary", "c{}"), ("c2",)),
 }  # fmt: skip
 """Words and outputs of every command that replaces something; {} is 1 or 2."""
 
 FORCED = ("simulate", "report", "view", "identify", "drives", "calibrate", "excite", "equations",
-          "import", "guess", "sample")  # fmt: skip
+          "import", "guess", "sample", "new mapping", "new recording", "new experiment")  # fmt: skip
 """Commands that replace a file by --force only."""
 
 CAMPAIGN = """
