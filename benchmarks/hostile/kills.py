@@ -88,9 +88,8 @@ WRITERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }  # fmt: skip
 """Words and outputs of every command that replaces something; {} is 1 or 2."""
 
-FORCED = ("simulate", "report", "view", "identify", "drives", "calibrate", "excite", "equations",
-          "import", "guess", "sample", "new mapping", "new recording", "new experiment")  # fmt: skip
-"""Commands that replace a file by --force only."""
+UNFORCED = ("run", "summary")
+"""Commands that replace their outputs without --force, which the words of the first have."""
 
 CAMPAIGN = """
 name = "c"
@@ -207,7 +206,7 @@ def scene(name: str, inputs: Path) -> Scene:
         inputs: What `prepared` has made.
     """
     words, outputs = WRITERS[name]
-    forced = ("--force",) if name in FORCED else ()
+    forced = () if name in UNFORCED else ("--force",)
     old, new = ([each.format(k) for each in [*words, *forced]] for k in (1, 2))
     return Scene(inputs, (old, new), outputs)
 
