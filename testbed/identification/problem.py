@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array
 from testbed.dynamics.drive_set import drive_set
 from testbed.dynamics.newton_euler import pedestal_wrench
-from testbed.errors import RecordingError, SettingsError, UnknownName, plural
+from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.estimate import (
     METHODS,
     MODEL_OF,
@@ -32,6 +32,7 @@ from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import products_wanted
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
+from testbed.recordings.columns import check_samples
 from testbed.recordings.geometry import check_robot, in_its_gravity
 from testbed.recordings.repeats import without_repeated_poses
 from testbed.recordings.source import RecordingLike, Source, counted, open_source, segments_of
@@ -237,10 +238,7 @@ def check_source(source: Source, tree: Tree, method: Method) -> None:
     Raises:
         RecordingError: It is not.
     """
-    if source.samples < 2:
-        raise RecordingError(
-            f"the recording: {plural(source.samples, 'sample')}, which is no recording"
-        )
+    check_samples(source.samples, "the recording")
     if not source.rate > 0:
         raise RecordingError(
             "the recording: time does not increase from its first sample to its last"

@@ -141,6 +141,20 @@ EARLIEST, LATEST = 1e-9, 1e6
 """Sampling times that are no mistake [s]."""
 
 
+def check_samples(count: int, source: str) -> None:
+    """Refuse a recording of fewer than two samples.
+
+    Args:
+        count: Of its samples.
+        source: Its name, for errors.
+
+    Raises:
+        RecordingError: It has fewer.
+    """
+    if count < 2:
+        raise RecordingError(f"{source}: {plural(count, 'sample')}, which is no recording")
+
+
 def check_columns(columns: Mapping[str, Array], source: str) -> None:
     """Whether every value is a measurement and the sampling is uniform.
 
@@ -152,8 +166,7 @@ def check_columns(columns: Mapping[str, Array], source: str) -> None:
         RecordingError: Names the first bad channel, sample and time.
     """
     time = columns["time"]
-    if len(time) < 2:
-        raise RecordingError(f"{source}: {plural(len(time), 'sample')}, which is no recording")
+    check_samples(len(time), source)
     check_values(columns, source)
     check_times(time, source, float(np.median(np.diff(time))))
 

@@ -17,6 +17,7 @@ from testbed.errors import RecordingError
 from testbed.recordings.columns import (
     COUNTED,
     SIGNALS,
+    check_samples,
     check_sampling_time,
     check_values,
     joints_in,
@@ -69,16 +70,16 @@ class StoredRecording:
         self._wanted = [c for c in self._table.columns if signal_of(c) in SIGNALS]
         self.names = joints_in(self._wanted)
         self.samples = self._table.samples
-        start = self.part(0, min(1, self.samples))
+        check_samples(self.samples, str(path))
+        start = self.part(0, 1)
         self.tare, self.facts = start.tare, start.facts
         self.signals, self.senses_kinematics = start.signals, start.senses_kinematics
         self.rate = 0.0
-        if self.samples > 1:
-            last = self._table.read(["time"], self.samples - 1, self.samples)["time"]
-            length = float(last[0] - start.time[0])
-            if 0 < length < math.inf:  # else the part says so in which it happens
-                check_sampling_time(length / (self.samples - 1), str(path))
-                self.rate = (self.samples - 1) / length
+        last = self._table.read(["time"], self.samples - 1, self.samples)["time"]
+        length = float(last[0] - start.time[0])
+        if 0 < length < math.inf:  # else the part says so in which it happens
+            check_sampling_time(length / (self.samples - 1), str(path))
+            self.rate = (self.samples - 1) / length
 
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1; cheap where parts are asked for in their order.

@@ -89,11 +89,12 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         texts = {names[k]: [field.strip() for field in held[k]] for k in read}
         instants = dict.fromkeys((n for n in texts if any(map(INSTANT.fullmatch, texts[n]))), "us")
         cut = len(_fields(lines[numbered[-1]], separator)) < len(_fields(lines[first], separator))
-        if not ended:  # of numbers with so many digits each, the last may have lost some
+        if not ended:  # of numbers with so many digits each, zeros too, the last may lack some
             others = [k for k in probes if k != numbered[-1]]
             ends = ["".join(_fields(lines[k], separator)[-1:]) for k in (*others, numbered[-1])]
             *digits, last = [len(end.partition(".")[2]) for end in ends]
-            cut |= len({*digits}) == 1 and last < digits[0]
+            padded = any(end.endswith("0") for end in ends[:-1])
+            cut |= padded and len({*digits}) == 1 and last < digits[0]
         body = [k for k in numbered[: -1 if cut else None] if k >= first]
         columns = _columns(path, lines, body, separator, {k: names[k] for k in read})
 

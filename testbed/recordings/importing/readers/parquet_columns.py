@@ -99,7 +99,10 @@ def read_column(path: Path, name: str) -> NDArray[Any]:
     width = _width(file.schema_arrow.field(name), file.metadata)
     if width * file.metadata.num_rows > MOST_NUMBERS:  # a small file can hold as many equal ones
         raise ValueError(f"column '{name}' has more than {MOST_NUMBERS:.0e} numbers")
-    return _values(name, file.read([name]).column(0))
+    try:
+        return _values(name, file.read([name]).column(0))
+    except pa.ArrowInvalid as error:  # before version 26, an empty list among lists of one length
+        raise ValueError(f"column '{name}': {error}") from None
 
 
 def _values(name: str, column: pa.ChunkedArray) -> NDArray[Any]:
