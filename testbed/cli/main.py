@@ -107,10 +107,13 @@ def _command() -> int:
 
     from testbed.cli.commands import app
     from testbed.cli.reading import joined_vectors
+    from testbed.installation import cache_folder
 
     warnings.simplefilter("ignore")  # numerical doubt is a field of the result
     # no command renders: else MuJoCo would start another Python to try a library of windows
     os.environ.setdefault("MUJOCO_GL", "disable")
+    # else Matplotlib keeps its list of fonts elsewhere in the home folder
+    os.environ.setdefault("MPLCONFIGDIR", str(cache_folder() / "matplotlib"))
     try:
         code = app(joined_vectors(sys.argv[1:]), standalone_mode=False)
     except SystemExit:  # the option parser's answer to a broken pipe

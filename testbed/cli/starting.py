@@ -90,9 +90,9 @@ def _installed(wanted: Requirement) -> tuple[bool, str]:
 
 def _kernel() -> Check:
     """The compiled kernel's cache."""
-    from testbed.kernel.compiler import cache_folder
+    from testbed.kernel.compiler import compiled_folder
 
-    folder = cache_folder()
+    folder = compiled_folder()
     if folder.is_relative_to(tempfile.gettempdir()):
         remedy = "make ~/.cache/testbed writable, and by you alone; else it is compiled every time"
         return Check("compiled kernel", f"kept in {folder}, for now", False, False, remedy)

@@ -18,6 +18,7 @@ from llvmlite import binding, ir
 from numba import extending, njit, types
 from numba.core import config
 
+from testbed.installation import cache_folder
 from testbed.robot import friction
 
 settings: Any = config  # whose names Numba makes while it loads
@@ -28,13 +29,12 @@ WIDE = "+avx512f" in _FEATURES
 """Whether there are 32 vector registers, enough for tiles of four slots by four."""
 
 
-def cache_folder() -> Path:
+def compiled_folder() -> Path:
     """Where compiled code is kept: one user's own folder, one per version of the sources.
 
     Numba's cache is executable code; a folder that others can write to is not used.
     """
-    home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or "~/.cache"
-    base = Path(home).expanduser() / "testbed"
+    base = cache_folder()
     digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__}".encode())
     for source in (*sorted(Path(__file__).parent.glob("*.py")), Path(friction.__file__)):
         digest.update(source.read_bytes())
@@ -43,7 +43,7 @@ def cache_folder() -> Path:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if all(_is_private(each) for each in (base, folder)):
             return folder
-    except (OSError, RuntimeError):
+    except OSError:
         pass  # no home, or not ours to write to
     alone = Path(tempfile.mkdtemp(prefix="testbed-kernel-"))
     atexit.register(shutil.rmtree, alone, ignore_errors=True)
@@ -59,7 +59,7 @@ def _is_private(folder: Path) -> bool:
 
 
 if not settings.CACHE_DIR:
-    settings.CACHE_DIR = str(cache_folder())
+    settings.CACHE_DIR = str(compiled_folder())
 
 # Without Numba's reference counts, of which every slice takes one, the recursion is a quarter
 # faster; nothing here makes or keeps arrays.

@@ -35,7 +35,7 @@ PLAN = {
         "robot": BASE,
         "parameters": f"{BASE} robot",
         "dynamics": f"{BASE} robot parameters",
-        "kernel": ROBOT,
+        "kernel": f"{ROBOT} installation",
         "symbolic": ROBOT,
         "excitation": f"{ROBOT} kernel",
         "recordings": f"{ROBOT} toml_text",

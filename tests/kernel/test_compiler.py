@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from testbed.kernel import compiler
-from testbed.kernel.compiler import cache_folder
+from testbed.kernel.compiler import compiled_folder
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have no owners here")
 PLACES = ("XDG_CACHE_HOME", "LOCALAPPDATA", "HOME")
@@ -28,11 +28,11 @@ def test_the_cache_is_where_the_system_keeps_caches_one_for_each_source_and_numb
         base, found = tmp_path / name / (".cache" if name == "HOME" else ""), []
         for text in ("one", "two", "one"):
             (tmp_path / "screws.py").write_text(text)
-            found.append(cache_folder())
+            found.append(compiled_folder())
         assert found[0] == found[2] != found[1]
         with monkeypatch.context() as patch:
             patch.setattr("numba.__version__", "0.0.1")
-            found.append(cache_folder())
+            found.append(compiled_folder())
         assert found[3] not in found[:2]
         assert {each.parent for each in found} == {base / "testbed"}
         assert {stat.S_IMODE(each.stat().st_mode) & 0o077 for each in found} == {0}
@@ -48,17 +48,17 @@ def test_a_folder_that_others_may_write_to_or_that_cannot_be_made_is_not_used(
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "elsewhere"))
 
     def passing() -> None:
-        found = cache_folder()
+        found = compiled_folder()
         assert found.parent == tmp_path / "elsewhere"
         assert stat.S_IMODE(found.stat().st_mode) == 0o700
 
-    own, somebody = cache_folder(), os.getuid() + 1
+    own, somebody = compiled_folder(), os.getuid() + 1
     for opened in (own.parent, own):
         for mode in (0o720, 0o702):
             opened.chmod(mode)
             passing()
         opened.chmod(0o755)
-        assert cache_folder() == own
+        assert compiled_folder() == own
     with monkeypatch.context() as patch:
         patch.setattr("os.getuid", lambda: somebody)
         passing()
