@@ -18,6 +18,7 @@ DOCUMENT = Path(__file__).with_suffix(".md")
 MODULE = "docs.gallery"
 ROOT = DOCUMENT.parent.parent
 PLACE = DOCUMENT.parent / "pictures/gallery"
+FAULTS = ROOT / "experiments/campaigns/faults.toml"
 FIGURES = PLACE / "figures.json"
 """What came of robots and experiments, by their names."""
 
@@ -95,8 +96,8 @@ ROBOTS = (
 
 
 def experiments() -> list[Path]:
-    """Every experiment and comparison that ships."""
-    return sorted((ROOT / "experiments").glob("*.toml"))
+    """Files of the experiments, and of a campaign over faults."""
+    return sorted([FAULTS, *(ROOT / "experiments").glob("*.toml")], key=lambda path: path.stem)
 
 
 def as_markdown(of: str) -> str:
@@ -135,7 +136,7 @@ def of_experiments(figures: dict[str, Any]) -> Iterator[str]:
         yield from (f"![{found['shows']}](pictures/gallery/{path.stem}.svg)", "")
         obtained = found["obtained"].replace("internal to external", "torques' over plate's")
         obtained = obtained.replace("external ", "plate's ").replace("internal ", "torques' ")
-        yield from (f"{obtained} `testbed {found['command']} experiments/{path.name}`", "")
+        yield from (f"{obtained} `testbed {found['command']} {path.relative_to(ROOT)}`", "")
 
 
 if __name__ == "__main__":

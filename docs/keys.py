@@ -33,13 +33,11 @@ ONLY_IN_PYTHON = ("JointLaw",)
 def files() -> Mapping[str, type]:
     """What people write, and the value that it becomes."""
     from testbed.campaign.campaign import CampaignTables
-    from testbed.experiment.comparison import ComparisonTables
     from testbed.experiment.experiment import ExperimentTables
     from testbed.recordings.importing.mapping import Mapping as MappingFile
 
     return {
         "experiment": ExperimentTables,
-        "comparison": ComparisonTables,
         "campaign": CampaignTables,
         "mapping": MappingFile,
     }

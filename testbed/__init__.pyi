@@ -20,14 +20,8 @@ from .dynamics.newton_euler import (
 from .errors import TestbedError as TestbedError
 from .excitation.random_motion import random_motion as random_motion
 from .experiment.carry_out import carry_out as carry_out
-from .experiment.comparison import (
-    Comparison as Comparison,
-)
-from .experiment.comparison import (
-    compare as compare,
-)
-from .experiment.comparison import predict as predict
 from .experiment.experiment import Experiment as Experiment
+from .experiment.predict import predict as predict
 from .experiment.run import (
     Run as Run,
 )

@@ -18,8 +18,7 @@ TABLES = {
     "mapping": {"sources", "joints"},
     "motion": {"fundamental", "joint"},
     "plate's calibration": {"robot", "numbers"},
-    "comparison": {"experiment", "variant"},
-    "campaign": {"experiment", "replicates"},
+    "campaign": {"name", "experiment"},
     "experiment": {"model"},
 }
 """Keys without which a TOML file is not of a kind; the first kind that has all counts."""
@@ -30,7 +29,6 @@ BELONGS = {
     "mapping": "testbed import {} --out recording.parquet",
     "motion": "testbed view {}, or motion.file of an experiment",
     "plate's calibration": "--plate {}",
-    "comparison": "testbed compare {}",
     "campaign": "testbed campaign {}",
     "experiment": "testbed run {}",
     "model file": "--model {}, or testbed new {} for an experiment",

@@ -150,11 +150,10 @@ def experiment_texts() -> tuple[str, ...]:
     found = []
     for path in sorted((ROOT / "experiments").glob("*.toml")):
         content = tomllib.loads(path.read_text())
-        if "model" in content:  # a comparison has none
-            content["model"] = PUMA
-            content["motion"] = {**content.get("motion", {}), "duration": 1.0, "candidates": 1}
-            content["simulation"] = {**content.get("simulation", {}), "step": 1e-3}
-            found.append(tomli_w.dumps(content))
+        content["model"] = PUMA
+        content["motion"] = {**content.get("motion", {}), "duration": 1.0, "candidates": 1}
+        content["simulation"] = {**content.get("simulation", {}), "step": 1e-3}
+        found.append(tomli_w.dumps(content))
     return tuple(found)
 
 

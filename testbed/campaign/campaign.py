@@ -20,8 +20,9 @@ from pydantic import Field, model_validator
 from testbed.arrays import Array
 from testbed.errors import ExperimentError, UnknownName
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.experiment_tables import METRICS, VariedTables
+from testbed.experiment.experiment_tables import METRICS, RunName
 from testbed.experiment.robot_tables import Table
+from testbed.identification.estimate import METHODS, Method
 from testbed.toml_text import Finite, Positive, checked, read_toml
 
 LARGEST_SEED = 2**62
@@ -102,9 +103,19 @@ class StopTable(Table):
         return self
 
 
-class CampaignTables(VariedTables):
+class CampaignTables(Table):
     """What a campaign's file says."""
 
+    name: RunName
+    """Of the campaign."""
+    claim: str = ""
+    """What it shows, in a sentence."""
+    experiment: str
+    """Experiment file, relative to this one; its own claims do not count."""
+    set: tuple[str, ...] = ()
+    """What is different from it throughout: "key = value" as `--set` takes it."""
+    methods: Annotated[tuple[Method, ...], Field(min_length=1)] = METHODS
+    """Which estimates are made."""
     replicates: Annotated[int, Field(ge=1, le=1_000_000)] = 1
     """Runs of each cell, each with a seed of its own; with `[stop]` the most."""
     seed: Annotated[int, Field(ge=0, lt=LARGEST_SEED)] = 1

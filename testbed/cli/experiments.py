@@ -1,4 +1,4 @@
-"""Commands about runs and recordings: run, compare, simulate, identify, validate and others."""
+"""The commands run, simulate, warmup and campaign."""
 
 from __future__ import annotations
 
@@ -80,31 +80,6 @@ def run(
         reasons = "; ".join(f"{method}: {said}" for method, said in done.failures.items())
         raise RecordingError(f"the recording is kept in '{folder}', but no estimate: {reasons}")
     raise typer.Exit(0 if done.as_expected else 1)
-
-
-@app.command()
-def compare(
-    file: ExperimentFile,
-    settings: Set = None,
-    as_json: Json = False,
-) -> None:
-    """Simulate once; measure and identify in several ways, without and with a remedy.
-
-    Example: testbed compare experiments/faults.toml --set motion.duration=20
-    """
-    from testbed.experiment.comparison import Comparison, comparison_as_json
-    from testbed.experiment.comparison import compare as compared
-    from testbed.reporting import output
-    from testbed.reporting.terminal import print_comparison
-
-    comparison = Comparison.load(file, settings or ())
-    with output.Progress("comparing") as progress:
-        rows = list(compared(comparison, progress))
-    if as_json:
-        output.print_json(comparison_as_json(comparison, rows))
-    else:
-        print_comparison(output.console(), comparison, rows)
-    raise typer.Exit(0 if all(row.as_expected for row in rows) else 1)
 
 
 @app.command()

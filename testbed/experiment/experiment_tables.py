@@ -9,7 +9,6 @@ from pydantic import AfterValidator, Field, model_validator
 
 from testbed.errors import UnknownName
 from testbed.experiment.robot_tables import Table
-from testbed.identification.estimate import METHODS, Method
 from testbed.kind_table import AsTable
 from testbed.simulation.effect import Effect
 from testbed.simulation.effects import effect_of
@@ -198,18 +197,3 @@ Expectations = Annotated[dict[str, Bound], AfterValidator(_known)]
 
 RunName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
 """Letters, digits, dot, dash, underscore."""
-
-
-class VariedTables(Table):
-    """What a file says that varies one experiment: a comparison, a campaign."""
-
-    name: RunName
-    """Of the comparison or campaign."""
-    claim: str = ""
-    """What it shows, in a sentence."""
-    experiment: str
-    """Experiment file, relative to this one; its own claims do not count."""
-    set: tuple[str, ...] = ()
-    """What is different from it throughout: "key = value" as `--set` takes it."""
-    methods: Annotated[tuple[Method, ...], Field(min_length=1)] = METHODS
-    """Which estimates are made."""

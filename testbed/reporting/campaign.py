@@ -204,7 +204,7 @@ def sigma_figure(parts: Sequence[ParameterErrors]) -> Section | None:
     )
 
 
-LISTED = 20
+LISTED = 30
 """Cells or failures that are listed one by one."""
 
 SHOWN_METRICS = (

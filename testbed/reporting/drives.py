@@ -17,7 +17,7 @@ from testbed.reporting.figures import Panel, named_panels, thinned
 from testbed.reporting.section import Section, Table
 
 if TYPE_CHECKING:
-    from testbed.experiment.comparison import Predictions
+    from testbed.experiment.predict import Predictions
     from testbed.identification.drives.friction_curves import Choice, DriveEstimate
     from testbed.plausibility.time_offset import TimeOffset
 

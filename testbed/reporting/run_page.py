@@ -13,9 +13,9 @@ import numpy as np
 from testbed.diagnostics import sentences
 from testbed.dynamics.newton_euler import sensor_poses
 from testbed.errors import plural
-from testbed.experiment.comparison import predict
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import MotionTable
+from testbed.experiment.predict import predict
 from testbed.experiment.results import read_run, versions
 from testbed.experiment.run import Run
 from testbed.experiment.summary import obtained, summary, verdict

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from testbed.arrays import Array
-from testbed.experiment.comparison import Predictions, Signal
+from testbed.experiment.predict import Predictions, Signal
 from testbed.experiment.run import Run
 from testbed.experiment.summary import percent
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Method

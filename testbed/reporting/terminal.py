@@ -1,8 +1,8 @@
-"""What the terminal shows of estimates, runs and comparisons: tables and lines."""
+"""What the terminal shows of estimates and runs: tables and lines."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,16 +11,14 @@ from rich.console import Console
 from rich.panel import Panel
 
 from testbed.diagnostics import Diagnostic
-from testbed.errors import plural, printable
+from testbed.errors import printable
 from testbed.experiment.summary import (
     accuracy_lines,
     data_lines,
     headline,
-    obtained,
-    verdict,
 )
 from testbed.identification.diagnostics.residuals import diagnostics_of
-from testbed.identification.estimate import METHODS, OPEN_ZERO, Method
+from testbed.identification.estimate import OPEN_ZERO
 from testbed.identification.selection.prediction_errors import PLAIN, POSTERIOR
 from testbed.identification.verdict import WELL, verdict_of
 from testbed.reporting.bodies import consistent_lines, consistent_tables
@@ -36,10 +34,8 @@ from testbed.reporting.estimates import (
 )
 from testbed.reporting.output import console, print_diagnostics, print_tables
 from testbed.reporting.posterior import errors_table, posterior_table, validation_table
-from testbed.reporting.section import Table
 
 if TYPE_CHECKING:
-    from testbed.experiment.comparison import Compared, Comparison
     from testbed.experiment.run import Run
     from testbed.identification.calibration import Calibration
     from testbed.identification.consistency.consistent import Consistent
@@ -246,68 +242,3 @@ def _print_verdict(out: Console, run: Run) -> None:
     said = "the claim holds" if held == count else "THE CLAIM FAILS"
     out.print(f"verdict: {said} ({held} of {count} bounds)")
     _print_metrics(out, run, [name for name, holds in run.verdicts.items() if not holds])
-
-
-_NAMED: Mapping[bool | None, str] = {True: "right", False: "WRONG", None: "-"}
-
-
-def print_comparison(out: Console, comparison: Comparison, rows: Sequence[Compared]) -> None:
-    """Print what came of every variant, which claims fail, and the verdict.
-
-    Args:
-        out: Where to.
-        comparison: What was compared.
-        rows: What came of it.
-    """
-    methods = [m for m in METHODS if m in comparison.methods]
-    print_tables(
-        out,
-        [_table(comparison.name, rows, methods, said=True)],
-        [
-            *(_table(comparison.name, rows, [m], said=False) for m in methods),
-            _table("", rows, [], said=True),
-        ],
-    )
-    for row in rows:
-        for line in _failures(row):
-            out.print(f"{printable(row.variant.name)}: {printable(line)}", soft_wrap=True)
-    if comparison.claim:
-        out.print(f"claim: {printable(comparison.claim)}")
-    held = sum(row.as_expected for row in rows)
-    verdict = "the claim holds" if held == len(rows) else "THE CLAIM FAILS"
-    out.print(f"verdict: {verdict} ({held} of {plural(len(rows), 'line')} as expected)")
-
-
-def _table(title: str, rows: Sequence[Compared], methods: Sequence[Method], *, said: bool) -> Table:
-    """Errors by some methods, and, if it is wanted, what is said first; the remedy's errors."""
-    errors = [head for method in methods for head in (f"{method}: error", "max z")]
-    heads = ["variant", *errors, *(["first diagnostic", "named"] if said else [])]
-    heads += [head for _ in methods for head in ("remedied", "max z")]
-    cells = [
-        [
-            row.variant.name,
-            *_numbers(row.run, methods),
-            *([row.said[0] if row.said else "nothing", _NAMED[row.named]] if said else []),
-            *_numbers(row.remedied, methods),
-        ]
-        for row in rows
-    ]
-    return Table(heads, cells, title, left=["first diagnostic", "named"])
-
-
-def _numbers(run: Run | None, methods: Sequence[Method]) -> list[str]:
-    """Rms relative error and largest z of each method; dashes for a run that is not there."""
-    names = [f"{m}_{what}" for m in methods for what in ("rms_relative_error", "max_z")]
-    return ["-" if run is None else obtained(run, name) for name in names]
-
-
-def _failures(row: Compared) -> Iterator[str]:
-    """Why a variant is not as expected, a line each."""
-    if not row.run.as_expected:
-        yield verdict(row.run)
-    if row.remedied is not None and not row.remedied.as_expected:
-        yield f"with its remedy: {verdict(row.remedied)}"
-    if row.named is False:
-        wanted = f"'{row.variant.says}'" if row.variant.says else "nothing"
-        found = f"'{row.said[0]}'" if row.said else "nothing"
-        yield f"the first diagnostic is {found}, claimed {wanted}"

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import rerun as rr
 import rerun.blueprint as rrb
 
-from testbed.experiment.comparison import Signal
+from testbed.experiment.predict import Signal
 from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.robot.tree import Tree
 from testbed.viewer.robot_drawing import CLOCK

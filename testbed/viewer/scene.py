@@ -12,7 +12,7 @@ import rerun as rr
 from testbed.arrays import Array
 from testbed.diagnostics import Diagnostic, sentences
 from testbed.dynamics.newton_euler import Motion, poses
-from testbed.experiment.comparison import Predictions, predict
+from testbed.experiment.predict import Predictions, predict
 from testbed.experiment.run import Run
 from testbed.experiment.summary import summary, verdict
 from testbed.robot.visuals.appearance import Appearance, load_appearance

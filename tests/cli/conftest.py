@@ -35,13 +35,6 @@ TWO = """<robot name="two"><link name="base"/>
     <limit lower="-2" upper="2" effort="50" velocity="2"/>MIMIC</joint></robot>"""
 """A robot of two joints; the second may follow the first."""
 
-COMPARISON = """name = "late"
-experiment = "table.toml"
-[[variant]]
-name = "late"
-set = ["measurement.fault=[{ kind = 'plate_delay', delay = 0.02 }]"]
-"""
-
 
 @pytest.fixture(scope="session")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -53,7 +46,6 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "mimic.urdf").write_text(TWO.replace("MIMIC", '<mimic joint="leads"/>'))
     text = (ROOT / "experiments/table6.toml").read_text()
     (folder / "table.toml").write_text(text.replace("../models/", ""))
-    (folder / "variants.toml").write_text(COMPARISON)
     campaign_file(folder, 2, NOISES)
     (folder / "map.toml").write_text(csv(folder, some_log()))
     run: Run = result("puma")

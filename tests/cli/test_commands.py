@@ -42,7 +42,6 @@ COMMANDS = {
     "run": (f"run table.toml {QUICK} --set expect={{}} --all --out OUT/run", ""),
     "run, claim": (f"run table.toml {QUICK} --set seed=7 --out OUT/claim --json "
                    "--set expect.external_max_z.at_most=1e-9", f"{RESULT} folder"),
-    "compare": (f"compare variants.toml {QUICK} --json", "as_expected claim name variants"),
     "identify": (f"identify one.parquet {ROBOT} --zeros --all --json",
                  RESULT),
     "identify, plate": (f"identify one.parquet {ROBOT} --zeros --plate OUT/plate.toml --json",

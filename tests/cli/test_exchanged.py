@@ -11,11 +11,11 @@ import pytest
 import testbed as tb
 from testbed.campaign.campaign import Campaign
 from testbed.errors import TestbedError, UnknownName
-from testbed.experiment.comparison import Comparison
 from testbed.experiment.motions import read_motion
 from testbed.experiment.read_result import read_result
 from testbed.file_kinds import BELONGS, kind_of
 from tests.helpers.command import command_line
+from tests.helpers.paths import ROOT
 
 FILES = {
     "model file": ("puma562.xml", "two.urdf"),
@@ -23,7 +23,6 @@ FILES = {
     "log of another program": ("log.csv",),
     "result": ("result.json", "run/result.json"),
     "experiment": ("table.toml",),
-    "comparison": ("variants.toml",),
     "campaign": ("quick.toml",),
     "mapping": ("map.toml",),
 }
@@ -35,7 +34,6 @@ ASKED = {
     "validate one.parquet FILE": ("result",),
     "minimal FILE": ("model file",),
     "run FILE": ("experiment",),
-    "compare FILE": ("comparison",),
     "campaign FILE": ("campaign",),
     "import FILE --out new.parquet": ("mapping",),
     "new FILE": ("model file",),
@@ -48,7 +46,6 @@ ASKED = {
 
 READERS: dict[str, Callable[[Path], object]] = {
     "experiment": tb.Experiment.load,
-    "comparison": Comparison.load,
     "campaign": Campaign.load,
     "mapping": tb.Recording.from_mapping,
     "result": read_result,
@@ -66,6 +63,9 @@ def test_every_file_is_known_by_its_content(place: Path, tmp_path: Path) -> None
             assert kind_of(place / name) == kind
             if "log" not in kind:
                 assert kind_of(Path(shutil.copy(place / name, tmp_path / "any"))) == kind
+    shipped = {"experiment": "experiments/*.toml", "campaign": "experiments/campaigns/*.toml"}
+    for kind, pattern in shipped.items():
+        assert {kind_of(path) for path in ROOT.glob(pattern)} == {kind}
 
 
 @pytest.mark.slow

@@ -105,7 +105,6 @@ report run {ROBOT} | 'run' --model
 report {ONE} --out x.pdf | --out 'x.pdf' .html
 view {ONE} --save x.png | --save 'x.png' .rrd
 simulate table.toml | --out
-compare table.toml | 'table.toml' experiment run
 campaign quick.toml --workers -1 | --workers 0
 campaign quick.toml --tls-key log.csv | --tls-ca --tls-cert
 campaign quick.toml --tls-key log.csv --tls-ca log.csv --tls-cert log.csv | TLS --scheduler

@@ -21,7 +21,6 @@ LONG = {
     "experiment.simulate:simulate": ("simulate table.toml --out x.parquet",),
     "experiment.carry_out:simulate": ("run table.toml",),
     "experiment.carry_out:evaluate": ("run table.toml --set motion.duration=2",),
-    "experiment.comparison:compare": ("compare variants.toml",),
     "experiment.new_experiment:new_experiment": ("new two.urdf",),
     "experiment.run:assemble_run": (f"report {PUMA}",),
     "recordings.joined:pieces": ("import map.toml --out x.parquet",),

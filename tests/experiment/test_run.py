@@ -22,10 +22,10 @@ from testbed.dynamics.newton_euler import base_wrench, joint_forces
 from testbed.excitation.fourier import Fourier
 from testbed.experiment import carry_out as module
 from testbed.experiment.carry_out import unseen, validated
-from testbed.experiment.comparison import predict
 from testbed.experiment.evaluate import with_consistent, wrong_prior
 from testbed.experiment.experiment_tables import ALWAYS_JUDGED, Bound, PriorTable
 from testbed.experiment.motions import another_motion, motion_of
+from testbed.experiment.predict import predict
 from testbed.experiment.results import result_of
 from testbed.experiment.run import Run, assemble_run, correlated, systematic_errors
 from testbed.experiment.score import accuracies, relative_errors

@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any
 
 from testbed.campaign.campaign import CampaignTables
-from testbed.experiment.comparison import ComparisonTables
 from testbed.experiment.experiment import ExperimentTables
 from testbed.recordings.importing.mapping import Mapping
 from testbed.toml_text import checked
@@ -143,8 +142,6 @@ def _is_understood(content: dict[str, Any]) -> None:
     """Tables of a file, whichever its kind; an experiment's may be a part of one."""
     if "factor" in content:
         checked(CampaignTables, content, "campaign")
-    elif "variant" in content:
-        checked(ComparisonTables, content, "comparison")
     elif "sources" in content:
         checked(Mapping, content, "mapping")
     else:

@@ -14,9 +14,9 @@ import pytest
 import testbed as tb
 from testbed.diagnostics import phrase
 from testbed.experiment.carry_out import validated
-from testbed.experiment.comparison import predict
 from testbed.experiment.evaluate import recorded_bodies, wrong_bodies
 from testbed.experiment.experiment_tables import Bound
+from testbed.experiment.predict import predict
 from testbed.experiment.run import assemble_run
 from testbed.experiment.summary import summary, verdict
 from testbed.identification.consistency.options import ConsistencyOptions

@@ -9,18 +9,32 @@ from __future__ import annotations
 import json
 import sys
 import sysconfig
+from collections import defaultdict
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 import testbed as tb
-from docs.gallery import DOCUMENT, FIGURES, MODULE, ROBOTS, ROOT, Robot, as_markdown, experiments
+from docs.gallery import (
+    DOCUMENT,
+    FAULTS,
+    FIGURES,
+    MODULE,
+    ROBOTS,
+    ROOT,
+    Robot,
+    as_markdown,
+    experiments,
+)
 from docs.marks import write
 from docs.pictures.drawing import error_dots, placed, save
 from docs.pictures.explained import errors_of
+from testbed.campaign.campaign import Campaign
+from testbed.campaign.conduct import InThisProcess, conduct
+from testbed.campaign.summary import read_campaign, summarise
 from testbed.cli.reading import Reading
-from testbed.experiment.comparison import Comparison, compare
 from testbed.experiment.summary import obtained, percent
 from testbed.reporting.drives import curve_lines
 from testbed.reporting.figures import Panel
@@ -29,7 +43,7 @@ from testbed.robot.visuals.appearance import load_appearance
 
 PACKAGE = Path(sysconfig.get_paths()["purelib"]) / "cmeel.prefix/share/example-robot-data"
 METHODS = {"external": "force plate", "internal": "joint torques"}
-REMEDIED = {"internal": "with the fault", "external": "with its remedy"}
+ESTIMATED = {"internal": "with the fault", "external": "with it estimated"}
 LONGER = 360
 """The longer side of a robot's picture [pixels]."""
 
@@ -47,7 +61,7 @@ def main(names: list[str]) -> None:
     for path in experiments():
         if not names or path.stem in names:
             print(path.stem, flush=True)
-            figures[path.stem] = compared(path) if path.stem == "faults" else carried_out(path)
+            figures[path.stem] = varied(path) if path == FAULTS else carried_out(path)
         FIGURES.write_text(json.dumps(figures, indent=1, sort_keys=True) + "\n")
     write(DOCUMENT, MODULE, as_markdown)
 
@@ -112,24 +126,23 @@ def draw_friction(name: str, run: Any) -> str:
     return shows
 
 
-def compared(path: Path) -> dict[str, str]:
-    """Compare faults one at a time: errors with each, and with its remedy."""
-    comparison = Comparison.load(path)
-    metric = "external_rms_relative_error"
-    errors: dict[str, dict[str, float]] = {}
-    for each in compare(comparison):
-        row = {"internal": 100 * each.run.metrics[metric]}
-        if each.remedied is not None:
-            row["external"] = 100 * each.remedied.metrics[metric]
-        errors[each.variant.name] = row
-    width, height, parts = error_dots(errors, REMEDIED, left=230)
-    shows = "Rms error of the plate's estimate with one fault at a time, and with its remedy"
+def varied(path: Path) -> dict[str, str]:
+    """Carry out a campaign over faults: errors with each, and where it is estimated."""
+    campaign, errors = Campaign.load(path), defaultdict[str, dict[str, float]](dict)
+    with TemporaryDirectory() as folder:
+        conduct(campaign, Path(folder), InThisProcess())
+        found = summarise(read_campaign(Path(folder)))
+    for each in found.figures:
+        if each.metric == "external_rms_relative_error":
+            fault, _, estimated = str(*found.cells[each.cell]).partition("; ")
+            errors[fault]["external" if estimated else "internal"] = 100 * each.mean
+    width, height, parts = error_dots(errors, ESTIMATED, left=230)
+    shows = "Rms error of the plate's estimate with one fault at a time, and with it estimated"
     save(f"gallery/{path.stem}", width, height, parts, shows)
     most = max(row["external"] for row in errors.values() if "external" in row)
-    said = f"Obtained: {len(errors) - 1} faults; with their remedies at most {percent(most / 100)}."
-    return {
-        "claim": comparison.claim, "command": "compare", "obtained": said, "shows": shows,
-    }  # fmt: skip
+    said = f"Obtained: {len(errors) - 1} faults; estimated, at most {percent(most / 100)}."
+    claim = campaign.tables.claim
+    return {"claim": claim, "command": "campaign", "obtained": said, "shows": shows}
 
 
 if __name__ == "__main__":
