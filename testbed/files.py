@@ -114,10 +114,11 @@ def _in_words_of(path: Path, fresh: Path) -> Iterator[None]:
         place = str(path) if error.filename is None else os.fsdecode(error.filename)
         if error.filename is not None and not place.startswith(str(fresh)):
             raise  # of a file that is read
-        said = (
-            str(error) if error.errno is None else f"'{place}' cannot be written: {error.strerror}"
-        )
-        raise OSError(said.replace(str(fresh), str(path))) from None
+        if error.errno is None:
+            raise OSError(str(error).replace(str(fresh), str(path))) from None
+        place = place.replace(str(fresh), str(path))
+        said = f"cannot be written: {error.strerror.removeprefix('cannot be written: ')}"
+        raise OSError(error.errno, said, place) from None
 
 
 def _flush(path: Path) -> None:

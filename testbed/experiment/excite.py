@@ -17,7 +17,7 @@ from testbed.blas import one_blas_thread
 from testbed.codec import encode
 from testbed.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.dynamics.newton_euler import Motion
-from testbed.errors import ExperimentError, TestbedError, few, formula_free
+from testbed.errors import ExperimentError, TestbedError, few
 from testbed.excitation.design import Design, Watch, Wish, design
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.information import Pipeline, Prediction, information_of, models_of, predict
@@ -457,6 +457,6 @@ def _columns(samples: Motion, tree: Tree) -> dict[str, Array]:
 def _write_csv(path: Path, columns: dict[str, Array]) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(map(formula_free, columns))
+        writer.writerow(columns)
         for row in np.column_stack(list(columns.values())):
             writer.writerow([repr(value) for value in row.tolist()])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import math
 import statistics
@@ -316,6 +317,13 @@ def test_a_summary_is_of_the_tables_numbers_and_a_comparison_of_what_changed(
         if each.cell >= 0:
             assert each.spread == pytest.approx(np.std(value - truth, ddof=1))
         assert each.inside == np.sum(np.abs(value - truth) < 1.96 * sigma)
+    evil = '=HYPERLINK("http://x.example")'
+    named = replace(summary, factors=(evil,), cells=dict.fromkeys(summary.cells, ("@SUM(1)",)))
+    for path in write_summary(named, tmp_path):
+        if path.suffix == ".csv":  # no spreadsheet computes what a name says
+            cells = [cell for row in csv.reader(path.read_text().splitlines()) for cell in row]
+            assert "'@SUM(1)" in cells
+            assert not any(cell.startswith(("=", "@")) for cell in cells)
     files = write_summary(summary, tmp_path)
     shares = [row["coverage"] for row in pq.read_table(files[0]).to_pylist()]
     assert shares == [p.coverage for p in summary.parameters]

@@ -222,6 +222,10 @@ def test_friction_in_files_is_what_was_found(tmp_path: Path) -> None:
         values = bam_parameters(plain, "m6")
         assert bam_torque(values, load, speed) == pytest.approx(want, rel=1e-9)
     assert bam_parameters(plain, "m5")["left_out"] == ["quadratic_load"]
+    maps = [replace(cells, joint=f"={cells.joint}") for cells in found.maps]
+    write_friction(replace(found, maps=tuple(maps)), tmp_path / "evil.csv")
+    names = [line.split(",")[0] for line in (tmp_path / "evil.csv").read_text().splitlines()[1:]]
+    assert {*names} == {f"'={name}" for name in tree.names}  # no formula of a spreadsheet
     with (tmp_path / "friction.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == sum(len(cells.rows) for cells in found.maps)

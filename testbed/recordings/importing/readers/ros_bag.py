@@ -45,6 +45,9 @@ LISTS_OF_NAMES = ("name", "names", "joint_names")
 MOST_STEPS = 200_000
 """Parts of a message."""
 
+MOST_UNPACKED, MOST_RATIO, AT_ONCE = 1_000_000_000, 100, 1 << 24
+"""Bytes of unpacked files, and more for each packed byte; bytes unpacked at once."""
+
 Numbers = Mapping[str, float]
 """Of a message, by their paths."""
 
@@ -210,8 +213,26 @@ def _opened(path: Path) -> Iterator[Any]:
     with library("rosbags"):
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
+    _check_unpacked(path)
     with (Reader1 if _version(path) == 1 else Reader2)(path) as bag:
         yield bag
+
+
+def _check_unpacked(path: Path) -> None:
+    """Refuse a bag whose packed files, which rosbags unpacks all at once, would fill the disk.
+
+    Raises:
+        RecordingError: They are too large, unpacked.
+    """
+    packed = list(path.glob("*.zstd"))
+    most, total = MOST_UNPACKED + MOST_RATIO * sum(each.stat().st_size for each in packed), 0
+    for each in packed:
+        import zstandard
+
+        with zstandard.ZstdDecompressor().stream_reader(each.open("rb"), closefd=True) as content:
+            while part := content.read(AT_ONCE):
+                total += len(part)
+                check_count(path, "unpacked bytes", total, most)
 
 
 def _version(path: Path) -> int:
