@@ -117,7 +117,7 @@ def _in_words_of(path: Path, fresh: Path) -> Iterator[None]:
         if error.errno is None:
             raise OSError(str(error).replace(str(fresh), str(path))) from None
         place = place.replace(str(fresh), str(path))
-        said = f"cannot be written: {error.strerror.removeprefix('cannot be written: ')}"
+        said = f"cannot be written: {str(error.strerror).removeprefix('cannot be written: ')}"
         raise OSError(error.errno, said, place) from None
 
 
