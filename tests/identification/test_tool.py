@@ -195,7 +195,7 @@ def test_a_sensors_mapping_is_checked_and_its_frame_is_solved(tmp_path: Path) ->
     ]
     (tmp_path / "map.toml").write_text("\n".join(said).replace("'", '"'))
     words = ["import", "map.toml", "--out", "x.parquet", "--model", str(UR5)]
-    words += ["--set", f"robot.sensor={tree.joints[-1].body}"]
+    words += ["--set", f"robot.sensor={tree.joints[-1].body}", "--force"]
     for shown, code, remedy in (
         (wrench, 0, ""),
         (-wrench, 2, 'sense = "on_plate"'),

@@ -103,7 +103,8 @@ def test_a_page_is_complete_and_can_be_read_by_everybody(name: str) -> None:
     assert max(drawn.values(), default=0) <= 6 or name in OTHERS
     assert max(rows.values(), default=0) <= 25
     assert not re.search(r"<script|<link|@import|url\((?!#)|src=", text)
-    assert "http" not in re.sub(r'xmlns(:\w+)?="[^"]*"', "", text)
+    assert "http" not in re.sub(r'xmlns(:\w+)?="[^"]*"|http-equiv=', "", text)
+    assert text.count("content=\"default-src 'none'; ") == 1
     for target in re.findall(r'href="([^"]*)"', text):
         assert target.startswith(("#", "data:image/png"))
     said = re.sub(r"(?s)base64,[^\"]*|<style.*?</style>", "", text)
