@@ -18,6 +18,7 @@ from testbed.cli.reading import (
     Json,
     Lock,
     LockMimic,
+    OtherModel,
     Plate,
     Reading,
     RecordingSet,
@@ -350,9 +351,7 @@ def validate(
         Path,
         typer.Argument(metavar="RESULT.json", help="Output of identify --json, or a run folder."),
     ],
-    model: Annotated[
-        Path | None, typer.Option(help="Model file; default the one in the result.")
-    ] = None,
+    model: OtherModel = None,
     gravity: Gravity = None,
     settings: RecordingSet = None,
     plate: Plate = None,
@@ -410,9 +409,7 @@ def sample(
     out: Annotated[Path, typer.Option(help="New folder for model files and robots.npz.")],
     count: Annotated[int, typer.Option("-n", min=1, max=100_000, help="How many robots.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Of the draws.")] = 0,
-    model: Annotated[
-        Path | None, typer.Option(help="Model file; default the one in the result.")
-    ] = None,
+    model: OtherModel = None,
     settings: RecordingSet = None,
     fixed: FixedLinks = Fixed.lump,
     force: Force = False,

@@ -16,6 +16,7 @@ from testbed.cli.reading import (
     Json,
     Lock,
     LockMimic,
+    OtherModel,
     Reading,
     RecordingSet,
     Unchecked,
@@ -132,10 +133,7 @@ def import_(
     guess: Annotated[
         bool, typer.Option("--guess", help="Write a draft mapping of the file.")
     ] = False,
-    model: Annotated[
-        Path | None,
-        typer.Option(help="MJCF or URDF file of the robot, for the plausibility check."),
-    ] = None,
+    model: OtherModel = None,
     align: Annotated[
         bool, typer.Option("--align", help="Correct delays of torques and plate (needs --model).")
     ] = False,

@@ -16,6 +16,7 @@ from testbed.cli.reading import (
     Force,
     Lock,
     LockMimic,
+    OtherModel,
     Plate,
     Reading,
     RecordingSet,
@@ -44,9 +45,7 @@ def view(
             metavar="RUN...", help="Run folders, recordings (with --model), or a motion (.toml)."
         ),
     ],
-    model: Annotated[
-        Path | None, typer.Option(help="MJCF or URDF file of the robot, for recordings.")
-    ] = None,
+    model: OtherModel = None,
     save: Annotated[
         Path | None,
         typer.Option(
@@ -145,9 +144,7 @@ def report(
     run: Annotated[
         Path, typer.Argument(metavar="RUN", help="Run folder, or recording (with --model).")
     ],
-    model: Annotated[
-        Path | None, typer.Option(help="MJCF or URDF file of the robot, for a recording.")
-    ] = None,
+    model: OtherModel = None,
     out: Annotated[
         Path | None,
         typer.Option(callback=ending(".html", ".htm"), help="HTML file; default RUN.html."),

@@ -239,6 +239,15 @@ RobotModel = Annotated[
         "--model", metavar="PATH", parser=own_or_shipped, help="MJCF or URDF file of the robot."
     ),
 ]
+OtherModel = Annotated[
+    Path | None,
+    typer.Option(
+        "--model",
+        metavar="PATH",
+        parser=own_or_shipped,
+        help="MJCF or URDF file of the robot; runs and results have their own.",
+    ),
+]
 ExperimentFile = Annotated[
     Path,
     typer.Argument(
