@@ -231,11 +231,13 @@ def hostile(
     """Hostile inputs through the real commands; exit code 1 if one is not treated well."""
     from benchmarks.hostile.inputs import KINDS
     from benchmarks.hostile.kills import kills as killed
+    from benchmarks.hostile.program import Worker
     from benchmarks.hostile.program import hostile as tried
 
     kinds = [kind for kind in KINDS if only in kind]
     each = seconds / max(len(kinds), 1) or float("inf")
-    lines = list(_printed(tried(kind, inputs, seed, each) for kind in kinds))
+    with Worker() as worker:
+        lines = list(_printed(tried(worker, kind, inputs, seed, each) for kind in kinds))
     lines += _printed(killed(count, seed) for count in (kills,) if count)
     raise typer.Exit(int(any(line["not treated well"] for line in lines)))
 

@@ -95,42 +95,49 @@ class Worker:
             self._process = None
 
 
-def hostile(kind: str, count: int, seed: int, seconds: float = math.inf) -> dict[str, Any]:
+class _TimeIsUp(KeyboardInterrupt):
+    """End of the time; Hypothesis lets an interrupt pass without looking for a smaller input."""
+
+
+def hostile(
+    worker: Worker, kind: str, count: int, seed: int, seconds: float = math.inf
+) -> dict[str, Any]:
     """Many inputs of one kind, and the smallest that is not treated well.
 
     Args:
+        worker: Process that carries out the commands.
         kind: Of `KINDS`.
         count: How many.
         seed: Of all choices.
         seconds: After which no further input is tried.
     """
-    met, said, end = 0, "", time.monotonic() + seconds
+    met, said, end, before = 0, "", time.monotonic() + seconds, worker.refused
     settings = hypothesis.settings(
         max_examples=count, deadline=None, database=None, derandomize=False, print_blob=False,
         suppress_health_check=list(hypothesis.HealthCheck),
     )  # fmt: skip
-    with Worker() as worker:
 
-        @hypothesis.seed(seed)
-        @settings
-        @hypothesis.given(KINDS[kind])
-        def is_treated_well(case: Case) -> None:
-            nonlocal met, said
-            if time.monotonic() > end:
-                return
-            met += 1
-            if wrong := worker.complaints(case):
-                said = f"{wrong}: {' '.join(case.words)} with {case.files}"[:2000]
-            assert not wrong
+    @hypothesis.seed(seed)
+    @settings
+    @hypothesis.given(KINDS[kind])
+    def is_treated_well(case: Case) -> None:
+        nonlocal met, said
+        if time.monotonic() > end and not said:
+            raise _TimeIsUp
+        met += 1
+        if wrong := worker.complaints(case):
+            said = f"{wrong}: {' '.join(case.words)} with {case.files}"[:2000]
+        assert not wrong
 
-        try:
-            is_treated_well()
-        except (AssertionError, hypothesis.errors.Flaky):  # time on the clock differs each time
-            wrong = said
-        else:
-            wrong = ""
-    return {"bench": f"hostile {kind}", "inputs": met, "refused": worker.refused, "seed": seed,
-            "not treated well": wrong}  # fmt: skip
+    wrong = ""
+    try:
+        is_treated_well()
+    except (AssertionError, hypothesis.errors.Flaky):  # time on the clock differs each time
+        wrong = said
+    except _TimeIsUp:
+        pass
+    return {"bench": f"hostile {kind}", "inputs": met, "refused": worker.refused - before,
+            "seed": seed, "not treated well": wrong}  # fmt: skip
 
 
 def _content(folder: Path) -> dict[str, bytes]:
