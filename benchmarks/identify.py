@@ -140,7 +140,7 @@ def stored(case: Case, gigabytes: float) -> dict[str, Any]:
     """A Parquet recording larger than memory should need, encoders only, default settings."""
     import time
 
-    from testbed.recordings.source import write_parts
+    from tests.helpers.parts import write_parts
 
     bytes_per_sample = 8 * (1 + 2 * case.tree.n + 6)
     samples = int(gigabytes * 1e9 / bytes_per_sample)

@@ -39,10 +39,17 @@ class _Replacements(ExitStack):
             OSError: One cannot be put there; in the words of its path.
         """
         new = [fresh.stat().st_ino for fresh, _, _ in self.waiting]
+        seen = _SEEN.get({})
         try:
             for fresh, place, path in self.waiting:
+                if seen.get(place, state := _state(place)) != state:
+                    raise OSError(
+                        f"'{path}' has been made or changed by something else since this command "
+                        "began, and is not replaced; choose another name"
+                    )
                 with _in_words_of(path, fresh):
                     _exchange(fresh, place)
+                seen |= {place: _state(place)} if place in seen else {}
                 with suppress(OSError):  # a file system that does not flush folders
                     _flush(place.parent)
         except BaseException:
@@ -50,6 +57,26 @@ class _Replacements(ExitStack):
                 if place.exists() and place.stat().st_ino == number:
                     _exchange(fresh, place) if fresh.exists() else place.rename(fresh)
             raise
+
+
+_SEEN: ContextVar[dict[Path, tuple[int, int] | None]] = ContextVar("_SEEN")
+"""States of places when `check_writable` was asked about them."""
+
+
+@contextmanager
+def guarded() -> Iterator[None]:
+    """Refuse in the block to replace what has changed since `check_writable` looked at it."""
+    token = _SEEN.set({})
+    try:
+        yield
+    finally:
+        _SEEN.reset(token)
+
+
+def _state(place: Path) -> tuple[int, int] | None:
+    """Identity and time of the last change of what stands at a place; None for nothing."""
+    found = place.stat() if place.exists() else None
+    return found and (found.st_ino, found.st_mtime_ns)
 
 
 _TOGETHER: ContextVar[_Replacements | None] = ContextVar("_TOGETHER", default=None)
@@ -99,6 +126,8 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
             for each in (fresh, *fresh.rglob("*")):
                 if not each.is_symlink():
                     _flush(each)
+            if place.exists():
+                shutil.copymode(place, fresh)
         replacements.waiting.append((fresh, place, path))
         alone.put_in_place()
 
@@ -111,12 +140,13 @@ def _in_words_of(path: Path, fresh: Path) -> Iterator[None]:
     except BrokenPipeError:  # of standard output
         raise
     except OSError as error:
-        place = str(path) if error.filename is None else os.fsdecode(error.filename)
-        if error.filename is not None and not place.startswith(str(fresh)):
+        names = [os.fsdecode(n) for n in (error.filename, error.filename2) if n is not None]
+        ours = [name for name in names if name.startswith(str(fresh))]
+        if names and not ours:
             raise  # of a file that is read
         if error.errno is None:
             raise OSError(str(error).replace(str(fresh), str(path))) from None
-        place = place.replace(str(fresh), str(path))
+        place = (ours or [str(path)])[0].replace(str(fresh), str(path))
         said = f"cannot be written: {str(error.strerror).removeprefix('cannot be written: ')}"
         raise OSError(error.errno, said, place) from None
 
@@ -164,7 +194,7 @@ def _exchange_in_steps(fresh: Path, place: Path) -> None:
     """Exchange two paths; a folder is away for an instant, a file is not.
 
     Raises:
-        OSError: They are as before, or the message says where the older one is.
+        OSError: They are as before, unless that fails, too: then NAME-before-PID is the older one.
     """
     older = place.with_name(f"{place.name}-before-{os.getpid()}")
     try:
@@ -176,23 +206,11 @@ def _exchange_in_steps(fresh: Path, place: Path) -> None:
         older.rename(fresh)
     except BaseException:
         if older.exists():
-            _put_back(fresh, place, older)
+            if not fresh.exists():
+                place.rename(fresh)
+            older.replace(place)
+            older.unlink(missing_ok=True)  # to rename a link to the same file does nothing
         raise
-
-
-def _put_back(fresh: Path, place: Path, older: Path) -> None:
-    """Undo an exchange that stopped half-way.
-
-    Raises:
-        OSError: It cannot be undone; the message says where the older one is.
-    """
-    try:
-        if not fresh.exists():
-            place.rename(fresh)
-        older.replace(place)
-    except OSError as error:
-        raise OSError(f"what stood there is in '{older}': {error.strerror}") from None
-    older.unlink(missing_ok=True)  # to rename a link to the same file does nothing
 
 
 def check_writable(
@@ -213,9 +231,12 @@ def check_writable(
         if path is not None:
             place = _place(path, folder)
             if place in kept:
-                raise OSError(f"'{path}' is read by this command; choose another name to write")
+                raise OSError(
+                    f"'{path}' is read, or written twice, by this command; choose another name"
+                )
             with _beside(place, path):
-                pass
+                _SEEN.get({})[place] = _state(place)
+            kept.add(place)
 
 
 @contextmanager

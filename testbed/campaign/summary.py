@@ -319,13 +319,11 @@ def write_summary(summary: Summary, folder: Path) -> list[Path]:
 
 
 def _formula_free(table: pa.Table) -> pa.Table:
-    """A table whose heads and texts no spreadsheet takes for formulas."""
+    """A table whose texts no spreadsheet takes for formulas."""
     for k, field in enumerate(table.schema):
-        column = table.column(k)
         if pa.types.is_string(field.type):
-            texts = column.to_pylist()
-            column = pa.array([text and formula_free(text) for text in texts], pa.string())
-        table = table.set_column(k, formula_free(field.name), column)
+            texts = [text and formula_free(text) for text in table.column(k).to_pylist()]
+            table = table.set_column(k, field, pa.array(texts, pa.string()))
     return table
 
 

@@ -107,6 +107,7 @@ def _command() -> int:
 
     from testbed.cli.commands import app
     from testbed.cli.reading import joined_vectors
+    from testbed.files import guarded
     from testbed.installation import cache_folder
 
     warnings.simplefilter("ignore")  # numerical doubt is a field of the result
@@ -115,7 +116,8 @@ def _command() -> int:
     # else Matplotlib keeps its list of fonts elsewhere in the home folder
     os.environ.setdefault("MPLCONFIGDIR", str(cache_folder() / "matplotlib"))
     try:
-        code = app(joined_vectors(sys.argv[1:]), standalone_mode=False)
+        with guarded():
+            code = app(joined_vectors(sys.argv[1:]), standalone_mode=False)
     except SystemExit:  # the option parser's answer to a broken pipe
         return UNREAD
     sys.stdout.flush()
@@ -132,7 +134,8 @@ def _told(error: BaseException) -> int:
     elif isinstance(error, BrokenPipeError):
         code = UNREAD
     elif isinstance(error, OSError):  # a full disk, a folder that may not be written
-        place = f"'{error.filename}': " if error.filename is not None else ""
+        name = error.filename2 or error.filename  # of a copy, where it goes to
+        place = f"'{name}': " if name is not None else ""
         _say(f"{place}{error.strerror}" if error.strerror else str(error))
     elif isinstance(error, MemoryError):
         _say("not enough memory; ask for less, such as a shorter motion")

@@ -55,7 +55,7 @@ def view(
     serve: Annotated[
         bool, typer.Option("--serve", help="Show it in a browser on this machine.")
     ] = False,
-    port: Annotated[int, typer.Option(help="Of the page, with --serve.")] = 9090,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Of the page, with --serve.")] = 9090,
     settings: RecordingSet = None,
     zeros: Zeros = False,
     weld_root: Weld = False,

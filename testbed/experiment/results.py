@@ -39,6 +39,7 @@ from testbed.installation import version as own_version
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.recordings.recording import Recording
+from testbed.robot.asset_files import ENDINGS
 from testbed.robot.friction import JointLaw, joint_law
 from testbed.robot.model_file import ModelFile, copy_model, model_format
 
@@ -310,17 +311,24 @@ def check_folder(folder: Path, experiment: Experiment, *, force: bool = False) -
     present = {p.name for p in folder.iterdir()}
     own = {EXPERIMENT, RECORDING, RESULT, MODEL, MOTION, UNSEEN, ESTIMATES}
     others = sorted(present - own)
+    kept = (each for each in (folder / MODEL).rglob("*") if each.is_file())
+    others += [f"{MODEL}/{each.name}" for each in kept if each.suffix.lower() not in ENDINGS]
     if present and (others or EXPERIMENT not in present):
         listed = ", ".join((others or sorted(present))[:3])
         raise ExperimentError(
             f"'{folder}' is no run folder: it holds {listed}"
             f"{' ...' if len(others) > 3 else ''}; name another with --out"
         )
-    if present and not force and not _is_of(folder, experiment):
-        raise ExperimentError(
-            f"'{folder}' holds a run of another experiment; --force replaces it, --out names "
-            "another folder"
-        )
+    if present and not _is_of(folder, experiment):
+        if Path(experiment.model).resolve().is_relative_to(folder.resolve()):
+            raise ExperimentError(
+                f"'{folder}' holds the model that this experiment reads; --out names another folder"
+            )
+        if not force:
+            raise ExperimentError(
+                f"'{folder}' holds a run of another experiment; --force replaces it, --out names "
+                "another folder"
+            )
 
 
 def write_run(run: Run, folder: Path) -> None:

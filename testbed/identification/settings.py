@@ -15,6 +15,9 @@ from testbed.arrays import Array
 from testbed.errors import SettingsError, UnknownName
 from testbed.robot.friction import STRIBECK, JointLaw, law_of
 
+LARGEST = 1e9
+"""Times [s] and speeds [rad/s, m/s] that no robot has."""
+
 
 def finite_number(value: object) -> float | None:
     """A finite number, or None for what is none.
@@ -286,8 +289,8 @@ def _cutoff(name: str, given: object) -> Cutoff:
 
 def _not_negative(what: str, given: object) -> float:
     number = finite_number(given)
-    if number is None or number < 0:
-        raise SettingsError(f"{what}, found {given!r}")
+    if number is None or not 0 <= number <= LARGEST:
+        raise SettingsError(f"{what}, from 0 to {LARGEST:g}, found {given!r}")
     return number
 
 

@@ -22,6 +22,7 @@ from testbed.recordings.columns import (
     TRUE_JOINT_SIGNALS,
     TRUE_SIGNALS,
     check_columns,
+    check_sampling_time,
     checked_metadata,
     joints_in,
     members_of,
@@ -129,8 +130,14 @@ class Recording:
 
     @property
     def rate(self) -> float:
-        """Samples a second [Hz]."""
-        return (self.samples - 1) / float(self.time[-1] - self.time[0])
+        """Samples a second [Hz].
+
+        Raises:
+            RecordingError: Its times are no times of samples.
+        """
+        length = float(self.time[-1] - self.time[0])
+        check_sampling_time(length / max(self.samples - 1, 1), "the recording")
+        return (self.samples - 1) / length
 
     def measured(self, signal: str) -> Array:
         """A signal that must be there, (M, n), (M, 6) or (M,).

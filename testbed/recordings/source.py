@@ -24,7 +24,6 @@ from testbed.recordings.columns import (
     signal_of,
 )
 from testbed.recordings.formats import open_table
-from testbed.recordings.formats.parquet import write_table
 from testbed.recordings.recording import Recording
 
 
@@ -91,23 +90,6 @@ class StoredRecording:
         found = Recording.from_columns(columns, self._table.metadata, str(self._path))
         check_values(columns, str(self._path), first)
         return found
-
-
-def write_parts(parts: Iterable[Recording], path: Path) -> None:
-    """Write parts of one recording to a Parquet file, in the order of time, one at a time.
-
-    Raises:
-        RecordingError: There are none, or their channels differ.
-    """
-    whole = iter(alike(parts))
-    first = next(whole)
-
-    def columns() -> Iterator[dict[str, Array]]:
-        yield first.columns() | first.true_columns()
-        for part in whole:
-            yield part.columns() | part.true_columns()
-
-    write_table(path, first.units(), first.metadata, columns())
 
 
 @runtime_checkable

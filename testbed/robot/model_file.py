@@ -124,8 +124,8 @@ def load_tree(
     tree = read(path, weld_root=weld_root, repair=repair, lock=lock)
     with errors_of(path):
         check_tree(tree)
-    if strange := [f"'{each.name}' ({why})" for each, why in _strange_files(path).items()]:
-        said = diagnose("model.not-copied", few(strange, WIDTH, "; "))
+    if strange := {f"'{each.name}' ({why})": 0 for each, _, why in _named_files(path) if why}:
+        said = diagnose("model.not-copied", few([*strange], WIDTH, "; "))
         tree = replace(tree, diagnostics=(*tree.diagnostics, said))
     if sensor is None:
         return tree
@@ -276,19 +276,14 @@ def references(path: Path) -> dict[Path, Path]:
     Raises:
         ModelError: The model file cannot be read.
     """
+    return {file: at for file, at, fault in _named_files(path) if fault is None}
+
+
+def _named_files(path: Path) -> Iterator[tuple[Path, Path, str | None]]:
+    """Files that a model refers to, the folders of their names, and why copies lack them."""
     home = path.resolve()
-    return {file: at for file, at in _named_files(path) if asset_fault(file, home) is None}
-
-
-def _strange_files(path: Path) -> dict[Path, str]:
-    """Files that a model refers to and copies of it do without, and why."""
-    home = path.resolve()
-    faults = {file: asset_fault(file, home) for file, _ in _named_files(path)}
-    return {file: fault for file, fault in faults.items() if fault}
-
-
-def _named_files(path: Path) -> Iterator[tuple[Path, Path]]:
-    return mjcf_files(path) if model_format(path) == "mjcf" else _of_urdf(path)
+    for file, at in mjcf_files(path) if model_format(path) == "mjcf" else _of_urdf(path):
+        yield file, at, asset_fault(file, home)
 
 
 def _of_urdf(path: Path) -> Iterator[tuple[Path, Path]]:

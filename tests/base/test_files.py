@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from testbed import files
-from testbed.files import replacing, together
+from testbed.files import check_writable, replacing, together
 from tests.helpers.refusals import refuses
 
 
@@ -187,3 +187,41 @@ def test_an_error_while_writing_names_what_was_to_be_written(tmp_path: Path) -> 
     with refuses(FileNotFoundError, "input"), replacing(tmp_path / "place"):
         (tmp_path / "input").read_text()
     assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+@pytest.mark.parametrize("before", [True, False])
+def test_what_another_program_makes_or_changes_meanwhile_is_not_replaced(
+    kind: str, before: bool, tmp_path: Path
+) -> None:
+    """A folder that somebody made while a command worked was replaced with all that was in it."""
+    place = tmp_path / "place"
+    if before:
+        write(place, kind, "old")
+    with files.guarded():
+        check_writable(place, folder=kind == "folder")
+        write(place, kind, "mine")  # its own change is known
+        if kind == "folder":
+            (place / "note").write_text("precious")
+        else:
+            place.unlink()
+            place.write_text("precious")
+        with refuses(OSError, str(place)):
+            write(place, kind, "new")
+    assert "precious" in (place / "note" if kind == "folder" else place).read_text()
+
+
+def test_no_command_writes_two_outputs_to_one_file(tmp_path: Path) -> None:
+    """By one name, or through a link."""
+    (tmp_path / "link").symlink_to("place")
+    with refuses(OSError, "link"):
+        check_writable(tmp_path / "place", tmp_path / "link")
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_what_is_replaced_keeps_its_permissions(kind: str, tmp_path: Path) -> None:
+    """Nobody else may read what nobody else might."""
+    write(tmp_path / "place", kind, "old")
+    (tmp_path / "place").chmod(0o700)
+    write(tmp_path / "place", kind)
+    assert (tmp_path / "place").stat().st_mode & 0o777 == 0o700

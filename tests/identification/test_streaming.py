@@ -31,10 +31,11 @@ from testbed.kernel.layout import layout
 from testbed.kernel.records import Signals
 from testbed.recordings.joined import Joined
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import Stretch, segments_of, write_parts
+from testbed.recordings.source import Stretch, segments_of
 from tests.helpers.command import command_line
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.measured import measured
+from tests.helpers.parts import write_parts
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot

@@ -22,11 +22,12 @@ from testbed.recordings.geometry import TOLERANCE, check_robot, geometry
 from testbed.recordings.held import without as held_without
 from testbed.recordings.joined import Joined
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import gathered, open_source, write_parts
+from testbed.recordings.source import gathered, open_source
 from testbed.recordings.views import NAMES, coupled_shafts, on_its_base, with_base_joints, with_gear
 from testbed.robot.free_base import on_free_base
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured
+from tests.helpers.parts import write_parts
 from tests.helpers.refusals import refuses
 from tests.helpers.riding import riding
 from tests.helpers.robots import random_robot

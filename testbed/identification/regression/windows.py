@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
-from testbed.errors import RecordingError
+from testbed.errors import RecordingError, SettingsError
 from testbed.identification.settings import Settings
 from testbed.kernel.layout import Layout
 from testbed.kernel.records import NO_LOAD, NONE, Signals
@@ -35,6 +35,9 @@ REVERSAL_WEIGHT = 0.03
 
 _FIRST = (4 / 5, -1 / 5, 4 / 105, -1 / 280)  # central differences of order eight
 _SECOND = (8 / 5, -1 / 5, 8 / 315, -1 / 560)
+
+LONGEST_REACH = 1_000_000
+"""Samples of a filter to either side."""
 
 STENCIL = len(_FIRST)
 """Samples that a derivative reaches to either side."""
@@ -62,8 +65,17 @@ def low_pass(rate: float, cutoff: float, attenuation: float) -> Array:
         cutoff: Where its gain is one half [Hz].
         attenuation: Beyond cutoff (1 + TRANSITION / 2), and how flat it is below
             cutoff (1 - TRANSITION / 2) [dB].
+
+    Raises:
+        SettingsError: The cutoff is so low that no recording is as long as the filter.
     """
-    reach = int(low_pass_reach(rate, cutoff, attenuation))
+    needed = low_pass_reach(rate, cutoff, attenuation)
+    if needed > LONGEST_REACH:
+        raise SettingsError(
+            f"a cutoff of {cutoff:g} Hz takes {needed:.0e} samples at {rate:g} Hz to either side, "
+            f"more than {LONGEST_REACH:.0e}: raise it, or switch it off"
+        )
+    reach = int(needed)
     window = np.kaiser(2 * reach + 1, 0.1102 * (attenuation - 8.7))
     weights = window * np.sinc(2 * cutoff / rate * np.arange(-reach, reach + 1))
     return np.asarray(weights / weights.sum())

@@ -71,12 +71,13 @@ def _read(path: Path, root: ET.Element, tree: Tree, coloured: bool) -> tuple[Sha
     """Shapes as Pinocchio and its libraries read them; where there are meshes, in a child."""
     text = ET.tostring(root, encoding="unicode")
     if root.find("link/visual/geometry/mesh") is None:
-        said, arrays = read_visuals(str(path), text)
+        said, arrays = read_visuals(str(path), [text])
     else:
-        call = f"{__name__}:{read_visuals.__name__}"
-        said, arrays = call_in_child(call, str(path), text, file=path, error=ModelError)
+        said, arrays = call_in_child(READING, str(path), [text], file=path, error=ModelError)
+    if fault := said["faults"][0]:
+        raise ModelError(f"{path}: {fault}")
     found = []
-    for k, (joint, kind) in enumerate(said):
+    for k, (joint, kind) in enumerate(said["shapes"]):
         size, position, rotation, colour, vertices, faces = (
             arrays[f"{k} {part}"] for part in _PARTS
         )
@@ -86,51 +87,40 @@ def _read(path: Path, root: ET.Element, tree: Tree, coloured: bool) -> tuple[Sha
     return tuple(found)
 
 
-def read_visuals(path: str, text: str) -> Returned:
-    """Visual elements of a URDF, as in a child process.
+def read_visuals(path: str, texts: list[str]) -> Returned:
+    """Visual elements of URDFs, as in a child process.
 
     Args:
-        path: The model file, as errors name it.
-        text: URDF whose meshes have absolute names.
+        path: The model file, as errors of the child name it.
+        texts: URDFs whose meshes have absolute names.
 
     Returns:
-        The joint that carries each shape (empty: the bedplate) and its kind; arrays "k PART".
-
-    Raises:
-        ModelError: Pinocchio refuses the shapes.
-    """
-    try:
-        model, seen = _built(text)
-    except Exception as error:  # Pinocchio raises whatever a mesh makes it meet
-        raise ModelError(f"{path}: {' '.join(str(error).split())}") from None
-    said: list[tuple[str, str]] = []
-    arrays: dict[str, NDArray[np.float64]] = {}
-    for shape in seen.geometryObjects:
-        for kind, *form in _drawn(shape.geometry):
-            place = (shape.placement.translation, shape.placement.rotation, shape.meshColor)
-            parts = (form[0], *place, *form[1:])
-            arrays |= {f"{len(said)} {x}": np.array(y) for x, y in zip(_PARTS, parts, strict=True)}
-            joint = shape.parentJoint
-            said.append((model.names[joint] if joint else "", kind))
-    return said, arrays
-
-
-def visual_faults(path: str, texts: list[str]) -> Returned:
-    """What is wrong with each of some URDFs of one visual, empty where nothing is; as in a child.
-
-    Args:
-        path: The model file, for errors.
-        texts: As `read_visuals` takes them.
+        "faults", one a text and empty where it is read; "shapes", the joint that carries each
+        (empty: the bedplate) and its kind; arrays "k PART" of shape k.
     """
     del path
-    faults = []
+    faults: list[str] = []
+    said: list[tuple[str, str]] = []
+    arrays: dict[str, NDArray[np.float64]] = {}
     for text in texts:
+        faults.append("")
         try:
-            _built(text)
-            faults.append("")
-        except Exception as error:
-            faults.append(" ".join(str(error).split()) or type(error).__name__)
-    return faults, {}
+            model, seen = _built(text)
+        except Exception as error:  # Pinocchio raises whatever a mesh makes it meet
+            faults[-1] = " ".join(str(error).split()) or type(error).__name__
+            continue
+        for shape in seen.geometryObjects:
+            joint = shape.parentJoint
+            place = (shape.placement.translation, shape.placement.rotation, shape.meshColor)
+            for kind, *form in _drawn(shape.geometry):
+                parts = zip(_PARTS, (form[0], *place, *form[1:]), strict=True)
+                arrays |= {f"{len(said)} {part}": np.array(value) for part, value in parts}
+                said.append((model.names[joint] if joint else "", kind))
+    return {"faults": faults, "shapes": said}, arrays
+
+
+READING = f"{__name__}:{read_visuals.__name__}"
+"""Name of `read_visuals` for a child process."""
 
 
 def _faults(path: Path, texts: list[str], until: float) -> list[str]:
@@ -144,16 +134,17 @@ def _faults(path: Path, texts: list[str], until: float) -> list[str]:
     left = until - time.monotonic()
     if left <= 0:
         return ["other meshes took too long"] * len(texts)
-    call, shortest = f"{__name__}:{visual_faults.__name__}", min(left, PATIENCE / 3)
+    shortest = min(left, PATIENCE / 3)
     try:
-        faults: list[str] = call_in_child(
-            call, str(path), texts, file=path, error=ModelError, seconds=shortest
-        )[0]
+        said, _ = call_in_child(
+            READING, str(path), texts, file=path, error=ModelError, seconds=shortest
+        )
     except ModelError as error:
         half = len(texts) // 2
         if not half:
             return [str(error).removeprefix(f"{path}: ")] * len(texts)
         return _faults(path, texts[:half], until) + _faults(path, texts[half:], until)
+    faults: list[str] = said["faults"]
     return faults
 
 

@@ -1,0 +1,28 @@
+"""Recordings written part by part, as by a program that streams them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from testbed.arrays import Array
+from testbed.recordings.formats.parquet import write_table
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import alike
+
+
+def write_parts(parts: Iterable[Recording], path: Path) -> None:
+    """Write parts of one recording to a Parquet file, in the order of time, one at a time.
+
+    Raises:
+        RecordingError: There are none, or their channels differ.
+    """
+    whole = iter(alike(parts))
+    first = next(whole)
+
+    def columns() -> Iterator[dict[str, Array]]:
+        yield first.columns() | first.true_columns()
+        for part in whole:
+            yield part.columns() | part.true_columns()
+
+    write_table(path, first.units(), first.metadata, columns())
