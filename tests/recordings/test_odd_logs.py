@@ -359,3 +359,12 @@ def test_places_without_a_value_in_parquet_are_samples_without_numbers(tmp_path:
     columns = {"time": TIME.tolist(), **{names[k]: column for k, column in values.items()}}
     pq.write_table(pa.table(columns), tmp_path / "log.parquet")
     is_right(recorded(tmp_path / "log.parquet"))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+def test_text_is_read_in_the_encodings_that_programs_write(encoding: str, tmp_path: Path) -> None:
+    """Spreadsheets' "Unicode text" is UTF-16; a sign of degrees tells the others apart."""
+    path = tmp_path / "log.csv"
+    path.write_bytes("t,q1 [°]\n0,1.5\n1,2.5\n2,3.5\n".encode(encoding))
+    table = open_foreign(path)
+    assert table.read(["q1 [°]"])["q1 [°]"].tolist() == [1.5, 2.5, 3.5]

@@ -198,8 +198,9 @@ def _lines(path: Path, encoding: str = "utf-8-sig") -> tuple[list[str], bool]:
                     raise ValueError("it is no text")
                 if total > MOST_TEXT or len(lines) > MOST_LINES:
                     break
-    except UnicodeDecodeError:
-        return _lines(path, "latin-1")
+    except UnicodeDecodeError as error:  # byte 255 begins no text of UTF-8, but UTF-16
+        follows = {"utf-8-sig": "utf-16" if error.object[:1] in b"\xff\xfe" else "latin-1"}
+        return _lines(path, follows.get(encoding, "latin-1"))
     check_count(path, "characters", total, MOST_TEXT)
     check_count(path, "lines", len(lines), MOST_LINES)
     return lines, ended
