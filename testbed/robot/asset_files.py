@@ -38,7 +38,7 @@ def asset_fault(file: Path, model: Path) -> str | None:
     place = file.resolve()
     for ending in (file.suffix.lower(), place.suffix.lower()):
         if ending not in ENDINGS:
-            return f"'{ending}' is no ending of a mesh or picture"
+            return f"its file's ending '{ending}' is of no mesh or picture"
     if not place.is_file():
         return "no regular file"
     if _beside(place, model):
