@@ -1,7 +1,7 @@
 """Meshes, pictures and parts of models: which of them a copy of a model may bring along.
 
-A model of somebody else may name any file of this machine, by its path or through a link. Only meshes,
-pictures and parts of models that lie with the model, links resolved, are copied.
+A model of somebody else may name any file of this machine, by its path or through a link. Only
+meshes, pictures and parts of models that lie with the model, links resolved, are copied.
 """
 
 from __future__ import annotations
