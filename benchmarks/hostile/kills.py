@@ -14,8 +14,10 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -162,7 +164,7 @@ def prepared(folder: Path) -> None:
     """Inputs of all commands."""
     shutil.copyfile(GOLDEN / "robots/pendulum.urdf", folder / "robot.urdf")
     text = (folder / "robot.urdf").read_text()
-    run = _Runner(folder)
+    run = partial(carried_out, folder)
     run("new", "robot.urdf", "--out", "robot.toml")
     run("simulate", "table6", *SET, "--out", "p1.parquet")
     for k in (1, 2):
@@ -178,25 +180,19 @@ def prepared(folder: Path) -> None:
         run("campaign", f"c{k}.toml", "--workers", "0", "--out", f"c{k}")
 
 
-class _Runner:
-    """Commands in a folder, without strace."""
+def carried_out(folder: Path, *words: str) -> str:
+    """Standard output of a command in a folder, without strace.
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def __call__(self, *words: str) -> str:
-        """Carry out a command that must succeed; its standard output.
-
-        Raises:
-            RuntimeError: It does not succeed.
-        """
-        done = subprocess.run(
-            [sys.executable, "-m", "testbed", *words], cwd=self._folder, text=True,
-            capture_output=True, check=False,
-        )  # fmt: skip
-        if done.returncode not in (0, 1):
-            raise RuntimeError(f"{' '.join(words)}: {done.stderr}")
-        return done.stdout
+    Raises:
+        RuntimeError: The command is refused, or fails.
+    """
+    done = subprocess.run(
+        [sys.executable, "-m", "testbed", *words], cwd=folder, text=True, capture_output=True,
+        check=False,
+    )  # fmt: skip
+    if done.returncode not in (0, 1):
+        raise RuntimeError(f"{' '.join(words)}: {done.stderr}")
+    return done.stdout
 
 
 def scene(name: str, inputs: Path) -> Scene:
@@ -226,14 +222,14 @@ def _calls(log: Path) -> list[tuple[str, int]]:
     """System calls from the first that touches a temporary folder, with their numbers."""
     found: list[tuple[str, int]] = []
     for file in sorted(log.iterdir()):
-        numbers: dict[str, int] = {}
+        numbers: Counter[str] = Counter()
         begun = False
         for line in file.read_text(errors="replace").splitlines():
             match = re.match(r"(\w+)\(", line)
             if match is None:
                 continue
             call = match[1]
-            numbers[call] = numbers.get(call, 0) + 1
+            numbers[call] += 1
             begun = begun or HIDDEN in line
             if begun:
                 found.append((call, numbers[call]))
@@ -269,7 +265,7 @@ def kills(count: int, seed: int, only: str = "") -> dict[str, Any]:
         only: Commands whose names hold this.
     """
     rng = random.Random(f"{seed}/kills")
-    ends: dict[str, int] = {}
+    ends: Counter[str] = Counter()
     broken: list[str] = []
     names = [name for name in WRITERS if only in name]
     with tempfile.TemporaryDirectory() as folder:
@@ -278,8 +274,7 @@ def kills(count: int, seed: int, only: str = "") -> dict[str, Any]:
         prepared(inputs)
         for k, name in enumerate(names):
             share = count // len(names) + (k < count % len(names))
-            for end in _of_one(name, inputs, share, rng, broken):
-                ends[end] = ends.get(end, 0) + 1
+            ends.update(_of_one(name, inputs, share, rng, broken))
     return {"bench": "faults while replacing", **ends, "not treated well": broken}
 
 
@@ -292,7 +287,7 @@ def _of_one(
     for folder in (old_place, place):
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(inputs, folder)
-    _Runner(old_place)(*here.words[0])
+    carried_out(old_place, *here.words[0])
     shutil.rmtree(place)
     shutil.copytree(old_place, place)
     done = _traced(here, place, [])

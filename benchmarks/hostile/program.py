@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import subprocess
 import sys
 import tempfile
@@ -17,7 +16,7 @@ from typing import Any
 
 import hypothesis
 
-from benchmarks.hostile.case import Case
+from benchmarks.hostile.case import Case, write_files
 from benchmarks.hostile.inputs import KINDS
 from benchmarks.hostile.judge import complaints
 from benchmarks.hostile.worker import SECONDS
@@ -51,12 +50,7 @@ class Worker:
         """What is wrong with how a command takes a case, in a folder of its own."""
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            for file, data in case.files.items():
-                (folder / file).parent.mkdir(parents=True, exist_ok=True)
-                (folder / file).write_bytes(data)
-            for file, target in case.links.items():
-                (folder / file).parent.mkdir(parents=True, exist_ok=True)
-                (folder / file).symlink_to(target) if target else os.mkfifo(folder / file)
+            write_files(folder, case.files, case.links)
             before = _content(folder)
             done = self._run(folder, case.words)
             self.refused += done.get("code") == 2

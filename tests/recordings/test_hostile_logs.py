@@ -5,7 +5,6 @@ If one fails, a stranger's log ends the program without a word, fills the machin
 
 from __future__ import annotations
 
-import os
 import struct
 from contextlib import suppress
 from pathlib import Path
@@ -16,6 +15,7 @@ import pytest
 from scipy.io import savemat
 
 import testbed as tb
+from benchmarks.hostile.case import write_files
 from benchmarks.hostile.logs import LOG_TRAPS, trap
 from testbed.errors import RecordingError, UnknownName
 from testbed.recordings.importing.foreign_table import MOST_COLUMNS, ForeignTable
@@ -33,12 +33,7 @@ SLOW = ("gzip", "MB", "9000", "12000", "20000", "3000", "wide", "many")
 @pytest.mark.parametrize("name", [n for n in LOG_TRAPS if not any(w in n for w in SLOW)])
 def test_a_trap_is_read_or_refused_by_name(name: str, tmp_path: Path) -> None:
     found = trap(name)
-    for file, data in found.files.items():
-        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / file).write_bytes(data)
-    for file, target in found.links.items():
-        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / file).symlink_to(target) if target else os.mkfifo(tmp_path / file)
+    write_files(tmp_path, found.files, found.links)
     if found.links:
         with refuses(RecordingError, found.name):
             tables(tmp_path / found.name)
