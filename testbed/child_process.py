@@ -36,7 +36,7 @@ def call_in_child(
     function: str, *arguments: Any, file: Path, error: type[TestbedError],
     seconds: float = SECONDS, memory: int = BYTES,
 ) -> Returned:  # fmt: skip
-    """Call a function in a child Python that ends with this process.
+    """Call a function in a child process, which also ends when this process ends.
 
     Args:
         function: MODULE:NAME of a function that returns `Returned`; a literal of this program.
@@ -136,7 +136,7 @@ def _limit(seconds: float, memory: int) -> None:
 
 
 def _follow_parent(folder: Path) -> None:
-    """End with the parent, however it ends: its end of the pipe closes."""
+    """End this process when the parent ends and so closes its end of the pipe."""
     sys.stdin.buffer.read()
     shutil.rmtree(folder, ignore_errors=True)
     os._exit(1)

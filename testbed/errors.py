@@ -57,7 +57,7 @@ def visible(text: str) -> str:
 
 
 def formula_free(text: str) -> str:
-    """A cell of a CSV file that no spreadsheet takes for a formula: an apostrophe comes first."""
+    """Cell of a CSV file, after an apostrophe where spreadsheets would compute it."""
     return f"'{text}" if text.startswith(FORMULA) else text
 
 

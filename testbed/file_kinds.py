@@ -44,7 +44,7 @@ LOGS = re.compile(r"\.(csv|tsv|mat|h5|hdf5|bag|db3|mcap|npz|c3d|parquet)(\.gz)?$
 
 
 def kind_of(path: Path) -> str:
-    """A kind of `BELONGS` that a file is of, by its content, else by its ending; "" if unknown."""
+    """Kind of a file, a key of `BELONGS`, by content, else by name; "" if unknown."""
     try:
         with path.open("rb") as file:
             head = file.read(HEAD)
@@ -68,19 +68,19 @@ def kind_of(path: Path) -> str:
 
 
 def kind_of_tables(content: Mapping[str, Any]) -> str:
-    """The kind that the tables of a TOML file are of; "" if unknown."""
+    """Kind of a TOML file by the keys of its content; "" if unknown."""
     return next((kind for kind, keys in TABLES.items() if keys <= {*content}), "")
 
 
 def misplaced(path: Path, kind: str, asked: str) -> str:
-    """What a file of another kind than asked for is, and where it belongs."""
+    """Message on a file of another kind than asked for, and what takes it."""
     article = "an" if kind == "experiment" else "a"
     return f"'{path}' is {article} {kind}, no {asked}: {BELONGS[kind].replace('{}', str(path))}"
 
 
 @contextmanager
 def expecting(path: Path, *asked: str) -> Iterator[None]:
-    """Errors of reading a file, in other words where the file is of another kind than asked for."""
+    """Reword errors of reading a file that is of another kind than asked for."""
     try:
         yield
     except (TestbedError, OSError) as error:

@@ -26,7 +26,7 @@ NO_EXCHANGE = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP)
 
 
 class _Replacements(ExitStack):
-    """Complete files and folders that wait to be put in place, each with its temporary folder."""
+    """Complete outputs that wait to be put in place, with their temporary folders."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -134,7 +134,7 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def _in_words_of(path: Path, fresh: Path) -> Iterator[None]:
-    """Errors of a temporary path, and of no path, as errors of the path that is to appear."""
+    """Reword errors of a temporary path, or of no path, as errors of the output."""
     try:
         yield
     except BrokenPipeError:  # of standard output
@@ -261,7 +261,7 @@ def _beside(place: Path, path: Path) -> Iterator[Path]:
 
 
 def _remove_empty(folder: Path) -> None:
-    """Remove a folder unless something stands in it."""
+    """Remove a folder if it is empty."""
     with suppress(OSError):
         folder.rmdir()
 

@@ -130,7 +130,7 @@ def read_rows(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[pq.ParquetFile, pa.Schema]]:
-    """A table's file, and the declared schema of its columns.
+    """Open a campaign's table with the declared schema of its columns.
 
     Raises:
         RecordingError: The file is no campaign's table, or is found to be wrong in the block.
@@ -174,14 +174,14 @@ def _declared(found: pa.Schema) -> pa.Schema:
 
 
 def _kind(of: pa.DataType) -> str:
-    """A type in words; types that differ in precision or storage are of one kind."""
+    """Name of a column type, the same for all precisions and storages."""
     said = str(of)
     content = next((kind for mark, kind in KINDS.items() if mark in said), said)
     return f"lists of {content}" if "list<" in said else content
 
 
 def _checked(rows: pa.Table, schema: pa.Schema, path: Path) -> pa.Table:
-    """Rows in the declared types, where every value is one that a campaign writes.
+    """Cast rows to the declared types and check their values.
 
     Raises:
         ValueError: A value is none; names the column.
@@ -206,7 +206,7 @@ def _checked(rows: pa.Table, schema: pa.Schema, path: Path) -> pa.Table:
 
 
 def _check_estimates(columns: Mapping[str, pa.ChunkedArray], method: str) -> None:
-    """Whether the lists of estimates belong together.
+    """Check that the lists of each estimate have one length and possible values.
 
     Raises:
         ValueError: They do not; names the column.

@@ -42,7 +42,7 @@ def ending(*endings: str) -> Callable[[Path | None], Path | None]:
 def check_outputs(
     *paths: Path | None, force: bool, folder: bool = False, read: Iterable[Path | None] = ()
 ) -> None:
-    """Whether a command may write its files: said before the work.
+    """Check, before the work, that a command may write its outputs.
 
     Args:
         paths: Files to write; None for nothing.

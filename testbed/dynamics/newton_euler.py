@@ -39,7 +39,7 @@ class Motion:
 
     @staticmethod
     def at_rest(postures: Array) -> Motion:
-        """A sample of rest in each posture.
+        """Motion at rest, one sample for each posture.
 
         Args:
             postures: Joint positions, (M, n) [rad or m].

@@ -99,7 +99,7 @@ class Predictions:
         return replace(self, motion=self.motion[inner], signals=tuple(signals))
 
     def friction(self, speed: Array) -> Array | None:
-        """Friction of the internal estimate at speeds, (k, n) [N m or N]; None without it.
+        """Joint friction at speeds, (k, n) [N m or N], by the torque estimate; None without one.
 
         Args:
             speed: Joint velocities, (k, n) [rad/s or m/s].

@@ -34,7 +34,7 @@ def smooth_sign(velocity: Array) -> Array:
 
 
 class VelocityFriction(Effect):
-    """Friction that depends on the velocity alone."""
+    """Joint friction by the velocity alone."""
 
     @abstractmethod
     def torque(self, qd: Array) -> Array:

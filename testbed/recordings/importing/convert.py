@@ -115,7 +115,7 @@ class _Samples:
 
 @contextmanager
 def naming(path: Path, mapping: Mapping) -> Iterator[None]:
-    """Errors of the data in a block, each naming the mapping file and the data file.
+    """Reword errors of data so that they name the mapping file and the data file.
 
     Args:
         path: The mapping file.

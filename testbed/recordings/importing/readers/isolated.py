@@ -25,7 +25,7 @@ FIRST_MEMORY, UNPACKED = 1_500_000_000, 50
 
 
 def tables_of(module: str, path: Path, topic: str | None) -> Tables:
-    """Tables of a file by topic, "" where it is one.
+    """Read the tables of a file by topic; a file of one table has the topic "".
 
     Args:
         module: Of the reader, in this package.
@@ -44,7 +44,7 @@ def tables_of(module: str, path: Path, topic: str | None) -> Tables:
 
 
 def read_isolated(module: str, path: Path, topic: str | None) -> Tables:
-    """The same, read in a child process.
+    """Read the tables of a file in a child process, as `tables_of`.
 
     Args:
         module: Of the reader, in this package.
@@ -84,7 +84,7 @@ def read_isolated(module: str, path: Path, topic: str | None) -> Tables:
 
 
 def read(file: str, module: str, topic: str | None, first: str | None) -> Returned:
-    """What a file's tables hold, in the child process.
+    """Read shapes, units and arrays of a file's tables, as the child process does.
 
     Args:
         file: The file or folder.
