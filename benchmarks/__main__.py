@@ -100,7 +100,7 @@ def consistency(
 ) -> None:
     """Consistent bodies: accuracy beside plain estimates, round trips of files, times."""
     from benchmarks import consistency as made
-    from testbed.identification.consistency.options import METRICS
+    from testbed.bodies.consistency.options import METRICS
 
     _print(made.trees(trees, 1000))
     for metric in METRICS:

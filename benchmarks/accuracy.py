@@ -13,12 +13,12 @@ import numpy as np
 import testbed as tb
 from benchmarks.bounds import least
 from benchmarks.random_recordings import ROBOTS, recorded
-from testbed.arrays import Array
-from testbed.identification.estimate import Estimate
-from testbed.instruments.fault import Fault
-from testbed.instruments.joints import EncoderZeroError
-from testbed.instruments.plate import PlateBias, PlateDrift, PlateOriginHeight, PlatePose
-from testbed.instruments.plate_clock import PlateAntiAliasFilter, PlateDelay
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.estimate import Estimate
+from testbed.lab.instruments.fault import Fault
+from testbed.lab.instruments.joints import EncoderZeroError
+from testbed.lab.instruments.plate import PlateBias, PlateDrift, PlateOriginHeight, PlatePose
+from testbed.lab.instruments.plate_clock import PlateAntiAliasFilter, PlateDelay
 
 REDRAWN = 4000
 """Times that seeds are drawn again for an interval."""

@@ -21,9 +21,9 @@ import testbed as tb
 from benchmarks.random_recordings import ROOT, recorded
 from benchmarks.rivals.idyntree import regressor
 from benchmarks.timing import least
-from testbed.arrays import Array
-from testbed.identification.estimate import METHODS, Method
-from testbed.recordings.recording import Recording
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.estimate import METHODS, Method
+from testbed.core.recordings.recording import Recording
 
 ROBOTS = {"puma": ROOT / "models/puma562.urdf", "ur5": ROOT / "tests/golden/robots/ur5.urdf"}
 SECONDS = (20, 200)

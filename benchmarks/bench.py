@@ -27,11 +27,11 @@ from scipy.signal import lfilter
 import testbed as tb
 from benchmarks.fault_trials import trials
 from benchmarks.inverse_recordings import inverse, on_a_free_base, real_robot
-from testbed.arrays import Array
-from testbed.excitation.fourier import Fourier
-from testbed.excitation.limits import limits_of
-from testbed.instruments.chain import Instrument
-from testbed.recordings.recording import Recording, Truth
+from testbed.core.base.arrays import Array
+from testbed.core.recordings.recording import Recording, Truth
+from testbed.lab.instruments.chain import Instrument
+from testbed.motion.fourier import Fourier
+from testbed.motion.limits import limits_of
 from tests.helpers.paths import ROOT
 
 ROBOTS = {"puma": "puma562", "ur5": "ur5", "panda": "panda", "gantry": "gantry", "tree": "tree"}

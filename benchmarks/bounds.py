@@ -12,9 +12,9 @@ import numpy as np
 
 import testbed as tb
 from benchmarks.random_recordings import PLATE, happened
-from testbed.arrays import Array
-from testbed.dynamics.newton_euler import Motion, linear
-from testbed.parameters.minimal_set import MinimalSet
+from testbed.core.base.arrays import Array
+from testbed.core.dynamics.newton_euler import Motion, linear
+from testbed.core.parameters.minimal_set import MinimalSet
 
 EVERY = 10
 """Samples of which one is looked at: motions are slow beside 1 kHz."""

@@ -25,9 +25,9 @@ from typing import Any
 import psutil
 
 from benchmarks.campaign_works import WORKS
-from testbed.campaign.campaign import Campaign
-from testbed.campaign.cluster import local_workers
-from testbed.campaign.conduct import conduct
+from testbed.campaigns.campaign import Campaign
+from testbed.campaigns.cluster import local_workers
+from testbed.campaigns.conduct import conduct
 
 ROOT = Path(__file__).parents[1]
 WORKERS = 2
@@ -109,9 +109,9 @@ def run_cost(seconds: float, together: int) -> dict[str, Any]:
         together: Runs side by side.
     """
     import testbed as tb
-    from testbed.blas import one_blas_thread
-    from testbed.experiment.evaluate import evaluate
-    from testbed.experiment.simulate import simulate_together
+    from testbed.core.base.blas import one_blas_thread
+    from testbed.lab.experiment.evaluate import evaluate
+    from testbed.lab.experiment.simulate import simulate_together
 
     words = [
         f"motion.duration={seconds}", "motion.candidates=5", "simulation.step=1e-3",

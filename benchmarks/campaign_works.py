@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.campaign.bundle import Bundle, Outcome
-from testbed.campaign.campaign import Campaign
-from testbed.campaign.cluster import Work, local_workers, workers_at
-from testbed.campaign.conduct import conduct
-from testbed.errors import TestbedError
+from testbed.campaigns.bundle import Bundle, Outcome
+from testbed.campaigns.campaign import Campaign
+from testbed.campaigns.cluster import Work, local_workers, workers_at
+from testbed.campaigns.conduct import conduct
+from testbed.core.base.errors import TestbedError
 
 BUSY = 0.02
 """Seconds of processor time that a run takes."""

@@ -12,16 +12,16 @@ import mujoco
 import numpy as np
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.errors import UnseenParameters
-from testbed.experiment.evaluate import wrong_bodies
-from testbed.experiment.score import relative_errors, root_mean_square
-from testbed.identification.consistency.consistent import Consistent, consistent, robot_of
-from testbed.identification.consistency.options import ConsistencyOptions, Metric
-from testbed.identification.estimate import METHODS, Estimate
-from testbed.parameters.prior import prior_of
-from testbed.robot.model_file import ModelFile
-from testbed.robot.write_model import write_model
+from testbed.bodies.consistency.consistent import Consistent, consistent, robot_of
+from testbed.bodies.consistency.options import ConsistencyOptions, Metric
+from testbed.bodies.prior import prior_of
+from testbed.bodies.write_model import write_model
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import UnseenParameters
+from testbed.core.estimation.estimate import METHODS, Estimate
+from testbed.core.robot.model_file import ModelFile
+from testbed.lab.experiment.evaluate import wrong_bodies
+from testbed.lab.experiment.score import relative_errors, root_mean_square
 from tests.helpers.measured import measured
 from tests.helpers.mujoco_inverse import by_mj_inverse
 from tests.helpers.paths import ROOT

@@ -18,11 +18,11 @@ import numpy as np
 import testbed as tb
 from benchmarks import random_recordings
 from benchmarks.random_recordings import NOISES, ROBOTS, ROOT, SPEEDS, instrument
-from testbed.arrays import Array
-from testbed.identification.estimate import Estimate, Method
-from testbed.instruments.fault import Fault
-from testbed.instruments.joints import EncoderResolution
-from testbed.recordings.recording import Recording
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.estimate import Estimate, Method
+from testbed.core.recordings.recording import Recording
+from testbed.lab.instruments.fault import Fault
+from testbed.lab.instruments.joints import EncoderResolution
 
 NORMAL = 1.96
 

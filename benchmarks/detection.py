@@ -15,11 +15,11 @@ from scipy import stats
 
 import testbed as tb
 from benchmarks.random_recordings import ROBOTS, recorded
-from testbed.identification.diagnostics.residuals import fault_diagnostics
-from testbed.instruments.fault import Fault
-from testbed.instruments.joints import EncoderGain
-from testbed.instruments.plate import PlateCrosstalk, PlateGain, PlatePose
-from testbed.instruments.plate_clock import PlateAntiAliasFilter, PlateDelay
+from testbed.core.estimation.diagnostics.residuals import fault_diagnostics
+from testbed.lab.instruments.fault import Fault
+from testbed.lab.instruments.joints import EncoderGain
+from testbed.lab.instruments.plate import PlateCrosstalk, PlateGain, PlatePose
+from testbed.lab.instruments.plate_clock import PlateAntiAliasFilter, PlateDelay
 
 SHOWN = ("puma", "ur5", "gantry_ppp_rrr")
 """Of ROBOTS."""

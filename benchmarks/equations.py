@@ -21,10 +21,10 @@ import testbed as tb
 from benchmarks.regressor import LOOP, cases
 from benchmarks.robots import load, robots
 from benchmarks.timing import least
-from testbed.robot.inertia import Inertia
-from testbed.robot.tree import Joint
-from testbed.symbolic.equations import Equations, equations
-from testbed.symbolic.languages import write_equations
+from testbed.core.robot.inertia import Inertia
+from testbed.core.robot.tree import Joint
+from testbed.equations.equations import Equations, equations
+from testbed.equations.languages import write_equations
 from tests.helpers.generated import python_module
 
 RIVALS: dict[str, dict[str, Any]] = {

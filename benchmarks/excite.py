@@ -14,18 +14,18 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from testbed.errors import InfeasibleMotion
-from testbed.excitation.clearance import DistanceMeter
-from testbed.excitation.design import Wish, criterion, design
-from testbed.excitation.fourier import Fourier
-from testbed.excitation.limits import motor_efforts
-from testbed.excitation.proof import Rules, prove, seems_to_hold
-from testbed.excitation.random_motion import random_motion
-from testbed.experiment.evaluate import model_of, robot_of
-from testbed.experiment.excite import excite, wish_of
-from testbed.kernel.numba_engine import warm_up
-from testbed.simulation.plant import build_plant
-from testbed.simulation.rollout import Sampling, simulate_motion
+from testbed.core.base.errors import InfeasibleMotion
+from testbed.core.kernel.numba_engine import warm_up
+from testbed.lab.experiment.evaluate import model_of, robot_of
+from testbed.lab.simulation.plant import build_plant
+from testbed.lab.simulation.rollout import Sampling, simulate_motion
+from testbed.motion.clearance import DistanceMeter
+from testbed.motion.design import Wish, criterion, design
+from testbed.motion.excite import excite, wish_of
+from testbed.motion.fourier import Fourier
+from testbed.motion.limits import motor_efforts
+from testbed.motion.proof import Rules, prove, seems_to_hold
+from testbed.motion.random_motion import random_motion
 
 ROOT = Path(__file__).parents[1]
 PUMA = ROOT / "models/puma562.xml"
@@ -109,7 +109,7 @@ def promises(seeds: int, seconds: float) -> dict[str, Any]:
     """
     from tempfile import TemporaryDirectory
 
-    from testbed.experiment.excite import write_motion
+    from testbed.motion.excite import write_motion
 
     settings = [*PLATE, "identification.zeros=true", "excitation.starts=2"]
     settings += [f"motion.duration={seconds}", "excitation.clearance=off"]

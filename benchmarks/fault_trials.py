@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from testbed.arrays import AnyArray, Array
-from testbed.identification.estimate import METHODS, Method
-from testbed.recordings.columns import AXES
-from testbed.recordings.recording import Recording
+from testbed.core.base.arrays import AnyArray, Array
+from testbed.core.estimation.estimate import METHODS, Method
+from testbed.core.recordings.columns import AXES
+from testbed.core.recordings.recording import Recording
 
 POUND = 4.4482216152605
 """Of force [N]."""

@@ -15,11 +15,11 @@ import numpy as np
 
 import testbed as tb
 from benchmarks.fault_trials import Trial, trials
-from testbed.diagnostics import Diagnostic, sentences
-from testbed.errors import TestbedError
-from testbed.identification.diagnostics.residuals import cross_check
-from testbed.identification.estimate import METHODS, Estimate, Method
-from testbed.recordings.recording import Recording
+from testbed.core.base.diagnostics import Diagnostic, sentences
+from testbed.core.base.errors import TestbedError
+from testbed.core.estimation.diagnostics.residuals import cross_check
+from testbed.core.estimation.estimate import METHODS, Estimate, Method
+from testbed.core.recordings.recording import Recording
 
 ROOT = Path(__file__).parent.parent
 MODEL = ROOT / "models/puma562.xml"

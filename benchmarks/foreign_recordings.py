@@ -20,7 +20,7 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from benchmarks.inverse_recordings import RATE, Truth, truth
-from testbed.arrays import Array
+from testbed.core.base.arrays import Array
 
 FORCE = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "kgf": 9.80665}
 MOMENT = {"N m": 1.0, "N mm": 1e-3, "N cm": 1e-2, "kN m": 1e3, "lbf in": 4.4482216152605 * 0.0254,

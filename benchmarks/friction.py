@@ -16,24 +16,24 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.experiment.evaluate import robot_of
-from testbed.identification.drives.friction_curves import (
+from testbed.applications.drives.friction_curves import (
     Choice,
     ChosenTerms,
     DriveEstimate,
     chosen_terms,
     offered,
 )
-from testbed.identification.drives.friction_map import friction_maps
-from testbed.identification.drives.identify_drives import identify_drives
-from testbed.identification.drives.joint_regression import Torques, regressions, torques_beside
-from testbed.identification.problem import Problem
-from testbed.identification.regression.normal_equations import scaled_inverse
-from testbed.instruments.chain import measured_again
-from testbed.instruments.joints import TorqueNoise
-from testbed.recordings.recording import Recording
-from testbed.robot.friction import COULOMB, LOADED, ROTOR, VISCOUS, JointLaw, stribeck
+from testbed.applications.drives.friction_map import friction_maps
+from testbed.applications.drives.identify_drives import identify_drives
+from testbed.applications.drives.joint_regression import Torques, regressions, torques_beside
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.regression.normal_equations import scaled_inverse
+from testbed.core.recordings.recording import Recording
+from testbed.core.robot.friction import COULOMB, LOADED, ROTOR, VISCOUS, JointLaw, stribeck
+from testbed.lab.experiment.evaluate import robot_of
+from testbed.lab.instruments.chain import measured_again
+from testbed.lab.instruments.joints import TorqueNoise
 from tests.helpers.measured import measured
 from tests.helpers.paths import REAL, ROOT
 

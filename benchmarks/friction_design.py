@@ -15,15 +15,15 @@ import numpy as np
 
 import testbed as tb
 from benchmarks.friction import Case
-from testbed.arrays import Array
-from testbed.experiment.evaluate import robot_of
-from testbed.experiment.excite import Excitation, excite, forecaster, wish_of, write_motion
-from testbed.identification.drives.friction_curves import ChosenTerms, DriveEstimate
-from testbed.identification.drives.joint_regression import regressions, torques_beside
-from testbed.identification.estimate import Estimate
-from testbed.identification.problem import Problem
-from testbed.instruments.chain import measured_again
-from testbed.recordings.recording import Recording
+from testbed.applications.drives.friction_curves import ChosenTerms, DriveEstimate
+from testbed.applications.drives.joint_regression import regressions, torques_beside
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.estimate import Estimate
+from testbed.core.estimation.problem import Problem
+from testbed.core.recordings.recording import Recording
+from testbed.lab.experiment.evaluate import robot_of
+from testbed.lab.instruments.chain import measured_again
+from testbed.motion.excite import Excitation, excite, forecaster, wish_of, write_motion
 from tests.helpers.paths import GOLDEN, REAL, ROOT
 
 CASES: Mapping[str, Case] = {

@@ -15,9 +15,9 @@ import testbed as tb
 from benchmarks.random_recordings import ROBOTS, recorded
 from benchmarks.regressor import Case, stack
 from benchmarks.timing import forget_peak, least, peak_rss
-from testbed.identification.estimate import Method
-from testbed.parameters.rules import Model
-from testbed.recordings.recording import Recording
+from testbed.core.estimation.estimate import Method
+from testbed.core.parameters.rules import Model
+from testbed.core.recordings.recording import Recording
 
 EXACT = tb.Settings(position_cutoff="off", cutoff="off", deadband=0.0, terms=(), noise="white")
 REPEATS = {"arm3": 200, "puma6": 200, "tree30": 64}

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 import testbed as tb
-from testbed.arrays import Array
+from testbed.core.base.arrays import Array
 from tests.helpers.paths import GOLDEN, REAL, ROOT
 
 FINGERS = ("panda_finger_joint1", "panda_finger_joint2")

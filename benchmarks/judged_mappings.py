@@ -25,8 +25,8 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.foreign_recordings import FORCE, MOMENT, Files, Planted, moved
 from benchmarks.inverse_recordings import RATE, Truth
-from testbed.arrays import Array
-from testbed.robot.inertia import to_rpy
+from testbed.core.base.arrays import Array
+from testbed.core.robot.inertia import to_rpy
 
 UNTOLD: dict[str, tuple[str, tuple[int, ...]]] = {
     "scara": ("z", (2,)),

@@ -18,9 +18,9 @@ import numpy as np
 from benchmarks.foreign_recordings import LAYOUTS, TURNS, Files, Planted, planted, raw_signals
 from benchmarks.inverse_recordings import ROBOTS, Truth
 from benchmarks.judged_mappings import GOALS, judged, marked
-from testbed.errors import TestbedError
-from testbed.plausibility.check import import_and_check
-from testbed.recordings.importing.mapping import read_mapping
+from testbed.core.base.errors import TestbedError
+from testbed.importing.check.check import import_and_check
+from testbed.importing.mapping import read_mapping
 from tests.helpers.command import command_line
 
 SIX = ("ur5", "xarm7", "panda", "kinova", "puma562", "scara")

@@ -12,15 +12,15 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 import testbed as tb
-from testbed.dynamics.drive_set import verify, verify_drives
-from testbed.parameters.joint_terms import with_joint_terms
-from testbed.parameters.minimal_set import MinimalSet
-from testbed.parameters.symbols import parameter_names
-from testbed.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.robot.free_base import on_free_base
-from testbed.robot.friction import LAWS
-from testbed.robot.model_file import ModelFile, mimic_joints
-from testbed.robot.tree import Tree
+from testbed.core.dynamics.drive_set import verify, verify_drives
+from testbed.core.parameters.joint_terms import with_joint_terms
+from testbed.core.parameters.minimal_set import MinimalSet
+from testbed.core.parameters.symbols import parameter_names
+from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
+from testbed.core.robot.free_base import on_free_base
+from testbed.core.robot.friction import LAWS
+from testbed.core.robot.model_file import ModelFile, mimic_joints
+from testbed.core.robot.tree import Tree
 from tests.helpers.paths import REAL
 from tests.helpers.robots import random_robot, with_zeros
 

@@ -17,17 +17,17 @@ import numpy as np
 
 import testbed as tb
 from benchmarks.inverse_recordings import RATE, Truth, truth
-from testbed.arrays import Array
-from testbed.errors import RecordingError
-from testbed.plausibility.check import assess, check_recording
-from testbed.plausibility.plate import PLATE_ORDERS, quarter_turns
-from testbed.plausibility.plate_map import transform
-from testbed.plausibility.remedies import Remedy, with_lines
-from testbed.recordings.columns import AXES
-from testbed.recordings.importing.foreign_table import FORCES, MOMENTS
-from testbed.recordings.importing.mapping import SignalTable, WrenchTable
-from testbed.recordings.importing.signal_maps import joint_signal, wrench_of
-from testbed.robot.inertia import from_vector, to_rpy
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError
+from testbed.core.recordings.columns import AXES
+from testbed.core.robot.inertia import from_vector, to_rpy
+from testbed.importing.check.check import assess, check_recording
+from testbed.importing.check.plate import PLATE_ORDERS, quarter_turns
+from testbed.importing.check.plate_map import transform
+from testbed.importing.check.remedies import Remedy, with_lines
+from testbed.importing.foreign_table import FORCES, MOMENTS
+from testbed.importing.mapping import SignalTable, WrenchTable
+from testbed.importing.signal_maps import joint_signal, wrench_of
 
 ARMS = ("puma562", "ur5", "xarm7", "panda")
 """Of the robots."""

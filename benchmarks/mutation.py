@@ -24,7 +24,7 @@ FOLDER = ROOT / "mutants"
 UNSEEN = {0: "survived", 33: "no test executes it", None: "not tried", 34: "skipped"}
 """What mutmut's exit codes mean where no test has failed."""
 
-ANY = "testbed.errors.*"
+ANY = "testbed.core.base.errors.*"
 """Mutants that are tried first: with them all are made, and the tests' functions learnt."""
 
 GOAL = 85.0
@@ -37,7 +37,7 @@ def mutation(count: int, seed: int, only: str, jobs: int) -> Iterator[dict[str, 
     Args:
         count: Mutants to draw.
         seed: Of the draw.
-        only: Pattern of their names, such as `testbed.robot.*`.
+        only: Pattern of their names, such as `testbed.core.robot.*`.
         jobs: Processes at a time.
     """
     _mutmut(jobs, ANY)

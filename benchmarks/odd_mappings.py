@@ -22,12 +22,12 @@ from benchmarks.inverse_recordings import RATE, Truth, tree_of, truth
 from benchmarks.judged_mappings import MARKS, right_mapping
 from benchmarks.mappings import asked
 from benchmarks.mistakes import recorded
-from testbed.arrays import Array
-from testbed.diagnostics import sentences
-from testbed.errors import RecordingError
-from testbed.plausibility.check import assess, import_and_check
-from testbed.plausibility.remedies import with_lines
-from testbed.recordings.joined import pieces
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import sentences
+from testbed.core.base.errors import RecordingError
+from testbed.core.recordings.joined import pieces
+from testbed.importing.check.check import assess, import_and_check
+from testbed.importing.check.remedies import with_lines
 from tests.helpers.paths import ROOT
 
 ROBOT = "ur5"

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.timing import least
-from testbed.experiment.carry_out import carry_out
-from testbed.experiment.experiment import Experiment
-from testbed.experiment.results import read_run, write_run
-from testbed.reporting.run_page import write_report
-from testbed.viewer.log import write_rrd
-from testbed.viewer.scene import scene_of
+from testbed.lab.experiment.carry_out import carry_out
+from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.results import read_run, write_run
+from testbed.view.run_page import write_report
+from testbed.view.viewer.log import write_rrd
+from testbed.view.viewer.scene import scene_of
 
 
 def pictures(rounds: int = 3) -> dict[str, Any]:

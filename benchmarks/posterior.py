@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.errors import UnseenParameters
-from testbed.experiment.evaluate import wrong_bodies
-from testbed.identification.estimate import Estimate
-from testbed.identification.posterior import Posterior, errors_of_another, posterior
-from testbed.identification.problem import Problem
-from testbed.parameters.prior import prior_of
-from testbed.recordings.recording import Recording
+from testbed.bodies.posterior import Posterior, errors_of_another, posterior
+from testbed.bodies.prior import prior_of
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import UnseenParameters
+from testbed.core.estimation.estimate import Estimate
+from testbed.core.estimation.problem import Problem
+from testbed.core.recordings.recording import Recording
+from testbed.lab.experiment.evaluate import wrong_bodies
 from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT
 

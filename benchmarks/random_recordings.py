@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.excitation.fourier import Fourier
-from testbed.excitation.limits import limits_of
-from testbed.excitation.random_motion import random_motion
-from testbed.experiment.motions import motion_of, read_motion
-from testbed.instruments.chain import Instrument, measure
-from testbed.instruments.fault import Fault
-from testbed.instruments.plate import PlateColouredNoise, PlatePinkNoise
-from testbed.recordings.recording import Recording, Truth
+from testbed.core.base.arrays import Array
+from testbed.core.recordings.recording import Recording, Truth
+from testbed.lab.experiment.motions import motion_of, read_motion
+from testbed.lab.instruments.chain import Instrument, measure
+from testbed.lab.instruments.fault import Fault
+from testbed.lab.instruments.plate import PlateColouredNoise, PlatePinkNoise
+from testbed.motion.fourier import Fourier
+from testbed.motion.limits import limits_of
+from testbed.motion.random_motion import random_motion
 
 ROOT = Path(__file__).parent.parent
 ROBOTS: Mapping[str, Path] = {"puma": ROOT / "models/puma562.xml"} | {

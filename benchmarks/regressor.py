@@ -11,12 +11,12 @@ import pinocchio as pin
 import testbed as tb
 from benchmarks.robots import load, robots
 from benchmarks.timing import least, peak_flops, peak_rss
-from testbed.arrays import Array
-from testbed.kernel import numba_engine
-from testbed.kernel.layout import Layout, layout
-from testbed.kernel.records import Question, Signals, products_wanted
-from testbed.parameters.rules import Model
-from testbed.recordings.recording import Recording
+from testbed.core.base.arrays import Array
+from testbed.core.kernel import numba_engine
+from testbed.core.kernel.layout import Layout, layout
+from testbed.core.kernel.records import Question, Signals, products_wanted
+from testbed.core.parameters.rules import Model
+from testbed.core.recordings.recording import Recording
 
 SAMPLES = 16_384
 """A window of the identification."""

@@ -13,13 +13,13 @@ from scipy import stats
 
 import testbed as tb
 from benchmarks.random_recordings import ROBOTS
-from testbed.arrays import Array
-from testbed.dynamics.newton_euler import Motion, linear
-from testbed.identification.consistency.options import ConsistencyOptions
-from testbed.identification.consistency.robots import BODY, Robots, losses_of_file, robots
-from testbed.identification.estimate import METHODS
-from testbed.parameters.prior import UPPER, Prior, coordinates, prior_of
-from testbed.parameters.symbols import to_barycentric
+from testbed.bodies.consistency.options import ConsistencyOptions
+from testbed.bodies.consistency.robots import BODY, Robots, losses_of_file, robots
+from testbed.bodies.prior import UPPER, Prior, coordinates, prior_of
+from testbed.core.base.arrays import Array
+from testbed.core.dynamics.newton_euler import Motion, linear
+from testbed.core.estimation.estimate import METHODS
+from testbed.core.parameters.symbols import to_barycentric
 from tests.helpers.measured import measured, random_fourier
 
 DRAWS, BINS, STATES = 99, 20, 30

@@ -10,10 +10,10 @@ import numpy as np
 
 import testbed as tb
 from benchmarks.timing import least, peak_rss
-from testbed.excitation.fourier import Fourier
-from testbed.robot.model_file import ModelFile
-from testbed.simulation.plant import build_plant
-from testbed.simulation.rollout import Sampling, simulate_motion
+from testbed.core.robot.model_file import ModelFile
+from testbed.lab.simulation.plant import build_plant
+from testbed.lab.simulation.rollout import Sampling, simulate_motion
+from testbed.motion.fourier import Fourier
 
 MODEL = Path(__file__).parents[1] / "models" / "puma562.xml"
 RATE, DURATION = 1000.0, 2.0

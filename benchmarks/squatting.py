@@ -9,11 +9,11 @@ import numpy as np
 from scipy import stats
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.recordings.views import on_its_base
-from testbed.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.robot.free_base import on_free_base
-from testbed.robot.model_file import ModelFile
+from testbed.core.base.arrays import Array
+from testbed.core.recordings.views import on_its_base
+from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
+from testbed.core.robot.free_base import on_free_base
+from testbed.core.robot.model_file import ModelFile
 from tests.helpers.humanoid import G1, humanoid
 
 

@@ -15,14 +15,14 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.excitation.fourier import Fourier
-from testbed.identification.estimate import Estimate
-from testbed.identification.payload.torque_scales import torque_scales
-from testbed.parameters.symbols import standard, with_standard
-from testbed.recordings.recording import Recording
-from testbed.recordings.views import with_base_joints
-from testbed.robot.friction import OFFSET, SLOPE, friction_torque
+from testbed.applications.payload.torque_scales import torque_scales
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.estimate import Estimate
+from testbed.core.parameters.symbols import standard, with_standard
+from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.views import with_base_joints
+from testbed.core.robot.friction import OFFSET, SLOPE, friction_torque
+from testbed.motion.fourier import Fourier
 from tests.helpers.measured import measured, random_fourier
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.riding import riding

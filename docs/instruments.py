@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from docs.marks import write
-from testbed.instruments.fault import Place
-from testbed.instruments.faults import KINDS
-from testbed.kind_table import in_words, rows
-from testbed.simulation.effects import EFFECTS
+from testbed.lab.instruments.fault import Place
+from testbed.lab.instruments.faults import KINDS
+from testbed.lab.kind_table import in_words, rows
+from testbed.lab.simulation.effects import EFFECTS
 
 DOCUMENT = Path(__file__).with_suffix(".md")
 MODULE = "docs.instruments"

@@ -32,9 +32,9 @@ ONLY_IN_PYTHON = ("JointLaw",)
 
 def files() -> Mapping[str, type]:
     """What people write, and the value that it becomes."""
-    from testbed.campaign.campaign import CampaignTables
-    from testbed.experiment.experiment import ExperimentTables
-    from testbed.recordings.importing.mapping import Mapping as MappingFile
+    from testbed.campaigns.campaign import CampaignTables
+    from testbed.importing.mapping import Mapping as MappingFile
+    from testbed.lab.experiment.experiment import ExperimentTables
 
     return {
         "experiment": ExperimentTables,

@@ -42,12 +42,12 @@ def _entries(entries: list[str | dict[str, str]], pages: Path) -> Iterator[str]:
 
 def schemas() -> Iterator[tuple[str, Any]]:
     """JSON schemas of what commands print with `--json`, by the command's name."""
-    from testbed.codec import adapter
-    from testbed.experiment.results import Result
-    from testbed.identification.calibration import Calibration
-    from testbed.identification.drives.identify_drives import DriveFindings
-    from testbed.identification.payload.payload import PayloadEstimate
-    from testbed.identification.validate import Validation
+    from testbed.applications.calibration import Calibration
+    from testbed.applications.drives.identify_drives import DriveFindings
+    from testbed.applications.payload.payload import PayloadEstimate
+    from testbed.core.base.codec import adapter
+    from testbed.core.estimation.validate import Validation
+    from testbed.lab.experiment.results import Result
 
     results: dict[str, type] = {
         "run": Result,

@@ -20,7 +20,7 @@ def as_markdown(of: str = "") -> str:
         of: Nothing: there is one place.
     """
     del of
-    from testbed.diagnostics import messages, phrase
+    from testbed.core.base.diagnostics import messages, phrase
 
     lines: list[str] = []
     for group, found in groupby(

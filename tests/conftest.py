@@ -22,7 +22,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import testbed as tb
-from testbed.reporting import output
+from testbed.view import output
 from tests.helpers.paths import GOLDEN, ROOT
 
 # machines are noisy: no deadline; the same examples each time, but in the nightly run

@@ -24,7 +24,7 @@ from benchmarks.hostile.bombs import BOMBS
 from benchmarks.hostile.case import Case
 from benchmarks.hostile.datasets import datasets
 from benchmarks.hostile.logs import logs
-from testbed.recordings.formats.parquet import KEY, write_table
+from testbed.core.recordings.formats.parquet import KEY, write_table
 from tests.helpers.foreign_files import FORMATS, some_log
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.robots import random_robot

@@ -7,7 +7,7 @@ from typing import Any
 
 from benchmarks.hostile.case import Case
 from benchmarks.hostile.worker import MEGABYTES, SECONDS
-from testbed.errors import LONGEST_MESSAGE
+from testbed.core.base.errors import LONGEST_MESSAGE
 
 START = "testbed: "
 

@@ -24,9 +24,9 @@ from typing import Any
 import pyarrow.csv as pc
 import pyarrow.parquet as pq
 
-from testbed.files import HIDDEN
-from testbed.recordings.importing.foreign_table import ForeignTable
-from testbed.recordings.importing.readers import tables
+from testbed.core.base.files import HIDDEN
+from testbed.importing.foreign_table import ForeignTable
+from testbed.importing.readers import tables
 from tests.helpers.paths import GOLDEN
 
 FAILING = ("rename", "renameat2", "link", "mkdir", "fsync", "write", "pwrite64")

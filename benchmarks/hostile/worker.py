@@ -97,15 +97,15 @@ def _limit_memory() -> None:
 def _load_libraries() -> None:
     """What commands import when they are called: once for all, so that it counts for none."""
     import testbed.cli.commands
-    import testbed.experiment.carry_out
-    import testbed.reporting.minimal_sets
-    import testbed.reporting.output
-    import testbed.robot.formats.mjcf
-    import testbed.robot.formats.urdf
-    import testbed.symbolic.compare
-    import testbed.symbolic.languages
-    import testbed.viewer.log  # noqa: F401
-    from testbed.kernel.numba_engine import warm_up
+    import testbed.core.robot.formats.mjcf
+    import testbed.core.robot.formats.urdf
+    import testbed.equations.compare
+    import testbed.equations.languages
+    import testbed.lab.experiment.carry_out
+    import testbed.view.minimal_sets
+    import testbed.view.output
+    import testbed.view.viewer.log  # noqa: F401
+    from testbed.core.kernel.numba_engine import warm_up
 
     warm_up()
 

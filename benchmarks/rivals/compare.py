@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.bench import NOISES, ROBOTS, cases, make, score
 from docs.marks import table, write
-from testbed.arrays import Array
+from testbed.core.base.arrays import Array
 from tests.helpers.paths import ROOT
 
 PAGE = ROOT / "docs/rivals.md"

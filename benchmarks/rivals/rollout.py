@@ -19,10 +19,10 @@ from benchmarks.bench import FAST, RATE, Case, Happened, make, measured, simulat
 from benchmarks.rivals.case import read
 from benchmarks.rivals.compare import FIRST, PAGE
 from docs.marks import table, write
-from testbed.excitation.limits import limits_of
-from testbed.identification.estimate import Method
-from testbed.recordings.recording import Recording
-from testbed.simulation.replay import replay
+from testbed.core.estimation.estimate import Method
+from testbed.core.recordings.recording import Recording
+from testbed.lab.simulation.replay import replay
+from testbed.motion.limits import limits_of
 from tests.helpers.paths import ROOT
 
 MODULE, ROBOT = "benchmarks rollout", "puma"

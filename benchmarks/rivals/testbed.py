@@ -8,7 +8,7 @@ import numpy as np
 
 import testbed as tb
 from benchmarks.rivals.case import Answer, Case, answer
-from testbed.experiment.results import versions
+from testbed.lab.experiment.results import versions
 
 
 def solve(case: Case, signal: str) -> Answer:

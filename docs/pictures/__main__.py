@@ -54,9 +54,9 @@ def shown(run: Path, tab: str, picture: str, folder: Path) -> None:
         picture: Name of the picture.
         folder: For files on the way.
     """
-    from testbed.experiment.results import read_run
-    from testbed.viewer.log import write_rrd
-    from testbed.viewer.scene import scene_of
+    from testbed.lab.experiment.results import read_run
+    from testbed.view.viewer.log import write_rrd
+    from testbed.view.viewer.scene import scene_of
     from tests.helpers.viewer import headless_viewer
 
     scene = scene_of(read_run(run))
@@ -93,8 +93,8 @@ def report(run: Path, folder: Path) -> None:
 def campaign(folder: Path) -> None:
     """Errors of both methods over plate noise and friction, if the folder is new, from new runs."""
     from docs.pictures.drawing import CELL, LEFT, save, table, words
-    from testbed.campaign.summary import read_campaign, summarise
-    from testbed.reporting.campaign import campaign_contents
+    from testbed.campaigns.campaign_section import campaign_contents
+    from testbed.campaigns.summary import read_campaign, summarise
 
     if not folder.exists():
         file = "experiments/campaigns/noise_friction.toml"

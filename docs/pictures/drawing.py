@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 
 HERE = Path(__file__).parent
-STYLE = HERE.parent.parent / "testbed/reporting/page/style.css"
+STYLE = HERE.parent.parent / "testbed/view/page/style.css"
 COLOURS = re.compile(
     r"(?:@media \(prefers-color-scheme: dark\) \{ )?:root \{.*?\}(?: \})?", re.DOTALL
 )

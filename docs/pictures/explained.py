@@ -28,13 +28,13 @@ from docs.pictures.drawing import (
     turn,
     words,
 )
-from testbed.identification.posterior import posterior
-from testbed.instruments.chain import measured_again
-from testbed.parameters.identifiability import ALONE, COMBINED, identifiability
-from testbed.parameters.prior import prior_of
-from testbed.parameters.symbols import STANDARD
-from testbed.reporting.figures import Panel
-from testbed.reporting.run_page import GLYPHS
+from testbed.bodies.posterior import posterior
+from testbed.bodies.prior import prior_of
+from testbed.core.parameters.identifiability import ALONE, COMBINED, identifiability
+from testbed.core.parameters.symbols import STANDARD
+from testbed.lab.instruments.chain import measured_again
+from testbed.view.figures import Panel
+from testbed.view.run_page import GLYPHS
 
 MODEL, EXPERIMENT = "models/puma562.xml", "experiments/table6.toml"
 UR5 = "tests/golden/robots/ur5.urdf"
@@ -223,7 +223,7 @@ def indistinguishable(tree: tb.Tree) -> tb.Tree:
     """
     from scipy.optimize import minimize
 
-    from testbed.parameters.symbols import on_standard, with_standard
+    from testbed.core.parameters.symbols import on_standard, with_standard
 
     seen = np.concatenate(
         [on_standard(tree, tb.minimal_set(tree, model).matrix) for model in ("dynamic", "reaction")]

@@ -32,12 +32,12 @@ from testbed.cli.reading import (
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from testbed.diagnostics import Diagnostic
-    from testbed.identification.estimate import Method
-    from testbed.identification.payload.payload import PayloadEstimate
-    from testbed.robot.model_file import ModelFile
-    from testbed.robot.repair import Link
-    from testbed.robot.tree import Tree
+    from testbed.applications.payload.payload import PayloadEstimate
+    from testbed.core.base.diagnostics import Diagnostic
+    from testbed.core.estimation.estimate import Method
+    from testbed.core.robot.model_file import ModelFile
+    from testbed.core.robot.repair import Link
+    from testbed.core.robot.tree import Tree
 
 Vendor = Annotated[
     str | None,
@@ -58,8 +58,8 @@ def flange_link(vendor: str | None, flange: str | None, file: ModelFile, tree: T
         SettingsError: A flange is named for no controller.
         UnknownName: There is no such controller or link.
     """
-    from testbed.errors import SettingsError, UnknownName
-    from testbed.identification.payload.vendors import VENDORS
+    from testbed.applications.payload.vendors import VENDORS
+    from testbed.core.base.errors import SettingsError, UnknownName
 
     if vendor is not None and vendor not in VENDORS:
         raise UnknownName("controller", vendor, list(VENDORS))
@@ -86,8 +86,8 @@ def print_for(
         link: The flange.
         said: What to know of it.
     """
-    from testbed.errors import printable
-    from testbed.identification.payload.vendors import VENDORS, at_flange
+    from testbed.applications.payload.vendors import VENDORS, at_flange
+    from testbed.core.base.errors import printable
 
     typer.echo(VENDORS[vendor](at_flange(found, tree, link)))
     for each in said:
@@ -137,14 +137,14 @@ def calibrate(
 
     Example: testbed calibrate run.parquet --model robot.urdf --known mass=20 --known gain/Mx=1
     """
-    from testbed.codec import encode
-    from testbed.errors import SettingsError
-    from testbed.experiment.read_result import write_plate
-    from testbed.identification.calibration import calibrate as calibrated
-    from testbed.identification.payload.torque_scales import torque_scales
-    from testbed.identification.regression.constraints import parse_known
-    from testbed.reporting import estimates as shown
-    from testbed.reporting import output, terminal
+    from testbed.applications.calibration import calibrate as calibrated
+    from testbed.applications.payload.torque_scales import torque_scales
+    from testbed.core.base.codec import encode
+    from testbed.core.base.errors import SettingsError
+    from testbed.core.estimation.regression.constraints import parse_known
+    from testbed.lab.experiment.read_result import write_plate
+    from testbed.view import estimates as shown
+    from testbed.view import output, terminal
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic)
     if loaded is None:  # else scales are printed, and nothing is written
@@ -226,16 +226,16 @@ def drives(
 
     Example: testbed drives run.parquet --model arm.xml --write driven.xml --unseen other.parquet
     """
-    from testbed.codec import encode
-    from testbed.errors import SettingsError
-    from testbed.files import together
-    from testbed.identification.drives.friction_files import write_friction
-    from testbed.identification.drives.identify_drives import identify_drives
-    from testbed.identification.identify import identify
-    from testbed.plausibility.time_offset import delivered
-    from testbed.recordings.recording import Recording
-    from testbed.reporting import output, terminal
-    from testbed.reporting.drives import delay_line
+    from testbed.applications.drives.friction_files import write_friction
+    from testbed.applications.drives.identify_drives import identify_drives
+    from testbed.core.base.codec import encode
+    from testbed.core.base.errors import SettingsError
+    from testbed.core.base.files import together
+    from testbed.core.estimation.identify import identify
+    from testbed.core.recordings.recording import Recording
+    from testbed.importing.check.time_offset import delivered
+    from testbed.view import output, terminal
+    from testbed.view.drives import delay_line
 
     check_outputs(friction, force=force, read=(recording, model))
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, sensor=sensor)
@@ -282,8 +282,8 @@ def drives(
             said += writing.written(links, reading, model, [recording], found, late)
             lines.append(f"model file: {write}")
     if write is not None and unseen is not None:
-        from testbed.reporting.drives import replay_lines
-        from testbed.simulation.replay import replay
+        from testbed.lab.simulation.replay import replay
+        from testbed.view.drives import replay_lines
 
         files = (reading.model_file(model), reading.model_file(write))
         motion = Recording.load(unseen)
@@ -329,18 +329,18 @@ def payload(
 
     Example: testbed payload empty.parquet loaded.parquet --model ur5e.urdf --as ur --flange tool0
     """
-    from testbed.codec import encode
-    from testbed.errors import SettingsError
-    from testbed.identification.identify import identify
-    from testbed.identification.payload.payload import (
+    from testbed.applications.payload.payload import (
         estimate_mass,
         estimate_payload_mass,
         poses_at_rest,
     )
-    from testbed.identification.payload.payload import payload as payload_of
-    from testbed.recordings.geometry import in_its_gravity
-    from testbed.reporting import estimates as shown
-    from testbed.reporting import output, terminal
+    from testbed.applications.payload.payload import payload as payload_of
+    from testbed.core.base.codec import encode
+    from testbed.core.base.errors import SettingsError
+    from testbed.core.estimation.identify import identify
+    from testbed.core.recordings.geometry import in_its_gravity
+    from testbed.view import estimates as shown
+    from testbed.view import output, terminal
 
     reading = Reading(settings, False, weld_root, lock, lock_mimic, plate)
     if vendor is not None and (at_rest or as_json):

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.reading import Force, Json, Set, app, check_outputs, ending, note
-from testbed.diagnostics import sentences
-from testbed.installation import own_or_shipped
+from testbed.core.base.diagnostics import sentences
+from testbed.core.base.installation import own_or_shipped
 
 if TYPE_CHECKING:
-    from testbed.arrays import Array
-    from testbed.experiment.experiment import Experiment
-    from testbed.reporting.output import Progress
+    from testbed.core.base.arrays import Array
+    from testbed.lab.experiment.experiment import Experiment
+    from testbed.view.output import Progress
 
 TIMED, LONG = 3, 10.0
 """Steps by which the time that all would take is known, and how long it is if it is shown [s]."""
@@ -84,11 +84,11 @@ def excite(
 
     Example: testbed excite models/puma562.xml --out motion.toml --set motion.duration=20
     """
-    from testbed.experiment.excite import excite as excited
-    from testbed.experiment.excite import write_motion, write_trajectory
-    from testbed.files import together
-    from testbed.reporting import output
-    from testbed.reporting.motion import print_excitation
+    from testbed.core.base.files import together
+    from testbed.motion.excite import excite as excited
+    from testbed.motion.excite import write_motion, write_trajectory
+    from testbed.view import output
+    from testbed.view.motion import print_excitation
 
     settings = [*(settings or []), *([] if aim is None else [f"excitation.aim={aim}"])]
     if check:
@@ -104,7 +104,7 @@ def excite(
             write_trajectory(trajectory, found, rate)
         write_motion(out, found)
         if page is not None:
-            from testbed.reporting.motion import write_motion_page
+            from testbed.view.motion import write_motion_page
 
             write_motion_page(page, found)
     if as_json:
@@ -117,7 +117,7 @@ def excite(
 
 def _budget(experiment: Experiment) -> Callable[[float], str]:
     """What the search may take, in words, given how long all its steps would take [s]."""
-    from testbed.excitation.problem import STEPS
+    from testbed.motion.problem import STEPS
 
     table = experiment.excitation
     searches = f"{table.starts} search{'es' * (table.starts != 1)} of at most {STEPS} steps"
@@ -140,7 +140,7 @@ class _Searching:
         self._steps, self._began = -1, 0.0
 
     def __call__(self, done: int, total: int, best: float) -> None:
-        from testbed.excitation.problem import STEPS
+        from testbed.motion.problem import STEPS
 
         self._steps += 1
         now = time.monotonic()
@@ -176,8 +176,8 @@ def _interrupt() -> Iterator[Callable[[], bool]]:
 
 def _experiment(file: Path, settings: list[str]) -> Experiment:
     """An experiment file, or one that says only which model."""
-    from testbed.experiment.evaluate import with_nearest_bodies
-    from testbed.experiment.experiment import Experiment
+    from testbed.lab.experiment.evaluate import with_nearest_bodies
+    from testbed.lab.experiment.experiment import Experiment
 
     if file.suffix.lower() == ".toml":
         return Experiment.load(file, settings)
@@ -197,10 +197,10 @@ def _require_nothing(options: Mapping[str, Path | None]) -> None:
 
 def _check(file: Path, settings: list[str], *, everything: bool, as_json: bool) -> None:
     """Prove a motion of a file; exit code 1 if it exceeds a limit."""
-    from testbed.codec import encode
-    from testbed.experiment.motions import checked_motion
-    from testbed.reporting import output
-    from testbed.reporting.motion import print_proof
+    from testbed.core.base.codec import encode
+    from testbed.lab.experiment.motions import checked_motion
+    from testbed.view import output
+    from testbed.view.motion import print_proof
 
     with output.Progress("proving"):
         found = checked_motion(file, settings)
@@ -216,6 +216,6 @@ def _check(file: Path, settings: list[str], *, everything: bool, as_json: bool) 
 
 def _covariance(prior: Path, experiment: Experiment) -> Array:
     """Of the minimal parameters, from an earlier estimate."""
-    from testbed.experiment.read_result import prior_covariance, read_result
+    from testbed.lab.experiment.read_result import prior_covariance, read_result
 
     return prior_covariance(read_result(prior), experiment)

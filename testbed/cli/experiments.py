@@ -20,17 +20,17 @@ from testbed.cli.reading import (
     ending,
     note,
 )
-from testbed.diagnostics import sentences
-from testbed.errors import plural
-from testbed.installation import own_or_shipped
+from testbed.core.base.diagnostics import sentences
+from testbed.core.base.errors import plural
+from testbed.core.base.installation import own_or_shipped
 
 if TYPE_CHECKING:
-    from testbed.arrays import Array
-    from testbed.campaign.cluster import Tls
-    from testbed.campaign.conduct import Engine
-    from testbed.experiment.experiment import Experiment
-    from testbed.recordings.recording import Truth
-    from testbed.simulation.rollout import Watch
+    from testbed.campaigns.cluster import Tls
+    from testbed.campaigns.conduct import Engine
+    from testbed.core.base.arrays import Array
+    from testbed.core.recordings.recording import Truth
+    from testbed.lab.experiment.experiment import Experiment
+    from testbed.lab.simulation.rollout import Watch
 
 
 @app.command()
@@ -60,11 +60,11 @@ def run(
 
     Example: testbed run experiments/table6.toml --set motion.duration=20
     """
-    from testbed.errors import RecordingError
-    from testbed.experiment.carry_out import carry_out
-    from testbed.experiment.experiment import Experiment
-    from testbed.experiment.results import check_folder, default_folder, result_of
-    from testbed.reporting import output, terminal
+    from testbed.core.base.errors import RecordingError
+    from testbed.lab.experiment.carry_out import carry_out
+    from testbed.lab.experiment.experiment import Experiment
+    from testbed.lab.experiment.results import check_folder, default_folder, result_of
+    from testbed.view import output, terminal
 
     experiment = Experiment.load(file, settings or ())
     folder = out or default_folder(experiment)
@@ -95,9 +95,9 @@ def simulate(
 
     Example: testbed simulate experiments/table6.toml --out recording.parquet
     """
-    from testbed.experiment.experiment import Experiment
-    from testbed.experiment.simulate import simulate as simulated
-    from testbed.reporting import output
+    from testbed.lab.experiment.experiment import Experiment
+    from testbed.lab.experiment.simulate import simulate as simulated
+    from testbed.view import output
 
     check_outputs(out, force=force, read=(file,))
     experiment = Experiment.load(file, settings or ())
@@ -115,12 +115,12 @@ def warmup() -> None:
 
     Example: testbed warmup
     """
-    from testbed.experiment.assumptions import SECOND
-    from testbed.experiment.experiment import Experiment
-    from testbed.experiment.simulate import simulate as simulated
-    from testbed.installation import shipped
-    from testbed.kernel.numba_engine import warm_up
-    from testbed.reporting import output
+    from testbed.core.base.installation import shipped
+    from testbed.core.kernel.numba_engine import warm_up
+    from testbed.lab.experiment.assumptions import SECOND
+    from testbed.lab.experiment.experiment import Experiment
+    from testbed.lab.experiment.simulate import simulate as simulated
+    from testbed.view import output
 
     with output.Progress("compiling"):
         folder = warm_up()
@@ -134,9 +134,9 @@ def _unwatched(time: Array, truth: Truth) -> None:
 
 def _watcher(experiment: Experiment) -> Watch:
     """A view of the run in an open viewer."""
-    from testbed.experiment.evaluate import model_of, robot_of
-    from testbed.robot.visuals.appearance import load_appearance
-    from testbed.viewer.live import Live
+    from testbed.bodies.shapes.appearance import load_appearance
+    from testbed.lab.experiment.evaluate import model_of, robot_of
+    from testbed.view.viewer.live import Live
 
     look = load_appearance(robot_of(experiment), model_of(experiment))
     note(sentences(look.diagnostics))
@@ -191,11 +191,11 @@ def campaign(
     if summary or against is not None:
         _summary(file, against)
         return
-    from testbed.campaign.campaign import Campaign
-    from testbed.campaign.conduct import conduct
-    from testbed.campaign.results import CAMPAIGN, LOCK
-    from testbed.reporting import output
-    from testbed.reporting.campaign import Throughput, print_conducted, print_plan
+    from testbed.campaigns.campaign import Campaign
+    from testbed.campaigns.campaign_section import Throughput, print_conducted, print_plan
+    from testbed.campaigns.conduct import conduct
+    from testbed.campaigns.results import CAMPAIGN, LOCK
+    from testbed.view import output
 
     asked = Campaign.load(file, settings or ())
     folder = out or Path("runs") / f"{asked.tables.name}-campaign"
@@ -213,10 +213,10 @@ def campaign(
 
 def _summary(folder: Path, against: Path | None) -> None:
     """Print what a campaign says, and write it beside its table."""
-    from testbed.campaign.summary import changes, read_campaign, summarise, write_summary
-    from testbed.files import together
-    from testbed.reporting import output
-    from testbed.reporting.campaign import print_changes, print_summary, write_campaign_page
+    from testbed.campaigns.campaign_section import print_changes, print_summary, write_campaign_page
+    from testbed.campaigns.summary import changes, read_campaign, summarise, write_summary
+    from testbed.core.base.files import together
+    from testbed.view import output
 
     with output.Progress("summarising"):
         found = summarise(read_campaign(folder))
@@ -239,7 +239,7 @@ def _tls(authority: Path | None, certificate: Path | None, key: Path | None) -> 
     Raises:
         BadParameter: One is missing, or is no file.
     """
-    from testbed.campaign.cluster import Tls
+    from testbed.campaigns.cluster import Tls
 
     if authority is None or certificate is None or key is None:
         if authority or certificate or key:
@@ -255,8 +255,8 @@ def _engine(
     workers: int | None, scheduler: str | None, tls: Tls | None
 ) -> AbstractContextManager[Engine]:
     """What carries the bundles out."""
-    from testbed.campaign.cluster import local_workers, workers_at
-    from testbed.campaign.conduct import InThisProcess
+    from testbed.campaigns.cluster import local_workers, workers_at
+    from testbed.campaigns.conduct import InThisProcess
 
     if scheduler is not None:
         if workers is not None:

@@ -33,16 +33,16 @@ from testbed.cli.reading import (
     app,
     check_outputs,
 )
-from testbed.diagnostics import diagnose
+from testbed.core.base.diagnostics import diagnose
 
 if TYPE_CHECKING:
+    from testbed.applications.drives.identify_drives import DriveFindings
+    from testbed.bodies.consistency.consistent import Consistent
+    from testbed.bodies.posterior import Posterior
     from testbed.cli.reading import Reading
-    from testbed.diagnostics import Diagnostic
-    from testbed.identification.consistency.consistent import Consistent
-    from testbed.identification.drives.identify_drives import DriveFindings
-    from testbed.identification.estimate import Estimate, Method
-    from testbed.identification.posterior import Posterior
-    from testbed.recordings.source import Source
+    from testbed.core.base.diagnostics import Diagnostic
+    from testbed.core.estimation.estimate import Estimate, Method
+    from testbed.core.recordings.source import Source
 
 
 class Fixed(StrEnum):
@@ -113,9 +113,9 @@ class Writing:
             ModelError: It may not.
             SettingsError: Something is wished of bodies that nobody asked for.
         """
-        from testbed.errors import SettingsError
-        from testbed.identification.consistency.options import ConsistencyOptions
-        from testbed.robot.write_model import check_place
+        from testbed.bodies.consistency.options import ConsistencyOptions
+        from testbed.bodies.write_model import check_place
+        from testbed.core.base.errors import SettingsError
 
         default = ConsistencyOptions()
         asked = replace(reading.tables().consistent, prior_error=default.prior_error)
@@ -149,15 +149,15 @@ class Writing:
         Raises:
             SettingsError: No bodies are as is wished.
         """
-        from testbed.experiment.evaluate import prior_from
-        from testbed.identification.consistency.consistent import consistent_by_held_out
-        from testbed.identification.consistency.held_out import (
+        from testbed.bodies.consistency.consistent import consistent_by_held_out
+        from testbed.bodies.consistency.held_out import (
             beside_consistent,
             with_likely_error,
         )
-        from testbed.identification.problem import samples_of
-        from testbed.recordings.views import with_gear
-        from testbed.reporting import output
+        from testbed.core.estimation.problem import samples_of
+        from testbed.core.recordings.views import with_gear
+        from testbed.lab.experiment.evaluate import prior_from
+        from testbed.view import output
 
         tree = with_gear(reading.tree(model), source)
         options = with_likely_error(reading.tables().consistent, posteriors.values())
@@ -193,10 +193,10 @@ class Writing:
         Raises:
             ModelError: The file cannot be written.
         """
-        from testbed.experiment.results import provenance
-        from testbed.identification.consistency.consistent import robot_of
-        from testbed.identification.drives.identify_drives import with_drives
-        from testbed.robot.write_model import write_model
+        from testbed.applications.drives.identify_drives import with_drives
+        from testbed.bodies.consistency.consistent import robot_of
+        from testbed.bodies.write_model import write_model
+        from testbed.lab.experiment.results import provenance
 
         if self.write is None:
             return ()
@@ -264,12 +264,12 @@ def identify(
 
     Example: testbed identify recording.parquet --model robot.urdf --write identified.urdf
     """
-    from testbed.errors import SettingsError, UnseenParameters
-    from testbed.identification.estimate import METHODS, NAMES, SIGNAL_OF
-    from testbed.identification.identify import identify as identified
-    from testbed.identification.posterior import posteriors
-    from testbed.recordings.views import is_imported
-    from testbed.reporting import output, terminal
+    from testbed.bodies.posterior import posteriors
+    from testbed.core.base.errors import SettingsError, UnseenParameters
+    from testbed.core.estimation.estimate import METHODS, NAMES, SIGNAL_OF
+    from testbed.core.estimation.identify import identify as identified
+    from testbed.core.recordings.views import is_imported
+    from testbed.view import output, terminal
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms, sensor)
     writing = Writing(consistent, write, fixed, in_place, force)
@@ -324,7 +324,7 @@ def identify(
         bodies, added = writing.bodies(reading, model, source, estimates, added)
         said += [*bodies.diagnostics, *writing.written(bodies, reading, model, recordings)]
     if as_json:
-        from testbed.experiment.results import identified as result_of
+        from testbed.lab.experiment.results import identified as result_of
 
         file = reading.model_file(model)
         result = result_of(estimates, file, reading.tables(), said, bodies, added, plain=plain)
@@ -365,12 +365,12 @@ def validate(
 
     Example: testbed validate other.parquet runs/table6-286a25ef
     """
-    from testbed.codec import encode
-    from testbed.errors import RecordingError
-    from testbed.experiment.read_result import read_result
-    from testbed.identification.estimate import NAMES, SIGNAL_OF
-    from testbed.identification.validate import validate as validated
-    from testbed.reporting import output, terminal
+    from testbed.core.base.codec import encode
+    from testbed.core.base.errors import RecordingError
+    from testbed.core.estimation.estimate import NAMES, SIGNAL_OF
+    from testbed.core.estimation.validate import validate as validated
+    from testbed.lab.experiment.read_result import read_result
+    from testbed.view import output, terminal
 
     kept = read_result(result, model, settings or ())
     source = corrected_source(kept.without_held(opened(recording)), kept.tree, plate)
@@ -425,15 +425,15 @@ def sample(
     """
     import numpy as np
 
-    from testbed.codec import encode
-    from testbed.errors import SettingsError
-    from testbed.experiment.evaluate import prior_from
-    from testbed.experiment.read_result import read_result
-    from testbed.experiment.results import versions
-    from testbed.identification.consistency.robots import robots
-    from testbed.reporting import bodies as shown
-    from testbed.reporting import output
-    from testbed.robot.write_model import ARCHIVE, write_models
+    from testbed.bodies.consistency.robots import robots
+    from testbed.bodies.write_model import ARCHIVE, write_models
+    from testbed.core.base.codec import encode
+    from testbed.core.base.errors import SettingsError
+    from testbed.lab.experiment.evaluate import prior_from
+    from testbed.lab.experiment.read_result import read_result
+    from testbed.lab.experiment.results import versions
+    from testbed.view import bodies as shown
+    from testbed.view import output
 
     check_outputs(out, force=True, folder=True, read=(result, model))
     kept = read_result(result, model, settings or ())

@@ -26,14 +26,14 @@ from testbed.cli.reading import (
     ending,
     note,
 )
-from testbed.diagnostics import Diagnostic, diagnose, ordered
-from testbed.errors import RecordingError, few
-from testbed.file_kinds import LOG, kind_of, misplaced
+from testbed.core.base.diagnostics import Diagnostic, diagnose, ordered
+from testbed.core.base.errors import RecordingError, few
+from testbed.core.base.file_kinds import LOG, kind_of, misplaced
 
 if TYPE_CHECKING:
-    from testbed.plausibility.mapping_solution import MappingSolution
-    from testbed.recordings.importing.import_report import Draft
-    from testbed.recordings.recording import Recording
+    from testbed.core.recordings.recording import Recording
+    from testbed.importing.check.mapping_solution import MappingSolution
+    from testbed.importing.import_report import Draft
 
 
 def write_mapping(
@@ -55,11 +55,11 @@ def write_mapping(
     Raises:
         TestbedError: The data contradict the mapping, which is written as far as it is known.
     """
-    from testbed.files import replacing, together
-    from testbed.plausibility.draft_mapping import draft_mapping
-    from testbed.plausibility.mapping_solution import missing, solve_mapping
-    from testbed.recordings.importing.guess import guessed
-    from testbed.reporting import output
+    from testbed.core.base.files import replacing, together
+    from testbed.importing.check.draft_mapping import draft_mapping
+    from testbed.importing.check.mapping_solution import missing, solve_mapping
+    from testbed.importing.guess import guessed
+    from testbed.view import output
 
     folder, found = out.parent if out else Path(), None
     written = out or folder / "mapping.toml"
@@ -83,7 +83,7 @@ def write_mapping(
         _show(draft)
     with together():
         if page is not None and found is not None:
-            from testbed.reporting.mapping import write_mapping_page
+            from testbed.view.mapping import write_mapping_page
 
             write_mapping_page(page, found)
         if out is not None:
@@ -108,8 +108,8 @@ def write_mapping(
 
 def _show(draft: Draft) -> None:
     """What was solved; on a terminal a person says yes to it."""
-    from testbed.reporting import output
-    from testbed.reporting.mapping import solved_table
+    from testbed.view import output
+    from testbed.view.mapping import solved_table
 
     if (table := solved_table(draft)).rows:
         output.print_tables(output.console(), [table])
@@ -160,11 +160,11 @@ def import_(
 
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
-    from testbed.plausibility.check import import_and_check
-    from testbed.recordings.importing.import_report import ImportReport
-    from testbed.recordings.importing.mapping import sources
-    from testbed.recordings.joined import pieces
-    from testbed.reporting import output
+    from testbed.core.recordings.joined import pieces
+    from testbed.importing.check.check import import_and_check
+    from testbed.importing.import_report import ImportReport
+    from testbed.importing.mapping import sources
+    from testbed.view import output
 
     for each in files:
         if not guess and each.suffix.lower() != ".toml":
@@ -238,7 +238,7 @@ def save_pieces(pieces: Sequence[Recording], out: Path, *, force: bool) -> list[
     Raises:
         BadParameter: A file is there, or one more piece of an older recording is.
     """
-    from testbed.files import together
+    from testbed.core.base.files import together
 
     count = len(pieces)
     *several, older = (out.with_name(f"{out.stem}-{k + 1}{out.suffix}") for k in range(count + 1))

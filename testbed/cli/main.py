@@ -107,8 +107,8 @@ def _command() -> int:
 
     from testbed.cli.commands import app
     from testbed.cli.reading import joined_vectors
-    from testbed.files import guarded
-    from testbed.installation import cache_folder
+    from testbed.core.base.files import guarded
+    from testbed.core.base.installation import cache_folder
 
     warnings.simplefilter("ignore")  # numerical doubt is a field of the result
     # no command renders: else MuJoCo would start another Python to try a library of windows
@@ -126,7 +126,7 @@ def _command() -> int:
 
 def _told(error: BaseException) -> int:
     """Say what an error means, in one line; the exit code."""
-    from testbed.errors import TestbedError
+    from testbed.core.base.errors import TestbedError
 
     code = INPUT_AT_FAULT
     if isinstance(error, TestbedError):
@@ -162,7 +162,7 @@ def _told(error: BaseException) -> int:
 
 def _say(message: str) -> None:
     """One line on standard error."""
-    from testbed.errors import printable
+    from testbed.core.base.errors import printable
 
     try:
         sys.stderr.write(f"testbed: {printable(message)}\n")

@@ -28,10 +28,10 @@ from testbed.cli.reading import (
 )
 
 if TYPE_CHECKING:
-    from testbed.kind_table import Entry
-    from testbed.parameters.identifiability import Visibility
-    from testbed.reporting.minimal_sets import Findings
-    from testbed.robot.tree import Tree
+    from testbed.core.parameters.identifiability import Visibility
+    from testbed.core.robot.tree import Tree
+    from testbed.lab.kind_table import Entry
+    from testbed.view.minimal_sets import Findings
 
 
 class _What(StrEnum):
@@ -95,10 +95,10 @@ def minimal(
 
     Example: testbed minimal models/puma562.urdf --zeros --map --verify
     """
-    from testbed.dynamics.drive_set import drive_set, verify, verify_drives
-    from testbed.parameters.minimal_set import minimal_set
-    from testbed.reporting import output
-    from testbed.reporting.minimal_sets import Findings, print_latex, print_sets
+    from testbed.core.dynamics.drive_set import drive_set, verify, verify_drives
+    from testbed.core.parameters.minimal_set import minimal_set
+    from testbed.view import output
+    from testbed.view.minimal_sets import Findings, print_latex, print_sets
 
     tree = Reading(None, False, weld_root, lock, lock_mimic, sensor=sensor).tree(model)
     known = _known(zeros, zero)
@@ -125,8 +125,8 @@ def minimal(
 
 def _print_minimal_json(found: Findings, matrices: bool | None) -> None:
     """For programs; large matrices only if asked for, and otherwise with a word about it."""
-    from testbed.reporting import output
-    from testbed.reporting.minimal_sets import BYTES, MANY, as_document, matrix_numbers
+    from testbed.view import output
+    from testbed.view.minimal_sets import BYTES, MANY, as_document, matrix_numbers
 
     numbers = matrix_numbers(found)
     if matrices is None and numbers > MANY:
@@ -174,13 +174,13 @@ def equations(
 
     Example: testbed equations models/puma562.xml --zeros --form reduced
     """
-    from testbed.files import fingerprint, replacing
-    from testbed.reporting import output
-    from testbed.symbolic.equations import KINDS
-    from testbed.symbolic.equations import equations as derived
-    from testbed.symbolic.expression import MAX_TERMS
-    from testbed.symbolic.languages import as_document, write_equations
-    from testbed.symbolic.robot import right_angles
+    from testbed.core.base.files import fingerprint, replacing
+    from testbed.equations.equations import KINDS
+    from testbed.equations.equations import equations as derived
+    from testbed.equations.expression import MAX_TERMS
+    from testbed.equations.languages import as_document, write_equations
+    from testbed.equations.robot import right_angles
+    from testbed.view import output
 
     tree = Reading(None, False, weld_root, lock, lock_mimic).tree(model)
     tree = right_angles(tree) if square else tree
@@ -212,7 +212,7 @@ def equations(
 
 def _map(tree: Tree, gravity: Gravity, known: bool | list[str]) -> tuple[Visibility, ...]:
     """What each sensor identifies; SciPy's sparse matrices take a third of a second to import."""
-    from testbed.parameters.identifiability import identifiability
+    from testbed.core.parameters.identifiability import identifiability
 
     return identifiability(tree, gravity, known)
 
@@ -231,10 +231,10 @@ def _compare(
     max_terms: int,
 ) -> NoReturn:
     """Say where a listing differs; exit code 1 if it does."""
-    from testbed.files import read_text
-    from testbed.reporting import output
-    from testbed.symbolic.compare import TERM_LENGTH, compare_equations
-    from testbed.symbolic.languages.latex import line
+    from testbed.core.base.files import read_text
+    from testbed.equations.compare import TERM_LENGTH, compare_equations
+    from testbed.equations.languages.latex import line
+    from testbed.view import output
 
     text = read_text(path, 4 * TERM_LENGTH * max_terms)  # a character has up to four bytes
     with output.Progress("deriving"):
@@ -254,8 +254,8 @@ def faults(kind: Kind = None) -> None:
 
     Example: testbed faults plate_pose
     """
-    from testbed.instruments.faults import KINDS, fault_named
-    from testbed.kind_table import in_words
+    from testbed.lab.instruments.faults import KINDS, fault_named
+    from testbed.lab.kind_table import in_words
 
     if kind is None:
         _list(map(in_words, KINDS.values()), "faults")
@@ -269,8 +269,8 @@ def effects(kind: Kind = None) -> None:
 
     Example: testbed effects lugre_friction
     """
-    from testbed.kind_table import in_words
-    from testbed.simulation.effects import EFFECTS, effect_named
+    from testbed.lab.kind_table import in_words
+    from testbed.lab.simulation.effects import EFFECTS, effect_named
 
     if kind is None:
         _list(map(in_words, EFFECTS), "effects")

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from testbed.diagnostics import Diagnostic
-from testbed.errors import RecordingError, printable
+from testbed.core.base.diagnostics import Diagnostic
+from testbed.core.base.errors import RecordingError, printable
 
 if TYPE_CHECKING:
-    from testbed.recordings.source import Source
-    from testbed.robot.tree import Tree
+    from testbed.core.recordings.source import Source
+    from testbed.core.robot.tree import Tree
 
 
 def require_different(paths: Sequence[Path]) -> None:
@@ -43,8 +43,8 @@ def opened(path: Path) -> Source:
         RecordingError: It is no recording.
         ExperimentError: The mapping is not understood.
     """
-    from testbed.recordings.recording import Recording
-    from testbed.recordings.source import open_source
+    from testbed.core.recordings.recording import Recording
+    from testbed.core.recordings.source import open_source
 
     return Recording.from_mapping(path) if path.suffix == ".toml" else open_source(path)
 
@@ -61,7 +61,7 @@ def opened_pieces(path: Path) -> tuple[Sequence[Source], list[Diagnostic]]:
         for each in parts:
             typer.echo(printable(f"note: '{each}' is a part of '{path}'"), err=True)
         return [opened(each) for each in parts or [path]], []
-    from testbed.recordings.joined import pieces
+    from testbed.core.recordings.joined import pieces
 
     return pieces(path)
 
@@ -74,7 +74,7 @@ def corrected_source(source: Source, tree: Tree, plate: Path | None) -> Source:
         tree: The robot.
         plate: The plate's file; None where it is taken as perfect.
     """
-    from testbed.experiment.read_result import read_plate
-    from testbed.identification.calibration import corrected
+    from testbed.applications.calibration import corrected
+    from testbed.lab.experiment.read_result import read_plate
 
     return source if plate is None else corrected(source, tree, read_plate(plate, tree))

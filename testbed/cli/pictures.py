@@ -28,13 +28,13 @@ from testbed.cli.reading import (
     check_outputs,
     ending,
 )
-from testbed.diagnostics import Diagnostic, diagnose, of_recording, ordered
-from testbed.file_kinds import expecting
+from testbed.core.base.diagnostics import Diagnostic, diagnose, of_recording, ordered
+from testbed.core.base.file_kinds import expecting
 
 if TYPE_CHECKING:
-    from testbed.experiment.run import Run
-    from testbed.recordings.recording import Recording
-    from testbed.recordings.source import Source
+    from testbed.core.recordings.recording import Recording
+    from testbed.core.recordings.source import Source
+    from testbed.lab.experiment.run import Run
 
 
 @app.command()
@@ -75,11 +75,11 @@ def view(
 
     Example: testbed view recording.parquet --model robot.urdf
     """
-    from testbed.errors import ViewerError
-    from testbed.reporting import output
-    from testbed.viewer.live import has_screen
-    from testbed.viewer.log import write_rrd
-    from testbed.viewer.scene import scene_of
+    from testbed.core.base.errors import ViewerError
+    from testbed.view import output
+    from testbed.view.viewer.live import has_screen
+    from testbed.view.viewer.log import write_rrd
+    from testbed.view.viewer.scene import scene_of
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
     log = save or _beside(runs[0], ".rrd")
@@ -108,9 +108,9 @@ def view(
 
 def _show(path: Path, said: list[Diagnostic], serve: bool, opened: bool, port: int) -> None:
     """Say what was written, and show it as is wished."""
-    from testbed.reporting import output
-    from testbed.viewer.live import open_viewer
-    from testbed.viewer.live import serve as served
+    from testbed.view import output
+    from testbed.view.viewer.live import open_viewer
+    from testbed.view.viewer.live import serve as served
 
     out = output.console()
     output.print_diagnostics(out, said)
@@ -123,10 +123,10 @@ def _show(path: Path, said: list[Diagnostic], serve: bool, opened: bool, port: i
 
 def _write_motion(file: Path, settings: list[str], path: Path) -> list[Diagnostic]:
     """Write what there is to see of a file's motion; what to know of it."""
-    from testbed.experiment.evaluate import model_of
-    from testbed.experiment.motions import checked_motion, obstacles_of
-    from testbed.robot.visuals.appearance import load_appearance
-    from testbed.viewer.log import write_motion_rrd
+    from testbed.bodies.shapes.appearance import load_appearance
+    from testbed.lab.experiment.evaluate import model_of
+    from testbed.lab.experiment.motions import checked_motion, obstacles_of
+    from testbed.view.viewer.log import write_motion_rrd
 
     found = checked_motion(file, settings)
     tree = found.rules.tree
@@ -172,8 +172,8 @@ def report(
 
     Example: testbed report a.parquet --model robot.urdf --validate b.parquet
     """
-    from testbed.reporting import output
-    from testbed.reporting.run_page import write_report
+    from testbed.view import output
+    from testbed.view.run_page import write_report
 
     path = out or _beside(run, ".html")
     again = out is None and path.is_file()  # the run's own page, and the numbers beside it
@@ -188,7 +188,7 @@ def report(
         if validate is not None:
             done = _judged_on(done, validate, reading, unchecked=unchecked)
         elif done.unseen is None:
-            from testbed.experiment.carry_out import on_unseen_motion, with_payload_metrics
+            from testbed.lab.experiment.carry_out import on_unseen_motion, with_payload_metrics
 
             progress.say(0, 0, "simulating a held-out motion")
             done = on_unseen_motion(with_payload_metrics(done, progress), progress)
@@ -213,7 +213,7 @@ def _check_said(
     other: Path | None = None,
 ) -> None:
     """Whether what was said of recordings has one to be about."""
-    from testbed.errors import ExperimentError
+    from testbed.core.base.errors import ExperimentError
 
     said = model is not None or reading != Reading() or consistent or other is not None
     if all(path.is_dir() for path in paths) and said:
@@ -225,9 +225,9 @@ def _check_said(
 
 def _run_at(path: Path, model: Path | None, reading: Reading, *, unchecked: bool) -> Run:
     """A run folder's run, or a recording's with what can be identified from it."""
-    from testbed.errors import ExperimentError
-    from testbed.experiment.results import read_run
-    from testbed.experiment.run import assemble_run
+    from testbed.core.base.errors import ExperimentError
+    from testbed.lab.experiment.results import read_run
+    from testbed.lab.experiment.run import assemble_run
 
     if not path.exists():
         raise ExperimentError(f"there is no run folder or recording '{path}'{_alike(path)}")
@@ -269,7 +269,7 @@ def _loaded(
     path: Path, model: Path, reading: Reading, *, unchecked: bool
 ) -> tuple[Reading, Recording, Sequence[Diagnostic]]:
     """A recording in memory, the plate's faults taken back, and what to doubt of it."""
-    from testbed.recordings.recording import Recording
+    from testbed.core.recordings.recording import Recording
 
     whole = Recording.from_mapping(path) if path.suffix == ".toml" else Recording.load(path)
     reading, tree, source = reading.robot_of(whole, model)
@@ -279,14 +279,14 @@ def _loaded(
 
 def _in_memory(source: Source) -> Recording:
     """A source as a recording, which may have a truth."""
-    from testbed.recordings.recording import Recording
+    from testbed.core.recordings.recording import Recording
 
     return source if isinstance(source, Recording) else source.part(0, source.samples)
 
 
 def _judged_on(run: Run, path: Path, reading: Reading, *, unchecked: bool) -> Run:
     """A run with its estimates held against another recording."""
-    from testbed.experiment.carry_out import validated
+    from testbed.lab.experiment.carry_out import validated
 
     assert run.model is not None
     held = reading.with_lock(run.model)
@@ -297,6 +297,6 @@ def _judged_on(run: Run, path: Path, reading: Reading, *, unchecked: bool) -> Ru
 
 def _with_bodies(run: Run, reading: Reading) -> Run:
     """A recording's run with bodies that can exist."""
-    from testbed.experiment.evaluate import recorded_bodies
+    from testbed.lab.experiment.evaluate import recorded_bodies
 
     return recorded_bodies(run, reading.tables().consistent)

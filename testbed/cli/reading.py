@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from testbed.cli.opening import corrected_source, opened_pieces, require_different
-from testbed.diagnostics import Diagnostic
-from testbed.errors import FreeRootError, printable
-from testbed.installation import own_or_shipped
-from testbed.stages import stage
+from testbed.core.base.diagnostics import Diagnostic
+from testbed.core.base.errors import FreeRootError, printable
+from testbed.core.base.installation import own_or_shipped
+from testbed.core.base.stages import stage
 
 if TYPE_CHECKING:
-    from testbed.experiment.robot_tables import RecordingTables
-    from testbed.identification.sensor.correction import CalibrationCovariance
-    from testbed.recordings.source import Source
-    from testbed.robot.model_file import ModelFile
-    from testbed.robot.tree import Tree
+    from testbed.core.estimation.sensor.correction import CalibrationCovariance
+    from testbed.core.recordings.source import Source
+    from testbed.core.robot.model_file import ModelFile
+    from testbed.core.robot.tree import Tree
+    from testbed.lab.experiment.robot_tables import RecordingTables
 
 
 def ending(*endings: str) -> Callable[[Path | None], Path | None]:
@@ -54,7 +54,7 @@ def check_outputs(
         BadParameter: Something stands there.
         OSError: As `check_writable`.
     """
-    from testbed.files import check_writable
+    from testbed.core.base.files import check_writable
 
     check_writable(*paths, folder=folder, read=read)
     for path in paths:
@@ -109,7 +109,7 @@ app = typer.Typer(
 def _version(wanted: bool) -> None:
     """Print the version and stop."""
     if wanted:
-        from testbed.installation import version
+        from testbed.core.base.installation import version
 
         typer.echo(f"testbed {version()}")
         raise typer.Exit
@@ -135,7 +135,7 @@ Everything = Annotated[
 
 def _timed(context: typer.Context, wanted: bool) -> bool:
     if wanted:
-        from testbed.reporting.output import printed_stages
+        from testbed.view.output import printed_stages
 
         context.with_resource(printed_stages())
     return wanted
@@ -302,7 +302,7 @@ class Reading:
         Raises:
             ExperimentError: --set says what is not understood.
         """
-        from testbed.experiment.robot_tables import RecordingTables
+        from testbed.lab.experiment.robot_tables import RecordingTables
 
         said = ["identification.zeros=true"] if self.zeros else []
         if self.terms is not None:
@@ -321,8 +321,8 @@ class Reading:
 
     def model_file(self, path: Path) -> ModelFile:
         """A model file, and how to read it."""
-        from testbed.robot.locks import parse_lock
-        from testbed.robot.model_file import ModelFile, joint_names, mimic_joints
+        from testbed.core.robot.locks import parse_lock
+        from testbed.core.robot.model_file import ModelFile, joint_names, mimic_joints
 
         held = parse_lock(self.lock or (), lambda: joint_names(path))
         welded, follow, bodies = self.weld_root, self.lock_mimic, None
@@ -335,8 +335,8 @@ class Reading:
 
     def source(self, recording: Source, tree: Tree) -> Source:
         """A recording, as a perfect plate would have made it where the plate is known."""
-        from testbed.recordings.views import on_its_base
-        from testbed.reporting import output
+        from testbed.core.recordings.views import on_its_base
+        from testbed.view import output
 
         with output.Progress("reading"):
             return corrected_source(on_its_base(recording, tree), tree, self.plate)
@@ -355,8 +355,8 @@ class Reading:
         Raises:
             RecordingError: One of them cannot be true of this robot, or they are not alike.
         """
-        from testbed.recordings.joined import joined
-        from testbed.reporting import output
+        from testbed.core.recordings.joined import joined
+        from testbed.view import output
 
         require_different(paths)
         several = len(paths) > 1
@@ -384,8 +384,8 @@ class Reading:
         Raises:
             RecordingError: The recording moves a joint of --lock.
         """
-        from testbed.recordings.held import hold_still
-        from testbed.recordings.views import on_its_base
+        from testbed.core.recordings.held import hold_still
+        from testbed.core.recordings.views import on_its_base
 
         given = self.model_file(model)
         file, fewer, _ = hold_still(given, source, lock_only=True)
@@ -444,7 +444,7 @@ class Reading:
             model: The model file.
             said: What its check has said.
         """
-        from testbed.recordings.held import hold_resting, lock_unrecorded
+        from testbed.core.recordings.held import hold_resting, lock_unrecorded
 
         kept = [each for each in said if each.code != "position.held"]
         doubted = any(each.code == "position.still" for each in said)
@@ -468,18 +468,18 @@ class Reading:
         Raises:
             RecordingError: It cannot be true of this robot, and that matters.
         """
-        from testbed.reporting.output import Progress
+        from testbed.view.output import Progress
 
         if "mapping" not in source.facts:
             return ()
-        from testbed.plausibility.check import check_recording
+        from testbed.importing.check.check import check_recording
 
         with Progress("searching for the cause") as bar:
             return check_recording(tree, source, unchecked=unchecked, progress=bar).diagnostics
 
     def doubt(self, tree: Tree) -> CalibrationCovariance | None:
         """What the plate's calibration leaves open; None where the plate is taken as perfect."""
-        from testbed.experiment.read_result import read_plate
+        from testbed.lab.experiment.read_result import read_plate
 
         return None if self.plate is None else read_plate(self.plate, tree).doubt
 

@@ -18,8 +18,8 @@ from packaging.requirements import Requirement
 
 from testbed.cli.importing import save_pieces, write_mapping
 from testbed.cli.reading import Force, Json, Lock, LockMimic, Reading, app, check_outputs
-from testbed.installation import DISTRIBUTION, own_or_shipped
-from testbed.installation import version as own_version
+from testbed.core.base.installation import DISTRIBUTION, own_or_shipped
+from testbed.core.base.installation import version as own_version
 
 NOT_FOR_USERS = ("dev",)
 """Extras for those who work on the program itself."""
@@ -90,7 +90,7 @@ def _installed(wanted: Requirement) -> tuple[bool, str]:
 
 def _kernel() -> Check:
     """The compiled kernel's cache."""
-    from testbed.kernel.compiler import compiled_folder
+    from testbed.core.kernel.compiler import compiled_folder
 
     folder = compiled_folder()
     if folder.is_relative_to(tempfile.gettempdir()):
@@ -102,7 +102,7 @@ def _kernel() -> Check:
 
 def _viewer() -> Check:
     """Rerun's viewer, and a screen for it."""
-    from testbed.viewer.live import has_screen, viewer_program
+    from testbed.view.viewer.live import has_screen, viewer_program
 
     program = viewer_program()
     screen = "" if has_screen() else "; no screen here: testbed view with --save or --serve"
@@ -147,8 +147,8 @@ def new(
     """
     if robot is None and not recording:
         raise typer.BadParameter("name a robot's model file, or --recording and a logger's file")
-    from testbed.files import replacing
-    from testbed.reporting import output
+    from testbed.core.base.files import replacing
+    from testbed.view import output
 
     check_outputs(out, force=force, read=(robot, *(recording or ())))
     reading = Reading(lock=lock, lock_mimic=lock_mimic)
@@ -171,9 +171,9 @@ def _recorded(
     files: list[Path], mapping: Path, robot: Path | None, reading: Reading, *, force: bool
 ) -> None:
     """Write a mapping for logs, and the recording that it makes of a robot."""
-    from testbed.plausibility.check import import_and_check
-    from testbed.recordings.importing.import_report import ImportReport
-    from testbed.reporting import output
+    from testbed.importing.check.check import import_and_check
+    from testbed.importing.import_report import ImportReport
+    from testbed.view import output
 
     made = mapping.with_suffix(".parquet")
     if any(made.resolve() == each.resolve() for each in files):
@@ -202,7 +202,7 @@ def _recorded(
 
 
 def _experiment(model: Path, folder: Path, strict: bool, exact: bool, reading: Reading) -> str:
-    from testbed.experiment.new_experiment import new_experiment
+    from testbed.lab.experiment.new_experiment import new_experiment
 
     return new_experiment(
         model,
@@ -222,7 +222,7 @@ def doctor(as_json: Json = False) -> None:
     """
     found = checkup()
     if as_json:
-        from testbed.reporting import output
+        from testbed.view import output
 
         output.print_json({"checks": [vars(each) for each in found]})
     else:

@@ -68,13 +68,13 @@ def tool(
 
     Example: testbed tool poses.csv --at-rest --degrees --model robot.urdf --sensor tool0
     """
-    from testbed.codec import encode
-    from testbed.diagnostics import ordered
-    from testbed.errors import SettingsError, printable
-    from testbed.identification.identify import identify
-    from testbed.identification.payload.tool import read_static_poses, tool_at_rest, tool_of
-    from testbed.reporting import estimates as shown
-    from testbed.reporting import output, terminal
+    from testbed.applications.payload.tool import read_static_poses, tool_at_rest, tool_of
+    from testbed.core.base.codec import encode
+    from testbed.core.base.diagnostics import ordered
+    from testbed.core.base.errors import SettingsError, printable
+    from testbed.core.estimation.identify import identify
+    from testbed.view import estimates as shown
+    from testbed.view import output, terminal
 
     if vendor is not None and as_json:
         raise SettingsError("--as and --json are two forms of one answer: give one of them")

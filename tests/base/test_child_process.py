@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from testbed.child_process import Returned, call_in_child
-from testbed.errors import ModelError, RecordingError
+from testbed.core.base.child_process import Returned, call_in_child
+from testbed.core.base.errors import ModelError, RecordingError
 
 GB = 1_000_000_000
 
@@ -95,7 +95,7 @@ def test_the_child_and_its_folder_end_with_the_parent(number: int, tmp_path: Pat
     command = f"import {__name__} as t; t.call(t.loop, seconds=100)"
     environment = os.environ | {"TMPDIR": str(tmp_path)}
     parent = subprocess.Popen([sys.executable, "-c", command], env=environment, stderr=-3)
-    own = f"testbed.child_process {tmp_path}".replace(" ", "\0").encode()
+    own = f"testbed.core.base.child_process {tmp_path}".replace(" ", "\0").encode()
 
     def running() -> bool:
         found = Path("/proc").glob("[0-9]*/cmdline")

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from testbed import files
-from testbed.files import check_writable, replacing, together
+from testbed.core.base import files
+from testbed.core.base.files import check_writable, replacing, together
 from tests.helpers.refusals import refuses
 
 

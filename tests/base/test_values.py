@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from testbed.arrays import readonly
-from testbed.blas import eigh, one_blas_thread
-from testbed.errors import SettingsError, UnknownName, printable
-from testbed.installation import DISTRIBUTION, own_or_shipped, shipped, version
-from testbed.instruments.joints import TorqueRipple
-from testbed.kind_table import COUNTS, LARGEST, Key
+from testbed.core.base.arrays import readonly
+from testbed.core.base.blas import eigh, one_blas_thread
+from testbed.core.base.errors import SettingsError, UnknownName, printable
+from testbed.core.base.installation import DISTRIBUTION, own_or_shipped, shipped, version
+from testbed.lab.instruments.joints import TorqueRipple
+from testbed.lab.kind_table import COUNTS, LARGEST, Key
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import few

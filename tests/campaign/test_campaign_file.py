@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.campaign import bundle
-from testbed.campaign.bundle import run_hash
-from testbed.campaign.campaign import Campaign, Choice, cells_of, sample
-from testbed.campaign.conduct import Supply, places_of
-from testbed.errors import ExperimentError
+from testbed.campaigns import bundle
+from testbed.campaigns.bundle import run_hash
+from testbed.campaigns.campaign import Campaign, Choice, cells_of, sample
+from testbed.campaigns.conduct import Supply, places_of
+from testbed.core.base.errors import ExperimentError
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses

@@ -17,13 +17,13 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.stats import binomtest
 
-from testbed.campaign import results
-from testbed.campaign.bundle import Bundle, Outcome, Status, carry_out_bundle
-from testbed.campaign.campaign import Campaign
-from testbed.campaign.cluster import DaskEngine, SchedulerLost, local_workers
-from testbed.campaign.conduct import InThisProcess, Standing, Supply, conduct, places_of
-from testbed.campaign.results import CampaignFolder, own_folder
-from testbed.campaign.summary import (
+from testbed.campaigns import results
+from testbed.campaigns.bundle import Bundle, Outcome, Status, carry_out_bundle
+from testbed.campaigns.campaign import Campaign
+from testbed.campaigns.cluster import DaskEngine, SchedulerLost, local_workers
+from testbed.campaigns.conduct import InThisProcess, Standing, Supply, conduct, places_of
+from testbed.campaigns.results import CampaignFolder, own_folder
+from testbed.campaigns.summary import (
     binomial_bounds,
     changes,
     pooled,
@@ -31,9 +31,9 @@ from testbed.campaign.summary import (
     summarise,
     write_summary,
 )
-from testbed.errors import ExperimentError, TestbedError
-from testbed.experiment import evaluate, simulate
-from testbed.simulation.rollout import simulate_motion
+from testbed.core.base.errors import ExperimentError, TestbedError
+from testbed.lab.experiment import evaluate, simulate
+from testbed.lab.simulation.rollout import simulate_motion
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up, real
 from tests.helpers.refusals import refuses
 

@@ -11,10 +11,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from testbed.campaign.campaign import Campaign
-from testbed.campaign.conduct import conduct
-from testbed.campaign.summary import changes, read_campaign, summarise, write_summary
-from testbed.errors import TestbedError
+from testbed.campaigns.campaign import Campaign
+from testbed.campaigns.conduct import conduct
+from testbed.campaigns.summary import changes, read_campaign, summarise, write_summary
+from testbed.core.base.errors import TestbedError
 from tests.helpers.campaigns import NOISES, Odd, campaign_file
 
 FAULTY: dict[str, list[Any]] = {

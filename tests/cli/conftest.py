@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.experiment.results import write_run
-from testbed.experiment.run import Run
+from testbed.lab.experiment.results import write_run
+from testbed.lab.experiment.run import Run
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.command import command_line
 from tests.helpers.foreign_files import csv, some_log

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from testbed.cli import main
-from testbed.errors import LONGEST_MESSAGE, ModelError, UnknownName
+from testbed.core.base.errors import LONGEST_MESSAGE, ModelError, UnknownName
 from tests.helpers.command import CLI, command_line
 from tests.helpers.paths import ROOT
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 import testbed as tb
-from testbed.campaign.campaign import Campaign
-from testbed.errors import TestbedError, UnknownName
-from testbed.experiment.motions import read_motion
-from testbed.experiment.read_result import read_result
-from testbed.file_kinds import BELONGS, kind_of
+from testbed.campaigns.campaign import Campaign
+from testbed.core.base.errors import TestbedError, UnknownName
+from testbed.core.base.file_kinds import BELONGS, kind_of
+from testbed.lab.experiment.motions import read_motion
+from testbed.lab.experiment.read_result import read_result
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 

@@ -9,7 +9,7 @@ import pytest
 
 import testbed as tb
 from benchmarks.robot_files import MOST_SIGMAS
-from testbed.experiment.evaluate import evaluate
+from testbed.lab.experiment.evaluate import evaluate
 from tests.helpers.command import command_line
 from tests.helpers.paths import REAL
 

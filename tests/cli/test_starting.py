@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from testbed.cli import starting
-from testbed.errors import TestbedError
-from testbed.reporting.output import Progress
+from testbed.core.base.errors import TestbedError
+from testbed.view.output import Progress
 from tests.helpers.command import command_line
 
 PUMA = "one.parquet --model puma562.xml"

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.dynamics.newton_euler import blocks, parameter_regressor, poses
-from testbed.dynamics.wrench_derivatives import base_wrench_derivatives
-from testbed.parameters.rules import Model
-from testbed.robot.visuals.shapes import poses_at_zero
+from testbed.bodies.shapes.shapes import poses_at_zero
+from testbed.core.base.arrays import Array
+from testbed.core.dynamics.newton_euler import blocks, parameter_regressor, poses
+from testbed.core.dynamics.wrench_derivatives import base_wrench_derivatives
+from testbed.core.parameters.rules import Model
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.robots import Robot, random_states
 from tests.helpers.sensors import random_cut

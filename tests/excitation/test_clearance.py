@@ -11,10 +11,12 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.diagnostics import sentences
-from testbed.dynamics.newton_euler import poses
-from testbed.excitation.clearance import FAR, ClearanceTerm, DistanceMeter, watched
-from testbed.excitation.collision_model import (
+from testbed.bodies.shapes.shapes import Kind, Shape
+from testbed.core.base.diagnostics import sentences
+from testbed.core.dynamics.newton_euler import poses
+from testbed.core.robot.inertia import about
+from testbed.motion.clearance import FAR, ClearanceTerm, DistanceMeter, watched
+from testbed.motion.collision_model import (
     CELL,
     FLOOR,
     STANDING,
@@ -22,10 +24,8 @@ from testbed.excitation.collision_model import (
     collision_model,
     levers,
 )
-from testbed.excitation.limits import limits_of
-from testbed.excitation.samples import Samples
-from testbed.robot.inertia import about
-from testbed.robot.visuals.shapes import Kind, Shape
+from testbed.motion.limits import limits_of
+from testbed.motion.samples import Samples
 from tests.helpers.shapes import GREY, ball
 from tests.helpers.strategies import few, rngs, trees
 

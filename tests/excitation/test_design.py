@@ -10,11 +10,13 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.errors import InfeasibleMotion
-from testbed.excitation.design import Wish, _start, criterion, design
-from testbed.excitation.fourier import Fourier
-from testbed.excitation.information import (
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import InfeasibleMotion
+from testbed.core.parameters.rules import Model
+from testbed.core.robot.friction import COULOMB, LOAD, QUADRATIC_LOAD, ROTOR, VISCOUS, JointLaw
+from testbed.motion.design import Wish, _start, criterion, design
+from testbed.motion.fourier import Fourier
+from testbed.motion.information import (
     CRITERIA,
     CriterionName,
     Instrument,
@@ -24,8 +26,8 @@ from testbed.excitation.information import (
     moving,
     predict,
 )
-from testbed.excitation.joint_unknowns import scale_of
-from testbed.excitation.limits import (
+from testbed.motion.joint_unknowns import scale_of
+from testbed.motion.limits import (
     EffortTerm,
     PlateRange,
     PlateTerm,
@@ -33,12 +35,10 @@ from testbed.excitation.limits import (
     limits_of,
     motor_efforts,
 )
-from testbed.excitation.problem import BlockJacobian, Inside, Point, minimise
-from testbed.excitation.proof import Proof, Rules, prove
-from testbed.excitation.random_motion import random_motion
-from testbed.excitation.samples import SampledRows
-from testbed.parameters.rules import Model
-from testbed.robot.friction import COULOMB, LOAD, QUADRATIC_LOAD, ROTOR, VISCOUS, JointLaw
+from testbed.motion.problem import BlockJacobian, Inside, Point, minimise
+from testbed.motion.proof import Proof, Rules, prove
+from testbed.motion.random_motion import random_motion
+from testbed.motion.samples import SampledRows
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot
 from tests.helpers.sensors import random_cut
@@ -283,7 +283,7 @@ def test_a_search_may_end_early_is_steered_by_what_is_known_and_names_what_forbi
 
 @pytest.mark.slow
 def test_what_is_not_proven_swings_less_or_is_no_design(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked, place = replace(wish("puma"), seed=2), "testbed.excitation.design."
+    asked, place = replace(wish("puma"), seed=2), "testbed.motion.design."
     whole, share = design(asked).motion, 0.9
     monkeypatch.setattr(place + "FINER", ())
 

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.errors import InfeasibleMotion, UnknownName
-from testbed.excitation.collision_model import collision_model
-from testbed.excitation.fourier import Fourier
-from testbed.excitation.limits import (
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import InfeasibleMotion, UnknownName
+from testbed.motion.collision_model import collision_model
+from testbed.motion.fourier import Fourier
+from testbed.motion.limits import (
     PRESSURE,
     EffortTerm,
     ForceBounds,
@@ -27,11 +27,11 @@ from testbed.excitation.limits import (
     limits_of,
     motor_efforts,
 )
-from testbed.excitation.proof import SPANS, Rules, prove, seems_to_hold, slack, spans_of, suprema
-from testbed.excitation.random_motion import MARGIN, best_motion, random_motion, relative_sigma
-from testbed.excitation.rest_to_rest import RestToRest, Start, start_of
-from testbed.excitation.samples import Computed, Samples, stencil
-from testbed.excitation.sensor_range import SensorTerm
+from testbed.motion.proof import SPANS, Rules, prove, seems_to_hold, slack, spans_of, suprema
+from testbed.motion.random_motion import MARGIN, best_motion, random_motion, relative_sigma
+from testbed.motion.rest_to_rest import RestToRest, Start, start_of
+from testbed.motion.samples import Computed, Samples, stencil
+from testbed.motion.sensor_range import SensorTerm
 from tests.helpers.chains import Z, chain
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot

@@ -10,13 +10,13 @@ import pytest
 from pydantic import BaseModel
 
 import testbed as tb
-from testbed.errors import ExperimentError
-from testbed.experiment.evaluate import robot_of
-from testbed.experiment.experiment import ExperimentTables
-from testbed.experiment.experiment_tables import Bound
-from testbed.experiment.results import default_folder
-from testbed.experiment.robot_tables import JointTable
-from testbed.toml_text import LARGEST_FILE, override
+from testbed.core.base.errors import ExperimentError
+from testbed.core.base.toml_text import LARGEST_FILE, override
+from testbed.lab.experiment.evaluate import robot_of
+from testbed.lab.experiment.experiment import ExperimentTables
+from testbed.lab.experiment.experiment_tables import Bound
+from testbed.lab.experiment.results import default_folder
+from testbed.lab.experiment.robot_tables import JointTable
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 

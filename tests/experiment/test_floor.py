@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.experiment.evaluate import evaluate
-from testbed.experiment.score import shared_errors
+from testbed.lab.experiment.evaluate import evaluate
+from testbed.lab.experiment.score import shared_errors
 from tests.helpers.paths import ROOT
 from tests.helpers.runs import MODELS
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.errors import InertiaError, TestbedError
-from testbed.excitation.limits import limits_of
-from testbed.experiment.assumptions import DRY, assumptions
-from testbed.experiment.evaluate import robot_of
-from testbed.experiment.experiment import run_name
-from testbed.experiment.motions import motion_of
-from testbed.experiment.new_experiment import find_robot, new_experiment
-from testbed.robot.model_file import mimic_joints, nearest_bodies
+from testbed.core.base.errors import InertiaError, TestbedError
+from testbed.core.robot.model_file import mimic_joints, nearest_bodies
+from testbed.lab.experiment.assumptions import DRY, assumptions
+from testbed.lab.experiment.evaluate import robot_of
+from testbed.lab.experiment.experiment import run_name
+from testbed.lab.experiment.motions import motion_of
+from testbed.lab.experiment.new_experiment import find_robot, new_experiment
+from testbed.motion.limits import limits_of
 from tests.helpers.paths import REAL
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import MODELS

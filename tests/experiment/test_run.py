@@ -15,25 +15,25 @@ import pytest
 from numpy.typing import NDArray
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.codec import json_text
-from testbed.diagnostics import Diagnostic
-from testbed.dynamics.newton_euler import base_wrench, joint_forces
-from testbed.excitation.fourier import Fourier
-from testbed.experiment import carry_out as module
-from testbed.experiment.carry_out import unseen, validated
-from testbed.experiment.evaluate import with_consistent, wrong_prior
-from testbed.experiment.experiment_tables import ALWAYS_JUDGED, Bound, PriorTable
-from testbed.experiment.motions import another_motion, motion_of
-from testbed.experiment.predict import predict
-from testbed.experiment.results import result_of
-from testbed.experiment.run import Run, assemble_run, correlated, systematic_errors
-from testbed.experiment.score import accuracies, relative_errors
-from testbed.experiment.summary import headline
-from testbed.identification.consistency.options import ConsistencyOptions
-from testbed.identification.estimate import METHODS, SIGNAL_OF
-from testbed.identification.regression.windows import row_weights
-from testbed.robot.inertia import NOTHING
+from testbed.bodies.consistency.options import ConsistencyOptions
+from testbed.core.base.arrays import Array
+from testbed.core.base.codec import json_text
+from testbed.core.base.diagnostics import Diagnostic
+from testbed.core.dynamics.newton_euler import base_wrench, joint_forces
+from testbed.core.estimation.estimate import METHODS, SIGNAL_OF
+from testbed.core.estimation.regression.windows import row_weights
+from testbed.core.robot.inertia import NOTHING
+from testbed.lab.experiment import carry_out as module
+from testbed.lab.experiment.carry_out import unseen, validated
+from testbed.lab.experiment.evaluate import with_consistent, wrong_prior
+from testbed.lab.experiment.experiment_tables import ALWAYS_JUDGED, Bound, PriorTable
+from testbed.lab.experiment.motions import another_motion, motion_of
+from testbed.lab.experiment.predict import predict
+from testbed.lab.experiment.results import result_of
+from testbed.lab.experiment.run import Run, assemble_run, correlated, systematic_errors
+from testbed.lab.experiment.score import accuracies, relative_errors
+from testbed.lab.experiment.summary import headline
+from testbed.motion.fourier import Fourier
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.runs import MODELS, ROBOTS, experiment, judged_run, noisy, robot, run_of, without
 from tests.scenarios.scenarios import result

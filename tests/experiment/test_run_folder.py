@@ -17,21 +17,22 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.codec import json_text
-from testbed.errors import ExperimentError, InfeasibleMotion, TestbedError
-from testbed.excitation.limits import PlateTerm
-from testbed.excitation.proof import prove
-from testbed.experiment.evaluate import model_of, robot_of
-from testbed.experiment.excite import (
-    Excitation,
-    excite,
-    frequencies_of,
-    write_motion,
-    write_trajectory,
+from testbed.bodies.shapes.appearance import load_shapes
+from testbed.core.base.codec import json_text
+from testbed.core.base.errors import ExperimentError, InfeasibleMotion, TestbedError
+from testbed.core.estimation.estimate import METHODS, Estimate
+from testbed.core.estimation.estimate_summary import EstimateSummary
+from testbed.core.estimation.validate import validate
+from testbed.core.robot.model_file import ModelFile
+from testbed.lab.experiment.evaluate import model_of, robot_of
+from testbed.lab.experiment.motions import motion_of, read_motion, rules_of
+from testbed.lab.experiment.read_result import (
+    LARGEST_RESULT,
+    KeptResult,
+    prior_covariance,
+    read_result,
 )
-from testbed.experiment.motions import motion_of, read_motion, rules_of
-from testbed.experiment.read_result import LARGEST_RESULT, KeptResult, prior_covariance, read_result
-from testbed.experiment.results import (
+from testbed.lab.experiment.results import (
     check_folder,
     read_estimates,
     read_run,
@@ -40,14 +41,18 @@ from testbed.experiment.results import (
     write_recorded,
     write_run,
 )
-from testbed.experiment.results import identified as identified_result
-from testbed.experiment.robot_tables import RecordingTables
-from testbed.experiment.run import Run
-from testbed.identification.estimate import METHODS, Estimate
-from testbed.identification.estimate_summary import EstimateSummary
-from testbed.identification.validate import validate
-from testbed.robot.model_file import ModelFile
-from testbed.robot.visuals.appearance import load_shapes
+from testbed.lab.experiment.results import identified as identified_result
+from testbed.lab.experiment.robot_tables import RecordingTables
+from testbed.lab.experiment.run import Run
+from testbed.motion.excite import (
+    Excitation,
+    excite,
+    frequencies_of,
+    write_motion,
+    write_trajectory,
+)
+from testbed.motion.limits import PlateTerm
+from testbed.motion.proof import prove
 from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import MODELS

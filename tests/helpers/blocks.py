@@ -23,10 +23,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from testbed.campaign.campaign import CampaignTables
-from testbed.experiment.experiment import ExperimentTables
-from testbed.recordings.importing.mapping import Mapping
-from testbed.toml_text import checked
+from testbed.campaigns.campaign import CampaignTables
+from testbed.core.base.toml_text import checked
+from testbed.importing.mapping import Mapping
+from testbed.lab.experiment.experiment import ExperimentTables
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 from tests.scenarios.scenarios import result

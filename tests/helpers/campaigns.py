@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.campaign.bundle import Bundle, Outcome, carry_out_bundle
-from testbed.campaign.cluster import Work
-from testbed.campaign.conduct import Answers, Supply
+from testbed.campaigns.bundle import Bundle, Outcome, carry_out_bundle
+from testbed.campaigns.cluster import Work
+from testbed.campaigns.conduct import Answers, Supply
 from tests.helpers.paths import ROOT
 
 QUICK = (

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import testbed as tb
-from testbed.robot.tree import Joint, Kind, Tree
+from testbed.core.robot.tree import Joint, Kind, Tree
 
 X, Y, Z = np.eye(3)
 

@@ -30,7 +30,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 import testbed as tb
-from testbed.arrays import Array
+from testbed.core.base.arrays import Array
 
 JOINTS = ("j1", "j2")
 GRIPPER = 3_000_000

@@ -15,7 +15,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from testbed.arrays import Array
+from testbed.core.base.arrays import Array
 
 
 def python_module(text: str, folder: Path) -> ModuleType:

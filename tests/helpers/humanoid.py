@@ -7,10 +7,10 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.excitation.fourier import Fourier
-from testbed.recordings.recording import Recording
-from testbed.robot.free_base import FREE
+from testbed.core.base.arrays import Array
+from testbed.core.recordings.recording import Recording
+from testbed.core.robot.free_base import FREE
+from testbed.motion.fourier import Fourier
 from tests.helpers.paths import REAL
 
 G1 = REAL / "g1_description/urdf/g1_29dof_rev_1_0.urdf"

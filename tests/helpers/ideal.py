@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.dynamics.newton_euler import joint_forces
-from testbed.excitation.fourier import Fourier
-from testbed.identification.estimate import Method
-from testbed.parameters.rules import Model
-from testbed.recordings.recording import Recording, Truth
-from testbed.robot.friction import JointLaw
+from testbed.core.base.arrays import Array
+from testbed.core.dynamics.newton_euler import joint_forces
+from testbed.core.estimation.estimate import Method
+from testbed.core.parameters.rules import Model
+from testbed.core.recordings.recording import Recording, Truth
+from testbed.core.robot.friction import JointLaw
+from testbed.motion.fourier import Fourier
 
 EXACT = tb.Settings(position_cutoff="off", cutoff="off", noise="white")
 

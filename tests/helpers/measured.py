@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.excitation.fourier import Fourier
-from testbed.instruments.chain import Instrument, measure
-from testbed.recordings.recording import Recording, Truth
-from testbed.robot.friction import drive_torque
+from testbed.core.base.arrays import Array
+from testbed.core.recordings.recording import Recording, Truth
+from testbed.core.robot.friction import drive_torque
+from testbed.lab.instruments.chain import Instrument, measure
+from testbed.motion.fourier import Fourier
 
 SPEED = {"revolute": 1.5, "prismatic": 0.5}
 

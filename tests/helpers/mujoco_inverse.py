@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 import testbed as tb
-from testbed.arrays import Array
+from testbed.core.base.arrays import Array
 
 
 def by_mj_inverse(path: Path, tree: tb.Tree, states: tuple[Array, ...]) -> Array:

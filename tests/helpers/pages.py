@@ -14,24 +14,24 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from testbed.campaign.bundle import Bundle, Outcome
-from testbed.campaign.campaign import Campaign
-from testbed.campaign.conduct import conduct
-from testbed.campaign.summary import Summary, read_campaign, summarise
-from testbed.diagnostics import Diagnostic
-from testbed.excitation.design import Design
-from testbed.excitation.information import Prediction
-from testbed.experiment.excite import Excitation
-from testbed.experiment.motions import CheckedMotion, checked_motion
-from testbed.experiment.run import Run
-from testbed.identification.sensor.estimates import NuisanceEstimate
-from testbed.plausibility.mapping_solution import KNOWN, MappingSolution
-from testbed.plausibility.plate import WrenchFit
-from testbed.recordings.importing.import_report import Draft
-from testbed.reporting.campaign import write_campaign_page
-from testbed.reporting.mapping import write_mapping_page
-from testbed.reporting.motion import write_motion_page
-from testbed.reporting.run_page import write_report
+from testbed.campaigns.bundle import Bundle, Outcome
+from testbed.campaigns.campaign import Campaign
+from testbed.campaigns.campaign_section import write_campaign_page
+from testbed.campaigns.conduct import conduct
+from testbed.campaigns.summary import Summary, read_campaign, summarise
+from testbed.core.base.diagnostics import Diagnostic
+from testbed.core.estimation.sensor.estimates import NuisanceEstimate
+from testbed.importing.check.mapping_solution import KNOWN, MappingSolution
+from testbed.importing.check.plate import WrenchFit
+from testbed.importing.import_report import Draft
+from testbed.lab.experiment.motions import CheckedMotion, checked_motion
+from testbed.lab.experiment.run import Run
+from testbed.motion.design import Design
+from testbed.motion.excite import Excitation
+from testbed.motion.information import Prediction
+from testbed.view.mapping import write_mapping_page
+from testbed.view.motion import write_motion_page
+from testbed.view.run_page import write_report
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up
 from tests.helpers.ideal import ideal
 from tests.helpers.paths import ROOT

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from testbed.arrays import Array
-from testbed.recordings.formats.parquet import write_table
-from testbed.recordings.recording import Recording
-from testbed.recordings.source import alike
+from testbed.core.base.arrays import Array
+from testbed.core.recordings.formats.parquet import write_table
+from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.source import alike
 
 
 def write_parts(parts: Iterable[Recording], path: Path) -> None:

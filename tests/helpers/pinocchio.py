@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 import testbed as tb
-from testbed.arrays import Array
+from testbed.core.base.arrays import Array
 
 
 class Witness(NamedTuple):

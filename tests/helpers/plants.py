@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.excitation.fourier import Fourier
-from testbed.recordings.recording import Truth
-from testbed.robot.model_file import ModelFile
-from testbed.simulation.plant import Plant, build_plant
-from testbed.simulation.rollout import Rollout, Sampling, simulate_motion
+from testbed.core.base.arrays import Array
+from testbed.core.recordings.recording import Truth
+from testbed.core.robot.model_file import ModelFile
+from testbed.lab.simulation.plant import Plant, build_plant
+from testbed.lab.simulation.rollout import Rollout, Sampling, simulate_motion
+from testbed.motion.fourier import Fourier
 from tests.helpers.paths import ROOT
 
 PUMA = ROOT / "models/puma562.xml"

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.recordings.recording import Recording
-from testbed.robot.inertia import Inertia
+from testbed.core.base.arrays import Array
+from testbed.core.recordings.recording import Recording
+from testbed.core.robot.inertia import Inertia
 
 BIAS = np.array([2.0, -1.0, 1.0, 0.3, 0.2, -0.1])
 SCALE = np.array([500.0, 500.0, 1000.0, 200.0, 200.0, 100.0])

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 
 import testbed as tb
-from testbed.excitation.fourier import Fourier
-from testbed.robot.free_base import FREE, on_free_base, poses
+from testbed.core.robot.free_base import FREE, on_free_base, poses
+from testbed.motion.fourier import Fourier
 from tests.helpers.measured import random_fourier
 from tests.helpers.robots import random_robot
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from testbed.arrays import Array
-from testbed.robot.inertia import Inertia
-from testbed.robot.tree import Joint, Kind, Tree
+from testbed.core.base.arrays import Array
+from testbed.core.robot.inertia import Inertia
+from testbed.core.robot.tree import Joint, Kind, Tree
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from testbed.experiment.experiment_tables import Bound
-from testbed.experiment.run import Run, assemble_run
-from testbed.recordings.recording import Recording
+from testbed.core.recordings.recording import Recording
+from testbed.lab.experiment.experiment_tables import Bound
+from testbed.lab.experiment.run import Run, assemble_run
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.robots import random_robot

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import testbed as tb
-from testbed.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.robot.repair import Link
+from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
+from testbed.core.robot.repair import Link
 
 
 def links_of(tree: tb.Tree) -> tuple[Link, ...]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from testbed.arrays import Array
-from testbed.robot.visuals.shapes import Shape
+from testbed.bodies.shapes.shapes import Shape
+from testbed.core.base.arrays import Array
 
 GREY = np.array([0.5, 0.5, 0.5, 1.0])
 

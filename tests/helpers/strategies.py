@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
 import testbed as tb
-from testbed.recordings.recording import Recording
+from testbed.core.recordings.recording import Recording
 from tests.helpers.measured import measured
 from tests.helpers.robots import Robot, random_robot, random_states, with_zeros
 

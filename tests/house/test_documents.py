@@ -10,9 +10,9 @@ from dataclasses import fields, is_dataclass
 from itertools import chain
 from typing import Any
 
-from testbed.experiment.experiment import Experiment
-from testbed.experiment.experiment_tables import METRICS
-from testbed.recordings.importing.mapping import Mapping
+from testbed.importing.mapping import Mapping
+from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.experiment_tables import METRICS
 from tests.helpers.blocks import PAGES, TEMPLATES
 from tests.helpers.paths import ROOT
 

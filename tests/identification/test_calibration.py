@@ -11,20 +11,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.errors import RecordingError, SettingsError, TestbedError, UnknownName
-from testbed.experiment.read_result import read_plate, write_plate
-from testbed.identification.calibration import Calibration, calibrate, corrected
-from testbed.identification.payload.payload import (
+from testbed.applications.calibration import Calibration, calibrate, corrected
+from testbed.applications.payload.payload import (
     estimate_mass,
     estimate_payload_mass,
     payload,
     poses_at_rest,
     seen_of_payload,
 )
-from testbed.identification.payload.torque_scales import torque_scales
-from testbed.identification.regression.constraints import centre_of_mass, total_mass
-from testbed.parameters.symbols import standard
+from testbed.applications.payload.torque_scales import torque_scales
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError, SettingsError, TestbedError, UnknownName
+from testbed.core.estimation.regression.constraints import centre_of_mass, total_mass
+from testbed.core.parameters.symbols import standard
+from testbed.lab.experiment.read_result import read_plate, write_plate
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.plates import BIAS, LOAD, SCALE, loaded, mass_of, mixing, on_plate, resting

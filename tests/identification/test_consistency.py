@@ -12,19 +12,19 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.experiment.evaluate import wrong_bodies
-from testbed.identification.consistency.consistent import (
+from testbed.bodies.consistency.consistent import (
     consistent,
     consistent_by_held_out,
     robot_of,
 )
-from testbed.identification.consistency.likelihood import rigid_body_test
-from testbed.identification.consistency.options import METRICS, ConsistencyOptions, Metric
-from testbed.identification.estimate import METHODS, Estimate, Method
-from testbed.parameters.prior import Prior, matrices, parameters, prior_of
-from testbed.parameters.symbols import to_barycentric
-from testbed.recordings.source import open_source
+from testbed.bodies.consistency.likelihood import rigid_body_test
+from testbed.bodies.consistency.options import METRICS, ConsistencyOptions, Metric
+from testbed.bodies.prior import Prior, matrices, parameters, prior_of
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.estimate import METHODS, Estimate, Method
+from testbed.core.parameters.symbols import to_barycentric
+from testbed.core.recordings.source import open_source
+from testbed.lab.experiment.evaluate import wrong_bodies
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses

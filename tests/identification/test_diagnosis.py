@@ -12,8 +12,8 @@ import pytest
 
 import testbed as tb
 from benchmarks.fault_trials import trials
-from testbed.arrays import Array
-from testbed.diagnostics import (
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import (
     Diagnostic,
     from_json,
     messages,
@@ -21,15 +21,15 @@ from testbed.diagnostics import (
     phrase,
     sentences,
 )
-from testbed.identification.diagnostics.residuals import (
+from testbed.core.estimation.diagnostics.residuals import (
     cross_check,
     diagnostics_of,
     torque_factor,
 )
-from testbed.identification.estimate import METHODS, Estimate
-from testbed.identification.sensor.correction import TESTED
-from testbed.parameters.minimal_set import selection
-from testbed.recordings.recording import Recording
+from testbed.core.estimation.estimate import METHODS, Estimate
+from testbed.core.estimation.sensor.correction import TESTED
+from testbed.core.parameters.minimal_set import selection
+from testbed.core.recordings.recording import Recording
 from tests.helpers.ideal import plus
 from tests.helpers.measured import measured
 from tests.helpers.paths import GOLDEN, ROOT

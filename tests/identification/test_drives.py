@@ -13,28 +13,28 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.errors import RecordingError, SettingsError
-from testbed.identification.drives.friction_curves import friction_curves
-from testbed.identification.drives.identify_drives import (
+from testbed.applications.drives.friction_curves import friction_curves
+from testbed.applications.drives.identify_drives import (
     DriveFindings,
     combined,
     identify_drives,
     with_drives,
 )
-from testbed.identification.drives.joint_regression import regressions, torques_beside
-from testbed.identification.estimate import METHODS
-from testbed.identification.problem import Problem
-from testbed.identification.selection.held_out import Parts, grown, stretches
-from testbed.identification.selection.term_choice import choose_terms
-from testbed.plausibility.time_offset import delivered
-from testbed.recordings.recording import Recording
-from testbed.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.robot.friction import QUADRATIC, ROTOR, stribeck
-from testbed.robot.locks import with_shafts
-from testbed.robot.model_file import ModelFile
-from testbed.robot.write_model import write_model
-from testbed.simulation.replay import replay
+from testbed.applications.drives.joint_regression import regressions, torques_beside
+from testbed.bodies.write_model import write_model
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError, SettingsError
+from testbed.core.estimation.estimate import METHODS
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.selection.held_out import Parts, grown, stretches
+from testbed.core.estimation.selection.term_choice import choose_terms
+from testbed.core.recordings.recording import Recording
+from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
+from testbed.core.robot.friction import QUADRATIC, ROTOR, stribeck
+from testbed.core.robot.locks import with_shafts
+from testbed.core.robot.model_file import ModelFile
+from testbed.importing.check.time_offset import delivered
+from testbed.lab.simulation.replay import replay
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT

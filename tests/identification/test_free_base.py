@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.errors import ModelError, RecordingError
-from testbed.excitation.fourier import Fourier
-from testbed.identification.validate import motion_in, predictions
-from testbed.recordings.recording import Recording
-from testbed.recordings.views import with_base_joints
-from testbed.robot.free_base import FREE, coordinates, on_free_base
+from testbed.core.base.errors import ModelError, RecordingError
+from testbed.core.estimation.validate import motion_in, predictions
+from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.views import with_base_joints
+from testbed.core.robot.free_base import FREE, coordinates, on_free_base
+from testbed.motion.fourier import Fourier
 from tests.helpers.humanoid import G1, humanoid, squatting
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot

@@ -12,20 +12,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.arrays import AnyArray, Array
-from testbed.dynamics.newton_euler import kinematics, transmitted
-from testbed.errors import RecordingError, UnknownName, UnseenParameters
-from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
-from testbed.identification.regression.solvers import ScoreSquares, bin_size, hidden
-from testbed.identification.regression.windows import (
+from testbed.core.base.arrays import AnyArray, Array
+from testbed.core.base.errors import RecordingError, UnknownName, UnseenParameters
+from testbed.core.dynamics.newton_euler import kinematics, transmitted
+from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Method
+from testbed.core.estimation.regression.solvers import ScoreSquares, bin_size, hidden
+from testbed.core.estimation.regression.windows import (
     ROW_ATTENUATION,
     low_pass,
     motion_taps,
     row_weights,
 )
-from testbed.identification.validate import motion_in, own_torque, predictions
-from testbed.recordings.recording import Recording
-from testbed.robot.friction import LAWS, OFFSET, JointLaw
+from testbed.core.estimation.validate import motion_in, own_torque, predictions
+from testbed.core.recordings.recording import Recording
+from testbed.core.robot.friction import LAWS, OFFSET, JointLaw
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.measured import measured
 from tests.helpers.mujoco_inverse import by_mj_inverse
@@ -88,7 +88,7 @@ def test_a_law_of_ones_own_goes_all_the_way(
     compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Defined here and nowhere else: recorded, identified and foretold, whatever the engine."""
-    monkeypatch.setattr("testbed.identification.regression.passes.SMALL", 0.0 if compiled else 1e9)
+    monkeypatch.setattr("testbed.core.estimation.regression.passes.SMALL", 0.0 if compiled else 1e9)
     law = JointLaw("cubic", "N m s^3/rad^3", "N s^3/m^3", lambda qd, qdd: qd**3)
     tree = robot("gantry")
     coefficients = np.linspace(0.5, 3.0, tree.n)

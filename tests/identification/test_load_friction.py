@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.dynamics.newton_euler import joint_forces
-from testbed.identification.drives.friction_files import (
+from testbed.applications.drives.friction_files import (
     bam_parameters,
     write_friction,
 )
-from testbed.identification.drives.friction_map import LOADS, SPEEDS
-from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
-from testbed.identification.regression.windows import drive_filter
-from testbed.recordings.recording import Recording
-from testbed.robot.friction import joint_law
+from testbed.applications.drives.friction_map import LOADS, SPEEDS
+from testbed.applications.drives.identify_drives import DriveFindings, identify_drives
+from testbed.core.base.arrays import Array
+from testbed.core.dynamics.newton_euler import joint_forces
+from testbed.core.estimation.regression.windows import drive_filter
+from testbed.core.recordings.recording import Recording
+from testbed.core.robot.friction import joint_law
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.runs import robot
 

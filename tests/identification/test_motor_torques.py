@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.errors import RecordingError
-from testbed.recordings.recording import Recording
-from testbed.robot.friction import SLOPE, VARYING, WARM_VISCOUS
+from testbed.core.base.errors import RecordingError
+from testbed.core.recordings.recording import Recording
+from testbed.core.robot.friction import SLOPE, VARYING, WARM_VISCOUS
 from tests.helpers.foreign_files import imported
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured

@@ -15,17 +15,17 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy import linalg, stats
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.identification.diagnostics.diagnosis import UNLIKELY
-from testbed.identification.noise.coloured_noise import (
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.diagnostics.diagnosis import UNLIKELY
+from testbed.core.estimation.noise.coloured_noise import (
     averaged,
     averaged_fit,
     constants,
     square_of_last,
 )
-from testbed.identification.noise.errors_in_variables import Quantization, correct_attenuation
-from testbed.identification.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
-from testbed.identification.noise.lagged_products import (
+from testbed.core.estimation.noise.errors_in_variables import Quantization, correct_attenuation
+from testbed.core.estimation.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
+from testbed.core.estimation.noise.lagged_products import (
     LARGEST_ROOT,
     Autoregression,
     LaggedProducts,
@@ -35,19 +35,19 @@ from testbed.identification.noise.lagged_products import (
     best_order,
     fit,
 )
-from testbed.identification.noise.noise_model import (
+from testbed.core.estimation.noise.noise_model import (
     PeriodicResidual,
     PeriodicSums,
     TimeDelay,
     lateness,
     period_of,
 )
-from testbed.identification.regression.passes import Surveyor
-from testbed.identification.regression.windows import Plan, Window, make_plan
-from testbed.kernel.layout import layout
-from testbed.kernel.records import Signals
-from testbed.recordings.recording import Recording
-from testbed.recordings.source import open_source
+from testbed.core.estimation.regression.passes import Surveyor
+from testbed.core.estimation.regression.windows import Plan, Window, make_plan
+from testbed.core.kernel.layout import layout
+from testbed.core.kernel.records import Signals
+from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.source import open_source
 from tests.helpers.measured import measured
 from tests.helpers.runs import robot
 from tests.helpers.strategies import rngs

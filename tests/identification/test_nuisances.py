@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.identification.regression import windows
-from testbed.identification.regression.windows import make_plan, row_weights
-from testbed.identification.sensor.correction import NUISANCES, TESTED
-from testbed.identification.sensor.plate import shifted
-from testbed.identification.sensor.predicted_wrench import row_filter
-from testbed.identification.sensor.unknowns import Columns, unknowns_of
-from testbed.instruments.fault import Fault
-from testbed.instruments.faults import fault_of
-from testbed.kernel.layout import layout
-from testbed.recordings.recording import Recording
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.regression import windows
+from testbed.core.estimation.regression.windows import make_plan, row_weights
+from testbed.core.estimation.sensor.correction import NUISANCES, TESTED
+from testbed.core.estimation.sensor.plate import shifted
+from testbed.core.estimation.sensor.predicted_wrench import row_filter
+from testbed.core.estimation.sensor.unknowns import Columns, unknowns_of
+from testbed.core.kernel.layout import layout
+from testbed.core.recordings.recording import Recording
+from testbed.lab.instruments.fault import Fault
+from testbed.lab.instruments.faults import fault_of
 from tests.helpers.ideal import ideal
 from tests.helpers.measured import measured
 from tests.helpers.runs import robot

@@ -15,11 +15,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.errors import RecordingError, UnknownName
-from testbed.identification.payload.pose_readings import StaticPoses
-from testbed.identification.payload.tool import read_static_poses, tool_at_rest
-from testbed.robot.force_sensor import ForceSensor
+from testbed.applications.payload.pose_readings import StaticPoses
+from testbed.applications.payload.tool import read_static_poses, tool_at_rest
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError, UnknownName
+from testbed.core.robot.force_sensor import ForceSensor
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses

@@ -14,23 +14,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.codec import decode, encode
-from testbed.experiment.evaluate import wrong_bodies
-from testbed.identification.estimate import Method
-from testbed.identification.posterior import Posterior, errors_of_another, posterior, posteriors
-from testbed.identification.problem import Problem
-from testbed.identification.selection.linear_prior import (
+from testbed.bodies.linear_prior import (
     LinearPrior,
     alone_determined,
     with_prior,
 )
-from testbed.identification.selection.prediction_errors import PredictionErrors
-from testbed.identification.selection.row_products import FREEDOM, RowProducts, products_of
-from testbed.identification.verdict import WELL, verdict_of
-from testbed.parameters.prior import coordinates, prior_of
-from testbed.recordings.recording import Recording
-from testbed.robot.friction import drive_torque
+from testbed.bodies.posterior import Posterior, errors_of_another, posterior, posteriors
+from testbed.bodies.prior import coordinates, prior_of
+from testbed.core.base.arrays import Array
+from testbed.core.base.codec import decode, encode
+from testbed.core.estimation.estimate import Method
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.selection.prediction_errors import PredictionErrors
+from testbed.core.estimation.selection.row_products import FREEDOM, RowProducts, products_of
+from testbed.core.estimation.verdict import WELL, verdict_of
+from testbed.core.recordings.recording import Recording
+from testbed.core.robot.friction import drive_torque
+from testbed.lab.experiment.evaluate import wrong_bodies
 from tests.helpers.ideal import ideal
 from tests.helpers.measured import measured, random_fourier
 from tests.helpers.robots import random_robot

@@ -10,17 +10,17 @@ from scipy import stats
 
 import testbed as tb
 from benchmarks.sampling import factors, prior_robots
-from testbed.arrays import Array
-from testbed.errors import SettingsError
-from testbed.identification.consistency.options import ConsistencyOptions
-from testbed.identification.consistency.robots import (
+from testbed.bodies.consistency.options import ConsistencyOptions
+from testbed.bodies.consistency.robots import (
     BODY,
     _log_prior,
     elliptical_slices,
 )
-from testbed.identification.estimate_summary import estimate_of_summary, summary_of
-from testbed.parameters.prior import coordinates, prior_of
-from testbed.robot.inertia import inertia_flaw
+from testbed.bodies.prior import coordinates, prior_of
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import SettingsError
+from testbed.core.estimation.estimate_summary import estimate_of_summary, summary_of
+from testbed.core.robot.inertia import inertia_flaw
 from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot

@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.diagnostics import Diagnostic
-from testbed.errors import RecordingError, SettingsError, TestbedError, UnknownName
-from testbed.identification.estimate import number_with_sigma
-from testbed.identification.problem import Problem
-from testbed.identification.selection.term_choice import choose_terms
-from testbed.identification.settings import Settings
-from testbed.robot.friction import JointLaw
+from testbed.core.base.diagnostics import Diagnostic
+from testbed.core.base.errors import RecordingError, SettingsError, TestbedError, UnknownName
+from testbed.core.estimation.estimate import number_with_sigma
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.selection.term_choice import choose_terms
+from testbed.core.estimation.settings import Settings
+from testbed.core.robot.friction import JointLaw
 from tests.helpers.ideal import EXACT, ideal, true_values
 from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses

@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.codec import encode, json_text
-from testbed.errors import SettingsError, TestbedError
-from testbed.identification.estimate import METHODS, Estimate, Method, by_influence, influence
-from testbed.identification.regression.constraints import parse_known
-from testbed.identification.validate import motion_in
-from testbed.robot.inertia import about
+from testbed.core.base.arrays import Array
+from testbed.core.base.codec import encode, json_text
+from testbed.core.base.errors import SettingsError, TestbedError
+from testbed.core.estimation.estimate import METHODS, Estimate, Method, by_influence, influence
+from testbed.core.estimation.regression.constraints import parse_known
+from testbed.core.estimation.validate import motion_in
+from testbed.core.robot.inertia import about
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.plates import mass_of

@@ -17,21 +17,21 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.diagnostics import Diagnostic, of_recording
-from testbed.errors import RecordingError, SettingsError
-from testbed.identification.estimate import METHODS, Method
-from testbed.identification.problem import samples_of
-from testbed.identification.regression import passes
-from testbed.identification.regression.passes import Surveyor
-from testbed.identification.regression.windows import make_plan
-from testbed.identification.settings import Settings
-from testbed.kernel import numba_engine
-from testbed.kernel.layout import layout
-from testbed.kernel.records import Signals
-from testbed.recordings.joined import Joined
-from testbed.recordings.recording import Recording
-from testbed.recordings.source import Stretch, segments_of
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import Diagnostic, of_recording
+from testbed.core.base.errors import RecordingError, SettingsError
+from testbed.core.estimation.estimate import METHODS, Method
+from testbed.core.estimation.problem import samples_of
+from testbed.core.estimation.regression import passes
+from testbed.core.estimation.regression.passes import Surveyor
+from testbed.core.estimation.regression.windows import make_plan
+from testbed.core.estimation.settings import Settings
+from testbed.core.kernel import numba_engine
+from testbed.core.kernel.layout import layout
+from testbed.core.kernel.records import Signals
+from testbed.core.recordings.joined import Joined
+from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.source import Stretch, segments_of
 from tests.helpers.command import command_line
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.measured import measured
@@ -90,7 +90,7 @@ def sweeps(monkeypatch: pytest.MonkeyPatch) -> list[Callable[[], None]]:
             hook()
         return real(*arguments)
 
-    monkeypatch.setattr("testbed.identification.regression.passes.SMALL", 0.0)
+    monkeypatch.setattr("testbed.core.estimation.regression.passes.SMALL", 0.0)
     monkeypatch.setattr(numba_engine, "sweep", sweep)
     return hooks
 

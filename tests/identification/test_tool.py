@@ -14,16 +14,16 @@ from hypothesis import given
 from scipy.spatial.transform import Rotation
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.errors import RecordingError, SettingsError
-from testbed.identification.payload.pose_readings import StaticPoses
-from testbed.identification.payload.tool import (
+from testbed.applications.payload.pose_readings import StaticPoses
+from testbed.applications.payload.tool import (
     read_static_poses,
     tool_at_rest,
     tool_of,
 )
-from testbed.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.robot.inertia import Inertia, from_rpy
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError, SettingsError
+from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
+from testbed.core.robot.inertia import Inertia, from_rpy
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 from tests.helpers.sensors import links_of, random_sensors

@@ -11,10 +11,10 @@ import pytest
 from scipy import signal
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.identification.problem import Problem
-from testbed.identification.selection.term_choice import choose_terms, held_out
-from testbed.plausibility.check import assess
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.selection.term_choice import choose_terms, held_out
+from testbed.importing.check.check import assess
 from tests.helpers.paths import ROOT
 
 TX40 = ROOT / "examples/tx40"

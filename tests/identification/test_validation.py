@@ -14,13 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.errors import RecordingError, SettingsError, UnknownName
-from testbed.identification.estimate import METHODS, SIGNAL_OF, Estimate, Method
-from testbed.identification.estimate_summary import summary_of
-from testbed.identification.problem import Problem
-from testbed.identification.regression.windows import ROWS_PER_CUTOFF, row_weights
-from testbed.identification.validate import (
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
+from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Estimate, Method
+from testbed.core.estimation.estimate_summary import summary_of
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.regression.windows import ROWS_PER_CUTOFF, row_weights
+from testbed.core.estimation.validate import (
     LIMIT,
     friction,
     motion_in,
@@ -28,9 +28,9 @@ from testbed.identification.validate import (
     predictions,
     validate,
 )
-from testbed.kernel.records import REST_VARIANCE
-from testbed.recordings.recording import Recording
-from testbed.robot.friction import LAWS
+from testbed.core.kernel.records import REST_VARIANCE
+from testbed.core.recordings.recording import Recording
+from testbed.core.robot.friction import LAWS
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses

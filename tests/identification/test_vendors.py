@@ -10,14 +10,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from testbed.arrays import Array
-from testbed.errors import SettingsError
-from testbed.identification.payload.payload import UNITS, PayloadEstimate
-from testbed.identification.payload.vendors import VENDORS, FlangePayload, at_flange
-from testbed.parameters.symbols import STANDARD
-from testbed.robot.inertia import NOTHING
-from testbed.robot.repair import Link
-from testbed.robot.tree import Placement
+from testbed.applications.payload.payload import UNITS, PayloadEstimate
+from testbed.applications.payload.vendors import VENDORS, FlangePayload, at_flange
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import SettingsError
+from testbed.core.parameters.symbols import STANDARD
+from testbed.core.robot.inertia import NOTHING
+from testbed.core.robot.repair import Link
+from testbed.core.robot.tree import Placement
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot
 

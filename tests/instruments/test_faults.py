@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from scipy.signal import butter, freqs, welch
 from scipy.spatial.transform import Rotation
 
-from testbed.arrays import Array
-from testbed.instruments import joints, plate, plate_clock
-from testbed.instruments.fault import FULL_SCALE, Fault, Rig
-from testbed.instruments.faults import KINDS
+from testbed.core.base.arrays import Array
+from testbed.lab.instruments import joints, plate, plate_clock
+from testbed.lab.instruments.fault import FULL_SCALE, Fault, Rig
+from testbed.lab.instruments.faults import KINDS
 from tests.helpers.strategies import rngs
 
 RATE = 1000.0

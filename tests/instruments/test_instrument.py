@@ -16,19 +16,20 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from docs.instruments import catalogue
-from testbed.arrays import Array
-from testbed.errors import RecordingError, SettingsError, TestbedError
-from testbed.instruments.chain import Instrument, measure, measured_again
-from testbed.instruments.fault import FULL_SCALE, Fault, Place, apply_chain, stream
-from testbed.instruments.faults import KINDS, fault_of
-from testbed.instruments.joints import (
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError, SettingsError, TestbedError
+from testbed.core.recordings.recording import Recording, Truth
+from testbed.lab.instruments.chain import Instrument, measure, measured_again
+from testbed.lab.instruments.fault import FULL_SCALE, Fault, Place, apply_chain, stream
+from testbed.lab.instruments.faults import KINDS, fault_of
+from testbed.lab.instruments.joints import (
     EncoderEccentricity,
     EncoderInstantSampling,
     EncoderNoise,
     EncoderResolution,
     EncoderZeroError,
 )
-from testbed.instruments.plate import (
+from testbed.lab.instruments.plate import (
     MeasuredTare,
     PlateBias,
     PlateConverter,
@@ -38,10 +39,9 @@ from testbed.instruments.plate import (
     PlateNoise,
     PlatePose,
 )
-from testbed.instruments.plate_clock import PlateAntiAliasFilter, PlateDroppedSamples
-from testbed.instruments.plates import PLATES
-from testbed.kind_table import in_words
-from testbed.recordings.recording import Recording, Truth
+from testbed.lab.instruments.plate_clock import PlateAntiAliasFilter, PlateDroppedSamples
+from testbed.lab.instruments.plates import PLATES
+from testbed.lab.kind_table import in_words
 from tests.helpers.ideal import ideal
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from testbed.kernel import compiler
-from testbed.kernel.compiler import compiled_folder
+from testbed.core.kernel import compiler
+from testbed.core.kernel.compiler import compiled_folder
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have no owners here")
 PLACES = ("XDG_CACHE_HOME", "LOCALAPPDATA", "HOME")
@@ -73,7 +73,7 @@ def test_processes_keep_code_in_safe_or_named_places_only(tmp_path: Path) -> Non
     cache = tmp_path / "cache"
 
     def place(**own: str) -> Path:
-        code = "from testbed.kernel.compiler import settings; print(settings.CACHE_DIR)"
+        code = "from testbed.core.kernel.compiler import settings; print(settings.CACHE_DIR)"
         given = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
         given |= own | {"XDG_CACHE_HOME": str(cache)}
         return Path(

@@ -15,15 +15,15 @@ from hypothesis import strategies as st
 from llvmlite import binding
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.identification.regression.windows import motion_taps, row_weights
-from testbed.kernel import gram, numba_engine, numpy_engine
-from testbed.kernel.layout import Layout, independent_columns, layout
-from testbed.kernel.records import NB, Question, Signals, Sums, products_wanted
-from testbed.kernel.rows import sine_cosine
-from testbed.parameters.rules import Model
-from testbed.robot.free_base import on_free_base
-from testbed.robot.friction import LAWS, joint_terms
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.regression.windows import motion_taps, row_weights
+from testbed.core.kernel import gram, numba_engine, numpy_engine
+from testbed.core.kernel.layout import Layout, independent_columns, layout
+from testbed.core.kernel.records import NB, Question, Signals, Sums, products_wanted
+from testbed.core.kernel.rows import sine_cosine
+from testbed.core.parameters.rules import Model
+from testbed.core.robot.free_base import on_free_base
+from testbed.core.robot.friction import LAWS, joint_terms
 from tests.helpers.paths import ROOT
 from tests.helpers.sensors import random_cut
 from tests.helpers.strategies import few, rngs, trees

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from testbed.recordings.recording import Truth
-from testbed.viewer.live import Live
+from testbed.core.recordings.recording import Truth
+from testbed.view.viewer.live import Live
 from tests.helpers.browser import axe, browser, complaints
 from tests.helpers.pages import OTHERS, RUNS, page
 from tests.helpers.viewer import headless_viewer, settled

@@ -16,15 +16,20 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.dynamics.drive_set import verify, verify_drives
-from testbed.errors import UnknownName
-from testbed.parameters.joint_terms import with_joint_terms
-from testbed.parameters.minimal_set import MinimalSet
-from testbed.parameters.regroup import length_symbol
-from testbed.parameters.rules import REASONS, Model
-from testbed.parameters.symbols import Symbol, component_symbol, parameter_names, parameter_symbols
-from testbed.robot.friction import LAWS
-from testbed.robot.tree import Tree
+from testbed.core.base.errors import UnknownName
+from testbed.core.dynamics.drive_set import verify, verify_drives
+from testbed.core.parameters.joint_terms import with_joint_terms
+from testbed.core.parameters.minimal_set import MinimalSet
+from testbed.core.parameters.regroup import length_symbol
+from testbed.core.parameters.rules import REASONS, Model
+from testbed.core.parameters.symbols import (
+    Symbol,
+    component_symbol,
+    parameter_names,
+    parameter_symbols,
+)
+from testbed.core.robot.friction import LAWS
+from testbed.core.robot.tree import Tree
 from tests.helpers.chains import X, Y, Z, chain
 from tests.helpers.paths import GOLDEN
 from tests.helpers.robots import random_robot, with_zeros

@@ -19,10 +19,10 @@ from scipy.spatial.transform import Rotation
 
 import testbed as tb
 from benchmarks.inverse_recordings import RATE, truth
-from testbed.errors import RecordingError
-from testbed.plausibility.check import assess, check_recording
-from testbed.recordings.views import with_base_joints
-from testbed.robot.free_base import FREE, coordinates, poses
+from testbed.core.base.errors import RecordingError
+from testbed.core.recordings.views import with_base_joints
+from testbed.core.robot.free_base import FREE, coordinates, poses
+from testbed.importing.check.check import assess, check_recording
 from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT
 from tests.helpers.riding import riding

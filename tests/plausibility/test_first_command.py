@@ -16,7 +16,7 @@ import pytest
 from hypothesis import example, given
 
 import testbed as tb
-from testbed.arrays import Array
+from testbed.core.base.arrays import Array
 from tests.helpers.command import command_line
 from tests.helpers.paths import GOLDEN
 from tests.helpers.strategies import few, seeds

@@ -14,10 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.plausibility.plate import AS_READ, PLATE_ORDERS, frame_of, quarter_turns
-from testbed.plausibility.recording_diagnostics import odd_sizes, out_of_range
-from testbed.plausibility.remedies import (
+from testbed.core.base.arrays import Array
+from testbed.core.robot.free_base import on_free_base
+from testbed.core.robot.inertia import to_rpy
+from testbed.importing.check.plate import AS_READ, PLATE_ORDERS, frame_of, quarter_turns
+from testbed.importing.check.recording_diagnostics import odd_sizes, out_of_range
+from testbed.importing.check.remedies import (
     Hypothesis,
     joint_map,
     merge,
@@ -26,12 +28,10 @@ from testbed.plausibility.remedies import (
     remedies_for,
     with_lines,
 )
-from testbed.plausibility.time_offset import TimeOffset, alignment
-from testbed.recordings.importing.foreign_table import FORCES, MOMENTS
-from testbed.recordings.importing.mapping import WrenchTable
-from testbed.recordings.importing.signal_maps import wrench_of
-from testbed.robot.free_base import on_free_base
-from testbed.robot.inertia import to_rpy
+from testbed.importing.check.time_offset import TimeOffset, alignment
+from testbed.importing.foreign_table import FORCES, MOMENTS
+from testbed.importing.mapping import WrenchTable
+from testbed.importing.signal_maps import wrench_of
 from tests.helpers.foreign_files import npz, some_log
 from tests.helpers.runs import robot
 from tests.helpers.strategies import few, rngs, trees

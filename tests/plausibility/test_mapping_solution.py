@@ -13,8 +13,8 @@ import pytest
 
 import testbed as tb
 from benchmarks.inverse_recordings import truth
-from testbed.plausibility.mapping_solution import ASSUMED, missing, solve_mapping
-from testbed.recordings.importing.guess import guessed
+from testbed.importing.check.mapping_solution import ASSUMED, missing, solve_mapping
+from testbed.importing.guess import guessed
 from tests.helpers.riding import riding
 from tests.scenarios.scenarios import result
 

@@ -11,10 +11,10 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.errors import RecordingError
-from testbed.plausibility.check import assess, check_recording, import_and_check
-from testbed.plausibility.time_offset import time_offsets
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError
+from testbed.importing.check.check import assess, check_recording, import_and_check
+from testbed.importing.check.time_offset import time_offsets
 from tests.helpers.measured import measured, random_fourier
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import robot, without

@@ -15,14 +15,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.diagnostics import of_recording
-from testbed.errors import RecordingError
-from testbed.recordings.importing.foreign_table import TIMES
-from testbed.recordings.importing.mapping import SourceTable
-from testbed.recordings.importing.resampling import low_pass_reach, onto_grid
-from testbed.recordings.importing.source_clock import held_share, sample_times, slow_device
-from testbed.recordings.joined import pieces
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import of_recording
+from testbed.core.base.errors import RecordingError
+from testbed.core.recordings.joined import pieces
+from testbed.importing.foreign_table import TIMES
+from testbed.importing.mapping import SourceTable
+from testbed.importing.resampling import low_pass_reach, onto_grid
+from testbed.importing.source_clock import held_share, sample_times, slow_device
 from tests.helpers.foreign_files import imported, mapping
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import rngs

@@ -19,13 +19,13 @@ import rerun as rr
 from mcap.writer import Writer
 
 from benchmarks.hostile.datasets import TRAPS, trap
-from testbed.arrays import Array
-from testbed.errors import RecordingError, UnknownName
-from testbed.recordings.importing.foreign_table import ForeignTable
-from testbed.recordings.importing.guess import guessed
-from testbed.recordings.importing.known_layouts import LAYOUTS
-from testbed.recordings.importing.readers import open_foreign, tables
-from testbed.recordings.joined import pieces
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError, UnknownName
+from testbed.core.recordings.joined import pieces
+from testbed.importing.foreign_table import ForeignTable
+from testbed.importing.guess import guessed
+from testbed.importing.known_layouts import LAYOUTS
+from testbed.importing.readers import open_foreign, tables
 from tests.helpers.foreign_files import EPOCH, FORMATS, JOINTS, Log, lerobot, some_log
 from tests.helpers.refusals import refuses
 

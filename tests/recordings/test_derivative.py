@@ -11,9 +11,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from testbed.errors import RecordingError
-from testbed.recordings.importing.derivative import DerivativeError
-from testbed.recordings.importing.foreign_table import UNITS, factor
+from testbed.core.base.errors import RecordingError
+from testbed.importing.derivative import DerivativeError
+from testbed.importing.foreign_table import UNITS, factor
 from tests.helpers.foreign_files import imported
 from tests.helpers.ideal import ideal
 from tests.helpers.refusals import refuses

@@ -23,11 +23,11 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 import testbed as tb
-from testbed.errors import RecordingError, UnknownName
-from testbed.recordings.importing.foreign_table import TIMES, ForeignTable
-from testbed.recordings.importing.guess import guessed
-from testbed.recordings.importing.readers import open_foreign, ros_bag
-from testbed.recordings.importing.readers.ros_bag import numbers_of
+from testbed.core.base.errors import RecordingError, UnknownName
+from testbed.importing.foreign_table import TIMES, ForeignTable
+from testbed.importing.guess import guessed
+from testbed.importing.readers import open_foreign, ros_bag
+from testbed.importing.readers.ros_bag import numbers_of
 from tests.helpers.foreign_files import EPOCH, FORMATS, JOINTS, some_log, write_c3d
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import few, rngs

@@ -14,11 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.errors import ExperimentError
-from testbed.recordings.importing.foreign_table import TIMES, UNITS
-from testbed.recordings.importing.guess import guessed
-from testbed.recordings.importing.likely_clock import rate_of
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import ExperimentError
+from testbed.importing.foreign_table import TIMES, UNITS
+from testbed.importing.guess import guessed
+from testbed.importing.likely_clock import rate_of
 from tests.helpers.strategies import rngs
 
 STYLES = (

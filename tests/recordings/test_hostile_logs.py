@@ -17,12 +17,12 @@ from scipy.io import savemat
 import testbed as tb
 from benchmarks.hostile.case import write_files
 from benchmarks.hostile.logs import LOG_TRAPS, trap
-from testbed.errors import RecordingError, UnknownName
-from testbed.recordings.importing.foreign_table import MOST_COLUMNS, ForeignTable
-from testbed.recordings.importing.guess import guessed
-from testbed.recordings.importing.readers import open_foreign, tables
-from testbed.recordings.importing.source_clock import Times
-from testbed.recordings.source import open_source
+from testbed.core.base.errors import RecordingError, UnknownName
+from testbed.core.recordings.source import open_source
+from testbed.importing.foreign_table import MOST_COLUMNS, ForeignTable
+from testbed.importing.guess import guessed
+from testbed.importing.readers import open_foreign, tables
+from testbed.importing.source_clock import Times
 from tests.helpers.foreign_files import FORMATS, some_log
 from tests.helpers.refusals import refuses
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.identification.posterior import Posterior, errors_of_another, posteriors
-from testbed.identification.problem import Problem
-from testbed.recordings.importing.guess import guessed
-from testbed.recordings.joined import pieces
-from testbed.recordings.recording import Recording
+from testbed.bodies.posterior import Posterior, errors_of_another, posteriors
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.problem import Problem
+from testbed.core.recordings.joined import pieces
+from testbed.core.recordings.recording import Recording
+from testbed.importing.guess import guessed
 from tests.helpers.paths import ROOT
 
 GEN3 = ROOT / "examples/kinova_gen3"

@@ -9,10 +9,10 @@ import h5py
 import numpy as np
 import pytest
 
-from testbed.arrays import Array
-from testbed.errors import RecordingError, TestbedError
-from testbed.recordings.importing.foreign_table import UNITS, plain
-from testbed.robot.inertia import from_rpy
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError, TestbedError
+from testbed.core.robot.inertia import from_rpy
+from testbed.importing.foreign_table import UNITS, plain
 from tests.helpers.foreign_files import FORMATS, Log, csv, imported, npz, some_log
 from tests.helpers.refusals import is_message, refuses
 

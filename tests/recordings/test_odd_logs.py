@@ -18,13 +18,13 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.diagnostics import of_recording
-from testbed.errors import RecordingError
-from testbed.recordings.importing.guess import guessed
-from testbed.recordings.importing.import_report import Draft
-from testbed.recordings.importing.readers import open_foreign
-from testbed.recordings.joined import pieces
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import of_recording
+from testbed.core.base.errors import RecordingError
+from testbed.core.recordings.joined import pieces
+from testbed.importing.guess import guessed
+from testbed.importing.import_report import Draft
+from testbed.importing.readers import open_foreign
 from tests.helpers.foreign_files import write_c3d
 from tests.helpers.refusals import refuses
 

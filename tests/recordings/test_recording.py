@@ -15,16 +15,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.errors import RecordingError
-from testbed.recordings.columns import check_times, checked_metadata
-from testbed.recordings.formats import parquet
-from testbed.recordings.geometry import TOLERANCE, check_robot, geometry
-from testbed.recordings.held import without as held_without
-from testbed.recordings.joined import Joined
-from testbed.recordings.recording import Recording
-from testbed.recordings.source import gathered, open_source
-from testbed.recordings.views import NAMES, coupled_shafts, on_its_base, with_base_joints, with_gear
-from testbed.robot.free_base import on_free_base
+from testbed.core.base.errors import RecordingError
+from testbed.core.recordings.columns import check_times, checked_metadata
+from testbed.core.recordings.formats import parquet
+from testbed.core.recordings.geometry import TOLERANCE, check_robot, geometry
+from testbed.core.recordings.held import without as held_without
+from testbed.core.recordings.joined import Joined
+from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.source import gathered, open_source
+from testbed.core.recordings.views import (
+    NAMES,
+    coupled_shafts,
+    on_its_base,
+    with_base_joints,
+    with_gear,
+)
+from testbed.core.robot.free_base import on_free_base
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.parts import write_parts
@@ -131,7 +137,7 @@ def test_parts_of_a_file_are_those_of_the_whole_in_any_order_and_size(
         same(stored.part(first, last), part)
         assert part.truth is None
     for at_once in (7, SIZE, 10**6):
-        monkeypatch.setattr("testbed.recordings.recording.AT_ONCE", at_once)
+        monkeypatch.setattr("testbed.core.recordings.recording.AT_ONCE", at_once)
         same(Recording.load(path), whole)
     found = gathered(iter(cut(whole)))
     same(found, whole)

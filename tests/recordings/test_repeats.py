@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.recordings.repeats import without_repeated_poses
-from testbed.recordings.source import open_source
+from testbed.core.base.arrays import Array
+from testbed.core.recordings.repeats import without_repeated_poses
+from testbed.core.recordings.source import open_source
 
 
 def recording(position: Array) -> tb.Recording:

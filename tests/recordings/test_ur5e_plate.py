@@ -16,15 +16,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.errors import RecordingError
-from testbed.plausibility.check import assess
-from testbed.plausibility.mapping_solution import solve_mapping
-from testbed.plausibility.time_offset import moving_average
-from testbed.recordings.importing.guess import guessed
-from testbed.recordings.importing.import_report import Draft
-from testbed.recordings.joined import pieces
-from testbed.recordings.recording import Recording
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError
+from testbed.core.recordings.joined import pieces
+from testbed.core.recordings.recording import Recording
+from testbed.importing.check.check import assess
+from testbed.importing.check.mapping_solution import solve_mapping
+from testbed.importing.check.time_offset import moving_average
+from testbed.importing.guess import guessed
+from testbed.importing.import_report import Draft
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 

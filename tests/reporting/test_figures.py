@@ -20,12 +20,12 @@ from matplotlib.textpath import TextPath
 from scipy.signal import welch
 
 import testbed as tb
-from testbed.reporting.figures import Panel, named_panels, power_of_ten, tick_label
-from testbed.reporting.plot import MOST, ErrorDots, dot_panels, dots_of_run
-from testbed.reporting.portrait import HEIGHT, LETTER, paint, png, portrait
-from testbed.reporting.section import DARKEST, HeatTable
-from testbed.reporting.signals import SEGMENT, rms_within, spectrum
-from testbed.robot.visuals.appearance import Appearance, load_appearance
+from testbed.bodies.shapes.appearance import Appearance, load_appearance
+from testbed.view.figures import Panel, named_panels, power_of_ten, tick_label
+from testbed.view.plot import MOST, ErrorDots, dot_panels, dots_of_run
+from testbed.view.portrait import HEIGHT, LETTER, paint, png, portrait
+from testbed.view.section import DARKEST, HeatTable
+from testbed.view.signals import SEGMENT, rms_within, spectrum
 from tests.helpers.pages import HOSTILE, run_named
 from tests.helpers.shapes import ball
 from tests.helpers.strategies import few, rngs, seeds, trees

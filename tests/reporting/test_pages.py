@@ -12,20 +12,20 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.diagnostics import phrase
-from testbed.experiment.carry_out import validated
-from testbed.experiment.evaluate import recorded_bodies, wrong_bodies
-from testbed.experiment.experiment_tables import Bound
-from testbed.experiment.predict import predict
-from testbed.experiment.run import assemble_run
-from testbed.experiment.summary import summary, verdict
-from testbed.identification.consistency.options import ConsistencyOptions
-from testbed.identification.estimate import METHODS, NAMES, by_influence, number_with_sigma
-from testbed.identification.verdict import verdict_of
-from testbed.reporting.estimates import CLEAR, instrument_tables, matrix_maps
-from testbed.reporting.figures import Panel
-from testbed.reporting.run_page import LONGEST, contents, parameter_rows, write_report
-from testbed.reporting.signals import sections
+from testbed.bodies.consistency.options import ConsistencyOptions
+from testbed.core.base.diagnostics import phrase
+from testbed.core.estimation.estimate import METHODS, NAMES, by_influence, number_with_sigma
+from testbed.core.estimation.verdict import verdict_of
+from testbed.lab.experiment.carry_out import validated
+from testbed.lab.experiment.evaluate import recorded_bodies, wrong_bodies
+from testbed.lab.experiment.experiment_tables import Bound
+from testbed.lab.experiment.predict import predict
+from testbed.lab.experiment.run import assemble_run
+from testbed.lab.experiment.summary import summary, verdict
+from testbed.view.estimates import CLEAR, instrument_tables, matrix_maps
+from testbed.view.figures import Panel
+from testbed.view.run_page import LONGEST, contents, parameter_rows, write_report
+from testbed.view.signals import sections
 from tests.helpers.approved import hold, tags
 from tests.helpers.ideal import ideal
 from tests.helpers.measured import measured

@@ -21,15 +21,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 import testbed as tb
-from testbed.campaign.conduct import Standing
-from testbed.campaign.summary import changes
-from testbed.excitation.proof import Margin, Proof
-from testbed.identification.validate import Validation
-from testbed.parameters.identifiability import identifiability
-from testbed.parameters.joint_terms import with_joint_terms
-from testbed.parameters.symbols import summands
-from testbed.reporting import output
-from testbed.reporting.campaign import (
+from testbed.campaigns.campaign_section import (
     SHOWN,
     Throughput,
     marginal_figure,
@@ -38,8 +30,16 @@ from testbed.reporting.campaign import (
     score_figure,
     sigma_figure,
 )
-from testbed.reporting.figures import Panel
-from testbed.reporting.minimal_sets import (
+from testbed.campaigns.conduct import Standing
+from testbed.campaigns.summary import changes
+from testbed.core.estimation.validate import Validation
+from testbed.core.parameters.identifiability import identifiability
+from testbed.core.parameters.joint_terms import with_joint_terms
+from testbed.core.parameters.symbols import summands
+from testbed.motion.proof import Margin, Proof
+from testbed.view import output
+from testbed.view.figures import Panel
+from testbed.view.minimal_sets import (
     Findings,
     as_document,
     broken_name,
@@ -48,10 +48,10 @@ from testbed.reporting.minimal_sets import (
     print_latex,
     print_sets,
 )  # fmt: skip
-from testbed.reporting.motion import print_excitation, print_proof
-from testbed.reporting.posterior import validation_table
-from testbed.reporting.section import Table
-from testbed.reporting.terminal import print_estimates, print_run
+from testbed.view.motion import print_excitation, print_proof
+from testbed.view.posterior import validation_table
+from testbed.view.section import Table
+from testbed.view.terminal import print_estimates, print_run
 from tests.helpers.pages import campaign, excitation, run_named
 from tests.helpers.paths import GOLDEN
 from tests.helpers.strategies import few, trees

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 import testbed as tb
-from testbed.diagnostics import sentences
-from testbed.errors import ModelError
-from testbed.robot.model_file import copy_model
-from testbed.robot.visuals.appearance import load_shapes
+from testbed.bodies.shapes.appearance import load_shapes
+from testbed.core.base.diagnostics import sentences
+from testbed.core.base.errors import ModelError
+from testbed.core.robot.model_file import copy_model
 from tests.helpers.refusals import refuses
 
 LINK = (

@@ -19,13 +19,13 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from benchmarks.hostile.bombs import BOMBS
-from testbed.errors import FreeRootError, ModelError, UnknownName
-from testbed.robot.friction import LAWS, drive_torque, friction_torque, joint_law, joint_terms
-from testbed.robot.locks import Travel
-from testbed.robot.model_file import ModelFile
-from testbed.robot.parsing import capture_stderr
-from testbed.robot.tree import FARTHEST, SETTABLE
-from testbed.simulation.plant import build_plant
+from testbed.core.base.errors import FreeRootError, ModelError, UnknownName
+from testbed.core.robot.friction import LAWS, drive_torque, friction_torque, joint_law, joint_terms
+from testbed.core.robot.locks import Travel
+from testbed.core.robot.model_file import ModelFile
+from testbed.core.robot.parsing import capture_stderr
+from testbed.core.robot.tree import FARTHEST, SETTABLE
+from testbed.lab.simulation.plant import build_plant
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, assert_same_tree, random_robot

@@ -16,18 +16,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.diagnostics import sentences
-from testbed.dynamics.drive_set import verify
-from testbed.dynamics.newton_euler import poses
-from testbed.errors import ModelError, RecordingError, UnknownName
-from testbed.experiment.evaluate import evaluate, sensed_robot
-from testbed.experiment.experiment import Experiment
-from testbed.experiment.simulate import simulate
-from testbed.recordings.views import on_its_base
-from testbed.robot.force_sensor import ForceSensor, before_sensors, beyond_sensor
-from testbed.robot.free_base import FREE, on_free_base
-from testbed.robot.model_file import ModelFile
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import sentences
+from testbed.core.base.errors import ModelError, RecordingError, UnknownName
+from testbed.core.dynamics.drive_set import verify
+from testbed.core.dynamics.newton_euler import poses
+from testbed.core.recordings.views import on_its_base
+from testbed.core.robot.force_sensor import ForceSensor, before_sensors, beyond_sensor
+from testbed.core.robot.free_base import FREE, on_free_base
+from testbed.core.robot.model_file import ModelFile
+from testbed.lab.experiment.evaluate import evaluate, sensed_robot
+from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.simulate import simulate
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.sensors import links_of, random_cut, random_sensors

@@ -16,12 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.errors import InertiaError, MimicError, ModelError, UnknownName
-from testbed.robot.inertia import SMALL, Inertia, from_rpy, inertia_flaw, nearest_body
-from testbed.robot.locks import Lock, parse_lock
-from testbed.robot.model_file import ModelFile, mimic_joints, nearest_bodies
-from testbed.robot.repair import LIGHTEST, THINNEST
-from testbed.simulation.plant import build_plant
+from testbed.core.base.errors import InertiaError, MimicError, ModelError, UnknownName
+from testbed.core.robot.inertia import SMALL, Inertia, from_rpy, inertia_flaw, nearest_body
+from testbed.core.robot.locks import Lock, parse_lock
+from testbed.core.robot.model_file import ModelFile, mimic_joints, nearest_bodies
+from testbed.core.robot.repair import LIGHTEST, THINNEST
+from testbed.lab.simulation.plant import build_plant
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot, random_states

@@ -13,11 +13,8 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.diagnostics import sentences
-from testbed.dynamics.newton_euler import poses
-from testbed.robot.model_file import ModelFile
-from testbed.robot.visuals.appearance import load_appearance, load_shapes
-from testbed.robot.visuals.shapes import (
+from testbed.bodies.shapes.appearance import load_appearance, load_shapes
+from testbed.bodies.shapes.shapes import (
     Kind,
     Shape,
     bounds,
@@ -26,6 +23,9 @@ from testbed.robot.visuals.shapes import (
     triangles,
     upright,
 )
+from testbed.core.base.diagnostics import sentences
+from testbed.core.dynamics.newton_euler import poses
+from testbed.core.robot.model_file import ModelFile
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import trees

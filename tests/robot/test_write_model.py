@@ -14,14 +14,14 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.diagnostics import Diagnostic
-from testbed.errors import ModelError
-from testbed.experiment.evaluate import wrong_bodies
-from testbed.robot.friction import drive_torque
-from testbed.robot.inertia import Inertia
-from testbed.robot.model_file import ModelFile, mimic_joints
-from testbed.robot.write_model import Fixed, write_model, write_models
+from testbed.bodies.write_model import Fixed, write_model, write_models
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import Diagnostic
+from testbed.core.base.errors import ModelError
+from testbed.core.robot.friction import drive_torque
+from testbed.core.robot.inertia import Inertia
+from testbed.core.robot.model_file import ModelFile, mimic_joints
+from testbed.lab.experiment.evaluate import wrong_bodies
 from tests.helpers.mujoco_inverse import by_mj_inverse
 from tests.helpers.paths import REAL, ROOT
 from tests.helpers.pinocchio import by_pinocchio

@@ -19,23 +19,23 @@ from numpy.typing import ArrayLike
 
 import testbed as tb
 from benchmarks.foreign_recordings import LAYOUTS, planted, raw_signals
-from testbed.arrays import Array
-from testbed.campaign.campaign import Campaign
-from testbed.campaign.conduct import InThisProcess, conduct
-from testbed.experiment.evaluate import with_consistent
-from testbed.experiment.excite import Excitation, excite
-from testbed.experiment.experiment_tables import Bound
-from testbed.experiment.run import Run, assemble_run
-from testbed.identification.calibration import Calibration, calibrate
-from testbed.identification.consistency.options import ConsistencyOptions
-from testbed.identification.estimate import METHODS, Estimate
-from testbed.identification.payload.payload import PayloadEstimate, payload
-from testbed.identification.settings import DEFAULTS, Settings
-from testbed.plausibility.mapping_solution import solve_mapping
-from testbed.recordings.importing.guess import guessed
-from testbed.recordings.joined import Joined, pieces
-from testbed.recordings.views import with_base_joints
-from testbed.robot.free_base import on_free_base
+from testbed.applications.calibration import Calibration, calibrate
+from testbed.applications.payload.payload import PayloadEstimate, payload
+from testbed.bodies.consistency.options import ConsistencyOptions
+from testbed.campaigns.campaign import Campaign
+from testbed.campaigns.conduct import InThisProcess, conduct
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.estimate import METHODS, Estimate
+from testbed.core.estimation.settings import DEFAULTS, Settings
+from testbed.core.recordings.joined import Joined, pieces
+from testbed.core.recordings.views import with_base_joints
+from testbed.core.robot.free_base import on_free_base
+from testbed.importing.check.mapping_solution import solve_mapping
+from testbed.importing.guess import guessed
+from testbed.lab.experiment.evaluate import with_consistent
+from testbed.lab.experiment.experiment_tables import Bound
+from testbed.lab.experiment.run import Run, assemble_run
+from testbed.motion.excite import Excitation, excite
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.humanoid import humanoid
 from tests.helpers.measured import clean, measured

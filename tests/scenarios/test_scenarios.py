@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testbed.arrays import Array
+from testbed.core.base.arrays import Array
 from tests.scenarios.scenarios import SCENARIOS, figures
 
 KEPT = Path(__file__).parent / "kept"

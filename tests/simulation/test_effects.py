@@ -15,17 +15,17 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.errors import ModelError, SettingsError
-from testbed.experiment.evaluate import robot_of
-from testbed.robot.friction import COULOMB, VISCOUS
-from testbed.robot.locks import with_rotor_spin
-from testbed.robot.model_file import ModelFile
-from testbed.robot.tree import Tree
-from testbed.simulation.effect import Effect, StepForces
-from testbed.simulation.effects import KINDS, effect_of
-from testbed.simulation.plant import Plant, build_plant
-from testbed.simulation.rollout import Rollout, Sampling, simulate_motion
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import ModelError, SettingsError
+from testbed.core.robot.friction import COULOMB, VISCOUS
+from testbed.core.robot.locks import with_rotor_spin
+from testbed.core.robot.model_file import ModelFile
+from testbed.core.robot.tree import Tree
+from testbed.lab.experiment.evaluate import robot_of
+from testbed.lab.simulation.effect import Effect, StepForces
+from testbed.lab.simulation.effects import KINDS, effect_of
+from testbed.lab.simulation.plant import Plant, build_plant
+from testbed.lab.simulation.rollout import Rollout, Sampling, simulate_motion
 from tests.helpers.paths import ROOT
 from tests.helpers.plants import PUMA, check_laws, waving
 from tests.helpers.refusals import refuses

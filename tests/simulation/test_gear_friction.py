@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.errors import ExperimentError
-from testbed.robot.model_file import ModelFile
-from testbed.simulation.effects import effect_of
-from testbed.simulation.plant import build_plant
-from testbed.simulation.rollout import Sampling, simulate_motion
+from testbed.core.base.errors import ExperimentError
+from testbed.core.robot.model_file import ModelFile
+from testbed.lab.simulation.effects import effect_of
+from testbed.lab.simulation.plant import build_plant
+from testbed.lab.simulation.rollout import Sampling, simulate_motion
 from tests.helpers.paths import ROOT
 from tests.helpers.plants import check_laws, waving
 from tests.helpers.refusals import refuses

@@ -15,10 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.errors import ModelError
-from testbed.robot.model_file import ModelFile
-from testbed.simulation.plant import Plant, build_plant, check_plant
-from testbed.simulation.rollout import Sampling
+from testbed.core.base.errors import ModelError
+from testbed.core.robot.model_file import ModelFile
+from testbed.lab.simulation.plant import Plant, build_plant, check_plant
+from testbed.lab.simulation.rollout import Sampling
 from tests.helpers.plants import PUMA, check_laws, run, sensed, waving
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot

@@ -12,14 +12,14 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.excitation.fourier import Fourier
-from testbed.recordings.recording import Truth
-from testbed.robot.model_file import ModelFile
-from testbed.simulation.compiled_loop import motor_torque
-from testbed.simulation.controller import Controller, believed, computed_torque, mass_matrices
-from testbed.simulation.plant import build_plant
-from testbed.simulation.rollout import Sampling, SimulationDiverged, simulate_motion
+from testbed.core.base.arrays import Array
+from testbed.core.recordings.recording import Truth
+from testbed.core.robot.model_file import ModelFile
+from testbed.lab.simulation.compiled_loop import motor_torque
+from testbed.lab.simulation.controller import Controller, believed, computed_torque, mass_matrices
+from testbed.lab.simulation.plant import build_plant
+from testbed.lab.simulation.rollout import Sampling, SimulationDiverged, simulate_motion
+from testbed.motion.fourier import Fourier
 from tests.helpers.paths import ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.plants import PUMA, check_laws, run, waving

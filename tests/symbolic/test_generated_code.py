@@ -21,11 +21,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.symbolic.compare import compare_equations
-from testbed.symbolic.equations import FORMS, KINDS, Equations, Form, Listing, equations
-from testbed.symbolic.languages import Language, write_equations
-from testbed.symbolic.robot import almost_right, right_angles
+from testbed.core.base.arrays import Array
+from testbed.equations.compare import compare_equations
+from testbed.equations.equations import FORMS, KINDS, Equations, Form, Listing, equations
+from testbed.equations.languages import Language, write_equations
+from testbed.equations.robot import almost_right, right_angles
 from tests.helpers.generated import c_call, c_library, latex_blocks, latex_reader, python_module
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.pinocchio import by_pinocchio

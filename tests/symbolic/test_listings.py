@@ -14,10 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.errors import ExpressionError, UnknownName
-from testbed.symbolic.compare import compare_equations, read_listing
-from testbed.symbolic.equations import FORMS, Form, equations
-from testbed.symbolic.expression import (
+from testbed.core.base.errors import ExpressionError, UnknownName
+from testbed.equations.compare import compare_equations, read_listing
+from testbed.equations.equations import FORMS, Form, equations
+from testbed.equations.expression import (
     LARGEST_NUMBER,
     Expression,
     Nature,
@@ -27,10 +27,10 @@ from testbed.symbolic.expression import (
     sine,
     symbol,
 )
-from testbed.symbolic.languages import write_equations
-from testbed.symbolic.languages.latex import line
-from testbed.symbolic.polynomial import LARGEST, Ring
-from testbed.symbolic.simplify import natural_angles, simplify
+from testbed.equations.languages import write_equations
+from testbed.equations.languages.latex import line
+from testbed.equations.polynomial import LARGEST, Ring
+from testbed.equations.simplify import natural_angles, simplify
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot

@@ -16,16 +16,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.arrays import Array
-from testbed.diagnostics import sentences
-from testbed.excitation.collision_model import Obstacle
-from testbed.identification.estimate import METHODS
-from testbed.robot.visuals.appearance import load_appearance
-from testbed.robot.visuals.shapes import bounds, extents
-from testbed.viewer.curves import BINS, FEW, thinned, tick
-from testbed.viewer.log import write_motion_rrd, write_rrd
-from testbed.viewer.robot_drawing import ARROW
-from testbed.viewer.scene import Scene, means, pressure, rounded_up, scene_of
+from testbed.bodies.shapes.appearance import load_appearance
+from testbed.bodies.shapes.shapes import bounds, extents
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import sentences
+from testbed.core.estimation.estimate import METHODS
+from testbed.motion.collision_model import Obstacle
+from testbed.view.viewer.curves import BINS, FEW, thinned, tick
+from testbed.view.viewer.log import write_motion_rrd, write_rrd
+from testbed.view.viewer.robot_drawing import ARROW
+from testbed.view.viewer.scene import Scene, means, pressure, rounded_up, scene_of
 from tests.helpers.approved import hold
 from tests.helpers.pages import checked, run_named
 from tests.helpers.paths import GOLDEN, ROOT

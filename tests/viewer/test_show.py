@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.errors import ViewerError
-from testbed.viewer import live
-from testbed.viewer.blueprint import blueprint
-from testbed.viewer.live import Live, open_viewer, serve
+from testbed.core.base.errors import ViewerError
+from testbed.view.viewer import live
+from testbed.view.viewer.blueprint import blueprint
+from testbed.view.viewer.live import Live, open_viewer, serve
 from tests.helpers.pages import run_named
 from tests.helpers.refusals import refuses
 from tests.helpers.viewer import free_port, tree

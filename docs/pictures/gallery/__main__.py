@@ -31,15 +31,15 @@ from docs.gallery import (
 from docs.marks import write
 from docs.pictures.drawing import error_dots, placed, save
 from docs.pictures.explained import errors_of
-from testbed.campaign.campaign import Campaign
-from testbed.campaign.conduct import InThisProcess, conduct
-from testbed.campaign.summary import read_campaign, summarise
+from testbed.bodies.shapes.appearance import load_appearance
+from testbed.campaigns.campaign import Campaign
+from testbed.campaigns.conduct import InThisProcess, conduct
+from testbed.campaigns.summary import read_campaign, summarise
 from testbed.cli.reading import Reading
-from testbed.experiment.summary import obtained, percent
-from testbed.reporting.drives import curve_lines
-from testbed.reporting.figures import Panel
-from testbed.reporting.portrait import portrait
-from testbed.robot.visuals.appearance import load_appearance
+from testbed.lab.experiment.summary import obtained, percent
+from testbed.view.drives import curve_lines
+from testbed.view.figures import Panel
+from testbed.view.portrait import portrait
 
 PACKAGE = Path(sysconfig.get_paths()["purelib"]) / "cmeel.prefix/share/example-robot-data"
 METHODS = {"external": "force plate", "internal": "joint torques"}

@@ -1,0 +1,260 @@
+"""Scales of joint torques by a known payload: two recordings of one robot, without it and with it.
+
+A drive reports k times its joint's torque. Bodies tie the joints' torques to one set of parameters,
+and the known mass fixes what they leave open, one scale for all. Gauss-Newton on the products of
+both recordings' rows; standard deviations by what the rows leave, correlated over half a second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.applications.payload.payload import SEEN, SMALLEST, seen_of_payload
+from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.blas import one_blas_thread
+from testbed.core.base.errors import SettingsError, UnknownName
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.regression.normal_equations import (
+    TINY,
+    NormalEquations,
+    inverse_and_solution,
+    scaled_inverse,
+    standard_deviations,
+)
+from testbed.core.estimation.regression.passes import Passes, Progress
+from testbed.core.estimation.regression.solvers import ScoreSquares, bin_size, hidden, sandwich
+from testbed.core.estimation.selection.term_choice import with_all_terms
+from testbed.core.estimation.settings import DEFAULTS, Settings, with_sigmas
+from testbed.core.recordings.source import RecordingLike
+from testbed.core.robot.tree import Tree
+
+STEPS = 10
+"""Of Gauss and Newton, from scales of one."""
+
+MASS = "payload/mass"
+
+CENTRE = ("payload/x", "payload/y", "payload/z")
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPayload:
+    """Ten parameters m, mx, ..., Izz about and along the frame of the link that carries it.
+
+    Attributes:
+        joint: The link is the one that this joint moves.
+        values: (10,); zero where nothing is known.
+        root: R with R R' their covariance, (10, 4).
+        unknown: Places of those that nothing is known of.
+    """
+
+    joint: str
+    values: Array
+    root: Array
+    unknown: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        freeze(self, values=(10,), root=(10, 4))
+
+
+def known_payload(
+    tree: Tree, joint: str | None, given: Mapping[str, tuple[float, float]]
+) -> KnownPayload:
+    """A payload of what is known of it: its mass, and coordinates of its centre.
+
+    Args:
+        tree: The robot.
+        joint: Of the link that carries it; default the last.
+        given: Value and sigma by name: "payload/mass" [kg], "payload/x", y, z [m], along and from
+            the link's frame.
+
+    Raises:
+        UnknownName: There is no such fact, or joint.
+        SettingsError: The mass is not among them, or not positive.
+    """
+    for name in given:
+        if name not in (MASS, *CENTRE):
+            raise UnknownName("known fact", name, (MASS, *CENTRE))
+    if MASS not in given or given[MASS][0] <= 0:
+        raise SettingsError(
+            f"of the payload its mass has to be known, in kg: --known {MASS}=1.5; "
+            "coordinates of its centre help where they are known"
+        )
+    mass, sigma = given[MASS]
+    values, root = np.zeros(10), np.zeros((10, 4))
+    values[0], root[0, 0] = mass, sigma
+    for k, name in enumerate(CENTRE, start=1):
+        place, spread = given.get(name, (0.0, 0.0))
+        values[k], root[k, 0], root[k, k] = mass * place, sigma * place, mass * spread
+    unknown = [k for k, name in enumerate(CENTRE, start=1) if name not in given]
+    carrier = tree.names[tree.index(joint or tree.names[-1])]
+    return KnownPayload(carrier, values, root, (*unknown, *range(4, 10)))
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueScales:
+    """What torques are of the true ones, joint by joint.
+
+    Attributes:
+        joints: Their names, (n,).
+        known: Value and sigma of what was known of the payload, by name.
+        values: Reported over true torque, (n,): what to divide torques, or gains, by.
+        sigma: Standard deviations, (n,).
+        covariance: (n, n).
+    """
+
+    joints: tuple[str, ...]
+    known: Mapping[str, tuple[float, float]]
+    values: Array
+    sigma: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        n = len(self.joints)
+        freeze(self, values=(n,), sigma=(n,), covariance=(n, n))
+
+
+class _Half(NamedTuple):
+    """One recording: its unknowns are lead @ v + payload @ (what is known of the ten)."""
+
+    passes: Passes
+    equations: NormalEquations
+    lead: Array
+    payload: Array
+
+    def weights(self, x: Array, scales: Array) -> Array:
+        """Of the channels, one over the mean square that unknowns, (p,), leave, (n,)."""
+        found = []
+        for j, k in enumerate(scales):
+            normal, right, square = self.equations.of_channel(j)
+            left = float(square - 2 * k * (right @ x) + k**2 * (x @ normal @ x))
+            found.append(max(left, 1e-12 * square, TINY))
+        return np.maximum(self.equations.used, 1.0) / found
+
+
+def torque_scales(
+    tree: Tree,
+    without: RecordingLike,
+    loaded: RecordingLike,
+    known: Mapping[str, float | Sequence[float]],
+    joint: str | None = None,
+    *,
+    gravity: ArrayLike | None = None,
+    settings: Settings = DEFAULTS,
+    threads: int | None = None,
+    progress: Progress = lambda done, total: None,
+) -> TorqueScales:
+    """Scales of joint torques, from a recording without a known payload and one with it.
+
+    Args:
+        tree: The robot without the payload; its inertias are not used.
+        without: The recording without it, as for `identify`; with torques.
+        loaded: The one with it, along any other motion.
+        known: A value, or value and sigma, by name: "payload/mass" [kg], coordinates of its
+            centre "payload/x", y, z [m].
+        joint: The payload is on the link that this one moves; default the last.
+        gravity: (3,) [m/s^2], bedplate frame; default as for `identify`.
+        settings: How the signals are treated, and the terms, which each recording has of its own.
+        threads: How many to use; default one a processor.
+        progress: Called with samples done and samples in all.
+
+    Raises:
+        RecordingError: A recording cannot be used.
+        SettingsError: What is known of the payload does not fix the scale.
+    """
+    facts = with_sigmas(known)
+    payload = known_payload(tree, joint, facts)
+    settings = replace(settings, noise="white", weights="channels", nuisances=(), known={})
+    if settings.zeros:
+        raise SettingsError("a payload breaks the symmetry of links: calibrate without known zeros")
+    halves = []
+    with one_blas_thread():
+        for number, recording in enumerate((without, loaded)):
+            problem, _ = with_all_terms(
+                Problem.of(
+                    tree, recording, "internal", settings,
+                    gravity=gravity, threads=threads, progress=progress,
+                )
+            )  # fmt: skip
+            settings = replace(settings, terms=problem.settings.terms)
+            halves.append(_half(problem, payload, number))
+        values, v = _solved(halves, payload.values)
+        covariance = _covariance(halves, payload.values, values, v)
+        for column in payload.root.T[payload.root.any(axis=0)]:
+            moved = _solved(halves, payload.values + column)[0] - values
+            covariance = covariance + np.outer(moved, moved)
+    sigma = standard_deviations(covariance)
+    return TorqueScales(tree.names, facts, values, sigma, covariance)
+
+
+def _half(problem: Problem, payload: KnownPayload, number: int) -> _Half:
+    """A recording's products; v are bodies, own terms of both, and what is not known of it."""
+    tree, minimal = problem.tree, problem.minimal
+    adds = seen_of_payload(tree, minimal, payload.joint)
+    wide, sizes, _ = np.linalg.svd(adds[:, list(payload.unknown)], full_matrices=False)
+    free = wide[:, sizes > SMALLEST * sizes[0]]
+    fixed = adds @ payload.values
+    if np.linalg.norm(fixed - free @ (free.T @ fixed)) <= SEEN * np.linalg.norm(fixed):
+        raise SettingsError(
+            "what is known of the payload does not change the torques beside what is not: "
+            "state its centre, or let joints turn it against gravity"
+        )
+    passes = problem.passes(2)
+    equations = problem.equations(passes)
+    count, own = minimal.count, len(equations.unknowns) - minimal.count
+    lead = np.zeros((count + own, count + 2 * own + free.shape[1]))
+    lead[:count, :count] = np.eye(count)
+    lead[count:, count + number * own : count + (number + 1) * own] = np.eye(own)
+    if number:
+        lead[:count, count + 2 * own :] = free
+    root = number * np.vstack([adds, np.zeros((own, 10))])
+    return _Half(passes, equations, lead, root)
+
+
+def _solved(halves: Sequence[_Half], known: Array) -> tuple[Array, Array]:
+    """Scales and v, by Gauss-Newton."""
+    n, m = len(halves[0].equations.channels), halves[0].lead.shape[1]
+    found = np.append(np.ones(n), np.zeros(m))
+    for step in range(STEPS):
+        at = slice(n if step == 0 else 0, None)  # the first finds v of scales of one
+        matrix, vector = _normal(halves, known, found[:n], found[n:])
+        found[at] += inverse_and_solution(matrix[at, at], vector[at])[1]
+    return found[:n], found[n:]
+
+
+def _normal(halves: Sequence[_Half], known: Array, scales: Array, v: Array) -> tuple[Array, Array]:
+    """J' W J and J' W r of what scales and v leave, each channel weighed by its own rest."""
+    size = len(scales) + len(v)
+    matrix, vector = np.zeros((size, size)), np.zeros(size)
+    for half in halves:
+        x = half.lead @ v + half.payload @ known
+        for j, (k, weight) in enumerate(zip(scales, half.weights(x, scales), strict=True)):
+            normal, right, _ = half.equations.of_channel(j)
+            rows = np.hstack([np.outer(x, np.eye(len(scales))[j]), k * half.lead])
+            matrix += weight * rows.T @ normal @ rows
+            vector += weight * rows.T @ (right - k * normal @ x)
+    return matrix, vector
+
+
+def _covariance(halves: Sequence[_Half], known: Array, scales: Array, v: Array) -> Array:
+    """Of the scales, (n, n), from the scores of all rows."""
+    inverse = scaled_inverse(_normal(halves, known, scales, v)[0])
+    total = np.zeros_like(inverse)
+    for half in halves:
+        x, plan = half.lead @ v + half.payload @ known, half.passes.plan
+        squares, weights = ScoreSquares(len(inverse), plan.rate), half.weights(x, scales)
+        for columns, measured in half.passes.rows(np.eye(len(x))):
+            torque = columns @ x
+            left = weights[:, None] * (measured - scales[:, None] * torque)
+            by_rest = np.einsum("ct,ctp->tp", left * scales[:, None], columns) @ half.lead
+            scores = np.hstack([(left * torque).T, by_rest])
+            bins = np.arange(0, len(scores), bin_size(plan.rate))
+            squares.add(np.add.reduceat(scores, bins, axis=0))
+        lost = len(inverse) / len(scales) / 2  # rows' worth of freedom, a channel and recording
+        factor = hidden(plan.weights, plan.step, plan.rate) / max(1 - lost / plan.rows, 0.1)
+        total += factor * squares.finish()
+    return sandwich(inverse, total)[: len(scales), : len(scales)]

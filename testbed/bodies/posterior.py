@@ -1,0 +1,409 @@
+"""What a recording adds to its model file: least squares with the file's bodies as a prior.
+
+Every body's pseudo-inertia is J = U Y U' with that of the file U U'; the coordinates of Y are
+those of one with the same standard deviation each: the linear form of the prior of consistent
+bodies. The joints' own terms are free, but friction is not negative. Where the data alone determine
+all parameters the prior is left out, and the estimate is that of least squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.bodies.linear_prior import (
+    DETERMINED,
+    PRIOR_ERROR,
+    LinearPrior,
+    alone_determined,
+    likeliest,
+    linear_prior,
+    refitted,
+    with_prior,
+)
+from testbed.bodies.prior import Prior, prior_of
+from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.blas import one_blas_thread
+from testbed.core.base.codec import with_properties
+from testbed.core.base.diagnostics import Diagnostic
+from testbed.core.estimation.estimate import Estimate, Method, instrument_of
+from testbed.core.estimation.estimate_summary import EstimateSummary, corrected_by, summary_of
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.regression.normal_equations import (
+    TINY,
+    scaled_solve,
+    standard_deviations,
+)
+from testbed.core.estimation.regression.solvers import noise_weights
+from testbed.core.estimation.selection.prediction_errors import (
+    CONSISTENT,
+    FILE,
+    PLAIN,
+    POSTERIOR,
+    REFITTED,
+    PredictionErrors,
+    prediction_errors,
+)
+from testbed.core.estimation.selection.row_products import Parts, RowProducts, products_of
+from testbed.core.estimation.selection.term_choice import with_chosen_settings
+from testbed.core.estimation.settings import DEFAULTS, Settings
+from testbed.core.recordings.source import RecordingLike, Source
+from testbed.core.recordings.views import is_imported, with_gear
+from testbed.core.robot.tree import Tree
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """The minimal parameters by a recording and its model file together.
+
+    Attributes:
+        method: By plate or by torques.
+        instrument: What a person calls it.
+        names: Of the minimal parameters and then of the joints' own terms, (p,).
+        units: One each.
+        count: How many are of bodies.
+        file: By the model file, (p,).
+        refitted: The same with the joints' own terms fitted to the data, (p,).
+        prior_sigma: Standard deviations before the data, (p,).
+        values: (p,).
+        covariance: (p, p).
+        share: Part of the prior's variance that the data remove, (p,).
+        alone: Which of them the data alone determine: with nothing else known of any, their
+            variance is at most a tenth of the prior's, (p,).
+        prior_error: Of the model file's bodies, in parts of themselves.
+        used: Whether the prior is needed; else the values are those of least squares.
+        residual: Rms of what it leaves of the recording itself, (C,) [N, N m].
+        gravity: That was assumed, (3,) [m/s^2], bedplate frame.
+        by_part: Rms of what it leaves of consecutive parts of the recording, (parts, C) [N, N m].
+        duration: Of the recording [s].
+        errors: What it leaves of held-out parts, and what others do.
+        consistent: Of consistent bodies, (p,); None where they were not asked for.
+    """
+
+    method: Method
+    instrument: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    count: int
+    file: Array
+    refitted: Array
+    prior_sigma: Array
+    values: Array
+    covariance: Array
+    share: Array
+    alone: tuple[bool, ...]
+    prior_error: float
+    used: bool
+    residual: Array
+    by_part: Array
+    duration: float
+    gravity: Array
+    errors: tuple[PredictionErrors, ...]
+    consistent: Array | None = None
+
+    __get_pydantic_core_schema__ = with_properties("sigma", "determined")
+
+    def __post_init__(self) -> None:
+        p = len(self.names)
+        freeze(self, file=(p,), refitted=(p,), prior_sigma=(p,), values=(p,), share=(p,))
+        freeze(self, covariance=(p, p), residual=(None,), by_part=(None, None), gravity=(3,))
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations, the prior's doubt among them, (p,)."""
+        return standard_deviations(self.covariance)
+
+    @property
+    def models(self) -> dict[str, Array]:
+        """Values of the unknowns by what says them, for predictions."""
+        found = {FILE: self.file, REFITTED: self.refitted, POSTERIOR: self.values}
+        return found if self.consistent is None else {**found, CONSISTENT: self.consistent}
+
+    @property
+    def determined(self) -> tuple[str, ...]:
+        """Minimal parameters of bodies that the data alone determine."""
+        pairs = zip(self.names[: self.count], self.alone[: self.count], strict=True)
+        return tuple(name for name, alone in pairs if alone)
+
+    def worse(self, shown: str) -> tuple[Diagnostic, ...]:
+        """Channels of held-out parts that the model file or least squares predict better.
+
+        Args:
+            shown: The estimate that counts: "posterior" or "plain".
+        """
+        pairs = ((shown, PLAIN), (shown, REFITTED), (CONSISTENT, REFITTED))
+        return tuple(d for name, than in pairs for e in self.errors for d in e.worse(name, than))
+
+
+@dataclass(frozen=True, eq=False)
+class ReportedEstimate:
+    """Estimate that a result reports for one method, and its rivals.
+
+    Attributes:
+        estimate: With the model file as prior, where that is needed; else by least squares.
+        held: Which of the candidates it is: "posterior" or "plain".
+        models: Values of its unknowns by candidate; {} where there are no others.
+    """
+
+    estimate: EstimateSummary
+    held: str
+    models: Mapping[str, Array]
+
+
+def reported_estimate(
+    own: EstimateSummary | None, found: Posterior | None, *, plain: bool = False
+) -> ReportedEstimate:
+    """Choose between least squares and posterior of one method.
+
+    Args:
+        own: By least squares; None where the data determine none.
+        found: With the model file as prior; None where there is no such.
+        plain: Whether least squares count all the same.
+
+    Raises:
+        ValueError: There is neither, or they are of other parameters.
+    """
+    if found is None:
+        if own is None:
+            raise ValueError("there is no estimate")
+        return ReportedEstimate(own, PLAIN, {})
+    said = EstimateSummary(
+        method=found.method,
+        names=found.names,
+        values=found.values,
+        covariance=found.covariance,
+        gravity=found.gravity,
+        residual=found.residual,
+        nuisances={},
+    )
+    if own is None:
+        return ReportedEstimate(said, POSTERIOR, found.models)
+    if own.names != found.names:
+        raise ValueError("least squares and the posterior are of other parameters")
+    models = {**found.models, PLAIN: own.values}
+    if plain or not found.used:
+        return ReportedEstimate(own, PLAIN, models)
+    said = replace(said, nuisances=own.nuisances, unidentifiable=own.unidentifiable)
+    return ReportedEstimate(replace(said, settings=own.settings), POSTERIOR, models)
+
+
+def posterior(
+    tree: Tree,
+    recording: RecordingLike,
+    prior: Prior,
+    method: Method = "external",
+    estimate: Estimate | None = None,
+    *,
+    prior_error: float | None = None,
+    gravity: ArrayLike | None = None,
+    settings: Settings = DEFAULTS,
+    threads: int | None = None,
+) -> Posterior:
+    """What a recording adds to a model file.
+
+    Args:
+        tree: The robot; friction that its joints state is the file's.
+        recording: As for `identify`.
+        prior: The bodies of the model file (`prior_of`).
+        method: As for `identify`.
+        estimate: By least squares, with the same settings; None where the data determine none.
+        prior_error: Of the file's bodies, in parts of themselves; None for the likeliest.
+        gravity: As for `identify`.
+        settings: As for `identify`.
+        threads: How many to use; default one a processor.
+
+    Raises:
+        RecordingError: As `identify`.
+    """
+    made = [] if estimate is None else [estimate]
+    problem, parts = parts_of(tree, recording, method, made, gravity, settings, threads)
+    with one_blas_thread():
+        error = prior_error or PRIOR_ERROR
+        before = linear_prior(problem, prior, error, parts.whole)
+        enough = bool(parts.whole.enough.all())
+        used = not (enough and any(determines(each, before) for each in made))
+        if used and prior_error is None:
+            error = likeliest(parts.whole, before)
+            before = before.times(error / PRIOR_ERROR)
+        values, covariance = with_prior(parts.whole, before)
+        if used:
+            alone = tuple(alone_determined(parts.whole, before).tolist())
+        else:
+            values, covariance = made[0].values, np.array(made[0].covariance)
+            alone = (True,) * len(values)
+        count, constants = problem.minimal.count, parts.whole.constants(values)
+        variance = np.maximum(before.variance, TINY)
+        return Posterior(
+            method=method,
+            instrument=instrument_of(problem.minimal, method),
+            names=problem.names,
+            units=problem.units,
+            count=count,
+            file=before.mean,
+            refitted=refitted(parts.whole, before),
+            prior_sigma=np.sqrt(before.variance),
+            values=values,
+            covariance=covariance,
+            share=np.clip(1 - np.diagonal(covariance) / variance, 0.0, 1.0),
+            alone=alone,
+            prior_error=error,
+            used=used,
+            residual=parts.whole.residual(values),
+            by_part=np.array([part.residual(values, constants) for part in parts.each]),
+            duration=problem.source.samples / problem.source.rate,
+            gravity=problem.tree.gravity,
+            errors=_held_out(problem, before, parts, used=used, plain=bool(made)),
+        )
+
+
+def posteriors(
+    tree: Tree,
+    source: Source,
+    estimates: Mapping[Method, Estimate | None],
+    settings: Settings,
+    *,
+    prior_error: float | None = None,
+    gravity: ArrayLike | None = None,
+    threads: int | None = None,
+) -> dict[Method, Posterior]:
+    """What an imported recording adds to its model file, by method.
+
+    Args:
+        tree: The robot as the model file has it.
+        source: The recording; of one that a simulation made the model file is the truth.
+        estimates: By least squares; None where the data do not determine all parameters.
+        settings: How the signals are treated.
+        prior_error: As for `posterior`.
+        gravity: As for `identify`.
+        threads: How many to use; default one a processor.
+    """
+    if not is_imported(source):
+        return {}
+    prior = prior_of(with_gear(tree, source))
+    how: dict[str, Any] = {"gravity": gravity, "settings": settings, "threads": threads}
+    return {
+        method: posterior(tree, source, prior, method, each, prior_error=prior_error, **how)
+        for method, each in estimates.items()
+    }
+
+
+def chosen_prior_error(
+    tree: Tree,
+    recording: RecordingLike,
+    prior: Prior,
+    estimates: Sequence[Estimate],
+    offered: Sequence[float],
+    settings: Settings = DEFAULTS,
+) -> dict[float, float]:
+    """By error of the bodies, rms of what it leaves of held-out parts over what the file leaves.
+
+    Args:
+        tree: The robot.
+        recording: That of the estimates.
+        prior: The bodies of the model file.
+        estimates: By least squares, one a method, with the same settings.
+        offered: Errors, in parts of the bodies.
+        settings: As for `identify`.
+    """
+    squares = dict.fromkeys(offered, 0.0)
+    for each in estimates:
+        problem, parts = parts_of(
+            tree, recording, each.method, [each], each.gravity, settings, None
+        )
+        with one_blas_thread():
+            for error in offered:
+                before = linear_prior(problem, prior, error, parts.whole)
+                left = _held_out(problem, before, parts)[-1].over_file(POSTERIOR)
+                squares[error] += left**2 / len(estimates)
+    return {error: float(np.sqrt(square)) for error, square in squares.items()}
+
+
+def parts_of(
+    tree: Tree,
+    recording: RecordingLike,
+    method: Method,
+    made: Sequence[Estimate],
+    gravity: ArrayLike | None,
+    settings: Settings,
+    threads: int | None,
+) -> tuple[Problem, Parts]:
+    """A problem, and its rows, faults of the instrument that an estimate found taken back.
+
+    Args:
+        tree: The robot.
+        recording: As for `identify`.
+        method: By plate or by torques.
+        made: The estimate by least squares, if there is one.
+        gravity: As for `identify`.
+        settings: As for `identify`.
+        threads: How many to use; default one a processor.
+    """
+    settings = with_chosen_settings(settings, made)
+    problem = Problem.of(tree, recording, method, settings, gravity=gravity, threads=threads)
+    source, free = problem.source, "bias" in problem.settings.nuisances or not made
+    for each in made:
+        source = corrected_by(source, problem.tree, summary_of(each))
+        free = free or bool(each.unidentifiable)
+    return problem, products_of(problem, source, free and method == "external")
+
+
+def determines(estimate: Estimate, prior: LinearPrior) -> bool:
+    """Whether the data alone determine every parameter: then no prior is needed.
+
+    Args:
+        estimate: By least squares.
+        prior: Of its unknowns.
+    """
+    most = (1 / DETERMINED - 1) * prior.variance
+    return bool((estimate.sigma**2 < most).all())
+
+
+def _held_out(
+    problem: Problem, prior: LinearPrior, parts: Parts, *, used: bool = True, plain: bool = True
+) -> tuple[PredictionErrors, ...]:
+    """What the model file and fits of some parts leave of others, split by split."""
+    none, found = np.zeros(len(problem.channels)), []
+    for kind, split in parts.splits.items():
+        pairs = []
+        for seen, rest in split:
+            fits = {REFITTED: refitted(seen, prior)} | ({PLAIN: _plain(seen)} if plain else {})
+            fits[POSTERIOR] = with_prior(seen, prior)[0] if used else fits[PLAIN]
+            said = {name: (values, seen.constants(values)) for name, values in fits.items()}
+            pairs.append(({FILE: (prior.mean, none), **said}, rest))
+        found.append(prediction_errors(problem, kind, pairs))
+    return tuple(found)
+
+
+def _plain(rows: RowProducts) -> Array:
+    """Least squares, (p,)."""
+    p = len(rows.unknowns)
+    equations = rows.equations(np.eye(p), np.zeros(p))
+    weights = noise_weights(equations, None)
+    return scaled_solve(equations.matrix(weights), equations.vector(weights))
+
+
+def errors_of_another(
+    problem: Problem, source: Source, models: Mapping[str, Array]
+) -> PredictionErrors:
+    """What a model file and estimates leave of another recording.
+
+    All but the file as it is stand about the mean of what they leave of the plate: its zero
+    belongs to a recording.
+
+    Args:
+        problem: The other recording.
+        source: The same, faults of the instrument taken back.
+        models: Values of the unknowns by what says them.
+    """
+    parts = products_of(problem, source, problem.method == "external", whole=True)
+    unseen = parts.whole
+    none = np.zeros(len(problem.channels))
+    said = {
+        name: (values, none if name == FILE else unseen.constants(values))
+        for name, values in models.items()
+    }
+    return prediction_errors(problem, "another", [(said, parts.each)])

@@ -1,0 +1,203 @@
+"""Shapes on a robot's bodies: bounds, surfaces; and those that a tree has without a file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.diagnostics import Diagnostic
+from testbed.core.robot.tree import Tree
+
+ROUND = 32
+"""Corners of a circle, as triangles."""
+Kind = Literal["box", "ellipsoid", "cylinder", "capsule", "mesh"]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """One shape of a body.
+
+    Attributes:
+        body: Index of the body, -1 for the bedplate.
+        kind: "box", "ellipsoid", "cylinder", "capsule" or "mesh".
+        size: Half lengths of a box, radii of an ellipsoid, radius and half length of a
+            cylinder or capsule (along z, hemispheres not counted), (k,) [m].
+        position: Of its centre in the body's frame, (3,) [m].
+        rotation: From its own axes to the body's, (3, 3).
+        colour: Red, green, blue, opacity, 0 ... 1, (4,).
+        vertices: Of a mesh, in its own frame, (V, 3) [m].
+        faces: Of a mesh, counter-clockwise from outside, (F, 3).
+    """
+
+    body: int
+    kind: Kind
+    size: Array
+    position: Array
+    rotation: Array
+    colour: Array
+    vertices: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    faces: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def __post_init__(self) -> None:
+        freeze(self, size=(None,), position=(3,), rotation=(3, 3), colour=(4,))
+        freeze(self, vertices=(None, 3), faces=(None, 3))
+
+
+@dataclass(frozen=True)
+class DrawnShapes:
+    """What there is to see of a robot.
+
+    Attributes:
+        shapes: Those that the model file gives.
+        diagnostics: What the file gives but cannot be shown.
+    """
+
+    shapes: tuple[Shape, ...]
+    diagnostics: tuple[Diagnostic, ...] = ()
+
+
+def poses_at_zero(tree: Tree) -> list[tuple[Array, Array]]:
+    """Rotation to the bedplate's axes and position of every body at q = 0."""
+    poses: list[tuple[Array, Array]] = []
+    for joint in tree.joints:
+        rotation, position = (np.eye(3), np.zeros(3)) if joint.parent < 0 else poses[joint.parent]
+        poses.append((rotation @ joint.rotation, position + rotation @ joint.offset))
+    return poses
+
+
+def upright(direction: Array) -> Array:
+    """A rotation that takes z to a direction, (3, 3)."""
+    z = direction / np.linalg.norm(direction)
+    other = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = np.cross(other, z)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def sticks(tree: Tree) -> Iterator[Shape]:
+    """A figure of sticks for a robot that no file draws: every body from its joint to the next.
+
+    Args:
+        tree: The robot.
+    """
+    longest = max((float(np.linalg.norm(j.offset)) for j in tree.joints), default=0.0) or 0.3
+    radius = longest / 30
+    grey, dark = np.array([0.72, 0.74, 0.78, 1.0]), np.array([0.25, 0.28, 0.33, 1.0])
+    for j, joint in enumerate(tree.joints):
+        length = float(np.linalg.norm(joint.offset))
+        if length > radius:
+            size, middle = np.array([radius, length / 2]), joint.offset / 2
+            yield Shape(joint.parent, "capsule", size, middle, upright(joint.offset), grey)
+        end = tree.inertias[j].com
+        if not tree.children(j) and np.linalg.norm(end) > radius:
+            half = np.array([radius, float(np.linalg.norm(end)) / 2])
+            yield Shape(j, "capsule", half, end / 2, upright(end), grey)
+        size = np.array([1.6 * radius, 2.4 * radius])
+        yield Shape(j, "cylinder", size, np.zeros(3), upright(joint.axis), dark)
+
+
+def equivalent_ellipsoids(tree: Tree, colour: Sequence[float]) -> tuple[Shape, ...]:
+    """One a body that can exist; an ellipsoid of half lengths a has second moments m a^2 / 5.
+
+    Args:
+        tree: The robot.
+        colour: Red, green, blue, opacity, 0 ... 1.
+    """
+    found = []
+    for body, inertia in enumerate(tree.inertias):
+        if inertia.mass <= 0:
+            continue
+        matrix, com = inertia.pseudo, inertia.com
+        size, axes = np.linalg.eigh(matrix[:3, :3] - inertia.mass * np.outer(com, com))
+        if size[0] < -1e-9 * abs(size[2]):
+            continue
+        axes[:, 2] *= np.sign(np.linalg.det(axes))
+        half = np.sqrt(5 * np.maximum(size, 0.0) / inertia.mass)
+        found.append(Shape(body, "ellipsoid", half, com, axes, np.array(colour)))
+    return tuple(found)
+
+
+def bounds(shape: Shape) -> tuple[Array, Array]:
+    """Least and largest coordinates of a shape in its body's frame, (3,) each [m]."""
+    if shape.kind == "mesh":
+        corners = shape.vertices @ shape.rotation.T + shape.position
+        return corners.min(axis=0), corners.max(axis=0)
+    turn = shape.rotation
+    if shape.kind == "box":
+        half = np.abs(turn) @ shape.size
+    elif shape.kind == "ellipsoid":
+        half = np.sqrt(turn**2 @ shape.size**2)
+    else:
+        radius, length = shape.size
+        ends = np.sqrt(np.maximum(1 - turn[:, 2] ** 2, 0)) if shape.kind == "cylinder" else 1.0
+        half = length * np.abs(turn[:, 2]) + radius * ends
+    return shape.position - half, shape.position + half
+
+
+def extents(shapes: Iterable[Shape], bodies: int) -> Array:
+    """Least and greatest coordinates of every body's shapes in its own frame, (n, 2, 3) [m].
+
+    Infinite where a body has no shapes.
+
+    Args:
+        shapes: Of all bodies.
+        bodies: Their number, n.
+    """
+    least, greatest = np.full((bodies, 3), np.inf), np.full((bodies, 3), -np.inf)
+    for shape in shapes:
+        if shape.body >= 0:
+            low, high = bounds(shape)
+            least[shape.body] = np.minimum(least[shape.body], low)
+            greatest[shape.body] = np.maximum(greatest[shape.body], high)
+    empty = ~np.isfinite(least[:, 0])
+    least[empty], greatest[empty] = -np.inf, np.inf
+    return np.stack([least, greatest], axis=1)
+
+
+def triangles(shape: Shape) -> Array:
+    """A shape's surface in its body's frame, (T, 3 corners, 3) [m]; the winding is of no matter."""
+    if shape.kind == "mesh":
+        own = shape.vertices[shape.faces.astype(int)]
+    elif shape.kind == "box":
+        own = _box(shape.size)
+    else:
+        own = _turned(*_profile(shape))
+        if shape.kind == "ellipsoid":
+            own = own * shape.size
+    return np.asarray(own @ shape.rotation.T + shape.position)
+
+
+def _box(half: Array) -> Array:
+    """Two triangles a face."""
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, 8).T
+    quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
+    return np.asarray((corners * half)[np.array(faces)], dtype=np.float64)
+
+
+def _profile(shape: Shape) -> tuple[Array, Array]:
+    """Radius and height along a half section, from pole to pole; an ellipsoid's of radius one."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, ROUND // 2 + 1)
+    if shape.kind == "ellipsoid":
+        return np.cos(angle), np.sin(angle)
+    radius, half = shape.size
+    if shape.kind == "cylinder":
+        return np.array([0.0, radius, radius, 0.0]), np.array([-half, -half, half, half])
+    height = radius * np.sin(angle) + np.where(angle < 0, -half, half)
+    return radius * np.cos(angle), height
+
+
+def _turned(radius: Array, height: Array) -> Array:
+    """The surface that a half section draws when it turns about z."""
+    turn = np.linspace(0, 2 * np.pi, ROUND + 1)
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    points = np.empty((len(radius), ROUND + 1, 3))
+    points[..., :2] = radius[:, None, None] * ring
+    points[..., 2] = height[:, None]
+    a, b, c, d = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
+    both = np.stack([np.stack([a, b, c], axis=-2), np.stack([a, c, d], axis=-2)])
+    return both.reshape(-1, 3, 3)

@@ -1,0 +1,447 @@
+"""The recursion: how bodies move, what joints transmit, in numbers or in symbols."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.core.base.arrays import AnyArray, Array, apply, freeze, skew
+from testbed.core.parameters.minimal_set import MinimalSet
+from testbed.core.parameters.rules import Model
+from testbed.core.parameters.symbols import TENSOR, barycentric
+from testbed.core.robot.tree import Placement, Tree
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """M samples of the motion of n joints, columns in the order of `tree.names`.
+
+    Attributes:
+        t: Time, (M,) [s].
+        q: Joint positions, (M, n) [rad or m].
+        qd: Velocities, (M, n) [rad/s or m/s].
+        qdd: Accelerations, (M, n) [rad/s^2 or m/s^2].
+    """
+
+    t: Array
+    q: Array
+    qd: Array
+    qdd: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, t=(None,))
+        shape = (len(self.t), np.shape(self.q)[-1] if np.ndim(self.q) else 0)
+        freeze(self, q=shape, qd=shape, qdd=shape)
+
+    @staticmethod
+    def at_rest(postures: Array) -> Motion:
+        """Motion at rest, one sample for each posture.
+
+        Args:
+            postures: Joint positions, (M, n) [rad or m].
+        """
+        still = np.zeros_like(postures)
+        return Motion(np.arange(float(len(postures))), postures, still, still)
+
+    @property
+    def samples(self) -> int:
+        """Number M of samples."""
+        return len(self.t)
+
+    def __getitem__(self, part: slice) -> Motion:
+        """The samples of a slice."""
+        return Motion(self.t[part], self.q[part], self.qd[part], self.qdd[part])
+
+
+Keep = Callable[[str, AnyArray], AnyArray]
+"""Function of an intermediate's name, such as "w3", and value; its result replaces the value."""
+
+
+def unchanged(name: str, value: AnyArray) -> AnyArray:
+    """The value itself: numbers need no names."""
+    del name
+    return value
+
+
+class Link(Protocol):
+    """A joint's geometry: a `Joint`, or one whose lengths and axes are symbols."""
+
+    @property
+    def parent(self) -> int:
+        """Index of the carrying body, -1 for the bedplate."""
+
+    @property
+    def revolute(self) -> bool:
+        """Whether the joint turns (else it slides)."""
+
+    @property
+    def axis(self) -> AnyArray:
+        """Unit vector e^j in body j's frame, (3,)."""
+
+    @property
+    def offset(self) -> AnyArray:
+        """From O^i to the joint's attachment point, frame i, (3,)."""
+
+    @property
+    def rotation(self) -> AnyArray:
+        """From frame j at q = 0 to frame i, (3, 3)."""
+
+
+class Skeleton(Protocol):
+    """A tree's geometry: a `Tree`, or one on paper."""
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+
+    @property
+    def joints(self) -> Sequence[Link]:
+        """One a body, parents first."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMotion:
+    """The motion of body j in frame j; leading axes are samples.
+
+    Attributes:
+        turn: From frame j to the carrying frame i, (..., 3, 3).
+        z: Displacement of a prismatic joint, zero for a revolute one, (..., 3) [m].
+        zdd: Absolute second derivative of z, (..., 3) [m/s^2].
+        w: Angular velocity, (..., 3) [rad/s].
+        wd: Angular acceleration, (..., 3) [rad/s^2].
+        W: wd~ + w~ w~, (..., 3, 3) [1/s^2].
+        a: xdd^j - g, acceleration of O^j less gravity, (..., 3) [m/s^2].
+    """
+
+    turn: AnyArray
+    z: AnyArray
+    zdd: AnyArray
+    w: AnyArray
+    wd: AnyArray
+    W: AnyArray
+    a: AnyArray
+
+
+def kinematics(
+    tree: Skeleton,
+    q: AnyArray,
+    qd: AnyArray,
+    qdd: AnyArray,
+    gravity: AnyArray,
+    keep: Keep = unchanged,
+) -> tuple[BodyMotion, ...]:
+    """The motion of every body of the tree.
+
+    Args:
+        tree: The robot's geometry.
+        q: Joint positions, (..., n) [rad or m], numbers or symbols.
+        qd: Joint velocities, likewise.
+        qdd: Joint accelerations, likewise.
+        gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2].
+        keep: Called on each intermediate.
+    """
+    still = np.zeros((*q.shape[:-1], 3), dtype=q.dtype)
+    flat = np.zeros((*q.shape[:-1], 3, 3), dtype=q.dtype)
+    bedplate = BodyMotion(flat, still, still, still, still, flat, still - gravity)
+    moving: list[BodyMotion] = []
+    for j, joint in enumerate(tree.joints):
+        carrier = bedplate if joint.parent < 0 else moving[joint.parent]
+        moving.append(_step(joint, j, carrier, q[..., j], qd[..., j], qdd[..., j], keep))
+    return tuple(moving)
+
+
+def poses(tree: Skeleton, q: Array) -> list[tuple[Array, Array]]:
+    """Rotation to the bedplate's axes (M, 3, 3) and position (M, 3) [m] of every body.
+
+    Args:
+        tree: The robot's geometry.
+        q: Joint positions, (M, n) [rad or m].
+    """
+    still = np.zeros_like(q)
+    moving = kinematics(tree, q, still, still, np.zeros(3))
+    found: list[tuple[Array, Array]] = []
+    for joint, body in zip(tree.joints, moving, strict=True):
+        base = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
+        rotation, position = base if joint.parent < 0 else found[joint.parent]
+        there = position + rotation @ joint.offset + apply(rotation @ body.turn, body.z)
+        found.append((rotation @ body.turn, there))
+    return found
+
+
+def _step(
+    joint: Link,
+    j: int,
+    carrier: BodyMotion,
+    q: AnyArray,
+    qd: AnyArray,
+    qdd: AnyArray,
+    keep: Keep,
+) -> BodyMotion:
+    """From body i to body j."""
+    e, label = joint.axis, str(j + 1)
+    turn = _turn(joint, q)
+    back = np.swapaxes(turn, -1, -2)
+    w, wd = apply(back, carrier.w), apply(back, carrier.wd)
+    point = apply(back, carrier.a + apply(carrier.W, joint.offset))  # xdd - g of O'^j
+    speed, rate = _along(e, qd), _along(e, qdd)
+    if joint.revolute:
+        wd = keep("wd" + label, wd + apply(skew(w), speed) + rate)
+        w = keep("w" + label, w + speed)
+        z = zdd = np.zeros_like(w)
+    else:
+        w, wd = keep("w" + label, w), keep("wd" + label, wd)
+        z = _along(e, q)
+        whirl = skew(wd) + skew(w) @ skew(w)
+        zdd = keep("zdd" + label, apply(whirl, z) + 2 * apply(skew(w), speed) + rate)
+    W = keep("W" + label, skew(wd) + skew(w) @ skew(w))
+    return BodyMotion(turn, z, zdd, w, wd, W, keep("a" + label, point + zdd))
+
+
+def _along(e: AnyArray, scalar: AnyArray) -> AnyArray:
+    """Scalar times e.  scalar: (...); returns (..., 3)."""
+    return np.asarray(scalar)[..., None] * e
+
+
+def _turn(joint: Link, q: AnyArray) -> AnyArray:
+    """From frame j to frame i: A, times Rot(e, q) = e e' + c (1 - e e') + s e~ if revolute."""
+    if not joint.revolute:
+        fixed = np.broadcast_to(joint.rotation, (*np.shape(q), 3, 3))
+        return fixed.astype(np.asarray(q).dtype)
+    e = joint.axis
+    c, s = (np.asarray(f(q))[..., None, None] for f in (np.cos, np.sin))
+    axial = np.outer(e, e)
+    rotation: AnyArray = joint.rotation @ (axial + c * (np.eye(3) - axial) + s * skew(e))
+    return rotation
+
+
+def transmitted(
+    tree: Skeleton,
+    moving: Sequence[BodyMotion],
+    theta: AnyArray,
+    keep: Keep = unchanged,
+    sensor: Placement | None = None,
+    base: int = -1,
+) -> tuple[AnyArray, AnyArray]:
+    """Joint forces and the wrench that is measured.
+
+    Args:
+        tree: The robot's geometry.
+        moving: The motion of its bodies.
+        theta: Barycentric parameters, (n, 10, p).
+        keep: Called on each intermediate.
+        sensor: Where the wrench is measured; None for the bedplate.
+        base: Index of the body that a sensor moves with.
+
+    Returns:
+        Q, what the motors deliver, (..., n, p) [N m or N], and the wrench of the bedplate
+        on the robot about O^0 in bedplate axes, force first, (..., 6, p) [N, N m]; of a sensor,
+        about its origin in its axes.
+    """
+    lead, p = moving[0].w.shape[:-1], theta.shape[-1]
+    dtype = np.result_type(moving[0].w.dtype, theta.dtype)
+    force = np.zeros((tree.n + 1, *lead, 3, p), dtype=dtype)  # what children pass on to P
+    moment = np.zeros_like(force)  # and to L; the last of each is the bedplate's
+    whole = np.zeros_like(force[-1])  # F_0: to the bedplate children pass on F^j itself
+    joint_forces: list[AnyArray] = [whole] * tree.n
+    for j in reversed(range(tree.n)):
+        joint, body = tree.joints[j], moving[j]
+        own = own_wrench(body) @ theta[j]  # (..., 6, p)
+        F = keep(f"F{j + 1}", own[..., :3, :] + force[j])
+        L = own[..., 3:, :] + moment[j]
+        if not joint.revolute:
+            L = L + skew(body.z) @ F
+        L = keep(f"L{j + 1}", L)
+        if j == base:
+            whole = np.concatenate([F, L - skew(body.z) @ F], axis=-2)
+        joint_forces[j] = np.tensordot(L if joint.revolute else F, joint.axis, (-2, 0))
+        # the carrier's parameters hold the child's mass at O'^j already: pass on the rest
+        passed = F - body.a[..., None] * theta[j, 0] + body.zdd[..., None] * theta[j, 0]
+        i = joint.parent
+        passed = body.turn @ (passed if i >= 0 else F)
+        force[i] += passed
+        moment[i] += skew(joint.offset) @ passed + body.turn @ L
+    if base < 0:
+        whole = np.concatenate([force[-1], moment[-1]], axis=-2)
+    if sensor is not None:
+        whole = sensor_transform(sensor) @ whole
+    return np.stack(joint_forces, axis=-2), whole
+
+
+def sensor_poses(tree: Tree, q: Array) -> tuple[Array, Array]:
+    """Rotation to the bedplate's axes (M, 3, 3) and origin (M, 3) [m] of what measures the wrench.
+
+    Args:
+        tree: The robot.
+        q: Joint positions, (M, n) [rad or m].
+    """
+    return _placements(tree, q, [tree.sensor])[0]
+
+
+def _placements(
+    tree: Tree, q: Array, sensors: Sequence[Placement | None]
+) -> list[tuple[Array, Array]]:
+    """Rotation to the bedplate's axes and origin of each sensor; None is the bedplate's."""
+    still = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
+    moving = poses(tree, q) if any(at and at.body >= 0 for at in sensors) else []
+    found = []
+    for at in sensors:
+        turn, place = still if at is None or at.body < 0 else moving[at.body]
+        if at is not None:
+            turn, place = turn @ at.rotation, place + turn @ at.position
+        found.append((turn, place))
+    return found
+
+
+def wrench_transforms(tree: Tree, q: Array) -> dict[str, Array]:
+    """What each of a tree's next sensors measures as what measures the tree's wrench would.
+
+    Args:
+        tree: What lies between force sensors.
+        q: Joint positions, (M, n) [rad or m].
+
+    Returns:
+        By sensor, (M, 6, 6): takes a wrench about its origin in its axes, force first.
+    """
+    (turn, place), *following = _placements(tree, q, [tree.sensor, *tree.cuts])
+    back = np.swapaxes(turn, 1, 2)
+    found = {}
+    for cut, (own, there) in zip(tree.cuts, following, strict=True):
+        each = np.zeros((len(q), 6, 6))
+        each[:, :3, :3] = each[:, 3:, 3:] = back @ own
+        each[:, 3:, :3] = back @ skew(there - place) @ own
+        found[cut.name] = each
+    return found
+
+
+def sensor_transform(sensor: Placement) -> Array:
+    """From a wrench about a body's origin in its axes to a sensor's, force first, (6, 6)."""
+    back, nothing = sensor.rotation.T, np.zeros((3, 3))
+    return np.block([[back, nothing], [-back @ skew(sensor.position), back]])
+
+
+def own_wrench(body: BodyMotion) -> AnyArray:
+    """Wrench about O^j of one augmented body per barycentric parameter, (..., 6, 10).
+
+    F = mbar a + W mb;  L = mb x a + K wd + w x K w.
+    """
+    top = np.concatenate(
+        [body.a[..., None], body.W, np.zeros((*body.w.shape, 6), dtype=body.w.dtype)], axis=-1
+    )
+    spin = np.tensordot(body.wd, TENSOR, (-1, 1)) + skew(body.w) @ np.tensordot(
+        body.w, TENSOR, (-1, 1)
+    )
+    bottom = np.concatenate([np.zeros_like(body.a[..., None]), -skew(body.a), spin], axis=-1)
+    return np.concatenate([top, bottom], axis=-2)
+
+
+BLOCK = 1024
+"""Samples taken at once."""
+
+
+def joint_forces(tree: Tree, motion: Motion, gravity: ArrayLike | None = None) -> Array:
+    """What the motors deliver at the joints, friction excluded, (M, n) [N m or N].
+
+    [FRS96] eqs. (6), (7), (20), (34): inverse dynamics.
+
+    Args:
+        tree: The robot.
+        motion: M samples, columns in the order of `tree.names`.
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+    """
+    return linear(tree, motion, barycentric(tree)[..., None], gravity)[0][..., 0]
+
+
+def base_wrench(tree: Tree, motion: Motion, gravity: ArrayLike | None = None) -> Array:
+    """Wrench of the bedplate on the moving bodies, (M, 6) [N, N m].
+
+    Force first, bedplate axes, moment about O^0; the pedestal is not included. [FRS96]
+    eqs. (6), (7) for the first joints.
+
+    Args:
+        tree: The robot.
+        motion: M samples, columns in the order of `tree.names`.
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+    """
+    return linear(tree, motion, barycentric(tree)[..., None], gravity)[1][..., 0]
+
+
+def regressor(tree: Tree, motion: Motion, minimal: MinimalSet) -> Array:
+    """Phi with phi delta = joint forces or base wrench; [FRS96] eqs. (10), (12).
+
+    Takes 48 or 8 n bytes a sample and parameter: for small M and tests.
+
+    Args:
+        tree: The robot; only its geometry matters.
+        motion: M samples, columns in the order of `tree.names`.
+        minimal: delta_d or delta_r; its gravity is used.
+
+    Returns:
+        (M, n, N) [N m or N per parameter] for a dynamic set, (M, 6, N) for a reaction set.
+    """
+    theta = minimal.lift.reshape(tree.n, 10, minimal.count)
+    joints, base = linear(tree, motion, theta, minimal.gravity)
+    return joints if minimal.model == "dynamic" else base
+
+
+def parameter_regressor(
+    tree: Tree, motion: Motion, model: Model, gravity: ArrayLike | None = None
+) -> Array:
+    """The regressor on all barycentric parameters, (M, n or 6, 10 n).
+
+    Args:
+        tree: The robot; only its geometry matters.
+        motion: M samples, columns in the order of `tree.names`.
+        model: "dynamic" for joint forces, "reaction" for the base wrench.
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+    """
+    theta = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
+    joints, base = linear(tree, motion, theta, gravity)
+    return joints if model == "dynamic" else base
+
+
+def pedestal_wrench(tree: Tree, gravity: ArrayLike | None = None) -> Array:
+    """What is measured of the pedestal, which does not move, (6,) [N, N m].
+
+    By the bedplate, or by a force sensor that carries a part of it.
+
+    Args:
+        tree: The robot.
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+    """
+    g = tree.gravity_or(gravity)
+    pedestal = tree.pedestal
+    wrench = np.concatenate([-pedestal.mass * g, -np.cross(pedestal.first_moment, g)])
+    return wrench if tree.sensor is None else sensor_transform(tree.sensor) @ wrench
+
+
+def blocks(samples: int, size: int = BLOCK) -> Iterator[slice]:
+    """Consecutive slices of at most `size` samples."""
+    return (slice(first, first + size) for first in range(0, samples, size))
+
+
+def linear(
+    tree: Tree, motion: Motion, theta: Array, gravity: ArrayLike | None = None
+) -> tuple[Array, Array]:
+    """Joint forces (M, n, p) and base wrench (M, 6, p) of p sets of parameters.
+
+    Args:
+        tree: The robot; only its geometry matters.
+        motion: M samples, columns in the order of `tree.names`.
+        theta: Barycentric parameters, (n, 10, p).
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+    """
+    if motion.q.shape[1] != tree.n:
+        raise ValueError(f"a motion of {motion.q.shape[1]} joints, a robot of {tree.n}")
+    g = tree.gravity_or(gravity)
+    p = theta.shape[-1]
+    joints, base = np.empty((motion.samples, tree.n, p)), np.empty((motion.samples, 6, p))
+    for part in blocks(motion.samples):
+        moving = kinematics(tree, motion.q[part], motion.qd[part], motion.qdd[part], g)
+        joints[part], base[part] = transmitted(
+            tree, moving, theta, unchanged, tree.sensor, tree.sensor_body
+        )
+    return joints, base

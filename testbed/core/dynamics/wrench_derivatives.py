@@ -1,0 +1,265 @@
+"""How the base wrench changes with each joint's position, velocity and acceleration: exactly.
+
+One sweep to the leaves and one back give all 3 n derivatives, in place of 3 n + 1 inverse dynamics
+and their differences. All is about the bedplate's origin, in its axes. With joint j's screw s,
+the screws v and a of its body's velocity and acceleration (less gravity), and W, I and B of all
+that the joint carries,
+
+    psi = v x s        dW/dq   = s x* W + I phi + B psi
+    phi = a x s        dW/dq'  = B s + 2 I psi
+        + v x psi      dW/dq'' = I s
+
+W is the wrench, I the inertia, and B the Coriolis matrix, the sum over bodies of
+
+    (2 w x p,  -2 v_w x J w + 2 (h . v_u) w - 2 v_u (h . w))
+
+where w is the screw's turning, p a body's momentum, h its first moment, and J its integral of r r'.
+
+Numbers of all instants lie side by side, (3, m): a few hundred calls whatever the number of
+instants.
+
+Source    [SRW22] eqs. of the derivatives in joint space, summed to the base
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.core.base.arrays import Array, apply, skew
+from testbed.core.dynamics.newton_euler import Motion, blocks
+from testbed.core.parameters.symbols import to_standard, with_standard
+from testbed.core.robot.inertia import NOTHING, Inertia
+from testbed.core.robot.tree import Joint, Placement, Tree
+
+BLOCK = 2048
+"""Instants side by side: more are no faster, and need more memory."""
+
+Pair = tuple[Array, Array]
+"""A screw, turning and sliding, or a wrench, force and moment: (3, m) each."""
+
+
+def base_wrench_derivatives(
+    tree: Tree, motion: Motion, theta: Array, gravity: ArrayLike | None = None
+) -> tuple[Array, Array]:
+    """The measured wrench, its derivatives by each joint's position, velocity, acceleration.
+
+    Args:
+        tree: The robot; only its geometry matters.
+        motion: M samples, columns in the order of `tree.names`.
+        theta: Barycentric parameters, (n, 10).
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+
+    Returns:
+        (M, 6) [N, N m], force first, about O^0 or a sensor's origin; and (n, 3, M, 6) [N or N m
+        per rad or m, and with s and s^2].
+    """
+    bodies = list(with_standard(tree, to_standard(tree, theta)).inertias)
+    bodies[: tree.massless] = [NOTHING] * tree.massless
+    g = tree.gravity_or(gravity)
+    wrench = np.empty((motion.samples, 6))
+    slopes = np.empty((tree.n, 3, motion.samples, 6))
+    for part in blocks(motion.samples, BLOCK):
+        states = _outward(tree, motion.q[part].T, motion.qd[part].T, motion.qdd[part].T, g)
+        composite = [_Composite.of(body, at) for body, at in zip(bodies, states, strict=True)]
+        whole = _inward(tree, states, composite, slopes[:, :, part])
+        wrench[part, :3], wrench[part, 3:] = whole[0].T, whole[1].T
+        if tree.sensor is not None:
+            for j in range(tree.lead):  # the sensor itself turns and moves with these
+                force, moment = _cross_force(states[j].screw, whole)
+                slopes[j, 0, part] -= np.concatenate([force, moment]).T
+            turn, place = _sensor_pose(tree.sensor, states[tree.sensor_body] if tree.lead else None)
+            for found in (wrench[part], *(each[part] for three in slopes for each in three)):
+                found[:, 3:] -= np.cross(place, found[:, :3])
+                found[:, :3] = apply(turn, found[:, :3])
+                found[:, 3:] = apply(turn, found[:, 3:])
+    return wrench, slopes
+
+
+def _sensor_pose(sensor: Placement, base: _BodyState | None) -> tuple[Array, Array]:
+    """To its axes (m, 3, 3) and of its origin (m, 3) [m], bedplate frame."""
+    if base is None:
+        return sensor.rotation.T[None], sensor.position[None]
+    turn = np.einsum("ac,xam->mcx", sensor.rotation, base.turn)
+    return turn, (base.place + sensor.position @ base.turn).T
+
+
+@dataclass(frozen=True, eq=False)
+class _BodyState:
+    """A body at m instants.
+
+    Attributes:
+        turn: To the bedplate's axes, (3, 3, m).
+        place: Of its origin, (3, m) [m].
+        screw: Its joint's.
+        velocity: Its screw.
+        acceleration: The same, less gravity.
+    """
+
+    turn: Array
+    place: Array
+    screw: Pair
+    velocity: Pair
+    acceleration: Pair
+
+
+def _outward(tree: Tree, q: Array, qd: Array, qdd: Array, gravity: Array) -> list[_BodyState]:
+    """The motion of every body; coordinates (n, m)."""
+    still = np.zeros((3, q.shape[1]))
+    flat = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, q.shape[1]))
+    bedplate = _BodyState(
+        flat, still, (still, still), (still, still), (still, still - gravity[:, None])
+    )
+    found: list[_BodyState] = []
+    for j, joint in enumerate(tree.joints):
+        carrier = bedplate if joint.parent < 0 else found[joint.parent]
+        turn, place, axis = _pose(joint, carrier, q[j])
+        screw = (axis, _cross(place, axis)) if joint.revolute else (still, axis)
+        velocity = _sum(carrier.velocity, _times(screw, qd[j]))
+        acceleration = _sum(carrier.acceleration, _times(screw, qdd[j]),
+                            _times(_cross_motion(velocity, screw), qd[j]))  # fmt: skip
+        found.append(_BodyState(turn, place, screw, velocity, acceleration))
+    return found
+
+
+def _pose(joint: Joint, carrier: _BodyState, q: Array) -> tuple[Array, Array, Array]:
+    """A body's axes and origin, and its joint's axis, in the bedplate's."""
+    turn = joint.rotation.T @ carrier.turn
+    place = carrier.place + joint.offset @ carrier.turn
+    axis = joint.axis @ turn
+    if not joint.revolute:
+        return turn, place + axis * q, axis
+    along = np.outer(joint.axis, joint.axis) @ turn
+    across = skew(joint.axis).T @ turn
+    return along + np.cos(q) * (turn - along) + np.sin(q) * across, place, axis
+
+
+@dataclass(eq=False)
+class _Composite:
+    """A body and all that it carries, about the bedplate's origin, at m instants.
+
+    Attributes:
+        mass: [kg].
+        first: Moment, h, (3, m) [kg m].
+        second: Integral of r r', J, (3, 3, m) [kg m^2].
+        momentum: p, (3, m) [kg m/s].
+        coupling: From a screw's turning to B's moment, (3, 3, m) [kg m^2/s].
+        wrench: That moves them.
+    """
+
+    mass: float
+    first: Array
+    second: Array
+    momentum: Array
+    coupling: Array
+    wrench: Pair
+
+    @classmethod
+    def of(cls, body: Inertia, at: _BodyState) -> _Composite:
+        """One body."""
+        mass = body.mass
+        arm = body.first_moment @ at.turn
+        turned = body.pseudo[:3, :3] @ at.turn
+        about = np.einsum("abm,cbm->acm", turned, at.turn)
+        across = arm[:, None] * at.place
+        about += across + across.swapaxes(0, 1) + mass * at.place[:, None] * at.place
+        found = cls(mass, arm + mass * at.place, about, arm, about, (arm, arm))
+        turning, sliding = at.velocity
+        momentum = found.inertia(at.velocity)
+        found.wrench = _sum(found.inertia(at.acceleration), _cross_force(at.velocity, momentum))
+        found.momentum = momentum[0]
+        found.coupling = -2 * _cross(turning[:, None], about) - 2 * sliding[:, None] * found.first
+        found.coupling[range(3), range(3)] += 2 * _dot(found.first, sliding)
+        return found
+
+    def inertia(self, screw: Pair) -> Pair:
+        """I times a screw."""
+        turning, sliding = screw
+        trace = self.second[0, 0] + self.second[1, 1] + self.second[2, 2]
+        force = self.mass * sliding + _cross(turning, self.first)
+        moment = trace * turning - _apply(self.second, turning) + _cross(self.first, sliding)
+        return force, moment
+
+    def coriolis(self, screw: Pair) -> Pair:
+        """B times a screw."""
+        return 2 * _cross(screw[0], self.momentum), _apply(self.coupling, screw[0])
+
+    def add(self, other: _Composite) -> None:
+        """Add what another body carries."""
+        self.mass += other.mass
+        self.wrench = _sum(self.wrench, other.wrench)
+        self.first += other.first
+        self.second += other.second
+        self.momentum += other.momentum
+        self.coupling += other.coupling
+
+
+def _inward(
+    tree: Tree, states: list[_BodyState], composite: list[_Composite], slopes: Array
+) -> Pair:
+    """The base wrench; derivatives of it into `slopes`, (n, 3, m, 6)."""
+    still = np.zeros_like(states[0].place)
+    whole = still, still
+    for j in reversed(range(tree.n)):
+        at, carried = states[j], composite[j]
+        psi = _cross_motion(at.velocity, at.screw)
+        phi = _sum(_cross_motion(at.acceleration, at.screw), _cross_motion(at.velocity, psi))
+        turned = _cross_force(at.screw, carried.wrench)
+        for kind, pair in enumerate(
+            (
+                _sum(turned, carried.inertia(phi), carried.coriolis(psi)),
+                _sum(carried.coriolis(at.screw), _times(carried.inertia(psi), 2.0)),
+                carried.inertia(at.screw),
+            )
+        ):
+            slopes[j, kind, :, :3], slopes[j, kind, :, 3:] = pair[0].T, pair[1].T
+        if tree.parents[j] < 0:
+            whole = _sum(whole, carried.wrench)
+        else:
+            composite[tree.parents[j]].add(carried)
+    return whole
+
+
+def _cross_motion(velocity: Pair, screw: Pair) -> Pair:
+    """The cross product velocity x screw: the rate of a screw that a body carries."""
+    (w, u), (turning, sliding) = velocity, screw
+    return _cross(w, turning), _cross(u, turning) + _cross(w, sliding)
+
+
+def _cross_force(velocity: Pair, wrench: Pair) -> Pair:
+    """The cross product velocity x* wrench: the rate of a wrench that a body carries."""
+    (w, u), (force, moment) = velocity, wrench
+    return _cross(w, force), _cross(w, moment) + _cross(u, force)
+
+
+def _sum(*pairs: Pair) -> Pair:
+    first, second = pairs[0]
+    for one, other in pairs[1:]:
+        first, second = first + one, second + other
+    return first, second
+
+
+def _times(pair: Pair, factor: Array | float) -> Pair:
+    return pair[0] * factor, pair[1] * factor
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Of vectors whose components come first, the second of the result's shape."""
+    found = np.empty_like(b)
+    for i, j, k in (0, 1, 2), (1, 2, 0), (2, 0, 1):
+        np.multiply(a[j], b[k], out=found[i])
+        found[i] -= a[k] * b[j]
+    return found
+
+
+def _dot(a: Array, b: Array) -> Array:
+    found: Array = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return found
+
+
+def _apply(matrix: Array, vector: Array) -> Array:
+    """(3, 3, m) times (3, m)."""
+    found: Array = matrix[:, 0] * vector[0] + matrix[:, 1] * vector[1] + matrix[:, 2] * vector[2]
+    return found

@@ -1,0 +1,418 @@
+"""What data show of their own faults.
+
+Nothing here needs statistics of the residuals, and nothing looks at the masses of the model
+file: data are compared with themselves, with limits, and with what rigid bodies can be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from testbed.bodies.consistency.likelihood import rigid_body_test
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import Diagnostic, diagnose
+from testbed.core.base.errors import ENOUGH, components, few
+from testbed.core.base.stages import stage
+from testbed.core.dynamics.newton_euler import pedestal_wrench
+from testbed.core.estimation.diagnostics.residuals import (
+    fault_diagnostics,
+    noise_diagnostics,
+    noisy,
+)
+from testbed.core.estimation.estimate import Estimate, Method
+from testbed.core.estimation.regression.passes import HELD, Repeats, Survey
+from testbed.core.robot.friction import ROTOR
+from testbed.core.robot.locks import shares
+from testbed.core.robot.tree import Joint, Tree
+
+SIGNIFICANT = 0.3
+"""Relative sigma above which a parameter is reported as poorly determined."""
+
+SMALL = 0.01
+"""Sigma, relative to the largest value of the same unit, below which a parameter is known well
+enough, however small it is."""
+
+ILL_CONDITIONED = 1e3
+"""Condition of the scaled equations above which the estimate is reported as doubtful."""
+
+SURE = 5.0
+"""Sigmas beyond which a wrong sign is no noise."""
+
+NOTICEABLE = 0.02
+"""Part of a torque's rms for which negative friction must account to be no model error."""
+
+UNLIKE = 0.5
+"""Relative difference of two weights that should be the same."""
+
+UNEXPLAINED = 0.2
+"""Residual of a channel, relative to its signal and to like signals, that is too large."""
+
+WORSE = 1.2
+"""Relative residual of a prediction that is worse than none."""
+
+OUTLIER = 5.0
+"""Times the least residual of like channels: noise differs by less."""
+
+NEGLIGIBLE = 0.01
+"""Part of the weight's moment at the robot's reach that noise may be."""
+
+ALIKE = 0.9
+"""Squared correlation of a signal and its prediction that differ by a factor only."""
+
+DIFFERENT = 0.1
+"""How far that factor must be from one to be the cause."""
+
+UNLIKELY = 4.0
+"""Sigmas by which torques are late that are not late by chance: one in 15000 is."""
+
+FEW = 2
+"""Values for each unknown below which standard deviations do not hold."""
+
+OUTSIDE = 0.02
+"""Part of a joint's range by which encoders may leave it."""
+
+STILL = {"revolute": 0.02, "prismatic": 0.002}
+"""Ranges within which a joint hardly moves [rad, m]."""
+
+BEYOND_EFFORT = 2.0
+"""Times the motor's greatest effort that no torque reaches."""
+
+PILED = 0.01
+"""Part of the samples at one extreme value that is saturation."""
+
+CLIFF = 5.0
+"""Times as many samples as at the next value that are at the extreme one if it is a stop."""
+
+FEW_REPEATS = 5
+"""Repeated samples that may be chance."""
+
+TOGETHER = 10.0
+"""Times as often as channels one by one that samples are repeated if it is no chance."""
+
+OTHER_CAUSES: Mapping[Method, tuple[str, ...]] = {
+    "external": ("exchanged", "moments", "pose", "gravity"),
+    "internal": ("exchanged", "encoder-sign", "torques-in-n-mm", "gravity"),
+}
+"""Of signals that do not follow their predictions."""
+
+
+@stage("what the residuals say")
+def diagnostics(
+    estimate: Estimate, tree: Tree, survey: Survey, tare: Array
+) -> tuple[Diagnostic, ...]:
+    """What is wrong with a recording, as far as one method's data show it.
+
+    Args:
+        estimate: Made from it.
+        tree: The robot under the recording's gravity: the joints' limits are read, and the
+            pedestal, which is known.
+        survey: Some of the raw samples.
+        tare: What was subtracted from the wrench, (6,) [N, N m].
+    """
+    found = [*_few(estimate), *_encoders(tree, survey.position)]
+    found += [*_channels(estimate, survey.measured), *_repeated(estimate, survey.repeats)]
+    negative: list[Diagnostic] = []
+    if estimate.method == "external":
+        found += _tare(tree, tare)
+        negative += _mass(estimate, tree, survey.measured, tare)
+    else:
+        found += _efforts(tree, survey.measured)
+        negative += _friction(estimate)
+        found += _late(estimate)
+    found += [*negative, *fault_diagnostics(estimate), *_residuals(estimate, tree)]
+    if not negative:
+        found += _impossible(estimate)
+    return tuple(found)
+
+
+def quality(estimate: Estimate) -> Iterator[Diagnostic]:
+    """Ill-conditioned equations, what noise does, and parameters of large standard deviations.
+
+    Args:
+        estimate: With what its noise is like.
+    """
+    subject = f"the {estimate.method} estimate"
+    if estimate.condition > ILL_CONDITIONED:
+        yield diagnose(
+            "estimate.ill-conditioned", subject, estimate.condition, method=estimate.method
+        )
+    yield from noise_diagnostics(estimate)
+    base = estimate.base
+    largest: dict[str, float] = {}
+    for unit, value in zip(base.units, base.values, strict=True):
+        largest[unit] = max(largest.get(unit, 0.0), abs(value))
+    loose = [
+        f"{name} ({value:.3g} +- {sigma:.2g})"
+        for name, unit, value, sigma in zip(
+            base.names, base.units, base.values, base.sigma, strict=True
+        )
+        if sigma > SIGNIFICANT * abs(value) and SMALL * largest[unit] < sigma < np.inf
+    ]
+    if loose:
+        yield diagnose("estimate.uncertain", subject, method=estimate.method, parameters=few(loose))
+
+
+def _few(estimate: Estimate) -> Iterator[Diagnostic]:
+    """Little more values than unknowns."""
+    unknowns, values = len(estimate.values) + len(estimate.nuisances), sum(estimate.samples)
+    if values < FEW * unknowns:
+        yield diagnose(
+            "estimate.few-values",
+            f"the {estimate.method} estimate",
+            values / unknowns,
+            method=estimate.method,
+            values=values,
+            unknowns=unknowns,
+            times=ENOUGH * unknowns / values,
+        )
+
+
+def _repeated(estimate: Estimate, repeats: Repeats) -> Iterator[Diagnostic]:
+    """Samples in which channels, or poses, are all what they were before, too often for chance."""
+    if repeats.held > HELD * repeats.pairs:
+        yield diagnose("encoder.held", "the poses", repeats.held / repeats.pairs)
+    if not repeats.steps or repeats.together < FEW_REPEATS:
+        return
+    share = repeats.together / repeats.steps
+    by_chance = float(np.prod(repeats.channels / repeats.steps))
+    if share > TOGETHER * by_chance:
+        yield diagnose(
+            "channel.repeated",
+            "the plate's samples" if estimate.method == "external" else "the torques' samples",
+            share,
+            method=estimate.method,
+            count=repeats.together,
+            steps=repeats.steps,
+        )
+
+
+def _encoders(tree: Tree, position: Array) -> Iterator[Diagnostic]:
+    """Positions that the joint cannot have, or that hardly change."""
+    for joint, q in zip(tree.joints, position.T, strict=True):
+        unit, subject = "rad" if joint.revolute else "m", f"the encoder of '{joint.name}'"
+        low, high = float(q.min()), float(q.max())
+        least, greatest = joint.position_range
+        room = OUTSIDE * (greatest - least) if np.isfinite(greatest - least) else 0.0
+        if low < least - room or high > greatest + room:
+            yield diagnose(
+                "encoder.range",
+                subject,
+                max(least - low, high - greatest),
+                causes=_encoder_causes(joint, low, high),
+                low=low,
+                high=high,
+                least=least,
+                greatest=greatest,
+                unit=unit,
+            )
+        elif high - low < STILL[joint.kind]:
+            yield diagnose("encoder.still", subject, high - low, unit=unit)
+
+
+def _encoder_causes(joint: Joint, low: float, high: float) -> list[str]:
+    """The likeliest first, by what would bring the positions into the joint's range."""
+    least, greatest = joint.position_range
+    factor = 180 / np.pi if joint.revolute else 1000.0
+    converted = least <= low / factor and high / factor <= greatest
+    converted &= high - low > greatest - least
+    negated = least <= -high and -low <= greatest
+    unit = "degrees" if joint.revolute else "millimetres"
+    causes = ((converted, unit), (negated, "sign"), (not converted, "zero"),
+              (True, "exchanged"), (not converted, unit))  # fmt: skip
+    return [cause for holds, cause in causes if holds]
+
+
+def _channels(estimate: Estimate, measured: Array) -> Iterator[Diagnostic]:
+    """Signals that stop at a value, or never leave it."""
+    for c, values in enumerate(measured.T):
+        unit, label, method = estimate.channel_units[c], estimate.label(c), estimate.method
+        if np.ptp(values) == 0:
+            if estimate.matters[c]:
+                yield diagnose("channel.constant", label, values[0], method=method, unit=unit)
+            continue
+        share, end = max((_piled(values, float(e)), float(e)) for e in (values.max(), values.min()))
+        if share > PILED:
+            yield diagnose("channel.saturated", label, share, method=method, end=end, unit=unit)
+
+
+def _piled(values: Array, end: float) -> float:
+    """Part of the samples at an extreme value, if that is a stop and no crest."""
+    distance = np.abs(values - end)
+    away = distance[distance > 0]
+    beside = int((away == away.min()).sum())
+    here = len(values) - len(away)
+    return here / len(values) if here > CLIFF * beside else 0.0
+
+
+def _efforts(tree: Tree, torque: Array) -> Iterator[Diagnostic]:
+    """Torques that no motor of the robot has."""
+    for joint, values in zip(tree.joints, torque.T, strict=True):
+        most = float(np.abs(values).max())
+        if most > BEYOND_EFFORT * joint.max_effort:
+            causes = ["exchanged", "raw-units"]
+            yield diagnose(
+                "torque.effort",
+                f"the torque of '{joint.name}'",
+                most / joint.max_effort,
+                method="internal",
+                causes=["torques-in-n-mm"] * joint.revolute + causes,
+                most=most,
+                effort=joint.max_effort,
+                unit="N m" if joint.revolute else "N",
+            )
+
+
+def _tare(tree: Tree, tare: Array) -> Iterator[Diagnostic]:
+    """A tare that is not the weight of the model's pedestal."""
+    expected = pedestal_wrench(tree)[:3]
+    size = max(np.linalg.norm(expected), np.linalg.norm(tare[:3]))
+    gap = float(np.linalg.norm(tare[:3] - expected))
+    if expected.any() and gap > UNLIKE * size:
+        causes = ["units-of-tare" if tare.any() else "no-tare", "other-pedestal"]
+        yield diagnose(
+            "plate.tare",
+            "the tare's force",
+            gap,
+            method="external",
+            causes=["sign-of-tare"] * bool(tare[:3] @ expected < 0) + causes,
+            force=components(tare[:3]),
+            expected=components(expected),
+        )
+
+
+def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterator[Diagnostic]:
+    """A total mass that is negative, or not what the plate carries on average."""
+    trunks = np.zeros(10 * tree.n)
+    trunks[[10 * j for j in tree.children(-1)]] = 1.0
+    base, gravity = estimate.base, float(np.linalg.norm(tree.gravity))
+    form = np.linalg.lstsq(base.matrix.T, trunks, rcond=None)[0]
+    if gravity == 0 or np.abs(base.matrix.T @ form - trunks).max() > 1e-9:
+        return
+    mass = float(form @ base.values)
+    sigma = float(np.sqrt(form @ base.covariance @ form))
+    up = -tree.gravity / gravity
+    carried = float(np.mean(wrench[:, :3] @ up)) / gravity
+    subject = "the robot's total mass"
+    if mass < -SURE * sigma and mass < -NOTICEABLE * abs(carried):
+        first = ["sign-of-wrench", "other-tare"]
+        if tare.any() and not tare[:3] @ up < 0:
+            first = first[::-1]
+        causes = (*first, "exchanged", "gravity")
+        yield diagnose(
+            "plate.negative-mass", subject, mass, sigma=sigma, method="external", causes=causes
+        )
+    elif abs(mass - carried) > UNLIKE * max(abs(mass), abs(carried)) + SURE * sigma:
+        yield diagnose(
+            "plate.mass",
+            subject,
+            mass - carried,
+            sigma=sigma,
+            method="external",
+            mass=mass,
+            carried=carried,
+        )
+
+
+def _friction(estimate: Estimate) -> Iterator[Diagnostic]:
+    """Friction that would drive the joint."""
+    equations, drives = estimate.normal_equations, estimate.drives
+    if drives is None:
+        return
+    most = np.argmax(np.abs(shares(drives.tree)), axis=1)  # the joint that feels a place most
+    for k, term in enumerate(estimate.joint_terms, start=estimate.minimal.count):
+        place = drives.terms[k - estimate.minimal.count].joint
+        normal, _, square = equations.of_channel(int(most[place]))
+        torque = abs(term.value) * np.sqrt(normal[k, k])
+        sure = term.value < -SURE * term.sigma and torque > NOTICEABLE * np.sqrt(square)
+        if term.law.resists and sure:
+            yield diagnose(
+                "friction.negative",
+                f"the friction {term.name}",
+                term.value,
+                sigma=term.sigma,
+                method="internal",
+                unit=term.unit,
+            )
+
+
+def _late(estimate: Estimate) -> Iterator[Diagnostic]:
+    """Torques that follow the motion, or go before it."""
+    found = None if estimate.noise is None else estimate.noise.lateness
+    if found is None or abs(found.z) < UNLIKELY or not noisy(estimate):
+        return
+    drives = estimate.drives
+    missing = found.z < 0 and drives is not None and ROTOR not in {t.law for t in drives.asked}
+    first = "late-torques" if found.z > 0 else "encoder_delays"
+    yield diagnose(
+        "torque.delay",
+        "the joint torques",
+        found.delay,
+        significance=abs(found.z),
+        method="internal",
+        causes=(first, *["rotor"] * missing, "friction-terms", "sampling"),
+        direction="lag behind" if found.z > 0 else "lead",
+        delay=1e3 * abs(found.delay),
+    )
+
+
+def _residuals(estimate: Estimate, tree: Tree) -> Iterator[Diagnostic]:
+    """Channels that the model explains poorly, and not because there is little to explain."""
+    large = _large(estimate, tree)
+    for c, (share, residual) in enumerate(
+        zip(estimate.relative_residual, estimate.residual, strict=True)
+    ):
+        like = [unit == estimate.channel_units[c] for unit in estimate.channel_units]
+        apart = residual > OUTLIER * estimate.residual[like].min()
+        wrong = share > WORSE or (share > UNEXPLAINED and apart)
+        if (wrong and estimate.matters[c]) or (share > UNEXPLAINED and residual > large[c]):
+            yield _residual(estimate, c, float(share))
+
+
+def _large(estimate: Estimate, tree: Tree) -> Array:
+    """Residuals that are too large beside like channels' signals, (C,) [N, N m].
+
+    The weight is among the plate's forces, and all moments could be less than its moment. Joint
+    torques have no such measure: where all of them are small, noise may be most of them.
+    """
+    rms = estimate.normal_equations.rms
+    if estimate.method == "internal":
+        return np.full(len(rms), np.inf)
+    force, moment = float(rms[:3].max()), float(rms[3:].max())
+    reach = sum(float(np.linalg.norm(joint.offset)) for joint in tree.joints)
+    moment = max(UNEXPLAINED * moment, NEGLIGIBLE * reach * force)
+    return np.repeat([UNEXPLAINED * force, moment], 3)
+
+
+def _residual(estimate: Estimate, c: int, share: float) -> Diagnostic:
+    """By how the measurement follows its prediction: up to a factor, or not at all."""
+    normal, right, square = estimate.normal_equations.of_channel(c)
+    predicted = float(estimate.values @ normal @ estimate.values)
+    together = float(right @ estimate.values)
+    factor = together / predicted if predicted > 0 else 0.0
+    label, method = estimate.label(c), estimate.method
+    if together**2 > ALIKE * predicted * square and abs(factor - 1) > DIFFERENT:
+        causes = ["sign" if factor < 0 else "gain"]
+        return diagnose("channel.scale", label, share, method=method, causes=causes, factor=factor)
+    return diagnose("channel.residual", label, share, method=method, causes=OTHER_CAUSES[method])
+
+
+def _impossible(estimate: Estimate) -> Iterator[Diagnostic]:
+    """Minimal parameters that no rigid bodies have."""
+    found = rigid_body_test(estimate)
+    if not found.impossible:
+        return
+    base = estimate.base
+    worst = np.argsort(found.gap)[::-1][:3]
+    yield diagnose(
+        "estimate.impossible",
+        f"the {estimate.method} estimate",
+        found.distance,
+        method=estimate.method,
+        causes=("sign", *OTHER_CAUSES[estimate.method]),
+        worst=", ".join(
+            f"{base.names[k]} = {base.values[k]:.3g} where {found.nearest[k]:.3g} is possible"
+            for k in worst
+        ),
+    )

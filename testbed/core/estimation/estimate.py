@@ -1,0 +1,450 @@
+"""What one method found, with its structure: values, sigmas, residuals, as values and as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from html import escape
+from importlib import import_module
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.codec import TableSchema
+from testbed.core.base.diagnostics import Diagnosed, Diagnostic, sentences
+from testbed.core.base.errors import TestbedError, plural
+from testbed.core.estimation.noise.noise_model import NoiseModel
+from testbed.core.estimation.regression.normal_equations import TINY, NormalEquations
+from testbed.core.estimation.selection.held_out import TermChoice
+from testbed.core.estimation.sensor.estimates import NuisanceEstimate, TraceTest
+from testbed.core.estimation.settings import DEFAULTS, Settings
+from testbed.core.parameters.joint_terms import DriveSet
+from testbed.core.parameters.minimal_set import MinimalSet
+from testbed.core.parameters.rules import Model
+from testbed.core.recordings.columns import AXES, PLATE_UNITS
+from testbed.core.robot.friction import JointLaw
+from testbed.core.robot.locks import places
+from testbed.core.robot.tree import Tree
+
+EXACT, EXACT_SHORT = 1e-7, 1e-10
+"""Relative sigma below which decimals would hide how small it is; the same in brackets."""
+
+ROUNDING = 1e-15
+"""Relative sigma of what is known: numbers of the computer have no more digits."""
+
+NOT_IDENTIFIABLE = "not identifiable"
+OPEN_ZERO = f"{NOT_IDENTIFIABLE}: plate zero unknown"
+"""In place of a number whose sigma is infinite: no motion separates it from the plate's zero."""
+
+NOTHING = 1e-15
+"""Numbers and sigmas below this are rounding of zero, in any unit [kg, kg m, kg m^2, N m]."""
+
+
+def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
+    """Value and sigma, with as many decimals as sigma has to say.
+
+    Args:
+        value: The value.
+        sigma: Its standard deviation; infinite where the value is not identifiable.
+        short: 1.0610(9) for 1.0610 +- 0.0009: the digits in brackets are of the last places.
+    """
+    if math.isinf(sigma):
+        return NOT_IDENTIFIABLE if short else OPEN_ZERO
+    if max(abs(value), sigma) < NOTHING:
+        return "0"
+    if sigma <= ROUNDING * abs(value):
+        return f"{value:.9g}"  # known
+    if sigma < (EXACT_SHORT if short else EXACT) * abs(value):
+        return f"{value:.9g} +- {sigma:.0e}"
+    digits = _digits(sigma)
+    if short:
+        places = f"{sigma:.{digits}f}".replace(".", "").lstrip("0")
+        return f"{value:.{digits}f}({sigma:.1f})" if sigma >= 1 else f"{value:.{digits}f}({places})"
+    return f"{value:.{digits}f} +- {sigma:.{digits}f}"
+
+
+def _digits(sigma: float) -> int:
+    """Decimals that show two digits of sigma."""
+    return 1 if sigma >= 1 or sigma == 0 else len(f"{1 / sigma:.0f}") + 1
+
+
+@dataclass(frozen=True)
+class Words:
+    """What is printed of an estimate.
+
+    Attributes:
+        head: What it is.
+        rows: Name, value, sigma and unit of each parameter.
+        sentences: What to be careful about.
+    """
+
+    head: str
+    rows: tuple[tuple[str, float, float, str], ...]
+    sentences: tuple[str, ...]
+
+    def text(self) -> str:
+        """Name, value with sigma and unit, a line each; then what to be careful about."""
+        rows = [(name, number_with_sigma(value, s), unit) for name, value, s, unit in self.rows]
+        name, value = (max(len(row[k]) for row in rows) for k in range(2))
+        lines = [f"{row[0]:{name}s}  {row[1]:>{value}s}  {row[2]}" for row in rows]
+        return "\n".join([self.head, *lines, *(f"warning: {line}" for line in self.sentences)])
+
+    def html(self) -> str:
+        """The same as a table of a page."""
+        body = "".join(
+            f'<tr><th style="text-align:left">{escape(name)}</th><td style="text-align:right">'
+            f"{number_with_sigma(value, sigma).replace('+-', '&plusmn;')}</td>"
+            f'<td style="text-align:left">{escape(unit)}</td></tr>'
+            for name, value, sigma, unit in self.rows
+        )
+        lines = "".join(f"<li>{escape(line)}</li>" for line in self.sentences)
+        said = f"<ul>{lines}</ul>" if lines else ""
+        return f"<table><caption>{escape(self.head)}</caption>{body}</table>{said}"
+
+
+Method = Literal["external", "internal"]
+
+METHODS: tuple[Method, ...] = ("external", "internal")
+"""By the bedplate's wrench, and by the joint torques."""
+
+NAMES: Mapping[str, str] = {"external": "force plate", "internal": "joint torques"}
+"""What people call the methods."""
+
+MODEL_OF: Mapping[Method, Model] = {"external": "reaction", "internal": "dynamic"}
+"""Which of the two minimal sets a method sees."""
+
+SIGNAL_OF: Mapping[Method, str] = {"external": "wrench", "internal": "torque"}
+"""What a method needs of a recording besides positions."""
+
+
+SENSOR = "force sensor"
+"""What people call one that is in the robot."""
+
+
+def sensor_of(tree: Tree) -> str:
+    """What a person calls the force sensor that is not the plate; "" for the plate.
+
+    Args:
+        tree: What the wrench is of.
+    """
+    return "" if tree.sensor is None else SENSOR
+
+
+def instrument_of(minimal: MinimalSet, method: Method) -> str:
+    """What a person calls that by which a minimal set was measured.
+
+    Args:
+        minimal: The set.
+        method: By which it was estimated.
+    """
+    return SENSOR if minimal.of_sensor else NAMES[method]
+
+
+MATTERS = 1e-4
+"""Part of the like channels' signals below which a residual is of no matter."""
+
+
+def channels_of(tree: Tree, method: Method) -> tuple[str, ...]:
+    """What a method measures: the plate's six components, or the joints' torques.
+
+    Args:
+        tree: The robot.
+        method: Which.
+    """
+    return AXES if method == "external" else tree.names
+
+
+def channel_units(tree: Tree, method: Method) -> tuple[str, ...]:
+    """N or N m, one a channel.
+
+    Args:
+        tree: The robot.
+        method: Which channels are meant.
+    """
+    if method == "external":
+        return PLATE_UNITS
+    return tuple("N m" if joint.revolute else "N" for joint in tree.joints)
+
+
+def matters(
+    residual: Array, signal: Array, units: Sequence[str], part: float = MATTERS
+) -> tuple[bool, ...]:
+    """Whether residuals are large enough to matter among channels of the same unit.
+
+    Args:
+        residual: Rms of each channel's, (C,) [N, N m]; nan where there is none.
+        signal: Rms of each channel, (C,) [N, N m]; nan where there is none.
+        units: One a channel.
+        part: Of the largest like signal beyond which a residual matters.
+    """
+    like = [[other == unit for other in units] for unit in units]
+    largest = [np.nan_to_num(signal[same]).max() for same in like]
+    return tuple(bool(r > part * s) for r, s in zip(residual, largest, strict=True))
+
+
+def channel_label(method: Method, name: str) -> str:
+    """What a channel is called in a sentence.
+
+    Args:
+        method: Whose.
+        name: Of the channel.
+    """
+    return f"channel {name}" if method == "external" else f"the torque of '{name}'"
+
+
+@dataclass(frozen=True, eq=False)
+class BaseEstimate:
+    """The minimal parameters of an estimate.
+
+    Attributes:
+        model: "reaction" (delta_r) or "dynamic" (delta_d).
+        names: One a parameter; a joint's term that cannot be distinguished from it is named in it.
+        units: One each.
+        values: (N,).
+        sigma: Standard deviations, (N,).
+        covariance: (N, N).
+        matrix: Those on the 10 n barycentric parameters, (N, 10 n).
+    """
+
+    model: Model
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    sigma: Array
+    covariance: Array
+    matrix: Array
+
+
+@dataclass(frozen=True)
+class TermEstimate:
+    """One coefficient of a law of a joint's own torque.
+
+    Attributes:
+        law: Which law.
+        joint: The joint's name, or that of a shaft that turns with several.
+        name: `kind/JOINT`; another term of the joint that it takes up is named in it.
+        unit: Of the coefficient.
+        value: The coefficient.
+        sigma: Its standard deviation.
+    """
+
+    law: JointLaw
+    joint: str
+    name: str
+    unit: str
+    value: float
+    sigma: float
+
+    @property
+    def kind(self) -> str:
+        """The law's name."""
+        return self.law.kind
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimate(Diagnosed):
+    """What one method found.
+
+    Attributes:
+        method: "external" (bedplate) or "internal" (joint torques).
+        names: The minimal parameters; then, for the internal method, the joints' own terms.
+        units: One each.
+        values: (p,).
+        sigma: Standard deviations, (p,), correlation of residuals counted; infinite for those
+            that are `unidentifiable`.
+        covariance: (p, p); of those that are `unidentifiable`, as if the plate's zero were right.
+        gravity: That was assumed, (3,) [m/s^2], bedplate frame.
+        channels: The measured channels.
+        channel_units: One each, N or N m.
+        residual: Rms of their residuals, (channels,) [N, N m]; about their mean where the
+            channel has a constant of its own.
+        relative_residual: ||y - phi delta|| / ||y|| of each, (channels,).
+        samples: Rows used of each, (channels,).
+        condition: Of the equations with unit columns and weights.
+        normal_equations: Of all rows: other weights and subsets of channels need no other pass.
+        diagnostics: What a careful reader should know; errors where the data contradict the model.
+        minimal: The minimal set that comes first.
+        drives: That set with the joints' own terms, for the internal method.
+        joints: The joints' names.
+        noise: What the residuals are like; None where they are taken as white.
+        nuisances: Numbers of the instrument that were estimated with the parameters.
+        trace_tests: Faults of the instrument whose traces were looked for in the residuals.
+        nuisance_covariance: Of the instrument's numbers, (s, s).
+        nuisance_cross: Of the parameters with them, (p, s).
+        choice: How held-out data chose the joints' terms, where they did.
+        unidentifiable: Names of parameters that no motion separates from the plate's zero, which is
+            not known here. Their values hold together with that zero only.
+        settings: How its recording became equations, with all that data chose.
+    """
+
+    method: Method
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    sigma: Array
+    covariance: Array
+    gravity: Array
+    channels: tuple[str, ...]
+    channel_units: tuple[str, ...]
+    residual: Array
+    relative_residual: Array
+    samples: tuple[int, ...]
+    condition: float
+    normal_equations: NormalEquations
+    diagnostics: tuple[Diagnostic, ...]
+    minimal: MinimalSet
+    drives: DriveSet | None
+    joints: tuple[str, ...]
+    noise: NoiseModel | None = None
+    nuisances: tuple[NuisanceEstimate, ...] = ()
+    trace_tests: tuple[TraceTest, ...] = ()
+    nuisance_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    nuisance_cross: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    choice: TermChoice | None = None
+    unidentifiable: tuple[str, ...] = ()
+    settings: Annotated[Settings, TableSchema()] = DEFAULTS
+
+    def __post_init__(self) -> None:
+        p, c = len(self.names), len(self.channels)
+        s = len(self.nuisance_covariance)
+        freeze(self, values=(p,), sigma=(p,), covariance=(p, p), gravity=(3,))
+        freeze(self, residual=(c,), relative_residual=(c,), nuisance_covariance=(s, s))
+        freeze(self, nuisance_cross=(p if s else len(self.nuisance_cross), s))
+
+    def without(self, unidentifiable: Sequence[str]) -> Estimate:
+        """The same, some of the parameters said to be not identifiable.
+
+        Args:
+            unidentifiable: Their names.
+        """
+        unknown = [name in unidentifiable for name in self.names]
+        sigma = np.where(unknown, np.inf, self.sigma)
+        return replace(self, sigma=sigma, unidentifiable=tuple(unidentifiable))
+
+    @cached_property
+    def matters(self) -> tuple[bool, ...]:
+        """Whether each channel's residual is large enough to matter among like channels."""
+        return matters(self.residual, self.normal_equations.rms, self.channel_units)
+
+    def label(self, c: int) -> str:
+        """What a channel is called in a sentence."""
+        return channel_label(self.method, self.channels[c])
+
+    @cached_property
+    def base(self) -> BaseEstimate:
+        """The minimal parameters alone."""
+        own = slice(0, self.minimal.count)
+        return BaseEstimate(
+            model=self.minimal.model,
+            names=self.names[own],
+            units=self.units[own],
+            values=self.values[own],
+            sigma=self.sigma[own],
+            covariance=self.covariance[own, own],
+            matrix=self.minimal.matrix,
+        )
+
+    @cached_property
+    def joint_terms(self) -> tuple[TermEstimate, ...]:
+        """The joints' own terms, law by law; none for the external method."""
+        if self.drives is None:
+            return ()
+        names = places(self.drives.tree)
+        return tuple(
+            TermEstimate(
+                law=term.law,
+                joint=names[term.joint],
+                name=self.names[k],
+                unit=self.units[k],
+                value=float(self.values[k]),
+                sigma=float(self.sigma[k]),
+            )
+            for k, term in enumerate(self.drives.terms, start=self.minimal.count)
+        )
+
+    @property
+    def instrument(self) -> str:
+        """What it was measured by."""
+        return instrument_of(self.minimal, self.method)
+
+    @property
+    def words(self) -> Words:
+        """What is printed of it."""
+        doubt = (
+            "; doubtful: its standard deviations do not include the errors that diagnostics name"
+            if self.doubtful
+            else ""
+        )
+        numbers = zip(
+            self.names, self.values.tolist(), self.sigma.tolist(), self.units, strict=True
+        )
+        head = f"{plural(len(self.names), 'parameter')} by the {self.instrument}{doubt}"
+        return Words(head, tuple(numbers), sentences(self.diagnostics))
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def __str__(self) -> str:
+        """A table for people: names, values with sigmas, units, warnings."""
+        return self.words.text()
+
+    def _repr_html_(self) -> str:
+        """The same for notebooks."""
+        return self.words.html()
+
+    def to_frame(self) -> Any:
+        """Names, values, sigmas and units as a data frame of pandas, or of polars.
+
+        Raises:
+            TestbedError: Neither is installed.
+        """
+        columns = {
+            "name": list(self.names),
+            "value": self.values.tolist(),
+            "sigma": self.sigma.tolist(),
+            "unit": list(self.units),
+        }
+        for package in ("pandas", "polars"):
+            try:
+                return import_module(package).DataFrame(columns)
+            except ModuleNotFoundError:
+                continue
+        raise TestbedError("data frames need pandas or polars; pip install pandas")
+
+
+def influence(estimate: Estimate, truths: Mapping[str, float]) -> Array:
+    """Rms of each column times its value over the rms of the signals, (p,); of units the largest.
+
+    Args:
+        estimate: Of one method.
+        truths: True values by name, which count in place of the estimate's.
+    """
+    equations, units = estimate.normal_equations, np.array(estimate.channel_units)
+    squares = np.array([np.diagonal(equations.of_channel(c)[0]) for c in range(len(units))])
+    values = np.array(
+        [truths.get(n, v) for n, v in zip(estimate.names, estimate.values.tolist(), strict=True)]
+    )
+    shares = []
+    for unit in dict.fromkeys(estimate.channel_units):
+        same = units == unit
+        size = max(float(equations.squares[same].sum()), TINY)
+        square = np.maximum(squares[same].sum(axis=0), 0.0)  # of a column of zeros by rounding
+        shares.append(np.sqrt(square / size))
+    return np.asarray(np.abs(values) * np.max(shares, axis=0))
+
+
+def by_influence(estimates: Iterable[Estimate], truths: Mapping[str, float]) -> list[str]:
+    """Names of all parameters, that which adds most to any signal first.
+
+    Args:
+        estimates: Of one robot, one a method.
+        truths: True values by name; {} where they are not known.
+    """
+    most: dict[str, float] = {}
+    for estimate in estimates:
+        for name, share in zip(estimate.names, influence(estimate, truths).tolist(), strict=True):
+            most[name] = max(share, most.get(name, 0.0))
+    return sorted(most, key=lambda name: -most[name])

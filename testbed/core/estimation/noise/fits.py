@@ -1,0 +1,270 @@
+"""Fits under coloured noise, from products of rows with rows before them.
+
+Channels whose rows have no gaps are whitened by the noise's own autoregression before they are
+weighted: generalised least squares. Rows that were dropped, at a joint's reversals, break the
+sequence: such channels are weighted only, and the covariance counts how residuals hang
+together over neighbouring rows.
+
+Residuals are not the noise: unknowns have taken a part of it, of each channel and at each
+frequency another. Of generalised least squares the part is known, E r r' = E e e' - X G X' with G
+the unknowns' covariance, and it is added: restricted maximum likelihood, in turns.
+
+Columns of the products: the unknowns' columns, then the residuals, then ones where a row
+counts. Rows come in units in which every channel's noise is about one. R residuals beside the
+same columns, as replicas of noise are, are fitted side by side, each for itself.
+
+Source    [PT71], [CR00] of autoregressions
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.blas import eigh
+from testbed.core.estimation.noise.lagged_products import (
+    HIGHEST,
+    Autoregression,
+    LaggedProducts,
+    Whitened,
+    best_order,
+    fit,
+    innovation_variance,
+)
+from testbed.core.estimation.regression.normal_equations import inverse_and_solution
+
+ROUNDS = 4
+"""Times that noise and unknowns are found in turns: what is left to go is 1 % of sigma."""
+
+REWEIGHTINGS = 3
+"""Times that the channels' weights are found anew from the residuals."""
+
+ENOUGH = 2
+"""Times as many rows as unknowns, of all channels together, that whitening has to leave."""
+
+ROWS_PER_ORDER = 10
+"""Rows that a coefficient of the noise has to be found from."""
+
+LEAST = 1e-4
+"""Least noise of a channel, in the units that rows come in: channels without noise are possible."""
+
+LEAST_SHARE = 0.1
+"""Of the variance that independent rows would give: sums over few lags can fall below zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseFit:
+    """Unknowns under a noise that was found with them.
+
+    Attributes:
+        values: (m,).
+        covariance: By the formula of the fit, (m, m).
+        noise: Of the residuals.
+        weighting: What rows were whitened and weighted by; of rows with gaps, of order zero.
+        inverse: Of the normal matrix of these rows, (m, m).
+    """
+
+    values: Array
+    covariance: Array
+    noise: Autoregression
+    weighting: Autoregression
+    inverse: Array
+
+    def normal(self, given: LaggedProducts) -> Array:
+        """The normal matrix of columns, weighted as the fit's own were, (q, q).
+
+        Args:
+            given: Products of the columns.
+        """
+        white = Whitened(given, self.weighting.coefficients[None])
+        return np.asarray(white.sums(self.weighting.sigma[None] ** -2.0)[0])
+
+
+Fits = Callable[[LaggedProducts, int | None], list[NoiseFit]]
+"""A fit for each response; the order of the noise is chosen where None is given."""
+
+
+def whitened_fits(
+    given: LaggedProducts,
+    order: int | None = None,
+    *,
+    quick: bool = False,
+    lead: Array | None = None,
+) -> list[NoiseFit]:
+    """Generalised least squares: rows without gaps.
+
+    Args:
+        given: Products of unknowns' columns, residuals and ones.
+        order: Of the noise; None for what is best for the first residuals.
+        quick: Whether a turn's weights go on from those of the turn before, with one step: chances
+            of tests differ by a thousandth.
+        lead: How the columns make up those that are fitted, (q, r); None for the columns as they
+            are. Only products of lags that are needed are combined.
+    """
+
+    def up_to(lag: int) -> LaggedProducts:
+        return given.up_to(lag) if lead is None else given.up_to(lag).combined(lead)
+
+    now = up_to(0)
+    found = _weighted(now, given.rows)
+    if order is None:  # by residuals as they are: of coloured noise weights alone take less
+        highest, left = _highest(given, now.unknowns), _of_residuals(now, found.values)
+        left = given.moments(_squares(left if lead is None else left @ lead.T), highest)[0]
+        order = highest and best_order(left, given.after(highest), highest)
+    given = up_to(order)
+    for _ in range(ROUNDS if order else 1):
+        coefficients = fit(_moments(given, found, order), order)
+        found = _weighted(given, given.after(order), coefficients, found if quick else None)
+    noises = map(Autoregression, coefficients, found.spread)
+    each = zip(found.values, found.inverse, noises, strict=True)
+    return [NoiseFit(values, inverse, noise, noise, inverse) for values, inverse, noise in each]
+
+
+def weighted_fits(given: LaggedProducts, order: int | None = None) -> list[NoiseFit]:
+    """Weighted least squares, neighbouring residuals counted in the covariance: rows with gaps.
+
+    Args:
+        given: Products of unknowns' columns, residuals and ones.
+        order: Of the noise; None for as many as there are lags.
+    """
+    m, now = given.unknowns, given.up_to(0)
+    counts = given.products[:, :, -1, -1].T  # (C, K + 1)
+    found = _weighted(now, np.maximum(counts[:, 0], 1.0))
+    left = given.squares(_of_residuals(given, found.values))
+    covariances = left / np.maximum(counts - found.taken[..., None], 1.0)  # (R, C, K + 1)
+    covariances[..., 0] = found.spread**2  # which is not zero
+    weights = found.spread[..., None] ** -4.0 * covariances
+    least = now.sums(weights[..., :1])
+    weights[..., 1:] *= 2  # a lag's products, and their transpose
+    middle = given.sums(weights)
+    order = given.lags if order is None else order
+    fits = []
+    for r, inverse in enumerate(found.inverse):
+        inner = _at_least(LEAST_SHARE, least[r, :m, :m], middle[r, :m, :m])
+        noise = _from_covariances(covariances[r], order)
+        weighting = Autoregression(np.zeros((len(counts), 0)), found.spread[r])
+        fits.append(NoiseFit(found.values[r], inverse @ inner @ inverse, noise, weighting, inverse))
+    return fits
+
+
+def _highest(given: LaggedProducts, unknowns: int) -> int:
+    """Largest order that leaves rows enough for the unknowns, and for itself."""
+    needed = ENOUGH * unknowns // int(given.products.shape[1]) + 1
+    return max(0, min(HIGHEST, given.lags, given.rows // ROWS_PER_ORDER, given.rows - needed))
+
+
+def _at_least(share: float, least: Array, matrix: Array) -> Array:
+    """A covariance that is nowhere below a share of another one."""
+    root = np.linalg.cholesky(least)
+    inverse = np.linalg.inv(root)
+    spread, axes = eigh(inverse @ matrix @ inverse.T)
+    half = root @ axes * np.sqrt(np.maximum(spread, share))
+    return half @ half.T
+
+
+class _Weighted(NamedTuple):
+    """Weighted least squares, every channel by its own noise, of each response.
+
+    Attributes:
+        values: (R, m).
+        inverse: Of the normal matrices, (R, m, m).
+        spread: Noise of every channel, (R, C).
+        taken: Rows' worth of each channel's noise that the unknowns have taken, (R, C).
+    """
+
+    values: Array
+    inverse: Array
+    spread: Array
+    taken: Array
+
+
+def _weighted(
+    given: LaggedProducts,
+    rows: Array | int,
+    coefficients: Array | None = None,
+    before: _Weighted | None = None,
+) -> _Weighted:
+    """Unknowns and noise from products of the same rows.
+
+    Args:
+        given: The products.
+        rows: How many, (C,) or one number.
+        coefficients: Of the autoregressions that whiten them, (R, C, P); None for none.
+        before: What is to be improved by one step; None for all steps, from values of zero.
+    """
+    m, trials, channels = given.unknowns, given.responses, given.products.shape[1]
+    if coefficients is None:
+        coefficients = np.zeros((trials, channels, 0))
+    white, free = Whitened(given, coefficients), np.asarray(rows) - coefficients.shape[2]
+    values, taken = np.zeros((trials, m)), np.full((trials, channels), m / channels)
+    if before is not None:
+        values, taken = before.values, before.taken
+    inverses = np.zeros((trials, *given.products.shape[2:]))
+    spread = _spread(white.squares(_of_residuals(given, values)), free - taken)
+    for _ in range(REWEIGHTINGS if before is None else 1):
+        inverses[:, :m, :m], values = _solutions(white.sums(spread**-2.0), m)
+        taken = white.traces(inverses) / spread**2
+        spread = _spread(white.squares(_of_residuals(given, values)), free - taken)
+    inverse, _ = _solutions(white.sums(spread**-2.0), m)
+    return _Weighted(values, inverse, spread, taken)
+
+
+def _solutions(sums: Array, m: int) -> tuple[Array, Array]:
+    """Inverses of the normal matrices, (R, m, m), and each response's solution, (R, m)."""
+    each = [inverse_and_solution(one[:m, :m], one[:m, m + r]) for r, one in enumerate(sums)]
+    inverses, values = zip(*each, strict=True)
+    return np.stack(inverses), np.stack(values)
+
+
+def _spread(left: Array, free: Array) -> Array:
+    """Noise of every channel, of squares of residuals and degrees of freedom."""
+    return np.maximum(np.sqrt(np.maximum(left, 0.0) / np.maximum(free, 1.0)), LEAST)
+
+
+def _moments(given: LaggedProducts, found: _Weighted, order: int) -> Array:
+    """e_(t-i) e_(t-j) summed over t >= order, of the noise e, (R, C, order + 1, order + 1).
+
+    Those of the residuals, what the unknowns have taken of the noise, and the least noise.
+    """
+    m, inner = given.unknowns, _squares(_of_residuals(given, found.values))
+    inner[:, :m, :m] += found.inverse
+    least = LEAST**2 * given.after(order) * np.eye(order + 1)
+    return given.moments(inner, order) + least
+
+
+def _of_residuals(given: LaggedProducts, values: Array) -> Array:
+    """B with b' z what a response's values leave of a row z, (R, q)."""
+    trials, m = values.shape
+    found = np.zeros((trials, given.products.shape[2]))
+    found[:, :m], found[range(trials), range(m, m + trials)] = -values, 1.0
+    return found
+
+
+def _squares(combinations: Array) -> Array:
+    """B b' of each b, (R, q, q)."""
+    return combinations[:, :, None] * combinations[:, None, :]
+
+
+def _from_covariances(covariances: Array, order: int) -> Autoregression:
+    """The autoregression of given autocovariances, (C, K + 1), by Yule and Walker."""
+    lag = np.abs(np.subtract.outer(np.arange(order + 1), np.arange(order + 1)))
+    moments = covariances[:, lag]
+    coefficients = fit(moments, order)
+    left = innovation_variance(moments, coefficients)
+    return Autoregression(coefficients, np.sqrt(np.maximum(left, 0.0)))
+
+
+def of_residuals(products: Array, values: Array) -> Array:
+    """Products of what values leave of the residuals, (...,).
+
+    Args:
+        products: Of columns, residuals and what follows them, (..., q, q).
+        values: Of the columns' unknowns, (m,).
+    """
+    m, combine = len(values), np.append(-values, 1.0)
+    part = products[..., : m + 1, : m + 1]
+    return np.asarray(np.einsum("...ij,i,j->...", part, combine, combine))

@@ -1,0 +1,296 @@
+"""What residuals are like: their noise, the period that they repeat with, a delay in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.noise.fits import LEAST, NoiseFit
+from testbed.core.estimation.noise.lagged_products import (
+    Autoregression,
+    LaggedProducts,
+    prediction_errors,
+)
+from testbed.core.estimation.regression.normal_equations import scaled_solve
+
+ALIKE = 1e-3
+"""Mean square of the difference to one period before, relative to that of far instants."""
+
+UNLIKE = 0.3
+"""The same where a motion has left where it was: a period is more than standing still."""
+
+AT_REST = 1e-2
+"""Part of the largest joint's spread below which a joint shows little but noise."""
+
+FEWEST_SAMPLES = 4
+"""Samples in which nothing repeats."""
+
+
+def period_of(position: Array) -> int | None:
+    """The shortest time after which a motion repeats, in samples; None if it does not.
+
+    Only motions that are seen for one and a half periods at least can show one.
+
+    Args:
+        position: Encoders at evenly spaced times, (m, n) [rad or m].
+    """
+    if len(position) < FEWEST_SAMPLES:
+        return None
+    spread = position.std(axis=0)
+    moving = position[:, spread > AT_REST * spread.max(initial=0.0)]
+    if not moving.shape[1]:
+        return None
+    unit = (moving - moving.mean(axis=0)) / moving.std(axis=0)
+    apart = _differences(unit)
+    left = np.flatnonzero(apart > UNLIKE)
+    if not len(left):
+        return None
+    near = np.flatnonzero(apart[left[0] :] < ALIKE) + left[0]
+    if not len(near):
+        return None
+    first = int(near[0])
+    away = np.flatnonzero(apart[first:] >= ALIKE)
+    last = first + int(away[0]) if len(away) else len(apart)
+    return first + int(np.argmin(apart[first:last]))
+
+
+def _differences(unit: Array) -> Array:
+    """Mean square of x_t - x_(t - lag) over 2, for lags up to two thirds of the samples."""
+    count, channels = unit.shape
+    lags = np.arange(2 * count // 3 + 1)
+    size = 1 << int(2 * count - 1).bit_length()
+    spectrum = np.fft.rfft(unit, size, axis=0)
+    products = np.fft.irfft((np.abs(spectrum) ** 2).sum(axis=1), size)[lags]
+    ends = np.concatenate([[0.0], np.cumsum((unit**2).sum(axis=1))])
+    later, earlier = ends[-1] - ends[lags], ends[count - lags]
+    return np.asarray((later + earlier - 2 * products) / (2 * channels * (count - lags)))
+
+
+FEWEST_PAIRS = 30
+"""Pairs of rows that the test needs: the sum of their products is then about normal."""
+
+
+@dataclass(frozen=True)
+class PeriodicResidual:
+    """Residuals held against those of one period before.
+
+    Attributes:
+        period: Of the motion [s].
+        share: Part of each channel's whitened residuals, squared, that repeats, (C,); below
+            zero by chance.
+        chance: Probability, at most, of as much in one channel or in all together in mere noise.
+    """
+
+    period: float
+    share: tuple[float, ...]
+    chance: float
+
+
+class PeriodicSums:
+    """Products of whitened residuals with those of one period before, row after row."""
+
+    def __init__(self, noise: Autoregression, rows: int, period: float) -> None:
+        """Nothing yet; of memory for one period.
+
+        Args:
+            noise: Of the residuals.
+            rows: Of one period.
+            period: Of the motion [s].
+        """
+        channels = len(noise.sigma)
+        self._noise, self._rows, self._period = noise, rows, period
+        self._recent = np.zeros((channels, 0))  # residuals that the next ones are whitened with
+        self._before = np.zeros((channels, 0))  # whitened ones of one period
+        self._sums = np.zeros((3, channels))
+        self._pairs = 0
+
+    def add(self, left: Array) -> None:
+        """Go on with consecutive rows' residuals, (C, rows)."""
+        order = self._noise.order
+        run = np.concatenate([self._recent, left], axis=1)
+        self._recent = run[:, max(0, run.shape[1] - order) :]
+        alpha, count = prediction_errors(self._noise.coefficients), run.shape[1] - order
+        if count <= 0:
+            return
+        fresh = np.zeros((len(run), count))
+        for i in range(order + 1):
+            fresh += alpha[:, i, None] * run[:, order - i : order - i + count]
+        white = np.concatenate([self._before, fresh], axis=1)
+        self._before = white[:, max(0, white.shape[1] - self._rows) :]
+        now, then = white[:, self._rows :], white[:, : -self._rows]
+        self._sums += [(now * then).sum(axis=1), (now**2).sum(axis=1), (then**2).sum(axis=1)]
+        self._pairs += now.shape[1]
+
+    def found(self) -> PeriodicResidual | None:
+        """What the sums say; None where the rows are too few."""
+        products, *powers = self._sums
+        size = np.sqrt(powers[0] * powers[1])
+        some = size > 0
+        if self._pairs < FEWEST_PAIRS or not some.any():
+            return None
+        share = products / np.where(some, size, 1.0)
+        score = share[some] * np.sqrt(self._pairs)
+        together = special.ndtr(-score.sum() / np.sqrt(len(score)))
+        alone = len(score) * special.ndtr(-score.max())
+        chance = min(1.0, 2 * float(min(together, alone)))  # two looks, and so many channels
+        return PeriodicResidual(self._period, tuple(float(x) for x in share), chance)
+
+
+ROUNDS = 3
+"""Times that the delay and the noise beside it are found in turns."""
+
+
+@dataclass(frozen=True)
+class TimeDelay:
+    """By how much all channels are late together.
+
+    Attributes:
+        delay: [s]; less than it is where many rows were dropped.
+        sigma: Its standard deviation.
+    """
+
+    delay: float
+    sigma: float
+
+    @property
+    def z(self) -> float:
+        """In sigmas."""
+        return self.delay / self.sigma
+
+
+def lateness(
+    given: LaggedProducts, found: NoiseFit, start: Array, factor: float, rate: float
+) -> TimeDelay | None:
+    """What the residuals hold of a delay; None where there are too few rows to say.
+
+    Channels weigh by the residuals that they have, of which a model of the noise may explain any
+    part. Sigma counts how residuals and slopes hang together over neighbouring rows.
+
+    Args:
+        given: Products of unknowns' columns, residuals of a first solution, and ones, two lags.
+        found: What is added to the first solution, (m,).
+        start: The first solution, (m,).
+        factor: By which sigma is larger than a formula's.
+        rate: Rows a second [Hz].
+    """
+    if given.lags < 2:
+        return None
+    m = len(start)
+    ones = np.maximum(given.products[0, :, -1, -1], 1.0)
+    predicted = np.zeros((len(ones), m + 2))
+    predicted[:, :m] = start + found.values
+    predicted[:, -1] = (
+        -np.einsum("ci,ci->c", given.products[0, :, -1], predicted) / ones
+    )  # its mean
+    left = np.broadcast_to(np.concatenate([-found.values, [1.0, 0.0]]), predicted.shape)
+    slopes = _slopes(_slopes(_lagged(given, predicted, predicted), 1), -1) * rate**2
+    rests, across = _lagged(given, left, left), _slopes(_lagged(given, left, predicted), 1)
+    now, one = given.products[:2]
+    before, after = one @ predicted[..., None], one.swapaxes(1, 2) @ predicted[..., None]
+    slope = (after - before)[..., 0] * rate / 2  # with each column, (C, m + 2)
+    squares = slopes[len(slopes) // 2]
+    late = TimeDelay(0.0, 0.0)
+    for _ in range(ROUNDS):  # what is left without the delay is noise
+        noise = _without(rests, across * rate, slopes, late.delay) / ones
+        weights = 1 / np.maximum(noise[len(noise) // 2], LEAST**2)
+        late = _fitted(now[:, :m, :m], slope, squares, left[0], weights)
+        if not np.isfinite(late.sigma):
+            return None
+    alike = float(weights**2 @ (slopes * noise).sum(axis=0))
+    alike /= float(weights @ squares)
+    return TimeDelay(late.delay, factor * late.sigma * float(np.sqrt(max(alike, 1.0))))
+
+
+def _fitted(columns: Array, slope: Array, squares: Array, left: Array, weights: Array) -> TimeDelay:
+    """The delay beside the unknowns by weighted least squares; sigma is infinite for none.
+
+    Args:
+        columns: Products of the unknowns' columns, (C, m, m).
+        slope: Of slopes with every column, (C, m + 2).
+        squares: Of slopes with themselves, (C,).
+        left: What of the columns the residuals are, (m + 2,).
+        weights: (C,).
+    """
+    shared = weights @ slope[:, : columns.shape[1]]
+    normal = np.tensordot(weights, columns, 1)
+    alone = float(weights @ squares - shared @ scaled_solve(normal, shared))
+    if alone <= 0:
+        return TimeDelay(0.0, np.inf)
+    return TimeDelay(-float(weights @ slope @ left) / alone, 1 / float(np.sqrt(alone)))
+
+
+def _lagged(given: LaggedProducts, now: Array, before: Array) -> Array:
+    """Sums of one combination of columns times another, j = -K ... K rows before, (2K + 1, C).
+
+    Args:
+        given: The products.
+        now: (C, q).
+        before: (C, q).
+    """
+    forth, back = (
+        (one * (given.products @ other[..., None])[..., 0]).sum(axis=2)
+        for one, other in ((now, before), (before, now))
+    )
+    return np.concatenate([back[:0:-1], forth])
+
+
+def _slopes(sums: Array, way: int) -> Array:
+    """The same sums with the second of the two (1), or the first (-1), as half differences."""
+    return way * (sums[:-2] - sums[2:]) / 2
+
+
+def _without(rests: Array, across: Array, slopes: Array, delay: float) -> Array:
+    """Sums of residuals times residuals, j rows apart, a delay taken back, (2K - 3, C)."""
+    inner = rests[2:-2] + delay * (across[1:-1] + across[::-1][1:-1])
+    return inner + delay**2 * slopes
+
+
+COARSE = 0.05
+"""Part of the whitened residuals that steps of the encoders may be without a word."""
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """The noise that an estimate was made under.
+
+    Attributes:
+        order: Of each channel's autoregression; 0 where noise is taken as white.
+        memory: Time in which the slowest part of each channel's noise fades to 1/e, (C,) [s].
+        factor: By which sigma is larger than the formula's, found by a bootstrap.
+        bias: Constants of the channels, with their weight, (C,) [N, N m]; zero if not looked for.
+        bias_sigma: Their standard deviations, (C,).
+        bias_chance: Probability of constants as large as these where there are none.
+        bias_weight: Of the answer with constants, 0 to 1; the one without has the rest.
+        span: How long the recording is [s].
+        hidden: Parameters that no motion can separate from a constant of a channel.
+        noise_limited: Parameters whose columns are in large part noise of the encoders, alone or
+            together: sigma does not hold for them.
+        least_counts: Of encoders that show whole counts and no noise between, zero for others,
+            (n,) [rad or m]; empty if there are none.
+        by_counts: Part of the whitened residuals that such counts account for.
+        repetition: Whether the residuals repeat with the motion; None where that is unknown.
+        lateness: Of joint torques against the encoders; None of a plate.
+    """
+
+    order: int
+    memory: tuple[float, ...]
+    factor: float
+    bias: Array
+    bias_sigma: Array
+    bias_chance: float
+    bias_weight: float
+    span: float
+    hidden: tuple[str, ...]
+    noise_limited: tuple[str, ...] = ()
+    least_counts: tuple[float, ...] = ()
+    by_counts: float = 0.0
+    repetition: PeriodicResidual | None = None
+    lateness: TimeDelay | None = None
+
+    @property
+    def steps_matter(self) -> bool:
+        """Whether steps of the encoders are much of what the model leaves."""
+        return self.by_counts > COARSE

@@ -1,0 +1,261 @@
+"""Rows in units in which all noise is one and the robot's columns are orthonormal.
+
+Unknowns of the instrument, and columns whose traces are looked for, stand beside the robot's;
+what is known of the unknowns leaves fewer of them free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.stages import stage
+from testbed.core.estimation.noise.errors_in_variables import NOTHING_MADE, Made, PositionNoise
+from testbed.core.estimation.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.core.estimation.regression import solvers
+from testbed.core.estimation.regression.constraints import LinearConstraints, NullSpace, free
+from testbed.core.estimation.regression.normal_equations import square_root
+from testbed.core.estimation.regression.passes import Columns, Passes
+from testbed.core.kernel.layout import Layout
+
+ROUNDING = 1e-12
+"""Part of its size that is left of an unknown which is known, by rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class NuisanceColumns:
+    """Columns beside the robot's.
+
+    Attributes:
+        columns: Makes them; None for none.
+        unknown: How many come first, and are estimated.
+        trends: How many come next, and are in the tests' base.
+        tested: Numbers of those that follow, kind by kind.
+        facts: About what is still to be added to the robot's unknowns and to these; None for none.
+    """
+
+    columns: Columns | None = None
+    unknown: int = 0
+    trends: int = 0
+    tested: tuple[int, ...] = ()
+    facts: LinearConstraints | None = None
+
+    @property
+    def width(self) -> int:
+        """How many columns."""
+        return self.unknown + self.trends + sum(self.tested)
+
+
+NOTHING = NuisanceColumns()
+"""No columns beside the robot's."""
+
+
+class Rows(NamedTuple):
+    """A block of rows: columns and what values leave in units of the noise; and as measured.
+
+    Attributes:
+        columns: The robot's and those beside, (C, k, q); those for tests only where they are
+            looked at.
+        looked_at: Whether they are.
+        left: What the values leave, (C, k).
+        ones: Where a row counts, (C, k).
+        own: What the values leave, (C, k) [N, N m].
+        further: Those beside, (C, k, s) [N or N m per unit].
+        made: Columns that made noise of the encoders gives, (C, k, r).
+    """
+
+    columns: Array
+    looked_at: bool
+    left: Array
+    ones: Array
+    own: Array
+    further: Array
+    made: Array
+
+
+class Products(NamedTuple):
+    """Sums of products of rows.
+
+    Attributes:
+        every: Of the unknowns' columns, residuals and ones, of all rows.
+        looked_at: Of all columns, residuals and ones, of the rows that are looked at.
+        noise: Of made noise of the encoders in the places of `every`; None if none is made.
+    """
+
+    every: LaggedProducts
+    looked_at: LaggedProducts
+    noise: LaggedProducts | None
+
+
+def counted(columns: Array, measured: Array) -> Array:
+    """Ones where a row counts, zeros where it was dropped, (C, k).
+
+    Args:
+        columns: Of the rows, (C, k, q).
+        measured: Of the rows, (C, k).
+    """
+    return np.asarray(((columns != 0).any(axis=2) | (measured != 0)).astype(float))
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """Units in which all noise is one and the robot's columns are orthonormal.
+
+    Attributes:
+        root: Of the weights, (C, C): W = root root'.
+        white: The robot's unknowns of its columns, (p, p).
+        beside: Columns beside.
+        facts: What is known of the unknowns; None for nothing.
+        free: What that leaves free of the columns' unknowns.
+    """
+
+    root: Array
+    white: Array
+    beside: NuisanceColumns
+    facts: LinearConstraints | None
+    free: NullSpace | None
+
+    @cached_property
+    def grown(self) -> Array:
+        """All unknowns of the columns, (p + s, p + s)."""
+        return np.asarray(linalg.block_diag(self.white, np.eye(self.beside.unknown)))
+
+    @cached_property
+    def lead(self) -> Array:
+        """All unknowns of the columns of what is free, (p + s, m)."""
+        if self.free is None:
+            return self.grown
+        found = self.grown @ self.free.lead
+        size = np.abs(self.grown).max(axis=1, keepdims=True)
+        return np.where(np.abs(found) > ROUNDING * size, found, 0.0)
+
+    @cached_property
+    def fixed(self) -> Array:
+        """All unknowns where what is free is zero, (p + s,)."""
+        if self.free is None or self.facts is None:
+            return np.zeros(len(self.grown))
+        return self.grown @ self.free.fixed @ self.facts.values
+
+    def of_free(self, columns: Array) -> Array:
+        """Columns of what is free, and those after the unknowns', of all columns, (C, k, q)."""
+        if self.free is None:
+            return columns
+        m = len(self.grown)
+        return np.concatenate([columns[..., :m] @ self.free.lead, columns[..., m:]], axis=2)
+
+    def as_free(self, every: LaggedProducts) -> LaggedProducts:
+        """The same for products; what the facts account for is taken off the residuals."""
+        if self.free is None or self.facts is None:
+            return every
+        m = len(self.grown)
+        rest = np.eye(every.products.shape[2] - m)
+        whole = linalg.block_diag(self.free.lead, rest)
+        whole[:m, -2] = -self.free.fixed @ self.facts.values
+        return every.combined(whole)
+
+    def rows(self, passes: Passes, values: Array, made: Made = NOTHING_MADE) -> Iterator[Rows]:
+        """Rows, block by block.
+
+        Args:
+            passes: Over all rows.
+            values: Of the robot's unknowns.
+            made: What made noise of the encoders gives.
+        """
+        alone = not np.any(self.root - np.diag(np.diagonal(self.root)))
+        combined = np.column_stack([self.white, values])
+        shown, width = _together(made.columns, self.beside.columns), made.width
+        for columns, others, measured in passes.rows_beside(combined, shown):
+            further, own = others[..., width:], measured - columns[..., -1]
+            ones = counted(columns, measured)
+            if not alone:  # each is then a mixture of all
+                ones = np.broadcast_to(ones.max(axis=0), ones.shape)
+            stack = np.concatenate([columns[..., :-1], others, own[..., None]], axis=2)
+            units = np.tensordot(self.root.T, stack, 1)
+            p = len(values)
+            yield Rows(
+                columns=np.delete(units[..., :-1], slice(p, p + width), axis=2),
+                looked_at=further.shape[2] == self.beside.width,
+                left=units[..., -1],
+                ones=ones,
+                own=own,
+                further=further,
+                made=units[..., p : p + width] * ones[..., None],
+            )
+
+    @stage("columns of the instrument")
+    def products(
+        self, passes: Passes, values: Array, lags: int, encoders: PositionNoise | None = None
+    ) -> Products:
+        """Products of columns, of what values leave, and of ones, with so many rows before.
+
+        Args:
+            passes: Over all rows.
+            values: Of the robot's unknowns.
+            lags: How many rows before.
+            encoders: Their noise; None where none is to be made.
+        """
+        plate = passes.plan.layout.model == "reaction"
+        every, seen = LaggedSums(lags), LaggedSums(lags)
+        noise = LaggedSums(lags if plate else 0)  # rows of joints have gaps: none is whitened
+        combined, made = np.column_stack([self.white, values]), NOTHING_MADE
+        if encoders is not None:
+            made = encoders.made(passes.plan, combined)
+        whole, m = passes.plan.looked_at_all, len(self.grown)
+        for rows in self.rows(passes, values, made):
+            last = np.stack([rows.left, rows.ones], axis=2)
+            if rows.looked_at:
+                seen.add(np.concatenate([rows.columns, last], axis=2))
+            else:
+                seen.pause()
+            if not whole:
+                every.add(np.concatenate([rows.columns[..., :m], last], axis=2))
+            if made.width:
+                noise.add(self._of_noise(rows.made))
+        tested = seen.finish()
+        return Products(
+            every=tested.leading(m) if whole else every.finish(),
+            looked_at=tested,
+            noise=noise.finish() if made.width else None,
+        )
+
+    def _of_noise(self, noise: Array) -> Array:
+        """In the places of all unknowns, of the residuals and of the ones, (C, k, p + s + 2)."""
+        columns, predicted = noise[..., :-1], noise[..., -1:]
+        exact = np.zeros((*noise.shape[:2], self.beside.unknown))
+        return np.concatenate([columns, exact, -predicted, np.zeros_like(predicted)], axis=2)
+
+
+def _together(first: Columns | None, second: Columns | None) -> Columns | None:
+    """Columns of both."""
+    if first is None or second is None:
+        return first or second
+    return lambda signals, row: np.concatenate([first(signals, row), second(signals, row)], axis=2)
+
+
+def whitening_of(start: solvers.Fit, beside: NuisanceColumns, layout: Layout) -> Whitening:
+    """Units that a weighted solution suggests.
+
+    Columns are made orthonormal from the bedplate outward, so that a joint's row still holds those
+    of its subtree only, or few more: the last ones.
+
+    Args:
+        start: The solution, and the weights in whose units rows are taken.
+        beside: Columns beside the robot's.
+        layout: Of the rows.
+    """
+    seen = np.stack([layout.basis[own].any(axis=0) for own in layout.channels])
+    inward = np.argsort(np.argmax(seen[::-1], axis=0), kind="stable")
+    white = np.empty_like(start.inverse)
+    white[inward] = square_root(start.inverse[np.ix_(inward, inward)])[:, ::-1]
+    given = beside.facts
+    if given is None or not len(given):
+        return Whitening(square_root(start.weights), white, beside, None, None)
+    grown = linalg.block_diag(white, np.eye(beside.unknown))
+    left = free(replace(given, rows=given.rows @ grown))
+    return Whitening(square_root(start.weights), white, beside, given, left)

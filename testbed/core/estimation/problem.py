@@ -1,0 +1,306 @@
+"""A robot and a recording of it, made ready for one method: where every estimate starts.
+
+Gravity, gear, base, samples, filters, terms and tare are settled here, once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
+from testbed.core.base.stages import stage
+from testbed.core.dynamics.drive_set import drive_set
+from testbed.core.dynamics.newton_euler import pedestal_wrench
+from testbed.core.estimation.estimate import (
+    METHODS,
+    MODEL_OF,
+    SIGNAL_OF,
+    Method,
+    channels_of,
+)
+from testbed.core.estimation.regression.normal_equations import NormalEquations, gather
+from testbed.core.estimation.regression.passes import Passes, Progress
+from testbed.core.estimation.regression.windows import drive_filter, make_plan
+from testbed.core.estimation.selection.held_out import ALWAYS
+from testbed.core.estimation.settings import DEFAULTS, FIT, Settings
+from testbed.core.kernel.layout import Layout, layout
+from testbed.core.kernel.records import products_wanted
+from testbed.core.parameters.joint_terms import DriveSet
+from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
+from testbed.core.recordings.columns import check_samples
+from testbed.core.recordings.geometry import check_robot, in_its_gravity
+from testbed.core.recordings.repeats import without_repeated_poses
+from testbed.core.recordings.source import RecordingLike, Source, counted, open_source, segments_of
+from testbed.core.recordings.views import is_imported, is_of_motors, on_its_base, with_gear
+from testbed.core.robot.friction import BY_LOAD, OFFSET, ROTOR
+from testbed.core.robot.tree import Tree
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One recording of a robot, by one method, before any of its samples is used.
+
+    Attributes:
+        tree: The robot under the recording's gravity, with the shafts of its gear.
+        source: The samples that count; of a robot on a free base, with the base's coordinates.
+        method: "external" or "internal".
+        settings: Complete: filters fit the sampling rate, and the terms are said ("auto" and an
+            open speed stay until held-out data choose).
+        threads: How many to use; None for one a processor.
+        progress: Called with samples done and samples in all.
+        open_filter: Whether data may choose the filter on positions: nobody has said it.
+        repeated: Part of the poses that a slow device repeated, which are interpolated.
+        load: What is known of the minimal parameters, (N,), for laws of the load.
+    """
+
+    tree: Tree
+    source: Source
+    method: Method
+    settings: Settings
+    threads: int | None = None
+    progress: Progress = lambda done, total: None
+    open_filter: bool = False
+    repeated: float = 0.0
+    load: Array | None = None
+
+    @classmethod
+    def of(
+        cls,
+        tree: Tree,
+        recording: RecordingLike,
+        method: Method,
+        settings: Settings = DEFAULTS,
+        *,
+        gravity: ArrayLike | None = None,
+        threads: int | None = None,
+        progress: Progress = lambda done, total: None,
+        knows_load: bool = False,
+    ) -> Problem:
+        """A robot and a recording made ready.
+
+        Args:
+            tree: The robot; its inertias are not used, except for `settings.zeros`.
+            recording: Columns are matched by joint name; its truth is not read.
+            method: Needs the wrench, or the torques.
+            settings: How the signals are treated; default those of `Settings()`.
+            gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else
+                the tree's.
+            threads: How many to use; default one a processor.
+            progress: Called with samples done and samples in all.
+            knows_load: Whether the bodies will be known, for laws of the load.
+
+        Raises:
+            RecordingError: The recording is of another robot, or lacks what the method needs.
+            SettingsError: A span of time is said of several recordings.
+        """
+        if method not in METHODS:
+            raise UnknownName("method", method, METHODS)
+        source, repeated = without_repeated_poses(
+            on_its_base(samples_of(recording, settings), tree)
+        )
+        check_source(source, tree, method)
+        tree = with_gear(in_its_gravity(tree, source, gravity), source)
+        open_filter = settings.position_cutoff == FIT and not source.senses_kinematics
+        settings = _complete(settings, tree, source, method)
+        there = {"", *source.signals, *(BY_LOAD if knows_load or method == "external" else ())}
+        lacking = {law.by for law in settings.laws} - there
+        if lacking:
+            raise RecordingError(f"the recording has no {lacking.pop()}, which the terms need")
+        return cls(tree, source, method, settings, threads, progress, open_filter, repeated)
+
+    def with_settings(self, **changes: Any) -> Problem:
+        """The same with some settings changed.
+
+        Args:
+            **changes: Of `Settings`, by name.
+        """
+        found = replace(self, settings=replace(self.settings, **changes))
+        if not {"zeros", "tare"} & changes.keys():  # all that the minimal set depends on
+            vars(found)["minimal"] = self.minimal
+        return found
+
+    @cached_property
+    def tare(self) -> Array:
+        """What is taken off the plate's wrench, (6,) [N, N m]: the pedestal's weight."""
+        return tare_of(self.tree, self.source)
+
+    @cached_property
+    def minimal(self) -> MinimalSet:
+        """The minimal set that the method sees."""
+        return set_of(self.tree, self.method, self.settings)
+
+    @cached_property
+    def drives(self) -> DriveSet | None:
+        """The minimal set with the joints' own terms; None for the plate."""
+        if self.method == "external":
+            return None
+        return drive_set(self.tree, self.minimal, self.settings.words)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the unknowns, (p,)."""
+        return self.minimal.names if self.drives is None else self.drives.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Of the unknowns, (p,)."""
+        return self.minimal.units if self.drives is None else self.drives.units
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The plate's six components, or the joints' names, (C,)."""
+        return channels_of(self.tree, self.method)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """The robot's rows.
+
+        Raises:
+            SettingsError: The weights are a covariance of another number of channels.
+        """
+        terms = () if self.drives is None else self.drives.terms
+        rows = layout(self.tree.without_inertias(), self.minimal, terms, self.settings.joined)
+        covariance = self.settings.covariance
+        if covariance is not None and len(covariance) != rows.width:
+            raise SettingsError(
+                f"weights is a covariance of {len(covariance)} channels, the {self.method} method "
+                f"has {rows.width}"
+            )
+        return rows
+
+    def passes(self, number: int, source: Source | None = None, whole: bool = False) -> Passes:
+        """Passes over the rows.
+
+        Args:
+            number: How many there will be.
+            source: Another form of the same samples, such as one with faults taken back.
+            whole: Whether rows near reversals count, too, if the settings do not say how near:
+                they are whitened, and single ones are no torques then.
+
+        Raises:
+            RecordingError: The recording is too short, or sampled too slowly.
+        """
+        plan = make_plan(source or self.source, self.layout, self.tare, self.settings)
+        if whole and self.settings.reversal_reach is None:
+            plan = replace(plan, rest_reach=0)
+        if self.load is not None:  # friction alone is sought: what a reversal leaves would bias it
+            bodies = self.layout.theta.shape[2], self.minimal.count
+            load = self.layout.basis[: bodies[0], : bodies[1]] @ self.load
+            weights, nearby = drive_filter(self.settings, plan.source.rate)
+            plan = replace(plan, load=load, weights=weights, rest_reach=nearby)
+        return Passes(plan, self.threads, self.progress, number)
+
+    def equations(self, passes: Passes) -> NormalEquations:
+        """The normal equations of all rows, by one of the passes.
+
+        Args:
+            passes: Over the rows.
+        """
+        sums = passes.sums(products_wanted(len(self.channels)))
+        return gather(self.layout, self.names, self.channels, sums)
+
+
+def samples_of(recording: RecordingLike, settings: Settings) -> Source:
+    """The samples of a recording, or of several, that count.
+
+    Args:
+        recording: As for `open_source`.
+        settings: May say from when to when; else the recording may.
+
+    Raises:
+        RecordingError: It is no recording, or none of its samples is in that time.
+        SettingsError: A time is said of several recordings.
+    """
+    source = open_source(recording)
+    if len(segments_of(source)) == 1:
+        return counted(source, settings.span)
+    if settings.span is not None:
+        raise SettingsError(
+            "identification.span is about one recording; of several, cut each where it is imported"
+        )
+    return source
+
+
+def check_source(source: Source, tree: Tree, method: Method) -> None:
+    """Whether a recording is one, of this robot, with what a method needs.
+
+    Args:
+        source: The recording.
+        tree: The robot.
+        method: Reads torques or the wrench.
+
+    Raises:
+        RecordingError: It is not.
+    """
+    check_samples(source.samples, "the recording")
+    if not source.rate > 0:
+        raise RecordingError(
+            "the recording: time does not increase from its first sample to its last"
+        )
+    check_robot(source, tree)
+    if SIGNAL_OF[method] in source.signals:
+        return
+    others = [other for other in METHODS if SIGNAL_OF[other] in source.signals]
+    advice = "".join(f"; its {SIGNAL_OF[other]} allows the {other} one" for other in others)
+    if "sensors" in source.signals:
+        named = ", ".join(map(str, source.facts.get("sensors", ())))
+        advice += f"; it has force sensors: --sensor NAME ({named})"
+    raise RecordingError(
+        f"the recording has no {SIGNAL_OF[method]}, which the {method} method needs{advice}"
+    )
+
+
+def tare_of(tree: Tree, source: Source) -> Array:
+    """The static wrench to be taken off the plate's, (6,) [N, N m]: the pedestal's.
+
+    Args:
+        tree: The robot, under the gravity of the recording.
+        source: A recording; it may say so.
+    """
+    return pedestal_wrench(tree) if source.tare is None else source.tare
+
+
+@stage("minimal set")
+def set_of(tree: Tree, method: Method, settings: Settings) -> MinimalSet:
+    """The minimal set that a method sees: of an unknown tare, what the wrench's changes identify.
+
+    Args:
+        tree: The robot, under the gravity of the recording.
+        method: By plate or by torques.
+        settings: Which parameters are zero, and whether the tare is known.
+    """
+    tared = method == "external" and settings.tare == "unknown"
+    return minimal_set(tree, MODEL_OF[method], zeros=settings.zeros, tared=tared)
+
+
+def usual_terms(tree: Tree, source: Source) -> list[str]:
+    """Words of the terms that joints have unless something else is said.
+
+    Real drives have offsets, too; what motors deliver moves rotors, and a model file may state some
+    (MJCF's armature).
+
+    Args:
+        tree: The robot.
+        source: The recording.
+    """
+    words = [law.kind for law in (*ALWAYS, *[OFFSET] * is_imported(source))]
+    if is_of_motors(source):
+        return [*words, ROTOR.kind]
+    return [*words, *(f"{ROTOR.kind}/{each.name}" for each in tree.joints if each.rotor_inertia)]
+
+
+def _complete(settings: Settings, tree: Tree, source: Source, method: Method) -> Settings:
+    """Settings with filters that fit the recording, all terms, and a zero that nobody knows."""
+    nuisances: Sequence[str] = settings.nuisances
+    if method == "external" and settings.tare == "unknown" and "bias" not in nuisances:
+        nuisances = (*nuisances, "bias")
+    terms = settings.terms
+    if terms is None:
+        terms = usual_terms(tree, source)
+    return replace(settings.fitted(source.rate), nuisances=nuisances, terms=terms)

@@ -1,0 +1,390 @@
+"""Passes over the samples: window by window, on several threads, in constant memory.
+
+Windows and the order in which their answers come are the same whatever the source and the
+number of threads, and so is, to the bit, all that is computed from them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from math import comb
+from queue import Empty, SimpleQueue
+from typing import Any, TypeVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.regression.windows import Plan, Window
+from testbed.core.kernel import numpy_engine
+from testbed.core.kernel.records import Block, Question, Signals, Sums, sensed
+from testbed.core.recordings.columns import LARGEST, check_times, check_values
+from testbed.core.recordings.recording import Recording
+
+SAMPLES = 20_000
+"""How many are looked at, about: enough to see ranges and limits, few enough to cost nothing."""
+
+ORDER = 8
+"""Of the differences of positions: of a motion at a tenth of the sampling rate they leave 2 %."""
+
+HELD = 0.1
+"""Part of the samples at which poses are recorded again, from which the encoders are slower."""
+
+STRETCH = 256
+"""Samples whose noise is averaged; of such means, the middle one counts: spikes are no noise."""
+
+
+FEWEST = 16
+"""Small changes of a position by which its least count is known."""
+
+CLOSE = 0.1
+"""Part of a count by which differences may be no whole counts: what rounding makes of them."""
+
+WHOLE = 0.95
+"""Part of the smallest differences that are whole counts, if a position is in counts."""
+
+BETWEEN = 0.4
+"""Counts of noise that blur the counts: of rounding alone there are 0.29 at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Repeats:
+    """How often a sample is the same as the one before, while the encoders' are not.
+
+    Attributes:
+        steps: Pairs of samples whose encoders differ.
+        channels: Of these, those in which a channel is the same, (C,).
+        together: Those in which all channels are.
+        held: Samples after such a one whose encoders are as they were: poses that were recorded
+            again.
+        pairs: Of samples.
+    """
+
+    steps: int
+    channels: Array
+    together: int
+    held: int
+    pairs: int
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """Samples of the raw signals.
+
+    Attributes:
+        position: Encoders, (m, n) [rad or m].
+        measured: Motor torques, (m, n) [N m or N], or the plate's wrench without its tare,
+            (m, 6) [N, N m].
+        repeats: How often samples are like the ones before, among all samples.
+        encoder_noise: Standard deviations, as if it were white, (n,) [rad or m]; zero where poses
+            are recorded again.
+        encoder_count: Least count of encoders that show whole counts and no noise between; zero
+            for others, (n,) [rad or m].
+    """
+
+    position: Array
+    measured: Array
+    repeats: Repeats
+    encoder_noise: Array
+    encoder_count: Array
+
+
+class Surveyor:
+    """Gathers a survey from windows, in whatever order they come."""
+
+    def __init__(self, samples: int) -> None:
+        """Nothing yet, of a recording of that many samples."""
+        self.stride = max(1, samples // SAMPLES)
+        self._kept: dict[int, tuple[Array, Array]] = {}
+        self._repeats: dict[int, Repeats] = {}
+        self._rough: dict[int, Array] = {}
+        self._counts: dict[int, Array] = {}
+
+    def look(self, signals: Signals, first: int, count: int, closely: bool = True) -> None:
+        """Keep some of a window's samples.
+
+        Args:
+            signals: The window's.
+            first: Number of its first sample.
+            count: How many samples are its own: the next window has the others, too.
+            closely: Whether its encoders' noise and counts are wanted: some windows show them.
+        """
+        own = slice(-first % self.stride, count, self.stride)
+        self._kept[first] = signals.position[own].copy(), signals.measured[own].copy()
+        self._repeats[first] = _repeats(
+            signals.position[: count + 1], signals.measured[: count + 1]
+        )
+        if closely:
+            self._rough[first] = _each(_noise_square, signals.position[: count + ORDER])
+            self._counts[first] = _each(_least_count, signals.position[: count + 1])
+
+    def survey(self) -> Survey:
+        """All that was kept, in the order of time."""
+        parts = [self._kept[first] for first in sorted(self._kept)]
+        position, measured = (np.concatenate(group) for group in zip(*parts, strict=True))
+        windows = [vars(each) for each in self._repeats.values()]
+        repeats = Repeats(**{name: sum(each[name] for each in windows) for name in windows[0]})
+        rough = np.stack([self._rough[first] for first in sorted(self._rough)])
+        # poses that were recorded again say nothing of it
+        known = repeats.held < HELD * repeats.pairs
+        noise = known * np.sqrt(np.median(rough, axis=0))
+        least = np.stack([self._counts[first] for first in sorted(self._counts)])
+        return Survey(position, measured, repeats, noise, _without_noise(least, noise))
+
+
+def _repeats(position: Array, measured: Array) -> Repeats:
+    # a product of booleans is true where any is: ten times faster than `any` along short rows
+    any_joint, any_channel = (np.ones(each.shape[1], np.bool_) for each in (position, measured))
+    moved = (position[1:] != position[:-1]) @ any_joint
+    held = int(np.sum(moved[:-1] & ~moved[1:]))
+    same = measured[1:] == measured[:-1]
+    same = same[moved & (same @ any_channel)]
+    channels = same.sum(axis=0).astype(np.float64)
+    together = len(same) - int(np.sum(~same @ any_channel))
+    return Repeats(int(np.sum(moved)), channels, together, held, len(moved))
+
+
+def _each(number: Callable[[Array], float], position: Array) -> Array:
+    """A number of every encoder, (n,): column by column, which fits into a cache."""
+    return np.array([number(column) for column in np.ascontiguousarray(position.T)])
+
+
+def _noise_square(position: Array) -> float:
+    """Mean square of white noise in consecutive positions; zero where they are too few."""
+    rough = np.diff(position, ORDER)
+    if not len(rough):
+        return 0.0
+    starts = np.arange(0, max(len(rough) - STRETCH, 0) + 1, STRETCH)
+    ends = np.append(starts[1:], len(rough))
+    sums = np.add.reduceat(rough**2, starts) / (ends - starts)
+    return float(np.median(sums)) / comb(2 * ORDER, ORDER)
+
+
+def _least_count(position: Array) -> float:
+    """Of consecutive positions; zero where there is none, nan where few differ a little."""
+    changes = np.abs(np.diff(position))
+    least = changes.min(initial=np.inf, where=changes > 0)
+    few = changes[changes < 4.5 * least]
+    few = few[few > 0]
+    if len(few) < FEWEST:
+        return float("nan")
+    count = float(few[few < 1.5 * least].mean())
+    whole = np.abs(few / count - np.round(few / count)) < CLOSE
+    return count if whole.mean() >= WHOLE else 0.0
+
+
+def _without_noise(counts: Array, noise: Array) -> Array:
+    """Least counts of all windows, (windows, n), where noise, (n,), does not blur them."""
+    found = np.zeros(len(noise))
+    for joint, own in enumerate(counts.T):
+        known = own[np.isfinite(own)]
+        if len(known):
+            found[joint] = np.median(known)
+    return np.where(noise < BETWEEN * found, found, 0.0)
+
+
+Progress = Callable[[int, int], None]
+"""Called with samples done and samples in all."""
+
+Columns = Callable[[Signals, int], Array]
+"""Columns of a window's rows, (C, rows, s), of its signals and the number of its first row."""
+
+Answer = TypeVar("Answer")
+
+SMALL = 0.05
+"""Seconds that NumPy may take for rows; longer jobs are worth loading the compiled kernel, 0.4 s:
+few commands make rows once. Both methods do, filters that are tried, coarse encoders."""
+
+PER_SAMPLE, PER_NUMBER = 4e-6, 6e-9
+"""Seconds that NumPy takes for a sample, and more for each number of `Layout.theta`; measured."""
+
+KEPT = 100e6
+"""Bytes of rows that are kept from the first pass to the next: the first ones."""
+
+
+def is_small(plan: Plan) -> bool:
+    """Whether NumPy does the job in the time in which the compiled kernel is loaded."""
+    seconds = PER_SAMPLE + PER_NUMBER * plan.layout.theta.size
+    return plan.source.samples * seconds < SMALL
+
+
+def is_compiled(plan: Plan) -> bool:
+    """Whether the compiled kernel makes a plan's rows."""
+    wanted = plan.engine == "compiled" or (plan.engine == "by size" and not is_small(plan))
+    return wanted and plan.layout.compiles
+
+
+def motion_rows(plan: Plan, q: Array, qd: Array, qdd: Array) -> Array:
+    """Rows of a motion by what makes a plan's, unfiltered, zero where measurements are, (slots, M).
+
+    Args:
+        plan: The rows.
+        q: Positions, (M, n) [rad or m].
+        qd: Velocities, (M, n).
+        qdd: Accelerations, (M, n).
+    """
+    signals = sensed(q, qd, qdd, plan.layout.width)
+    if is_compiled(plan):
+        from testbed.core.kernel import numba_engine
+
+        work = numba_engine.workspace(plan.layout, signals)
+        made = numba_engine.rows(plan.layout, signals, work)
+    else:
+        made = numpy_engine.rows(plan.layout, signals)
+    return np.concatenate([block.rows for block in made], axis=1)
+
+
+class Passes:
+    """Answers questions about all rows of a plan, pass by pass."""
+
+    def __init__(self, plan: Plan, threads: int | None, progress: Progress, number: int) -> None:
+        """Ready for the first pass.
+
+        Args:
+            plan: The rows.
+            threads: How many to use; default one a processor.
+            progress: Called with samples done and samples in all passes.
+            number: How many passes there will be.
+        """
+        self.number = number
+        self.plan = plan
+        self.compiled = is_compiled(plan)
+        self.threads = max(1, threads or os.cpu_count() or 1) if self.compiled else 1
+        self.progress = progress
+        self.checked = False
+        self.done = 0
+        self.surveyor, self._looked_at = Surveyor(plan.source.samples), plan.looked_at
+        self._rooms: SimpleQueue[Any] = SimpleQueue()
+        self._kept: dict[int, list[Block]] = {}
+        thinned = not self.compiled or len(plan.weights) > 1  # else made again as fast as read
+        self._rows_kept = KEPT // (plan.layout.rows.slots * 8) if thinned else 0
+
+    def sums(self, question: Question) -> Iterator[Sums]:
+        """The answers of all windows, in order; the first time, what was read is checked."""
+        check, self.checked = not self.checked, True
+        return self._pass(lambda part, window: self._sums(part, window, question, check))
+
+    def rows(self, combined: Array) -> Iterator[tuple[Array, Array]]:
+        """All rows, a block at a time: combined columns, (C, k, q), and measurements, (C, k).
+
+        Args:
+            combined: How the unknowns' columns are combined, (p, q).
+        """
+        return ((columns, y) for columns, _, y in self.rows_beside(combined, None))
+
+    def rows_beside(
+        self, combined: Array, beside: Columns | None
+    ) -> Iterator[tuple[Array, Array, Array]]:
+        """The same with further columns between the two, (C, k, s).
+
+        Args:
+            combined: How the unknowns' columns are combined, (p, q).
+            beside: Makes the further columns of a window, (C, rows, s).
+        """
+        layout, done = self.plan.layout, 0
+        lead = layout.basis @ combined
+        answers = self._pass(partial(self._rows, beside))
+        for window, (blocks, further) in zip(self.plan.windows(), answers, strict=True):
+            if window.row > done:  # what a gap leaves out counts for nothing, but takes its time
+                none = np.zeros((layout.width, window.row - done, lead.shape[1]))
+                yield none, np.zeros((*none.shape[:2], further.shape[2])), none[..., :0].sum(axis=2)
+            done, first = window.row + window.rows, 0
+            for block in blocks:
+                last = first + block.shape[1]
+                yield (
+                    layout.combined(block, lead),
+                    further[:, first:last],
+                    block[layout.rows.measured],
+                )
+                first = last
+
+    def _pass(self, ask: Callable[[Recording, Window], Answer]) -> Iterator[Answer]:
+        with ThreadPoolExecutor(self.threads) as pool:
+            pending: deque[tuple[Window, Callable[[], Answer]]] = deque()
+            try:
+                for window in self.plan.windows():
+                    part = self.plan.source.part(window.first, window.last)
+                    if self.threads == 1:
+                        pending.append((window, partial(ask, part, window)))
+                    else:
+                        pending.append((window, pool.submit(ask, part, window).result))
+                    if len(pending) > self.threads or self.threads == 1:
+                        yield self._next(pending)
+                while pending:
+                    yield self._next(pending)
+            finally:
+                pool.shutdown(cancel_futures=True)
+
+    def _next(self, pending: deque[tuple[Window, Callable[[], Answer]]]) -> Answer:
+        window, answer = pending.popleft()
+        found = answer()
+        self.done += window.rows * self.plan.step
+        self.progress(self.done, self.number * self.plan.rows * self.plan.step)
+        return found
+
+    def _sums(self, part: Recording, window: Window, question: Question, check: bool) -> Sums:
+        if check:
+            check_times(part.time, "the recording", 1 / self.plan.source.rate, window.first)
+        signals = self.plan.signals(part, window)
+        found = self._answer(signals, window, question)
+        if check:
+            closely = window.row in self._looked_at
+            self.surveyor.look(signals, window.first, self.plan.own(window), closely)
+        if check and not found.squares[0] < LARGEST**2:  # what is no number is not
+            check_values(part.columns(), "the recording", window.first)
+        return found
+
+    def _answer(self, signals: Signals, window: Window, question: Question) -> Sums:
+        layout = self.plan.layout
+        if self._keeps(window) or not self.compiled:
+            return numpy_engine.answer(layout, signals, self._blocks(signals, window), question)
+        from testbed.core.kernel import numba_engine
+
+        work = self._room(signals)
+        try:
+            return numba_engine.sweep(layout, signals, question, work)
+        finally:
+            self._rooms.put(work)
+
+    def _rows(
+        self, beside: Columns | None, part: Recording, window: Window
+    ) -> tuple[list[Array], Array]:
+        signals = self.plan.signals(part, window)
+        none = np.zeros((self.plan.layout.width, window.rows, 0))
+        further = none if beside is None else beside(signals, window.row)
+        return [block.rows for block in self._blocks(signals, window)], further
+
+    def _blocks(self, signals: Signals, window: Window) -> list[Block]:
+        if window.row in self._kept:
+            return self._kept[window.row]
+        found = self._made(signals)
+        if self._keeps(window):
+            self._kept[window.row] = found
+        return found
+
+    def _keeps(self, window: Window) -> bool:
+        return window.row + window.rows <= self._rows_kept
+
+    def _made(self, signals: Signals) -> list[Block]:
+        if not self.compiled:
+            return numpy_engine.rows(self.plan.layout, signals)
+        from testbed.core.kernel import numba_engine
+
+        work = self._room(signals)
+        try:
+            return numba_engine.rows(self.plan.layout, signals, work)
+        finally:
+            self._rooms.put(work)
+
+    def _room(self, signals: Signals) -> Any:
+        """A workspace that no other thread is using."""
+        from testbed.core.kernel import numba_engine
+
+        try:
+            return self._rooms.get_nowait()
+        except Empty:
+            return numba_engine.workspace(self.plan.layout, signals)

@@ -1,0 +1,76 @@
+"""The low-pass on positions, chosen by held-out data where accelerations are mostly noise.
+
+Slow or coarse encoders, and poses that are recorded twice, make accelerations that hold little of
+the motion: the filter that fits the sampling rate lets them pass.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import Diagnostic, diagnose
+from testbed.core.base.errors import RecordingError, few
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.regression.normal_equations import TINY
+from testbed.core.estimation.regression.windows import motion_taps
+from testbed.core.estimation.selection.term_choice import held_out
+from testbed.core.recordings.source import segments_of
+
+MOSTLY = 0.8
+"""Part of accelerations' square beyond the slowest filter, from which they are mostly noise."""
+
+SAMPLES = 20_000
+"""That are looked at."""
+
+SLOWER = (2.0, 3.0, 4.5)
+"""Filters that are tried, in cutoffs of the rows; slower ones would bias the estimate."""
+
+BETTER = 0.5
+"""Part of the default filter's squares, in the geometric mean of all channels, that a filter may
+leave of unseen data to be chosen."""
+
+
+def with_position_filter(problem: Problem) -> tuple[Problem, tuple[Diagnostic, ...]]:
+    """A problem with a slower filter on positions, where that predicts far better, and a warning.
+
+    Args:
+        problem: By either method, with all terms said.
+    """
+    rows, rate = problem.settings.row_low_pass, problem.source.rate
+    if not problem.open_filter or rows is None:
+        return problem, ()
+    noise = _noise(problem, SLOWER[0] * rows)
+    if not np.median(noise) > MOSTLY:
+        return problem, ()
+    tried = [problem.with_settings(position_cutoff=times * rows) for times in SLOWER]
+    tried = [each for each in tried if (each.settings.position_low_pass or rate) < rate / 2]
+    with suppress(RecordingError):  # too short to be cut into parts
+        default, *left = (held_out(each).residual for each in (problem, *tried))
+        tiny = TINY
+        parts = [float(np.exp(2 * np.mean(np.log((a + tiny) / (default + tiny))))) for a in left]
+        best = int(np.argmin(parts))
+        if parts[best] < BETTER:
+            named = [f"'{name}'" for name, own in zip(problem.tree.names, noise, strict=True)
+                     if own > MOSTLY]  # fmt: skip
+            cutoff = tried[best].settings.position_low_pass
+            said = diagnose("encoder.filter", few(named), cutoff, share=parts[best] ** 0.5)
+            return tried[best], (said,)
+    return problem, ()
+
+
+def _noise(problem: Problem, cutoff: float) -> Array:
+    """Part of each acceleration's square that is faster than a filter, (n,)."""
+    first, last = segments_of(problem.source)[0]
+    part = problem.source.part(first, min(last, first + SAMPLES)).ordered(problem.tree)
+    squares = []
+    for each in (problem.settings.position_low_pass, cutoff):
+        taps = motion_taps(problem.source.rate, each)[2]
+        if part.samples <= len(taps):
+            return np.zeros(problem.tree.n)
+        signals = (np.convolve(q, taps[::-1], "valid") for q in part.position.T)
+        squares.append([float(np.mean(signal**2)) for signal in signals])
+    whole, slow = np.array(squares)
+    return np.asarray(1 - slow / np.maximum(whole, TINY))

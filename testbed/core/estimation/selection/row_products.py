@@ -1,0 +1,223 @@
+"""Products of a recording's rows, part by part: for fits of some, and what they leave of others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.regression.normal_equations import TINY, NormalEquations
+from testbed.core.kernel.records import Signals
+from testbed.core.recordings.source import Source
+
+PARTS = 8
+"""Of a recording, one after the other."""
+
+FASTER = 1.5
+"""Rms speed of the faster half over that of the slower one that makes it another motion."""
+
+LONGEST = 0.95
+"""Correlation of residuals with those of the next row that is counted at most."""
+
+ROUNDING = 1e-13
+"""Part of a column's square beside its mean that is none but for rounding."""
+
+FREEDOM = 8
+"""Rows beyond the unknowns that a channel alone shows, below which its noise is not known."""
+
+
+@dataclass(frozen=True, eq=False)
+class RowProducts:
+    """Sums over some rows of products of their columns, of a one and of the measurement.
+
+    Attributes:
+        unknowns: Names of the columns, (p,).
+        channels: Names, (C,).
+        products: Of a row with itself, (C, p + 2, p + 2).
+        lagged: Of a row with the next one, (C, p + 2, p + 2).
+        offset: Whether each channel has a constant of its own that is not known.
+    """
+
+    unknowns: tuple[str, ...]
+    channels: tuple[str, ...]
+    products: Array
+    lagged: Array
+    offset: bool
+
+    @property
+    def rows(self) -> Array:
+        """How many count, (C,)."""
+        return self.products[:, -2, -2]
+
+    @property
+    def enough(self) -> NDArray[np.bool_]:
+        """Whether rows suffice to separate a channel's noise from its unknowns, (C,)."""
+        seen = np.einsum("cii->ci", self.products)[:, :-2] > 0
+        own = (seen & (seen.sum(axis=0) == 1)).sum(axis=1)
+        return np.asarray(self.rows >= own + FREEDOM)
+
+    def equations(self, lead: Array, start: Array) -> NormalEquations:
+        """Normal equations of combined columns, for what is left of the measurements.
+
+        Args:
+            lead: The columns' combinations, (p, k).
+            start: Values of the unknowns whose prediction is taken off, (p,).
+        """
+        ends = np.zeros((len(start) + 2, lead.shape[1] + 1))
+        ends[:-2, :-1], ends[:-2, -1], ends[-1, -1] = lead, -start, 1.0
+        inner = ends.T @ self.products @ ends
+        if self.offset:
+            ones = self.products[:, -2] @ ends
+            size = np.einsum("cii->ci", inner)
+            inner = inner - ones[:, :, None] * (ones / np.maximum(self.rows, 1.0)[:, None])[:, None]
+            moving = np.einsum("cii->ci", inner) > ROUNDING * size
+            inner = np.where(moving[:, :, None] & moving[:, None], inner, 0.0)
+        names = tuple(map(str, range(lead.shape[1])))
+        normal, right = inner[:, :-1, :-1], inner[:, :-1, -1]
+        square = np.maximum(inner[:, -1, -1], 0.0)
+        return NormalEquations(names, self.channels, self.rows, normal, right, square)
+
+    def constants(self, values: Array) -> Array:
+        """Mean of what values of the unknowns, (p,), leave, (C,); zero where none is unknown."""
+        count = np.maximum(self.rows, 1.0)
+        mean = (self.products[:, -2, -1] - self.products[:, -2, :-2] @ values) / count
+        return mean if self.offset else np.zeros(len(count))
+
+    def squares(self, values: Array, constants: Array) -> Array:
+        """Sum of squares that values and constants leave, (C,).
+
+        Args:
+            values: Of the unknowns, (p,).
+            constants: Of the channels, (C,).
+        """
+        return np.maximum(_inner(self.products, _ends(values, constants)), 0.0)
+
+    def residual(self, values: Array, constants: Array | None = None) -> Array:
+        """Rms residual of unknowns (p,), by channel (C,); constants default to the mean."""
+        known = self.constants(values) if constants is None else constants
+        return np.sqrt(self.squares(values, known) / np.maximum(self.rows, 1.0))
+
+    def correlation(self, values: Array, least: Array) -> Array:
+        """Of residuals with those of the next row, (C,); none below zero.
+
+        Args:
+            values: Of the unknowns, (p,).
+            least: Sum of squares below which residuals are rounding, (C,).
+        """
+        ends = _ends(values, self.constants(values))
+        square = np.maximum(_inner(self.products, ends), least)
+        return np.clip(_inner(self.lagged, ends) / square, 0.0, LONGEST)
+
+
+def _ends(values: Array, constants: Array) -> Array:
+    """Residuals as combinations of columns, one and measurement, (C, p + 2)."""
+    found = np.ones((len(constants), len(values) + 2))
+    found[:, :-2], found[:, -2] = -values, -constants
+    return found
+
+
+def _inner(products: Array, ends: Array) -> Array:
+    return np.asarray(np.einsum("ci,cij,cj->c", ends, products, ends))
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Products of consecutive parts.
+
+    Attributes:
+        unknowns: Names of the columns, (p,).
+        channels: Names, (C,).
+        sums: Products and lagged products of every part, (2, parts, C, p + 2, p + 2).
+        offset: As of `RowProducts`.
+        speed: Mean square of each joint's speed in every part, (parts, n).
+    """
+
+    unknowns: tuple[str, ...]
+    channels: tuple[str, ...]
+    sums: Array
+    offset: bool
+    speed: Array
+
+    @property
+    def each(self) -> list[RowProducts]:
+        """One by one."""
+        return [
+            RowProducts(self.unknowns, self.channels, products, lagged, self.offset)
+            for products, lagged in zip(*self.sums, strict=True)
+        ]
+
+    @property
+    def whole(self) -> RowProducts:
+        """Of all of them."""
+        return sum_of(self.each)
+
+    @property
+    def splits(self) -> dict[str, list[tuple[RowProducts, list[RowProducts]]]]:
+        """Rows that are seen, and parts to be predicted: by time, and by speed if that differs.
+
+        "like": each part by all others; "faster": the faster half of the parts by the slower one.
+        """
+        parts = self.each
+        found = {
+            "like": [(sum_of([*parts[:k], *parts[k + 1 :]]), [own]) for k, own in enumerate(parts)]
+        }
+        size = np.maximum(self.speed.mean(axis=0), TINY)
+        pace = (self.speed / size).mean(axis=1)
+        slow, fast = np.split(np.argsort(pace, kind="stable"), 2)
+        if pace[fast].mean() > FASTER**2 * pace[slow].mean():
+            found["faster"] = [(sum_of([parts[k] for k in slow]), [parts[k] for k in fast])]
+        return found
+
+
+def sum_of(parts: Sequence[RowProducts]) -> RowProducts:
+    """Of several parts of a recording together.
+
+    Args:
+        parts: One or more.
+    """
+    return replace(
+        parts[0],
+        products=np.sum([part.products for part in parts], axis=0),
+        lagged=np.sum([part.lagged for part in parts], axis=0),
+    )
+
+
+def products_of(problem: Problem, source: Source, offset: bool, whole: bool = False) -> Parts:
+    """Products of a recording's rows, by one pass.
+
+    Args:
+        problem: Robot, recording and method.
+        source: The recording, faults of the instrument taken back.
+        offset: Whether each channel has a constant that is not known.
+        whole: As for `Problem.passes`.
+    """
+    p, channels, n = len(problem.names), problem.channels, problem.tree.n
+    passes = problem.with_settings(weights="channels").passes(1, source, whole)
+    ends = np.linspace(0, passes.plan.rows, PARTS + 1).round().astype(int)
+    sums = np.zeros((2, PARTS, len(channels), p + 2, p + 2))
+    speed, last = np.zeros((PARTS, n)), np.zeros((len(channels), 1, p + 2))
+    first = 0
+
+    def speeds(signals: Signals, row: int) -> Array:
+        at = signals.start + signals.step * np.arange(signals.number)
+        q, dt = signals.position, signals.step / source.rate
+        ahead, back = (np.clip(at + way, 0, len(q) - 1) for way in (signals.step, -signals.step))
+        qd = (q[ahead] - q[back]) / (2 * dt)
+        return np.broadcast_to(qd, (len(channels), *qd.shape))
+
+    for columns, moving, measured in passes.rows_beside(np.eye(p), speeds):
+        there = columns.any(axis=2, keepdims=True)  # rows near a reversal are zero
+        block = np.concatenate([columns, there, measured[..., None]], axis=2)
+        before = np.concatenate([last, block], axis=1)
+        for k, part in enumerate(zip(ends[:-1] - first, ends[1:] - first, strict=True)):
+            own = slice(*np.clip(part, 0, block.shape[1]).tolist())
+            sums[0, k] += block[:, own].swapaxes(1, 2) @ block[:, own]
+            sums[1, k] += block[:, own].swapaxes(1, 2) @ before[:, own]
+            speed[k] += (moving[0, own] ** 2).sum(axis=0)
+        last, first = block[:, -1:], first + block.shape[1]
+    speed /= np.maximum(np.diff(ends), 1)[:, None]
+    return Parts(problem.names, channels, sums, offset, speed)

@@ -1,0 +1,334 @@
+"""Calibration parameters of the instruments beside the robot's: identifiable ones, by Gauss-Newton.
+
+Their columns are first-order effects. Each iteration corrects the recording by the values so far
+and estimates what remains; the last fit has the columns beside the robot's, and its covariance
+counts them. Faults that are not estimated are tested by their columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import Diagnostic, diagnose
+from testbed.core.base.errors import SettingsError, few
+from testbed.core.estimation.noise.coloured_noise import GlsFit, sensor_step
+from testbed.core.estimation.noise.whitening import NuisanceColumns
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.regression.constraints import LinearConstraints, facts
+from testbed.core.estimation.regression.normal_equations import (
+    TINY,
+    NormalEquations,
+    standard_deviations,
+)
+from testbed.core.estimation.regression.passes import Passes
+from testbed.core.estimation.regression.solvers import Fit
+from testbed.core.estimation.regression.windows import Plan
+from testbed.core.estimation.sensor.correction import (
+    NUISANCES,
+    TESTED,
+    CalibrationCovariance,
+    Corrected,
+)
+from testbed.core.estimation.sensor.estimates import (
+    NEARLY,
+    NuisanceEstimate,
+    TraceTest,
+    in_order,
+)
+from testbed.core.estimation.sensor.plate import BIAS, NEXT_BIAS, SLOPE, TARE
+from testbed.core.estimation.sensor.predicted_wrench import row_filter
+from testbed.core.estimation.sensor.unknowns import (
+    Columns,
+    NonIdentifiable,
+    Unknowns,
+    explain_nonidentifiable,
+    identifiable_subset,
+    unknowns_of,
+)
+from testbed.core.estimation.settings import Settings
+from testbed.core.recordings.source import Source
+
+ROUNDS = 8
+"""Most corrections of a recording."""
+
+OWN = 0.1
+"""Share of an unknown's effect that has to be its own: below, columns made of noisy encoders are
+no measure of it."""
+
+ROUNDING = 1e-7
+"""Of a nuisance: a correction that is smaller is the last."""
+
+SETTLED = 0.05
+"""Of sigma: a correction that is smaller is the last."""
+
+
+class LinearFit(NamedTuple):
+    """The weighted solution of a recording.
+
+    Attributes:
+        passes: Over its rows.
+        equations: Of all rows.
+        fit: The solution.
+    """
+
+    passes: Passes
+    equations: NormalEquations
+    fit: Fit
+
+
+@dataclass(frozen=True, eq=False)
+class SensorModel:
+    """Calibration parameters of the instruments that are estimated, tested or known.
+
+    Attributes:
+        settings: How signals are treated.
+        unknowns: Which are estimated.
+        nonidentifiable: Those asked for that are collinear with others.
+        tested: Faults whose columns are tested.
+        trends: Trends of the channels, in the tests' regression.
+        known: What is known of the robot's unknowns and of those that are estimated.
+        corrected: Names of those that a calibrated plate has corrected: their covariance counts.
+    """
+
+    settings: Settings
+    unknowns: Unknowns
+    nonidentifiable: tuple[NonIdentifiable, ...]
+    tested: Unknowns
+    trends: Unknowns
+    known: LinearConstraints
+    corrected: frozenset[str] = frozenset()
+
+    @classmethod
+    def of(cls, problem: Problem, doubt: CalibrationCovariance | None = None) -> SensorModel:
+        """Which calibration parameters are identifiable beside a robot's, before any data.
+
+        Args:
+            problem: Robot and recording. Its settings say which nuisances are asked for; tests need
+                coloured noise and filtered rows.
+            doubt: About the plate by which the recording was corrected.
+        """
+        settings, names = problem.settings, problem.names
+        tree, none = problem.layout.tree, unknowns_of(problem.layout.tree, ())
+        plate = problem.method == "external"
+        kinds = {
+            *settings.nuisances,
+            *([NEXT_BIAS.kind] if BIAS.kind in settings.nuisances else ()),
+        }
+        asked = [n for n in NUISANCES if plate and n.kind in kinds]
+        calibrated = doubt.nuisances(tree, asked) if plate and doubt is not None else []
+        asked = [n for n in NUISANCES if n in asked or n in calibrated]
+        mixed = [n.kind for n in asked if tree.cuts and (not n.added or n.unmixed)]
+        if mixed:
+            raise SettingsError(
+                f"{', '.join(mixed)}: of a wrench that is a difference of two sensors' only zeros "
+                "and trends can be estimated; calibrate each sensor with all that it carries"
+            )
+        every = unknowns_of(tree, asked)
+        given = {n: v for n, v in settings.facts.items() if plate or n in names}
+        known = facts(tree, problem.minimal, names, every.names, given)
+        right = {part.name: part.right for n in calibrated for part in n.parts(tree)}
+        if doubt is not None and right:
+            known = doubt.added(known, right, (*names, *every.names))
+        unknowns, nonidentifiable = (
+            identifiable_subset(problem, asked, known) if asked else (none, ())
+        )
+        _check_whole(every, nonidentifiable, settings)
+        about = [*range(len(names)), *(len(names) + k for k in unknowns.kept)]
+        tests = plate and settings.noise == "ar" and settings.row_low_pass is not None
+        covered = {kind for n in asked for kind in (n.kind, *n.covers)}
+        looked_for = [n for n in TESTED if n.kind not in covered]
+        return cls(
+            settings=settings,
+            unknowns=unknowns,
+            nonidentifiable=nonidentifiable,
+            tested=unknowns_of(tree, looked_for) if tests else none,
+            trends=unknowns_of(tree, [SLOPE]) if tests and SLOPE not in asked else none,
+            known=known.about(about),
+            corrected=frozenset(right),
+        )
+
+    @property
+    def with_unknown_zero(self) -> tuple[str, ...]:
+        """Parameters that are collinear with constants of the plate that were asked for."""
+        kinds = (BIAS.kind, TARE.kind)
+        return tuple(
+            n for i in self.nonidentifiable if i.name.partition("/")[0] in kinds for n in i.by
+        )
+
+    def columns(
+        self, plan: Plan, values: Array, numbers: Array, tests: bool = True
+    ) -> NuisanceColumns:
+        """Columns to first order around an estimate.
+
+        Args:
+            plan: The rows.
+            values: Minimal parameters, (p,).
+            numbers: Of the instrument, by which the recording was corrected, (s,).
+            tests: Whether those of tested faults are among them.
+        """
+        shown = (self.unknowns, self.trends, self.tested) if tests else (self.unknowns,)
+        known = self.known.around(np.concatenate([values, numbers]))
+        if not any(each.kept for each in shown):
+            return NuisanceColumns(facts=known)
+        cutoff = self.settings.row_low_pass
+        assert cutoff is not None, "settings refuse nuisances of rows that are not filtered"
+        whole = any(n.whole for n in self.unknowns.nuisances)
+        filtered = row_filter(plan, cutoff, exact=whole)
+        sensed = plan.source.senses_kinematics
+        noisy = 0.0 if sensed else self.settings.position_low_pass or 0.0
+        kinds = [len(n.parts(plan.layout.tree)) for n in self.tested.nuisances]
+        return NuisanceColumns(
+            columns=Columns(
+                plan,
+                filtered,
+                values,
+                [each for each in shown if each.kept],
+                self.unknowns,
+                self.unknowns.unmixed(numbers),
+                always=int(bool(self.unknowns.kept)),
+                unfolded=row_filter(plan, cutoff, exact=whole, noisy=noisy),
+            ),
+            unknown=len(self.unknowns.kept),
+            trends=len(self.trends.kept) if tests else 0,
+            tested=tuple(kinds) if tests else (),
+            facts=known,
+        )
+
+    def estimates(self, values: Array, fit: GlsFit) -> tuple[NuisanceEstimate, ...]:
+        """The instrument's numbers.
+
+        Args:
+            values: By which the recording was corrected, (s,).
+            fit: The last fit, of what remains.
+        """
+        sigma = standard_deviations(fit.further_covariance)
+        own = self.unknowns
+        numbers = zip(own.kinds, own.names, own.units, values + fit.further, sigma, strict=True)
+        return tuple(
+            NuisanceEstimate(kind, name, unit, float(value), float(spread))
+            for kind, name, unit, value, spread in numbers
+            if name not in self.corrected
+        )
+
+    def covariance(self, fit: GlsFit) -> tuple[Array, Array]:
+        """Covariance of the instrument's numbers, (s, s), and of the robot's with them, (p, s).
+
+        Both in the order of `estimates`.
+
+        Args:
+            fit: The last fit.
+        """
+        kept = [k for k, name in enumerate(self.unknowns.names) if name not in self.corrected]
+        return fit.further_covariance[np.ix_(kept, kept)], fit.across[:, kept]
+
+    def diagnostics(self, result: GaussNewtonResult) -> Iterator[Diagnostic]:
+        """Calibration parameters that were asked for and are not identifiable.
+
+        Args:
+            result: Of the iterations.
+        """
+        groups: dict[tuple[str, ...], list[str]] = {}
+        for each in self.nonidentifiable:
+            groups.setdefault(each.by, []).append(each.name)
+        for by, names in groups.items():
+            verb = "is" if len(names) == 1 else "are"
+            yield diagnose("plate.collinear", ", ".join(names), verb=verb, others=few(by))
+        if result.weak:
+            verb = "is" if len(result.weak) == 1 else "are"
+            yield diagnose("plate.uncertain", few(result.weak), verb=verb, share=OWN)
+        if not result.converged:
+            yield diagnose("plate.not-converged", value=ROUNDS)
+
+    def tests(self, problem: Problem, fit: GlsFit) -> tuple[TraceTest, ...]:
+        """What the residuals hold of each kind of fault, the clearest first.
+
+        Args:
+            problem: Robot and recording.
+            fit: The last fit.
+        """
+        sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance), TINY))
+        tests = []
+        for nuisance, (trace, chance) in zip(self.tested.nuisances, fit.traces, strict=False):
+            moved = np.abs(trace.shift) / sigma
+            parts, one = nuisance.parts(problem.layout.tree), trace.alone
+            part, clearness = parts[one.place], trace.square - 2 * trace.count
+            named = NuisanceEstimate(nuisance.kind, part.name, part.unit, one.size, one.sigma)
+            tests.append(
+                TraceTest(
+                    nuisance=nuisance,
+                    chance=chance,
+                    clearness=clearness,
+                    alone=named if one.square - 2 > NEARLY * clearness > 0 else None,
+                    names=tuple(part.name for part in parts),
+                    units=tuple(part.unit for part in parts),
+                    size=tuple(float(x) for x in trace.size),
+                    shift=float(moved.max()),
+                    parameter=problem.names[int(moved.argmax())],
+                )
+            )
+        return in_order(tests)
+
+
+def _check_whole(
+    every: Unknowns, nonidentifiable: Sequence[NonIdentifiable], settings: Settings
+) -> None:
+    """Whether all numbers are identifiable of those nuisances that are of no use otherwise.
+
+    Raises:
+        SettingsError: Some cannot; says which, and what to do.
+    """
+    needed = {n.kind for n in every.nuisances if n.whole}
+    kinds = dict(zip(every.names, every.kinds, strict=True))
+    open_ones = [each for each in nonidentifiable if kinds[each.name] in needed]
+    if open_ones:
+        raise SettingsError(explain_nonidentifiable(open_ones, settings.known, settings.nuisances))
+
+
+class GaussNewtonResult(NamedTuple):
+    """Calibration parameters, and the weighted solution of the corrected recording.
+
+    Attributes:
+        solution: Of the recording as the values correct it.
+        values: Of the calibration parameters, (s,).
+        converged: Whether the last correction was small.
+        weak: Names of those of which the data hold hardly anything.
+    """
+
+    solution: LinearFit
+    values: Array
+    converged: bool
+    weak: tuple[str, ...]
+
+
+def gauss_newton(
+    source: Source, solve: Callable[[Source], LinearFit], model: SensorModel
+) -> GaussNewtonResult:
+    """Calibration parameters by Gauss-Newton: correct the recording, estimate what remains.
+
+    Args:
+        source: The recording.
+        solve: Finds the weighted solution of a recording.
+        model: Which parameters.
+    """
+    values, solution = model.unknowns.right, solve(source)
+    weak: tuple[str, ...] = ()
+    if not len(values):
+        return GaussNewtonResult(solution, values, True, weak)
+    for _ in range(ROUNDS):
+        plan = solution.passes.plan
+        columns = model.columns(plan, solution.fit.values, values, tests=False)
+        step, sigma, share = sensor_step(solution.fit, solution.passes, columns)
+        # with a whole matrix all numbers are correlated, and sigma holds all the same: measured
+        if not any(n.whole for n in model.unknowns.nuisances):
+            each = zip(model.unknowns.names, share, strict=True)
+            weak = tuple(n for n, s in each if s < OWN and n not in model.corrected)
+        values = values + step
+        solution = solve(Corrected(source, model.unknowns.by_kind(values), plan.layout.tree))
+        if np.all(np.abs(step) <= SETTLED * sigma + ROUNDING * np.abs(values)):
+            return GaussNewtonResult(solution, values, True, weak)
+    return GaussNewtonResult(solution, values, False, weak)

@@ -1,0 +1,345 @@
+"""Unknowns of the instrument: their columns, and which of them no motion can identify."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import few
+from testbed.core.dynamics.newton_euler import Motion, linear
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.regression.constraints import MASS, LinearConstraints, free
+from testbed.core.estimation.regression.windows import Plan
+from testbed.core.estimation.sensor.estimates import Nuisance, Part
+from testbed.core.estimation.sensor.plate import BIAS
+from testbed.core.estimation.sensor.predicted_wrench import (
+    PredictedWrench,
+    RowFilter,
+    predict_wrench,
+)
+from testbed.core.kernel.records import Signals
+from testbed.core.robot.tree import Tree
+
+KEPT = 64e6
+"""Bytes of columns that are kept from one pass to the next."""
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """Some numbers of some nuisances.
+
+    Attributes:
+        nuisances: The kinds.
+        counts: How many numbers each has.
+        parts: All their numbers, kind by kind.
+        kept: Places of those among `parts` that are unknown; the others are as they should be.
+    """
+
+    nuisances: tuple[Nuisance, ...]
+    counts: tuple[int, ...]
+    parts: tuple[Part, ...]
+    kept: tuple[int, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of those that are unknown."""
+        return tuple(self.parts[k].name for k in self.kept)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """One each."""
+        return tuple(self.parts[k].unit for k in self.kept)
+
+    @property
+    def right(self) -> Array:
+        """Values of the unknown ones where nothing is wrong."""
+        return np.array([self.parts[k].right for k in self.kept])
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Whose number each unknown one is."""
+        all_of_them = np.repeat([n.kind for n in self.nuisances], self.counts)
+        return tuple(str(all_of_them[k]) for k in self.kept)
+
+    def unmixed(self, values: Array) -> Array | None:
+        """What takes a mixture of the plate's channels back, (6, 6); None where there is none.
+
+        Args:
+            values: Of the unknown ones.
+        """
+        numbers = self.by_kind(values)
+        for nuisance in self.nuisances:
+            if nuisance.unmixed is not None:
+                return nuisance.unmixed(numbers[nuisance.kind])
+        return None
+
+    def by_kind(self, values: Array) -> dict[str, Array]:
+        """Numbers of each nuisance, those that are not unknown as they should be.
+
+        Args:
+            values: Of the unknown ones.
+        """
+        all_of_them = np.array([part.right for part in self.parts])
+        all_of_them[list(self.kept)] = values
+        cut = np.split(all_of_them, np.cumsum(self.counts, dtype=int))[:-1]
+        return {n.kind: own for n, own in zip(self.nuisances, cut, strict=True)}
+
+
+def unknowns_of(tree: Tree, nuisances: Sequence[Nuisance]) -> Unknowns:
+    """All numbers of some nuisances.
+
+    Args:
+        tree: The robot.
+        nuisances: The kinds.
+    """
+    each = [nuisance.parts(tree) for nuisance in nuisances]
+    parts = tuple(part for own in each for part in own)
+    counts = tuple(len(own) for own in each)
+    return Unknowns(tuple(nuisances), counts, parts, tuple(range(len(parts))))
+
+
+class Columns:
+    """Columns of unknowns of the instrument, window by window."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        filtered: RowFilter,
+        values: Array,
+        unknowns: Sequence[Unknowns],
+        estimated: Unknowns | None = None,
+        unmixed: Array | None = None,
+        always: int | None = None,
+        unfolded: RowFilter | None = None,
+    ) -> None:
+        """To first order around an estimate.
+
+        Args:
+            plan: The rows.
+            filtered: The filter that they pass.
+            values: Minimal parameters, (p,).
+            unknowns: Whose columns, one after the other.
+            estimated: Those of them that are to be estimated.
+            unmixed: What a mixture of the plate's channels was taken back with, (6, 6).
+            always: How many of `unknowns` have columns in all windows; default all. The others
+                have them in those that are looked at.
+            unfolded: At more instants, for nuisances that need them; default the same filter.
+        """
+        self._unfolded = unfolded or filtered
+        self._always, self._looked_at = always, plan.looked_at
+        self._unmixed = unmixed
+        self._estimated = estimated
+        self._plan, self._filtered, self._unknowns = plan, filtered, tuple(unknowns)
+        layout = plan.layout
+        self._theta = np.asarray(layout.theta @ (layout.basis @ values))
+        part = len(self._looked_at) / len(list(plan.windows()))
+        counts = [len(each.kept) for each in unknowns]
+        numbers = sum(counts[:always]) + part * sum(counts[len(counts[:always]) :])
+        self._kept: dict[int, Array] = {}
+        self._keeps = plan.rows * 6 * numbers * 8 < KEPT
+
+    def __call__(self, signals: Signals, first: int) -> Array:
+        """Of a window's rows, (6, rows, s); fewer where it is not looked at.
+
+        Args:
+            signals: The window's.
+            first: Number of its first row.
+        """
+        if first in self._kept:
+            return self._kept[first]
+        made = self._made(signals, first)
+        if self._keeps:
+            self._kept[first] = made
+        return made
+
+    def _made(self, signals: Signals, first: int) -> Array:
+        shown = self._unknowns[: None if first in self._looked_at else self._always]
+        if not shown:
+            return np.zeros((6, signals.number, 0))
+        nuisances = [n for unknowns in shown for n in unknowns.nuisances]
+        found = {
+            finer: predict_wrench(
+                self._plan,
+                self._unfolded if finer else self._filtered,
+                self._theta,
+                signals,
+                first,
+            )
+            for finer in {n.unfolded for n in nuisances}
+        }
+        blocks = []
+        for unknowns in shown:
+            own = unknowns is self._estimated
+            made = [self._shown(n, found[n.unfolded], own) for n in unknowns.nuisances]
+            blocks.append(np.concatenate(made, axis=2)[..., list(unknowns.kept)])
+        return np.concatenate(blocks, axis=2).transpose(1, 0, 2)
+
+    def _shown(self, nuisance: Nuisance, found: PredictedWrench, estimated: bool) -> Array:
+        """What a nuisance does to the wrench, mixtures of the channels taken back."""
+        made = ((estimated and nuisance.by_measured) or nuisance.columns)(found)
+        if not nuisance.added or self._unmixed is None:
+            return made
+        return self._unmixed @ made
+
+
+DEPENDENT = 1e-6
+"""Length, of one, that others leave of a column that they imitate."""
+
+NAMED = 1e-6
+"""Share of a combination, in units of its largest, that is worth a name."""
+
+SHORT = 40
+"""Characters for what imitates a number that is open."""
+
+SEED = 1996
+
+RATE = 50.0
+"""Instants a second of the generic motion: the widest stencil below needs no more."""
+
+SINES = 5
+"""Of a joint's generic motion."""
+
+
+@dataclass(frozen=True)
+class NonIdentifiable:
+    """A number of the instrument that is taken as zero, since others show the same.
+
+    Attributes:
+        name: Its name.
+        by: The parameters, and the instrument's numbers, that change with it.
+    """
+
+    name: str
+    by: tuple[str, ...]
+
+
+def identifiable_subset(
+    problem: Problem, nuisances: Sequence[Nuisance], stated: LinearConstraints | None = None
+) -> tuple[Unknowns, tuple[NonIdentifiable, ...]]:
+    """Which numbers of nuisances can be estimated beside the parameters.
+
+    Args:
+        problem: Robot and recording.
+        nuisances: The kinds, earlier ones preferred.
+        stated: What is known of parameters and of all numbers of the nuisances.
+    """
+    names, wanted = problem.names, unknowns_of(problem.layout.tree, nuisances)
+    count, rng = len(wanted.parts), np.random.default_rng(SEED)
+    own, theirs = _generic_columns(problem, nuisances, 40 + (len(names) + count) // 2, rng)
+    labels, sure = list(names), [False] * count
+    if stated is not None and len(stated):
+        left = free(stated)
+        sure = [not row.any() for row in left.lead[len(names) :]]
+        about = left.lead[: len(names)].any(axis=0)
+        own = own @ left.lead[: len(names), about]
+        labels = [
+            names[int(np.abs(column).argmax())] for column in left.lead[: len(names), about].T
+        ]
+    kept, nonidentifiable = _in_turn((own, labels), (theirs, wanted.names), sure)
+    return replace(wanted, kept=kept), nonidentifiable
+
+
+Named = tuple[Array, Sequence[str]]
+"""Columns, (rows, k), and what they are called."""
+
+
+def _in_turn(
+    known: Named, others: Named, sure: Sequence[bool]
+) -> tuple[tuple[int, ...], tuple[NonIdentifiable, ...]]:
+    """Columns that are linearly independent of those before them, and the rest.
+
+    Args:
+        known: The first.
+        others: Taken one after the other.
+        sure: Which of them are known anyway.
+
+    Returns:
+        Places of those that are identifiable; the rest.
+    """
+    columns, labels = _unit(known[0]), list(known[1])
+    basis, _ = np.linalg.qr(columns)
+    kept: list[int] = []
+    nonidentifiable = []
+    for k, column in enumerate(_unit(others[0]).T):
+        if sure[k]:
+            kept.append(k)
+            continue
+        rest = column - basis @ (basis.T @ column)
+        rest -= basis @ (basis.T @ rest)
+        length = float(np.linalg.norm(rest))
+        if length > DEPENDENT:
+            basis = np.column_stack([basis, rest / length])
+            columns = np.column_stack([columns, column])
+            labels.append(others[1][k])
+            kept.append(k)
+            continue
+        share = np.abs(np.linalg.lstsq(columns, column, rcond=None)[0])
+        by = [n for n, s in zip(labels, share, strict=True) if s > NAMED * share.max()]
+        nonidentifiable.append(NonIdentifiable(others[1][k], tuple(by)))
+    return tuple(kept), tuple(nonidentifiable)
+
+
+def explain_nonidentifiable(
+    open_ones: Sequence[NonIdentifiable], known: Collection[str], nuisances: Collection[str]
+) -> str:
+    """What no motion identifies, and which facts would, in a line.
+
+    Args:
+        open_ones: Numbers of the plate.
+        known: Names of the facts.
+        nuisances: Kinds that are estimated.
+    """
+    first, more = open_ones[0], len(open_ones) - 1
+    phrase = f"{first.name} from {few(first.by, SHORT)}{f', nor {more} others' * (more > 0)}"
+    zero = " (the zero of Fz is unknown: the mass alone does not)" * (
+        MASS in known and BIAS.kind in nuisances
+    )
+    return (
+        f"no motion identifies {phrase}: state a known value. A total mass (mass=20) and a gain "
+        f"(gain/Fz=1) fix the scale{zero}; so does a gain with a centre of mass (centre/x=0.1)"
+    )
+
+
+def _unit(columns: Array) -> Array:
+    length = np.linalg.norm(columns, axis=0)
+    return columns / np.where(length > 0, length, 1.0)
+
+
+def _generic_columns(
+    problem: Problem,
+    nuisances: Sequence[Nuisance],
+    rows: int,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    """Columns of the parameters and of the nuisances along a generic motion, (6 rows, .).
+
+    Args:
+        problem: Robot and recording.
+        nuisances: The kinds.
+        rows: Instants.
+        rng: Draws the robot and its motion.
+    """
+    layout, n = problem.layout, problem.tree.n
+    lead = layout.theta @ layout.basis
+    theta = np.asarray(lead @ rng.normal(size=lead.shape[2]))
+    slopes = np.array([1, -8, 0, 8, -1]) / 12 * RATE  # a row is one instant; its slope needs five
+    weights = np.array([0, 0, 1.0, 0, 0])
+    filtered = RowFilter(1, weights, slopes, 1, weights, slopes)
+    time = np.arange(rows + 4) / RATE
+    speed = 2 * np.pi * rng.uniform(0.1, 1.0, (SINES, n))
+    size = rng.normal(size=(2, SINES, n)) / SINES
+    phase = time[:, None, None] * speed
+    wave = size[0] * np.sin(phase) + size[1] * np.cos(phase)
+    rate = speed * (size[0] * np.cos(phase) - size[1] * np.sin(phase))
+    motion = Motion(time, *(s.sum(axis=1) for s in (wave, rate, -(speed**2) * wave)))
+    middle = time[2:-2] - time.mean()
+    none = np.zeros((rows, 6, 5))  # nothing was measured
+    found = PredictedWrench(
+        layout.tree, layout.gravity, theta, motion, problem.tare, middle, filtered, none
+    )
+    parameters = linear(layout.tree, motion, lead, layout.gravity)[1][2:-2]
+    theirs = np.concatenate([nuisance.columns(found) for nuisance in nuisances], axis=2)
+    return parameters.reshape(6 * rows, -1), theirs.reshape(6 * rows, -1)

@@ -1,0 +1,359 @@
+"""How a recording becomes equations: the one place of defaults."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from numbers import Real
+from typing import Any, ClassVar, Final, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import SettingsError, UnknownName
+from testbed.core.robot.friction import STRIBECK, JointLaw, law_of
+
+LARGEST = 1e9
+"""Times [s] and speeds [rad/s, m/s] that no robot has."""
+
+
+def finite_number(value: object) -> float | None:
+    """A finite number, or None for what is none.
+
+    Args:
+        value: As it was written.
+    """
+    real = isinstance(value, Real) and not isinstance(value, bool)
+    number = float(value) if real else math.nan  # type: ignore[arg-type]
+    return number if math.isfinite(number) else None
+
+
+def stated_values(given: object) -> dict[str, float | tuple[float, ...]]:
+    """A table of values, or of values and sigmas, checked.
+
+    Args:
+        given: As it was written.
+
+    Raises:
+        SettingsError: It is none.
+    """
+    if not isinstance(given, Mapping):
+        raise SettingsError(f"known is a table of values by name, found {given!r}")
+    found: dict[str, float | tuple[float, ...]] = {}
+    for name, value in given.items():
+        listed = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+        numbers = [finite_number(each) for each in listed]
+        if not 1 <= len(numbers) <= 2 or None in numbers or (numbers[1:] and numbers[1] < 0):  # type: ignore[operator]
+            raise SettingsError(
+                f"known.{name} is a value, or a value and its sigma, found {value!r}"
+            )
+        exact = [float(each) for each in numbers]  # type: ignore[arg-type]
+        found[str(name)] = exact[0] if len(exact) == 1 else tuple(exact)
+    return found
+
+
+def with_sigmas(stated: Mapping[str, float | Sequence[float]]) -> dict[str, tuple[float, float]]:
+    """Value and sigma by name; zero where none is stated.
+
+    Args:
+        stated: A table that has been checked.
+    """
+    found = {}
+    for name, given in stated.items():
+        numbers = list(given) if isinstance(given, Sequence) else [given]
+        found[name] = (float(numbers[0]), float(numbers[1]) if len(numbers) > 1 else 0.0)
+    return found
+
+
+KINDS = ("bias", "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare")
+"""Nuisances that can be estimated."""
+
+USUAL = ("coulomb", "viscous")
+"""Terms of which nothing else is said."""
+
+FIT: Final = "fit"
+"""A filter that fits the sampling rate."""
+
+AUTO = "auto"
+"""Terms that held-out data choose."""
+
+Cutoff = float | Literal["off", "fit"]
+"""A frequency [Hz], or "off", or what the sampling rate allows."""
+
+POSITION_CUTOFF, ROW_CUTOFF = 40.0, 5.0
+"""Where the sampling rate allows them [Hz]."""
+
+SLOWEST_ROWS = 0.1
+"""Share of a sampling rate up to which differences of positions are good derivatives."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """How a recording becomes equations, and what is known before.
+
+    Plain values only: an experiment file's table [identification] holds the same keys.
+    """
+
+    zeros: bool | Sequence[str] = False
+    """Barycentric parameters that are known to be zero: true for all that are zero in the
+    model file, or their names, such as "mb1x" or "K2xy"."""
+
+    position_cutoff: Cutoff | None = "fit"
+    """Low-pass on encoder positions before they are differentiated [Hz], or "off". At least
+    twice `cutoff`: what it takes from the motion would bias the estimate. By default 40 Hz, or
+    none where the sampling is too slow for that."""
+
+    cutoff: Cutoff | None = "fit"
+    """Low-pass on the regressor's columns and the measurement alike [Hz], or "off". By default
+    5 Hz, or a tenth of the sampling rate or half of `position_cutoff` where that is less."""
+
+    deadband: float = 0.02
+    """Joints that are slower rest: dry friction there has no sign, and is unknown
+    [rad/s or m/s]."""
+
+    reversal_reach: float | None = None
+    """Rows of a joint that rests within this time do not count, since the filter on rows spreads
+    what friction does there [s]. Default: in an estimate they do, whitened of it; where single
+    rows are looked at, all but 3 % of the filter's weight has to move, 0.15 s at 5 Hz."""
+
+    terms: Sequence[str | JointLaw] | Literal["auto"] | None = None
+    """What a joint's torque holds besides the forces that move the bodies: "coulomb", "viscous",
+    "offset", "rotor", "asymmetric", "quadratic", "square_root", "slope", "warm_coulomb",
+    "warm_viscous", and "stribeck@0.1", friction that
+    fades out at 0.1 rad/s; "stribeck" looks for the speed, too (testbed/core/robot/friction.py). Each
+    holds at all joints and at all shafts that couple some, "rotor/elbow" at that one. "auto" lets
+    held-out data choose. Default: "coulomb" and "viscous", "offset" of imported recordings, and
+    "rotor" of torques from motors, else of joints whose rotor the model file states."""
+
+    weights: Literal["channels", "full"] | Sequence[Sequence[float]] = "channels"
+    """Weights of the channels: "channels", by each one's own noise; "full", by the covariance
+    of all channels' residuals; or that covariance, if it is known, row by row: 6 x 6 for the
+    plate [N^2, N^2 m, N^2 m^2]."""
+
+    noise: Literal["ar", "white"] = "ar"
+    """What residuals are taken for: "ar", an autoregression in each channel, found with the
+    parameters; "white", noise of no memory before the filters."""
+
+    nuisances: Sequence[str] = ()
+    """What of the instrument is unknown beside the parameters, for the external method: "bias",
+    "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare" (docs/uncertainty.md)."""
+
+    tare: Literal["known", "unknown"] = "known"
+    """Whether it is known what of the wrench is the pedestal's. If not, the plate shows only how
+    its wrench changes: the parameters are those of the tared set, and "bias" is among the
+    nuisances."""
+
+    known: Mapping[str, float | Sequence[float]] = field(default_factory=dict, hash=False)
+    """What is known exactly, or with a sigma: a value, or value and sigma, by name. "mass" is that
+    of all moving bodies [kg], "centre/x" where its centre is [m]; any minimal parameter and any
+    number of a nuisance can be known."""
+
+    span: Sequence[float] | None = None
+    """Samples from the first to before the second time count [s]. Default: those that the recording
+    says are for an estimate, as one from rest to rest does; else all."""
+
+    drives: Literal["off", "given", "chosen"] = "off"
+    """Whether joint torques are held against the plate's estimate: torque constants, friction
+    curves, both methods combined; with the given terms, or with those that held-out data choose
+    for each joint (docs/drives.md)."""
+
+    engine: Literal["by size", "compiled", "numpy"] = "by size"
+    """What makes the rows: the compiled kernel, NumPy, or whichever is faster for the size of the
+    job. They differ in rounding only."""
+
+    __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
+
+    def __post_init__(self) -> None:
+        checked: dict[str, Any] = {
+            "zeros": _zeros(self.zeros),
+            "position_cutoff": _cutoff("position_cutoff", self.position_cutoff),
+            "cutoff": _cutoff("cutoff", self.cutoff),
+            "deadband": _not_negative("deadband is a speed [rad/s or m/s]", self.deadband),
+            "terms": _terms(self.terms),
+            "weights": _weights(self.weights),
+            "noise": _one_of("noise", self.noise, ("ar", "white")),
+            "drives": _one_of("drives", self.drives, ("off", "given", "chosen")),
+            "span": _span(self.span),
+            "engine": _one_of("engine", self.engine, ("by size", "compiled", "numpy")),
+            "nuisances": _nuisances(self.nuisances),
+            "tare": _one_of("tare", self.tare, ("known", "unknown")),
+            "known": stated_values(self.known),
+        }
+        if self.reversal_reach is not None:
+            reach = _not_negative("reversal_reach is a time [s]", self.reversal_reach)
+            checked["reversal_reach"] = reach
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+        if self.nuisances and (self.noise != "ar" or self.row_low_pass is None):
+            raise SettingsError('nuisances need noise = "ar" and a cutoff: rows are filtered')
+        if self.known and self.noise != "ar":
+            raise SettingsError('known facts need noise = "ar"')
+        slow, fast = self.row_low_pass, self.position_low_pass
+        if self.cutoff == FIT and slow is not None and fast is not None:
+            slow = min(slow, fast / 2)
+        if slow is not None and fast is not None and fast < 2 * slow:
+            raise SettingsError(
+                f"position_cutoff = {fast:g} Hz is less than twice cutoff = {slow:g} Hz: what it "
+                "takes from the motion would bias the estimate"
+            )
+
+    @property
+    def position_low_pass(self) -> float | None:
+        """Cutoff of the low-pass on positions [Hz]; None for none."""
+        return _hertz(self.position_cutoff, POSITION_CUTOFF)
+
+    @property
+    def row_low_pass(self) -> float | None:
+        """Cutoff of the low-pass on rows [Hz]; None for none."""
+        return _hertz(self.cutoff, ROW_CUTOFF)
+
+    def fitted(self, rate: float) -> Settings:
+        """The same with filters that fit a recording.
+
+        Args:
+            rate: Samples a second [Hz].
+        """
+        rows = self.cutoff
+        if rows == FIT:
+            rows = min(ROW_CUTOFF, SLOWEST_ROWS * rate, (self.position_low_pass or np.inf) / 2)
+        positions: Cutoff | None = self.position_cutoff
+        if positions == FIT:
+            positions = POSITION_CUTOFF if rate / 2 > POSITION_CUTOFF else "off"
+        return replace(self, cutoff=rows, position_cutoff=positions)
+
+    @property
+    def laws(self) -> tuple[JointLaw, ...]:
+        """The terms as laws of the joints' torque; of one with an open speed, none yet."""
+        return tuple(dict.fromkeys(law_of(term) for term in self.words))
+
+    @property
+    def words(self) -> tuple[str | JointLaw, ...]:
+        """The terms but for one with an open speed: "rotor" of all joints, "rotor/elbow" of one."""
+        if self.terms is None or isinstance(self.terms, str):
+            return USUAL
+        return tuple(term for term in self.terms if term != STRIBECK)
+
+    @property
+    def open_speed(self) -> bool:
+        """Whether the speed at which friction fades out is to be found."""
+        return self.terms is not None and STRIBECK in self.terms
+
+    @property
+    def facts(self) -> dict[str, tuple[float, float]]:
+        """Value and sigma of what is known, by name."""
+        return with_sigmas(self.known)
+
+    @property
+    def joined(self) -> bool:
+        """Whether noise of different channels is taken as correlated."""
+        return self.weights != "channels"
+
+    @property
+    def covariance(self) -> Array | None:
+        """The covariance that was given, if one was."""
+        return None if isinstance(self.weights, str) else np.array(self.weights, dtype=float)
+
+
+def _hertz(cutoff: Cutoff | None, fit: float) -> float | None:
+    if cutoff == FIT:
+        return fit
+    return None if cutoff is None or isinstance(cutoff, str) else cutoff
+
+
+def _zeros(given: object) -> bool | tuple[str, ...]:
+    if isinstance(given, bool):
+        return given
+    return _names("zeros is true, false or a list of parameters' names", given)
+
+
+def _names(what: str, given: object) -> tuple[str, ...]:
+    """A name, or a list of names."""
+    names = (given,) if isinstance(given, str) else given
+    if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
+        raise SettingsError(f"{what}, found {given!r}")
+    return tuple(names)
+
+
+def _cutoff(name: str, given: object) -> Cutoff:
+    if given is None or given == "off":
+        return "off"
+    if given == FIT:
+        return FIT
+    number = finite_number(given)
+    if number is None or number <= 0:
+        raise SettingsError(f'{name} is a positive frequency [Hz] or "off", found {given!r}')
+    return number
+
+
+def _not_negative(what: str, given: object) -> float:
+    number = finite_number(given)
+    if number is None or not 0 <= number <= LARGEST:
+        raise SettingsError(f"{what}, from 0 to {LARGEST:g}, found {given!r}")
+    return number
+
+
+def _span(given: object) -> tuple[float, float] | None:
+    if given is None:
+        return None
+    listed = given if isinstance(given, Sequence) else []
+    numbers = [x for x in map(finite_number, listed) if x is not None]
+    if len(listed) != 2 or len(numbers) != 2 or not numbers[0] < numbers[1]:
+        raise SettingsError(f"span is two times [s], the earlier one first; found {given!r}")
+    return numbers[0], numbers[1]
+
+
+def _terms(given: object) -> tuple[str | JointLaw, ...] | str | None:
+    if given is None or given == AUTO:
+        return AUTO if given else None
+    if isinstance(given, str) or not isinstance(given, Sequence):
+        raise SettingsError(f'terms is a list of names, or "auto", found {given!r}')
+    kinds = []
+    for term in given:
+        if not isinstance(term, str | JointLaw):
+            raise SettingsError(f"terms is a list of names, found {term!r} in it")
+        if term != STRIBECK:
+            law_of(term)
+        kinds.append(term if isinstance(term, str) else term.kind)
+    if len(set(kinds)) < len(kinds):
+        raise SettingsError(f"terms names something twice: {', '.join(kinds)}")
+    return tuple(given)
+
+
+def _one_of(name: str, given: object, known: tuple[str, ...]) -> str:
+    if given not in known:
+        raise UnknownName(name, str(given), known)
+    return str(given)
+
+
+def _nuisances(given: object) -> tuple[str, ...]:
+    names = _names("nuisances is a list of names", given)
+    for name in names:
+        if name not in KINDS:
+            raise UnknownName("nuisance", name, KINDS)
+    if len(set(names)) < len(names):
+        raise SettingsError(f"nuisances names something twice: {', '.join(names)}")
+    return names
+
+
+def _weights(given: ArrayLike) -> str | tuple[tuple[float, ...], ...]:
+    if isinstance(given, str):
+        if given not in ("channels", "full"):
+            raise UnknownName("weights", given, ("channels", "full", "a covariance"))
+        return given
+    try:
+        matrix = np.array(given, dtype=float)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] > 0
+    if not square or not np.isfinite(matrix).all():
+        raise SettingsError("weights is no covariance: it is not a square matrix of numbers")
+    symmetric = np.allclose(matrix, matrix.T, rtol=1e-9, atol=0)
+    if not symmetric or np.linalg.eigvalsh(matrix).min() <= 0:
+        raise SettingsError("weights is no covariance: it is not symmetric and positive definite")
+    return tuple(tuple(float(x) for x in row) for row in matrix)
+
+
+DEFAULTS = Settings()
+"""What is used unless somebody asks otherwise."""

@@ -1,0 +1,323 @@
+"""One sweep over a window: rows, filtered or not, their products, their residuals."""
+
+from __future__ import annotations
+
+from testbed.core.kernel.compiler import WIDE, inline, outer, part, plain, summing
+from testbed.core.kernel.records import CHUNK, LARGEST_REST, LARGEST_VARIANCE, REST_VARIANCE, D
+from testbed.core.kernel.rows import dot, fill
+
+
+@summing
+def tile(X, Y, n, G, at, ld):
+    """G[at + i ld + j] += X_i . Y_j for four slots of each."""
+    a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = 0.0
+    c0 = c1 = c2 = c3 = d0 = d1 = d2 = d3 = 0.0
+    for k in range(n):
+        y0, y1, y2, y3 = Y[k], Y[D + k], Y[2 * D + k], Y[3 * D + k]
+        x0, x1, x2, x3 = X[k], X[D + k], X[2 * D + k], X[3 * D + k]
+        a0 += x0 * y0
+        a1 += x0 * y1
+        a2 += x0 * y2
+        a3 += x0 * y3
+        b0 += x1 * y0
+        b1 += x1 * y1
+        b2 += x1 * y2
+        b3 += x1 * y3
+        c0 += x2 * y0
+        c1 += x2 * y1
+        c2 += x2 * y2
+        c3 += x2 * y3
+        d0 += x3 * y0
+        d1 += x3 * y1
+        d2 += x3 * y2
+        d3 += x3 * y3
+    G[at] += a0
+    G[at + 1] += a1
+    G[at + 2] += a2
+    G[at + 3] += a3
+    at += ld
+    G[at] += b0
+    G[at + 1] += b1
+    G[at + 2] += b2
+    G[at + 3] += b3
+    at += ld
+    G[at] += c0
+    G[at + 1] += c1
+    G[at + 2] += c2
+    G[at + 3] += c3
+    at += ld
+    G[at] += d0
+    G[at + 1] += d1
+    G[at + 2] += d2
+    G[at + 3] += d3
+
+
+@summing
+def half_tile(X, Y, n, G, at, ld):
+    """`tile` for two slots with four."""
+    a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = 0.0
+    for k in range(n):
+        y0, y1, y2, y3 = Y[k], Y[D + k], Y[2 * D + k], Y[3 * D + k]
+        x0, x1 = X[k], X[D + k]
+        a0 += x0 * y0
+        a1 += x0 * y1
+        a2 += x0 * y2
+        a3 += x0 * y3
+        b0 += x1 * y0
+        b1 += x1 * y1
+        b2 += x1 * y2
+        b3 += x1 * y3
+    G[at] += a0
+    G[at + 1] += a1
+    G[at + 2] += a2
+    G[at + 3] += a3
+    at += ld
+    G[at] += b0
+    G[at + 1] += b1
+    G[at + 2] += b2
+    G[at + 3] += b3
+
+
+@inline
+def two_halves(X, Y, n, G, at, ld):
+    """`tile` for processors with only sixteen vector registers."""
+    half_tile(X, Y, n, G, at, ld)
+    half_tile(X[2 * D :], Y, n, G, at + 2 * ld, ld)
+
+
+fitting_tile = tile if WIDE else two_halves
+
+
+@summing
+def diagonal_tile(X, n, G, at, ld):
+    """`tile` for four slots with themselves."""
+    a0 = b0 = b1 = c0 = c1 = c2 = d0 = d1 = d2 = d3 = 0.0
+    for k in range(n):
+        x0, x1, x2, x3 = X[k], X[D + k], X[2 * D + k], X[3 * D + k]
+        a0 += x0 * x0
+        b0 += x1 * x0
+        b1 += x1 * x1
+        c0 += x2 * x0
+        c1 += x2 * x1
+        c2 += x2 * x2
+        d0 += x3 * x0
+        d1 += x3 * x1
+        d2 += x3 * x2
+        d3 += x3 * x3
+    G[at] += a0
+    at += ld
+    G[at] += b0
+    G[at + 1] += b1
+    at += ld
+    G[at] += c0
+    G[at + 1] += c1
+    G[at + 2] += c2
+    at += ld
+    G[at] += d0
+    G[at + 1] += d1
+    G[at + 2] += d2
+    G[at + 3] += d3
+
+
+@summing
+def dots(E, X, n):
+    """E . X for four slots X."""
+    a = b = c = d = 0.0
+    for k in range(n):
+        e = E[k]
+        a += e * X[k]
+        b += e * X[D + k]
+        c += e * X[2 * D + k]
+        d += e * X[3 * D + k]
+    return a, b, c, d
+
+
+@plain
+def estimate_mass(rows, signals, work, centre, count, at, n):
+    """Add what a chunk of samples gives to the filtered rows that it reaches.
+
+    centre: sample of the block's first row; count: its rows; at, n: the chunk's samples.
+    """
+    weights, step, Y, H, Z = signals.weights, signals.step, work.Y, work.H, work.Z
+    half = len(weights) // 2
+    lo = max(0, -((centre + half - at) // step)) // 4 * 4
+    hi = min(count, (at + n - 1 + half - centre) // step + 1)
+    for r in range(lo, lo + -((lo - hi) // 4) * 4):
+        behind = at - centre - r * step + half
+        row = H[(r - lo) * D : (r - lo) * D + CHUNK]
+        for k in range(CHUNK):
+            inside = 0 <= behind + k < len(weights) and k < n and r < count
+            row[k] = weights[behind + k] if inside else 0.0
+    for s in range(0, rows.slots, 4):
+        for r in range(lo, hi, 4):
+            y, h = Y[s * D : (s + 4) * D], H[(r - lo) * D : (r - lo + 4) * D]
+            fitting_tile(y, h, CHUNK, Z, s * D + r, D)
+    if signals.deadband > 0.0:
+        count_rests(rows, signals, work, centre, lo, hi, at, n)
+
+
+@part
+def count_rests(rows, signals, work, centre, lo, hi, at, n):
+    """Mark rows near a chunk's samples at which their joint rests, or add what they share there."""
+    Y, H, G, channels = work.Y, work.H, work.G, len(rows.measured)
+    band, reach = len(G) // (channels * D), signals.rest_reach
+    for c in range(channels):
+        for k in range(n):
+            if Y[(rows.slots + c) * D + k] == 0.0:
+                continue
+            for r in range(hi - lo):
+                if reach > 0:
+                    if abs(centre + (lo + r) * signals.step - at - k) <= reach:
+                        work.Z[(rows.slots + c) * D + lo + r] = 1.0
+                elif H[r * D + k] != 0.0:
+                    for d in range(min(band, r + 1)):
+                        G[(c * band + d) * D + lo + r] += H[r * D + k] * H[(r - d) * D + k]
+
+
+@part
+def whiten_rests(X, G, U, size, count):
+    """Of what rows of a channel share at rests the root of their covariance, by which X is divided.
+
+    G: a band, diagonal first; it becomes the root. U: becomes which rows count. X: all slots.
+    """
+    for r in range(count):
+        rest = G[r] / size
+        for j in range(max(0, r - len(G) // D + 1), r + 1):
+            left = REST_VARIANCE / size * G[(r - j) * D + r]
+            for i in range(max(0, r - len(G) // D + 1), j):
+                left -= G[(r - i) * D + r] * G[(j - i) * D + j]
+            G[(r - j) * D + r] = left / G[j] if j < r else (1.0 + left) ** 0.5
+        U[r] = 1.0 if rest < LARGEST_REST and G[r] ** 2 < 1 + LARGEST_VARIANCE else 0.0
+    for s in range(0, len(X), D):
+        for r in range(count):
+            for d in range(1, min(len(G) // D, r + 1)):
+                X[s + r] -= G[d * D + r] * X[s + r - d]
+            X[s + r] /= G[r]
+
+
+@plain
+def rest_joints(rows, signals, work, count, sums):
+    """Whiten rows of what friction adds where their joint rests; zero those that do not count."""
+    Z, channels, weights = work.Z, len(rows.measured), signals.weights
+    for c in range(channels):
+        U = Z[(rows.slots + c) * D : (rows.slots + c) * D + count]
+        X = Z[rows.start[c] * D : (rows.start[c] + rows.width[c]) * D]
+        G = work.G[c * len(work.G) // channels : (c + 1) * len(work.G) // channels]
+        for k in range(count):
+            U[k] = 1.0 - U[k]  # from whether it rests to whether it moves
+        if signals.rest_reach == 0 and len(weights) > 1 and dot(G, G, count) > 0.0:
+            whiten_rests(X, G, U, dot(weights, weights, len(weights)), count)
+        moving = dot(U, U, count)
+        sums.used[c] += moving
+        if moving < count:
+            for s in range(rows.width[c]):
+                for k in range(count):
+                    X[s * D + k] *= U[k]
+
+
+@plain
+def gram(rows, work, count, sums):
+    """Add the products of all pairs of slots, group by group of rows; lower triangles."""
+    n, G = -(-count // 8) * 8, sums.products
+    for g in range(len(rows.group_slot)):
+        p, ld, slot = rows.group_size[g], rows.group_width[g], rows.group_slot[g]
+        X = work.Z[slot * D : (slot + ld) * D]
+        for a in range(0, p, 4):
+            at = rows.group_gram[g] + a * ld
+            for b in range(0, a, 4):
+                here, there = X[a * D : (a + 4) * D], X[b * D : (b + 4) * D]
+                if p - a == 1:
+                    found = dots(here, there, n)
+                    for i in range(4):
+                        G[at + b + i] += found[i]
+                elif p - a == 2:
+                    half_tile(here, there, n, G, at + b, ld)
+                else:
+                    fitting_tile(here, there, n, G, at + b, ld)
+            diagonal_tile(X[a * D : (a + 4) * D], n, G, at + a, ld)
+
+
+@inline
+def add(f, X, n, Y):
+    """Y += f X for four slots X."""
+    f0, f1, f2, f3 = f[0], f[1], f[2], f[3]
+    for k in range(n):
+        Y[k] += f0 * X[k] + f1 * X[D + k] + f2 * X[2 * D + k] + f3 * X[3 * D + k]
+
+
+@part
+def subtract(rows, work, c, at, n, factors, E):
+    """E = residual of a channel: the sum of its slots times `factors`."""
+    E[:n] = 0.0
+    for s in range(rows.start[c], rows.start[c] + rows.width[c], 4):
+        add(factors[s : s + 4], work.Z[s * D + at : (s + 4) * D], n, E)
+
+
+@part
+def score(rows, work, c, at, n, E, scores):
+    """Add columns of a channel times E to the scores of one bin."""
+    for s in range(rows.start[c], rows.measured[c], 4):
+        found = dots(E, work.Z[s * D + at : (s + 4) * D], n)
+        for i in range(4):
+            u = rows.unknown[s + i]
+            if u >= 0:
+                scores[u] += found[i]
+
+
+@plain
+def residual(rows, work, count, first, question, sums):
+    """Residuals, their squares, and scores: columns times weighted residuals, by bins of rows.
+
+    Bin by bin, and channel by channel where noise is not correlated across channels, so that
+    slots come from memory once. first: number of the block's first row.
+    """
+    channels, weights, R = len(rows.measured), question.weights, work.R
+    E, wait = R[channels * D :], 0
+    for c in range(channels):
+        for d in range(c):
+            if weights[c, d] != 0.0:
+                wait = channels  # scores need the residuals of all channels
+    for at in range(0, count, question.bins):
+        n, bin = min(question.bins, count - at), (first + at) // question.bins
+        for turn in range(channels + wait):
+            if turn < channels:
+                subtract(rows, work, turn, at, n, question.factors, R[turn * D :])
+                sums.moments[turn] += dot(R[turn * D :], R[turn * D :], n)
+            c = turn - wait
+            if c >= 0:
+                E[:n] = 0.0
+                for d in range(channels):
+                    if weights[c, d] != 0.0:
+                        for k in range(n):
+                            E[k] += weights[c, d] * R[d * D + k]
+                score(rows, work, c, at, n, E, sums.scores[bin])
+
+
+@outer
+def sweep(robot, rows, signals, work, question, sums):
+    """All rows, block by block: the sums that have room, products or residuals or neither.
+
+    The last block stays in work.Z.
+    """
+    half = len(signals.weights) // 2
+    for first in range(0, signals.number, rows.block):
+        count = min(rows.block, signals.number - first)
+        centre = signals.start + first * signals.step
+        begin, end = centre - half, centre + (count - 1) * signals.step + half + 1
+        if half > 0:
+            work.Z[:] = 0.0
+            work.G[:] = 0.0
+        for at in range(begin, end, CHUNK if half > 0 else rows.block):
+            n = min(CHUNK, end - at) if half > 0 else count
+            fill(robot, rows, signals, at, n, work, work.Y if half > 0 else work.Z)
+            if half > 0:
+                estimate_mass(rows, signals, work, centre, count, at, n)
+        if signals.deadband > 0.0:
+            rest_joints(rows, signals, work, count, sums)
+        else:
+            for c in range(len(sums.used)):
+                sums.used[c] += count
+        if len(sums.products):
+            gram(rows, work, count, sums)
+        if len(question.factors):
+            residual(rows, work, count, first, question, sums)

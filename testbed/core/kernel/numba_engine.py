@@ -1,0 +1,167 @@
+"""The compiled kernel on a window of samples."""
+
+from __future__ import annotations
+
+import logging
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from threading import Lock
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.kernel.compiler import settings
+from testbed.core.kernel.gram import sweep as compiled
+from testbed.core.kernel.layout import Layout, layout
+from testbed.core.kernel.records import (
+    CHUNK,
+    SEEDS,
+    B,
+    Block,
+    D,
+    Question,
+    Signals,
+    Sums,
+    Work,
+    blocks,
+    products_wanted,
+    sensed,
+    sums_for,
+)
+from testbed.core.kernel.rows import BODY, SCREW, A
+from testbed.core.parameters.minimal_set import minimal_set
+from testbed.core.robot.inertia import NOTHING
+from testbed.core.robot.tree import Joint, Tree
+
+_compiling = Lock()
+_log = logging.getLogger(__name__)
+"""Python writes warnings to standard error unless a program says otherwise."""
+
+
+def workspace(layout: Layout, signals: Signals) -> Work:
+    """Room for one thread; serves every window of these filters."""
+    rows, links = layout.rows, len(layout.robot.place)
+    slots = rows.slots + layout.width + 1
+    filtered = len(signals.weights) > 1
+    reach = (CHUNK + len(signals.weights)) // signals.step + 12
+    work = Work(
+        U=_aligned(3 * links * B),
+        N=_aligned(B + signals.taps.shape[1]),
+        X=_aligned((int(layout.robot.place.max(initial=0)) + 1) * BODY),
+        V=_aligned((max(SEEDS, int(rows.target.max(initial=0)) + 1)) * SCREW),
+        T=_aligned(11 * D),
+        Y=_aligned(slots * D if filtered else 0),
+        H=_aligned(reach * D if filtered else 0),
+        G=_aligned(layout.width * ((len(signals.weights) - 1) // signals.step + 1) * D),
+        Z=_aligned(slots * D),
+        R=_aligned((layout.width + 1) * D),
+        squares=_aligned(1),
+    )
+    # what never changes: the bedplate's motion, and screws
+    work.X[A : A + 3 * B].reshape(3, B)[:] = layout.robot.ground[:, None]
+    work.V[: SEEDS * SCREW].reshape(SEEDS, 6, B)[:] = layout.robot.seeds[:, :, None]
+    return work
+
+
+def sweep(layout: Layout, signals: Signals, question: Question, work: Work) -> Sums:
+    """Products or residuals of a window's rows.
+
+    Args:
+        layout: The rows.
+        signals: The window.
+        question: What to find.
+        work: Room to work in.
+    """
+    sums = sums_for(layout.rows, signals, question, len(layout.basis))
+    work = work._replace(squares=sums.squares)
+    _call(layout.robot, layout.rows, _fixed(signals), work, question, sums)
+    return sums
+
+
+def fill_only(layout: Layout, signals: Signals, work: Work) -> Array:
+    """Rows alone, nothing made of them; the last block stays in the workspace.
+
+    Args:
+        layout: The rows.
+        signals: The window.
+        work: Room to work in.
+
+    Returns:
+        How many of each channel count, (channels,).
+    """
+    nothing = products_wanted(layout.width)
+    sums = sums_for(layout.rows, signals, nothing, len(layout.basis))
+    sums = sums._replace(products=np.empty(0))
+    _call(layout.robot, layout.rows, _fixed(signals), work, nothing, sums)
+    return sums.used
+
+
+def rows(layout: Layout, signals: Signals, work: Work) -> list[Block]:
+    """A window's rows.
+
+    Args:
+        layout: The rows.
+        signals: The window.
+        work: Room to work in.
+    """
+    found = []
+    for first, block in blocks(signals, layout.rows.block):
+        used = fill_only(layout, block, work)
+        z = work.Z.reshape(-1, D)[: layout.rows.slots, : block.number].copy()
+        found.append(Block(first, z, used))
+    return found
+
+
+def _aligned(size: int) -> Array:
+    """Zeros that begin where a cache line does: vectors then never straddle two."""
+    room = np.zeros(size + 7)
+    first = -(room.ctypes.data // 8) % 8
+    return room[first : first + size]
+
+
+def _call(*arguments: object) -> None:
+    """The first time in a thread of its own.
+
+    Compiling means millions of Python calls; deep in a stack, where a chunk of frames happens
+    to end, each of them may allocate and free one, which takes seconds in all.
+    """
+    if not compiled.overloads:
+        with _compiling:  # threads ask at once
+            if not compiled.overloads:
+                if not any(Path(compiled.stats.cache_path).glob(f"*.{compiled.__name__}-*.nbi")):
+                    _log.warning("compiling the kernel once, about 13 s")
+                with ThreadPoolExecutor(1) as pool:
+                    pool.submit(compiled, *arguments).result()
+                return
+    compiled(*arguments)
+
+
+def _fixed(signals: Signals) -> Signals:
+    """The same arrays, contiguous and read-only: one type, compiled once."""
+
+    def fixed(value: Array) -> Array:
+        array = np.ascontiguousarray(value, dtype=np.float64).view()
+        array.flags.writeable = False
+        return array
+
+    return signals._replace(
+        position=fixed(signals.position),
+        velocity=fixed(signals.velocity),
+        acceleration=fixed(signals.acceleration),
+        measured=fixed(signals.measured),
+        taps=fixed(signals.taps),
+        weights=fixed(signals.weights),
+        varying=fixed(signals.varying),
+    )
+
+
+def warm_up() -> str:
+    """Compile ahead of the first use; returns where the compiled code is kept."""
+    axis, eye = np.array([0.0, 0.0, 1.0]), np.eye(3)
+    joint = Joint("joint", "body", "revolute", -1, axis, np.zeros(3), eye)
+    tree = Tree("one joint", (joint,), (NOTHING,))
+    rows_of_it = layout(tree, minimal_set(tree, "dynamic"))
+    still = np.zeros((1, 1))
+    signals = sensed(still, still, still, 1)
+    sweep(rows_of_it, signals, products_wanted(1), workspace(rows_of_it, signals))
+    return str(settings.CACHE_DIR)

@@ -1,0 +1,490 @@
+"""Leaf to base: parameters are added into the carrying body; formulas with a model's lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from testbed.core.base.arrays import Array, skew
+from testbed.core.parameters.rules import NOTHING_KEPT, Model, Row, base_rule, mobilities, rule
+from testbed.core.parameters.symbols import (
+    STANDARD,
+    TENSOR,
+    UPPER,
+    Formula,
+    Label,
+    Symbol,
+    Term,
+    component_symbol,
+    to_standard,
+)
+from testbed.core.robot.tree import Joint, Tree
+
+ROUNDING = 1e-13
+"""Part of all rows that is rounding of zero, whatever is left of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Space:
+    """A row space of functionals on the 10 n barycentric parameters.
+
+    Attributes:
+        rows: (rank, 10 n), orthonormal.
+        gap: Ratio of the smallest singular value kept to the largest one dropped: how
+            clear the decision on the rank was.
+    """
+
+    rows: Array
+    gap: float
+
+    @property
+    def rank(self) -> int:
+        """Number of functionals."""
+        return len(self.rows)
+
+
+def row_space(rows: Array, tolerance: float, known_zero: NDArray[np.bool_] | None = None) -> Space:
+    """The space spanned by rows, (k, 10 n).
+
+    Args:
+        rows: Of any sizes; rows are not rescaled, so rounding of zero stays small.
+        tolerance: Singular values below this share of the largest count as zero.
+        known_zero: Parameters known to be zero, (n, 10), whose columns do not count;
+            default none.
+    """
+    rounding = ROUNDING * float(np.linalg.norm(rows))
+    if known_zero is not None:
+        rows = np.where(known_zero.ravel(), 0.0, rows)
+    if not rows.any():
+        return Space(np.zeros((0, rows.shape[1])), np.inf)
+    _, spread, directions = np.linalg.svd(rows, full_matrices=False)
+    rank = int(np.sum(spread > max(tolerance * spread[0], rounding)))
+    if rank == 0:
+        return Space(directions[:0], np.inf)
+    dropped = spread[rank] if rank < len(spread) else 0.0
+    return Space(directions[:rank], float(spread[rank - 1] / max(dropped, 1e-300)))
+
+
+def beyond(vector: Array, basis: Array) -> Array:
+    """The part of a vector that orthonormal rows, (k, N), do not span."""
+    for _ in range(2):  # twice is enough against rounding
+        vector = vector - basis.T @ (basis @ vector)
+    return vector
+
+
+def distance(a: Space, b: Space) -> float:
+    """Sine of the largest angle between two row spaces of one rank; 1 if the ranks differ."""
+    if a.rank != b.rank:
+        return 1.0
+    if a.rank == 0:
+        return 0.0
+    return float(np.linalg.norm(a.rows - (a.rows @ b.rows.T) @ b.rows, 2))
+
+
+NEW = 1e-8
+"""Part of a unit functional that must be left after projection for it to be a new one."""
+
+
+_INERTIA = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+
+
+@dataclass(frozen=True, eq=False)
+class SeenWrench:
+    """Functionals of composite j, at q = 0, that a measurement identifies; rows on (m, h, I).
+
+    Attributes:
+        aside: Identifiable whatever joint j's own acceleration and its weight at q = 0, (k, 10).
+        inertia: S_j . I_j S_j, the factor of qdd_j in row j, (10,).
+        weight: -g . I_j S_j with gravity g as it is at q = 0: the constant in row j, (10,).
+    """
+
+    aside: Array
+    inertia: Array
+    weight: Array
+
+    @property
+    def whole(self) -> Array:
+        """All of them, orthonormal, (k, 10)."""
+        return _span(np.vstack([self.aside, self.inertia, self.weight]))
+
+
+def recursive_space(
+    tree: Tree,
+    model: Model,
+    gravity: ArrayLike | None = None,
+    *,
+    tared: bool = False,
+    known_zero: NDArray[np.bool_] | None = None,
+) -> Space:
+    """What a measurement can identify, by the exact recursion.
+
+    Args:
+        tree: The robot; only its geometry matters.
+        model: "dynamic" for joint torques, "reaction" for the bedplate's wrench.
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+        tared: The bedplate's static wrench in one posture has been taken off.
+        known_zero: Barycentric parameters known to be zero, (n, 10); default none.
+    """
+    g = tree.gravity_or(gravity)
+    if tree.sensor is not None:
+        static = base_functionals(tree, g, tared=tared)
+    else:
+        static = _static(g) if model == "reaction" and not tared else np.zeros((0, 10))
+    seen = [each.whole for each in seen_wrenches(tree, model, g, static)]
+    if tree.sensor is not None:  # what leads to the base has no matter
+        seen[: tree.lead] = [np.zeros((0, 10))] * tree.lead
+        rows = _on_barycentric(tree, seen, static, tree.sensor_body)
+        return row_space(rows, NEW, known_zero)
+    return row_space(_on_barycentric(tree, seen, static), NEW, known_zero)
+
+
+def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> Iterator[SeenWrench]:
+    """What is identifiable of every composite body, from the bedplate outwards.
+
+    Args:
+        tree: The robot; only its geometry matters.
+        model: "dynamic" for joint torques, "reaction" for the bedplate's wrench.
+        gravity: (3,) [m/s^2], bedplate frame.
+        static: Functionals of all that stands on the bedplate that are identifiable, (k, 10).
+    """
+    free: list[Array] = [np.eye(6) if model == "reaction" else np.zeros((0, 6))]  # index j + 1
+    rest: list[Array] = [-np.concatenate([gravity, np.zeros(3)])]
+    known: list[Array] = [static]
+    for j, joint in enumerate(tree.joints):
+        screw, into, rate = _screw(joint), _twist_into(joint).T, _rate(joint)
+        turning, momentum = _ad(screw).T, _momentum(screw)
+        still = rest[joint.parent + 1] @ into
+        ahead = _closed(np.vstack([free[joint.parent + 1] @ into, still @ turning]), turning)
+        closure = _closed(known[joint.parent + 1] @ _composite_into(joint), rate)
+        aside = _span(np.vstack([ahead @ momentum, closure @ rate]))
+        here = SeenWrench(aside, screw @ momentum, still @ momentum)
+        yield here
+        free.append(_span(np.vstack([ahead, screw])))
+        rest.append(still)
+        is_base = tree.sensor is not None and j < tree.lead
+        known.append(static if is_base else _span(np.vstack([closure, here.whole])))
+
+
+def base_functionals(tree: Tree, gravity: Array, *, tared: bool) -> Array:
+    """What the wrench on a base identifies of its ten parameters, orthonormal, (k, 10).
+
+    The wrench is I a + v x* I v, with the base's velocity v and its acceleration a, less gravity.
+    Its second part is a combination of the six components of I v: what counts is in which
+    directions the joints before the base can move it, and gravity can point in its frame.
+
+    Args:
+        tree: The robot; its first joints lead to the base.
+        gravity: (3,) [m/s^2], bedplate frame.
+        tared: The static wrench in one posture has been taken off.
+    """
+    twists, changes = np.zeros((0, 6)), np.zeros((0, 6))
+    weight = -np.concatenate([gravity, np.zeros(3)])
+    for joint in tree.joints[: tree.lead]:
+        screw, into = _screw(joint), _twist_into(joint).T
+        turning = _ad(screw).T
+        weight = weight @ into
+        twists = _span(np.vstack([_closed(twists @ into, turning), screw]))
+        changes = _closed(np.vstack([changes @ into, weight @ turning]), turning)
+    pulls = changes if tared else np.vstack([changes, weight])
+    return _span(np.vstack([_momentum(twist) for twist in (*twists, *_span(pulls))]))
+
+
+def _on_barycentric(tree: Tree, seen: list[Array], static: Array, base: int = -1) -> Array:
+    """Functionals of composites as functionals of the barycentric parameters, (k, 10 n)."""
+    n = tree.n
+    composite = np.zeros((n + 1, 10, 10 * n))  # at q = 0; the last is the bedplate's
+    to_ours = _standard_from_barycentric(tree)
+    rows: list[Array] = []
+    for j in reversed(range(n)):
+        composite[j] += to_ours[10 * j : 10 * j + 10]
+        composite[tree.parents[j]] += _composite_into(tree.joints[j]) @ composite[j]
+        rows.insert(0, seen[j] @ composite[j])
+    rows.append(static @ composite[base])
+    return np.vstack(rows)
+
+
+def _standard_from_barycentric(tree: Tree) -> Array:
+    """(m, h, I) of every body, I in the order xx xy xz yy yz zz, from theta, (10 n, 10 n)."""
+    theta = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
+    in_our_order = [STANDARD.index(name) for name in ("m", "mx", "my", "mz", *_INERTIA)]
+    return to_standard(tree, theta)[:, in_our_order].reshape(10 * tree.n, -1)
+
+
+def _screw(joint: Joint) -> Array:
+    """Unit twist of a joint in its own frame, linear part first, (6,)."""
+    nothing = np.zeros(3)
+    parts = (nothing, joint.axis) if joint.revolute else (joint.axis, nothing)
+    return np.concatenate(parts)
+
+
+def _ad(screw: Array) -> Array:
+    """The operator ad of a twist on twists, linear part first, (6, 6)."""
+    v, w = skew(screw[:3]), skew(screw[3:])
+    return np.block([[w, v], [np.zeros((3, 3)), w]])
+
+
+def _twist_into(joint: Joint) -> Array:
+    """Twists of frame i seen in frame j at q = 0, (6, 6)."""
+    back = joint.rotation.T
+    return np.block([[back, -back @ skew(joint.offset)], [np.zeros((3, 3)), back]])
+
+
+def _momentum(screw: Array) -> Array:
+    """The six components of I_j S_j as functionals of (m, h, I), (6, 10)."""
+    v, w = screw[:3], screw[3:]
+    linear = np.concatenate([v[:, None], skew(w), np.zeros((3, 6))], axis=1)
+    angular = np.concatenate(
+        [np.zeros((3, 1)), -skew(v), np.einsum("abk,b->ak", TENSOR, w)], axis=1
+    )
+    return np.vstack([linear, angular])
+
+
+def _composite_into(joint: Joint) -> Array:
+    """(m, h, I) of composite j in frame i at q = 0, (10, 10)."""
+    turn, l = joint.rotation, joint.offset
+    moved = np.zeros((10, 10))
+    moved[0, 0] = 1.0
+    moved[1:4, 0], moved[1:4, 1:4] = l, turn
+    moved[4:, 0] = (-skew(l) @ skew(l))[UPPER]
+    for k in range(3):
+        lever = skew(turn[:, k])
+        moved[4:, 1 + k] = -(skew(l) @ lever + lever @ skew(l))[UPPER]
+    for k in range(6):
+        moved[4:, 4 + k] = (turn @ TENSOR[:, :, k] @ turn.T)[UPPER]
+    return moved
+
+
+def _rate(joint: Joint) -> Array:
+    """d/dq at q = 0 of (m, h, I) of composite j, about the frame it is moved from, (10, 10)."""
+    e = skew(joint.axis)
+    rate = np.zeros((10, 10))
+    if joint.revolute:
+        rate[1:4, 1:4] = e
+        for k in range(6):
+            unit = TENSOR[:, :, k]
+            rate[4:, 4 + k] = (e @ unit - unit @ e)[UPPER]
+        return rate
+    rate[1:4, 0] = joint.axis
+    for k in range(3):
+        lever = skew(np.eye(3)[k])
+        rate[4:, 1 + k] = -(e @ lever + lever @ e)[UPPER]
+    return rate
+
+
+def _static(gravity: Array) -> Array:
+    """The static wrench's functionals: mass, and two first moments normal to gravity."""
+    if not gravity.any():
+        return np.zeros((0, 10))
+    rows = np.zeros((4, 10))
+    rows[0, 0] = 1.0
+    rows[1:, 1:4] = skew(gravity / np.linalg.norm(gravity))
+    return _span(rows)
+
+
+def _closed(rows: Array, operator: Array) -> Array:
+    """The smallest space that holds `rows` and is mapped into itself by `operator`."""
+    space = _span(rows)
+    while True:
+        larger = _span(np.vstack([space, space @ operator]))
+        if len(larger) == len(space):
+            return space
+        space = larger
+
+
+def _span(rows: Array) -> Array:
+    """An orthonormal basis of the row space, (rank, columns).
+
+    Rows are not rescaled: they are of order one, or rounding of zero, and rescaled
+    rounding would count.
+    """
+    if not rows.any():
+        return rows[:0]
+    _, spread, directions = np.linalg.svd(rows, full_matrices=False)
+    return directions[: int(np.sum(spread > NEW * max(1.0, spread[0])))]
+
+
+_UPPER = tuple(zip(*UPPER, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """One body after regrouping.
+
+    Attributes:
+        row: What stays with it.
+        passing: What it passes to its carrier, per unit and per component of the offset:
+            (4, 10, 10), carrier's ten from own ten, for (1, lx, ly, lz).
+        gain: The same with the model's offset, (10, 10).
+    """
+
+    row: Row
+    passing: Array
+    gain: Array
+
+
+def regroup(tree: Tree, model: Model, gravity: Array, *, tared: bool = False) -> tuple[Body, ...]:
+    """Apply the rules to every joint.
+
+    Args:
+        tree: The robot.
+        model: "dynamic" for joint torques, "reaction" for the bedplate's wrench.
+        gravity: In the bedplate frame, (3,) [m/s^2].
+        tared: The static wrench in one posture has been taken off.
+    """
+    bodies = []
+    for j, (joint, ahead) in enumerate(zip(tree.joints, mobilities(tree, gravity), strict=True)):
+        if j < tree.massless:
+            row = NOTHING_KEPT
+        elif j == tree.lead - 1:
+            row = base_rule(base_functionals(tree, gravity, tared=tared))
+        else:
+            row = rule(joint, ahead, model)
+        passing = migration(joint, row)
+        gain = np.tensordot(np.concatenate([[1.0], joint.offset]), passing, 1)
+        bodies.append(Body(row, passing, gain))
+    return tuple(bodies)
+
+
+def redefined_parameters(tree: Tree, bodies: Sequence[Body]) -> Array:
+    """The redefined parameters of every body on the barycentric ones, (n, 10, 10 n).
+
+    From the tips to the base; dense, so its size grows with the square of the number of
+    bodies.
+    """
+    redefined = np.zeros((tree.n, 10, 10 * tree.n))
+    for j in reversed(range(tree.n)):
+        redefined[j, range(10), range(10 * j, 10 * j + 10)] += 1.0
+        if tree.parents[j] >= 0:
+            redefined[tree.parents[j]] += bodies[j].gain @ redefined[j]
+    return redefined
+
+
+def migration(joint: Joint, row: Row) -> Array:
+    """What body i gains from the ten redefined parameters of body j, (4, 10, 10).
+
+    With b the migrating part of mb^j in frame i: mb*^i = mb^i + b and
+    K*^i = K^i + (migrating part of K^j) - (l~ b~ + b~ l~), where
+    l~ b~ + b~ l~ = b l' + l b' - 2 (l . b) 1.
+    """
+    if row.tensor == "none":
+        return np.zeros((4, 10, 10))
+    turn = joint.rotation
+    b = turn @ row.passed  # (3, 3): b = this times mb^j
+    gains = np.zeros((4, 10, 10))
+    gains[0, 1:4, 1:4] = b
+    if row.tensor == "all":
+        tensor = np.einsum("ac,cdk,bd->abk", turn, TENSOR, turn)
+    else:
+        e = joint.carried_axis
+        mean = (
+            np.einsum("aak->k", TENSOR) - np.einsum("a,abk,b->k", joint.axis, TENSOR, joint.axis)
+        ) / 2
+        tensor = np.multiply.outer(np.eye(3) - np.outer(e, e), mean)
+    gains[0, 4:, 4:] = [tensor[a, c] for a, c in _UPPER]
+    for x in range(3):  # offset along axis x
+        l = np.eye(3)[x]
+        moved = (
+            2 * np.multiply.outer(np.eye(3), b[x])
+            - np.einsum("ak,b->abk", b, l)
+            - np.einsum("a,bk->abk", l, b)
+        )
+        gains[1 + x, 4:, 1:4] = [moved[a, c] for a, c in _UPPER]
+    gains[np.abs(gains) < 1e-15] = 0.0
+    return gains
+
+
+NEGLIGIBLE = 1e-12
+"""Coefficients below this are not printed: rounding of zero, an axis turned by a quarter."""
+
+Lengths = Literal["symbols", "numbers"]
+
+
+@dataclass(frozen=True, eq=False)
+class Namer:
+    """Formulas of the redefined parameters of a regrouped tree.
+
+    Attributes:
+        tree: The robot.
+        bodies: Its bodies after regrouping.
+        known_zero: Which of the barycentric parameters are known to be zero, (n, 10).
+        lengths: Whether offsets are printed as symbols or as numbers.
+    """
+
+    tree: Tree
+    bodies: Sequence[Body]
+    known_zero: NDArray[np.bool_]
+    lengths: Lengths = "symbols"
+
+    @cached_property
+    def present(self) -> NDArray[np.bool_]:
+        """Which of the redefined parameters are not zero, (n, 10)."""
+        present = ~self.known_zero
+        for j in reversed(range(self.tree.n)):
+            if self.tree.parents[j] >= 0:
+                gained = (self.bodies[j].gain[:, present[j]] != 0).any(axis=1)
+                present[self.tree.parents[j]] |= gained
+        return present
+
+    def component(self, body: int, component: int) -> Symbol:
+        """One of the ten redefined parameters of a body."""
+        return component_symbol(body, component, star=bool(self.tree.children(body)))
+
+    def redefinition(self, body: int, component: int) -> Formula:
+        """The formula of one of the ten redefined parameters of a body."""
+        left = Label((Term(self.component(body, component)),))
+        return self.formula(left, body, np.eye(10)[component])
+
+    def formula(self, left: Label, body: int, form: Array) -> Formula:
+        """`left` = the form of body `body`: own parameters and what its children pass on.
+
+        Body -1 is the bedplate, whose own parameters do not count; of its children's
+        masses it holds the sum and, at their offsets, the first moment.
+        """
+        terms: list[Term] = []
+        if body >= 0:
+            for c in np.flatnonzero(np.abs(form) > NEGLIGIBLE):
+                if not self.known_zero[body, c]:
+                    weight = ((float(form[c]), None),)
+                    terms.append(Term(component_symbol(body, int(c)), weight))
+        for child in self.tree.children(body):
+            weights = np.tensordot(form, self.bodies[child].passing, (0, 1))  # (4, 10)
+            if body < 0:
+                weights[0, 0] += form[0]
+                weights[1:, 0] += form[1:4]
+            for c in np.flatnonzero(np.abs(weights).max(axis=0) > NEGLIGIBLE):
+                factor = self._factor(weights[:, c], body, child)
+                if factor and self.present[child, c]:
+                    terms.append(Term(self.component(child, int(c)), factor))
+        return Formula(left, tuple(terms))
+
+    def _factor(
+        self, weights: Array, body: int, child: int
+    ) -> tuple[tuple[float, Symbol | None], ...]:
+        """The weights of 1, lx, ly, lz with their lengths; () if they vanish with these."""
+        offset = self.tree.joints[child].offset
+        if self.lengths == "numbers":
+            value = float(weights[0] + weights[1:] @ offset)
+            return ((value, None),) if abs(value) > NEGLIGIBLE else ()
+        factor: list[tuple[float, Symbol | None]] = []
+        if abs(weights[0]) > NEGLIGIBLE:
+            factor.append((float(weights[0]), None))
+        for weight, axis, length in zip(weights[1:], "xyz", offset, strict=True):
+            if min(abs(weight), abs(length)) > NEGLIGIBLE:
+                factor.append((float(weight), length_symbol(body, child, axis)))
+        return tuple(factor)
+
+
+def length_symbol(body: int, child: int, axis: str) -> Symbol:
+    """A component of the offset from a body to one it carries: l23z, l9_10z.
+
+    Args:
+        body: Index of the carrying body, -1 for the bedplate.
+        child: Index of the body it carries.
+        axis: "x", "y" or "z" of the carrying body.
+    """
+    return Symbol("l", (body + 1, child + 1), axis)

@@ -1,0 +1,452 @@
+"""The rules: which parameters of a body stay, given how the body that carries it can move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.parameters.symbols import PARTS, TENSOR_INDEX, UPPER
+from testbed.core.robot.tree import Joint, Tree
+
+ALIGNED = 1e-9
+"""Sine below which two directions count as parallel; also [m] for points on a line."""
+
+TINY = 1e-9
+"""Of unit forms: rounding of zero."""
+
+Rotation = Literal["none", "along", "across", "free"]
+
+
+@dataclass(frozen=True, eq=False)
+class Mobility:
+    """What joint j's carrying body i can do, seen from the joint.
+
+    Attributes:
+        rotation: "none": body i never turns; "along": it turns only about directions
+            parallel to the joint axis; "across": only about one direction, not parallel
+            to the axis; "free": about more than one direction.
+        direction: The one direction w, frame i, (3,); None unless "along" or "across".
+        at_rest: xdd^j stays parallel to the joint axis in every motion, and so does gravity.
+        pivot: Without gravity, the distance s along the axis from O^j to a point that
+            never moves; None if there is no such point [m].
+    """
+
+    rotation: Rotation
+    direction: Array | None
+    at_rest: bool
+    pivot: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """A line in the bedplate frame at q = 0, or one direction of lines (no point)."""
+
+    direction: Array
+    point: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """What is known of a body from the joints up to its own.
+
+    Attributes:
+        turn: From its frame to the bedplate's, q = 0.
+        origin: O^j in the bedplate frame, q = 0.
+        spins: How it can turn: not at all (None), about one direction, or freely.
+        screw: The line along and about which all its joints move; None if there are
+            none, "no" if there is no such line.
+        pivot: The line or point which none of its joints moves, if all are revolute; None
+            if there are none, "no" if there is no such thing.
+    """
+
+    turn: Array
+    origin: Array
+    spins: Array | Literal["free"] | None
+    screw: _Line | Literal["no"] | None
+    pivot: _Line | Array | Literal["no"] | None
+
+
+_BEDPLATE = _Body(np.eye(3), np.zeros(3), None, None, None)
+
+
+def parallel(a: Array, b: Array) -> bool:
+    """Whether two vectors are parallel or one of them is zero."""
+    scale = float(np.sqrt((a @ a) * (b @ b)))
+    return _off(a, b) <= ALIGNED * scale
+
+
+def mobilities(tree: Tree, gravity: Array) -> tuple[Mobility, ...]:
+    """The mobility ahead of every joint.
+
+    Args:
+        tree: The robot.
+        gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2].
+    """
+    bodies: list[_Body] = []
+    found: list[Mobility] = []
+    weightless = not gravity.any()
+    for joint in tree.joints:
+        carrier = bodies[joint.parent] if joint.parent >= 0 else _BEDPLATE
+        body = _placed(joint, carrier)
+        axis = body.turn @ joint.axis
+        found.append(_mobility(carrier, body.origin, axis, gravity))
+        bodies.append(_moved(joint, carrier, body, axis, weightless))
+    return tuple(found)
+
+
+def _placed(joint: Joint, carrier: _Body) -> _Body:
+    turn = carrier.turn @ joint.rotation
+    return replace(carrier, turn=turn, origin=carrier.origin + carrier.turn @ joint.offset)
+
+
+def _mobility(carrier: _Body, origin: Array, axis: Array, gravity: Array) -> Mobility:
+    rotation: Rotation
+    direction = None
+    if carrier.spins is None:
+        rotation = "none"
+    elif isinstance(carrier.spins, str):
+        rotation = "free"
+    else:
+        rotation = "along" if parallel(carrier.spins, axis) else "across"
+        direction = carrier.turn.T @ carrier.spins
+    screw = carrier.screw
+    steady = screw is None or (
+        isinstance(screw, _Line)
+        and parallel(screw.direction, axis)
+        and (screw.point is None or _off(screw.point - origin, axis) <= ALIGNED)
+    )
+    pivot = None if gravity.any() else _pivot(carrier.pivot, origin, axis)
+    return Mobility(rotation, direction, steady and parallel(gravity, axis), pivot)
+
+
+def _moved(joint: Joint, carrier: _Body, body: _Body, axis: Array, weightless: bool) -> _Body:
+    """What is known of body j, from body i and joint j."""
+    spins, screw = carrier.spins, carrier.screw
+    if joint.revolute:
+        if spins is None:
+            spins = axis
+        elif not isinstance(spins, str) and not parallel(spins, axis):
+            spins = "free"
+    here = body.origin if joint.revolute else None
+    if screw is None:
+        screw = _Line(axis, here)
+    elif isinstance(screw, _Line):
+        screw = _common(screw, axis, here)
+    pivot = _fixed(joint, carrier.pivot, body.origin, axis) if weightless else "no"
+    return replace(body, spins=spins, screw=screw, pivot=pivot)
+
+
+def _common(screw: _Line, axis: Array, here: Array | None) -> _Line | Literal["no"]:
+    """The line of the joints ahead, if joint j keeps to it; a slide has no point (None)."""
+    if not parallel(screw.direction, axis):
+        return "no"
+    if here is None or screw.point is None:
+        return _Line(axis, screw.point if here is None else here)
+    return screw if _off(screw.point - here, axis) <= ALIGNED else "no"
+
+
+def _fixed(
+    joint: Joint, ahead: _Line | Array | Literal["no"] | None, origin: Array, axis: Array
+) -> _Line | Array | Literal["no"] | None:
+    """What neither the joints ahead nor joint j move."""
+    if not joint.revolute or isinstance(ahead, str):
+        return "no"
+    if ahead is None:
+        return _Line(axis, origin)
+    if isinstance(ahead, _Line) and parallel(ahead.direction, axis):
+        assert ahead.point is not None
+        return ahead if _off(ahead.point - origin, axis) <= ALIGNED else "no"
+    s = _pivot(ahead, origin, axis)
+    return "no" if s is None else origin + s * axis
+
+
+def _pivot(ahead: _Line | Array | Literal["no"] | None, origin: Array, axis: Array) -> float | None:
+    """Where axis j meets what the joints ahead leave fixed: distance from O^j [m]."""
+    if ahead is None or isinstance(ahead, str):
+        return None
+    if isinstance(ahead, _Line):
+        assert ahead.point is not None
+        normal = np.cross(ahead.direction, axis)
+        if float(np.sqrt(normal @ normal)) <= ALIGNED:
+            return None
+        gap = ahead.point - origin
+        s = float(np.cross(gap, ahead.direction) @ np.cross(axis, ahead.direction))
+        s /= float(normal @ normal)
+        return s if _off(gap - s * axis, ahead.direction) <= ALIGNED else None
+    gap = ahead - origin
+    return float(gap @ axis) if _off(gap, axis) <= ALIGNED else None
+
+
+def _off(a: Array, b: Array) -> float:
+    """Length of a x b."""
+    x = a[1] * b[2] - a[2] * b[1]
+    y = a[2] * b[0] - a[0] * b[2]
+    z = a[0] * b[1] - a[1] * b[0]
+    return float(np.sqrt(x * x + y * y + z * z))
+
+
+Model = Literal["dynamic", "reaction"]
+
+
+REASONS = {
+    "2.1": "prismatic; its parent rotates about several directions",
+    "2.2": "prismatic; its parent rotates about one direction only, not along the joint axis",
+    "2.3": "prismatic; its parent rotates about the joint axis only, or not at all",
+    "3.1": "prismatic; its parent rotates about several directions",
+    "3.2": "prismatic; its parent rotates about one direction only, not along the joint axis",
+    "3.3": "prismatic; its parent rotates about the joint axis only, or not at all",
+    "4.1": "revolute; its parent also rotates about a non-parallel axis",
+    "4.2": "revolute; its parent rotates about the joint axis only, or not at all",
+    "4.3": "revolute; its parent rotates about the joint axis only, not accelerated across it",
+    "4.4": "revolute; its parent also rotates about a non-parallel axis, about one fixed point",
+    "5.1": "revolute; its parent also rotates about a non-parallel axis",
+    "5.2": "revolute; its parent rotates about the joint axis only, or not at all",
+    "free": "the base beyond a force sensor, or of a robot with a free root",
+    "none": "a joint before the force sensor or a coordinate of a free base, without mass",
+    "base": "the static wrench of all that stands on the bedplate",
+}
+"""Why a parameter is in the set: what the joint does, by table and row."""
+
+
+@dataclass(frozen=True, eq=False)
+class Triad:
+    """Three orthonormal directions of a body, and the letters that name components along them.
+
+    Attributes:
+        axes: As rows, (3, 3); the last is the direction that the first two stand across.
+        letters: x, y, z in some order where the axes are the body's own, else u, v, w.
+    """
+
+    axes: Array
+    letters: tuple[str, str, str]
+
+    @property
+    def inclined(self) -> bool:
+        """Whether the axes are others than the body's own."""
+        return self.letters == ("u", "v", "w")
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """One parameter kept: a linear form of body j's ten redefined parameters.
+
+    Attributes:
+        terms: What it is the sum of: factor, head ("mbar", "mb", "K") and component, such as
+            "y" or "yz" in the row's triad; "d" for half a difference.
+        form: Coefficients on the ten parameters, (10,).
+        direction: Ten parameters for which this form is 1, every other form kept for the
+            joint 0, and nothing migrates, (10,).
+        axial: Whether it is the inertia that the joint itself moves: K_ee, or mbar.
+    """
+
+    terms: tuple[tuple[float, str, str], ...]
+    form: Array
+    direction: Array
+    axial: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One row of a table.
+
+    Attributes:
+        number: Table and row, a key of REASONS.
+        kept: The parameters kept for the joint, in printing order.
+        passed: Projector onto the part of mb^j that migrates, frame j, (3, 3).
+        tensor: How K^j migrates: "all" of it, or the "mean" of the two moments across
+            the axis, K_s of eq. (37); or "none".
+        triad: What components are named after, frame j.
+    """
+
+    number: str
+    kept: tuple[Kept, ...]
+    passed: Array
+    tensor: Literal["all", "mean", "none"]
+    triad: Triad
+
+
+def base_rule(functionals: Array) -> Row:
+    """The row of a base that moves and whose wrench is measured: all ten where it moves freely.
+
+    Args:
+        functionals: What the wrench identifies of the base's ten parameters, (k, 10).
+    """
+    forms = _echelon(functionals)
+    kept = tuple(
+        Kept(
+            tuple((round(float(form[c]), 4), *PARTS[c]) for c in (lead, *_others(form, lead))),
+            form,
+            np.eye(10)[lead],
+        )
+        for lead, form in sorted(forms.items())
+    )
+    return Row("free", kept, np.zeros((3, 3)), "none", _OWN)
+
+
+def _echelon(rows: Array) -> dict[int, Array]:
+    """Rows of the same space, each 1 at a place of its own where the others are 0.
+
+    Second moments lead before first ones, these before the mass.
+    """
+    rows, found = rows.copy(), dict[int, Array]()
+    for column in (*range(4, 10), 1, 2, 3, 0):
+        if not len(rows) or np.abs(rows[:, column]).max() < TINY:
+            continue
+        first = int(np.argmax(np.abs(rows[:, column])))
+        pivot = rows[first] / rows[first, column]
+        rows = np.delete(rows, first, axis=0)
+        rows -= np.outer(rows[:, column], pivot)
+        found = {at: row - row[column] * pivot for at, row in found.items()} | {column: pivot}
+    return {at: np.where(np.abs(row) < TINY, 0.0, row) for at, row in found.items()}
+
+
+def _others(form: Array, lead: int) -> list[int]:
+    return [int(c) for c in np.flatnonzero(form) if c != lead]
+
+
+def rule(joint: Joint, mobility: Mobility, model: Model) -> Row:
+    """The row that applies to a joint."""
+    table = {
+        (False, "dynamic"): _table2,
+        (False, "reaction"): _table3,
+        (True, "dynamic"): _table4,
+        (True, "reaction"): _table5,
+    }[joint.revolute, model]
+    return table(joint, mobility)
+
+
+def _table2(joint: Joint, mobility: Mobility) -> Row:
+    """Prismatic, joint torques."""
+    mass = _mass()
+    if mobility.rotation == "free":
+        return Row("2.1", (mass, *_moments(_OWN, 3)), np.zeros((3, 3)), "all", _OWN)
+    if mobility.rotation == "across":
+        assert mobility.direction is not None
+        w = joint.rotation.T @ mobility.direction
+        triad = across(w)
+        return Row("2.2", (mass, *_moments(triad, 2)), np.outer(w, w), "all", triad)
+    return Row("2.3", (mass,), np.eye(3), "all", _OWN)
+
+
+def _table3(joint: Joint, mobility: Mobility) -> Row:
+    """Prismatic, bedplate reaction."""
+    mass = _mass()
+    if mobility.rotation in ("free", "across"):
+        number = "3.1" if mobility.rotation == "free" else "3.2"
+        return Row(number, (mass, *_moments(_OWN, 3)), np.zeros((3, 3)), "all", _OWN)
+    triad = across(joint.axis)
+    passed = np.outer(joint.axis, joint.axis)
+    return Row("3.3", (mass, *_moments(triad, 2)), passed, "all", triad)
+
+
+def _table4(joint: Joint, mobility: Mobility) -> Row:
+    """Revolute, joint torques."""
+    triad = across(joint.axis)
+    moments, axial, difference, oblique, product = _about_axis(triad)
+    passed = np.outer(joint.axis, joint.axis)
+    if mobility.rotation in ("none", "along"):
+        if mobility.at_rest:
+            return Row("4.3", (axial,), passed, "mean", triad)
+        return Row("4.2", (*moments, axial), passed, "mean", triad)
+    if mobility.pivot is None:
+        kept = (*moments, axial, difference, *oblique, product)
+        return Row("4.1", kept, passed, "mean", triad)
+    about_pivot = tuple(
+        _sum(k, mobility.pivot, mb) for k, mb in zip(oblique, reversed(moments), strict=True)
+    )
+    return Row("4.4", (axial, difference, *about_pivot, product), passed, "mean", triad)
+
+
+def _table5(joint: Joint, mobility: Mobility) -> Row:
+    """Revolute, bedplate reaction."""
+    triad = across(joint.axis)
+    moments, axial, difference, oblique, product = _about_axis(triad)
+    passed = np.outer(joint.axis, joint.axis)
+    if mobility.rotation in ("none", "along"):
+        return Row("5.2", (*moments, axial, *oblique), passed, "mean", triad)
+    kept = (*moments, axial, difference, *oblique, product)
+    return Row("5.1", kept, passed, "mean", triad)
+
+
+def _mass() -> Kept:
+    unit = np.eye(10)[0]
+    return Kept(((1.0, "mbar", ""),), unit, unit, axial=True)
+
+
+def _moments(triad: Triad, count: int) -> tuple[Kept, ...]:
+    """Components of mb^j along the first directions of a triad."""
+    forms = np.pad(triad.axes[:count], ((0, 0), (1, 6)))
+    return tuple(
+        Kept(((1.0, "mb", letter),), form, form)
+        for letter, form in zip(triad.letters[:count], forms, strict=True)
+    )
+
+
+def _about_axis(
+    triad: Triad,
+) -> tuple[tuple[Kept, ...], Kept, Kept, tuple[Kept, Kept], Kept]:
+    """What a revolute joint with axis e can keep, in the triad (u, v, e).
+
+    Returns:
+        (mb_u, mb_v), K_ee, 2 K_d = K_uu - K_vv, (K_ve, K_ue), K_uv.
+    """
+    (u, v, e), (p, q, r) = triad.axes, triad.letters
+    spread = _tensor_form(u, u) - _tensor_form(v, v)
+    half = (_tensor_part(u, u) - _tensor_part(v, v)) / 2
+    difference = Kept(((2.0, "K", "d"),), spread, half)
+    axial = Kept(((1.0, "K", r + r),), _tensor_form(e, e), _tensor_part(e, e), axial=True)
+    oblique = _product(v, e, q + r), _product(u, e, p + r)
+    return _moments(triad, 2), axial, difference, oblique, _product(u, v, p + q)
+
+
+def _product(a: Array, b: Array, letters: str) -> Kept:
+    """K_ab; its letters in the order of the alphabet."""
+    form, direction = _tensor_form(a, b), _tensor_part(a, b) + _tensor_part(b, a)
+    return Kept(((1.0, "K", "".join(sorted(letters))),), form, direction)
+
+
+def _sum(k: Kept, s: float, mb: Kept) -> Kept:
+    """K_ae + s mb_a: a product of inertia about the pivot."""
+    if abs(s) <= ALIGNED:
+        return k
+    moment = tuple((s * factor, head, letter) for factor, head, letter in mb.terms)
+    return Kept((*k.terms, *moment), k.form + s * mb.form, k.direction)
+
+
+def across(axis: Array) -> Triad:
+    """A triad whose last direction is the unit vector `axis`.
+
+    Frame axes where `axis` is one, so that the parameters are the body's own components.
+    """
+    strongest = int(np.argmax(np.abs(axis)))
+    if np.linalg.norm(np.delete(axis, strongest)) <= ALIGNED:
+        first, second = (k for k in range(3) if k != strongest)
+        axes = np.array([np.eye(3)[first], np.eye(3)[second], axis])
+        return Triad(axes, ("xyz"[first], "xyz"[second], "xyz"[strongest]))
+    u = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
+    u /= np.linalg.norm(u)
+    return Triad(np.array([u, np.cross(axis, u), axis]), ("u", "v", "w"))
+
+
+_OWN = Triad(np.eye(3), ("x", "y", "z"))
+
+NOTHING_KEPT = Row("none", (), np.zeros((3, 3)), "none", _OWN)
+"""Of what leads to a base and has no matter."""
+
+
+def _tensor_form(a: Array, b: Array) -> Array:
+    """The form a . K b on the ten parameters, (10,)."""
+    form = np.zeros(10)
+    for r in range(3):
+        for c in range(3):
+            form[4 + TENSOR_INDEX[r][c]] += a[r] * b[c]
+    return form
+
+
+def _tensor_part(a: Array, b: Array) -> Array:
+    """Ten parameters whose tensor is the symmetric part of a b', doubled if a is not b, (10,)."""
+    tensor = (np.outer(a, b) + np.outer(b, a)) / 2
+    return np.concatenate([np.zeros(4), tensor[UPPER]])

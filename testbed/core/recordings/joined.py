@@ -1,0 +1,132 @@
+"""Several recordings of one robot as one source, with gaps between them; those of a mapping."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.core.base.diagnostics import Diagnostic, of_recording
+from testbed.core.base.errors import RecordingError
+from testbed.core.recordings.columns import COUNTED, check_columns
+from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.source import Source, counted
+from testbed.importing.convert import converted_pieces, naming
+from testbed.importing.mapping import Mapping, read_mapping
+
+SAME_RATE = 1e-3
+"""Relative difference of sampling rates that are one."""
+
+LEAST_GAP = 16
+"""Samples between two recordings, and a second at least: more rows than noise remembers."""
+
+
+class Joined:
+    """Recordings one after the other, none of which knows of the others.
+
+    Attributes:
+        names: Joint names, in the order of the first.
+        samples: Number of samples, those of the gaps counted.
+        rate: Samples a second [Hz].
+        tare: As `Recording.tare`: the first one's; the others' wrenches are changed accordingly.
+        facts: The first one's, with all diagnostics.
+        signals: What all of them measured.
+        senses_kinematics: Whether all sensed velocities and accelerations, both.
+        segments: First sample of each, and the one after its last.
+    """
+
+    def __init__(self, parts: Sequence[Source]) -> None:
+        """Recordings of one robot at one rate.
+
+        Args:
+            parts: In any order; nothing is said of what happened between them.
+
+        Raises:
+            RecordingError: They do not belong together.
+        """
+        self._parts = tuple(counted(part) for part in parts)
+        first = self._parts[0]
+        _check_alike(self._parts)
+        self.names, self.rate, self.tare = first.names, first.rate, first.tare
+        self.signals = tuple(s for s in first.signals if all(s in p.signals for p in parts))
+        self.senses_kinematics = all(part.senses_kinematics for part in parts)
+        gap, at, found = max(LEAST_GAP, round(first.rate)), 0, []
+        for part in self._parts:
+            found.append((at, at + part.samples))
+            at += part.samples + gap
+        self.segments, self.samples = tuple(found), at - gap
+        said = dict.fromkeys(each for part in self._parts for each in of_recording(part.facts))
+        facts = {k: fact for k, fact in first.facts.items() if k != COUNTED}
+        self.facts: dict[str, Any] = {**facts, "diagnostics": [d.as_dict() for d in said]}
+
+    def part(self, first: int, last: int) -> Recording:
+        """Samples `first` to `last` - 1, all of one recording, without the truth."""
+        for part, (begin, end) in zip(self._parts, self.segments, strict=True):
+            if begin <= first and last <= end:
+                found = part.part(first - begin, last - begin)
+                changed: dict[str, Any] = {"tare": self.tare}
+                if found.wrench is not None and part.tare is not None and self.tare is not None:
+                    changed["wrench"] = found.wrench - part.tare + self.tare
+                changed |= dict.fromkeys(s for s in found.signals if s not in self.signals)
+                changed["time"] = np.asarray(found.time) - found.time[0] + first / self.rate
+                return replace(found, **changed)
+        raise ValueError(f"samples {first} to {last} are not of one recording")
+
+
+def joined(parts: Sequence[Source]) -> Source:
+    """Recordings of one robot as one source; a single one as it is.
+
+    Args:
+        parts: One or more.
+
+    Raises:
+        RecordingError: They do not belong together.
+    """
+    return parts[0] if len(parts) == 1 else Joined(parts)
+
+
+def _check_alike(parts: Sequence[Source]) -> None:
+    """Whether recordings are of one robot under one gravity, at one rate, and state the tare."""
+    first = parts[0]
+    for k, other in enumerate(parts[1:], start=2):
+        if sorted(other.names) != sorted(first.names):
+            raise RecordingError(
+                f"recording {k} is of another robot than the first: it has the joints "
+                f"{', '.join(other.names)}, the first has {', '.join(first.names)}"
+            )
+        if abs(other.rate - first.rate) > SAME_RATE * first.rate:
+            raise RecordingError(
+                f"recording {k} has {other.rate:g} samples a second, the first has "
+                f"{first.rate:g}: import them at one rate"
+            )
+        for what in ("gravity", "geometry"):
+            if other.facts.get(what) != first.facts.get(what):
+                raise RecordingError(f"recording {k} has another {what} than the first")
+        if (other.tare is None) != (first.tare is None):
+            raise RecordingError(
+                f"recording {k} and the first do not both say what of the wrench is the pedestal's"
+            )
+
+
+def pieces(
+    path: Path, mapping: Mapping | None = None
+) -> tuple[tuple[Recording, ...], list[Diagnostic]]:
+    """The recordings that a mapping file makes, in the order of time, and where it was cut.
+
+    Args:
+        path: The mapping file.
+        mapping: What it says; default what is in it.
+
+    Raises:
+        ExperimentError: The mapping is not understood.
+        RecordingError: A file is missing or damaged, or does not hold what the mapping says.
+    """
+    with naming(path, mapping := mapping or read_mapping(path)):
+        found, said = converted_pieces(mapping, path.parent)
+        made = [Recording.from_columns(each.columns, each.metadata, str(path)) for each in found]
+        for recording in made:
+            check_columns(recording.columns(), str(path))
+    return tuple(made), said

@@ -1,0 +1,348 @@
+"""A recording: what the instrument measured, and, walled off, what really happened.
+
+Wrench    of the bedplate on the robot, force first, bedplate axes, moment about O^0
+Times     of the first instant of each sample
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.core.base.arrays import Array, readonly
+from testbed.core.base.errors import RecordingError
+from testbed.core.base.files import replacing
+from testbed.core.recordings.columns import (
+    JOINT_SIGNALS,
+    SIGNALS,
+    TRUE_JOINT_SIGNALS,
+    TRUE_SIGNALS,
+    check_columns,
+    check_sampling_time,
+    checked_metadata,
+    joints_in,
+    members_of,
+    sensors_in,
+    signal_of,
+    unit_of,
+)
+from testbed.core.recordings.geometry import check_robot
+from testbed.core.robot.tree import Tree
+
+READ = {*SIGNALS, *(f"truth/{signal}" for signal in TRUE_SIGNALS)}
+"""Signals that are read from a file; its other columns are left alone."""
+
+AT_ONCE = 100_000
+"""Samples that are read from a file at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What really happened, sampled as the measurements are. For comparison only.
+
+    Attributes:
+        position: (M, n) [rad or m].
+        velocity: (M, n) [rad/s or m/s].
+        acceleration: (M, n) [rad/s^2 or m/s^2].
+        torque: What the motors delivered, (M, n) [N m or N].
+        friction: What friction took from it, (M, n) [N m or N].
+        wrench: (M, 6) [N, N m].
+        sensors: Of the robot's force sensors, (M, 6 S) [N, N m]; None where there are none.
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+    friction: Array
+    wrench: Array
+    sensors: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """M samples of encoders, and of motor torques or the plate or both, at a constant rate.
+
+    Attributes:
+        names: Joint names; the order of all joint columns.
+        time: (M,) [s].
+        position: Encoders, (M, n) [rad or m].
+        torque: Motor torques as the drives report them, (M, n) [N m or N]; None if they
+            were not recorded.
+        wrench: The plate, (M, 6) [N, N m]; contains `tare`; None if there was no plate.
+        velocity: Where the instrument senses it, (M, n) [rad/s or m/s].
+        acceleration: Where the instrument senses it, (M, n) [rad/s^2 or m/s^2].
+        tare: Known static wrench of the pedestal that stands on the plate, (6,) [N, N m];
+            None if the recording does not say: the model's pedestal is then assumed.
+        sensors: Wrenches of force sensors in the robot, one after the other, (M, 6 S) [N, N m]:
+            what each exerts on the links beyond it, about its origin in its axes.
+        sensor_names: Their names; `facts["sensors"]` says where they are.
+        base: Position and quaternion (w, x, y, z) of a base that moves, on the ground, (M, 7)
+            [m]; the wrench is then the ground's, about the ground's origin.
+        temperature: Of the joints' drives, (M, n) [degC].
+        truth: What really happened, where a simulation made the recording.
+        facts: What is known about the run: robot, model hash, seed, versions.
+    """
+
+    names: tuple[str, ...]
+    time: Array
+    position: Array
+    torque: Array | None = None
+    wrench: Array | None = None
+    velocity: Array | None = None
+    acceleration: Array | None = None
+    tare: Array | None = None
+    sensors: Array | None = None
+    sensor_names: tuple[str, ...] = ()
+    base: Array | None = None
+    temperature: Array | None = None
+    truth: Truth | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        samples, n = len(self.time), len(self.names)
+        shapes = {"time": (samples,), "wrench": (samples, 6), "tare": (6,), "base": (samples, 7)}
+        shapes["sensors"] = (samples, 6 * len(self.sensor_names))
+        for name in (*SIGNALS, "tare"):
+            value = getattr(self, name)
+            if value is not None:
+                value = readonly(value, shapes.get(name, (samples, n)), name)
+                object.__setattr__(self, name, value)
+
+    @property
+    def samples(self) -> int:
+        """Number M of samples."""
+        return len(self.time)
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """What was measured, of `SIGNALS`."""
+        return tuple(name for name in SIGNALS if getattr(self, name) is not None)
+
+    @property
+    def senses_kinematics(self) -> bool:
+        """Whether velocities and accelerations were sensed, both."""
+        return self.velocity is not None and self.acceleration is not None
+
+    @property
+    def rate(self) -> float:
+        """Samples a second [Hz].
+
+        Raises:
+            RecordingError: Its times are no times of samples.
+        """
+        length = float(self.time[-1] - self.time[0])
+        check_sampling_time(length / max(self.samples - 1, 1), "the recording")
+        return (self.samples - 1) / length
+
+    def measured(self, signal: str) -> Array:
+        """A signal that must be there, (M, n), (M, 6) or (M,).
+
+        Args:
+            signal: Of `SIGNALS`.
+
+        Raises:
+            RecordingError: It was not measured.
+        """
+        values: Array | None = getattr(self, signal)
+        if values is None:
+            raise RecordingError(f"the recording has no {signal}")
+        return values
+
+    def part(self, first: int, last: int) -> Recording:
+        """What was measured in samples `first` to `last` - 1; nothing is copied."""
+        cut: dict[str, Any] = {s: self.measured(s)[first:last] for s in self.signals}
+        return replace(self, truth=None, **cut)
+
+    def blind(self) -> Recording:
+        """The same recording without the truth: what an estimator is given."""
+        return replace(self, truth=None)
+
+    def ordered(self, tree: Tree) -> Recording:
+        """Joint columns by name in the order of `tree.names`, those of the truth too.
+
+        Raises:
+            RecordingError: The recording is of another robot.
+        """
+        check_robot(self, tree)
+        return self if self.names == tree.names else self.of_joints(tree.names)
+
+    def of_joints(self, names: Sequence[str]) -> Recording:
+        """Columns of some joints, those of the truth too.
+
+        Args:
+            names: Of joints that it has, in the order of their columns.
+        """
+        order = [self.names.index(name) for name in names]
+        there = [signal for signal in JOINT_SIGNALS if signal in self.signals]
+        picked: dict[str, Any] = {s: self.measured(s)[:, order] for s in there}
+        truth = self.truth
+        if truth is not None:
+            joints = {s: getattr(truth, s)[:, order] for s in TRUE_JOINT_SIGNALS}
+            truth = replace(truth, **joints)
+        return replace(self, names=tuple(names), truth=truth, **picked)
+
+    def columns(self) -> dict[str, Array]:
+        """Measured channels by column name, (M,) each."""
+        found: dict[str, Array] = {}
+        for signal in self.signals:
+            found |= _split(signal, self.measured(signal), self.names, self.sensor_names)
+        return found
+
+    def true_columns(self) -> dict[str, Array]:
+        """What really happened by column name, (M,) each; none where it is not known."""
+        found: dict[str, Array] = {}
+        for signal in TRUE_SIGNALS if self.truth is not None else ():
+            values = getattr(self.truth, signal)
+            if values is None:
+                continue
+            own = _split(signal, values, self.names, self.sensor_names)
+            found |= {f"truth/{k}": v for k, v in own.items()}
+        return found
+
+    def units(self) -> dict[str, str]:
+        """Unit of every column, those of the truth too."""
+        geometry = self.facts.get("geometry", {})
+        kinds = {name: joint.get("kind", "revolute") for name, joint in geometry.items()}
+        every = (*self.columns(), *self.true_columns())
+        return {column: unit_of(column, kinds) for column in every}
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """What a file keeps beside the columns, as JSON takes it."""
+        tare = None if self.tare is None else self.tare.tolist()
+        return {"tare": tare, "facts": dict(self.facts)}
+
+    @staticmethod
+    def from_columns(
+        columns: Mapping[str, Array], metadata: Mapping[str, Any], source: str
+    ) -> Recording:
+        """A recording of columns and metadata as a file yields them.
+
+        Args:
+            columns: By name, (M,) each; `time` and a position for every joint must be there.
+            metadata: `tare` and `facts`.
+            source: What the recording is called.
+
+        Raises:
+            RecordingError: A channel is missing, or the metadata are not what they should be.
+        """
+        names, sensors = joints_in(list(columns)), sensors_in(list(columns))
+        if "time" not in columns:
+            raise RecordingError(f"{source}: channel 'time' is missing")
+        if not names:
+            raise RecordingError(f"{source}: there is no channel 'position/JOINT'")
+        try:
+            tare, facts = checked_metadata(metadata)
+        except ValueError as error:
+            raise RecordingError(f"{source}: not a recording: {error}") from None
+        known = {signal_of(column) for column in columns}
+        signals: dict[str, Any] = {
+            s: _joined(s, columns, names, sensors, source) for s in SIGNALS if s in known
+        }
+        true = {
+            s: _joined(f"truth/{s}", columns, names, sensors, source)
+            for s in TRUE_SIGNALS
+            if f"truth/{s}" in known
+        }
+        return Recording(
+            names=names,
+            tare=None if tare is None else np.array(tare),
+            truth=Truth(**true) if {*TRUE_SIGNALS} - {*true} <= {"sensors"} else None,
+            sensor_names=sensors,
+            facts=facts,
+            **signals,
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write to a Parquet file, whole or not at all.
+
+        Raises:
+            RecordingError: Something that is no Parquet file is there.
+        """
+        from testbed.core.recordings.formats import is_parquet
+        from testbed.core.recordings.formats.parquet import write_table
+
+        if Path(path).is_file() and not is_parquet(Path(path)):
+            raise RecordingError(f"'{path}' is there and is no recording; choose another name")
+        with replacing(Path(path)) as fresh:
+            columns = self.columns() | self.true_columns()
+            write_table(fresh, self.units(), self.metadata, [columns])
+
+    @staticmethod
+    def load(path: str | Path) -> Recording:
+        """Read a file of any known format (`formats`) with a recording's columns.
+
+        Raises:
+            RecordingError: The file is missing, damaged or incomplete, or holds values
+                that are not numbers, or its sampling is not uniform.
+        """
+        from testbed.core.recordings.formats import open_table
+
+        table = open_table(Path(path))
+        wanted = [column for column in table.columns if signal_of(column) in READ]
+        columns = {column: np.empty(table.samples) for column in wanted}
+        for first in range(0, table.samples, AT_ONCE):  # a reader may hold what it is asked for
+            last = min(first + AT_ONCE, table.samples)
+            for column, values in table.read(wanted, first, last).items():
+                columns[column][first:last] = values
+        recording = Recording.from_columns(columns, table.metadata, str(path))
+        check_columns(recording.columns(), str(path))
+        return recording
+
+    @staticmethod
+    def from_mapping(path: str | Path) -> Recording:
+        """Made of other programs' files, as a mapping file says (docs/your-recording.md).
+
+        What was found on the way is in `facts["import"]`, what to doubt in `facts["diagnostics"]`.
+
+        Args:
+            path: The mapping file, TOML; the files it names are relative to it.
+
+        Raises:
+            ExperimentError: The mapping is not understood.
+            RecordingError: A file is missing or damaged, or does not hold what the mapping says.
+        """
+        from testbed.importing.convert import converted, naming
+        from testbed.importing.mapping import read_mapping
+
+        with naming(path := Path(path), mapping := read_mapping(path)):
+            found = converted(mapping, path.parent)
+            recording = Recording.from_columns(found.columns, found.metadata, str(path))
+            check_columns(recording.columns(), str(path))
+        return recording
+
+
+def _split(
+    signal: str, values: Array, joints: tuple[str, ...], sensors: tuple[str, ...]
+) -> dict[str, Array]:
+    """A signal's columns by name."""
+    if signal == "time":
+        return {signal: values}
+    members = members_of(signal, joints, sensors)
+    return {f"{signal}/{member}": values[:, k] for k, member in enumerate(members)}
+
+
+def _joined(
+    signal: str,
+    columns: Mapping[str, Array],
+    joints: tuple[str, ...],
+    sensors: tuple[str, ...],
+    source: str,
+) -> Array:
+    """A signal of its columns.
+
+    Raises:
+        RecordingError: It has some of them only.
+    """
+    if signal == "time":
+        return columns[signal]
+    keys = [f"{signal}/{member}" for member in members_of(signal, joints, sensors)]
+    missing = [key for key in keys if key not in columns]
+    if missing:
+        raise RecordingError(f"{source}: channel '{missing[0]}' is missing")
+    return np.stack([columns[key] for key in keys], axis=1)

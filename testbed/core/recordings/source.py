@@ -1,0 +1,247 @@
+"""Where samples come from: memory, memory maps, files, parts of a stream; and which count."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import IO, Any, Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError
+from testbed.core.recordings.columns import (
+    COUNTED,
+    SIGNALS,
+    check_samples,
+    check_sampling_time,
+    check_values,
+    joints_in,
+    signal_of,
+)
+from testbed.core.recordings.formats import open_table
+from testbed.core.recordings.recording import Recording
+
+
+def alike(parts: Iterable[Recording]) -> Iterator[Recording]:
+    """The parts of one recording, as long as they belong together.
+
+    Raises:
+        RecordingError: There are none, or their channels differ.
+    """
+    layout: tuple[object, ...] = ()
+    for part in parts:
+        here = (part.names, part.signals, part.truth is None)
+        if layout and here != layout:
+            raise RecordingError("the parts of the recording have different channels")
+        layout = here
+        yield part
+    if not layout:
+        raise RecordingError("the recording has no parts")
+
+
+class StoredRecording:
+    """A recording that stays in its file; parts are read as they are asked for.
+
+    Attributes:
+        names: Joint names.
+        samples: Number of samples.
+        rate: Samples a second [Hz].
+        tare: As `Recording.tare`.
+        facts: As `Recording.facts`.
+        signals: As `Recording.signals`.
+        senses_kinematics: Whether velocities and accelerations were sensed, both.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Open a file; reads its ends only.
+
+        Raises:
+            RecordingError: The file is missing or damaged, a channel is missing, or its times
+                are no times of samples.
+        """
+        self._path = Path(path)
+        self._table = open_table(self._path)
+        self._wanted = [c for c in self._table.columns if signal_of(c) in SIGNALS]
+        self.names = joints_in(self._wanted)
+        self.samples = self._table.samples
+        check_samples(self.samples, str(path))
+        start = self.part(0, 1)
+        self.tare, self.facts = start.tare, start.facts
+        self.signals, self.senses_kinematics = start.signals, start.senses_kinematics
+        self.rate = 0.0
+        last = self._table.read(["time"], self.samples - 1, self.samples)["time"]
+        length = float(last[0] - start.time[0])
+        if 0 < length < math.inf:  # else the part says so in which it happens
+            check_sampling_time(length / (self.samples - 1), str(path))
+            self.rate = (self.samples - 1) / length
+
+    def part(self, first: int, last: int) -> Recording:
+        """Samples `first` to `last` - 1; cheap where parts are asked for in their order.
+
+        Raises:
+            RecordingError: The file is damaged there, or a value is no measurement.
+        """
+        columns = self._table.read(self._wanted, first, last)
+        found = Recording.from_columns(columns, self._table.metadata, str(self._path))
+        check_values(columns, str(self._path), first)
+        return found
+
+
+@runtime_checkable
+class Source(Protocol):
+    """Samples that can be had part by part: a `Recording`, or one that stays in its file."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Joint names."""
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+
+    @property
+    def rate(self) -> float:
+        """Samples a second [Hz]."""
+
+    @property
+    def tare(self) -> Array | None:
+        """As `Recording.tare`."""
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """As `Recording.facts`."""
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """As `Recording.signals`."""
+
+    @property
+    def senses_kinematics(self) -> bool:
+        """Whether velocities and accelerations were sensed, both."""
+
+    def part(self, first: int, last: int) -> Recording:
+        """Samples `first` to `last` - 1, without the truth."""
+
+
+RecordingLike: TypeAlias = Recording | Source | str | Path | Iterable[Recording]
+"""A recording in memory, or a Parquet file's path, or parts in the order of time."""
+
+
+class Stretch:
+    """A stretch of a source, which is a source."""
+
+    def __init__(self, whole: Source, first: int, last: int) -> None:
+        """Some of the samples.
+
+        Args:
+            whole: Of which.
+            first: The first.
+            last: The one after the last.
+        """
+        self.whole, self.first, self.last = whole, first, last
+        self.names, self.samples, self.rate = whole.names, last - first, whole.rate
+        self.tare, self.facts, self.signals = whole.tare, whole.facts, whole.signals
+        self.senses_kinematics = whole.senses_kinematics
+
+    @property
+    def segments(self) -> tuple[tuple[int, int], ...]:
+        """As `segments_of`."""
+        cut = [np.clip(s, self.first, self.last) - self.first for s in segments_of(self.whole)]
+        return tuple((int(first), int(last)) for first, last in cut if last > first)
+
+    def part(self, first: int, last: int) -> Recording:
+        """Samples `first` to `last` - 1 of the stretch, without the truth."""
+        return self.whole.part(self.first + first, self.first + last)
+
+
+def segments_of(source: Source) -> tuple[tuple[int, int], ...]:
+    """Stretches without a gap: the first sample of each, and the one after its last.
+
+    Args:
+        source: One stretch, unless it says otherwise.
+    """
+    found: tuple[tuple[int, int], ...] = getattr(source, "segments", ((0, source.samples),))
+    return found
+
+
+def open_source(what: RecordingLike) -> Source:
+    """Samples from memory, from a file that stays where it is, or from parts in turn.
+
+    Args:
+        what: A recording, the path of one, or parts of one in the order of time.
+
+    Raises:
+        RecordingError: The file is no recording, or the parts do not belong together.
+    """
+    if isinstance(what, str | Path):
+        return StoredRecording(what)
+    if isinstance(what, Recording | Source):  # asked as a Source, it is asked for its rate
+        return what
+    return gathered(what)
+
+
+def gathered(parts: Iterable[Recording]) -> Recording:
+    """One recording of parts that need not fit into memory together.
+
+    It is kept in unnamed temporary files, which go when it goes.
+
+    Args:
+        parts: In the order of time, of one robot.
+
+    Raises:
+        RecordingError: There are none, or they do not belong together.
+    """
+    with ExitStack() as open_files:
+        files: dict[str, IO[bytes]] = {}
+        for part in alike(parts):
+            for name in SIGNALS:
+                values = getattr(part, name)
+                if values is None:
+                    continue
+                if name not in files:
+                    files[name] = open_files.enter_context(tempfile.TemporaryFile())
+                files[name].write(np.ascontiguousarray(values).tobytes())
+        mapped: dict[str, Any] = {name: _mapped(file, part, name) for name, file in files.items()}
+    return replace(part, truth=None, **mapped)
+
+
+def _mapped(file: IO[bytes], like: Recording, name: str) -> Array:
+    file.flush()
+    shape = (-1, *getattr(like, name).shape[1:])
+    if not file.tell():  # nothing can be mapped: not a sample in all parts
+        return np.zeros((0, *shape[1:]))
+    found: Array = np.memmap(file, dtype=np.float64, mode="r").reshape(shape)
+    return found
+
+
+def counted(source: Source, span: Sequence[float] | None = None) -> Source:
+    """The samples of a recording that count.
+
+    Args:
+        source: One recording.
+        span: From the first to before the second time [s]; default what the recording says, as one
+            from rest to rest does, else all.
+
+    Raises:
+        RecordingError: None of its samples is in that time.
+    """
+    span = span or source.facts.get(COUNTED)
+    if span is None or source.samples < 2:
+        return source
+    begin = float(source.part(0, 1).time[0])
+    first, last = (
+        int(np.clip(np.ceil((time - begin) * source.rate - 1e-6), 0, source.samples))
+        for time in span
+    )
+    if first == last:
+        end = begin + (source.samples - 1) / source.rate
+        raise RecordingError(
+            f"the recording goes from {begin:g} to {end:g} s: it has nothing from {span[0]:g} to "
+            f"{span[1]:g} s, which is to be counted (identification.span)"
+        )
+    return source if last - first == source.samples else Stretch(source, first, last)

@@ -1,0 +1,296 @@
+"""Recordings seen otherwise: without coupled gears, from a base whose motion was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, overload
+
+import numpy as np
+
+from testbed.core.base.arrays import Array, apply
+from testbed.core.base.errors import RecordingError
+from testbed.core.dynamics.newton_euler import pedestal_wrench, wrench_transforms
+from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.source import Source, segments_of
+from testbed.core.robot.free_base import COORDINATES, coordinates
+from testbed.core.robot.locks import Shafts, with_shafts
+from testbed.core.robot.tree import Tree
+
+LONGEST = 1000
+"""Joints of a mapping."""
+
+
+def is_imported(source: Source) -> bool:
+    """Whether a recording was made by a mapping file: real drives have offsets and couplings.
+
+    Args:
+        source: The recording.
+    """
+    return "mapping" in source.facts
+
+
+def is_of_motors(source: Source) -> bool:
+    """Whether some joint's torque was made of its motor's current, voltage or torque.
+
+    Args:
+        source: The recording.
+    """
+    efforts = source.facts.get("effort")
+    return isinstance(efforts, Mapping) and any(kind != "torque" for kind in efforts.values())
+
+
+def pedestal_said(source: Source) -> bool:
+    """Whether a mapping says what of a plate's reading is the pedestal's, by its key.
+
+    Args:
+        source: The recording.
+    """
+    mapping = source.facts.get("mapping")
+    table = mapping.get("wrench") if isinstance(mapping, Mapping) else None
+    return isinstance(table, Mapping) and "pedestal" in table
+
+
+def with_gear(tree: Tree, source: Source) -> Tree:
+    """The robot with the shafts that a recording's gear couples, unless it has some already.
+
+    Args:
+        tree: The robot.
+        source: The recording.
+    """
+    found = {} if tree.shafts else coupled_shafts(source.facts)
+    known = all(joint in tree.names for turns in found.values() for joint in turns)
+    return with_shafts(tree, found) if found and known else tree
+
+
+def coupled_shafts(facts: Mapping[str, Any]) -> Shafts:
+    """Shafts of the gear's rows with several joints, called JOINT.motor; {} where there are none.
+
+    The shaft's own joint counts as one, or else the joint with which it turns most.
+
+    Args:
+        facts: Of a recording; nothing in it is trusted.
+    """
+    mapping = facts.get("mapping")
+    gear = mapping.get("gear") if isinstance(mapping, Mapping) else None
+    joints = mapping.get("joints") if isinstance(mapping, Mapping) else None
+    rows = _rows(gear.get("matrix")) if isinstance(gear, Mapping) else None
+    named = isinstance(joints, Sequence) and all(isinstance(joint, str) for joint in joints)
+    if rows is None or not named or rows.shape != (len(joints or ()),) * 2:
+        return {}
+    found = {}
+    for k, (name, row) in enumerate(zip(joints or (), rows, strict=True)):
+        if np.count_nonzero(row) > 1:
+            turns = row / (row[k] or row[np.argmax(np.abs(row))])
+            found[f"{name}.motor"] = {
+                joint: float(turn) for joint, turn in zip(joints or (), turns, strict=True) if turn
+            }
+    return found
+
+
+def _rows(matrix: object) -> Any:
+    try:
+        rows = np.array(matrix, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    square = rows.ndim == 2 and rows.shape[0] == rows.shape[1] <= LONGEST
+    return rows if square and np.isfinite(rows).all() else None
+
+
+NAMES = tuple(name for name, _, _ in COORDINATES)
+
+
+class Seen:
+    """A source whose parts are seen otherwise, one by one: other joints, no torques, no truth."""
+
+    def __init__(
+        self, source: Source, names: Sequence[str], change: Callable[[Recording], Recording]
+    ) -> None:
+        """The same samples.
+
+        Args:
+            source: The recording.
+            names: Of the joints that it has then.
+            change: What is made of each part.
+        """
+        first = change(source.part(0, min(1, source.samples)))
+        self._source, self._change = source, change
+        self.names = tuple(names)
+        self.samples, self.rate, self.tare = source.samples, source.rate, first.tare
+        self.facts, self.signals = first.facts, first.signals
+        self.senses_kinematics = first.senses_kinematics
+
+    @property
+    def segments(self) -> tuple[tuple[int, int], ...]:
+        """As `segments_of`."""
+        return segments_of(self._source)
+
+    def part(self, first: int, last: int) -> Recording:
+        """Samples `first` to `last` - 1, without the truth.
+
+        Raises:
+            RecordingError: They cannot be seen so.
+        """
+        return self._change(self._source.part(first, last))
+
+
+def with_base_joints(recording: Recording) -> Recording:
+    """A recording whose base is six joints.
+
+    Args:
+        recording: With a base.
+
+    Raises:
+        RecordingError: It has none, or a pose is none.
+    """
+    if recording.base is None:
+        raise RecordingError(
+            "the recording has no base/x ... base/qz, which a robot with robot.base = "
+            '"measured" needs'
+        )
+    position = np.hstack([coordinates(recording.base), recording.position])
+    return replace(
+        recording,
+        names=(*NAMES, *recording.names),
+        position=position,
+        base=None,
+        torque=None,
+        velocity=None,
+        acceleration=None,
+        temperature=None,
+        truth=None,
+        facts={k: v for k, v in recording.facts.items() if k != "geometry"},
+    )
+
+
+def of_joints(recording: Recording, names: Sequence[str]) -> Recording:
+    """A recording of some of its joints, which is no longer checked as a whole robot's.
+
+    Args:
+        recording: With more.
+        names: Of those that are kept, in the order of their columns.
+    """
+    facts = {k: v for k, v in recording.facts.items() if k != "geometry"}
+    return replace(recording.of_joints(names), facts=facts)
+
+
+SEGMENT = "segment"
+"""Fact of a recording: of which sensor its wrench is, and those beyond which nothing is in it."""
+
+
+def of_segment(recording: Recording, tree: Tree) -> Recording:
+    """A recording of what lies between force sensors: the wrench of the bodies there alone.
+
+    That of the first sensor, less those of the next, moved to its place; torques are of more.
+
+    Args:
+        recording: With the sensors' wrenches; its own wrench is the plate's, or that of the only
+            sensor.
+        tree: What lies between them, and the joints before.
+
+    Raises:
+        RecordingError: It lacks one of the joints, or of the sensors.
+    """
+    missing = [name for name in tree.names if name not in recording.names]
+    if missing:
+        raise RecordingError(
+            f"the recording has no joint '{missing[0]}', which moves what the force sensor feels; "
+            f"it has {', '.join(recording.names)}"
+        )
+    found = of_joints(recording, tree.names)
+    own, gravity, truth = _segment_of(tree)[0], recording.facts.get("gravity"), found.truth
+    whole = tree.sensor is None and all(cut.body >= 0 for cut in tree.cuts)
+    tare = recording.tare if whole or own not in recording.sensor_names else None
+    if recording.tare is not None and tare is None:
+        tare = pedestal_wrench(tree, gravity)
+    if truth is not None:
+        true = _between(tree, truth.position, _wrenches(recording, truth.wrench, truth.sensors))
+        truth = None if true is None else replace(truth, wrench=true, sensors=None)
+    shown = _wrenches(recording, recording.wrench, recording.sensors)
+    return replace(
+        found,
+        wrench=_between(tree, found.position, shown),
+        tare=tare,
+        truth=truth,
+        torque=None,
+        temperature=None,
+        sensors=None,
+        sensor_names=(),
+        facts={**_facts_of(found, own), SEGMENT: _segment_of(tree)},
+    )
+
+
+def _facts_of(recording: Recording, sensor: str) -> dict[str, Any]:
+    """Facts whose mapping says of wrenches only what it says of one sensor's, if it names it."""
+    facts, mapping = dict(recording.facts), recording.facts.get("mapping")
+    own = mapping.get("sensors", {}).get(sensor) if isinstance(mapping, Mapping) else None
+    if isinstance(mapping, Mapping) and own is not None:
+        kept = {k: v for k, v in mapping.items() if k not in ("wrench", "plates")}
+        facts["mapping"] = {**kept, "sensors": {sensor: own}}
+    return facts
+
+
+def _segment_of(tree: Tree) -> list[str]:
+    """The sensor's name, "" for the plate, and those of the next."""
+    return [tree.sensor.name if tree.sensor else "", *(cut.name for cut in tree.cuts)]
+
+
+def _wrenches(recording: Recording, plate: Array | None, sensors: Array | None) -> dict[str, Array]:
+    """By sensor, the plate's called ""."""
+    found = {} if plate is None else {"": plate}
+    if sensors is not None:
+        names = recording.sensor_names
+        found |= {name: sensors[:, 6 * k : 6 * k + 6] for k, name in enumerate(names)}
+    return found
+
+
+def _between(tree: Tree, position: Array, wrenches: Mapping[str, Array]) -> Array | None:
+    """The first sensor's wrench less those of the next, (M, 6); None where it has none."""
+    first, *following = _segment_of(tree)
+    lacking = [name for name in following if name not in wrenches]
+    if lacking:
+        raise RecordingError(f"the recording has no wrench of the force sensor '{lacking[0]}'")
+    alone = wrenches.get("") if len(wrenches) == 1 else None  # a recording's only wrench is it
+    felt = wrenches.get(first, alone)
+    if felt is None or not following:
+        return felt
+    moved = wrench_transforms(tree, position)
+    beyond = np.sum([apply(moved[name], wrenches[name]) for name in following], axis=0)
+    return np.asarray(felt - beyond)
+
+
+@overload
+def on_its_base(source: Recording, tree: Tree) -> Recording: ...
+
+
+@overload
+def on_its_base(source: Source, tree: Tree) -> Source: ...
+
+
+def on_its_base(source: Source, tree: Tree) -> Source:
+    """A source as a robot's: on a base that joints move, or whose pose was measured.
+
+    Args:
+        source: The recording.
+        tree: The robot.
+
+    Raises:
+        RecordingError: The recording lacks a joint of the robot, the base's pose, or a sensor.
+    """
+    if tree.floating and NAMES[0] not in source.names:
+        source = seen(source, (*NAMES, *source.names), with_base_joints)
+    if tree.is_part and source.facts.get(SEGMENT) != _segment_of(tree):
+        source = seen(source, tree.names, partial(of_segment, tree=tree))
+    return source
+
+
+def seen(source: Source, names: Sequence[str], change: Callable[[Recording], Recording]) -> Source:
+    """A source of changed recordings: at once of one in memory, else part by part.
+
+    Args:
+        source: The recording.
+        names: Of the joints that it has then.
+        change: What is made of it.
+    """
+    return change(source) if isinstance(source, Recording) else Seen(source, names, change)

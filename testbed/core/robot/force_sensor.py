@@ -1,0 +1,155 @@
+"""A force sensor between two links: the tree that lies beyond it.
+
+The bedplate is the force sensor at the root. One anywhere else feels the links beyond its cut: they
+are a robot of their own, whose base the joints before the cut move. Those joints stay in the tree,
+without matter; what hangs elsewhere is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+
+from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.errors import ModelError, UnknownName
+from testbed.core.robot.free_base import FREE
+from testbed.core.robot.inertia import NOTHING, Inertia
+from testbed.core.robot.repair import Link, total
+from testbed.core.robot.tree import Placement, Tree
+
+
+@dataclass(frozen=True, eq=False)
+class ForceSensor:
+    """A six-axis sensor between a link and the one that carries it.
+
+    It shows what it exerts on the links beyond the cut, force first.
+
+    Attributes:
+        link: The first link beyond the cut.
+        position: Of the sensor's origin in that link's frame, (3,) [m].
+        rotation: From the sensor's axes to the link's, (3, 3).
+        name: Of the sensor.
+    """
+
+    link: str
+    position: Array = field(default_factory=lambda: np.zeros(3))
+    rotation: Array = field(default_factory=lambda: np.eye(3))
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        freeze(self, position=(3,), rotation=(3, 3))
+
+
+def beyond_sensor(
+    tree: Tree, links: Sequence[Link], sensor: ForceSensor, others: Iterable[ForceSensor] = ()
+) -> Tree:
+    """What a force sensor feels, as a tree: the joints that lead to it, and all beyond it.
+
+    Args:
+        tree: The robot.
+        links: Its model file's, carriers before what they carry.
+        sensor: Where it is cut.
+        others: Further sensors: what lies beyond the next of them is left out, its wrench is
+            measured.
+
+    Returns:
+        Joints keep their names and frames. Of a body that is cut, the links on this side are
+        left; `sensor` says where the wrench is measured, `cuts` where those of the next are.
+
+    Raises:
+        UnknownName: The model file has no such link.
+        ModelError: The link is the root: that sensor is the bedplate; or two sensors are one; or
+            no joint moves what lies between them.
+    """
+    first = _link(links, sensor)
+    if not first.parent and first.body < 0 and not tree.floating:
+        raise ModelError(
+            f"link '{sensor.link}' is the root: the force sensor under it is the force plate"
+        )
+    return _segment(tree, links, sensor, others)
+
+
+def before_sensors(tree: Tree, links: Sequence[Link], others: Iterable[ForceSensor]) -> Tree:
+    """What the bedplate feels without what lies beyond force sensors; as `beyond_sensor`.
+
+    Args:
+        tree: The robot.
+        links: Its model file's.
+        others: The sensors.
+    """
+    return _segment(tree, links, None, others)
+
+
+def _segment(
+    tree: Tree, links: Sequence[Link], sensor: ForceSensor | None, others: Iterable[ForceSensor]
+) -> Tree:
+    """What lies between a sensor, or the bedplate, and the next ones."""
+    shift = FREE if tree.floating else 0  # the pedestal's links are the base's then
+    beyond = _beyond(links, sensor)
+    inside = [each for each in others if each.link in beyond]
+    for a, b in combinations([*([sensor] if sensor else []), *inside], 2):
+        if a.link == b.link:
+            raise ModelError(f"force sensors '{a.name}' and '{b.name}' both carry '{a.link}'")
+    farther = {each.name: _beyond(links, each) for each in inside}
+    following = [
+        each
+        for each in inside
+        if not any(each.link in farther[other.name] for other in inside if other is not each)
+    ]
+    left_out = set().union(*(farther[each.name] for each in following))
+    ours = [link for link in links if link.name in beyond - left_out]
+    ends = [(each, _link(links, each)) for each in following]
+    start = -1 if sensor is None else _link(links, sensor).body + shift
+    path = tree.chain(start)
+    carried = {link.body + shift for link in ours} | {end.body + shift for _, end in ends}
+    kept = [*path, *sorted(carried - {*path, -1})]
+    if not kept:
+        first = f"force sensor '{sensor.name}'" if sensor else "the force plate"
+        raise ModelError(f"nothing that moves lies between {first} and the next force sensors")
+    place = {-1: -1} | {old: new for new, old in enumerate(kept)}
+    divided = {*(end.body + shift for _, end in ends), *([start] if sensor else [])}
+    own = {
+        body: total(link.in_body for link in ours if link.body + shift == body) for body in divided
+    }
+    held = {link.body + shift for link in ours}
+
+    def placed(each: ForceSensor, link: Link) -> Placement:
+        body = place[link.body + shift]
+        position = link.position + link.rotation @ each.position
+        return Placement(position, link.rotation @ each.rotation, each.name, body)
+
+    def inertia(body: int) -> Inertia:
+        return NOTHING if body in path[:-1] else own.get(body, tree.inertias[body])
+
+    return replace(
+        tree,
+        joints=tuple(
+            replace(tree.joints[old], parent=place[tree.joints[old].parent]) for old in kept
+        ),
+        inertias=tuple(inertia(body) for body in kept),
+        pedestal=own.get(-1, tree.pedestal) if sensor is None or not path else NOTHING,
+        shafts=(),
+        lead=len(path),
+        sensor=placed(sensor, _link(links, sensor)) if sensor else None,
+        cuts=tuple(placed(each, end) for each, end in ends),
+        bare=tuple(place[end.body + shift] for _, end in ends if end.body + shift not in held),
+    )
+
+
+def _link(links: Sequence[Link], sensor: ForceSensor) -> Link:
+    named = {link.name: link for link in links}
+    if sensor.link not in named:
+        raise UnknownName("link", sensor.link, sorted(named))
+    return named[sensor.link]
+
+
+def _beyond(links: Sequence[Link], sensor: ForceSensor | None) -> set[str]:
+    """Names of the links beyond a sensor; of all beyond the bedplate."""
+    found = {link.name for link in links} if sensor is None else {_link(links, sensor).name}
+    for link in links:
+        if link.parent in found:
+            found.add(link.name)
+    return found

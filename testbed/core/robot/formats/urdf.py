@@ -1,0 +1,284 @@
+"""URDF -> Tree, through Pinocchio: one of two independent roads.
+
+Pinocchio reads the kinematics and merges fixed links; what it would pass over in silence
+has been found in the XML before. Visual and collision elements are dropped unread, so
+meshes and `package://` addresses never matter.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import Diagnostic, diagnose
+from testbed.core.base.errors import ModelError
+from testbed.core.robot.formats.urdf_xml import TENSOR, link_at, numbers_of, supported_xml
+from testbed.core.robot.formats.xml_bytes import Element, XmlBytes, as_tag, comment
+from testbed.core.robot.inertia import NOTHING, Inertia, from_rpy, inertia_flaw
+from testbed.core.robot.locks import Lock
+from testbed.core.robot.parsing import capture_stderr, errors_of, plain, read_xml
+from testbed.core.robot.repair import Bodies, Edit, Link, Repair, repaired
+from testbed.core.robot.tree import Joint, Kind, Tree
+
+
+def read_urdf(
+    path: Path,
+    *,
+    weld_root: bool = False,
+    repair: Bodies | None = None,
+    lock: Lock | None = None,
+) -> Tree:
+    """The tree of a URDF file; the bedplate frame is the root link's frame.
+
+    Arguments and errors are those of `load_tree`.
+    """
+    root, found, said = repaired_xml(path, weld_root=weld_root, repair=repair, lock=lock)
+    return _tree_of(_built(root, path), root.get("name", ""), (*found.diagnostics, *said))
+
+
+def repaired_xml(
+    path: Path,
+    *,
+    weld_root: bool = False,
+    repair: Bodies | None = None,
+    lock: Lock | None = None,
+) -> tuple[ET.Element, Repair, tuple[Diagnostic, ...]]:
+    """The file's links and joints with bodies that can be, for all readers; else as `read_urdf`.
+
+    Returns:
+        The root element; what was repaired; and what was accepted although it is wrong.
+    """
+    root, said = supported_xml(path, weld_root=weld_root, lock=lock)
+    elements = {link.get("name", ""): link for link in root.findall("link")}
+    with errors_of(path):
+        suspects = {name: line for name, link in elements.items() if (line := _link_flaw(link))}
+    links, parents = _links(root, path)
+    origins = (joint.find("origin") for joint in root.findall("joint"))
+    reach = sum(math.hypot(*numbers_of(origin, "xyz", "0 0 0")) for origin in origins)
+    found = repaired(links, suspects, parents, repair, path.name, reach)
+    for name, inertia in found.links.items():
+        _set_inertia(elements[name], inertia)
+    return root, found, said
+
+
+def read_links(
+    path: Path, *, weld_root: bool = False, lock: Lock | None = None
+) -> tuple[Link, ...]:
+    """The links of a URDF file in the bodies of its tree, carriers before what they carry.
+
+    Arguments are those with which `read_urdf` has read it.
+    """
+    root, _ = supported_xml(path, weld_root=weld_root, lock=lock)
+    return _links(root, path)[0]
+
+
+def _links(root: ET.Element, path: Path) -> tuple[tuple[Link, ...], tuple[int, ...]]:
+    """The links with their inertias as the file has them, and the parents of the tree's bodies."""
+    joints = read_xml(path).findall("joint")
+    parents = {link_at(joint, "child"): link_at(joint, "parent") for joint in joints}
+    held = {link_at(joint, "child") for joint in joints if joint.get("type") == "fixed"}
+    inertias = {link.get("name", ""): _link_inertia(link) for link in root.findall("link")}
+    bare = ET.Element("robot", root.attrib)
+    bare[:] = [ET.Element("link", name=name) for name in inertias] + root.findall("joint")
+    model = _built(bare, path)
+    links: dict[str, Link] = {}
+    for frame in model.frames.tolist():
+        if frame.type == pin.FrameType.BODY:
+            carrier = frame.name
+            if frame.name in held:
+                carrier = links[parents[frame.name]].carrier
+            links[frame.name] = Link(
+                name=frame.name,
+                body=frame.parentJoint - 1,
+                parent=parents.get(frame.name, ""),
+                carrier=carrier,
+                rotation=frame.placement.rotation,
+                position=frame.placement.translation,
+                inertia=inertias[frame.name],
+            )
+    return tuple(links.values()), tuple(model.parents[j] - 1 for j in range(1, model.njoints))
+
+
+def _link_inertia(link: ET.Element) -> Inertia:
+    """As the file has it, in the link's frame."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        return NOTHING
+    origin = inertial.find("origin")
+    turn = from_rpy(numbers_of(origin, "rpy", "0 0 0"))
+    mass, central = _stated(inertial)
+    return Inertia.about_centre(mass, numbers_of(origin, "xyz", "0 0 0"), turn @ central @ turn.T)
+
+
+def _built(root: ET.Element, path: Path) -> pin.Model:
+    """The file's mechanism as Pinocchio has it."""
+    with capture_stderr() as said:
+        try:
+            model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
+        except Exception as error:  # Pinocchio raises whatever its parser meets
+            raise ModelError(f"{path}: {_first_complaint(said(), str(error))}") from None
+        if said():  # its parser leaves out what it complains of
+            raise ModelError(f"{path}: {_first_complaint(said(), said())}")
+    return model
+
+
+def _link_flaw(link: ET.Element) -> str | None:
+    """What is wrong with the link's inertia as it stands, if anything."""
+    name, inertial = link.get("name", "?"), link.find("inertial")
+    if inertial is None:
+        return None
+    if inertial.find("mass") is None or inertial.find("inertia") is None:
+        raise ModelError(f"the inertial of link '{name}' lacks a mass or an inertia")
+    origin = inertial.find("origin")
+    place = numbers_of(origin, "xyz", "0 0 0") + numbers_of(origin, "rpy", "0 0 0")
+    if not np.isfinite(place).all():
+        return f"link '{name}' has a mass centre or inertia frame that is not a number"
+    mass, central = _stated(inertial)
+    return inertia_flaw(name, mass, central)
+
+
+def _stated(inertial: ET.Element) -> tuple[float, Array]:
+    """Mass, and inertia along the axes of the element's origin."""
+    (mass,) = numbers_of(inertial.find("mass"), "value")
+    central = np.empty((3, 3))
+    for key, (a, b) in TENSOR.items():
+        central[a, b] = central[b, a] = numbers_of(inertial.find("inertia"), key)[0]
+    return mass, central
+
+
+def _set_inertia(link: ET.Element, inertia: Inertia) -> None:
+    """Give a link another inertia, along its own axes."""
+    for old in link.findall("inertial"):
+        link.remove(old)
+    if inertia.pseudo.any():
+        new = ET.SubElement(link, "inertial")
+        ET.SubElement(new, "origin", xyz=plain(inertia.com), rpy="0 0 0")
+        ET.SubElement(new, "mass", value=plain([inertia.mass]))
+        moments = {key: plain([inertia.central[at]]) for key, at in TENSOR.items()}
+        ET.SubElement(new, "inertia", moments)
+
+
+def _tree_of(model: pin.Model, name: str, diagnostics: tuple[Diagnostic, ...]) -> Tree:
+    bodies = {
+        frame.parentJoint: frame.name
+        for frame in reversed(model.frames.tolist())
+        if frame.type == pin.FrameType.BODY
+    }
+    joints = tuple(_joint_of(model, j, bodies) for j in range(1, model.njoints))
+    inertias = tuple(_inertia_of(model.inertias[j]) for j in range(1, model.njoints))
+    return Tree(
+        name=name,
+        joints=joints,
+        inertias=inertias,
+        pedestal=_inertia_of(model.inertias[0]),
+        gravity=model.gravity.linear,
+        diagnostics=diagnostics,
+    )
+
+
+def _joint_of(model: pin.Model, j: int, bodies: dict[int, str]) -> Joint:
+    kind, axis = _screw(model, j)
+    v, q = model.idx_vs[j], model.idx_qs[j]
+    bounded = model.joints[j].nq == 1  # a continuous joint is kept as a point of the circle
+    limits = (model.lowerPositionLimit[q], model.upperPositionLimit[q])
+    bounded = bounded and limits != (0.0, 0.0)  # in URDF a limit of zero means none is known
+    placement = model.jointPlacements[j]
+    return Joint(
+        name=model.names[j],
+        body=bodies[j],
+        kind=kind,
+        parent=model.parents[j] - 1,
+        axis=axis,
+        offset=placement.translation,
+        rotation=placement.rotation,
+        position_range=np.array(limits if bounded else (-np.inf, np.inf)),
+        max_velocity=float(model.upperVelocityLimit[v]) or np.inf,
+        max_effort=float(model.upperEffortLimit[v]) or np.inf,
+        coulomb=float(model.upperDryFrictionLimit[v]),
+        viscous=float(model.damping[v]),
+        rotor_inertia=float(model.armature[v]),
+    )
+
+
+def _screw(model: pin.Model, j: int) -> tuple[Kind, np.ndarray]:
+    """Kind and axis of a joint, from the motion that its unit velocity makes."""
+    slide, turn = np.split(np.ravel(model.joints[j].createData().S), 2)
+    revolute = np.linalg.norm(turn) > 0.5
+    return ("revolute", turn.copy()) if revolute else ("prismatic", slide.copy())
+
+
+def _inertia_of(inertia: pin.Inertia) -> Inertia:
+    return Inertia.about_centre(inertia.mass, inertia.lever, inertia.inertia)
+
+
+def _first_complaint(said: str, raised: str) -> str:
+    """The parser's first reason, on one line."""
+    reasons: list[str] = re.findall(r"Error:\s*(.+)", said) or [raised]
+    return "not a valid URDF: " + " ".join(reasons[0].split())[:400]
+
+
+_LOSSES = {"friction": "coulomb", "damping": "viscous"}
+"""What a joint's <dynamics> states, by attribute."""
+
+
+def edit_urdf(
+    path: Path, changes: Iterable[Edit], note: list[str]
+) -> Iterator[tuple[bytes, tuple[Diagnostic, ...]]]:
+    """The file's bytes with other inertials and friction; arguments are those of `edit_mjcf`.
+
+    Yields:
+        The bytes, and what URDF has no place for.
+
+    Raises:
+        ModelError: The file cannot be edited; or a link has more than one inertial.
+    """
+    document = XmlBytes(path.read_bytes(), str(path))
+    root = document.root
+    elements = {each.attributes.get("name", ""): each for each in root.named("link")}
+    jointed = {each.attributes.get("name", ""): each for each in root.named("joint")}
+    for change in changes:
+        document.insert(root, comment(note))
+        for link, inertia in change.links.items():
+            _set_inertial(document, elements[link], inertia, path)
+        for joint, values in change.joints.items():
+            said = {k: plain([values[what]]) for k, what in _LOSSES.items() if what in values}
+            if said:
+                document.put(jointed[joint], "dynamics", **said)
+        rotors = [
+            f"{joint} {values['rotor_inertia']:.6g}"
+            for joint, values in change.joints.items()
+            if "rotor_inertia" in values
+        ]
+        lost = [diagnose("model.rotors", ", ".join(rotors))] if rotors else []
+        if change.gears:
+            gears = ", ".join(f"{joint} {gear:.6g}" for joint, gear in change.gears.items())
+            lost.append(diagnose("model.gears", gears))
+        if change.delay:
+            lost.append(diagnose("model.delay", f"{change.delay:.4g} s"))
+        yield document.edit(), tuple(lost)
+
+
+def _set_inertial(document: XmlBytes, link: Element, inertia: Inertia, path: Path) -> None:
+    """The mass centre, the mass, and the inertia about it, along the link's axes."""
+    central = inertia.central
+    parts = {
+        "origin": {"xyz": plain(inertia.com), "rpy": "0 0 0"},
+        "mass": {"value": plain([inertia.mass])},
+        "inertia": {key: plain([central[at]]) for key, at in TENSOR.items()},
+    }
+    there = link.named("inertial")
+    if len(there) > 1:
+        raise ModelError(f"{path}: link '{link.attributes.get('name')}' has two inertials")
+    if there:
+        for part, values in parts.items():
+            document.put(there[0], part, **values)
+    else:
+        inside = "".join(as_tag(part, values) for part, values in parts.items())
+        document.insert(link, f"<inertial>{inside}</inertial>")

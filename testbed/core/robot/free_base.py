@@ -1,0 +1,110 @@
+"""A robot on a base that moves and whose pose is measured: six coordinates before its first body.
+
+The base slides along the axes of the ground and then turns about z, y and x, yaw, pitch and roll.
+What carries these coordinates one by one has no matter; the body after the last one is the base.
+The ground takes the bedplate's place: what it exerts is the sum of all plates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import ModelError, RecordingError
+from testbed.core.robot.inertia import NOTHING
+from testbed.core.robot.tree import Joint, Kind, Tree
+
+COORDINATES: tuple[tuple[str, Kind, int], ...] = (
+    ("base.x", "prismatic", 0),
+    ("base.y", "prismatic", 1),
+    ("base.z", "prismatic", 2),
+    ("base.yaw", "revolute", 2),
+    ("base.pitch", "revolute", 1),
+    ("base.roll", "revolute", 0),
+)
+"""Names, kinds and axes of the base's coordinates, from the ground to the base."""
+
+FREE = len(COORDINATES)
+"""How many they are."""
+
+STEEPEST = np.deg2rad(80.0)
+"""Pitch up to which yaw and roll are coordinates [rad]."""
+
+UNIT = 1e-2
+"""How far the length of a measured quaternion may be from one."""
+
+
+def on_free_base(tree: Tree) -> Tree:
+    """The robot with its root free: the pedestal is the base, and its frame the bedplate's.
+
+    Args:
+        tree: The robot with its root welded.
+
+    Raises:
+        ModelError: A joint has the name of a coordinate of the base.
+    """
+    names = [name for name, _, _ in COORDINATES]
+    clash = [name for name in tree.names if name in names]
+    if clash:
+        raise ModelError(f"joint '{clash[0]}' has the name of a coordinate of the base")
+    joints = [
+        Joint(name, name, kind, k - 1, np.eye(3)[axis], np.zeros(3), np.eye(3))
+        for k, (name, kind, axis) in enumerate(COORDINATES)
+    ]
+    moved = [replace(joint, parent=joint.parent + FREE) for joint in tree.joints]
+    return replace(
+        tree,
+        joints=(*joints[:-1], replace(joints[-1], body="base"), *moved),
+        inertias=(*(NOTHING,) * (FREE - 1), tree.pedestal, *tree.inertias),
+        pedestal=NOTHING,
+        floating=True,
+        lead=FREE,
+    )
+
+
+def poses(found: Array) -> Array:
+    """Positions and quaternions (w, x, y, z) of the base's frame, (M, 7): `coordinates` undone.
+
+    Args:
+        found: The six coordinates, (M, 6) [m, rad].
+    """
+    cosine, sine = np.cos(found[:, 3:] / 2), np.sin(found[:, 3:] / 2)
+    (yaw, pitch, roll), (yaws, pitches, rolls) = cosine.T, sine.T
+    turn = [
+        yaw * pitch * roll + yaws * pitches * rolls,
+        yaw * pitch * rolls - yaws * pitches * roll,
+        yaw * pitches * roll + yaws * pitch * rolls,
+        yaws * pitch * roll - yaw * pitches * rolls,
+    ]
+    return np.hstack([found[:, :3], np.stack(turn, axis=1)])
+
+
+def coordinates(base: Array) -> Array:
+    """The six coordinates of poses, (M, 6) [m, rad]; angles without jumps.
+
+    Args:
+        base: Positions and quaternions (w, x, y, z) of the base's frame on the ground, (M, 7).
+
+    Raises:
+        RecordingError: A quaternion is none, or the base stands on its head, nearly.
+    """
+    size = np.linalg.norm(base[:, 3:], axis=1)
+    wrong = np.flatnonzero(~(np.abs(size - 1) <= UNIT))
+    if wrong.size:
+        raise RecordingError(
+            f"the base's quaternion has length {size[wrong[0]]:.3g} at sample {wrong[0]}, one of "
+            f"{wrong.size} such: it is (w, x, y, z) of length one"
+        )
+    w, x, y, z = (base[:, 3:] / size[:, None]).T
+    sine = 2 * (w * y - x * z)
+    if np.abs(sine).max(initial=0.0) > np.sin(STEEPEST):
+        raise RecordingError(
+            "the base's pitch goes beyond 80 degrees, where yaw and roll are no coordinates: turn "
+            "the ground's frame, so that the base stands upright in it"
+        )
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x**2 + y**2))
+    angles = np.stack([np.unwrap(yaw), np.arcsin(sine), np.unwrap(roll)], axis=1)
+    return np.hstack([base[:, :3], angles])

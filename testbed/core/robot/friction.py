@@ -1,0 +1,347 @@
+"""Joint laws: what a joint's torque holds besides the forces that move the bodies.
+
+A law is a column, a function of the joint's velocity and acceleration, to be multiplied by a
+coefficient: friction, a rotor's inertia, an offset of the measured torque. This is the only
+place where they are written down: the kernel compiles these columns; simulation, prediction,
+units, scores and the command line read them here.
+
+To add a law, write a `JointLaw` and put it into LAWS. A law that is only tried out need not
+be there: `Settings(terms=("coulomb", my_law))` takes any `JointLaw`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.codec import named
+from testbed.core.base.errors import UnknownName
+from testbed.core.robot.locks import places, shares
+from testbed.core.robot.tree import Joint, Tree
+
+
+@dataclass(frozen=True)
+class JointLaw:
+    """One kind of term of the joints' torques; every joint has a coefficient of its own.
+
+    Attributes:
+        kind: Its name: the estimate calls the coefficients `kind/JOINT`.
+        turning: Unit of the coefficient at a revolute joint.
+        sliding: Unit of the coefficient at a prismatic joint.
+        column: What the coefficient multiplies: a function of velocity and acceleration
+            [rad/s or m/s, rad/s^2 or m/s^2], element by element. Those in LAWS are
+            compiled for single numbers, too: arithmetic and NumPy's functions only.
+        parameter: The field of `Joint` that holds the model file's coefficient; None where
+            no model file states one.
+        resists: Whether it takes energy from the motion, as friction does: such a
+            coefficient cannot be negative.
+        jumps: Whether the column jumps where the motion reverses.
+        by: What of the recording multiplies the column, joint by joint: "time" since its middle
+            [s], "temperature" above 25 degC [K], one of BY_LOAD; "" for nothing. Of joints only,
+            not of shafts.
+    """
+
+    kind: str
+    turning: str
+    sliding: str
+    column: Callable[[Any, Any], Any]
+    parameter: str | None = None
+    resists: bool = False
+    jumps: bool = False
+    by: str = ""
+
+    __get_pydantic_core_schema__ = named(lambda law: law.kind)
+
+    def unit(self, joint: Joint) -> str:
+        """Unit of the coefficient at a joint."""
+        return self.turning if joint.revolute else self.sliding
+
+    def coefficients(self, tree: Tree) -> Array:
+        """What the model file states, (n,); zero where it states nothing."""
+        if self.parameter is None:
+            return np.zeros(tree.n)
+        return np.array([getattr(joint, self.parameter) for joint in tree.joints], dtype=float)
+
+    def columns(self, qd: Array, qdd: Array, smooth: float = 0.0) -> Array:
+        """The column of every joint, shaped as `qd`.
+
+        Args:
+            qd: Velocities [rad/s or m/s].
+            qdd: Accelerations, of the same shape [rad/s^2 or m/s^2].
+            smooth: Speed over which a jump is smoothed [rad/s or m/s]; 0 for none.
+        """
+        found: Array = np.broadcast_to(self.column(qd, qdd), np.shape(qd))
+        return np.abs(found) * np.tanh(qd / smooth) if self.jumps and smooth else found
+
+
+def _sign(qd: Any, qdd: Any) -> Any:
+    return np.sign(qd)
+
+
+def _velocity(qd: Any, qdd: Any) -> Any:
+    return qd
+
+
+def _one(qd: Any, qdd: Any) -> Any:
+    return 1.0
+
+
+def _acceleration(qd: Any, qdd: Any) -> Any:
+    return qdd
+
+
+def _speed(qd: Any, qdd: Any) -> Any:
+    return np.abs(qd)
+
+
+def _square(qd: Any, qdd: Any) -> Any:
+    return qd * np.abs(qd)
+
+
+def _square_root(qd: Any, qdd: Any) -> Any:
+    return np.sign(qd) * np.sqrt(np.abs(qd))
+
+
+COULOMB = JointLaw("coulomb", "N m", "N", _sign, "coulomb", resists=True, jumps=True)
+"""Dry friction: against the motion, however fast."""
+
+VISCOUS = JointLaw("viscous", "N m s/rad", "N s/m", _velocity, "viscous", resists=True)
+"""Friction in proportion to the velocity."""
+
+OFFSET = JointLaw("offset", "N m", "N", _one)
+"""What the drive reports too much: a constant."""
+
+ROTOR = JointLaw("rotor", "kg m^2", "kg", _acceleration, "rotor_inertia")
+"""Inertia of the drive's rotor, reflected to the joint."""
+
+ASYMMETRIC = JointLaw("asymmetric", "N m s/rad", "N s/m", _speed)
+"""Viscous friction that differs by direction; where dry friction does, an offset shows it."""
+
+QUADRATIC = JointLaw("quadratic", "N m s^2/rad^2", "N s^2/m^2", _square)
+"""Friction in proportion to the square of the velocity."""
+
+SQUARE_ROOT = JointLaw("square_root", "N m s^.5/rad^.5", "N s^.5/m^.5", _square_root)
+"""Friction in proportion to the root of the velocity: of lubricated gears."""
+
+FORWARD = JointLaw("coulomb+offset", "N m", "N", _one)
+"""Dry friction and offset of a joint that only moves forward: all that shows is their sum."""
+
+BACKWARD = JointLaw("offset-coulomb", "N m", "N", _one)
+"""The same of a joint that only moves backward."""
+
+CONSTANTS = (OFFSET, FORWARD, BACKWARD)
+"""Laws whose column is one."""
+
+SLOPE = JointLaw("slope", "N m/s", "N/s", _one, by="time")
+"""Drift of the offset, as of a drive that warms up; of this recording only."""
+
+WARM_COULOMB = JointLaw("warm_coulomb", "N m/K", "N/K", _sign, jumps=True, by="temperature")
+"""Change of dry friction with the drive's temperature, from 25 degC on."""
+
+WARM_VISCOUS = JointLaw("warm_viscous", "N m s/(rad K)", "N s/(m K)", _velocity, by="temperature")
+"""Change of viscous friction with the drive's temperature, from 25 degC on."""
+
+ROOM = 25.0
+"""Temperature at which friction is what its laws without temperature say [degC]."""
+
+VARYING = (SLOPE, WARM_COULOMB, WARM_VISCOUS)
+"""Laws that depend on more than the motion."""
+
+BY_LOAD: Mapping[str, Callable[[Array, Array], Array]] = {
+    "load": lambda load, smooth: load * np.sign(smooth),
+    "signed load": lambda load, smooth: load,
+    "squared load": lambda load, smooth: load * smooth,
+}
+"""What multiplies laws of the load, the torque that moves the link [N m or N]: only where the
+plate's estimate says what it is. Functions of the load and of its mean over a short time: where
+encoders are noisy, abs(load) is not zero on average where the load is."""
+
+LOAD = JointLaw("load", "1", "1", _sign, jumps=True, by="load")
+"""Dry friction that grows with the load: the part of it that a gear loses."""
+
+VISCOUS_LOAD = JointLaw("viscous_load", "s/rad", "s/m", _velocity, by="load")
+"""Viscous friction that grows with the load."""
+
+DRIVING_LOAD = JointLaw("driving_load", "s/rad", "s/m", _speed, by="signed load")
+"""The same as far as a gear that drives has more of it than one that is driven back."""
+
+QUADRATIC_LOAD = JointLaw("quadratic_load", "1/(N m)", "1/N", _sign, jumps=True, by="squared load")
+"""Dry friction that grows with the square of the load."""
+
+LOADED = (LOAD, VISCOUS_LOAD, DRIVING_LOAD, QUADRATIC_LOAD)
+"""Laws of the load. Dry friction that differs between driving and being driven is not among them:
+its column, load - sign(v) abs(load), has nothing of its own beside the torque constant's."""
+
+LAWS: tuple[JointLaw, ...] = (
+    COULOMB,
+    VISCOUS,
+    OFFSET,
+    ROTOR,
+    ASYMMETRIC,
+    QUADRATIC,
+    SQUARE_ROOT,
+)
+"""All that can be asked for by name; beside them stribeck@SPEED and what one direction leaves."""
+
+STRIBECK = "stribeck"
+"""Kind of the laws that fade out above a speed; by itself it leaves the speed open."""
+
+SLOWEST, FASTEST = 1e-3, 10.0
+"""Speeds at which friction may fade out [rad/s or m/s]."""
+
+
+@lru_cache
+def stribeck(speed: float) -> JointLaw:
+    """Friction that dry friction has more at low speed: sign(v) exp(-(v / speed)^2).
+
+    Args:
+        speed: At which it fades out [rad/s or m/s].
+    """
+
+    def column(qd: Any, qdd: Any) -> Any:
+        return np.sign(qd) * np.exp(-((qd / speed) ** 2))
+
+    return JointLaw(f"{STRIBECK}@{speed:g}", "N m", "N", column, jumps=True)
+
+
+@dataclass(frozen=True)
+class JointTerm:
+    """One law at one joint, or at a shaft that turns with several.
+
+    Attributes:
+        law: Which.
+        joint: Index of the joint; of a shaft, that among `places`.
+    """
+
+    law: JointLaw
+    joint: int
+
+    @property
+    def positive(self) -> bool:
+        """Whether it cannot be negative: friction takes energy, and rotors have inertia."""
+        return self.law.resists or self.law == ROTOR
+
+    def name(self, tree: Tree) -> str:
+        """Name of the coefficient: rotor/waist."""
+        return f"{self.law.kind}/{places(tree)[self.joint]}"
+
+    def unit(self, tree: Tree) -> str:
+        """Unit of the coefficient."""
+        shaft = self.joint - tree.n
+        joint = self.joint if shaft < 0 else tree.shafts[shaft].turns[0][0]
+        return self.law.unit(tree.joints[joint])
+
+
+def joint_terms(tree: Tree, words: Iterable[str | JointLaw]) -> tuple[JointTerm, ...]:
+    """The terms that words ask for, law by law, each in the order of `places`.
+
+    Args:
+        tree: The robot.
+        words: A law, by name or as a value, holds at every joint and shaft; "rotor/elbow" holds
+            there alone. Offsets are the joints' alone: a shaft's is not distinct from two of those.
+
+    Raises:
+        UnknownName: There is no such law, joint or shaft.
+    """
+    names = places(tree)
+    wanted: dict[JointLaw, set[int]] = {}
+    for word in words:
+        law, place = (word, "") if isinstance(word, JointLaw) else _law_at(word)
+        if place and place not in names:
+            raise UnknownName(f"place of '{law.kind}'", place, names)
+        everywhere = range(tree.n if law in CONSTANTS or law.by else len(names))
+        wanted.setdefault(law, set()).update([names.index(place)] if place else everywhere)
+    return tuple(JointTerm(law, k) for law, at in wanted.items() for k in sorted(at))
+
+
+def _law_at(word: str) -> tuple[JointLaw, str]:
+    kind, _, place = word.partition("/")
+    return joint_law(kind), place
+
+
+def law_of(word: str | JointLaw) -> JointLaw:
+    """The law of a word such as "rotor" or "rotor/elbow".
+
+    Args:
+        word: Or the law itself.
+
+    Raises:
+        UnknownName: There is no such law.
+    """
+    return word if isinstance(word, JointLaw) else _law_at(word)[0]
+
+
+def joint_law(kind: str) -> JointLaw:
+    """The law of that name: one of LAWS, CONSTANTS, VARYING, LOADED, or stribeck@SPEED.
+
+    Raises:
+        UnknownName: There is none.
+    """
+    known = {law.kind: law for law in (*LAWS, *CONSTANTS, *VARYING, *LOADED)}
+    family, _, speed = kind.partition("@")
+    if family == STRIBECK and _is_speed(speed):
+        return stribeck(float(speed))
+    if kind not in known:
+        named = (stribeck(0.1), *LAWS, *VARYING, *LOADED)
+        raise UnknownName("term of a joint's torque", kind, [law.kind for law in named])
+    return known[kind]
+
+
+def term_torque(
+    tree: Tree, term: JointTerm, qd: Array, qdd: Array, by: Array | float = 1.0
+) -> Array:
+    """What a unit of a term's coefficient adds to the joints' torques, (M, n) [N m or N].
+
+    Args:
+        tree: The robot.
+        term: At a joint or a shaft.
+        qd: Joint velocities, (M, n) [rad/s or m/s].
+        qdd: Joint accelerations, (M, n) [rad/s^2 or m/s^2].
+        by: What multiplies the column of a law that says so, (M,).
+    """
+    turn = shares(tree)[term.joint]
+    column = term.law.columns(qd @ turn, qdd @ turn)
+    return np.outer(column * by if term.law.by else column, turn)
+
+
+def _is_speed(text: str) -> bool:
+    try:
+        return SLOWEST <= float(text) <= FASTEST
+    except ValueError:
+        return False
+
+
+def friction_torque(tree: Tree, qd: Array, smooth: float = 0.0) -> Array:
+    """What friction takes at the joints, (..., n) [N m or N].
+
+    Args:
+        tree: Gives the coefficients.
+        qd: Velocities, (..., n) [rad/s or m/s].
+        smooth: Speed over which the sign of dry friction is smoothed [rad/s or m/s].
+    """
+    laws = [law for law in LAWS if law.resists]
+    still = np.zeros_like(qd)
+    return _sum([law.coefficients(tree) * law.columns(qd, still, smooth) for law in laws])
+
+
+def drive_torque(tree: Tree, qd: Array, qdd: Array, smooth: float = 0.0) -> Array:
+    """What the drives deliver besides what moves the bodies, (..., n) [N m or N].
+
+    Args:
+        tree: Gives the coefficients: friction, and the rotors' inertias.
+        qd: Velocities, (..., n) [rad/s or m/s].
+        qdd: Accelerations, (..., n) [rad/s^2 or m/s^2].
+        smooth: Speed over which the sign of dry friction is smoothed [rad/s or m/s].
+    """
+    laws = [law for law in LAWS if law.parameter is not None]
+    return _sum([law.coefficients(tree) * law.columns(qd, qdd, smooth) for law in laws])
+
+
+def _sum(torques: list[Array]) -> Array:
+    total: Array = sum(torques[1:], torques[0])
+    return total

@@ -1,0 +1,290 @@
+"""Joints held still: which of them, where, and what goes along with them.
+
+A tree has one degree of freedom a joint. A joint that follows another (URDF's <mimic>,
+MJCF's equality between joints) has none of its own: it can be part of a tree only where
+it is held, or where the joint that it follows is.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from graphlib import CycleError, TopologicalSorter
+from typing import TypeAlias
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import Diagnostic, diagnose
+from testbed.core.base.errors import MimicError, ModelError, UnknownName, few
+from testbed.core.robot.inertia import Inertia
+from testbed.core.robot.parsing import decimals
+from testbed.core.robot.tree import Shaft, Tree
+
+Shafts = Mapping[str, Mapping[str, float]]
+"""By the shaft's name, how much it turns with each of its joints, by name."""
+
+ALIKE = 1e-9
+"""Sine of the angle between the turns of two shafts that are the same one."""
+
+
+def with_shafts(tree: Tree, given: Shafts) -> Tree:
+    """The same tree with shafts that turn with several joints.
+
+    Args:
+        tree: The robot.
+        given: The shafts, in place of those that it has.
+
+    Raises:
+        UnknownName: There is no such joint.
+        ModelError: A shaft is none.
+    """
+    made = []
+    for name, turns in given.items():
+        _check(tree, name, turns)
+        listed = sorted((tree.index(joint), float(turn)) for joint, turn in turns.items())
+        made.append(Shaft(name, tuple(listed)))
+    coupled = replace(tree, shafts=tuple(made))
+    turn = shares(coupled)[tree.n :]
+    unit = turn / np.linalg.norm(turn, axis=1, keepdims=True)
+    for k, one in enumerate(unit):
+        for other, two in enumerate(unit[:k]):
+            if np.linalg.norm(one - (one @ two) * two) < ALIKE:
+                raise ModelError(
+                    f"robot.coupling: '{made[other].name}' and '{made[k].name}' are one shaft; "
+                    "keep one of them"
+                )
+    return coupled
+
+
+def places(tree: Tree) -> tuple[str, ...]:
+    """Where a term of the torques may be: the joints' names, then the shafts'."""
+    return (*tree.names, *(shaft.name for shaft in tree.shafts))
+
+
+def shares(tree: Tree) -> Array:
+    """How much each place turns with each joint, (places, n): ones for the joints themselves."""
+    found = np.eye(tree.n + len(tree.shafts), tree.n)
+    for row, shaft in zip(found[tree.n :], tree.shafts, strict=True):
+        row[:] = 0.0
+        for joint, turn in shaft.turns:
+            row[joint] = turn
+    return found
+
+
+def at_places(tree: Tree, joints: Array) -> Array:
+    """Velocities or accelerations of all places, (..., places).
+
+    Args:
+        tree: The robot.
+        joints: Those of the joints, (..., n).
+    """
+    return joints @ shares(tree).T if tree.shafts else joints
+
+
+def _check(tree: Tree, name: str, turns: Mapping[str, float]) -> None:
+    what = f"robot.coupling: shaft '{name}'"
+    if name in tree.names or not name or "/" in name:
+        raise ModelError(f"{what} needs a name of its own, that no joint has and without '/'")
+    kinds = {tree.joints[tree.index(joint)].kind for joint in turns}
+    numbers = all(isinstance(turn, int | float) and math.isfinite(turn) for turn in turns.values())
+    if len(turns) < 2 or not numbers or 0.0 in turns.values():
+        raise ModelError(
+            f"{what} turns with two joints or more, each by a finite number that is not zero, "
+            f"found {dict(turns)!r:.80}"
+        )
+    if len(kinds) > 1:
+        raise ModelError(f"{what} turns with revolute and prismatic joints: that has no one unit")
+
+
+def with_rotor_spin(tree: Tree, spins: Mapping[str, float]) -> Tree:
+    """The robot whose minimal parameters hold what its rotors' spin adds.
+
+    Args:
+        tree: The robot, rotors at rest on their carriers.
+        spins: Ratio times inertia of the rotor, by joint name [kg m^2].
+
+    Raises:
+        UnknownName: There is no such joint.
+        ModelError: The joint slides: its rotor's momentum is none of the bodies'.
+    """
+    for name, spin in spins.items():
+        j = tree.index(name)
+        joint = tree.joints[j]
+        if not joint.revolute:
+            raise ModelError(f"joint '{name}' slides: the spin of its rotor is not of the bodies")
+        tree = tree.with_inertia(j, _about(joint.axis, spin))
+        tree = tree.with_inertia(joint.parent, _about(joint.carried_axis, -spin))
+        left = replace(joint, rotor_inertia=joint.rotor_inertia - spin)
+        tree = replace(tree, joints=(*tree.joints[:j], left, *tree.joints[j + 1 :]))
+    return tree
+
+
+def _about(axis: Array, size: float) -> Inertia:
+    """Inertia about one axis alone."""
+    return Inertia(0.0, np.zeros(3), size * np.outer(axis, axis))
+
+
+Lock: TypeAlias = Mapping[str, float | None]
+"""Positions of held joints by name [rad or m]; None: where a joint rests of itself."""
+
+_SLACK = 1e-6
+"""How far beyond its range a joint may be held: limits are rounded in files [rad or m]."""
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A joint's position as a polynomial of another's.
+
+    Attributes:
+        master: The joint that is followed; None if the position is constant.
+        coefficients: Of the powers 0, 1, 2, ... of the master's position [rad, m].
+    """
+
+    master: str | None
+    coefficients: tuple[float, ...]
+
+    def position(self, master: float) -> float:
+        """Where the joint is when its master is there [rad or m]."""
+        return sum(c * master**k for k, c in enumerate(self.coefficients))
+
+
+@dataclass(frozen=True)
+class Travel:
+    """What a file says of how a joint moves.
+
+    Attributes:
+        low: Least position [rad or m], -inf if unknown.
+        high: Greatest position [rad or m], inf if unknown.
+        coupling: What it follows, if it does.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    coupling: Coupling | None = None
+
+    @property
+    def rest(self) -> float:
+        """Zero, or the middle of the range where that leaves zero out [rad or m]."""
+        if self.low <= 0 <= self.high:
+            return 0.0
+        if math.isinf(self.low) or math.isinf(self.high):
+            return self.high if math.isinf(self.low) else self.low
+        return self.low / 2 + self.high / 2
+
+
+def parse_lock(
+    texts: Iterable[str], names: Callable[[], Sequence[str]] = tuple
+) -> dict[str, float | None]:
+    """Positions of held joints, as typed: JOINT, JOINT=q, a pattern, or !pattern for all others.
+
+    Args:
+        texts: Words of the command line.
+        names: Gives the joints of the model file, which patterns are matched with.
+
+    Raises:
+        ModelError: A position is not a number, a pattern matches nothing, or one joint is given
+            two positions.
+    """
+    lock: dict[str, float | None] = {}
+    for text in texts:
+        name, equals, place = text.partition("=")
+        value = decimals(place, 1)
+        if not name or (equals and value is None):
+            raise ModelError(f"--lock takes JOINT or JOINT=q [rad or m], found '{text}'")
+        position = value[0] if value else None
+        joints = [name]
+        if name[0] == "!" or re.search(r"[*?\[]", name):
+            known, other = names(), name[0] == "!"
+            joints = [j for j in known if fnmatchcase(j, name.removeprefix("!")) != other]
+            if not joints or len(joints) == len(known):
+                many = "all" if joints else "none"
+                raise ModelError(f"--lock {name} matches {many} of the joints {few(known)}")
+        for joint in joints:
+            if lock.setdefault(joint, position) != position:
+                raise ModelError(f"--lock {joint} is given two positions")
+    return lock
+
+
+def lock_positions(
+    joints: Mapping[str, Travel], lock: Lock, source: str
+) -> tuple[dict[str, float], tuple[Diagnostic, ...]]:
+    """Where which joints are held, followers of held joints included.
+
+    Args:
+        joints: All joints of the file that move.
+        lock: Those to be held.
+        source: The file, for messages.
+
+    Returns:
+        Positions by name [rad or m], and followers whose masters go elsewhere.
+
+    Raises:
+        UnknownName: A joint to be held is not there.
+        MimicError: A joint follows another that moves, and neither is held.
+        ModelError: A position is no number or out of range, or joints follow in a circle.
+    """
+    for name in lock:
+        if name not in joints:
+            raise UnknownName("joint to lock", name, joints)
+    graph: dict[str, list[str]] = {name: [] for name in joints}
+    for name, joint in joints.items():
+        if joint.coupling and joint.coupling.master and joint.coupling.master in joints:
+            graph[name] = [joint.coupling.master]
+    try:
+        order = tuple(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        raise ModelError(f"{source}: joint '{error.args[1][0]}' follows itself") from None
+    held: dict[str, float] = {}
+    places: dict[str, float] = {}
+    free: dict[str, str] = {}
+    for name in order:
+        coupling, wanted = joints[name].coupling, lock.get(name)
+        master = coupling.master if coupling else None
+        if wanted is not None:
+            places[name] = _within(name, wanted, joints[name], source)
+        elif coupling is not None:
+            places[name] = coupling.position(0.0 if master is None else places.get(master, 0.0))
+        else:
+            places[name] = joints[name].rest
+        taken_along = coupling is not None and (master is None or master in held)
+        if name in lock or taken_along:
+            held[name] = places[name]
+        elif master is not None:
+            free[name] = master
+    if free:
+        raise MimicError(source, free, tuple(m if m in joints else f for f, m in free.items()))
+    return held, tuple(_departures(joints, held))
+
+
+def _departures(joints: Mapping[str, Travel], held: Mapping[str, float]) -> Iterator[Diagnostic]:
+    """Followers that are held where their masters would not take them."""
+    for name, position in held.items():
+        coupling = joints[name].coupling
+        if coupling is None or coupling.master is None:
+            continue
+        master = coupling.master
+        if master not in held:
+            yield diagnose("model.follower-held", name, position, master=master)
+        elif abs(taken := coupling.position(held[master]) - position) > _SLACK:
+            end = position + taken
+            yield diagnose("model.follower-off", name, position, master=master, taken=end)
+
+
+def _within(name: str, wanted: float, joint: Travel, source: str) -> float:
+    """The position, if it is one that the joint can have."""
+    try:
+        position = float(wanted)
+    except (TypeError, ValueError, OverflowError):
+        position = math.nan
+    if not math.isfinite(position):
+        raise ModelError(f"{source}: joint '{name}' cannot be held at {wanted!r:.40}")
+    if not joint.low - _SLACK <= position <= joint.high + _SLACK:
+        raise ModelError(
+            f"{source}: joint '{name}' cannot be held at {position:g}, out of its range "
+            f"{joint.low:g} ... {joint.high:g}"
+        )
+    return position

@@ -1,0 +1,453 @@
+"""The equations of a robot: which, in which parameters, in which form.
+
+full       literal, in all barycentric parameters, multiplied out: the listing of [FRS96]
+reduced    literal, in the minimal parameters
+recursive  in the minimal parameters, with an auxiliary variable for every intermediate
+
+The recursions are those of `dynamics`, run on symbols.
+
+Names     w3x, W3xy, F3x of body 3; of many columns F3x_7
+"""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.core.base.arrays import AnyArray, Array
+from testbed.core.base.errors import UnknownName
+from testbed.core.dynamics.newton_euler import kinematics, transmitted
+from testbed.core.parameters.minimal_set import MinimalSet, known_zeros, minimal_set
+from testbed.core.parameters.rules import Model
+from testbed.core.parameters.symbols import UNITS, Label, Term, parameter_symbols
+from testbed.core.robot.tree import Tree
+from testbed.equations.expression import (
+    MAX_TERMS,
+    Budget,
+    Expression,
+    Factor,
+    Nature,
+    expression,
+    of,
+)
+from testbed.equations.polynomial import Ring
+from testbed.equations.program import Program, literal, recursive, with_numbers
+from testbed.equations.robot import (
+    Parameter,
+    Robot,
+    all_parameters,
+    barycentric_definitions,
+    columns,
+    distinct,
+    draw,
+    lift,
+    minimal_parameters,
+)
+from testbed.equations.simplify import natural_angles, simplify
+
+Form = Literal["full", "reduced", "recursive"]
+FORMS: tuple[Form, ...] = ("full", "reduced", "recursive")
+SHORTER = "--form recursive (form='recursive') is far shorter, "
+ROUNDING = 1e-14
+"""Numbers of the geometry are of the order of one; this is their rounding."""
+WRENCH = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+Content: TypeAlias = Iterator[tuple[Factor, tuple[tuple[int, ...], Any]]]
+"""Name, place in the result, and value of each equation."""
+
+
+def named_components(budget: Budget, mark: str, name: str, value: AnyArray) -> AnyArray:
+    """Auxiliary variables for all components that take an operation to compute.
+
+    Args:
+        budget: Counts their terms.
+        mark: Put behind their names.
+        name: w3 gives w3x, W3 of a matrix W3xy, F3 of many columns F3x_7.
+        value: (3,), (3, 3) or (3, p).
+    """
+    kept = np.empty(value.shape, dtype=object)
+    for place in np.ndindex(value.shape):
+        one = value.item(place)
+        if value.ndim == 1 or name.startswith("W"):
+            component = name + "".join("xyz"[index] for index in place)
+        else:
+            column = f"_{place[1] + 1}" if value.shape[1] > 1 else ""
+            component = name + "xyz"[place[0]] + column
+        kept[place] = auxiliary(component + mark, one)
+        if isinstance(one, Expression):
+            budget.write(len(one.terms))
+    return kept
+
+
+def auxiliary(name: str, value: Any) -> Any:
+    """`value` under a name, unless it is a number, a single factor, or the same for all samples.
+
+    Products of parameters and lengths without a name can cancel.
+    """
+    if not isinstance(value, Expression) or len(value.terms) < 1:
+        return value
+    factors, size = value.terms[0]
+    if len(value.terms) == 1:
+        fixed = all(f.nature in (Nature.PARAMETER, Nature.CONSTANT) for f in factors)
+        if fixed or (len(factors) <= 1 and abs(size) == 1):
+            return value
+    return of(Factor(Nature.AUXILIARY, name, value))
+
+
+@dataclass(frozen=True, eq=False)
+class Recursion:
+    """The recursions of `dynamics` on the symbols of a robot.
+
+    Attributes:
+        robot: The robot on paper.
+        theta: What each barycentric parameter is, (n, 10, p).
+        columns: Names of the p columns, where there are several.
+        budget: Counts terms.
+    """
+
+    robot: Robot
+    theta: AnyArray
+    columns: tuple[str, ...]
+    budget: Budget
+
+    def run(self, qd: AnyArray, qdd: AnyArray, mark: str = "") -> tuple[AnyArray, AnyArray]:
+        """Joint forces (n, p) and base wrench (6, p).
+
+        Args:
+            qd: Velocities, (n,); likewise accelerations qdd.
+            qdd: See there.
+            mark: Put behind the names of auxiliary variables.
+        """
+        keep = partial(named_components, self.budget, mark)
+        motion = kinematics(self.robot, self.robot.q, qd, qdd, self.robot.gravity, keep)
+        return transmitted(self.robot, motion, self.theta, keep)
+
+
+def _forces(recursion: Recursion) -> Content:
+    forces, _ = recursion.run(recursion.robot.qd, recursion.robot.qdd)
+    return _of_joints("Q", forces)
+
+
+def _wrench(recursion: Recursion) -> Content:
+    _, wrench = recursion.run(recursion.robot.qd, recursion.robot.qdd)
+    for k, name in enumerate(WRENCH):
+        yield _name(name), ((k,), wrench[k, 0])
+
+
+def _dynamic_regressor(recursion: Recursion) -> Content:
+    forces, _ = recursion.run(recursion.robot.qd, recursion.robot.qdd)
+    return _by_column(forces, [f"Q{j + 1}" for j in range(recursion.robot.n)], recursion.columns)
+
+
+def _reaction_regressor(recursion: Recursion) -> Content:
+    _, wrench = recursion.run(recursion.robot.qd, recursion.robot.qdd)
+    return _by_column(wrench, WRENCH, recursion.columns)
+
+
+def _by_column(values: AnyArray, rows: Sequence[str], names: Sequence[str]) -> Content:
+    """Column by column, those of the first bodies first: what they need is soon done with."""
+    for k, name in reversed(list(enumerate(distinct(names)))):
+        for i, row in enumerate(rows):
+            yield _name(f"phi_{row}_{name}"), ((i, k), values[i, k])
+
+
+def _mass_matrix(recursion: Recursion) -> Content:
+    """Column by column: the joint forces of unit accelerations, on the chain to the base."""
+    n = recursion.robot.n
+    weightless = replace(recursion.robot, gravity=np.zeros(3, dtype=object))
+    recursion = replace(recursion, robot=weightless)
+    split = "_" if n > 9 else ""
+    still = np.zeros(n, dtype=object)
+    for j in range(n):
+        unit = np.zeros(n, dtype=object)
+        unit[j] = 1
+        forces, _ = recursion.run(still, unit, f"_{j + 1}")
+        for i in range(j + 1):
+            name = _name(f"M{i + 1}{split}{j + 1}")
+            yield name, ((i, j), forces[i, 0])
+            if i < j:
+                yield _name(f"M{j + 1}{split}{i + 1}"), ((j, i), of(name))
+
+
+def _gravity_forces(recursion: Recursion) -> Content:
+    still = np.zeros(recursion.robot.n, dtype=object)
+    forces, _ = recursion.run(still, still)
+    return _of_joints("G", forces)
+
+
+def _of_joints(letter: str, forces: AnyArray) -> Content:
+    """Joint forces, (n, 1), by joint: Q1, Q2, ..."""
+    for j, force in enumerate(forces[:, 0]):
+        yield _name(f"{letter}{j + 1}"), ((j,), force)
+
+
+def _name(name: str) -> Factor:
+    return Factor(Nature.AUXILIARY, name)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of equations.
+
+    Attributes:
+        name: As asked for.
+        title: In a listing.
+        model: Whose minimal parameters they are in.
+        takes: Coordinates they depend on.
+        results: What they are called, as a regular expression.
+        says: What they are, with units and shape.
+        content: What they are.
+        is_regressor: Whether there is a column a parameter, and no parameter in them.
+    """
+
+    name: str
+    title: str
+    model: Model
+    takes: tuple[str, ...]
+    results: str
+    says: str
+    content: Callable[[Recursion], Content]
+    is_regressor: bool = False
+
+
+_MOTION = ("q", "qp", "qpp")
+KINDS = {
+    kind.name: kind
+    for kind in (
+        Kind(
+            "joint-forces", "Equations", "dynamic", _MOTION, r"Q\d+",
+            "What the motors deliver at the joints, friction excluded [N m or N].", _forces,
+        ),
+        Kind(
+            "base-wrench", "Reaction", "reaction", _MOTION, r"[FM][xyz]",
+            "Wrench of the bedplate on the robot about the bedplate's origin, force first "
+            "[N, N m].", _wrench,
+        ),
+        Kind(
+            "dynamic-regressor", "Regressor of the joint forces",
+            "dynamic", _MOTION, r"phi_Q\d+_\w+",
+            "phi_d: joint forces for a unit of each parameter.",
+            _dynamic_regressor, is_regressor=True,
+        ),
+        Kind(
+            "reaction-regressor", "Regressor of the reaction",
+            "reaction", _MOTION, r"phi_[FM][xyz]_\w+",
+            "phi_r: the bedplate's wrench for a unit of each parameter.",
+            _reaction_regressor, is_regressor=True,
+        ),
+        Kind(
+            "mass-matrix", "Mass matrix", "dynamic", ("q",), r"M\d+(_\d+)?",
+            "M(q): joint forces for unit accelerations.", _mass_matrix,
+        ),
+        Kind(
+            "gravity-forces", "Gravity", "dynamic", ("q",), r"G\d+",
+            "What holds the robot still [N m or N].", _gravity_forces,
+        ),
+    )
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Equations of one kind.
+
+    Attributes:
+        kind: Which.
+        shape: Of what they give, for one sample.
+        places: Where in it each result of the program belongs, by name.
+        vector: What the vector of parameters is called: theta, delta_d or delta_r.
+        parameters: Its entries.
+        program: The lines.
+    """
+
+    kind: Kind
+    shape: tuple[int, ...]
+    places: dict[Factor, tuple[int, ...]]
+    vector: str
+    parameters: tuple[Parameter, ...]
+    program: Program
+
+
+@dataclass(frozen=True, eq=False)
+class Listing:
+    """Equations of one robot, and what they are about.
+
+    Attributes:
+        tree: The robot.
+        form: "full", "reduced" or "recursive".
+        gravity: (3,) [m/s^2], bedplate frame.
+        constants: Symbols of the geometry and their values [m, m/s^2].
+        minimal: The minimal sets that occur, by model.
+        known_zero: Barycentric parameters left out because they are known to be zero, (n, 10).
+        definitions: In the full form, what the barycentric parameters stand for, by name.
+        equations: One of a kind.
+    """
+
+    tree: Tree
+    form: Form
+    gravity: Array
+    constants: dict[Factor, float]
+    minimal: dict[Model, MinimalSet]
+    known_zero: AnyArray
+    definitions: tuple[tuple[str, Expression], ...]
+    equations: tuple[Equations, ...]
+
+
+def equations(
+    tree: Tree,
+    what: str | Sequence[str] = ("joint-forces",),
+    form: Form = "full",
+    gravity: ArrayLike | None = None,
+    zeros: bool | Sequence[str] = False,
+    numbers: bool = False,
+    max_terms: int = MAX_TERMS,
+) -> Listing:
+    """Literal equations of a robot.
+
+    Args:
+        tree: The robot; its inertias matter only for `zeros`.
+        what: Kinds of equations, of `KINDS`.
+        form: "full" in all barycentric parameters; "reduced" in the minimal ones;
+            "recursive" in the minimal ones with auxiliary variables.
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+        zeros: Barycentric parameters known to be zero: True for those that are zero in the
+            model file, or a list of names.
+        numbers: Whether lengths and gravity are written as numbers.
+        max_terms: How many terms may be written, those on the way to the equations included.
+
+    Raises:
+        UnknownName: There is no such kind or form.
+        ExpressionError: The equations have more terms, or numbers too large to calculate with.
+    """
+    what = [what] if isinstance(what, str) else what
+    for name in what:
+        if name not in KINDS:
+            raise UnknownName("kind of equations", name, tuple(KINDS))
+    if form not in FORMS:
+        raise UnknownName("form", form, FORMS)
+    budget = Budget(max_terms, "" if form == "recursive" else SHORTER)
+    weight, known_zero = tree.gravity_or(gravity), known_zeros(tree, zeros)
+    builder = _Builder(tree, form, weight, known_zero, zeros, numbers, budget)
+    robot = builder.robot
+    with _no_garbage_collection():
+        results = tuple(builder.build(KINDS[name]) for name in dict.fromkeys(what))
+    meanings = barycentric_definitions(tree, robot, known_zero, budget) if form == "full" else ()
+    return Listing(
+        tree=tree,
+        form=form,
+        gravity=weight,
+        constants={} if numbers else robot.values,
+        minimal=builder.minimal,
+        known_zero=known_zero,
+        definitions=tuple(meanings),
+        equations=results,
+    )
+
+
+@dataclass(eq=False)
+class _Builder:
+    """Derives the equations of one robot."""
+
+    tree: Tree
+    form: Form
+    gravity: Array
+    known_zero: AnyArray
+    zeros: bool | Sequence[str]
+    numbers: bool
+    budget: Budget
+
+    def __post_init__(self) -> None:
+        self.robot = draw(self.tree, self.gravity)
+        self.minimal: dict[Model, MinimalSet] = {}
+        self.expand = expander(self.robot, self.budget)
+
+    def build(self, kind: Kind) -> Equations:
+        """The equations of one kind."""
+        vector, parameters, theta = self._parameters(kind)
+        recursion = Recursion(self.robot, theta, tuple(p.name for p in parameters), self.budget)
+        values = dict(kind.content(recursion))
+        places = {name: place for name, (place, _) in values.items()}
+        if self.form == "recursive":
+            program = recursive({name: expression(value) for name, (_, value) in values.items()})
+        else:
+            results = {name: self.expand(value) for name, (_, value) in values.items()}
+            if kind.name == "joint-forces":
+                results = self._by_reference(results)
+            program = literal(results)
+        if self.numbers:
+            program = with_numbers(program, self.robot.values)
+        rows = 6 if kind.model == "reaction" else self.tree.n
+        shape: tuple[int, ...] = (rows,)
+        if kind.is_regressor or kind.name == "mass-matrix":
+            shape = (rows, len(parameters) if kind.is_regressor else rows)
+        return Equations(kind, shape, places, vector, parameters, program)
+
+    def _parameters(self, kind: Kind) -> tuple[str, tuple[Parameter, ...], AnyArray]:
+        """Name and entries of the vector, and what each barycentric parameter is, (n, 10, p)."""
+        if self.form == "full":
+            theta = all_parameters(self.tree, self.known_zero)
+            labels = [Label((Term(symbol),)) for symbol in parameter_symbols(self.tree)]
+            parameters = map(Parameter.of, labels, UNITS * self.tree.n, theta.ravel())
+            return (
+                "theta",
+                tuple(parameters),
+                columns(self.known_zero) if kind.is_regressor else theta,
+            )
+        minimal = self.minimal.get(kind.model)
+        if minimal is None:
+            minimal = minimal_set(self.tree, kind.model, self.gravity, self.zeros)
+            self.minimal[kind.model] = minimal
+        delta = minimal_parameters(minimal)
+        parameters = map(Parameter.of, minimal.labels, minimal.units, delta)
+        units = np.eye(len(delta), dtype=int).astype(object)
+        theta = lift(minimal, units if kind.is_regressor else delta[:, None], self.tree.n)
+        return f"delta_{kind.model[0]}", tuple(parameters), theta
+
+    def _by_reference(self, results: dict[Factor, Expression]) -> dict[Factor, Expression]:
+        """Joint forces, tips first; Q2 = Q3 + ... where that is shorter."""
+        shorter = {}
+        names = list(results)
+        for j in reversed(range(self.tree.n)):
+            value = results[names[j]]
+            for child, sign in self.robot.continued[j]:
+                rest = self.expand(value - results[names[child]] * sign)
+                if len(rest.terms) + 1 < len(value.terms):
+                    value = rest + of(names[child]) * sign
+            shorter[names[j]] = value
+        return shorter
+
+
+def expander(robot: Robot, budget: Budget) -> Callable[[Any], Expression]:
+    """What multiplies expressions of a robot out, and writes them as one would.
+
+    Args:
+        robot: Its parallel joints are those whose angles stand together.
+        budget: Counts terms.
+    """
+    ring = Ring([symbols for symbols, _ in robot.parallel], ROUNDING, budget)
+    natural = natural_angles(ring, [a for _, chain in robot.parallel for a in chain])
+
+    def expand(value: Any) -> Expression:
+        polynomial = ring.expand(value)
+        budget.write(polynomial.size)
+        return simplify(ring, polynomial, natural)
+
+    return expand
+
+
+@contextmanager
+def _no_garbage_collection() -> Iterator[None]:
+    """Expressions have no cycles, and walking them costs a third."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()

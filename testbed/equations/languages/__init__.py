@@ -1,0 +1,66 @@
+"""Equations as text: the paper's notation, LaTeX, Python and C."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any, Literal
+
+from testbed.core.base.errors import UnknownName
+from testbed.equations.equations import Listing
+from testbed.equations.languages.c import c
+from testbed.equations.languages.latex import latex, paper
+from testbed.equations.languages.python import python
+
+Language = Literal["paper", "latex", "python", "c"]
+
+WRITERS: dict[Language, Callable[[Listing, str], str]] = {
+    "paper": paper,
+    "latex": latex,
+    "python": python,
+    "c": c,
+}
+
+
+def write_equations(listing: Listing, language: Language, source: str = "") -> str:
+    """Equations in a language.
+
+    Args:
+        listing: The equations.
+        language: "paper", "latex", "python" or "c".
+        source: Where the robot comes from, for the header; any text.
+
+    Raises:
+        UnknownName: There is no such language.
+    """
+    if language not in WRITERS:
+        raise UnknownName("language", language, WRITERS)
+    return WRITERS[language](listing, source)
+
+
+def as_document(listing: Listing, text: str) -> dict[str, Any]:
+    """Equations as a document for programs: their text, parameters and operations.
+
+    A matrix has the minimal parameters on the barycentric ones; there is none of these themselves.
+
+    Args:
+        listing: The equations.
+        text: As written.
+    """
+    sets = [listing.minimal.get(each.kind.model) for each in listing.equations]
+    return {
+        "robot": listing.tree.name,
+        "form": listing.form,
+        "gravity": listing.gravity.tolist(),
+        "constants": {factor.name: value for factor, value in listing.constants.items()},
+        "equations": {
+            each.kind.name: {
+                "shape": each.shape,
+                each.vector: [{"name": p.name, "unit": p.unit} for p in each.parameters],
+                "matrix": None if minimal is None else minimal.matrix.tolist(),
+                "operations": asdict(each.program.count),
+            }
+            for each, minimal in zip(listing.equations, sets, strict=True)
+        },
+        "text": text,
+    }

@@ -1,0 +1,485 @@
+"""From expressions to lines that can be computed one after the other.
+
+What the parameters and constants alone decide comes first, once for all samples; then the
+sines and cosines; then the auxiliary variables; then the results.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter, defaultdict
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Set
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import Generic, TypeAlias, TypeVar
+
+from testbed.equations.expression import (
+    Expression,
+    Factor,
+    Factors,
+    Nature,
+    Number,
+    auxiliaries,
+    collect,
+    depth_first,
+    exact,
+    number,
+    of,
+    substitute,
+)
+
+Step: TypeAlias = tuple[Factor, Expression]
+Values: TypeAlias = Mapping[Factor, float]
+SNAP = 4e-15
+"""Relative distance from a fraction of 64 within which a number of the geometry is one."""
+
+
+@dataclass(frozen=True)
+class Count:
+    """Operations of a program; signs are free.
+
+    Attributes:
+        multiplications: For each sample.
+        additions: For each sample, subtractions among them.
+        trigonometric: Sines and cosines for each sample.
+        once: Multiplications and additions that parameters and constants alone decide.
+    """
+
+    multiplications: int
+    additions: int
+    trigonometric: int
+    once: int
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Lines in an order in which they can be computed.
+
+    Attributes:
+        once: What parameters and constants alone decide.
+        steps: Auxiliary variables, and each result as soon as it can be had; a result that
+            is zero has no terms.
+        results: Names of the results.
+    """
+
+    once: tuple[Step, ...]
+    steps: tuple[Step, ...]
+    results: frozenset[Factor]
+
+    @property
+    def lines(self) -> tuple[Step, ...]:
+        """All lines."""
+        return self.once + self.steps
+
+    @cached_property
+    def waves(self) -> tuple[Factor, ...]:
+        """Sines and cosines of coordinates, in order."""
+        used = {factor for _, value in self.lines for factor in leaves(value)}
+        return tuple(sorted(f for f in used if f.nature in (Nature.COSINE, Nature.SINE)))
+
+    @cached_property
+    def symbols(self) -> tuple[Factor, ...]:
+        """Coordinates, parameters and constants that the lines use, in order."""
+        values = [value for _, value in self.lines]
+        values += [wave.content for wave in self.waves if wave.content is not None]
+        used = {factor for value in values for factor in leaves(value)}
+        return tuple(sorted(factor for factor in used if factor.nature <= Nature.CONSTANT))
+
+    @cached_property
+    def count(self) -> Count:
+        """Operations."""
+        each = [cost(value) for _, value in self.steps]
+        return Count(
+            sum(products for products, _ in each),
+            sum(sums for _, sums in each),
+            len(self.waves),
+            sum(sum(cost(value)) for _, value in self.once),
+        )
+
+
+def recursive(results: Mapping[Factor, Expression]) -> Program:
+    """Lines with auxiliary variables, and few operations.
+
+    Args:
+        results: What is asked for, by name.
+    """
+    sheet = Assignments(results)
+    sheet.optimise()
+    return _program(sheet, named=True)
+
+
+def literal(results: Mapping[Factor, Expression]) -> Program:
+    """Lines as they are written, without auxiliary variables.
+
+    Args:
+        results: What is asked for, by name, multiplied out; may refer to one another.
+    """
+    return _program(Assignments(results), named=False)
+
+
+def with_numbers(program: Program, values: Values) -> Program:
+    """The program with numbers in the place of constants.
+
+    Args:
+        program: Any.
+        values: The constants.
+    """
+    known = dict(values)
+    once = []
+    for name, value in program.once:
+        value = with_values(value, known)
+        if all(not factors for factors, _ in value.terms):
+            known[name] = float(value.terms[0][1]) if value.terms else 0.0
+        else:
+            once.append((name, value))
+    steps = [(name, with_values(value, known)) for name, value in program.steps]
+    return Program(tuple(once), tuple(steps), program.results)
+
+
+def with_values(value: Expression, known: Values) -> Expression:
+    """The expression with numbers for some of its factors, in its brackets too."""
+
+    def meaning(factor: Factor) -> Expression | None:
+        if factor.nature is Nature.BRACKET and factor.content is not None:
+            return with_values(factor.content, known)
+        return number(known[factor]) if factor in known else None
+
+    return substitute(value, meaning)
+
+
+def _program(sheet: Assignments, named: bool) -> Program:
+    """Lines in order: brackets and products that serve once go where they are used."""
+    uses = Counter(f for line in sheet.lines.values() for factors in line for f in factors)
+    made: dict[Factor, Expression] = {}  # what to write in the place of a line's name
+    once: list[Step] = []
+    steps: list[Step] = []
+    numbers: Counter[str] = Counter()
+    for name in depth_first(sheet.results, sheet.needs):
+        value = _snap(substitute(collect(sheet.lines[name].items()), made.get))
+        own = name.nature is Nature.AUXILIARY and not name.name.startswith("_")
+        if name in sheet.results:
+            made[name] = of(name) if value else value
+            steps.append((name, value))
+        elif (own and named) or uses[name] > 1 or sheet.fixed(name):
+            letter = "k" if sheet.fixed(name) else "t"
+            label = name.name
+            if not own:
+                numbers[letter] += 1
+                label = f"{letter}{numbers[letter]}"
+            shown = Factor(Nature.AUXILIARY, label)
+            made[name] = of(shown)
+            (once if sheet.fixed(name) else steps).append((shown, value))
+        else:
+            made[name] = value
+    return Program(tuple(once), tuple(steps), frozenset(sheet.results))
+
+
+def _snap(value: Expression) -> Expression:
+    """Numbers of the geometry that are small fractions but for rounding, as these."""
+
+    def snap(size: Number) -> Number:
+        near = round(size * 64) / 64
+        return exact(near if near and abs(size - near) < SNAP * abs(near) else size)
+
+    return Expression(tuple((factors, snap(size)) for factors, size in value.terms))
+
+
+def leaves(value: Expression) -> Iterator[Factor]:
+    """Every factor of an expression and of its brackets."""
+    for factors, _ in value.terms:
+        for factor in factors:
+            if factor.nature is Nature.BRACKET and factor.content is not None:
+                yield from leaves(factor.content)
+            else:
+                yield factor
+
+
+def cost(value: Expression) -> tuple[int, int]:
+    """Multiplications and additions of an expression, its brackets included; signs are free."""
+    products, sums = 0, max(0, len(value.terms) - 1)
+    for factors, size in value.terms:
+        products += len(factors) - 1 + (abs(size) != 1) if factors else 0
+        for factor in factors:
+            if factor.nature is Nature.BRACKET and factor.content is not None:
+                inner = cost(factor.content)
+                products, sums = products + inner[0], sums + inner[1]
+    return products, sums
+
+
+Line = dict[Factors, Number]
+Place = TypeVar("Place", bound=Hashable)
+Pair = TypeVar("Pair", bound=Hashable)
+MOST_PAIRS = 1_000_000
+"""Pairs of terms, each counted twice, among which common ones are looked for: some 200 MB."""
+
+
+class Assignments:
+    """Sums under names, and among them the results.
+
+    Attributes:
+        lines: What each auxiliary variable, bracket or result stands for.
+        results: The lines that are asked for.
+    """
+
+    def __init__(self, results: Mapping[Factor, Expression]) -> None:
+        """Args: results: By name; what they refer to gets lines of its own."""
+        self.lines: dict[Factor, Line] = {}
+        self.results = dict.fromkeys(results)
+        self._fixed: dict[Factor, bool] = {}
+        self._made = 0
+        for factor in auxiliaries(results.values()):
+            self.lines[factor] = dict(factor.content.terms if factor.content else ())
+        for name, value in results.items():
+            self.lines[name] = dict(value.terms)
+
+    def optimise(self) -> None:
+        """All that this module can do; more rounds of it were found to change nothing."""
+        self.unify()
+        self.gather_fixed()
+        self.share_products()
+        self.take_factors_out()
+        self.gather_fixed()
+        self.share_products()
+        self.share_sums()
+
+    def fixed(self, factor: Factor) -> bool:
+        """Whether a factor depends on parameters and constants alone."""
+        known = self._fixed.get(factor)
+        if known is None:
+            if factor.content is None and factor not in self.lines:
+                known = factor.nature in (Nature.PARAMETER, Nature.CONSTANT)
+            else:
+                line = self.lines.get(factor) or dict(
+                    factor.content.terms if factor.content else ()
+                )
+                known = all(self.fixed(part) for factors in line for part in factors)
+            self._fixed[factor] = known
+        return known
+
+    def needs(self, name: Factor) -> list[Factor]:
+        """The lines that a line refers to."""
+        return [f for factors in self.lines[name] for f in factors if f in self.lines]
+
+    def new(self, line: Line) -> Factor:
+        """A new line, and its name."""
+        self._made += 1
+        name = Factor(Nature.AUXILIARY, f"_{self._made}")
+        self.lines[name] = line
+        return name
+
+    def unify(self) -> None:
+        """One line for all that are equal or opposite; none for those that only rename."""
+        while True:
+            first: dict[tuple[tuple[Factors, Number], ...], tuple[Factor, int]] = {}
+            other: dict[Factor, tuple[Factor, Number]] = {}
+            nothing = {name for name, line in self.lines.items() if not line} - set(self.results)
+            for name, line in self.lines.items():
+                if name in self.results or not line:
+                    continue
+                terms = collect(line.items()).terms
+                factors, number = terms[0]
+                if len(terms) == 1 and len(factors) == 1 and abs(number) == 1:
+                    other[name] = (factors[0], number)
+                    continue
+                sign = 1 if number > 0 else -1
+                key = tuple((each, value * sign) for each, value in terms)
+                found, its = first.setdefault(key, (name, sign))
+                if found is not name:
+                    other[name] = (found, sign * its)
+            if not other and not nothing:
+                break
+            self._rename(other, nothing)
+        needed = set(depth_first(self.results, self.needs))
+        self.lines = {name: line for name, line in self.lines.items() if name in needed}
+
+    def _rename(self, other: dict[Factor, tuple[Factor, Number]], nothing: set[Factor]) -> None:
+        """Put other lines' names in the place of some, and zero in the place of `nothing`."""
+        for name in (*other, *nothing):
+            del self.lines[name]
+        self._fixed.clear()
+        for name, line in self.lines.items():
+            if any(f in other or f in nothing for factors in line for f in factors):
+                terms = []
+                for factors, number in line.items():
+                    renamed = []
+                    for factor in factors:
+                        while factor in other:
+                            factor, sign = other[factor]
+                            number *= sign
+                        renamed.append(factor)
+                    if nothing.isdisjoint(renamed):
+                        terms.append((_ordered(renamed), number))
+                self.lines[name] = dict(collect(terms).terms)
+
+    def gather_fixed(self) -> None:
+        """Several fixed factors of a term, or one with a number, become one."""
+        made: dict[tuple[Factors, Number], Factor] = {}
+        for name in [name for name in self.lines if not self.fixed(name)]:
+            terms = []
+            for factors, weight in self.lines[name].items():
+                fixed = tuple(factor for factor in factors if self.fixed(factor))
+                if fixed and len(fixed) + (abs(weight) != 1) > 1:
+                    key = (fixed, abs(weight))
+                    if key not in made:
+                        made[key] = self.new({fixed: abs(weight)})
+                    rest = [factor for factor in factors if factor not in fixed]
+                    factors, weight = _ordered([*rest, made[key]]), 1 if weight > 0 else -1
+                terms.append((factors, weight))
+            self.lines[name] = dict(collect(terms).terms)
+        self.unify()
+
+    def share_products(self) -> None:
+        """Two factors that stand together in several terms become one, the most frequent first."""
+        pairs: Pairs[tuple[Factor, Factors], tuple[Factor, Factor]] = Pairs()
+        for name, line in self.lines.items():
+            if not self.fixed(name):
+                for factors in line:
+                    pairs.add((name, factors), combinations(factors, 2))
+        while (found := pairs.most_frequent()) is not None:
+            pair, places = found
+            home = next((n for n, factors in places if self._is_all(n, {factors: 1}, pair)), None)
+            sign: Number = 1 if home is None else self.lines[home][pair]
+            new = home or self.new({pair: 1})
+            for name, factors in places:
+                if name is home:
+                    continue
+                line = self.lines[name]
+                number = line.pop(factors)
+                pairs.remove((name, factors), combinations(factors, 2))
+                rest = list(factors)
+                rest.remove(pair[0])
+                rest.remove(pair[1])
+                merged = _ordered([*rest, new])
+                _add(line, merged, number * sign)
+                if merged in line:
+                    pairs.add((name, merged), combinations(merged, 2))
+        self.unify()
+
+    def share_sums(self) -> None:
+        """Two terms that stand together in several sums become one, the most frequent first."""
+        pairs: Pairs[Factor, tuple[Factors, Factors, Number]] = Pairs()
+        for name, line in self._short_sums().items():
+            pairs.add(name, _ratios(line))
+        while (found := pairs.most_frequent()) is not None:
+            (a, b, ratio), places = found
+            home = next((n for n in places if self._is_all(n, {a: 1, b: ratio}, a)), None)
+            sign: Number = 1 if home is None else self.lines[home][a]
+            new = home or self.new({a: 1, b: ratio})
+            for name in places:
+                if name is home:
+                    continue
+                line = self.lines[name]
+                pairs.remove(name, _ratios(line, {a, b, (new,)}))
+                number = line.pop(a)
+                del line[b]
+                _add(line, (new,), number * sign)
+                pairs.add(name, _ratios(line, {(new,)}))
+        self.unify()
+
+    def _short_sums(self) -> dict[Factor, Line]:
+        """The sums whose pairs of terms are few enough together; the longest ones are left out."""
+        sums = {name: line for name, line in self.lines.items() if not self.fixed(name)}
+        longest = 0
+        room = MOST_PAIRS
+        for length, count in sorted(Counter(map(len, sums.values())).items()):
+            room -= count * length * length
+            if room < 0:
+                break
+            longest = length
+        return {name: line for name, line in sums.items() if len(line) <= longest}
+
+    def _is_all(self, name: Factor, whole: Line, first: Factors) -> bool:
+        """Whether a line consists of these terms, up to its sign."""
+        line = self.lines[name]
+        if name in self.results or line.keys() != whole.keys() or first not in line:
+            return False
+        return abs(line[first]) == 1
+
+    def take_factors_out(self) -> None:
+        """A factor that several terms of a sum share leaves them in brackets."""
+        for name in [name for name in self.lines if not self.fixed(name)]:
+            while (best := self._best_factor(self.lines[name])) is not None:
+                line = self.lines[name]
+                inner = {_without(fs, best): c for fs, c in line.items() if best in fs}
+                rest = {fs: c for fs, c in line.items() if best not in fs}
+                _add(rest, _ordered([best, self.new(inner)]), 1)
+                self.lines[name] = rest
+        self.unify()
+
+    def _best_factor(self, line: Line) -> Factor | None:
+        """The factor that saves the most operations, if any does."""
+        count = Counter(factor for factors in line for factor in dict.fromkeys(factors))
+        best, most = None, (0, False)
+        for factor, times in count.items():
+            if times < 2:
+                continue
+            inner = [_without(factors, factor) for factors in line if factor in factors]
+            free = all(self.fixed(part) for factors in inner for part in factors)
+            saved = ((times - 1) * (1 + free), self.fixed(factor))
+            if saved > most:
+                best, most = factor, saved
+        return best
+
+
+class Pairs(Generic[Place, Pair]):
+    """Which pairs stand where; the one that stands in the most places."""
+
+    def __init__(self) -> None:
+        self._places: dict[Pair, dict[Place, None]] = defaultdict(dict)
+        self._serial: dict[Pair, int] = {}
+        self._heap: list[tuple[int, int, Pair]] = []
+
+    def add(self, place: Place, pairs: Iterable[Pair]) -> None:
+        """Pairs that stand in a place."""
+        for pair in dict.fromkeys(pairs):
+            places = self._places[pair]
+            places[place] = None
+            if len(places) > 1:
+                serial = self._serial.setdefault(pair, len(self._serial))
+                heapq.heappush(self._heap, (-len(places), serial, pair))
+
+    def remove(self, place: Place, pairs: Iterable[Pair]) -> None:
+        """Pairs that stand there no more."""
+        for pair in dict.fromkeys(pairs):
+            self._places[pair].pop(place, None)
+
+    def most_frequent(self) -> tuple[Pair, list[Place]] | None:
+        """The pair in the most places, once; None if all stand in one place only."""
+        while self._heap:
+            count, _, pair = heapq.heappop(self._heap)
+            places = self._places[pair]
+            if len(places) == -count and count < -1:
+                return pair, list(places)
+        return None
+
+
+def _ratios(line: Line, some: Set[Factors] | None = None) -> list[tuple[Factors, Factors, Number]]:
+    """Every pair of terms, or those with one among some, with the ratio of their numbers."""
+    terms = collect(line.items()).terms
+    if some is None:
+        return [(a, b, v / u) for (a, u), (b, v) in combinations(terms, 2)]
+    places = [k for k, (factors, _) in enumerate(terms) if factors in some]
+    pairs = {(min(k, other), max(k, other)) for k in places for other in range(len(terms))}
+    return [
+        (terms[k][0], terms[other][0], terms[other][1] / terms[k][1])
+        for k, other in sorted(pairs)
+        if k != other
+    ]
+
+
+def _add(line: Line, factors: Factors, number: Number) -> None:
+    total = line.get(factors, 0) + number
+    if total:
+        line[factors] = total
+    else:
+        line.pop(factors, None)
+
+
+def _without(factors: Factors, one: Factor) -> Factors:
+    place = factors.index(one)
+    return factors[:place] + factors[place + 1 :]
+
+
+def _ordered(factors: Iterable[Factor]) -> Factors:
+    return tuple(sorted(factors))

@@ -1,0 +1,62 @@
+"""Mapping by the names of columns alone, for the joints of a robot that a log has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from testbed.core.robot.arms import joint_sets
+from testbed.core.robot.locks import Travel
+from testbed.core.robot.model_file import ModelFile, expressible
+from testbed.core.robot.tree import Tree
+from testbed.importing.check.remedies import own_joints
+from testbed.importing.foreign_table import TURNING
+from testbed.importing.guess import guessed
+from testbed.importing.import_report import Draft
+
+
+def draft_mapping(
+    paths: Sequence[Path], folder: Path, file: ModelFile
+) -> tuple[Draft, ModelFile, Tree]:
+    """Mapping by the columns' names, and a robot without the joints that the log lacks.
+
+    A root that floats is welded, unless the file already says how.
+
+    Args:
+        paths: Files of other programs.
+        folder: Where the mapping is to stand.
+        file: The model file; of joints that follow others those are held that do not move.
+
+    Raises:
+        RecordingError: A file cannot be read, or holds no columns.
+        ModelError: The model file cannot be read.
+    """
+    file, tree, followed = expressible(file)
+    names = [tree.names[k] for k in own_joints(tree)]
+    draft = guessed(paths, folder, names, joint_sets(tree, names, followed))
+    logged = draft.tables[""]["joints"]
+    if not set(logged) <= set(names):
+        return draft, file, tree
+    lacking = [joint for joint in tree.joints if joint.name in {*names} - {*logged}]
+    places = {joint.name: Travel(*joint.position_range).rest for joint in lacking}
+    for name, place in ({k: q for k, q in file.lock.items() if q is not None} | places).items():
+        draft = draft.saying(
+            "lock", name, float(place), "held: no column of it, or by --lock [rad or m]"
+        )
+    draft = _with_slides(draft, tree)
+    file = replace(file, lock={**file.lock, **places})
+    return draft, file, file.tree() if lacking else tree
+
+
+def _with_slides(draft: Draft, tree: Tree) -> Draft:
+    """Mapping with lengths for joints that slide, where one unit of angles was read for all."""
+    kinds = {joint.name: joint.kind for joint in tree.joints}
+    slides = [kinds[name] == "prismatic" for name in draft.tables[""]["joints"]]
+    for kind in ("position", "velocity"):
+        unit = draft.tables.get(kind, {}).get("unit")
+        if any(slides) and isinstance(unit, str) and unit in TURNING[kind]:
+            length = ("mm" if unit.startswith("deg") else "m") + "/s" * (kind == "velocity")
+            units = [length if slide else unit for slide in slides]
+            draft = draft.saying(kind, "unit", units, "ASSUMED: lengths of joints that slide")
+    return draft

@@ -1,0 +1,214 @@
+"""A few hundred instants of a recording: all signals through one low-pass, and their slopes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.regression.windows import motion_taps
+from testbed.core.recordings.recording import Recording
+
+CUTOFF, SLOW = 8.0, 2.0
+"""Of the low-pass [Hz], a sixth of the rate where the recording is slower; of another one, for
+signals that are noise above it."""
+
+MOST, A_SECOND = 400, 16.0
+"""Instants that are kept, in all and a second: no more than the low-pass lets be independent."""
+
+LEAST = 20
+"""Instants below which a recording is of no use."""
+
+LATEST, SPARE = 4.0, 0.25
+"""Delays that are looked for at most [s], and in parts of a recording."""
+
+LATE = 0.2
+"""Times as much as without that may be left where a signal is read later, for it to be late."""
+
+SPREAD = 20_000
+"""Samples, at least, that show the noise of a plate."""
+
+ENOUGH = 4
+"""Values for each column from which delays are looked for."""
+
+DEPENDENT = 1e-7
+"""Share of the largest singular value below which a direction of the rows is none."""
+
+MEDIAN = 0.4549
+"""Of the square of a normal number of variance one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Instants:
+    """Signals at T instants of a recording.
+
+    Attributes:
+        position: (T, n) [rad or m].
+        velocity: (T, n) [rad/s or m/s].
+        acceleration: (T, n) [rad/s^2 or m/s^2].
+        torque: (T, n) [N m or N]; (T, 0) where it was not measured.
+        wrench: (T, 6) [N, N m]; (T, 0) where it was not measured.
+        wrench_rate: Its derivative, (T, 6) [N/s, N m/s], or (T, 0).
+        torque_noise: Variance of the noise that is left in the torques, (n,) or (0,).
+        wrench_noise: The same of the wrench, by the octave above, (6,) or (0,).
+        spacing: From one instant to the next [s].
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+    wrench: Array
+    wrench_rate: Array
+    torque_noise: Array
+    wrench_noise: Array
+    spacing: float
+
+    def transform(self, scale: Array, offset: Array) -> Instants:
+        """The same with positions scale @ q + offset.
+
+        Args:
+            scale: (n, n).
+            offset: (n,) [rad or m].
+        """
+        return replace(
+            self,
+            position=self.position @ scale.T + offset,
+            velocity=self.velocity @ scale.T,
+            acceleration=self.acceleration @ scale.T,
+        )
+
+    def every(self, step: int) -> Instants:
+        """Every n-th instant.
+
+        Args:
+            step: Instants from one to the next.
+        """
+        names = ("position", "velocity", "acceleration", "torque", "wrench", "wrench_rate")
+        fewer = {name: getattr(self, name)[::step] for name in names}
+        return replace(self, spacing=step * self.spacing, **fewer)
+
+
+def sample(recording: Recording, late: float = 0.0, cutoff: float = CUTOFF) -> Instants | None:
+    """Signals of a recording at a few hundred instants; None where it is too short.
+
+    Args:
+        recording: Of M samples.
+        late: How late the wrench is [s].
+        cutoff: Of the low-pass [Hz].
+    """
+    rate, torque, wrench = recording.rate, recording.torque, recording.wrench
+    passed = min(cutoff, rate / 6)
+    taps, octave = motion_taps(rate, passed), motion_taps(rate, 2 * passed)[0]
+    lost = taps.shape[1] // 2
+    inside = recording.samples - 2 * lost
+    count = min(MOST, int(inside / rate * A_SECOND * cutoff / CUTOFF))
+    if count < LEAST:
+        return None
+    later = round(late * rate)
+    at = np.linspace(0, inside - 1 - abs(later), count).astype(int) + max(0, -later)
+
+    def filtered(signal: Array | None, derivative: int, later: int = 0) -> Array:
+        if signal is None:
+            return np.zeros((count, 0))
+        return decimate(signal, taps[derivative, ::-1], lost, at + later)
+
+    smoothing = float((taps[0] ** 2).sum())
+    above = np.zeros(0)  # what lies in the octave above the low-pass no smooth motion makes
+    if wrench is not None:
+        every = slice(None, None, max(1, inside // SPREAD))
+        low, high = (decimate(wrench, each[::-1], lost, every) for each in (taps[0], octave))
+        above = (high - low).var(axis=0)
+    return Instants(
+        position=filtered(recording.position, 0),
+        velocity=filtered(recording.position, 1),
+        acceleration=filtered(recording.position, 2),
+        torque=filtered(torque, 0),
+        wrench=filtered(wrench, 0, later),
+        wrench_rate=filtered(wrench, 1, later),
+        torque_noise=_noise(torque) * smoothing,
+        wrench_noise=above,
+        spacing=(inside - abs(later)) / rate / count,
+    )
+
+
+def decimate(signal: Array, weights: Array, reach: int, at: slice | NDArray[np.intp]) -> Array:
+    """Filter and downsample a signal; `reach` samples at either end are cut.
+
+    Args:
+        signal: (M, k).
+        weights: Of the filter, reversed in time, (2 L + 1,), L at most `reach`.
+        reach: Samples lost at either end.
+        at: Which of the others are kept.
+    """
+    spare = reach - len(weights) // 2
+    within = signal[spare : len(signal) - spare]
+    windows = np.lib.stride_tricks.sliding_window_view(within, len(weights), axis=0)[at]
+    found: Array = np.einsum("mkl,l->mk", windows, weights[::-1])
+    return found
+
+
+def directions(columns: Array, dependent: float = DEPENDENT) -> Array:
+    """Orthonormal directions of all that columns, (k, N), can make.
+
+    A column that others imitate, as a first rotor's, has none of its own: rounding would make one.
+
+    Args:
+        columns: Of any sizes.
+        dependent: Share of the largest singular value, of columns of unit length, of none.
+    """
+    size = np.linalg.norm(columns, axis=0)
+    kept = size > dependent**1.5 * size.max(initial=0.0)
+    if not kept.any():
+        return columns[:, :0]
+    wide, small = np.linalg.qr(columns[:, kept] / size[kept])
+    axes, spread, _ = np.linalg.svd(small)
+    basis: Array = wide @ axes[:, spread > dependent * spread[0]]
+    return basis
+
+
+def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
+    """How late a signal is beside columns, to a row [s], and times less that they leave of it then.
+
+    For all delays at once: what orthonormal columns explain are their correlations. Rows of zeros
+    do not count.
+
+    Args:
+        columns: Of the signal, (T, C, N).
+        signal: (T, C).
+        spacing: From one row to the next [s].
+    """
+    most = int(min(LATEST / spacing, SPARE * len(signal)))
+    rows = columns[most : len(columns) - most]
+    basis = directions(rows.reshape(-1, rows.shape[2]))
+    if not 0 < ENOUGH * basis.shape[1] < len(basis):
+        return 0.0, 1.0  # nothing moves, or columns explain whatever is measured
+    basis = basis.reshape(*rows.shape[:2], -1)
+    explained = _correlated(signal[..., None], basis).sum(axis=1)
+    counted: Array = np.any(rows, axis=2) * np.ones(rows.shape[:2])
+    whole = _correlated(signal**2, counted)
+    share = (explained**2).sum(axis=1) / np.maximum(whole.sum(axis=1), 1e-300)
+    best = int(np.argmax(share))
+    if best in (0, 2 * most):  # no delay is best, the farther the better
+        return 0.0, 1.0
+    return spacing * (best - most), float((1 - share[best]) / max(1 - share[most], 1e-300))
+
+
+def _correlated(signal: Array, rows: Array) -> Array:
+    """Correlation of rows with a longer signal at all delays, along axis 0."""
+    size = len(signal) + len(rows)
+    product = np.fft.rfft(signal, size, axis=0) * np.fft.rfft(rows, size, axis=0).conj()
+    return np.fft.irfft(product, size, axis=0)[: len(signal) - len(rows) + 1]
+
+
+def _noise(signal: Array | None) -> Array:
+    """Variance of white noise, by the differences from sample to sample that motion does not make.
+
+    Args:
+        signal: (M, C); None for no channels.
+    """
+    if signal is None:
+        return np.zeros(0)
+    return np.median(np.diff(signal, 2, axis=0) ** 2, axis=0) / (6 * MEDIAN)

@@ -1,0 +1,74 @@
+"""What is known of a robot before the data: its parameters, roughly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.dynamics.newton_euler import pedestal_wrench
+from testbed.core.parameters.minimal_set import minimal_set
+from testbed.core.parameters.symbols import barycentric, standard, to_barycentric
+from testbed.core.robot.tree import Tree
+
+MASS, REACH, LIGHT = 0.4, 0.03, 0.1
+"""Relative sigma of masses, sigma of centres of mass [m]; and part of the robot's mass that a body
+counts with at least: tools that the model does not know are at light links."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """A robot's parameters before the data.
+
+    Attributes:
+        tree: The robot, its masses roughly right.
+        mean: Barycentric parameters by the model file, (10 n,).
+        root: Of their covariance, (10 n, 10 n): masses within a half, centres within some
+            centimetres.
+        lift: From a wrench's minimal parameters to these, (10 n, N).
+    """
+
+    tree: Tree
+    mean: Array
+    root: Array
+    lift: Array
+
+    @property
+    def weight(self) -> float:
+        """Of the robot by the model file [N]."""
+        mass = sum(each.mass for each in self.tree.inertias)
+        return float(mass * np.linalg.norm(self.tree.gravity))
+
+    def zero(self, tare: Array | None) -> Array:
+        """What a plate shows without the robot, (6,) [N, N m].
+
+        Args:
+            tare: What its recording says; None for the model's pedestal.
+        """
+        return pedestal_wrench(self.tree) if tare is None else tare
+
+
+def prior_of(tree: Tree) -> Prior:
+    """What a model file says.
+
+    Args:
+        tree: The robot.
+    """
+    lift = minimal_set(tree, "reaction").lift
+    return Prior(tree, barycentric(tree).ravel(), _root(tree), lift)
+
+
+def _root(tree: Tree) -> Array:
+    """Sigmas of the standard parameters, on the barycentric ones, (10 n, 10 n)."""
+    own = standard(tree)
+    mass = np.maximum(own[:, 0], LIGHT * own[:, 0].sum())
+    centre = np.linalg.norm(own[:, 1:4], axis=1) / np.where(own[:, 0] > 0, own[:, 0], 1.0)
+    reach = REACH + MASS * centre
+    sigma = np.empty((tree.n, 10))
+    sigma[:, 0] = MASS * mass
+    sigma[:, 1:4] = (mass * reach)[:, None]
+    sigma[:, 4:] = MASS * np.abs(own[:, 4:]) + (mass * reach**2)[:, None]
+    sigma[: tree.massless] = 0.0
+    spread = np.diag(sigma.ravel()).reshape(tree.n, 10, 10 * tree.n)
+    return to_barycentric(tree, spread).reshape(10 * tree.n, 10 * tree.n)

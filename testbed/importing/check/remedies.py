@@ -1,0 +1,427 @@
+"""What a mapping may say wrongly, as values, and the lines that would make it right."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import few
+from testbed.core.recordings.columns import AXES
+from testbed.core.robot.free_base import FREE
+from testbed.core.robot.inertia import from_rpy, to_rpy
+from testbed.core.robot.tree import Tree
+from testbed.importing.foreign_table import LENGTHS, factor
+from testbed.importing.import_report import Line
+
+Table = Literal["position", "torque", "wrench", "base"]
+
+
+class Kind(NamedTuple):
+    """A kind of hypothesis: what is wrong in words, in which table, and what it must explain more.
+
+    Of two that explain the same, the one that files hold more often comes first [nats].
+    """
+
+    words: str
+    table: Table
+    penalty: float = 0.0
+
+
+KINDS: Mapping[str, Kind] = {
+    "degrees": Kind("degrees taken for radians", "position"),
+    "radians": Kind("radians taken for degrees", "position"),
+    "position_sign": Kind("the opposite sign of the position", "position", 1.5),
+    "position_order": Kind("positions in another order of joints", "position", 1.5),
+    "zero": Kind("another zero of the position", "position", 4.0),
+    "base_unit": Kind("another unit of the base's position", "base"),
+    "quaternion_order": Kind("x, y, z, w of the base's quaternion taken for w, x, y, z", "base"),
+    "torque_sign": Kind("the opposite sign of the torque", "torque"),
+    "torque_order": Kind("torques in another order of joints", "torque"),
+    "torque_size": Kind("torques of another size", "torque"),
+    "units": Kind("other units of the plate", "wrench"),
+    "plate_order": Kind("the plate's columns in another order", "wrench", 1.0),
+    "turn": Kind("a plate's frame that is turned", "wrench"),
+    "shift": Kind("a plate's frame that lies elsewhere", "wrench"),
+    "sense": Kind("the opposite sense of the wrench", "wrench"),
+    "tare": Kind("a plate that was not zero without the robot", "wrench"),
+    "late": Kind("a clock of the plate that is off", "wrench", 4.0),
+}
+
+QUARTERS = (np.pi / 2, -np.pi / 2, np.pi)
+"""Zeros that model files and controllers put elsewhere [rad]."""
+
+SCANNED = tuple(np.deg2rad([-135, -45, 45, 135]).tolist())
+"""Other zeros to try [rad]."""
+
+BEYOND = 2 * np.pi
+"""Positions below this are no degrees taken for radians: nobody moves so little [rad]."""
+
+LITTLE = np.deg2rad(2 * BEYOND)
+"""Excursions below this may be radians that were taken for degrees [rad]."""
+
+BASE_UNITS = (1e-3, 1e-2, 1e2, 1e3)
+"""Times that a base's positions are taken too small or too large: mm or cm for m."""
+
+SCALAR_LAST = (3, 0, 1, 2)
+"""Where w, x, y, z of a quaternion stand that is x, y, z, w."""
+
+STEPS, ODD = (np.pi / 2, np.pi / 12), 2.0
+"""Steps of angles that people write [rad]; what another turn must explain more [nats]."""
+
+MOST_JOINTS = 12
+"""Joints of a robot up to which orders and zeros are tried: their number grows fast."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One thing that a mapping may say wrongly, as what must be done to the data.
+
+    Attributes:
+        kind: What is wrong, a key of `KINDS`.
+        joints: Indices of the joints that it is about.
+        values: Of zeros the angles to add, one a joint [rad]; of orders, in which column the k-th
+            joint or channel is; of units their names; of a turn the frame's roll, pitch and yaw
+            [rad]; of a shift the frame's origin [m]; of a plate that is late by how much [s]; of
+            sizes, and of a base's unit, how many times too large the numbers are.
+    """
+
+    kind: str
+    joints: tuple[int, ...] = ()
+    values: tuple[Any, ...] = ()
+
+    @property
+    def penalty(self) -> float:
+        """What it must explain more than another hypothesis [nats]."""
+        if self.kind == "turn":  # people turn by right angles, and then by what is on a protractor
+            angles = np.array(self.values)
+            odd = [np.abs(angles - np.round(angles / step) * step).max() > 1e-4 for step in STEPS]
+            return float(ODD * sum(odd))
+        odd_zeros = self.kind == "zero" and not set(self.values) <= set(QUARTERS)
+        times = len(self.joints) + odd_zeros if self.kind == "zero" else 1
+        return KINDS[self.kind].penalty * times
+
+
+def in_words(tree: Tree, hypothesis: Hypothesis) -> str:
+    """A hypothesis with the joints that it is about, and by how much zeros are off.
+
+    Args:
+        tree: The robot.
+        hypothesis: What may be wrong.
+    """
+    words = KINDS[hypothesis.kind].words
+    if len(hypothesis.joints) in (0, len(own_joints(tree))):
+        return words
+    names = few([tree.names[k] for k in hypothesis.joints])
+    by = ", ".join(f"{np.rad2deg(angle):.0f}" for angle in hypothesis.values)
+    return f"{words} ({names}{f' by {by} deg' if hypothesis.kind == 'zero' else ''})"
+
+
+def own_joints(tree: Tree) -> range:
+    """The robot's own joints: all, but for the coordinates of a free base.
+
+    Args:
+        tree: The robot.
+    """
+    return range(FREE if tree.floating else 0, tree.n)
+
+
+def position_hypotheses(
+    tree: Tree, position: Array, beside: Sequence[Hypothesis]
+) -> Iterator[Hypothesis]:
+    """Hypotheses about positions that may hold besides others.
+
+    Args:
+        tree: The robot.
+        position: (T, n) [rad or m].
+        beside: Hypotheses that hold.
+    """
+    own = own_joints(tree)
+    turning = [k for k in own if tree.joints[k].revolute]
+    before = {each.kind for each in beside}
+    if turning and not before & {"degrees", "radians"}:
+        if np.abs(position[:, turning]).max() > BEYOND:
+            yield Hypothesis("degrees", tuple(turning))
+        if np.ptp(position[:, turning], axis=0).max() < LITTLE:
+            yield Hypothesis("radians", tuple(turning))
+    if tree.floating and "base_unit" not in before:
+        yield from (Hypothesis("base_unit", (), (factor,)) for factor in BASE_UNITS)
+    if tree.floating and "quaternion_order" not in before:
+        yield Hypothesis("quaternion_order", (), SCALAR_LAST)
+    yield from (Hypothesis("position_sign", (joint,)) for joint in own)
+    if tree.n > MOST_JOINTS:
+        return
+    for joint, angle in product(_inner_joints(tree), QUARTERS):
+        yield Hypothesis("zero", (joint,), (angle,))
+    for order in _orders(tree, own):
+        moved = tuple(k for k in own if order[k] != k)
+        if all(tree.joints[k].kind == tree.joints[order[k]].kind for k in moved):
+            yield Hypothesis("position_order", moved, order)
+
+
+def rarer_hypotheses(tree: Tree, *, pairs: bool) -> Iterator[Hypothesis]:
+    """Zeros of neighbours that are wrong together, and zeros by any angle.
+
+    Args:
+        tree: The robot.
+        pairs: Whether to try neighbours.
+    """
+    turning = _inner_joints(tree) if tree.n <= MOST_JOINTS else []
+    for joint in turning:
+        for other, angles in product(tree.children(joint), product(QUARTERS, repeat=2)):
+            if pairs and other in turning:
+                yield Hypothesis("zero", (joint, other), angles)
+        yield from (Hypothesis("zero", (joint,), (angle,)) for angle in SCANNED)
+
+
+def _inner_joints(tree: Tree) -> list[int]:
+    """Joints that turn and carry others: the last one's zero only renames its body's parameters."""
+    return [k for k in own_joints(tree) if tree.joints[k].revolute and tree.children(k)]
+
+
+def _orders(tree: Tree, own: range) -> Iterator[tuple[int, ...]]:
+    """Two joints exchanged; all of them rolled or in reverse."""
+    same = list(range(tree.n))
+    for one, other in combinations(own, 2):
+        order = list(same)
+        order[one], order[other] = other, one
+        yield tuple(order)
+    if len(own) > 2:
+        base, rest = same[: own.start], np.array(own)
+        yield from ((*base, *np.roll(rest, k).tolist()) for k in range(1, len(own)))
+        if len(own) > 3:
+            yield (*base, *rest[::-1].tolist())
+
+
+def joint_map(hypothesis: Hypothesis, n: int, offset: Array) -> tuple[Array, Array]:
+    """Positions by a hypothesis are scale @ position + added: (n, n) and (n,).
+
+    Args:
+        hypothesis: About positions, but for the order of a quaternion.
+        n: Joints.
+        offset: What the mapping has added to the positions, (n,).
+    """
+    scale, added, here = np.ones(n), np.zeros(n), list(hypothesis.joints)
+    if hypothesis.kind == "position_order":
+        return np.eye(n)[list(hypothesis.values)], added
+    if hypothesis.kind == "position_sign":
+        scale[here] = -1.0
+    if hypothesis.kind == "degrees":
+        scale[here] = np.pi / 180
+    if hypothesis.kind == "radians":
+        scale[here] = 180 / np.pi
+        added[here] = ((1 - 180 / np.pi) * offset)[here]
+    if hypothesis.kind == "zero":
+        added[here] = hypothesis.values
+    if hypothesis.kind == "base_unit":
+        scale[:3] = 1 / hypothesis.values[0]
+    return np.diag(scale), added
+
+
+def position_offset(tree: Tree, mapping: Mapping[str, Any]) -> Array:
+    """What a mapping has added to the positions, in the order of the tree's joints, (n,).
+
+    Args:
+        tree: The robot.
+        mapping: What the recording's mapping file says; empty if it has none.
+    """
+    offsets = (mapping.get("position") or {}).get("offset") or ()
+    by_name = dict(zip(mapping.get("joints", tree.names), offsets, strict=False))
+    return np.array([by_name.get(name, 0.0) for name in tree.names])
+
+
+def merge(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """Signs and zeros of several joints, each kind as one: it is one line of a mapping.
+
+    Args:
+        hypotheses: In the order in which they are applied.
+    """
+    signs: dict[str, set[int]] = {"position_sign": set(), "torque_sign": set()}
+    zeros: dict[int, float] = {}
+    merged = []
+    for each in hypotheses:
+        if each.kind in signs:
+            signs[each.kind] ^= set(each.joints)
+            if each.kind == "position_sign":  # of what was added before, too
+                zeros |= {joint: -zeros[joint] for joint in each.joints if joint in zeros}
+        elif each.kind == "zero":
+            for joint, angle in zip(each.joints, each.values, strict=True):
+                zeros[joint] = zeros.get(joint, 0.0) + angle
+        else:
+            merged.append(each)
+    zeros = {joint: angle for joint, angle in sorted(zeros.items()) if angle}
+    merged += [Hypothesis(kind, tuple(sorted(joints))) for kind, joints in signs.items() if joints]
+    merged += [Hypothesis("zero", tuple(zeros), tuple(zeros.values()))] if zeros else []
+    return tuple(merged)
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """One thing to change in a mapping, and what it does to the data.
+
+    Attributes:
+        kind: Of the hypothesis, a key of `KINDS`.
+        joints: Names of the joints that it is about; empty where it is about plate or base.
+        values: As of the `Hypothesis`: angles, an order, units, roll, pitch and yaw, ...
+        lines: What the mapping should say.
+        channel: Which channel it helps most.
+        before: Part of its variance that is unexplained as recorded.
+        after: The same with all remedies.
+    """
+
+    kind: str
+    joints: tuple[str, ...]
+    values: tuple[Any, ...]
+    lines: tuple[Line, ...]
+    channel: str
+    before: float
+    after: float
+
+
+def remedies_for(tree: Tree, hypotheses: Sequence[Hypothesis], before: Array, after: Array,
+                 mapping: Mapping[str, Any], torques: int) -> tuple[Remedy, ...]:  # fmt: skip
+    """What to change in a mapping if hypotheses hold.
+
+    Args:
+        tree: The robot.
+        hypotheses: In the order in which they are applied.
+        before: Part of each channel's variance that is unexplained as recorded, (C,).
+        after: The same by the hypotheses.
+        mapping: What the recording's mapping file says; empty if it has none.
+        torques: How many of the channels, the first, are torques.
+    """
+    channels = [*(f"the torque of '{name}'" for name in tree.names[:torques]), *AXES]
+    remedies = []
+    for each in hypotheses:
+        lines = tuple(_lines(tree, each, mapping))
+        mapping = with_lines(mapping, lines)  # on which the next ones build
+        every = range(len(before))
+        own = {"wrench": every[torques:], "torque": each.joints}.get(KINDS[each.kind].table, every)
+        best = max(own, key=lambda k: before[k] - after[k])
+        joints = tuple(tree.names[k] for k in each.joints)
+        shares = float(before[best]), float(after[best])
+        remedies.append(Remedy(each.kind, joints, each.values, lines, channels[best], *shares))
+    return tuple(remedies)
+
+
+def with_lines(mapping: Mapping[str, Any], lines: Iterable[Line]) -> dict[str, Any]:
+    """A mapping that says other values.
+
+    Args:
+        mapping: As a recording keeps it.
+        lines: What it should say.
+    """
+    edited = {**mapping}
+    for table, key, value in lines:
+        here = edited
+        for part in table.split("."):
+            here[part] = {**(here.get(part) or {})}
+            here = here[part]
+        here[key] = value
+    return edited
+
+
+def _lines(tree: Tree, hypothesis: Hypothesis, mapping: Mapping[str, Any]) -> Iterator[Line]:
+    """What to write of one hypothesis, in terms of what is written if that is known."""
+    name = KINDS[hypothesis.kind].table
+    table = mapping.get(name) or {}
+    if name == "wrench":
+        for plate, each in wrench_tables(mapping).items():
+            alone = not plate.startswith("plates.")
+            yield (plate, *_plate_line(hypothesis, each, alone=alone))
+    elif name == "base":
+        yield (name, *_base_line(hypothesis, table))
+    else:
+        order = [tree.names.index(joint) for joint in mapping.get("joints", tree.names)]
+        for key, value in _joint_lines(tree, hypothesis, table, order):
+            yield name, key, value
+
+
+def wrench_tables(mapping: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Tables of which a recording's wrench was made: the plate's, several plates', or a sensor's.
+
+    Args:
+        mapping: As a recording keeps it.
+    """
+    for group in ("plates", "sensors"):
+        if mapping.get(group) and not mapping.get("wrench"):
+            return {f"{group}.{name}": table for name, table in mapping[group].items()}
+    return {"wrench": mapping.get("wrench") or {}}
+
+
+def _plate_line(
+    hypothesis: Hypothesis, table: Mapping[str, Any], *, alone: bool
+) -> tuple[str, Any]:
+    """A key of a plate's table and its value; several plates are moved as one."""
+    kind, values = hypothesis.kind, hypothesis.values
+    if kind == "sense":
+        return "sense", "on_plate" if table.get("sense") != "on_plate" else "on_robot"
+    if kind == "plate_order":
+        columns = table.get("columns", AXES)
+        columns = columns if len(columns) == len(AXES) else AXES
+        return "columns", [columns[k] for k in values]
+    if kind == "late":
+        return "delay", round(float(table.get("delay", 0.0)) + values[0], 4)
+    if kind in ("units", "tare"):
+        return kind, list(values)
+    place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
+    rpy, xyz = place["rpy"], np.array(place["xyz"], float)
+    if kind == "turn":
+        turn = from_rpy(values)
+        rpy = values if alone else to_rpy(turn @ from_rpy(rpy))
+        xyz = xyz if alone else turn @ xyz
+    else:
+        xyz = np.array(values) if alone else xyz + values
+    return "place", {"xyz": np.round(xyz, 4).tolist(), "rpy": [round(a, 5) + 0.0 for a in rpy]}
+
+
+def _base_line(hypothesis: Hypothesis, table: Mapping[str, Any]) -> tuple[str, Any]:
+    """A key of the base's table and its value."""
+    if hypothesis.kind == "quaternion_order":
+        columns = table.get("quaternion", ("x", "y", "z", "w"))
+        return "quaternion", [columns[k] for k in hypothesis.values]
+    wanted = factor("position", table.get("unit", "m")) / hypothesis.values[0]
+    units = [unit for unit, size in LENGTHS.items() if np.isclose(size, wanted)]
+    return "unit", units[0] if units else f"one of {wanted:g} m"
+
+
+def _joint_lines(
+    tree: Tree, hypothesis: Hypothesis, table: Mapping[str, Any], order: Sequence[int]
+) -> Iterator[tuple[str, Any]]:
+    """Keys of the joints' columns and their values, in the mapping's own order of joints."""
+    kind, matrix, offset = hypothesis.kind, table.get("matrix"), table.get("offset") or ()
+    here = [k in hypothesis.joints for k in order]
+    if kind.endswith("sign"):
+        if matrix:
+            rows = zip(matrix, here, strict=True)
+            yield "matrix", [[-x for x in row] if turn else row for row, turn in rows]
+        else:
+            yield "sign", _opposite(table.get("sign") or [1] * len(order), here)
+        if any(offset):
+            yield "offset", _opposite(offset, here)
+    if kind in ("degrees", "radians"):
+        right, other = ("deg", "rad") if kind == "degrees" else ("rad", "deg")
+        unit = table.get("unit")
+        if not isinstance(unit, list):
+            unit = [other if tree.joints[k].revolute else "m" for k in order]
+        units = [right if turn else each for each, turn in zip(unit, here, strict=True)]
+        yield "unit", right if set(units) == {right} else units
+    if kind == "zero":
+        angles = dict(zip(hypothesis.joints, hypothesis.values, strict=True))
+        before = zip(order, offset or [0.0] * len(order), strict=True)
+        yield "offset", [round(x + angles[k], 5) if k in angles else x for k, x in before]
+    if kind.endswith("order"):
+        columns = table.get("columns", ())
+        if matrix or len(columns) != len(order):
+            columns = [tree.names[k] for k in order]
+        by_joint = dict(zip(order, columns, strict=True))
+        yield "columns", [by_joint[hypothesis.values[k]] for k in order]
+
+
+def _opposite(values: Sequence[float], here: Sequence[bool]) -> list[float]:
+    """Numbers, some of them with the other sign; zero has none."""
+    return [-x if turn and x else x for x, turn in zip(values, here, strict=True)]

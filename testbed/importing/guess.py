@@ -1,0 +1,333 @@
+"""A mapping file to start from: what foreign files hold; what only a person knows is empty."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError, few, plural, printable
+from testbed.importing.column_names import (
+    WARMTH,
+    ColumnName,
+    at_the_hand,
+    base_columns,
+    grouped,
+)
+from testbed.importing.foreign_table import KINDS, RAW, UNITS, ForeignTable, Kind, plain
+from testbed.importing.import_report import Draft
+from testbed.importing.likely_signals import (
+    BY_BOTH,
+    PER_CENT,
+    LikelySignal,
+    LikelySource,
+    likely_plates,
+    likely_signals,
+    likely_sources,
+    values_of,
+)
+
+SHOWN = 100
+"""Most columns of a source that are listed."""
+
+Said = tuple[str, Any, str]
+"""A key, its value, and what is said beside it."""
+
+
+def guessed(
+    paths: Sequence[Path], folder: Path, joints: Sequence[str] = (),
+    subsets: Iterable[Sequence[str]] = (),
+) -> Draft:  # fmt: skip
+    """A mapping to start from; where something is empty, `read_mapping` refuses it.
+
+    Args:
+        paths: Files of other programs.
+        folder: Where the mapping is to stand: files are named relative to it.
+        joints: Names in the robot's model, in its order; none if that is not known.
+        subsets: Fewer of them, tried where columns do not fit all.
+
+    Raises:
+        RecordingError: One cannot be read, or they hold no columns.
+        UnknownName: An ending is that of no known format.
+    """
+    sources = likely_sources(paths, len(joints))
+    if not sources:
+        listed = ", ".join(f"'{path}'" for path in paths)
+        raise RecordingError(f"no columns of numbers in {listed}")
+    signals, joints = _fitting(sources, joints, subsets)
+    temperatures, base = [*_temperatures(sources, joints, signals)], [*_base(sources)]
+    by_name = {each.source.name: each.source for each in signals.values()}
+    sources = [by_name.get(each.name, each) for each in sources]
+    files = ", ".join(printable(path.name, 100) for path in paths)
+    draft = Draft().remarking(
+        "",
+        f"# What {files} {'holds' if len(paths) == 1 else 'hold'}, made into a recording by",
+        "#   testbed import THIS.toml --out recording.parquet --model ROBOT",
+        "# once nothing is empty or 0. See docs/your-recording.md.",
+        "",
+    )
+    rate = _rate(sources, signals)
+    why = "" if rate else f": {sources[0].clock.because}, and a log without times does not say it"
+    draft = draft.saying("", "rate", rate, f"of the recording [Hz]{why}")
+    draft = draft.saying("", "joints", *_joints(signals, joints))
+    plates = likely_plates(sources, signals)
+    used = {each.source.name for each in signals.values()} | {each[1].name for each in plates}
+    used |= {keys[0][1] for keys in (temperatures, base) if keys}
+    for each in sources:
+        needed = each.name in used or not used
+        draft = _with_source(draft, each, folder, needed=needed)
+        if not rate:  # then it is the recording's
+            draft = draft.saying(f"sources.{each.name}", "rate", None)
+    for kind in KINDS:
+        draft = _with_signal(draft, kind, signals, sources)
+    for said in temperatures:
+        draft = draft.saying("temperature", *said)
+    stated = {p.columns: p.name for _, each, _ in plates for p in each.table.plates}
+    taken = [tuple(column.name for column in columns) for _, _, columns in plates]
+    if idle := [name for columns, name in stated.items() if columns not in taken]:
+        draft = draft.remarking("", f"# left out, without a load: {json.dumps(idle)}")
+    names = [name for name, _, _ in plates]
+    for name, source, columns in plates:
+        own = name if names.count(name) == 1 else f"{source.name} {name}"
+        table = "wrench" if len(plates) == 1 else f"plates.{_key(own)}"
+        for said in _plate(source, columns, alone=len(plates) == 1):
+            draft = draft.saying(table, *said)
+    for said in base:
+        draft = draft.saying("base", *said)
+    return draft
+
+
+def _with_source(draft: Draft, source: LikelySource, folder: Path, *, needed: bool) -> Draft:
+    """Mapping with a source's table, or a comment that lists its unused columns."""
+    name = f"sources.{source.name}"
+    file = os.path.relpath(source.file.resolve(), folder.resolve())
+    known = [f"# {source.table.about}"] if source.table.about else []
+    known += [f"# {source.logger} names its columns like this"] if source.logger else []
+    rows = max(source.table.lengths.values(), default=0)
+    known += [f"# the last line is incomplete: {rows} rows are read"] if source.table.cut else []
+    known += [] if needed else [f"# no signal is of {printable(f'{file} {source.topic or str()}')}"]
+    draft = draft.remarking(name, *known, *_listed(source.table))
+    keys = [("file", file, ""), ("topic", source.topic, ""), *source.clock.said()]
+    for said in keys if needed else ():
+        draft = draft.saying(name, *said)
+    return draft
+
+
+def _fitting(
+    sources: Sequence[LikelySource], joints: Sequence[str], subsets: Iterable[Sequence[str]]
+) -> tuple[Mapping[Kind, LikelySignal], Sequence[str]]:
+    """Signals of all joints, or of the first fewer ones that the columns fit; and these joints."""
+    signals = likely_signals(sources, joints)
+    for fewer in subsets:
+        if signals and all(each.group.matched for each in signals.values()):
+            break
+        tried = likely_signals(sources, fewer)
+        if any(each.group.matched for each in tried.values()):
+            signals, joints = tried, fewer
+    return signals, joints
+
+
+def _rate(sources: Sequence[LikelySource], signals: Mapping[Kind, LikelySignal]) -> float:
+    """The positions' rate, else the highest."""
+    rates = [each.clock.rate for each in sources if each.clock.rate]
+    if "position" in signals:
+        (own,) = (s.clock.rate for s in sources if s.name == signals["position"].source.name)
+        rates = [own] if own else rates
+    return max(rates, default=0.0)
+
+
+def _joints(
+    signals: Mapping[Kind, LikelySignal], joints: Sequence[str]
+) -> tuple[Sequence[str], str]:
+    """Names, by the model or by the columns."""
+    about = "as in the model file, in the order of the columns below"
+    group = next((each.group for each in signals.values()), None)
+    if group is None:
+        return list(joints) or [""], about
+    missing = [name for name in joints if name not in group.names]
+    if group.matched or not joints:
+        plain = [name for name in group.names if not re.search("[A-Za-z]", name)]
+        more = "" if plain or group.matched else "; these are by the columns' names"
+        more += f"; no columns of {', '.join(missing)}" if missing and group.matched else ""
+        return [""] if plain else list(group.names), about + more
+    found = f"{plural(len(group.names), 'column')} for {plural(len(joints), 'joint')}"
+    return [""], f"{about}, {found}{_gaps(group.names)}: {', '.join(joints)}"
+
+
+def _gaps(names: Sequence[str]) -> str:
+    """Numbers that are left out in names that end with one."""
+    ends = [re.search("[0-9]{1,3}$", name) for name in names]
+    numbers = {int(end[0]) for end in ends if end}
+    left = sorted({*range(min(numbers, default=0), max(numbers, default=0))} - numbers)
+    return f" (none has number {few([str(k) for k in left])})" if left else ""
+
+
+def _listed(table: ForeignTable) -> Iterator[str]:
+    """What the columns hold, as comments."""
+    yield "# column, samples, from .. to, unit by the file"
+    lengths = table.lengths
+    for column in table.columns[:SHOWN]:
+        try:
+            held = _range(table.read([column])[column])
+        except RecordingError as error:  # of a column that may not be needed
+            held = str(error)
+        yield (
+            f"#   {printable(json.dumps(column), 80)}  {lengths[column]}  {held}  "
+            f"{printable(table.unit(column) or '-', 20)}"
+        )
+    more = len(table.columns) - SHOWN
+    if more > 0:
+        yield f"#   and {more} more"
+
+
+def _range(values: Array) -> str:
+    finite = values[np.isfinite(values)]
+    missing = f" ({len(values) - len(finite)} no numbers)" if len(finite) < len(values) else ""
+    return (f"{finite.min():.4g} .. {finite.max():.4g}" if len(finite) else "nothing") + missing
+
+
+def _with_signal(
+    draft: Draft, kind: Kind, signals: Mapping[Kind, LikelySignal],
+    sources: Sequence[LikelySource],
+) -> Draft:  # fmt: skip
+    """A signal's table, if columns look like one."""
+    found = signals.get(kind)
+    beside = [c.name for s in sources for c in s.columns if c.kind == kind and c.beside]
+    if beside:
+        draft = draft.remarking(kind, f"# left out, by their names: {json.dumps(beside)}")
+    empty = [column.name for s in sources for column in s.empty if column.kind == kind]
+    if empty:
+        draft = draft.remarking(kind, f"# left out, without a number: {json.dumps(empty)}")
+    if found is None:
+        optional = ", if there are any" if kind != "position" else ""
+        lines = [
+            f"# [{kind}]  # no column looks like it{optional}",
+            f'# source = "{sources[0].name}"',
+            "# columns = []  # one a joint",
+            f'# unit = ""  # {", ".join(UNITS[kind])}',
+        ]
+        return draft.remarking(kind, *lines) if kind in ("position", "torque") else draft
+    others = f"others that look like it: {json.dumps(found.others)}" if found.others else ""
+    others = "; ".join(each for each in (found.evidence, others) if each)
+    draft = draft.saying(kind, "source", found.source.name)
+    draft = draft.saying(kind, "columns", [each.name for each in found.group.columns], others)
+    for said in _unit(kind, found):
+        draft = draft.saying(kind, *said)
+    if found.counts:
+        turns, n = 1 / found.counts, len(found.units)
+        rows = [[turns if j == k else 0.0 for k in range(n)] for j in range(n)]
+        about = f"{found.counts} counts a turn, as of Dynamixel's and Feetech's servos"
+        draft = draft.saying(kind, "matrix", rows, about)
+        half = [round(-np.pi, 6)] * n
+        draft = draft.saying(kind, "offset", half, "ASSUMED: zero is in the middle of a turn")
+    if found.sign_bit:
+        about = f"values beyond {found.sign_bit - 1} have a sign bit, as of servos' loads"
+        draft = draft.saying(kind, "sign_bit", found.sign_bit, about)
+    return draft.saying(kind, "sign", list(found.sign), BY_BOTH) if found.sign else draft
+
+
+def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
+    """The unit of a signal's columns, if all are known, and what else it needs."""
+    known = UNITS[kind] | (RAW if kind == "torque" else {})
+    taken = [unit for unit in found.units if unit in known]
+    raw = [unit for unit in taken if unit in RAW]
+    if len(taken) < len(found.units) or 0 < len(raw) < len(taken):
+        more = "; or A, V, raw with gain = [N m each]" if kind == "torque" else ""
+        large = float(np.nanmax(np.abs(values_of(found)))) if kind == "position" else 0.0
+        more += f"; {large:.4g} rad would be more than a turn" if large > 2 * np.pi else ""
+        if PER_CENT[0] <= large <= PER_CENT[1]:
+            more += "; per cent of each joint's range, as of SO arms: deg, matrix of ranges / 200"
+        yield "unit", "", f"{', '.join(UNITS[kind])}{more}"
+        return
+    yield "unit", taken[0] if len(set(taken)) == 1 else taken, found.because
+    if raw:
+        yield "gain", "", f"torque of one {raw[0]}, joint by joint [N m]"
+
+
+def _temperatures(
+    sources: Sequence[LikelySource], joints: Sequence[str], signals: Mapping[Kind, LikelySignal]
+) -> Iterator[Said]:
+    """Keys of the drives' temperatures, if every joint has one."""
+    position = signals.get("position")
+    names = list(joints) if position is None else list(position.group.names)
+    for source in sources:
+        columns = [c for c in source.columns if not WARMTH.isdisjoint(c.words)]
+        for group in (each.of(names).like(names) for each in grouped(columns, names)):
+            if list(group.names) == names:
+                yield "source", source.name, ""
+                yield "columns", [each.name for each in group.columns], ""
+                yield "unit", "degC", "the only one that is known"
+                return
+
+
+def _key(name: str) -> str:
+    """What distinguishes a plate from the others, as a key."""
+    return re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "plate"
+
+
+def _plate(source: LikelySource, columns: Sequence[ColumnName], *, alone: bool) -> Iterator[Said]:
+    """A plate's keys."""
+    names = tuple(each.name for each in columns)
+    stated = next((each for each in source.table.plates if each.columns == names), None)
+    yield "source", source.name, ""
+    six = "six are wanted: force x, y, z, moment x, y, z" * (len(columns) != 6 and not stated)
+    hand = "they look like those of a sensor at the tool: leave [wrench] out then"
+    yield "columns", list(names), hand if at_the_hand(columns[0]) else six
+    units = [_of_all(columns[:3], "force"), _of_all(columns[3:], "moment")]
+    raw = next((each.unit for each in columns if each.unit and plain(each.unit) in RAW), None)
+    matrix = stated.matrix if stated else None
+    if raw or matrix:
+        about = "" if matrix else f"the file says {raw}: six rows, N and N m of one {raw}"
+        yield "units", ["N", "N m"], "by the matrix"
+        yield "matrix", matrix or "", about
+    else:
+        yield "units", units, "" if all(units) else f"{_listing('force')}; {_listing('moment')}"
+    if stated is not None:
+        yield "sense", "on_plate", "as in all files of its kind"
+    else:
+        pull = [
+            f"; {json.dumps(each.name)} is "
+            f"{np.nanmean(source.table.read([each.name])[each.name]):.4g} on average"
+            for each in columns
+            if each.role == (0, 2)
+        ]
+        yield "sense", "", f"on_robot (at rest upwards) or on_plate{''.join(pull)}"
+    place = stated.place if stated else None
+    if place is not None:
+        yield "place", place, "by the file, in the laboratory's frame: it must be the bedplate's"
+    elif alone:
+        yield "# place", {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, "of the sensor [m, rad]"
+    else:
+        yield "place", "", "of the sensor [m, rad], as { xyz = [0, 0, 0], rpy = [0, 0, 0] }"
+
+
+def _listing(kind: str) -> str:
+    return ", ".join(UNITS[kind])
+
+
+def _of_all(columns: Sequence[ColumnName], kind: str) -> str:
+    """The unit of all columns; empty if they do not say one."""
+    units = {plain(each.unit or "") for each in columns}
+    return units.pop() if len(units) == 1 and units <= UNITS[kind].keys() else ""
+
+
+def _base(sources: Sequence[LikelySource]) -> Iterator[Said]:
+    """Keys of a base that moves, if columns look like it."""
+    for source in sources:
+        columns = [each for each in source.columns if each.kind == "base"]
+        place, turn = base_columns(columns)
+        if not any((*place, *turn)):
+            continue
+        listed = f"of these: {json.dumps([each.name for each in columns])}"
+        units = {each.unit for each in columns if each.name in place}
+        yield "source", source.name, ""
+        yield "position", place, "" if all(place) else listed
+        yield "unit", (units.pop() or "") if len(units) == 1 else "", "m, cm, mm, inch"
+        yield "quaternion", turn, "w, x, y, z, in this order" + f", {listed}" * (not all(turn))
+        return

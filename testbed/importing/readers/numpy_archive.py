@@ -1,0 +1,73 @@
+"""NumPy's own files: one array (.npy), or several in an archive (.npz). Never pickles."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from testbed.core.base.errors import RecordingError
+from testbed.importing.foreign_table import (
+    ForeignTable,
+    is_column,
+    readable,
+)
+
+LONGEST_HEADER = 10_000
+"""Bytes of the words before an array's numbers."""
+
+
+def read_file(path: Path, topic: str | None) -> ForeignTable:
+    """Columns of an archive's arrays; of a single array, those of `array`.
+
+    Args:
+        path: The file.
+        topic: None.
+
+    Raises:
+        RecordingError: It is damaged.
+    """
+    del topic
+    with readable(path):
+        if path.suffix.lower() == ".npy":
+            with path.open("rb") as stream:
+                found = {"array": _header(stream, path.stat().st_size)}
+            return _table(path, found, lambda name: np.load(path, allow_pickle=False))
+        archive, found = zipfile.ZipFile(path), {}  # stays open: some have thousands of members
+        for member in archive.infolist():
+            if member.filename.endswith(".npy"):
+                with archive.open(member) as inside:
+                    name = member.filename.removesuffix(".npy")
+                    found[name] = _header(inside, member.file_size)
+
+    def load(name: str) -> Any:
+        with archive.open(f"{name}.npy") as stream:
+            return np.lib.format.read_array(stream, allow_pickle=False)
+
+    return _table(path, found, load)
+
+
+def _table(path: Path, found: dict[str, tuple[tuple[int, ...], str]], load: Any) -> ForeignTable:
+    shapes = {name: shape for name, (shape, kind) in found.items() if is_column(shape, kind)}
+    return ForeignTable(path, shapes, load)
+
+
+def _header(stream: IO[bytes], size: int) -> tuple[tuple[int, ...], str]:
+    """Shape and kind of an array, which must fit into what the file says it has.
+
+    Raises:
+        RecordingError: It does not: reading it would make place for numbers that are not there.
+    """
+    version = np.lib.format.read_magic(stream)
+    read = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }.get(version)
+    if read is None:
+        raise RecordingError(f"an array of NumPy's format {version} is not known")
+    shape, _, kind = read(stream, max_header_size=LONGEST_HEADER)
+    if min(shape, default=0) < 0 or np.prod(shape, dtype=float) * kind.itemsize > size:
+        raise RecordingError(f"an array of shape {shape} is larger than its file")
+    return shape, kind.kind

@@ -1,0 +1,293 @@
+"""From an experiment's recording to its run, and the error that a coarse step leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from testbed.bodies.consistency.consistent import (
+    Consistent,
+    consistent_by_held_out,
+)
+from testbed.bodies.consistency.held_out import (
+    beside_consistent,
+    with_likely_error,
+)
+from testbed.bodies.consistency.options import ConsistencyOptions
+from testbed.bodies.prior import Prior, prior_of
+from testbed.bodies.shapes.appearance import load_shapes
+from testbed.bodies.shapes.shapes import extents
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import Diagnostic, diagnose
+from testbed.core.base.errors import ExperimentError, TestbedError, UnknownName
+from testbed.core.estimation.estimate import METHODS, Method
+from testbed.core.estimation.identify import identify
+from testbed.core.estimation.problem import samples_of
+from testbed.core.estimation.regression.normal_equations import TINY
+from testbed.core.estimation.regression.passes import Progress
+from testbed.core.parameters.minimal_set import minimal_set
+from testbed.core.parameters.symbols import standard
+from testbed.core.recordings.recording import Recording
+from testbed.core.robot.inertia import Inertia, upper_root
+from testbed.core.robot.locks import with_rotor_spin
+from testbed.core.robot.model_file import ModelFile, mimic_joints, nearest_bodies
+from testbed.core.robot.tree import Tree
+from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.experiment_tables import SimulationTable
+from testbed.lab.experiment.robot_tables import BodyTable
+from testbed.lab.experiment.run import Run, assemble_run
+from testbed.lab.experiment.score import relative_errors, root_mean_square, shared_errors
+from testbed.lab.instruments.chain import Instrument, measured_again
+from testbed.lab.instruments.fault import stream
+from testbed.lab.simulation.effect import Effect
+
+FINE = SimulationTable().step
+"""Step up to which the floor is not looked for [s]: it is below what instruments leave."""
+
+
+def with_floor(run: Run) -> Run:
+    """A run with the metric `external_floor`, where its step is coarse.
+
+    Args:
+        run: Of an experiment.
+    """
+    experiment = run.experiment
+    if experiment is None or run.score is None or "external" not in run.estimates:
+        return run
+    if experiment.simulation.step <= FINE * (1 + 1e-9):
+        return run
+    asked = experiment.measurement
+    perfect = Instrument(rate=asked.rate, averaged=asked.averaged)
+    seen = replace(measured_again(run.recording, perfect, experiment.seed).blind(), tare=None)
+    plain = replace(run.settings, noise="white", nuisances=(), known={}, weights="channels")
+    try:
+        estimate = identify(run.tree, seen, "external", settings=plain, threads=1)
+    except TestbedError:
+        return run
+    floor = root_mean_square(shared_errors(run.tree, estimate.base.values, plain.zeros))
+    if floor is None:
+        return run
+    metrics = {**run.score.metrics, "external_floor": floor}
+    return replace(run, score=replace(run.score, metrics=metrics))
+
+
+def evaluate(
+    experiment: Experiment,
+    recording: Recording,
+    progress: Progress = lambda done, total: None,
+    methods: Iterable[Method] = METHODS,
+    threads: int | None = None,
+) -> Run:
+    """Identify from an experiment's recording and compare with the truth.
+
+    With consistent bodies, where the experiment asks for them.
+
+    Args:
+        experiment: What was carried out.
+        recording: What the instrument measured.
+        progress: Called with samples done and samples in all, method by method.
+        methods: Which estimates to make.
+        threads: How many to use; default one a processor.
+    """
+    run = assemble_run(
+        with_rotor_spin(sensed_robot(experiment), experiment.robot.spins),
+        recording,
+        name=experiment.name,
+        settings=experiment.identification,
+        experiment=experiment,
+        model=model_of(experiment),
+        methods=methods,
+        threads=threads,
+        progress=progress,
+    )
+    return with_floor(with_consistent(run))
+
+
+def robot_of(experiment: Experiment) -> Tree:
+    """The robot of an experiment, under its gravity.
+
+    Args:
+        experiment: Names the model file.
+
+    Raises:
+        ExperimentError: A table names a joint that the robot has not.
+    """
+    tree = model_of(experiment).tree()
+    for table, entries in experiment.joint_tables.items():
+        for name in entries:
+            if name not in tree.names:
+                raise ExperimentError(str(UnknownName(f"joint of {table}", name, tree.names)))
+    if experiment.robot.base == "measured":
+        raise ExperimentError(
+            'robot.base = "measured" is for recordings: experiments have a bedplate'
+        )
+    tree = experiment.robot.on(tree).with_gravity(experiment.gravity)
+    for effect in effects_of(experiment, tree):
+        tree = effect.robot(tree)
+    return tree
+
+
+def sensed_robot(experiment: Experiment) -> Tree:
+    """What an experiment's wrench is of: its robot, or what lies beyond its force sensor."""
+    return experiment.sensed(robot_of(experiment), model_of(experiment))
+
+
+def effects_of(experiment: Experiment, tree: Tree) -> list[Effect]:
+    """What else is in the plant, on the robot.
+
+    Args:
+        experiment: Says so in `simulation.effect`.
+        tree: The robot.
+    """
+    return [effect.on(tree.names) for effect in experiment.simulation.effect]
+
+
+def model_of(experiment: Experiment) -> ModelFile:
+    """The model file of an experiment, and how it is read.
+
+    Args:
+        experiment: Says so in `model`, `weld_root` and its table `robot`.
+    """
+    mimic = mimic_joints(experiment.model) if experiment.robot.lock_mimic else ()
+    held = dict.fromkeys(mimic) | experiment.robot.lock
+    welded, bodies = experiment.weld_root, experiment.robot.bodies
+    return ModelFile(Path(experiment.model), weld_root=welded, repair=bodies, lock=held)
+
+
+def with_nearest_bodies(experiment: Experiment) -> tuple[Experiment, tuple[Diagnostic, ...]]:
+    """The same with the nearest bodies in place of those that cannot be, and what to say of it.
+
+    Args:
+        experiment: Of a model file and nothing else.
+    """
+    model = model_of(experiment)
+    found = nearest_bodies(model.path, weld_root=model.weld_root, lock=model.lock)
+    tables = {name: BodyTable.of(body) for name, body in found.bodies.items()}
+    robot = experiment.robot.model_copy(update={"repair": tables | experiment.robot.repair})
+    return experiment.model_copy(update={"robot": robot}), found.diagnostics
+
+
+def wrong_bodies(tree: Tree, error: float, rng: np.random.Generator) -> Tree:
+    """The robot with other possible bodies.
+
+    J = U U' becomes U G G' U', G a matrix that differs from one by random numbers: mass, centre
+    and inertia change together, each by about the same part of itself. Bodies whose J has no
+    such root (rods, plates, none) stay.
+
+    Args:
+        tree: The robot with its true bodies.
+        error: Standard deviation of every coordinate of J, in parts of the body.
+        rng: Draws the numbers.
+    """
+    return replace(tree, inertias=tuple(_wrong(body, error, rng) for body in tree.inertias))
+
+
+def _wrong(body: Inertia, error: float, rng: np.random.Generator) -> Inertia:
+    change = np.eye(4) + error / 2 * rng.normal(size=(4, 4))
+    try:
+        root = upper_root(body.pseudo) @ change
+    except np.linalg.LinAlgError:
+        return body
+    return Inertia.of_pseudo(root @ root.T)
+
+
+def prior_from(tree: Tree, model: ModelFile | None, *, shapes: bool) -> Prior:
+    """The bodies of a tree as a prior, with the boxes around their shapes where those matter.
+
+    Args:
+        tree: The robot.
+        model: Its model file.
+        shapes: Whether mass centres are to lie in their shapes.
+    """
+    if model is None or not shapes:
+        return prior_of(tree)
+    seen = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
+    return prior_of(tree, extents(seen.shapes, tree.n))
+
+
+def with_consistent(run: Run) -> Run:
+    """A run with its consistent bodies, where the experiment asks for them, and their figures.
+
+    The model file is the truth in an experiment, so the prior is a wrong one.
+
+    Args:
+        run: The run.
+    """
+    experiment = run.experiment
+    if experiment is None or experiment.consistent is None or not run.estimates:
+        return run
+    run = _with_bodies(run, wrong_prior(run.tree, experiment), experiment.consistent)
+    if run.score is None or run.consistent is None:
+        return run
+    metrics = {**run.score.metrics, **_metrics(run, run.consistent)}
+    return replace(run, score=replace(run.score, metrics=metrics))
+
+
+def recorded_bodies(run: Run, options: ConsistencyOptions) -> Run:
+    """A recording's run with bodies that can exist, near those of the model file.
+
+    Args:
+        run: The run.
+        options: What is asked of the bodies.
+    """
+    if not run.estimates:
+        return run
+    return _with_bodies(run, run.tree, with_likely_error(options, run.posterior.values()))
+
+
+def _with_bodies(run: Run, believed: Tree, options: ConsistencyOptions) -> Run:
+    """A run with its consistent bodies, or with a warning that says why there are none."""
+    prior = prior_from(believed, run.model, shapes=options.centres_in_shapes)
+
+    estimates = list(run.estimates.values())
+    blind = samples_of(run.recording.blind(), run.settings)
+    try:
+        found = consistent_by_held_out(run.tree, estimates, prior, options, blind, run.settings)
+    except TestbedError as error:
+        return run.with_diagnostics([diagnose("bodies.missing", reason=error)])
+    beside = beside_consistent(
+        run.posterior, found, run.tree, blind, prior, estimates, options, run.settings
+    )
+    return replace(run, consistent=found, posterior=beside).with_diagnostics(found.diagnostics)
+
+
+def wrong_prior(tree: Tree, experiment: Experiment) -> Tree:
+    """The robot with the bodies that the experiment starts from.
+
+    Args:
+        tree: The robot with its true bodies.
+        experiment: Says how wrong they are.
+    """
+    return wrong_bodies(tree, experiment.prior.error, stream("prior", experiment.seed))
+
+
+def _metrics(run: Run, found: Consistent) -> dict[str, float]:
+    """Figures of consistent bodies against the truth."""
+    massive = found.eigenvalues[:, -1] > 0
+    metrics = {
+        "consistent_rms_relative_error": _error(run, found.standard),
+        "prior_rms_relative_error": _error(run, found.prior),
+    }
+    known_metrics = {name: value for name, value in metrics.items() if value is not None}
+    least = found.eigenvalues[massive, 0] / found.eigenvalues[massive, -1]
+    if len(least):
+        known_metrics["consistent_least_eigenvalue"] = float(least.min())
+    plain = [f"{method}_rms_relative_error" for method in run.estimates]
+    plain_metrics = [run.metrics[name] for name in plain if name in run.metrics]
+    if plain_metrics and "consistent_rms_relative_error" in known_metrics:
+        floor = TINY
+        known_metrics["consistent_to_plain"] = known_metrics["consistent_rms_relative_error"] / max(
+            *plain_metrics[:1], floor
+        )
+    return known_metrics
+
+
+def _error(run: Run, bodies: Array) -> float | None:
+    """Rms relative error of delta_d by bodies, (n, 10)."""
+    dynamic = minimal_set(run.tree, "dynamic", zeros=run.settings.zeros)
+    matrix = dynamic.standard_matrix
+    truth = matrix @ standard(run.tree).ravel()
+    return root_mean_square(relative_errors(matrix @ bodies.ravel(), truth, dynamic.units))

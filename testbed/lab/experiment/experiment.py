@@ -1,0 +1,197 @@
+"""An experiment: a TOML file as a frozen value, every key checked.
+
+SI units, radians, joint side; tables keyed by joint name. A key that is not known is an
+error that lists the known ones.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import tomli_w
+from pydantic import Field, ValidationError
+
+from testbed.bodies.consistency.options import ConsistencyOptions
+from testbed.core.base.errors import ExperimentError
+from testbed.core.base.toml_text import Finite, checked, complaints, override, read_toml
+from testbed.core.estimation.settings import Settings
+from testbed.core.robot.inertia import to_rpy
+from testbed.lab.experiment.experiment_tables import (
+    ExcitationTable,
+    Expectations,
+    MotionTable,
+    PriorTable,
+    RunName,
+    SimulationTable,
+)
+from testbed.lab.experiment.robot_tables import RobotTables, SensorTable
+from testbed.lab.instruments.chain import Instrument
+from testbed.lab.kind_table import KindTable
+
+
+class ExperimentTables(RobotTables):
+    """What an experiment file says."""
+
+    name: RunName
+    """Of the run folder: letters, digits, dot, dash, underscore."""
+    claim: str = ""
+    """What the experiment shows, in a sentence."""
+    model: str
+    """Model file, MJCF or URDF, relative to the experiment file."""
+    seed: Annotated[int, Field(ge=0, lt=2**128)] = 0
+    """Of the motion and of all noise."""
+    gravity: Annotated[list[Finite], Field(min_length=3, max_length=3)] | None = None
+    """(gx, gy, gz) [m/s^2], bedplate frame; default the model file's."""
+    weld_root: bool = False
+    """Weld a floating root to the bedplate."""
+    motion: MotionTable = MotionTable()
+    excitation: ExcitationTable = ExcitationTable()
+    simulation: SimulationTable = SimulationTable()
+    measurement: Instrument = Instrument()
+    identification: Settings = Settings()
+    consistent: ConsistencyOptions | None = None
+    """What is asked of physically consistent bodies; without the table none are made."""
+    prior: PriorTable = PriorTable()
+    expect: Expectations = Field(default_factory=dict)
+    """Bounds on metrics: the claim."""
+
+
+class Experiment(ExperimentTables):
+    """Everything that determines a run."""
+
+    def __init__(self, **tables: Any) -> None:
+        """From tables and values by name, as in a file.
+
+        Raises:
+            ExperimentError: Says all that is wrong, in one line.
+        """
+        try:
+            super().__init__(**tables)
+        except ValidationError as error:
+            raise ExperimentError(complaints(error, ExperimentTables)) from None
+
+    @staticmethod
+    def load(path: str | Path, settings: Iterable[str] = ()) -> Experiment:
+        """Read an experiment file.
+
+        Args:
+            path: The TOML file; `model` is taken relative to it.
+            settings: Overrides "table.key=value", the value in TOML or a bare word.
+
+        Raises:
+            ExperimentError: The file cannot be read, or says what is not understood.
+        """
+        path = Path(path)
+        return Experiment.of_content(read_toml(path), path, settings)
+
+    @staticmethod
+    def of_content(content: dict[str, Any], path: Path, settings: Iterable[str] = ()) -> Experiment:
+        """From the tables of an experiment file that has been read.
+
+        Args:
+            content: Its tables, unchecked; overrides are put in.
+            path: The file; `model` is taken relative to it.
+            settings: Overrides "table.key=value".
+
+        Raises:
+            ExperimentError: Something is said that is not understood.
+        """
+        override(content, settings)
+        found = checked(ExperimentTables, content, str(path))
+        if "\0" in found.model + found.motion.file:
+            raise ExperimentError(f"{path}: model or motion.file is not a file name")
+        changed: dict[str, Any] = {"model": str((path.parent / found.model).resolve())}
+        if found.motion.file:
+            file = str((path.parent / found.motion.file).resolve())
+            changed["motion"] = found.motion.model_copy(update={"file": file})
+        return Experiment.model_construct(**(dict(found) | changed))
+
+    @staticmethod
+    def of_model(path: Path, settings: Iterable[str] = ()) -> Experiment:
+        """An experiment that says only which model, and the words of --set.
+
+        Args:
+            path: The model file.
+            settings: Overrides "table.key=value".
+
+        Raises:
+            ExperimentError: A word says what is not understood.
+        """
+        content: dict[str, Any] = {"name": run_name(path), "model": str(path.resolve())}
+        override(content, settings)
+        found = checked(ExperimentTables, content, "--set")
+        return Experiment.model_construct(**dict(found))
+
+    def as_toml(self) -> str:
+        """The experiment with every default written out."""
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+
+    @property
+    def sensor_instruments(self) -> dict[str, Instrument]:
+        """How well each of the robot's force sensors measures, with the plate's clock."""
+        how, found = self.measurement, {}
+        for name in self.force_sensors:
+            table = self.sensors.get(name, SensorTable())
+            found[name] = Instrument(
+                rate=how.rate,
+                averaged=how.averaged,
+                plate=table.plate,
+                force_noise=table.force_noise,
+                moment_noise=table.moment_noise,
+                full_scale=table.full_scale,
+                fault=table.fault,
+            )
+        return found
+
+    @property
+    def sensor_places(self) -> dict[str, dict[str, Any]]:
+        """Where they are, as a recording keeps it."""
+        return {
+            name: {
+                "link": each.link,
+                "position": each.position.tolist(),
+                "rpy": list(to_rpy(each.rotation)),
+            }
+            for name, each in self.force_sensors.items()
+        }
+
+    @property
+    def joint_tables(self) -> Mapping[str, Iterable[str]]:
+        """Joint names by the table that is keyed by them, to be checked against the model."""
+        said: dict[str, tuple[KindTable, ...]] = {
+            "measurement.fault": self.measurement.fault,
+            "simulation.effect": self.simulation.effect,
+        }
+        return {
+            f"{table} ({each.kind}).{name}": joints
+            for table, values in said.items()
+            for each in values
+            for name, joints in each.by_joint.items()
+        } | {
+            "robot.joint": self.robot.joint,
+            "motion.max_velocity": self.motion.max_velocity,
+            "motion.max_acceleration": self.motion.max_acceleration,
+            "measurement.torque_constant_error": self.measurement.torque_constant_error,
+        }
+
+
+GENERIC = ("robot", "model", "scene", "main", "mjcf", "urdf")
+"""Names of files that say nothing of the robot."""
+UNNAMED = ("", "robot", "MuJoCo Model")
+"""Names of models that have none."""
+
+
+def run_name(path: Path, own: str = "") -> str:
+    """A run's name made of a model file's, or of the model's where the file's says nothing.
+
+    Args:
+        path: The file.
+        own: The model's own name.
+    """
+    said = path.stem
+    if said.lower() in GENERIC:
+        said = path.absolute().parent.name if own in UNNAMED else own
+    return re.sub(r"[^A-Za-z0-9_.-]", "-", said)[:100].lstrip("_.-") or "robot"

@@ -1,0 +1,396 @@
+"""Estimates read from `identify --json` or a run folder: for validation, for a design."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from testbed.applications.calibration import Calibration
+from testbed.bodies.consistency.options import ConsistencyOptions
+from testbed.bodies.posterior import Posterior, ReportedEstimate, reported_estimate
+from testbed.core.base.arrays import Array
+from testbed.core.base.codec import decode, from_json
+from testbed.core.base.errors import ExperimentError, plural
+from testbed.core.base.file_kinds import expecting
+from testbed.core.base.files import fingerprint, read_text, replacing
+from testbed.core.base.toml_text import Finite, checked, override, read_toml
+from testbed.core.estimation.estimate import METHODS, Estimate, Method, channels_of
+from testbed.core.estimation.estimate_summary import EstimateSummary, estimate_of_summary
+from testbed.core.estimation.sensor.correction import NUISANCES
+from testbed.core.estimation.sensor.estimates import NuisanceEstimate
+from testbed.core.estimation.settings import Settings
+from testbed.core.parameters.minimal_set import minimal_set
+from testbed.core.parameters.rules import Model
+from testbed.core.recordings.held import hold_still
+from testbed.core.recordings.source import Source
+from testbed.core.robot.model_file import ModelFile
+from testbed.core.robot.tree import Tree
+from testbed.lab.experiment.evaluate import model_of, robot_of, wrong_prior
+from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.results import EXPERIMENT, RESULT, versions
+from testbed.lab.experiment.robot_tables import RecordingTables, Table
+
+LARGEST_RESULT = 50_000_000
+"""Bytes of a file with estimates; a thousand parameters have less."""
+
+
+@dataclass(frozen=True, eq=False)
+class KeptResult:
+    """Estimates of a file, and what they are of.
+
+    Attributes:
+        tree: The robot.
+        settings: How the signals were treated.
+        estimates: By least squares, one a method.
+        file: The robot's, with the joints that are held.
+        prior: The robot with its bodies before the data: the file's; of a run, whose file is the
+            truth, those that its experiment starts from.
+        answers: One a method.
+        options: What is asked of consistent bodies, the prior error that which data chose.
+    """
+
+    tree: Tree
+    settings: Settings
+    estimates: tuple[EstimateSummary, ...]
+    file: ModelFile
+    prior: Tree
+    answers: tuple[ReportedEstimate, ...] = ()
+    options: ConsistencyOptions = field(default_factory=ConsistencyOptions)
+
+    @property
+    def whole_estimates(self) -> list[Estimate]:
+        """The estimates with their structure.
+
+        Raises:
+            SettingsError: They are of other parameters.
+        """
+        settings = self.settings
+        return [
+            estimate_of_summary(self.tree, replace(each, settings=settings))
+            for each in self.estimates
+        ]
+
+    def without_held(self, source: Source) -> Source:
+        """A recording without the columns of the joints that are held.
+
+        Raises:
+            RecordingError: It has one of them elsewhere.
+        """
+        return hold_still(self.file, source, lock_only=True)[1]
+
+
+class _Model(Table):
+    path: str
+    sha256: str
+    weld_root: bool
+    lock: dict[str, Finite | None]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True)  # what else is there does not matter
+
+
+class _Nuisance(_Part):
+    name: str
+    value: Finite
+
+
+class _Estimate(_Part):
+    """Table of an estimate in a result file."""
+
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    gravity: Array
+    residual: Array
+    nuisances: tuple[_Nuisance, ...]
+    unidentifiable: tuple[str, ...] = ()
+
+
+def read_result(path: Path, model: Path | None = None, settings: Sequence[str] = ()) -> KeptResult:
+    """The estimates of a file, and the robot and settings that they are of.
+
+    Args:
+        path: What `identify --json` printed, a run folder, or the result in it.
+        model: Where the model file is now; default where the file says.
+        settings: Overrides "table.key=value" of robot and identification.
+
+    Raises:
+        ExperimentError: The file is no such result, or the model file is another.
+        OSError: The file cannot be read.
+    """
+    if path.is_dir():
+        if not (path / RESULT).is_file():
+            raise ExperimentError(f"'{path}' is no folder of a run that ended: no {RESULT} in it")
+        path = path / RESULT
+    if not path.exists():
+        raise ExperimentError(
+            f"there is no result '{path}': name what `identify --json` printed, or a run folder"
+        )
+    with expecting(path, "result"):
+        content = _json(path)
+    said = content.get("posterior"), content.get("estimates")
+    added, every = (x if isinstance(x, dict) else {} for x in said)
+    own = {m: _stated(every[m], m, f"{path}: {m}") for m in METHODS if m in every}
+    with_file = {m: _added(added[m], f"{path}: {m}: posterior") for m in METHODS if m in added}
+    there = [method for method in METHODS if method in own or method in with_file]
+    if not there:
+        raise ExperimentError(f"{path}: no result: it has no {' or '.join(METHODS)} estimate")
+    of = _of_run if content.get("settings") is None else _of_recording
+    tree, identification, file, prior, options = of(content, path, model, settings)
+    plain = bool(content.get("plain"))
+    try:
+        answers = tuple(reported_estimate(own.get(m), with_file.get(m), plain=plain) for m in there)
+    except ValueError as error:
+        raise ExperimentError(f"{path}: {error}") from None
+    for each in (answer.estimate for answer in answers):
+        count = len(channels_of(tree, each.method))
+        if len(each.residual) != count:
+            raise ExperimentError(
+                f"{path}: {each.method}: residual has {len(each.residual)} numbers, the robot has "
+                f"{plural(count, 'channel')}"
+            )
+    found = tuple(own.values())
+    return KeptResult(tree, identification, found, file, prior, answers, options)
+
+
+def _added(kept: Any, source: str) -> Posterior:
+    """Read a posterior estimate with the model file as prior.
+
+    Raises:
+        ExperimentError: A part is not what it should be.
+    """
+    try:
+        found: Posterior = decode(Posterior, kept, {})
+    except ValueError as error:
+        raise ExperimentError(f"{source}: {error}") from None
+    numbers = (found.covariance, found.residual, found.gravity, *found.models.values())
+    if not all(np.isfinite(each).all() for each in numbers):
+        raise ExperimentError(f"{source}: its numbers are not finite")
+    return found
+
+
+def _json(path: Path) -> dict[str, Any]:
+    """What a file says.
+
+    Raises:
+        ExperimentError: It is not JSON, or no object.
+    """
+    try:
+        content = from_json(read_text(path, LARGEST_RESULT).encode())
+    except ValueError as error:
+        raise ExperimentError(f"{path}: no result: it is not JSON: {error}") from None
+    if not isinstance(content, dict):
+        raise ExperimentError(f"{path}: no result: it is JSON, but no object with estimates")
+    return content
+
+
+def _stated(content: Any, method: Method, source: str) -> EstimateSummary:
+    """One method's estimate.
+
+    Raises:
+        ExperimentError: A part is missing, or is not what it should be.
+    """
+    kept = checked(_Estimate, content, source)
+    try:
+        found = EstimateSummary(
+            method=method,
+            names=kept.names,
+            values=kept.values,
+            covariance=kept.covariance,
+            gravity=kept.gravity,
+            residual=kept.residual,
+            nuisances={each.name: each.value for each in kept.nuisances},
+            unidentifiable=kept.unidentifiable,
+        )
+    except ValueError as error:
+        raise ExperimentError(f"{source}: {error}") from None
+    numbers = (found.values, found.covariance, found.gravity, found.residual)
+    if not all(np.isfinite(each).all() for each in numbers) or (found.residual < 0).any():
+        raise ExperimentError(
+            f"{source}: its values, covariance, gravity and residual are finite numbers, the "
+            "residual's none below zero"
+        )
+    return found
+
+
+def _of_recording(
+    content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
+) -> tuple[Tree, Settings, ModelFile, Tree, ConsistencyOptions]:
+    """Of a recording's estimates: robot, settings, file, prior, what is asked of bodies."""
+    kept = checked(_Model, content.get("model", {}), f"{path}: model")
+    said = content["settings"]
+    if not isinstance(said, dict):
+        raise ExperimentError(f"{path}: no result: it has no settings")
+    override(said, words)
+    tables = checked(RecordingTables, said, f"{path}: settings")
+    place = _checked_model(model or Path(kept.path), kept.sha256, path)
+    held = kept.lock | tables.robot.lock
+    file = ModelFile(place, kept.weld_root, tables.robot.bodies or None, held)
+    tree, options = tables.sensed(tables.robot.on(file.tree()), file), tables.consistent
+    if not any(word.startswith("consistent.prior_error") for word in words):
+        parts = [content.get("consistent") or {}, *(content.get("posterior") or {}).values()]
+        chosen = [part["prior_error"] for part in parts if part.get("used") or part.get("tried")]
+        options = replace(options, prior_error=min(chosen, default=options.prior_error))
+    return tree, tables.identification, file, tree, options
+
+
+def _of_run(
+    content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
+) -> tuple[Tree, Settings, ModelFile, Tree, ConsistencyOptions]:
+    """The same of a run's estimates: they stand beside them."""
+    beside = path.parent / EXPERIMENT
+    if not beside.is_file():
+        raise ExperimentError(
+            f"{path}: no result: it names no model, as `identify --json` does, and is in no run "
+            f"folder, with {EXPERIMENT}"
+        )
+    experiment = Experiment.load(beside, words)
+    used = content.get("model")
+    sha256 = used.get("sha256") if isinstance(used, dict) else None
+    place = _checked_model(model or Path(experiment.model), sha256, path)
+    experiment = experiment.model_copy(update={"model": str(place)})
+    options = experiment.consistent or ConsistencyOptions()
+    tree = robot_of(experiment)
+    prior = wrong_prior(tree, experiment)
+    return tree, experiment.identification, model_of(experiment), prior, options
+
+
+def _checked_model(place: Path, sha256: object, path: Path) -> Path:
+    """A model file, if it is the one that a result is of.
+
+    Raises:
+        ExperimentError: It is not there, or is another.
+    """
+    if "\0" in str(place) or not place.is_file():
+        raise ExperimentError(f"{path}: its model file '{place}' is not there; --model names it")
+    if fingerprint(place) != sha256:
+        raise ExperimentError(f"'{place}' is not the model of {path}: its SHA-256 is another")
+    return place
+
+
+def prior_covariance(kept: KeptResult, experiment: Experiment) -> Array:
+    """The covariance of an earlier estimate in the order of an experiment's parameters, (N, N).
+
+    Args:
+        kept: The estimates of a file.
+        experiment: Says which parameters are wanted.
+
+    Raises:
+        ExperimentError: The file's estimates are of other parameters.
+    """
+    joints = experiment.excitation.signals == "joints"
+    wanted = "internal" if joints else "external"
+    model: Model = "dynamic" if joints else "reaction"
+    zeros = experiment.identification.zeros
+    names = minimal_set(robot_of(experiment), model, zeros=zeros).names
+    for estimate in kept.estimates:
+        if estimate.method == wanted and set(names) <= set(estimate.names):
+            order = [estimate.names.index(name) for name in names]
+            return np.array(estimate.covariance)[np.ix_(order, order)]
+    raise ExperimentError(
+        f"the earlier result has no {wanted} estimate of {', '.join(names)}: it must be of the "
+        "same robot, with the same identification.zeros"
+    )
+
+
+_HEAD = """\
+# A plate, calibrated by the motion of the robot on it (testbed {version}, calibrate).
+# It shows C w + bias of a wrench w, skew seconds late: gain/Fx is C's element of Fx by Fx,
+# crosstalk/Fx/Fz that of Fx by Fz. Numbers that are not here are as they should be.
+"""
+
+
+class _Number(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+    value: Finite
+    sigma: Finite = 0.0
+    unit: str = ""
+
+
+class _Plate(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+    robot: str = ""
+    known: dict[str, tuple[Finite, Finite]] = {}
+    numbers: dict[str, _Number]
+    correlation: list[list[Finite]] = []
+
+
+def write_plate(plate: Calibration, path: Path) -> None:
+    """Write a plate's numbers.
+
+    Args:
+        plate: The calibration.
+        path: The file; what stands there is replaced.
+    """
+    lines = [_HEAD.format(version=versions()["testbed"]), f"robot = {json.dumps(plate.robot)}"]
+    lines += ["", "[known]  # before: value, sigma"]
+    lines += [f"{json.dumps(name)} = [{v!r}, {s!r}]" for name, (v, s) in plate.known.items()]
+    lines += ["", "[numbers]"]
+    for each in plate.numbers:
+        unit = f", unit = {json.dumps(each.unit)}" if each.unit else ""
+        number = f"{{ value = {each.value!r}, sigma = {each.sigma!r}{unit} }}"
+        lines.append(f"{json.dumps(each.name)} = {number}")
+    if plate.correlation is not None:
+        head = "correlation = [  # of the numbers, in their order, up to the diagonal"
+        rows = [
+            ", ".join(f"{value:.5g}" for value in row[: k + 1])
+            for k, row in enumerate(plate.correlation.tolist())
+        ]
+        lines[1:1] = [head, *(f"  [{row}]," for row in rows), "]"]
+    with replacing(path) as fresh:
+        fresh.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_plate(path: Path, tree: Tree) -> Calibration:
+    """A plate's numbers.
+
+    Args:
+        path: A file that `write_plate` wrote, or one of the same form.
+        tree: The robot on it.
+
+    Raises:
+        ExperimentError: It is no such file.
+    """
+    found = checked(_Plate, read_toml(path, "plate's calibration"), str(path))
+    kinds = {part.name: n.kind for n in NUISANCES for part in n.parts(tree)}
+    numbers = tuple(
+        NuisanceEstimate(kinds.get(name, name), name, each.unit, each.value, each.sigma)
+        for name, each in found.numbers.items()
+    )
+    return Calibration(
+        found.robot,
+        found.known,
+        numbers,
+        correlation=_correlation(found.correlation, numbers, path),
+    )
+
+
+def _correlation(
+    rows: list[list[float]], numbers: tuple[NuisanceEstimate, ...], path: Path
+) -> Array | None:
+    """Of its lower triangle; None where the file has none.
+
+    Raises:
+        ExperimentError: It is no correlation of these numbers.
+    """
+    if not rows:
+        return None
+    count = len(numbers)
+    found = np.eye(count)
+    fits = [len(row) for row in rows] == list(range(1, count + 1))
+    if fits:
+        for k, row in enumerate(rows):
+            found[k, : k + 1] = found[: k + 1, k] = row
+    if not fits or np.abs(found).max() > 1 or (np.diagonal(found) != 1).any():
+        raise ExperimentError(
+            f"{path}: correlation is the lower triangle of {count} rows, ones at their ends, "
+            "nothing beyond one; leave it out for independent numbers"
+        )
+    return found

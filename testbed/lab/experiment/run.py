@@ -1,0 +1,404 @@
+"""A run: a recording of one robot, what was identified from it, how well, with what doubts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from testbed.applications.drives.identify_drives import DriveFindings, identify_drives
+from testbed.bodies.consistency.consistent import Consistent
+from testbed.bodies.posterior import Posterior, posteriors
+from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.diagnostics import (
+    Diagnosed,
+    Diagnostic,
+    diagnose,
+    of_instrument,
+    of_recording,
+    ordered,
+)
+from testbed.core.base.errors import RecordingError, TestbedError, UnseenParameters, plural
+from testbed.core.dynamics.newton_euler import Motion
+from testbed.core.estimation.diagnostics.residuals import diagnostics_of
+from testbed.core.estimation.estimate import (
+    METHODS,
+    NAMES,
+    SIGNAL_OF,
+    Estimate,
+    Method,
+    sensor_of,
+)
+from testbed.core.estimation.identify import identify
+from testbed.core.estimation.regression.passes import Progress
+from testbed.core.estimation.selection.term_choice import with_chosen_settings
+from testbed.core.estimation.sensor.correction import CalibrationCovariance
+from testbed.core.estimation.settings import DEFAULTS, Settings
+from testbed.core.estimation.validate import Validation, motion_in
+from testbed.core.estimation.verdict import WELL, verdict_of
+from testbed.core.recordings.columns import AXES
+from testbed.core.recordings.geometry import in_its_gravity
+from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.views import on_its_base, with_gear
+from testbed.core.robot.model_file import ModelFile
+from testbed.core.robot.tree import Tree
+from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.score import Errors, Score, drive_metrics, score
+
+
+def shown_motion(recording: Recording, settings: Settings) -> tuple[Motion, slice]:
+    """A recording's motion, and the samples it covers; unfiltered where filters do not fit.
+
+    Args:
+        recording: Two samples or more.
+        settings: Whose filter on positions to use.
+    """
+    try:
+        return motion_in(recording, settings)
+    except RecordingError:
+        step = 1 / recording.rate
+        speed = np.gradient(recording.position, step, axis=0)
+        rates = speed, np.gradient(speed, step, axis=0)
+        return Motion(recording.time, recording.position, *rates), slice(0, recording.samples)
+
+
+CLOSE = 0.9
+"""Correlation above which two parameters are named."""
+
+MOST_PAIRS = 5
+"""Pairs that are named."""
+
+FAR = 5.0
+"""Errors in sigmas that noise does not make."""
+
+CAUSES: Mapping[Method, tuple[str, ...]] = {
+    "internal": ("torque-constant", "friction-law", "rotor"),
+    "external": ("plate-errors", "encoder_delays"),
+}
+"""Of errors that sigma does not count."""
+
+EXACT = 1e-6
+"""Relative error that is of no matter, however small sigma is."""
+
+
+def diagnostics_of_run(
+    tree: Tree,
+    recording: Recording,
+    estimates: Mapping[Method, Estimate],
+    failures: Mapping[Method, str],
+    errors: Mapping[Method, Errors],
+) -> tuple[Diagnostic, ...]:
+    """What to know of the model, the recording and the estimates.
+
+    Args:
+        tree: The robot.
+        recording: What was measured.
+        estimates: By method.
+        failures: Why a method has no estimate.
+        errors: Of the estimates, where the truth is known.
+    """
+    missing = [
+        diagnose("estimate.missing", method, reason=reason, name=NAMES[method])
+        for method, reason in failures.items()
+        if not estimates or getattr(recording, SIGNAL_OF[method]) is not None
+    ]
+    found = [*diagnostics_of(estimates.values())]
+    for method in errors:
+        found += systematic_errors(estimates[method], errors[method])
+    for estimate in estimates.values():
+        found += correlated(estimate)
+    every = ordered([*missing, *tree.diagnostics, *of_recording(recording.facts), *found])
+    return of_instrument(every, sensor_of(tree))
+
+
+def correlated(estimate: Estimate) -> Iterator[Diagnostic]:
+    """Parameters of large correlation, the largest first.
+
+    Args:
+        estimate: Of one method.
+    """
+    scale = np.sqrt(np.maximum(np.diagonal(estimate.covariance), 1e-300))
+    correlation = estimate.covariance / np.outer(scale, scale)
+    pairs = np.argwhere(np.triu(np.abs(correlation) > CLOSE, 1)).tolist()
+    pairs.sort(key=lambda pair: -abs(correlation[pair[0], pair[1]]))
+    if not pairs:
+        return
+    named = [
+        f"{estimate.names[a]} and {estimate.names[b]} (correlation {correlation[a, b]:.2f})"
+        for a, b in pairs[:MOST_PAIRS]
+    ]
+    more = len(pairs) - len(named)
+    yield diagnose(
+        "estimate.correlated",
+        f"the {estimate.method} estimate",
+        correlation[pairs[0][0], pairs[0][1]],
+        method=estimate.method,
+        pairs=", ".join(named) + (f" and {more} more pairs" if more else ""),
+    )
+
+
+def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[Diagnostic]:
+    """Errors that sigma does not explain.
+
+    Args:
+        estimate: Of one method.
+        errors: Of its values.
+    """
+    gap = np.abs(estimate.values - errors.truth)
+    rounding = EXACT * np.abs(errors.truth).max(initial=0.0)  # where nothing has a scale
+    exact = np.where(np.isnan(errors.relative), gap < rounding, np.abs(errors.relative) < EXACT)
+    off = (np.abs(errors.z) > FAR) & ~exact
+    if not off.any():
+        return
+    far = np.where(off, np.abs(errors.z), 0.0)
+    worst = int(far.argmax())
+    others = int(off.sum()) - 1
+    more = f" and of {plural(others, 'more parameter')}" if others else ""
+    yield diagnose(
+        "estimate.bias",
+        f"the {estimate.method} estimate of {estimate.names[worst]}{more}",
+        float(far[worst]),
+        method=estimate.method,
+        causes=CAUSES[estimate.method],
+        limit=FAR,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Run(Diagnosed):
+    """One recording and what came of it.
+
+    Attributes:
+        name: Of the run.
+        tree: The robot, under the recording's gravity.
+        recording: What was measured; joint columns in the order of `tree.names`.
+        estimates: By method; only those that could be made.
+        failures: Why a method has no estimate, by method.
+        settings: How the recording's signals were treated.
+        experiment: What was carried out; None for a recording that no experiment made.
+        score: The estimates against the truth; None where the truth is not known.
+        model: The model file, for its shapes; None if the robot came from no file.
+        diagnostics: What a careful reader should know, in order.
+        validation: What the estimates leave of a motion that they have not seen, by method;
+            {} where there is none.
+        unseen: A recording of that motion; None for none.
+        drives: What the plate says of the drives; None where it was not asked.
+        consistent: Bodies that can exist; None where they were not asked for.
+        posterior: What an imported recording adds to its model file, by method; {} of others.
+    """
+
+    name: str
+    tree: Tree
+    recording: Recording
+    estimates: Mapping[Method, Estimate]
+    failures: Mapping[Method, str] = field(default_factory=dict)
+    settings: Settings = field(default_factory=Settings)
+    experiment: Experiment | None = None
+    score: Score | None = None
+    model: ModelFile | None = None
+    diagnostics: tuple[Diagnostic, ...] = ()
+    validation: Mapping[Method, Validation] = field(default_factory=dict)
+    unseen: Recording | None = None
+    drives: DriveFindings | None = None
+    consistent: Consistent | None = None
+    posterior: Mapping[Method, Posterior] = field(default_factory=dict)
+
+    def with_diagnostics(self, more: Iterable[Diagnostic]) -> Run:
+        """The same with more diagnostics, put in order anew.
+
+        Args:
+            more: The diagnostics.
+        """
+        return replace(self, diagnostics=ordered([*self.diagnostics, *more]))
+
+    @property
+    def instruments(self) -> dict[str, str]:
+        """By method, what it measures with."""
+        return dict(NAMES) | {m: each.instrument for m, each in self.estimates.items()}
+
+    @property
+    def truths(self) -> dict[str, float]:
+        """True values by parameter name; {} where they are not known."""
+        return {} if self.score is None else self.score.truths
+
+    @property
+    def metrics(self) -> Mapping[str, float]:
+        """Figures of merit by name (docs/experiments.md); {} where the truth is not known."""
+        return {} if self.score is None else self.score.metrics
+
+    @property
+    def verdicts(self) -> dict[str, bool]:
+        """For each metric in [expect], whether the claim holds; not if the run lacks the metric."""
+        if self.experiment is None:
+            return {}
+        return {
+            name: name in self.metrics and bound.holds(self.metrics[name])
+            for name, bound in self.experiment.expect.items()
+        }
+
+    @property
+    def as_expected(self) -> bool:
+        """Whether every claim holds."""
+        return all(self.verdicts.values())
+
+
+def assemble_run(
+    tree: Tree,
+    recording: Recording,
+    *,
+    name: str,
+    settings: Settings = DEFAULTS,
+    experiment: Experiment | None = None,
+    model: ModelFile | None = None,
+    doubt: CalibrationCovariance | None = None,
+    methods: Iterable[Method] = METHODS,
+    prior_error: float | None = None,
+    threads: int | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Run:
+    """Identify by every method that the recording's signals allow, and score where that is known.
+
+    A method that fails does not take the other with it: the run says why it has none.
+
+    Args:
+        tree: The robot.
+        recording: What was measured; its gravity, where it says so, goes before the tree's.
+        name: Of the run.
+        settings: How the signals are treated; default those of `Settings()`.
+        experiment: What made the recording: the tree then holds the truth.
+        model: The model file, for its shapes.
+        doubt: About the plate by which the recording was corrected.
+        methods: Which estimates to make.
+        prior_error: Of the model file's bodies, as for `posterior`.
+        threads: How many to use; default one a processor.
+        progress: Called with samples done and samples in all, method by method.
+
+    Raises:
+        RecordingError: The recording is of another robot.
+    """
+    recording = on_its_base(recording, tree).ordered(tree)
+    tree = with_gear(in_its_gravity(tree, recording), recording)
+    estimates: dict[Method, Estimate] = {}
+    failures: dict[Method, str] = {}
+    undetermined: dict[Method, None] = {}
+    for method in methods:
+        if tree.is_part and method == "internal":
+            continue  # nothing is missing: joint torques are of more than what moves on the base
+        try:
+            estimates[method] = identify(
+                tree,
+                recording,
+                method,
+                settings=settings,
+                doubt=doubt,
+                threads=threads,
+                progress=progress,
+            )
+        except (RecordingError, UnseenParameters) as error:
+            failures[method] = str(error)
+            if isinstance(error, UnseenParameters):
+                undetermined[method] = None
+    judged = None
+    if experiment is not None:
+        motion, inner = shown_motion(recording, settings)
+        torque = None if recording.torque is None else recording.torque[inner]
+        friction = experiment.simulation.friction
+        judged = score(tree, estimates, settings.zeros, friction, motion, torque)
+    errors = {} if judged is None else judged.errors
+    known = diagnostics_of_run(tree, recording, estimates, failures, errors)
+    every = {**estimates, **undetermined}
+    made = posteriors(tree, recording, every, settings, prior_error=prior_error, threads=threads)
+    doubts = verdict_of(estimates.values(), made.values()) if made else ()
+    drives, more = _drives(tree, recording, estimates, settings, progress)
+    if judged is not None and drives is not None and experiment is not None:
+        metrics = drive_metrics(tree, experiment, recording, drives)
+        judged = replace(judged, metrics={**judged.metrics, **metrics})
+    return Run(
+        name=name,
+        tree=tree,
+        recording=recording,
+        estimates=estimates,
+        failures=failures,
+        settings=with_chosen_settings(settings, estimates.values()),
+        experiment=experiment,
+        score=judged,
+        model=model,
+        diagnostics=tuple(dict.fromkeys([*(d for d in doubts if d.code != WELL), *known, *more])),
+        drives=drives,
+        posterior=made,
+    )
+
+
+def _drives(
+    tree: Tree,
+    recording: Recording,
+    estimates: Mapping[Method, Estimate],
+    settings: Settings,
+    progress: Progress,
+) -> tuple[DriveFindings | None, tuple[Diagnostic, ...]]:
+    """What the plate says of the drives where that is asked, and what to know of it."""
+    if settings.drives == "off":
+        return None, ()
+    if recording.torque is None or "external" not in estimates:
+        reason = "that needs torques and the plate's estimate"
+        return None, (diagnose("drives.missing", "the drives", reason=reason),)
+    choose = settings.drives == "chosen"
+    try:
+        found = identify_drives(
+            tree,
+            recording,
+            estimates["external"],
+            settings=settings,
+            choose=choose,
+            progress=progress,
+        )
+    except TestbedError as error:
+        return None, (diagnose("drives.missing", "the drives", reason=error),)
+    return found, found.diagnostics
+
+
+SAID = "of what the channel (row) reaches, by what the component (column) reaches [%]"
+"""What the numbers are parts of."""
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixErrors:
+    """In parts of what the channel reaches, by what the component reaches [%].
+
+    Attributes:
+        error: Of the plate as it is, (6, 6): what calibration takes away.
+        sigma: Of the calibration, (6, 6): what it leaves.
+    """
+
+    error: Array
+    sigma: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, error=(6, 6), sigma=(6, 6))
+
+    @property
+    def most(self) -> float:
+        """The largest of all, without sign [%]."""
+        return float(max(np.abs(self.error).max(), self.sigma.max()))
+
+
+def matrix_errors(run: Run) -> MatrixErrors | None:
+    """Of a run in which the plate's matrix was estimated; else None.
+
+    Args:
+        run: The run.
+    """
+    external = run.estimates.get("external")
+    found = {n.name: n for n in external.nuisances} if external is not None else {}
+    if not any(name.startswith("crosstalk/") for name in found) or run.recording.wrench is None:
+        return None
+    error, sigma = np.zeros((2, 6, 6))
+    for i, shown in enumerate(AXES):
+        for j, felt in enumerate(AXES):
+            number = found.get(f"gain/{shown}" if i == j else f"crosstalk/{shown}/{felt}")
+            if number is not None:
+                error[i, j], sigma[i, j] = number.value - (i == j), number.sigma
+    reach = np.abs(run.recording.wrench).max(axis=0)
+    share = 100 * np.outer(1 / np.where(reach > 0, reach, 1.0), reach)
+    return MatrixErrors(error * share, sigma * share)

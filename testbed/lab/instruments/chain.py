@@ -1,0 +1,262 @@
+"""The whole instrument: encoders, drives and plate, each a chain of stages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
+from testbed.core.recordings.recording import Recording, Truth
+from testbed.lab.instruments.fault import (
+    FULL_SCALE,
+    Fault,
+    Rig,
+    Signal,
+    apply_chain,
+    number_kinds,
+    stream,
+)
+from testbed.lab.instruments.faults import fault_of
+from testbed.lab.instruments.joints import (
+    EncoderInstantSampling,
+    EncoderNoise,
+    EncoderResolution,
+    TorqueConstantError,
+    TorqueNoise,
+)
+from testbed.lab.instruments.plate import MeasuredTare, PlateNoise
+from testbed.lab.instruments.plates import PLATES
+from testbed.lab.kind_table import AsTable
+
+_PLATE = ("force_noise", "moment_noise")
+_SIGNALS: tuple[Signal, ...] = ("position", "torque", "wrench", "tare")
+_TARE = "tare"
+"""Use of random numbers for a tare that is measured."""
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """How samples are taken and how well; by default perfectly. The table [measurement].
+
+    Attributes:
+        rate: Samples a second; also the controller's rate [Hz].
+        averaged: Each sample is the mean over its steps, else its first instant.
+        senses_kinematics: Velocities and accelerations are sensed exactly.
+        encoder_resolution: Least count of the encoders; 0 for none [rad or m].
+        encoder_noise: Standard deviation of position noise [rad or m].
+        torque_noise: Standard deviation of the reported motor torque [N m or N].
+        torque_constant_error: Relative error of the drives' torque constants by joint
+            name: 0.08 reports 8 % too much.
+        plate: Model of the plate, for its noise and range where these are not said.
+        force_noise: Standard deviation of the plate's forces [N].
+        moment_noise: Standard deviation of the plate's moments [N m].
+        full_scale: Largest values that the plate's channels can show [N, N m]. Crosstalk and
+            converters go by it; only a converter stops there.
+        fault: Whatever else is wrong, `[[measurement.fault]]`.
+    """
+
+    rate: float = 1000.0
+    averaged: bool = True
+    senses_kinematics: bool = False
+    encoder_resolution: float = 0.0
+    encoder_noise: float = 0.0
+    torque_noise: float = 0.0
+    torque_constant_error: Mapping[str, float] = field(default_factory=dict)
+    plate: str = ""
+    force_noise: float = 0.0
+    moment_noise: float = 0.0
+    full_scale: tuple[float, float, float, float, float, float] = FULL_SCALE
+    fault: tuple[Annotated[Fault, AsTable(fault_of)], ...] = ()
+
+    __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True, "allow_inf_nan": False}
+
+    def __post_init__(self) -> None:
+        if self.plate:
+            self._take_from(self.plate)
+        if not 0 < self.rate < np.inf:
+            raise SettingsError(f"rate is a positive frequency [Hz], found {self.rate}")
+        for name in ("encoder_resolution", "encoder_noise", "torque_noise", *_PLATE):
+            value = getattr(self, name)
+            if not 0 <= value < np.inf:
+                raise SettingsError(f"{name} cannot be negative or infinite, found {value}")
+        for joint, error in self.torque_constant_error.items():
+            if not np.isfinite(error):
+                raise SettingsError(f"torque_constant_error of '{joint}' is no number: {error}")
+        if len(self.full_scale) != 6 or not all(0 < value < np.inf for value in self.full_scale):
+            raise SettingsError(f"full_scale is six positive numbers, found {self.full_scale}")
+        for fault in self.fault:
+            fault.check_rate(self.rate)
+        if sum(isinstance(fault, MeasuredTare) for fault in self.fault) > 1:
+            raise SettingsError("measured_tare is asked for more than once; there is one tare")
+        latched = any(isinstance(fault, EncoderInstantSampling) for fault in self.fault)
+        if latched and not self.averaged:
+            raise SettingsError(
+                "encoder_instant_sampling makes instants of means, and with averaged = false all "
+                "samples are instants; leave one of them out"
+            )
+
+    def _take_from(self, plate: str) -> None:
+        """Noise and range of a model of plate, where these are not said."""
+        if plate not in PLATES:
+            raise SettingsError(str(UnknownName("plate", plate, PLATES)))
+        for name in (*_PLATE, "full_scale"):
+            if getattr(self, name) == type(self).__dataclass_fields__[name].default:
+                object.__setattr__(self, name, getattr(PLATES[plate], name))
+
+    @property
+    def plate_noise(self) -> Array:
+        """Standard deviation of the plate's channels, (6,) [N, N m]."""
+        return np.repeat([self.force_noise, self.moment_noise], 3)
+
+    def stages(self, names: tuple[str, ...]) -> dict[Signal, tuple[Fault, ...]]:
+        """What happens to each signal, in order: by place, then as asked for.
+
+        Raises:
+            SettingsError: A fault names a joint that is not there, or not of all.
+        """
+        errors = tuple(self.torque_constant_error.get(name, 0.0) for name in names)
+        always: tuple[Fault, ...] = (
+            EncoderNoise(self.encoder_noise),
+            EncoderResolution(self.encoder_resolution),
+            TorqueConstantError(errors),
+            TorqueNoise(self.torque_noise),
+            PlateNoise(self.force_noise, self.moment_noise),
+        )
+        rig = Rig(names, self.full_scale)
+        every = sorted(
+            (fault.on(rig) for fault in (*always, *self.fault)), key=lambda fault: fault.place
+        )
+        return {s: tuple(fault for fault in every if fault.signal == s) for s in _SIGNALS}
+
+    def installed(
+        self, names: tuple[str, ...], position: Array, seed: int, sensor: str = ""
+    ) -> dict[Signal, tuple[Fault, ...]]:
+        """The stages with all that chance decides once: signs, phases, crosstalk.
+
+        Args:
+            names: Joint names.
+            position: True positions, (M, n) [rad or m].
+            seed: Of the recording.
+            sensor: Name of the force sensor that it stands for; "" for the plate.
+        """
+        rig, once = Rig(names, self.full_scale, position), f"once {sensor}".strip()
+        return {
+            signal: tuple(
+                fault.on(rig).sample(rig, stream(fault.kind, seed, number, once))
+                for fault, number in number_kinds(stages)
+            )
+            for signal, stages in self.stages(names).items()
+        }
+
+
+def measure(
+    instrument: Instrument,
+    names: tuple[str, ...],
+    time: Array,
+    truth: Truth,
+    tare: Array,
+    facts: Mapping[str, Any],
+    seed: int,
+    installed: int | None = None,
+) -> Recording:
+    """What the instrument shows of what happened.
+
+    Args:
+        instrument: The instrument.
+        names: Joint names.
+        time: (M,) [s].
+        truth: What happens.
+        tare: Known static wrench of the pedestal, (6,) [N, N m].
+        facts: Kept with the recording.
+        seed: Of the noise.
+        installed: Seed of what chance decides once; default `seed`.
+    """
+    senses = instrument.senses_kinematics
+    exact = Recording(
+        names=names,
+        time=time,
+        position=truth.position,
+        torque=truth.torque,
+        wrench=truth.wrench,
+        velocity=truth.velocity if senses else None,
+        acceleration=truth.acceleration if senses else None,
+        tare=tare,
+        truth=truth,
+        facts=facts,
+    )
+    once = seed if installed is None else installed
+    chains = instrument.installed(names, truth.position, once)
+    seen: dict[str, Any] = {
+        signal: apply_chain(chains[signal], exact.measured(signal), time, seed)
+        for signal in ("position", "torque", "wrench")
+    }
+    for fault in chains["tare"]:
+        assert isinstance(fault, MeasuredTare)
+        instants = fault.instants(instrument.rate)
+        still = np.tile(tare, (len(instants), 1))
+        shown = apply_chain(chains["wrench"], still, instants, seed, _TARE)
+        seen["tare"] = fault.apply(shown, instants, stream(fault.kind, seed))[0]
+    return replace(exact, **seen)
+
+
+def with_sensors(
+    recording: Recording,
+    instruments: Mapping[str, Instrument],
+    seed: int,
+    installed: int | None = None,
+) -> Recording:
+    """A simulated recording with what force sensors in the robot show.
+
+    Args:
+        recording: Its truth has their wrenches, in this order.
+        instruments: By sensor; what they say of a plate is of it.
+        seed: Of the noise.
+        installed: Seed of what chance decides once; default `seed`.
+
+    Raises:
+        RecordingError: The recording has no truth of them.
+    """
+    truth = recording.truth
+    if truth is None or truth.sensors is None:
+        raise RecordingError("only a simulated recording, with truth, is measured again")
+    once, shown = seed if installed is None else installed, []
+    for k, (name, instrument) in enumerate(instruments.items()):
+        chain = instrument.installed(recording.names, truth.position, once, name)["wrench"]
+        true = truth.sensors[:, 6 * k : 6 * k + 6]
+        shown.append(apply_chain(chain, true, recording.time, seed, f"sensor {name}"))
+    return replace(recording, sensors=np.hstack(shown), sensor_names=tuple(instruments))
+
+
+def measured_again(recording: Recording, instrument: Instrument, seed: int) -> Recording:
+    """What another instrument shows of a run that was simulated before: no simulation needed.
+
+    Args:
+        recording: With its truth, and with the exact tare: of an instrument that does not
+            measure it. Its samples are means if the other instrument's are.
+        instrument: The other instrument, of the same rate.
+        seed: Of the noise.
+
+    Raises:
+        RecordingError: The recording has no truth or no tare, or is of another rate.
+    """
+    if recording.truth is None or recording.tare is None:
+        raise RecordingError("only a simulated recording, with truth and tare, is measured again")
+    if abs(recording.rate / instrument.rate - 1) > 1e-6:
+        raise RecordingError(
+            f"the recording has {recording.rate:g} samples a second, the instrument takes "
+            f"{instrument.rate:g}; simulate again"
+        )
+    found = measure(
+        instrument,
+        recording.names,
+        recording.time,
+        recording.truth,
+        recording.tare,
+        recording.facts,
+        seed,
+    )
+    return replace(found, temperature=recording.temperature)

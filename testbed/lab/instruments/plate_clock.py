@@ -1,0 +1,172 @@
+"""What comes late, at other instants, or not at all from the plate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import SettingsError
+from testbed.lab.instruments.fault import Fault, Place, PlateFault
+from testbed.lab.kind_table import key
+
+_LEAST_CUTOFF = 1e-5
+"""Of a filter, in sampling rates: below, its coefficients drown in rounding."""
+
+
+@dataclass(frozen=True)
+class PlateAntiAliasFilter(PlateFault):
+    """A low-pass before the plate's converter, which the joints' signals do not pass.
+
+    A causal Butterworth filter, exact for signals that are straight between samples; it is at
+    rest on the first sample's value. Slow signals it delays by sqrt(2) / (2 pi cutoff) if it
+    is of second order.
+
+    Source    Filters of bridge amplifiers in data sheets: second order, a tenth of the rate.
+
+    Attributes:
+        cutoff: Where half the power is left [Hz].
+        order: 1 to 8.
+    """
+
+    kind: ClassVar[str] = "plate_anti_alias_filter"
+    place: ClassVar[Place] = Place.FILTER
+    cutoff: float = key(100.0, positive=True)
+    order: int = key(2, least=1, most=8, whole=True)
+
+    def check_rate(self, rate: float) -> None:
+        """Whether the filter's memory is not beyond counting."""
+        if self.cutoff < _LEAST_CUTOFF * rate:
+            raise SettingsError(
+                f"{self.kind}: cutoff = {self.cutoff:g} Hz is too low for a rate of {rate:g} Hz; "
+                f"raise it to {_LEAST_CUTOFF * rate:g} Hz or more"
+            )
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """The wrench behind the filter, (M, 6) [N, N m]."""
+        from scipy.signal import cont2discrete, lfilter, lfilter_zi
+
+        del rng
+        step = (time[-1] - time[0]) / (len(time) - 1)
+        for numerator, denominator in _sections(2 * np.pi * self.cutoff, self.order):
+            above, below, _ = cont2discrete((numerator, denominator), step, "foh")
+            rest = lfilter_zi(above[0], below)[:, None] * signal[0]
+            signal = lfilter(above[0], below, signal, axis=0, zi=rest)[0]
+        return signal
+
+
+def _sections(cutoff: float, order: int) -> list[tuple[list[float], list[float]]]:
+    """A Butterworth low-pass in factors of first and second order, cutoff in rad/s."""
+    damping = np.sin(np.pi * (2 * np.arange(order // 2) + 1) / (2 * order))
+    found = [([cutoff**2], [1.0, 2 * float(d) * cutoff, cutoff**2]) for d in damping]
+    return [*found, *[([cutoff], [1.0, cutoff])] * (order % 2)]
+
+
+@dataclass(frozen=True)
+class PlateDelay(PlateFault):
+    """Skew: plate samples that are older than the joints' of the same time, by a constant delay.
+
+    Source    Two loggers started by software: one sample at a thousand a second.
+
+    Attributes:
+        delay: How late the plate is; negative if it is early [s].
+    """
+
+    kind: ClassVar[str] = "plate_delay"
+    place: ClassVar[Place] = Place.CLOCK
+    delay: float = key(1e-3)
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """The wrench of another time, (M, 6) [N, N m]; held before the first sample."""
+        del rng
+        return at_times(signal, time, time - self.delay) if self.delay else signal
+
+
+@dataclass(frozen=True)
+class PlateClockRate(PlateFault):
+    """A plate with a clock of its own that runs too fast: a skew that grows from time 0.
+
+    Source    Tolerance of quartz clocks in data sheets: 50 parts in a million.
+
+    Attributes:
+        error: Relative; the sample of time t is of t / (1 + error).
+    """
+
+    kind: ClassVar[str] = "plate_clock_rate"
+    place: ClassVar[Place] = Place.CLOCK
+    error: float = key(5e-5, least=-0.5, most=1.0)
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """The wrench of earlier and earlier times, (M, 6) [N, N m]; held beyond its ends."""
+        del rng
+        return at_times(signal, time, time / (1 + self.error)) if self.error else signal
+
+
+@dataclass(frozen=True)
+class PlateJitter(PlateFault):
+    """Samples taken somewhat earlier or later than they should be, at random.
+
+    Source    Latencies of software-timed loops on real-time systems: 50 us.
+
+    Attributes:
+        sigma: Standard deviation of the instants [s].
+    """
+
+    kind: ClassVar[str] = "plate_jitter"
+    place: ClassVar[Place] = Place.CLOCK
+    sigma: float = key(5e-5, least=0)
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """The wrench at other instants, (M, 6) [N, N m]."""
+        if not self.sigma:
+            return signal
+        return at_times(signal, time, time + self.sigma * rng.normal(size=len(time)))
+
+
+@dataclass(frozen=True)
+class PlateDroppedSamples(PlateFault):
+    """Samples that are lost on the way, and the ones before them repeated.
+
+    Source    A bus without retransmission: one sample in a thousand.
+
+    Attributes:
+        share: Of the samples, each lost by chance.
+    """
+
+    kind: ClassVar[str] = "plate_dropped_samples"
+    place: ClassVar[Place] = Place.LINE
+    share: float = key(1e-3, least=0, most=1)
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """The wrench with samples repeated, (M, 6) [N, N m]."""
+        del time
+        lost = rng.random(len(signal)) < self.share
+        last = np.maximum.accumulate(np.where(lost, 0, np.arange(len(signal))))
+        return signal[last]
+
+
+def at_times(signal: Array, time: Array, wanted: Array) -> Array:
+    """A signal at other instants; before the first and after the last sample it is held.
+
+    Args:
+        signal: (M, k).
+        time: Of its samples, (M,) [s].
+        wanted: (L,) [s].
+    """
+    from scipy.interpolate import make_interp_spline
+
+    spline = make_interp_spline(time, signal, k=min(5, len(time) - 1))
+    found: Array = spline(np.clip(wanted, time[0], time[-1]))
+    return found
+
+
+FAULTS: tuple[type[Fault], ...] = (
+    PlateAntiAliasFilter,
+    PlateDelay,
+    PlateClockRate,
+    PlateJitter,
+    PlateDroppedSamples,
+)
+"""All of the plate's clock and line."""

@@ -1,0 +1,323 @@
+"""A value that a file says as a table: its kind, and keys with defaults and bounds.
+
+A kind is one frozen dataclass: `kind` as a class variable, a field a key. Faults of instruments
+and effects in the plant are such values. What there is to say of a kind is in its docstring: a
+sentence, details, the source of the default size, and the keys.
+
+A single number where a kind has one for every joint holds for all; a list gives each its own; in a
+table by joint name those left out have zero, or the default where zero makes no sense.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+from abc import ABC
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields
+from typing import Any, ClassVar, TypeAlias, TypeVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import SettingsError, UnknownName
+
+LARGEST = 1e9
+"""Sizes beyond this are a mistake; so are positive ones below its inverse."""
+
+PerJoint: TypeAlias = float | tuple[float, ...] | Mapping[str, float]
+"""One for all joints, one a joint in their order, or by name."""
+
+COUNTS = {"axes": 3, "channels": 6}
+"""How many members a list has that is not of joints."""
+
+_LISTS = {
+    "axes": ", or a list of three (x, y, z)",
+    "channels": ", or a list of six (Fx, Fy, Fz, Mx, My, Mz)",
+    "joints": ", a list of one a joint, or a table by joint name",
+}
+
+
+@dataclass(frozen=True)
+class Key:
+    """What may stand under a key of a kind's table.
+
+    Attributes:
+        members: What the value may be one of each for: "joints", "axes", "channels"; or
+            "matrix" (6, 6); "word", a word instead of a number; or nothing.
+        sample: What a single number leaves open: "sign", "phase" (where the value is left
+            out), or nothing.
+        least: Smallest value.
+        most: Largest value.
+        positive: Zero is none either.
+        whole: A whole number.
+    """
+
+    members: str = ""
+    sample: str = ""
+    least: float = -LARGEST
+    most: float = LARGEST
+    positive: bool = False
+    whole: bool = False
+
+    def checked(self, value: Any, label: str) -> Any:
+        """A value as it is kept: floats, tuples, tables by joint name.
+
+        Args:
+            value: As Python or TOML gives it.
+            label: What it is called in the error.
+
+        Raises:
+            SettingsError: It is none that the key takes.
+        """
+        try:
+            return self._kept(value)
+        except (TypeError, ValueError, OverflowError):
+            said = repr(value)
+            said = said if len(said) <= 60 else f"{said[:60]}..."
+            raise SettingsError(f"{label} is {self._words()}, found {said}") from None
+
+    def _kept(self, value: Any) -> Any:
+        if self.members == "word":
+            if not isinstance(value, str):
+                raise TypeError
+            return value
+        if self.members == "matrix":
+            rows = tuple(tuple(self._number(each) for each in row) for row in value)
+            if [len(row) for row in rows] != [6] * 6:
+                raise ValueError
+            return rows
+        if isinstance(value, Mapping) and self.members == "joints":
+            return {str(joint): self._number(each) for joint, each in value.items()}
+        if isinstance(value, list | tuple) and self.members:
+            if len(value) != COUNTS.get(self.members, len(value)) or not value:
+                raise ValueError
+            return tuple(self._number(each) for each in value)
+        return self._number(value)
+
+    def _number(self, value: Any) -> float | int:
+        """A number within bounds."""
+        if isinstance(value, bool | str | bytes):
+            raise TypeError
+        number = float(value)
+        least = 1 / LARGEST if self.positive else self.least
+        if not least <= number <= self.most or (self.whole and number != int(value)):
+            raise ValueError
+        return int(value) if self.whole else number
+
+    def _words(self) -> str:
+        """What the key takes."""
+        if self.members == "word":
+            return "a name"
+        if self.members == "matrix":
+            return "six lists of six numbers"
+        number = "positive " * self.positive + "whole " * self.whole + "number"
+        bounds = []
+        if self.least > -LARGEST:
+            bounds.append(f"at least {self.least:g}")
+        if self.most < LARGEST:
+            bounds.append(f"at most {self.most:g}")
+        return f"a {number} {' and '.join(bounds)}".strip() + _LISTS.get(self.members, "")
+
+
+def key(default: Any, members: str = "", sample: str = "", **bounds: Any) -> Any:
+    """A field that is a key of its kind's table.
+
+    Args:
+        default: Its value; None where nothing need be said.
+        members: As in `Key`.
+        sample: As in `Key`.
+        bounds: As in `Key`.
+    """
+    return field(default=default, metadata={"key": Key(members, sample, **bounds)})
+
+
+def hidden(default: Any) -> Any:
+    """A field that is no key: what the value is installed on decides it."""
+    return field(default=default, repr=False, compare=False, metadata={"rig": True})
+
+
+class KindTable(ABC):
+    """One value of a kind."""
+
+    kind: ClassVar[str]
+    """Its name in files."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    def __post_init__(self) -> None:
+        for name, wanted in self.known_keys().items():
+            value = getattr(self, name)
+            if value is not None or self._default(name) is not None:
+                object.__setattr__(self, name, wanted.checked(value, f"{self.kind}: {name}"))
+
+    def __eq__(self, other: object) -> bool:
+        """Values are the same if their tables are, whatever they are installed on."""
+        return isinstance(other, KindTable) and self.table() == other.table()
+
+    def __hash__(self) -> int:
+        return hash(self.kind)
+
+    def _default(self, name: str) -> Any:
+        default = type(self).__dataclass_fields__[name].default
+        return None if default is MISSING else default
+
+    @classmethod
+    def known_keys(cls) -> dict[str, Key]:
+        """What may be said in the table, besides `kind`."""
+        return {f.name: f.metadata["key"] for f in fields(cls) if "key" in f.metadata}
+
+    def table(self) -> dict[str, Any]:
+        """The value as a file says it, every default written out."""
+        values = {name: _plain(getattr(self, name)) for name in self.known_keys()}
+        return {"kind": self.kind} | {k: v for k, v in values.items() if v is not None}
+
+    @property
+    def by_joint(self) -> dict[str, Mapping[str, float]]:
+        """The keys that are tables by joint name."""
+        values = {name: getattr(self, name) for name in self.known_keys()}
+        return {name: value for name, value in values.items() if isinstance(value, Mapping)}
+
+    def of_joints(self, names: tuple[str, ...]) -> dict[str, Any]:
+        """The keys that have one number a joint, in the joints' order: a number for all, or each.
+
+        Raises:
+            SettingsError: It names a joint that is not there, or not of all.
+        """
+        wanted = {k: key for k, key in self.known_keys().items() if key.members == "joints"}
+        return {name: self._of_joints(name, key, names) for name, key in wanted.items()}
+
+    def _of_joints(self, name: str, key: Key, names: tuple[str, ...]) -> Any:
+        value = getattr(self, name)
+        if isinstance(value, Mapping):
+            for joint in value:
+                if joint not in names:
+                    raise SettingsError(f"{self.kind}: {UnknownName('joint', joint, names)}")
+            other = self._default(name) if key.positive else 0.0
+            return tuple(value.get(joint, other) for joint in names)
+        if isinstance(value, tuple) and len(value) != len(names):
+            raise SettingsError(
+                f"{self.kind}: {name} has {len(value)} numbers for {len(names)} joints "
+                f"({', '.join(names)})"
+            )
+        return value
+
+
+def each_joint(value: PerJoint) -> Array:
+    """Numbers of joints: () or (n,)."""
+    return np.asarray(value, dtype=float)
+
+
+Some = TypeVar("Some", bound=KindTable)
+
+
+def of_table(table: object, what: str, example: str, named: Callable[[str], type[Some]]) -> Some:
+    """A value of its table.
+
+    Args:
+        table: `kind` and the kind's own keys.
+        what: What all kinds are, for the error.
+        example: One of the kinds, likewise.
+        named: The kind of a name.
+
+    Raises:
+        SettingsError: The kind or a key is not known, or a value is none that it takes.
+    """
+    if not isinstance(table, Mapping) or not isinstance(table.get("kind"), str):
+        raise SettingsError(f'{what} is a table with its kind, as {{ kind = "{example}" }}')
+    kind = named(table["kind"])
+    values = {name: value for name, value in table.items() if name != "kind"}
+    known = kind.known_keys()
+    for name in values:
+        if name not in known:
+            raise SettingsError(str(UnknownName(f"key of {kind.kind}", str(name), known)))
+    return kind(**values)
+
+
+class AsTable:
+    """How pydantic reads a value of a file's table, and writes it back.
+
+    Attributes:
+        read: Makes the value of its table.
+    """
+
+    def __init__(self, read: Callable[[object], KindTable]) -> None:
+        self.read = read
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> dict[str, Any]:
+        """A schema of pydantic-core, which is a plain dictionary."""
+        del source, handler
+        return {
+            "type": "function-plain",
+            "function": {"type": "no-info", "function": self.read},
+            "serialization": {"type": "function-plain", "function": KindTable.table},
+        }
+
+
+def _plain(value: Any) -> Any:
+    """A value as TOML takes it."""
+    if isinstance(value, tuple):
+        return [_plain(each) for each in value]
+    return dict(value) if isinstance(value, Mapping) else value
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One kind in words.
+
+    Attributes:
+        kind: Its name.
+        summary: What it is, in a sentence.
+        details: Formulas and what else is to be known; may be empty.
+        source: Where the default size comes from.
+        keys: (name, default, meaning with unit) of each key.
+        example: A line of an experiment file.
+    """
+
+    kind: str
+    summary: str
+    details: str
+    source: str
+    keys: tuple[tuple[str, str, str], ...]
+    example: str
+
+
+def in_words(kind: type[KindTable]) -> Entry:
+    """What there is to say of a kind.
+
+    Args:
+        kind: The kind; all its keys have defaults.
+    """
+    text = inspect.getdoc(kind) or ""
+    body, _, attributes = text.partition("\n\nAttributes:\n")
+    body, _, source = body.partition("\n\nSource ")
+    summary, _, details = body.partition("\n\n")
+    table = kind().table()
+    meanings = dict(re.findall(r"^    (\w+): ((?:.|\n {8})*)", attributes, re.MULTILINE))
+    keys = tuple((k, _toml(table.get(k)), _line(meanings[k])) for k in kind.known_keys())
+    example = ", ".join(f"{name} = {_toml(value)}" for name, value in table.items())
+    return Entry(kind.kind, _line(summary), _line(details), _line(source), keys, f"{{ {example} }}")
+
+
+def rows(entries: list[Entry]) -> list[str]:
+    """A table of a document: kind, what it is, its keys, the source of the size."""
+    lines = ["| kind | what it is | keys: default, meaning | source of the size |"]
+    lines += ["| --- | --- | --- | --- |"]
+    for entry in entries:
+        keys = "<br>".join(f"`{k}`: {default}, {said}" for k, default, said in entry.keys)
+        what = " ".join(filter(None, (entry.summary, entry.details)))
+        cells = (f"`{entry.kind}`", what, keys, entry.source)
+        lines.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")
+    return lines
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _toml(value: Any) -> str:
+    """A default as TOML writes it; numbers in a few digits."""
+    if value is None:
+        return "none"
+    return json.dumps(value) if isinstance(value, str) else f"{value:.6g}"

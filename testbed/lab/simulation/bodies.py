@@ -1,0 +1,307 @@
+"""Effects that are bodies: a payload on a link, a drive's rotor that spins on its carrier."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import SettingsError, UnknownName
+from testbed.core.dynamics.newton_euler import Motion, base_wrench, poses
+from testbed.core.kernel.layout import upright
+from testbed.core.robot.formats.mjcf_compile import no_mujoco_warnings
+from testbed.core.robot.inertia import Inertia, about
+from testbed.core.robot.locks import with_rotor_spin
+from testbed.core.robot.tree import Tree
+from testbed.lab.kind_table import PerJoint, each_joint, key
+from testbed.lab.simulation.effect import PLATE_FREEDOM, Effect
+from testbed.lab.simulation.plant import Plant
+
+MASSLESS = 1e-9
+"""Mass of a body of which only the inertia counts [kg]: MuJoCo needs one."""
+
+FELT = 1e-3
+"""Largest relative departure of what rotors add to the wrench from their law."""
+
+
+@dataclass(frozen=True, eq=False)
+class Payload(Effect):
+    """A body fixed to a link, as a tool or a load at the flange; a part of the robot's truth.
+
+    Source    Our own choice: 1 kg, a sphere of 7 cm.
+
+    Attributes:
+        joint: The link is the one that this joint moves; "" for the last.
+        mass: [kg].
+        centre: Of mass, in the frame of the joint's body, one for x, y and z or three [m].
+        inertia: About the centre, likewise [kg m^2].
+    """
+
+    kind: ClassVar[str] = "payload"
+    joint: str = key("", "word")
+    mass: float = key(1.0, positive=True)
+    centre: float | tuple[float, ...] = key(0.05, "axes")
+    inertia: float | tuple[float, ...] = key(2e-3, "axes", positive=True)
+
+    @property
+    def body(self) -> Inertia:
+        """In the frame of the joint's body."""
+        centre, moments = (np.broadcast_to(np.asarray(v), 3) for v in (self.centre, self.inertia))
+        return Inertia.about_centre(self.mass, centre, np.diag(moments))
+
+    def robot(self, tree: Tree) -> Tree:
+        """The robot with the payload."""
+        if self.joint and self.joint not in tree.names:
+            raise SettingsError(f"payload: {UnknownName('joint', self.joint, tree.names)}")
+        return tree.with_inertia(self._link(tree), self.body)
+
+    def equip(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
+        """A body of MuJoCo's, welded to the link."""
+        link = self._link(tree)
+        body = spec.joint(prefix + tree.names[link]).parent
+        turn, place = _seen_from(spec, body.name, *_at_zero(tree, link))
+        centre, moments = (np.broadcast_to(np.asarray(v), 3) for v in (self.centre, self.inertia))
+        _weld(body, "testbed/payload", turn, place + turn @ centre, self.mass, moments)
+
+    def _link(self, tree: Tree) -> int:
+        return tree.index(self.joint) if self.joint else tree.n - 1
+
+
+@dataclass(frozen=True, eq=False)
+class GearedRotor(Effect):
+    """A rotor that the carrying link holds and that turns so many times faster than its joint.
+
+    Its angular momentum reaches the plate: ratio inertia d(qd e)/dt, which is what a joint body
+    of that much more inertia about the axis e would add, and a carrier of that much less. The
+    model file's own rotor inertia stays beside it. Turning joints only.
+
+    Source    [AKB86]: a PUMA's waist, 1.14 kg m^2 at the joint by a ratio of 62.6.
+
+    Attributes:
+        inertia: Of the rotor about its axis [kg m^2].
+        ratio: Turns of the rotor a turn of the joint.
+    """
+
+    kind: ClassVar[str] = "geared_rotor"
+    inertia: PerJoint = key(2e-4, "joints", least=0)
+    ratio: PerJoint = key(60.0, "joints")
+
+    def robot(self, tree: Tree) -> Tree:
+        """The carriers with the rotors at rest on them, the joints with what their spin takes."""
+        for joint, inertia, ratio in self._each(tree):
+            if not tree.joints[joint].revolute:
+                raise SettingsError(
+                    f"geared_rotor: joint '{tree.names[joint]}' slides; give inertia by joint name"
+                )
+            known = tree.joints[joint]
+            axis = known.carried_axis
+            still = inertia / 2 * (np.eye(3) + np.outer(axis, axis))
+            tree = tree.with_inertia(known.parent, Inertia(0.0, np.zeros(3), still))
+            reflected = known.rotor_inertia + ratio**2 * inertia
+            tree = tree.with_joints({known.name: {"rotor_inertia": reflected}})
+        return tree
+
+    def equip(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
+        """The rotors at rest on their carriers, and what their spin takes."""
+        for joint, inertia, _ in self._each(tree):
+            name = tree.names[joint]
+            hinge = spec.joint(prefix + name)
+            carrier = hinge.parent.parent
+            turn, place = _at_zero(tree, joint)
+            onto_axis = turn @ upright(tree.joints[joint].axis)
+            turn, place = _seen_from(spec, carrier.name, onto_axis, place)
+            moments = inertia * np.array([0.5, 0.5, 1.0])
+            _weld(carrier, _rotor(name), turn, place, MASSLESS, moments)
+            hinge.armature = tree.joints[joint].rotor_inertia
+
+    def disturb(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
+        """Rotors that turn."""
+        step = spec.option.timestep
+        for joint, inertia, ratio in self._each(tree):
+            name = prefix + tree.names[joint]
+            rotor = _rotor(tree.names[joint])
+            spec.body(rotor).add_joint(name=rotor, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+            spec.joint(name).armature -= ratio**2 * inertia
+            gear = spec.add_equality(name=rotor, type=mujoco.mjtEq.mjEQ_JOINT)
+            gear.objtype = mujoco.mjtObj.mjOBJ_JOINT
+            gear.name1, gear.name2 = rotor, name
+            gear.data[:5] = [0.0, ratio, 0.0, 0.0, 0.0]
+            gear.solref, gear.solimp = [2 * step, 1], [0.9999, 0.9999, 0.001, 0.5, 2]
+
+    def flaw(self, plant: Plant, tree: Tree) -> str | None:
+        """Whether the rotors' spin reaches the bedplate as the law has it."""
+        rng = np.random.default_rng(0)
+        q, qd = rng.uniform(-0.5, 0.5, tree.n), rng.uniform(0.5, 1.0, tree.n)
+        data = mujoco.MjData(plant.model)
+        data.qpos[:], data.qvel[:] = plant.dofs @ q, plant.dofs @ qd
+        data.ctrl[:] = rng.uniform(-1, 1, tree.n)
+        mujoco.mj_forward(plant.model, data)
+        spins = {tree.names[j]: ratio * inertia for j, inertia, ratio in self._each(tree)}
+        motion = Motion(np.zeros(1), q[None], qd[None], data.qacc[plant.order][None])
+        resting = base_wrench(tree, motion)[0]
+        spun = base_wrench(with_rotor_spin(tree, spins), motion)[0] - resting
+        felt = plant.bedplate_wrench(data.sensordata[plant.plate]) - plant.tare - resting
+        if np.abs(felt - spun).max() <= FELT * np.abs(spun).max():
+            return None
+        return f"the plate feels {felt} of the rotors' spin, not {spun}"
+
+    def _each(self, tree: Tree) -> Iterator[tuple[int, float, float]]:
+        """Joint, inertia and ratio where there is a rotor."""
+        sizes, ratios = (
+            np.broadcast_to(each_joint(value), tree.n) for value in (self.inertia, self.ratio)
+        )
+        for joint, (inertia, ratio) in enumerate(zip(sizes, ratios, strict=True)):
+            if inertia and ratio:
+                yield joint, float(inertia), float(ratio)
+
+
+def _rotor(joint: str) -> str:
+    return f"testbed/rotor/{joint}"
+
+
+def _at_zero(tree: Tree, link: int) -> tuple[Array, Array]:
+    """Axes and place of a body's frame in the bedplate frame, all joints at zero."""
+    turn, place = poses(tree, np.zeros((1, tree.n)))[link]
+    return turn[0], place[0]
+
+
+def _seen_from(spec: mujoco.MjSpec, body: str, turn: Array, place: Array) -> tuple[Array, Array]:
+    """A frame in the bedplate frame, as seen from a body of MuJoCo's, all joints at zero."""
+    with no_mujoco_warnings():
+        model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.0
+    mujoco.mj_kinematics(model, data)
+    there = data.body(body).xmat.reshape(3, 3)
+    return there.T @ turn, there.T @ (place - data.body(body).xpos)
+
+
+def _weld(
+    to: mujoco.MjsBody, name: str, turn: Array, place: Array, mass: float, moments: Array
+) -> None:
+    """A body of MuJoCo's at its centre of mass, along its principal axes."""
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, turn.ravel())
+    to.add_body(
+        name=name,
+        pos=place,
+        quat=quaternion,
+        mass=mass,
+        ipos=np.zeros(3),  # which is `pos` where it is left out
+        iquat=[1.0, 0.0, 0.0, 0.0],
+        inertia=moments,
+        explicitinertial=True,
+    )
+
+
+SAME = 1e-6
+"""Largest relative departure of frequencies and angles from what was asked for."""
+
+_FREEDOMS = tuple(f"{PLATE_FREEDOM}{kind}{axis}" for kind in "tr" for axis in "xyz")
+
+
+@dataclass(frozen=True, eq=False)
+class CompliantPlate(Effect):
+    """A bedplate on springs: three that let it shift, three that let it turn about its origin.
+
+    Each is as stiff as the frequency wants, for the robot with all its joints at zero.
+
+    Source    Our own choice: plates with strain gauges under robots of 60 kg, 60 to 200 Hz.
+
+    Attributes:
+        frequency: Of each spring with the robot on it [Hz].
+        damping: Of each, as a ratio to critical damping.
+    """
+
+    kind: ClassVar[str] = "compliant_plate"
+    frequency: float = key(200.0, positive=True)
+    damping: float = key(0.02, least=0, most=10)
+
+    def disturb(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
+        """Six joints between world and plate.
+
+        Raises:
+            SettingsError: They are there already.
+        """
+        del prefix
+        if any(joint.name == _FREEDOMS[0] for joint in spec.joints):
+            raise SettingsError(f"{self.kind}: the bedplate is on springs already; once is enough")
+        site = next(s.objname for s in spec.sensors if s.type == mujoco.mjtSensor.mjSENS_FORCE)
+        plate = spec.site(site).parent
+        place = np.asarray(spec.site(site).pos)
+        kinds = [mujoco.mjtJoint.mjJNT_SLIDE] * 3 + [mujoco.mjtJoint.mjJNT_HINGE] * 3
+        springs = [
+            plate.add_joint(name=name, type=kind, axis=axis, pos=place)
+            for name, kind, axis in zip(_FREEDOMS, kinds, [*np.eye(3)] * 2, strict=True)
+        ]
+        with no_mujoco_warnings():
+            model = spec.compile()
+        pulse = 2 * np.pi * self.frequency
+        for spring, inertia in zip(springs, _inertias(model), strict=True):
+            spring.stiffness = _first(spring.stiffness, inertia * pulse**2)
+            spring.damping = _first(spring.damping, 2 * self.damping * inertia * pulse)
+
+    def flaw(self, plant: Plant, tree: Tree) -> str | None:
+        """Whether each spring alone has its frequency, by the force of a small shift."""
+        data, model = mujoco.MjData(plant.model), plant.model
+        at = [int(model.joint(name).qposadr[0]) for name in _FREEDOMS]
+        data.qpos[at] = shift = 1e-6
+        mujoco.mj_forward(model, data)
+        stiffness = -data.qfrc_passive[[int(model.joint(n).dofadr[0]) for n in _FREEDOMS]] / shift
+        found = np.sqrt(stiffness / _inertias(model)) / (2 * np.pi)
+        if np.abs(found / self.frequency - 1).max() <= SAME:
+            return None
+        return f"the bedplate's springs have {found} Hz, not {self.frequency:g}"
+
+
+@dataclass(frozen=True, eq=False)
+class Tilt(Effect):
+    """A bedplate that is not level: gravity is turned against what recordings say.
+
+    Source    Our own choice: 0.2 degrees, a spirit level's.
+
+    Attributes:
+        angle: Of gravity against the z axis [rad].
+        direction: Of the horizontal axis about which gravity is turned, from x [rad].
+    """
+
+    kind: ClassVar[str] = "tilt"
+    angle: float = key(3.5e-3, least=-1.5, most=1.5)
+    direction: float = key(0.0)
+
+    def disturb(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
+        """Gravity of another direction."""
+        del prefix
+        axis = np.array([np.cos(self.direction), np.sin(self.direction), 0.0])
+        spec.option.gravity = about(axis, self.angle) @ tree.gravity
+
+    def flaw(self, plant: Plant, tree: Tree) -> str | None:
+        """Whether gravity has kept its size and makes the angle with what it was, at most."""
+        was, now = tree.gravity, plant.model.opt.gravity
+        size = float(np.linalg.norm(was))
+        moved = float(np.linalg.norm(now - was))
+        most = 2 * np.sin(abs(self.angle) / 2) * size
+        if abs(np.linalg.norm(now) - size) <= SAME * size and moved <= most * (1 + SAME):
+            return None
+        return f"gravity is {now}, turned from {was} by more than {self.angle:g} rad"
+
+
+def _inertias(model: mujoco.MjModel) -> Array:
+    """What each freedom of the plate moves, all joints at zero, (6,) [kg, kg m^2]."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.0
+    mujoco.mj_forward(model, data)
+    matrix = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, matrix)
+    return np.diagonal(matrix)[[int(model.joint(n).dofadr[0]) for n in _FREEDOMS]]
+
+
+def _first(values: Array, value: float) -> Array:
+    """A coefficient where MuJoCo takes polynomials."""
+    found = np.zeros(np.size(values))
+    found[0] = value
+    return found

@@ -1,0 +1,249 @@
+"""Friction that no model file can state: of any speed, direction and load, and with a memory.
+
+All of it acts at the joints and none reaches the plate. What jumps where a motion reverses is
+smoothed over a small speed, since forces are held over a step: sign(v) is tanh(v / 0.01). Only
+friction that grows with the load is solved with the motion, and needs no such speed.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.robot.friction import COULOMB, ROOM, VISCOUS
+from testbed.core.robot.tree import Tree
+from testbed.lab.kind_table import PerJoint, each_joint, key
+from testbed.lab.simulation.effect import Effect, StepForces
+from testbed.lab.simulation.gear_friction import Gears
+
+SMOOTH = 0.01
+"""Speed over which a sign is smoothed [rad/s or m/s]."""
+
+
+def smooth_sign(velocity: Array) -> Array:
+    """sign(v), smoothed.
+
+    Args:
+        velocity: [rad/s or m/s].
+    """
+    return np.tanh(velocity / SMOOTH)
+
+
+class VelocityFriction(Effect):
+    """Joint friction by the velocity alone."""
+
+    @abstractmethod
+    def torque(self, qd: Array) -> Array:
+        """Against the motion, (n,) [N m or N].
+
+        Args:
+            qd: Velocities, (n,) [rad/s or m/s].
+        """
+
+    def forces(self, tree: Tree, step: float) -> StepForces:
+        """Minus the friction."""
+        del tree, step
+        return lambda time, q, qd, motor: -self.torque(qd)
+
+
+@dataclass(frozen=True, eq=False)
+class StribeckFriction(VelocityFriction):
+    """Friction that is higher at low speed: coefficient sign(v) exp(-(v / speed)^2).
+
+    It comes on top of the joints' own dry and viscous friction.
+
+    Source    Our own choice: half a PUMA's dry friction, below 0.1 rad/s.
+
+    Attributes:
+        coefficient: What dry friction at rest has more [N m or N].
+        speed: Above which it fades out [rad/s or m/s].
+    """
+
+    kind: ClassVar[str] = "stribeck_friction"
+    coefficient: PerJoint = key(3.0, "joints", least=0)
+    speed: PerJoint = key(0.08, "joints", positive=True)
+
+    def torque(self, qd: Array) -> Array:
+        """The more the slower."""
+        fading = np.exp(-((qd / each_joint(self.speed)) ** 2))
+        return each_joint(self.coefficient) * fading * smooth_sign(qd)
+
+
+@dataclass(frozen=True, eq=False)
+class PowerFriction(VelocityFriction):
+    """Friction that grows with a power of the speed: coefficient sign(v) abs(v)^exponent.
+
+    Source    Our own choice: lubricated gears have exponents from one half to two.
+
+    Attributes:
+        coefficient: At 1 rad/s or 1 m/s [N m or N].
+        exponent: Of the speed.
+    """
+
+    kind: ClassVar[str] = "power_friction"
+    coefficient: PerJoint = key(2.0, "joints", least=0)
+    exponent: float = key(0.5, positive=True, most=4)
+
+    def torque(self, qd: Array) -> Array:
+        """The more the faster."""
+        return each_joint(self.coefficient) * np.abs(qd) ** self.exponent * smooth_sign(qd)
+
+
+@dataclass(frozen=True, eq=False)
+class AsymmetricFriction(VelocityFriction):
+    """Friction that is higher in one direction: by so much more where the joint moves forwards.
+
+    Source    Our own choice: directions differ by 15 % on a PUMA's joints.
+
+    Attributes:
+        coulomb: Dry friction that forward motion has more [N m or N].
+        viscous: Viscous friction that it has more [N m s/rad or N s/m].
+    """
+
+    kind: ClassVar[str] = "asymmetric_friction"
+    coulomb: PerJoint = key(1.0, "joints", least=0)
+    viscous: PerJoint = key(1.0, "joints", least=0)
+
+    def torque(self, qd: Array) -> Array:
+        """Of forward motion."""
+        forward = np.maximum(qd, 0.0)
+        return each_joint(self.coulomb) * smooth_sign(forward) + each_joint(self.viscous) * forward
+
+
+@dataclass(frozen=True, eq=False)
+class LoadFriction(Effect):
+    """Friction of gears that grows with the load, the torque T that moves the link.
+
+    It takes sign(v) (c + loss abs(T)) + (viscous + viscous_load abs(T)) v instead of dry and
+    viscous friction, which are the model's; the loss is another one where the motion drives the
+    gear back. Gears of efficiency e lose 1 / e - 1 of T when they drive and 1 - e when they are
+    driven. c is higher at low speed: coulomb (1 + (static - 1) exp(-(v / speed)^2)). Solved at
+    every step together with the acceleration, on which T depends.
+
+    Source    Duclusaud et al., arXiv 2410.08650 (2024), models M3 to M5. Sizes are our own choice:
+        gears lose 3 to 10 % of the torque that they pass on.
+
+    Attributes:
+        share: Lost when the gear drives.
+        driven: Lost when it is driven, as a multiple of the share.
+        viscous_load: Viscous friction that a unit of load adds [s/rad or s/m].
+        static: Dry friction at rest over that in motion.
+        speed: Above which the difference fades out [rad/s or m/s].
+    """
+
+    kind: ClassVar[str] = "load_friction"
+    owns_friction: ClassVar[bool] = True
+    share: PerJoint = key(0.05, "joints", least=0, most=0.9)
+    driven: PerJoint = key(1.0, "joints", least=0, most=1)
+    viscous_load: PerJoint = key(0.0, "joints", least=0)
+    static: PerJoint = key(1.0, "joints", least=1, most=10)
+    speed: PerJoint = key(0.08, "joints", positive=True)
+
+    def gears(self, tree: Tree) -> Gears:
+        """Of all joints."""
+        share, one = each_joint(self.share), np.ones(tree.n)
+        return Gears(
+            coulomb=COULOMB.coefficients(tree),
+            static=one * each_joint(self.static),
+            speed=one * each_joint(self.speed),
+            viscous=VISCOUS.coefficients(tree),
+            driving=one * share,
+            driven=one * share * each_joint(self.driven),
+            viscous_load=one * each_joint(self.viscous_load),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class WarmingDrives(Effect):
+    """Drives that warm up, from 25 degC, and whose viscous friction changes with it.
+
+    The recording has their temperature: 25 degC + rise (1 - exp(-t / time_constant)). The joints'
+    viscous friction is the model's, times 1 + viscous (temperature - 25 degC).
+
+    Source    Our own choice: greases lose 1 to 3 % of their viscosity a kelvin.
+
+    Attributes:
+        rise: Of the temperature [K].
+        time_constant: In which most of it happens [s].
+        viscous: Relative change of viscous friction a kelvin [1/K].
+    """
+
+    kind: ClassVar[str] = "warming_drives"
+    rise: PerJoint = key(20.0, "joints", least=-100, most=100)
+    time_constant: float = key(60.0, positive=True)
+    viscous: PerJoint = key(-0.02, "joints")
+
+    def temperature(self, time: Array) -> Array:
+        """Of the drives, (M, n) or (M, 1) [degC]."""
+        warm = -np.expm1(-np.maximum(time, 0.0) / self.time_constant)
+        return ROOM + np.outer(warm, each_joint(self.rise))
+
+    def forces(self, tree: Tree, step: float) -> StepForces:
+        """What viscous friction has more than at 25 degC."""
+        del step
+        change = VISCOUS.coefficients(tree) * each_joint(self.viscous)
+
+        def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
+            del q, motor
+            warmth = self.temperature(np.array([time]))[0] - ROOM
+            return np.asarray(-change * warmth * qd)
+
+        return push
+
+
+@dataclass(frozen=True, eq=False)
+class LuGreFriction(Effect):
+    """Friction with a memory, of bristles that bend before they slip, instead of dry friction.
+
+    With deflection z: dz/dt = v - stiffness abs(v) z / g(v), friction = stiffness z + damping dz/dt
+    + viscous v, g(v) = coulomb (1 + (static - 1) exp(-(v / speed)^2)). Dry and viscous friction are
+    the model's.
+
+    Source    Canudas de Wit et al., IEEE Transactions on Automatic Control 40 (1995) 419.
+
+    Attributes:
+        static: Friction at rest over dry friction in motion.
+        speed: Above which the difference fades out [rad/s or m/s].
+        stiffness: Of the bristles [N m/rad or N/m].
+        damping: Of the bristles [N m s/rad or N s/m].
+    """
+
+    kind: ClassVar[str] = "lugre_friction"
+    owns_friction: ClassVar[bool] = True
+    static: PerJoint = key(1.5, "joints", least=1, most=10)
+    speed: PerJoint = key(0.08, "joints", positive=True)
+    stiffness: PerJoint = key(2e4, "joints", positive=True)
+    damping: PerJoint = key(50.0, "joints", least=0)
+
+    def forces(self, tree: Tree, step: float) -> StepForces:
+        """Of bristles that are straight at first."""
+        dry, wet = COULOMB.coefficients(tree), VISCOUS.coefficients(tree)
+        static, speed = each_joint(self.static), each_joint(self.speed)
+        stiff, damping = each_joint(self.stiffness), each_joint(self.damping)
+        bent = np.zeros(tree.n)
+
+        def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
+            del time, q, motor
+            nonlocal bent
+            slip = dry * (1 + (static - 1) * np.exp(-((qd / speed) ** 2)))
+            before = bent
+            bent = _bent(before, qd, slip, stiff, step)
+            rate = (bent - before) / step
+            return -(stiff * bent + damping * rate + wet * qd)
+
+        return push
+
+
+def _bent(before: Array, velocity: Array, slip: Array, stiff: Array, step: float) -> Array:
+    """Deflection after a step of constant velocity: exact, so that it never overshoots."""
+    there = slip > 0
+    decay = stiff * np.abs(velocity) / np.where(there, slip, 1.0)
+    small = decay * step < 1e-8
+    kept = np.exp(-decay * step)
+    steady = np.sign(velocity) * slip / stiff
+    after = np.where(small, before + velocity * step, steady + (before - steady) * kept)
+    return np.where(there, after, 0.0)

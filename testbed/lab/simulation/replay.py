@@ -1,0 +1,83 @@
+"""How far a model file is from a recorded motion, driven by the recorded torques alone."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError
+from testbed.core.recordings.recording import Recording
+from testbed.core.robot.formats.mjcf_spec import LINEAR, commands_kept, parse
+from testbed.core.robot.model_file import ModelFile, model_format
+from testbed.lab.simulation.plant import robot_spec
+
+STEP = 1e-3
+"""Longest step [s]."""
+
+START = 0.1
+"""Time before and after the start over which the first velocities are fitted [s]."""
+
+
+def replay(model: ModelFile, recording: Recording, seconds: float = 2.0) -> Array:
+    """Distance from the recorded positions in MuJoCo, driven open-loop, (M, n) [rad or m].
+
+    Motors have gears and delays of the file's own, one and none where it has none. Between samples
+    the torque is linear in time. Positions and velocities at the start are those of a cubic fit.
+
+    Args:
+        model: The model file, and how it is read.
+        recording: With torques, as the drives report them.
+        seconds: How long, or as long as the recording lasts.
+
+    Raises:
+        RecordingError: It is too short, or has no torques.
+        ModelError: MuJoCo refuses the file.
+    """
+    tree = model.tree()
+    part = recording.ordered(tree)
+    time, torque, recorded = part.time, part.measured("torque"), part.position
+    first, fitted, last = np.searchsorted(
+        time, time[0] + [START, 2 * START, START + seconds], side="right"
+    )
+    last = min(last, len(time) - 1)
+    if last <= fitted:
+        raise RecordingError(f"a recording that is replayed lasts more than {2 * START:g} s")
+    period = float((time[last] - time[first]) / (last - first))
+    steps = int(np.ceil(period / STEP))
+    spec, motors = robot_spec(model), _motors(model)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    spec.option.timestep = period / steps
+    for name in tree.names:
+        motor = spec.add_actuator(target=name)
+        motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        gear, delay = motors.get(name, (1.0, 0.0))
+        motor.gear = [gear, 0, 0, 0, 0, 0]
+        motor.delay, motor.interp = delay, LINEAR
+        motor.nsample = commands_kept(delay, spec.option.timestep)
+    plant = spec.compile()
+    data = mujoco.MjData(plant)
+    for late in np.flatnonzero(plant.actuator_delay).tolist():
+        before = plant.opt.timestep * np.arange(-plant.actuator_history[late, 0], 0.0)
+        known = np.interp(time[first] + before, time, torque[:, late])
+        mujoco.mj_initCtrlHistory(plant, data, late, before[:, None], known[:, None])
+    places = [plant.joint(name) for name in tree.names]
+    order = [place.qposadr[0] for place in places]
+    fit = np.polynomial.polynomial.polyfit(time[:fitted] - time[first], recorded[:fitted], 3)
+    data.qpos[order], data.qvel[[place.dofadr[0] for place in places]] = fit[0], fit[1]
+    found = np.empty((last - first, tree.n))
+    for k in range(first, last):
+        found[k - first] = data.qpos[order]
+        for step in range(steps):
+            data.ctrl[:] = torque[k] + (step + 0.5) / steps * (torque[k + 1] - torque[k])
+            mujoco.mj_step(plant, data)
+    return found - recorded[first:last]
+
+
+def _motors(model: ModelFile) -> dict[str, tuple[float, float]]:
+    """Gears and delays [s] of the file's actuators, by joint."""
+    if model_format(model.path) == "urdf":
+        return {}
+    spec = parse(model.path)
+    return {each.target: (float(each.gear[0]), float(each.delay)) for each in spec.actuators}

@@ -1,0 +1,226 @@
+"""A motion at some instants: positions, forces, rows of a model, with exact derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from testbed.core.base.arrays import Array, freeze
+from testbed.core.dynamics.newton_euler import Motion, base_wrench, joint_forces
+from testbed.core.kernel.layout import Layout, layout
+from testbed.core.kernel.records import Work, sensed
+from testbed.core.parameters.minimal_set import MinimalSet
+from testbed.core.parameters.rules import Model
+from testbed.core.parameters.symbols import barycentric
+from testbed.core.robot.tree import Joint, Tree
+
+_NEAR, _FAR = np.pi / 4, 3 * np.pi / 4
+_OF_NEAR, _OF_FAR = (1 / (8 * np.sin(shift / 2) ** 2) for shift in (_NEAR, _FAR))
+
+
+@dataclass(frozen=True, eq=False)
+class Stencil:
+    """Where to look around a motion, and how much each look counts.
+
+    Attributes:
+        shifts: Of (q, qd, qdd), (E, 3, n); the first is none.
+        weights: Derivatives by q, then qd, then qdd, of what is seen there, (3 n, E).
+    """
+
+    shifts: Array
+    weights: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, shifts=(None, 3, None))
+        freeze(self, weights=(3 * self.shifts.shape[2], len(self.shifts)))
+
+    def around(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array]:
+        """All looks at a motion, one after the other, (E M, n) each, of (M, n) each."""
+        moved = np.stack([q, qd, qdd]) + self.shifts[:, :, None, :]  # (E, 3, M, n)
+        flat = moved.transpose(1, 0, 2, 3).reshape(3, -1, q.shape[1])
+        return flat[0], flat[1], flat[2]
+
+
+def stencil(tree: Tree) -> Stencil:
+    """The stencil of a robot's rows.
+
+    Args:
+        tree: The robot.
+    """
+    n = tree.n
+    places: list[tuple[int, int, float]] = [(0, 0, 0.0)]
+    weights: list[tuple[int, int, float]] = []  # derivative, look, weight
+    for j, joint in enumerate(tree.joints):
+        for kind, parts in enumerate((_position(joint), ((1.0, 0.5), (-1.0, -0.5)))):
+            for shift, weight in parts:
+                weights.append((kind * n + j, len(places), weight))
+                places.append((kind, j, shift))
+        weights += [(2 * n + j, len(places), 1.0), (2 * n + j, 0, -1.0)]
+        places.append((2, j, 1.0))
+    shifts, table = np.zeros((len(places), 3, n)), np.zeros((3 * n, len(places)))
+    for look, (kind, j, shift) in enumerate(places):
+        shifts[look, kind, j] = shift
+    for derivative, look, weight in weights:
+        table[derivative, look] += weight
+    return Stencil(shifts, table)
+
+
+def _position(joint: Joint) -> tuple[tuple[float, float], ...]:
+    """Shifts of a position and their weights."""
+    if not joint.revolute:
+        return (1.0, 0.5), (-1.0, -0.5)
+    return (_NEAR, _OF_NEAR), (-_NEAR, -_OF_NEAR), (_FAR, -_OF_FAR), (-_FAR, _OF_FAR)
+
+
+class SampledRows:
+    """Slots of one model's rows: what each is worth, the layout says.
+
+    The compiled kernel is used whatever the size: a search asks for the same few hundred
+    samples thousands of times.
+    """
+
+    def __init__(
+        self, tree: Tree, minimal: MinimalSet, joints: Sequence[int] | None = None
+    ) -> None:
+        """Lay the rows out.
+
+        Args:
+            tree: The robot, its inertias an a-priori model.
+            minimal: delta_d for rows of the joints, delta_r for those of the bedplate.
+            joints: Columns of a motion that are the tree's, of a part of a robot; default all.
+        """
+        self._joints = slice(None) if joints is None else np.array(joints)
+        self.minimal = minimal
+        self.layout: Layout = layout(tree, minimal)
+        self.delta = minimal.values(barycentric(tree))
+        self._width = len(self.layout.channels)
+
+    def slots(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """All slots, (slots, M), of a motion of M samples, (M, n) each."""
+        from testbed.core.kernel import (
+            numba_engine,  # a second to import: random motions do not need it
+        )
+
+        q, qd, qdd = (np.ascontiguousarray(each[:, self._joints]) for each in (q, qd, qdd))
+        signals = sensed(q, qd, qdd, self._width)
+        if self._room is None:
+            self._room = numba_engine.workspace(self.layout, signals)
+        made = numba_engine.rows(self.layout, signals, self._room)
+        return np.concatenate([block.rows for block in made], axis=1)
+
+    _room: Work | None = None
+
+    def channels(self) -> Iterator[tuple[slice, Array]]:
+        """Slots of each channel, and what they have of each minimal parameter, (s, N)."""
+        rows = self.layout.rows
+        for start, columns in zip(rows.start, self.layout.channels, strict=True):
+            yield slice(int(start), int(start) + len(columns)), self.layout.basis[columns]
+
+    @cached_property
+    def model(self) -> Array:
+        """What slots are worth by the a-priori model, (channels, slots): forces or wrench."""
+        found = np.zeros((self._width, self.layout.rows.slots))
+        for c, (part, lead) in enumerate(self.channels()):
+            found[c, part] = lead @ self.delta
+        return found
+
+
+class Instants(Protocol):
+    """G instants of a motion, and forces by an a-priori model."""
+
+    @property
+    def q(self) -> Array:
+        """Positions, (G, n) [rad or m]."""
+
+    @property
+    def qd(self) -> Array:
+        """Velocities, (G, n) [rad/s or m/s]."""
+
+    @property
+    def qdd(self) -> Array:
+        """Accelerations, (G, n) [rad/s^2 or m/s^2]."""
+
+    def forces(self, model: Model) -> Array:
+        """Joint forces or bedplate wrench, the pedestal's aside, (channels, G) [N m, N]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Computed:
+    """Instants whose forces come from the recursion of `dynamics`: the proof's witness.
+
+    Attributes:
+        tree: The robot.
+        motion: G samples.
+    """
+
+    tree: Tree
+    motion: Motion
+
+    @property
+    def q(self) -> Array:
+        """Positions, (G, n) [rad or m]."""
+        return self.motion.q
+
+    @property
+    def qd(self) -> Array:
+        """Velocities, (G, n) [rad/s or m/s]."""
+        return self.motion.qd
+
+    @property
+    def qdd(self) -> Array:
+        """Accelerations, (G, n) [rad/s^2 or m/s^2]."""
+        return self.motion.qdd
+
+    def forces(self, model: Model) -> Array:
+        """Joint forces or bedplate wrench, (channels, G)."""
+        found = joint_forces if model == "dynamic" else base_wrench
+        return found(self.tree, self.motion).T
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """G instants in a search, rows by the kernel, with looks around them for derivatives.
+
+    Attributes:
+        q: Positions, (G, n) [rad or m].
+        qd: Velocities, (G, n) [rad/s or m/s].
+        qdd: Accelerations, (G, n) [rad/s^2 or m/s^2].
+        rows: Rows of the models that are looked at.
+        stencil: For derivatives; None if they are not wanted.
+    """
+
+    q: Array
+    qd: Array
+    qdd: Array
+    rows: Mapping[Model, SampledRows]
+    stencil: Stencil | None
+
+    @cached_property
+    def slots(self) -> Mapping[Model, Array]:
+        """Slots of each model at each look, (slots, E, G); the first look is the motion."""
+        motion = (self.q, self.qd, self.qdd)
+        looks = motion if self.stencil is None else self.stencil.around(*motion)
+        return {
+            model: rows.slots(*looks).reshape(rows.layout.rows.slots, -1, len(self.q))
+            for model, rows in self.rows.items()
+        }
+
+    @cached_property
+    def _seen(self) -> Mapping[Model, Array]:
+        return {
+            model: np.tensordot(rows.model, self.slots[model], 1)
+            for model, rows in self.rows.items()
+        }
+
+    def forces(self, model: Model) -> Array:
+        """Joint forces or bedplate wrench by the a-priori model, (channels, G) [N m, N]."""
+        return self._seen[model][:, 0]
+
+    def force_slopes(self, model: Model) -> Array:
+        """Their derivatives by q, then qd, then qdd, (channels, 3 n, G)."""
+        assert self.stencil is not None, "derivatives were not asked for"
+        return np.asarray(np.matmul(self.stencil.weights, self._seen[model]))

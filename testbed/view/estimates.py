@@ -1,0 +1,397 @@
+"""Sections of estimates, of the instrument, of two estimates compared, of a payload."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from testbed.applications.calibration import Calibration
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import phrase
+from testbed.core.base.errors import plural, printable
+from testbed.core.estimation.estimate import Estimate, by_influence, number_with_sigma
+from testbed.core.estimation.selection.held_out import HeldOut, TermChoice
+from testbed.core.estimation.sensor.estimates import TraceTest
+from testbed.core.recordings.columns import AXES
+from testbed.lab.experiment.run import SAID, Run, matrix_errors
+from testbed.view.section import DARKEST, HeatTable, Table
+
+if TYPE_CHECKING:
+    from testbed.applications.payload.payload import MassEstimate, PayloadEstimate
+    from testbed.applications.payload.tool import ToolEstimate
+    from testbed.applications.payload.torque_scales import TorqueScales
+
+
+def parameter_tables(
+    estimates: Sequence[Estimate],
+    truths: Mapping[str, float],
+    title: str = "",
+    most: int | None = None,
+) -> Iterator[list[Table]]:
+    """What every method found: value and sigma, and, where it is known, the truth beside it.
+
+    First what adds most to the predicted signals; layouts from wide to narrow.
+
+    Args:
+        estimates: Of one recording, one a method.
+        truths: True values by name; {} where they are not known.
+        title: Of the table.
+        most: Rows in all; None for all that there are.
+    """
+    names = by_influence(estimates, truths)[:most]
+    yield [_table(estimates, names, truths, title, short=False)]
+    yield [_table(estimates, names, truths, title, short=True)]
+    yield [_table([each], names, truths, title, short=True) for each in estimates]
+
+
+def _table(
+    estimates: Sequence[Estimate],
+    names: Sequence[str],
+    truths: Mapping[str, float],
+    title: str,
+    *,
+    short: bool,
+) -> Table:
+    """Of some methods; short: 1.0610(9) for 1.0610 +- 0.0009, and no units."""
+    units = {n: u for e in estimates for n, u in zip(e.names, e.units, strict=True)}
+    rows = [
+        [
+            name,
+            *([] if short else [units[name]]),
+            *([_number(truths.get(name))] if truths else []),
+            *(cell for e in estimates for cell in _cells(e, name, truths, short)),
+        ]
+        for name in names
+        if name in units
+    ]
+    heads = ["parameter", *([] if short else ["unit"]), *(["truth"] if truths else [])]
+    for estimate in estimates:
+        heads += [estimate.instrument, *(["z" if short else "error/std"] if truths else [])]
+    return Table(heads, rows, title, left=["unit"])
+
+
+def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
+    """One line an estimate: number of unknowns, condition, noise, residual of each channel."""
+    lines = []
+    for e in estimates:
+        fits = ", ".join(f"{c} {r:.3g}" for c, r in zip(e.channels, e.residual, strict=True))
+        lines.append(
+            f"{e.instrument}: {plural(len(e.names), 'unknown')}, condition {e.condition:.1f}, "
+            f"{_noise(e)}"
+            f"residual rms {fits}"
+        )
+        lines += [f"{e.instrument}: {part}" for part in _instrument(e)]
+    return lines
+
+
+def _instrument(estimate: Estimate) -> list[str]:
+    """What was estimated of the instrument, a line each kind; whether sigma is to be doubted."""
+    kinds: dict[str, list[str]] = {}
+    for each in estimate.nuisances:
+        number = f"{each.name} {each.value:.4g} +- {each.sigma:.2g} {each.unit}".rstrip()
+        kinds.setdefault(each.kind, []).append(number)
+    lines = [", ".join(numbers) for numbers in kinds.values()]
+    if estimate.doubtful:
+        lines.append("standard deviations do not include the errors that the warnings name")
+    return lines
+
+
+def _noise(estimate: Estimate) -> str:
+    """How long the noise lasts and what that does to sigma."""
+    noise = estimate.noise
+    if noise is None:
+        return ""
+    constants = ", constants estimated" if noise.bias_weight > 0.5 else ""
+    hidden = [name for name in noise.hidden if name not in estimate.unidentifiable]
+    rests = f", zero plate offset assumed for {', '.join(hidden)}" if hidden else ""
+    return (
+        f"noise correlation time {max(noise.memory):.2g} s (bootstrap factor {noise.factor:.2f}"
+        f"{constants}{rests}), "
+    )
+
+
+def _cells(
+    estimate: Estimate, name: str, truths: Mapping[str, float], short: bool
+) -> tuple[str, ...]:
+    """Value with sigma, and, where truths are known, the error in sigmas."""
+    value = with_sigma(estimate, name, short=short or name in estimate.unidentifiable)
+    if not truths:
+        return (value,)
+    if name not in estimate.names or name not in truths:
+        return value, ""
+    k = estimate.names.index(name)
+    sigma = float(estimate.sigma[k])
+    if math.isinf(sigma):
+        return value, ""
+    z = (float(estimate.values[k]) - truths[name]) / sigma if sigma > 0 else 0.0
+    return value, f"{z:+.1f}"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.6g}"
+
+
+def with_sigma(estimate: Estimate, name: str, short: bool = False) -> str:
+    """Value and sigma, with as many decimals as sigma has to say; "-" if it is not there.
+
+    Args:
+        estimate: Where to look.
+        name: Of the parameter.
+        short: 1.0610(9) for 1.0610 +- 0.0009: the digits in brackets are of the last places.
+    """
+    if name not in estimate.names:
+        return "-"
+    k = estimate.names.index(name)
+    return number_with_sigma(float(estimate.values[k]), float(estimate.sigma[k]), short)
+
+
+def choice_lines(estimates: Iterable[Estimate]) -> Iterator[str]:
+    """Which terms were chosen, with the evidence, for all estimates that chose.
+
+    Args:
+        estimates: Of one recording.
+    """
+    for estimate in estimates:
+        if estimate.choice is not None:
+            yield from (printable(line) for line in _choice_lines(estimate.choice))
+
+
+def _choice_lines(choice: TermChoice) -> Iterator[str]:
+    first, *added = choice.growth.steps
+    yield f"terms, by {choice.parts}-fold cross-validation: {_left(choice.before)}"
+    before = first.residual
+    for step in added:
+        better = f"{100 * before:.2f} % -> {100 * step.residual:.2f} %"
+        yield f"  + {step.kind}: {better} in noise, {step.gain:.1f} standard errors"
+        before = step.residual
+    if choice.growth.next_best is not None:
+        left = choice.growth.next_best
+        yield f"  not {left.kind}: {left.gain:.1f} standard errors, 2 are required"
+    yield f"with all of them: {_left(choice.after)}"
+
+
+def _left(found: HeldOut) -> str:
+    units = set(found.units)
+    whole = f"rms {found.rms:.3f} {units.pop()} (" if len(units) == 1 else "rms ("
+    named = zip(found.channels, found.residual, strict=True)
+    return f"{whole}{', '.join(f'{name} {left:.3g}' for name, left in named)})"
+
+
+def payload_table(found: PayloadEstimate, title: str = "") -> Table:
+    """The ten parameters: value and sigma, or that a parameter is identifiable in combination only.
+
+    Args:
+        found: The payload.
+        title: Of the table; default which link carries the payload.
+    """
+    numbers = zip(found.values.tolist(), found.sigma.tolist(), found.identifiable, strict=True)
+    said = [
+        number_with_sigma(value, sigma, short=True) if identifiable else "only in combination"
+        for value, sigma, identifiable in numbers
+    ]
+    rows = list(zip(found.names, said, found.units, strict=True))
+    title = title or f"payload on the link of {found.joint}, about and along its frame"
+    return Table(["", "value", "unit"], rows, title, left=["unit"])
+
+
+def scales_table(found: TorqueScales) -> Table:
+    """What torques are of the true ones, joint by joint.
+
+    Args:
+        found: By a known payload.
+    """
+    numbers = zip(found.joints, found.values.tolist(), found.sigma.tolist(), strict=True)
+    rows = [(name, number_with_sigma(value, sigma, short=False)) for name, value, sigma in numbers]
+    return Table(["joint", "reported over true torque"], rows, "divide torques, or gains, by")
+
+
+def payload_lines(found: PayloadEstimate) -> list[str]:
+    """How much is identifiable, and the centre of mass, a sentence each.
+
+    Args:
+        found: The payload.
+    """
+    count = sum(found.identifiable)
+    lines = [f"{count} of ten are identifiable alone, {plural(found.rank, 'combination')} in all."]
+    centre = found.centre
+    if centre is not None:
+        lines.append(f"Centre of mass: {_place(*centre)}.")
+    return lines
+
+
+def weighed_lines(payload: MassEstimate, robot: MassEstimate) -> list[str]:
+    """A payload and a robot by their weight, a sentence each.
+
+    Args:
+        payload: The payload.
+        robot: The robot alone.
+    """
+    place = _place(np.array(payload.centre), np.array(payload.centre_sigma))
+    return [
+        f"Payload: {number_with_sigma(payload.mass, payload.sigma, short=False)} kg, centre of "
+        f"mass {place}, by {payload.poses} poses.",
+        f"Moving mass of the robot: {number_with_sigma(robot.mass, robot.sigma, short=False)} kg.",
+    ]
+
+
+def tool_lines(found: ToolEstimate) -> list[str]:
+    """A tool by static poses, a sentence each.
+
+    Args:
+        found: The tool.
+    """
+
+    def each(values: Sequence[tuple[float, float]], unit: str) -> str:
+        return ", ".join(number_with_sigma(v, s, short=False) for v, s in values) + f" {unit}"
+
+    force, moment = found.residual
+    angle, doubt = np.rad2deg(found.tilt).tolist()
+    direction = ", ".join(f"{x:.4f}" for x in found.gravity)
+    parts = {
+        "mass and gravity": f"Mass: {each([found.mass], 'kg')}. Direction of gravity in the base "
+        f"frame: {direction}, {each([(angle, doubt)], 'degrees')} from the model's.",
+        "centre": f"Centre of mass in the sensor's frame: {each(found.centre, 'm')}.",
+        "force zero": f"Force zero: {each(found.force_zero, 'N')}.",
+        "moment zero": f"Moment zero: {each(found.moment_zero, 'N m')}.",
+    }
+    lines = [line for name, line in parts.items() if name not in found.unidentifiable]
+    lines.append(f"{found.poses} poses; residuals {force:.3g} N, {moment:.3g} N m rms.")
+    return lines
+
+
+def _place(centre: Any, sigma: Any) -> str:
+    said = [
+        f"{axis} {number_with_sigma(float(c), float(s), short=False)} m"
+        if np.isfinite(c)
+        else f"{axis} not identifiable"
+        for axis, c, s in zip("xyz", centre, sigma, strict=True)
+    ]
+    return ", ".join(said)
+
+
+LARGEST = 3
+"""Numbers of a fault that are shown."""
+
+CLEAR = 1e-3
+"""Chance above which sizes mean nothing and are left out."""
+
+
+@dataclass(frozen=True)
+class TraceTable(Table):
+    """A table of faults.
+
+    Attributes:
+        traced: Whether it holds what is no chance.
+    """
+
+    traced: bool = True
+
+
+def instrument_tables(run: Run) -> list[TraceTable]:
+    """Numbers of the instrument and faults looked for; none without the plate's estimate.
+
+    Args:
+        run: The run.
+    """
+    return [table for estimate in run.estimates.values() for table in _of_estimate(estimate)]
+
+
+def _of_estimate(estimate: Estimate) -> Iterator[TraceTable]:
+    if estimate.nuisances:
+        rows = [[n.name, n.unit, f"{n.value:.4g}", f"{n.sigma:.2g}"] for n in estimate.nuisances]
+        yield TraceTable(["what", "unit", "value", "std"], rows, "Estimated with the parameters")
+    tested = sorted(estimate.trace_tests, key=lambda test: test.chance)
+    sensor = estimate.instrument if estimate.minimal.of_sensor else ""
+    clear = [_test(test, sensor) for test in tested if test.chance <= CLEAR]
+    others = [[phrase(t.nuisance.kind, sensor), _chance(t.chance)] for t in tested[len(clear) :]]
+    if clear:
+        heads = ["fault", "chance", "would change", "size"]
+        yield TraceTable(heads, clear, "Faults with significant effect, the most significant first")
+    if others:
+        title = "Faults without significant effect"
+        yield TraceTable(["fault", "chance"], others, title, traced=False)
+    found = None if estimate.noise is None else estimate.noise.repetition
+    if found is not None:
+        shares = zip(estimate.channels, found.share, strict=True)
+        yield TraceTable(
+            ["channel", "part"],
+            [[channel, f"{max(0.0, share):.0%}"] for channel, share in shares],
+            f"Part of the residuals that repeats with the motion, every {found.period:.4g} s: "
+            f"chance {_chance(found.chance)} if it were noise",
+            traced=found.chance <= CLEAR,
+        )
+
+
+def _chance(chance: float) -> str:
+    return "below 1e-99" if chance < 1e-99 else f"{chance:.2g}"
+
+
+def _test(test: TraceTest, sensor: str) -> list[str]:
+    shift = f"{test.parameter} by {test.shift:.2g} standard deviations"
+    return [
+        phrase(test.nuisance.kind, sensor),
+        _chance(test.chance),
+        shift,
+        "; ".join(test.largest(LARGEST)),
+    ]
+
+
+def matrix_maps(run: Run) -> list[HeatTable]:
+    """The plate's matrix before and after calibration: its errors, and sigma of each; [] for none.
+
+    Args:
+        run: The run.
+    """
+    found = matrix_errors(run)
+    if found is None:
+        return []
+    scale = DARKEST / found.most if found.most else 0.0
+
+    def table(caption: str, values: Array) -> HeatTable:
+        rows = [
+            (name, [{"text": f"{v:.2g}", "share": round(scale * abs(v))} for v in line])
+            for name, line in zip(AXES, values.tolist(), strict=True)
+        ]
+        return HeatTable(caption, AXES, rows)
+
+    return [
+        table(f"Before: error of the matrix, {SAID}", found.error),
+        table(f"After: standard deviation, {SAID}", found.sigma),
+    ]
+
+
+def plate_table(plate: Calibration) -> Table:
+    """The matrix of a plate.
+
+    Args:
+        plate: The calibration.
+    """
+    values, sigmas = plate.matrix.tolist(), plate.matrix_sigma.tolist()
+    rows = [
+        [name, *(_cell(v, s) for v, s in zip(values[k], sigmas[k], strict=True))]
+        for k, name in enumerate(AXES)
+    ]
+    title = "what a channel (row) shows of a component of the wrench (column)"
+    return Table(["", *AXES], rows, title, parts=(range(1, 4), range(4, 7)))
+
+
+def _cell(value: float, sigma: float) -> str:
+    return number_with_sigma(value, sigma, short=True) if sigma else f"{value:.6g}"
+
+
+def plate_lines(plate: Calibration) -> list[str]:
+    """The other numbers, a line each kind.
+
+    Args:
+        plate: The calibration.
+    """
+    kinds: dict[str, list[str]] = {}
+    for each in plate.numbers:
+        if each.kind != "matrix":
+            number = f"{each.name} {number_with_sigma(each.value, each.sigma)} {each.unit}"
+            kinds.setdefault(each.kind, []).append(number.rstrip())
+    return [", ".join(numbers) for numbers in kinds.values()]

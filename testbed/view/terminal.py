@@ -1,0 +1,244 @@
+"""What the terminal shows of estimates and runs: tables and lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.box import ROUNDED
+from rich.console import Console
+from rich.panel import Panel
+
+from testbed.core.base.diagnostics import Diagnostic
+from testbed.core.base.errors import printable
+from testbed.core.estimation.diagnostics.residuals import diagnostics_of
+from testbed.core.estimation.estimate import OPEN_ZERO
+from testbed.core.estimation.selection.prediction_errors import PLAIN, POSTERIOR
+from testbed.core.estimation.verdict import WELL, verdict_of
+from testbed.lab.experiment.summary import (
+    accuracy_lines,
+    data_lines,
+    headline,
+)
+from testbed.view.bodies import consistent_lines, consistent_tables
+from testbed.view.drives import drive_lines, drive_table
+from testbed.view.estimates import (
+    choice_lines,
+    parameter_tables,
+    payload_lines,
+    payload_table,
+    plate_lines,
+    plate_table,
+    quality_lines,
+)
+from testbed.view.output import console, print_diagnostics, print_tables
+from testbed.view.posterior import errors_table, posterior_table, validation_table
+
+if TYPE_CHECKING:
+    from testbed.applications.calibration import Calibration
+    from testbed.applications.drives.identify_drives import DriveFindings
+    from testbed.applications.payload.payload import PayloadEstimate
+    from testbed.bodies.consistency.consistent import Consistent
+    from testbed.bodies.posterior import Posterior
+    from testbed.core.estimation.estimate import Estimate
+    from testbed.core.estimation.validate import Validation
+    from testbed.lab.experiment.run import Run
+
+
+LEGEND = "mbar mass, mb first moments, K inertia, * with bodies beyond it (docs/glossary.md)"
+"""What names of base parameters mean."""
+
+ROWS = 10
+"""Parameters that are shown where not all are asked for."""
+
+
+def print_estimates(
+    estimates: list[Estimate],
+    diagnostics: Sequence[Diagnostic],
+    bodies: Consistent | None = None,
+    *,
+    posteriors: Sequence[Posterior] = (),
+    plain: bool = False,
+    everything: bool = False,
+) -> None:
+    """Print what was found.
+
+    Args:
+        estimates: Of one recording.
+        diagnostics: About the robot and the recording.
+        bodies: Consistent with the estimates, where they were asked for.
+        posteriors: With the model file as prior, of an imported recording.
+        plain: Whether least squares come first all the same.
+        everything: Whether all parameters and warnings are printed.
+    """
+    out = console()
+    first = [] if plain else list(posteriors)
+    said = verdict_of(estimates, posteriors, PLAIN if plain else POSTERIOR, diagnostics)
+    well = said[0].code == WELL
+    others = [*diagnostics, *diagnostics_of(estimates)]
+    if not well:
+        print_diagnostics(out, said, None if everything or posteriors else 1)
+        known = {(each.code, each.subject) for each in said}
+        others = [each for each in others if (each.code, each.subject) not in known]
+    evidence = [f"{each.text}." for each in said if well]
+    if summary := [*evidence, *data_lines(first, well=well)]:
+        out.print(Panel(printable(" ".join(summary)), box=ROUNDED))
+    print_diagnostics(out, others, None if everything else int(well))
+    needed = [each for each in first if each.used]
+    rows = None if everything else ROWS
+    print_tables(out, [posterior_table(each, rows) for each in needed])
+    left = [e for e in estimates if e.method not in {each.method for each in needed}]
+    _print_parameters(out, left, {}, everything=everything)
+    if needed and not left:
+        out.print(LEGEND, soft_wrap=True)
+    for each in posteriors:
+        print_tables(out, [errors_table(errors) for errors in each.errors])
+    lines = choice_lines(estimates)
+    for line in [*quality_lines(estimates), *lines] if everything else lines:
+        out.print(line, soft_wrap=True)
+    if bodies is not None:
+        print_tables(out, consistent_tables(bodies))
+        for line in consistent_lines(bodies):
+            out.print(printable(line), soft_wrap=True)
+
+
+def _print_parameters(
+    out: Console,
+    estimates: Sequence[Estimate],
+    truths: Mapping[str, float],
+    title: str = "",
+    *,
+    everything: bool,
+) -> None:
+    """The parameters that add most to the predicted signals, or all."""
+    if not estimates:
+        return
+    most = None if everything else ROWS
+    print_tables(out, *parameter_tables(estimates, truths, title, most))
+    for name in (name for e in estimates for name in e.unidentifiable):
+        out.print(f"{printable(name)} is {OPEN_ZERO}", soft_wrap=True)
+    count = len({name for e in estimates for name in e.names}) - ROWS
+    if not everything and count > 0:
+        out.print(f"({count} more parameters with less influence: --all)", soft_wrap=True)
+    out.print(LEGEND, soft_wrap=True)
+
+
+def print_validations(validations: Sequence[Validation], diagnostics: Sequence[Diagnostic]) -> None:
+    """Print what estimates leave of another recording.
+
+    Args:
+        validations: Of one recording, one a method.
+        diagnostics: About the recording.
+    """
+    out = console()
+    for found in validations:
+        print_tables(out, [validation_table(found)])
+    print_diagnostics(out, [*diagnostics, *(d for v in validations for d in v.diagnostics)])
+
+
+def print_plate(plate: Calibration, diagnostics: Sequence[Diagnostic], path: Path) -> None:
+    """Print the calibration of a plate.
+
+    Args:
+        plate: The calibration, with the estimate.
+        diagnostics: About the robot.
+        path: Where it is kept.
+    """
+    out = console()
+    print_tables(out, [plate_table(plate)])
+    for line in plate_lines(plate):
+        out.print(line, soft_wrap=True)
+    estimates = [] if plate.estimate is None else [plate.estimate]
+    if estimates:
+        print_tables(out, *parameter_tables(estimates, {}))
+    print_diagnostics(out, [*diagnostics, *(d for e in estimates for d in e.diagnostics)])
+    out.print(f"plate: {path}", soft_wrap=True)
+
+
+def print_drives(drives: DriveFindings, diagnostics: Sequence[Diagnostic]) -> None:
+    """Print torque constants, friction and their agreement with the plate.
+
+    Args:
+        drives: All of it.
+        diagnostics: About robot, recording, bodies and drives.
+    """
+    out = console()
+    _print_drives(out, drives)
+    print_diagnostics(out, diagnostics)
+
+
+def _print_drives(out: Console, drives: DriveFindings) -> None:
+    print_tables(out, [drive_table(drives.estimates)])
+    for line in drive_lines(drives):
+        out.print(line, soft_wrap=True)
+
+
+def print_payload(
+    found: PayloadEstimate, diagnostics: Sequence[Diagnostic], title: str = ""
+) -> None:
+    """Print what a link carries more.
+
+    Args:
+        found: The payload.
+        diagnostics: About robot, recordings and payload.
+        title: Of the table; default which link carries the payload.
+    """
+    out = console()
+    print_tables(out, [payload_table(found, title)])
+    for line in payload_lines(found):
+        out.print(line, soft_wrap=True)
+    print_diagnostics(out, diagnostics)
+
+
+def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
+    """Print what came of an experiment.
+
+    Args:
+        run: What came of it.
+        folder: Where it is kept.
+        everything: Whether all parameters, metrics and warnings are printed.
+    """
+    out = console()
+    estimates = list(run.estimates.values())
+    out.print(Panel(printable(headline(run)), box=ROUNDED))
+    for line in accuracy_lines(run)[: None if everything else 1]:
+        out.print(printable(line), soft_wrap=True)
+    _print_verdict(out, run)
+    print_diagnostics(out, run.diagnostics, None if everything else 1)
+    _print_parameters(out, estimates, run.truths, run.name, everything=everything)
+    if everything:
+        for line in quality_lines(estimates):
+            out.print(line, soft_wrap=True)
+    if run.consistent is not None:
+        for line in consistent_lines(run.consistent):
+            out.print(printable(line), soft_wrap=True)
+    if run.drives is not None:
+        _print_drives(out, run.drives)
+    if everything:
+        expect = {} if run.experiment is None else run.experiment.expect
+        _print_metrics(out, run, dict.fromkeys((*run.metrics, *expect)))
+    out.print(f"run folder: {folder}", soft_wrap=True)
+
+
+def _print_metrics(out: Console, run: Run, names: Iterable[str]) -> None:
+    """Metrics, and what was claimed of them."""
+    expect = {} if run.experiment is None else run.experiment.expect
+    for name in names:
+        value = f"{run.metrics[name]:9.3g}" if name in run.metrics else "     none"
+        claim = ""
+        if name in expect:
+            claim = f"  {expect[name].wanted}: {'holds' if run.verdicts[name] else 'FAILS'}"
+        out.print(f"{name:28s}{value}{claim}", soft_wrap=True)
+
+
+def _print_verdict(out: Console, run: Run) -> None:
+    """The claim, and whether it holds."""
+    if run.experiment is None or not run.experiment.expect:
+        return
+    held, count = sum(run.verdicts.values()), len(run.experiment.expect)
+    if run.experiment.claim:
+        out.print(f"claim: {printable(run.experiment.claim)}")
+    said = "the claim holds" if held == count else "THE CLAIM FAILS"
+    out.print(f"verdict: {said} ({held} of {count} bounds)")
+    _print_metrics(out, run, [name for name, holds in run.verdicts.items() if not holds])

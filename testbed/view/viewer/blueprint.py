@@ -1,0 +1,214 @@
+"""How the viewer arranges a run at first sight."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from testbed.core.recordings.columns import AXES, PLATE_UNITS
+from testbed.core.robot.tree import Tree
+from testbed.lab.experiment.predict import Signal
+from testbed.view.viewer.robot_drawing import CLOCK
+from testbed.view.viewer.scene import Scene, root, safe
+
+MOST_ROWS = 8
+"""Plots one below the other that can still be read."""
+
+RATES = ("position", "velocity", "acceleration")
+"""What is plotted of a motion's joints."""
+
+Range = tuple[float, float]
+
+ROOM = 1.2
+"""Of an axis, beyond the ends that its title says."""
+
+
+def blueprint(scenes: Sequence[Scene], tab: str = "wrench") -> rrb.Blueprint:
+    """Robots on their plates to the left, everything over time to the right, in tabs.
+
+    Args:
+        scenes: One run, or several side by side.
+        tab: Which tab is in front: "wrench", "joints", "friction", "drives", "plate", "notes".
+    """
+    count = len(scenes)
+    roots = [root(k, count) for k in range(count)]
+    robots = [_robot(s.run.name, s.span, at) for s, at in zip(scenes, roots, strict=True)]
+    sides = [_tabs(scene, at, tab) for scene, at in zip(scenes, roots, strict=True)]
+    name = " | ".join(scene.run.name for scene in scenes)
+    left = robots[0] if count == 1 else rrb.Vertical(*robots)
+    right = sides[0] if count == 1 else rrb.Tabs(*sides)
+    return _page(left, right, name, scenes[0].window)
+
+
+def live_blueprint(name: str, tree: Tree, size: float) -> rrb.Blueprint:
+    """What is there while a run is simulated: the robot, its wrench and torques.
+
+    Args:
+        name: Of the run.
+        tree: The robot.
+        size: A length that fits it [m].
+    """
+    wrench = [_plot(f"/wrench/{c}", f"{c} [{u}]") for c, u in zip(AXES, PLATE_UNITS, strict=True)]
+    torque = [
+        _plot(f"/torque/{safe(j.name)}", f"torque of {j.name} [{'N m' if j.revolute else 'N'}]")
+        for j in tree.joints
+    ]
+    tabs = rrb.Tabs(
+        rrb.Grid(*wrench, grid_columns=2, name="wrench"), _joints("", torque), name=name
+    )
+    return _page(_robot(name, size, ""), tabs, name, None)
+
+
+def motion_blueprint(
+    name: str, tree: Tree, size: float, kinds: Sequence[str], period: float
+) -> rrb.Blueprint:
+    """A motion: the robot on its path, what is left of the limits, the joints, notes.
+
+    Args:
+        name: Of the motion.
+        tree: The robot.
+        size: A length that fits it [m].
+        kinds: Of limits, as their plots are called.
+        period: Of the motion [s].
+    """
+    seen = (0.0, period)
+    left = [_plot(f"/left/{k}", f"margin to {kind}", seen, False) for k, kind in enumerate(kinds)]
+    joints = [
+        rrb.Horizontal(
+            *(_plot(f"/{s}/{safe(j.name)}", f"{s} of {j.name}", seen, False) for s in RATES)
+        )
+        for j in tree.joints
+    ]
+    tabs = rrb.Tabs(
+        _stack(left, "limits"),
+        _stack(joints, "joints"),
+        rrb.TextDocumentView(origin="/notes", name="notes"),
+        name=name,
+    )
+    return _page(_robot(name, size, "", "robot and the paths of its tips"), tabs, name, seen)
+
+
+def _page(
+    left: rrb.View | rrb.Container, right: rrb.Container, name: str, window: Range | None
+) -> rrb.Blueprint:
+    """Both halves, the panels folded away."""
+    selection = None
+    if window is not None:
+        selection = rrb.components.AbsoluteTimeRange(*(int(1e9 * seconds) for seconds in window))
+    return rrb.Blueprint(
+        rrb.Horizontal(left, right, column_shares=[2, 3], name=name),
+        rrb.TimePanel(
+            state="collapsed",
+            timeline=CLOCK,
+            time_selection=selection,
+            loop_mode=None if selection is None else "selection",
+        ),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.BlueprintPanel(state="hidden"),
+    )
+
+
+def _robot(name: str, size: float, at: str, shown: str = "robot and reaction") -> rrb.Spatial3DView:
+    eye = rrb.EyeControls3D(
+        position=(1.25 * size, -2.06 * size, 1.2 * size),
+        look_target=(0, 0, 0.3 * size),
+        eye_up=(0, 0, 1),
+    )
+    return rrb.Spatial3DView(origin=f"{at}/world", name=f"{name}: {shown}", eye_controls=eye)
+
+
+def _tabs(scene: Scene, at: str, tab: str) -> rrb.Tabs:
+    views: list[rrb.Container | rrb.View] = []
+    torque = []
+    for signal in scene.predictions.signals:
+        rows = _rows(scene, signal, at)
+        if signal.kind == "wrench":
+            views.append(_stack(rows, "wrench"))
+        else:
+            torque = rows
+    views.append(_joints(at, torque, scene.window))
+    if scene.predictions.unexplained_torque is not None:
+        across = math.ceil(math.sqrt(scene.run.tree.n))
+        views.append(rrb.Grid(*_friction(scene, at), grid_columns=across, name="friction"))
+    views.append(rrb.TextDocumentView(origin=f"{at}/notes", name="notes"))
+    front = next((k for k, view in enumerate(views) if view.name == tab), 0)
+    return rrb.Tabs(*views, name=scene.run.name, active_tab=front)
+
+
+def _joints(
+    at: str, torque: Sequence[rrb.View | rrb.Container], window: Range | None = None
+) -> rrb.Vertical:
+    positions = _plot(f"{at}/position", "joint positions [rad or m]", window)
+    shares = [1, min(len(torque), MOST_ROWS)] if torque else [1]
+    below = [_stack(torque, "torques")] if torque else []
+    return rrb.Vertical(positions, *below, row_shares=shares, name="joints")
+
+
+def _stack(rows: Sequence[rrb.View | rrb.Container], name: str) -> rrb.Container:
+    """One below the other, in as many columns as it takes."""
+    if len(rows) <= MOST_ROWS:
+        return rrb.Vertical(*rows, name=name)
+    return rrb.Grid(*rows, grid_columns=-(-len(rows) // MOST_ROWS), name=name)
+
+
+def _rows(scene: Scene, signal: Signal, at: str) -> list[rrb.Horizontal]:
+    """A channel a row: measured and predicted, and beside it what is left over."""
+    rows = []
+    for k, (channel, unit) in enumerate(zip(signal.channels, signal.units, strict=True)):
+        path = f"{at}/{signal.kind}/{safe(channel)}"
+        plots = [_plot(path, f"{channel} [{unit}]", scene.window, k == 0)]
+        rows.append(rrb.Horizontal(*plots, *_residual(scene, signal, k, at)))
+    return rows
+
+
+def _residual(scene: Scene, signal: Signal, k: int, at: str) -> Iterator[rrb.TimeSeriesView]:
+    """What is left over of a channel, where anything predicts it; channels of a unit alike."""
+    if signal.predicted:
+        channel, unit = signal.channels[k], signal.units[k]
+        most = scene.reach(signal.kind, k)
+        title = f"{channel}: residual [{unit}], ±{most:g}"
+        path = f"{at}/residual/{signal.kind}/{safe(channel)}"
+        yield _plot(path, title, scene.window, k == 0, _within(most))
+
+
+def _within(most: float) -> rrb.ScalarAxis:
+    """An axis with a little room beyond its ends."""
+    return rrb.ScalarAxis(range=(-ROOM * most, ROOM * most))
+
+
+def _friction(scene: Scene, at: str) -> list[rrb.Spatial2DView]:
+    """Torque that rigid bodies do not explain over velocity, and the friction found, by joint."""
+    bounds = rrb.VisualBounds2D(x_range=[-1.25, 1.25], y_range=[-1.2, 1.2])
+    return [
+        rrb.Spatial2DView(
+            origin=f"{at}/friction/{safe(joint.name)}",
+            name=f"{joint.name} [{'N m' if joint.revolute else 'N'}], "
+            f"[{'rad/s' if joint.revolute else 'm/s'}]",  # short: narrow columns cut it
+            visual_bounds=bounds,
+        )
+        for joint in scene.run.tree.joints
+    ]
+
+
+def _plot(
+    origin: str,
+    name: str,
+    window: Range | None = None,
+    legend: bool = True,
+    axis_y: rrb.ScalarAxis | None = None,
+) -> rrb.TimeSeriesView:
+    """Curves over time, opened on a window of it."""
+    axis = None
+    if window is not None:
+        seen = rr.TimeRange(
+            start=rr.TimeRangeBoundary.absolute(seconds=window[0]),
+            end=rr.TimeRangeBoundary.absolute(seconds=window[1]),
+        )
+        axis = rrb.TimeAxis(view_range=seen, link="Independent")
+    shown = rrb.PlotLegend(corner=rrb.Corner2D.RightTop, visible=legend)
+    return rrb.TimeSeriesView(
+        origin=origin, name=name, plot_legend=shown, axis_x=axis, axis_y=axis_y
+    )

@@ -1,0 +1,219 @@
+"""The robot and its reaction in three dimensions, as Rerun takes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from testbed.bodies.consistency.consistent import robot_of
+from testbed.bodies.shapes.appearance import Appearance
+from testbed.bodies.shapes.shapes import Shape, equivalent_ellipsoids
+from testbed.core.base.arrays import Array, apply
+from testbed.core.dynamics.newton_euler import poses, sensor_poses
+from testbed.core.parameters.symbols import with_standard
+from testbed.view.viewer.colours import COLOURS
+from testbed.view.viewer.scene import Scene, means, pressure
+
+CLOCK = "time"
+"""Name of the timeline: seconds of the recording."""
+ARROW = 0.5
+"""Length of the largest force's and moment's arrow, as part of the robot's reach."""
+
+
+def clock(time: Array) -> rr.TimeColumn:
+    """The timeline's column."""
+    return rr.TimeColumn(CLOCK, duration=np.asarray(time, dtype=np.float64))
+
+
+def log_robot(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
+    """Shapes on bodies, their poses, joint axes, the tips' paths."""
+    look = scene.appearance
+    log_appearance(stream, look, at)
+    shown = scene.motion[scene.frames]
+    log_paths(stream, look, send_poses(stream, look, shown.t, shown.q, at), at)
+
+
+def log_paths(
+    stream: rr.RecordingStream, look: Appearance, placed: list[tuple[Array, Array]], at: str
+) -> None:
+    """The paths of the robot's tips.
+
+    Args:
+        stream: Where to.
+        look: The robot.
+        placed: Its bodies' rotations and positions over time.
+        at: The world's place among the entities.
+    """
+    for j, point in look.tips.items():
+        rotation, position = placed[j]
+        path = position + rotation @ point
+        line = rr.LineStrips3D([path], colors=[COLOURS["path"]], radii=[look.reach / 720])
+        stream.log(f"{at}/path/{j + 1}", line, static=True)
+
+
+def log_bodies(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
+    """Links as ellipsoids of even density: model file, truth and estimate, where there are any."""
+    run = scene.run
+    if run.consistent is None:
+        return
+    robots = {"prior": with_standard(run.tree, run.consistent.prior)}
+    if run.score is not None:
+        robots["truth"] = run.tree
+    robots["estimate"] = robot_of(run.consistent, run.tree)
+    for name, colour in (("prior", "measured"), ("truth", "path"), ("estimate", "external")):
+        for shape in equivalent_ellipsoids(robots[name], (0, 0, 0, 1)) if name in robots else ():
+            ellipsoids = rr.Ellipsoids3D(
+                half_sizes=[shape.size],
+                centers=[shape.position],
+                quaternions=[rr.Quaternion(xyzw=quaternions(shape.rotation))],
+                colors=[COLOURS[colour]],
+                fill_mode=rr.components.FillMode.MajorWireframe,
+            )
+            stream.log(f"{at}/robot/{shape.body + 1}/body/{name}", ellipsoids, static=True)
+
+
+def log_appearance(stream: rr.RecordingStream, look: Appearance, at: str) -> None:
+    """What does not move in the bodies' frames: shapes and joint axes."""
+    stream.log(at, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    size = look.reach / 12
+    for k, shape in enumerate(look.shapes):
+        home = f"{at}/robot/{shape.body + 1}" if shape.body >= 0 else f"{at}/bedplate"
+        stream.log(f"{home}/shape{k}", _archetype(shape), static=True)
+    for j, joint in enumerate(look.tree.joints):
+        axis = joint.axis * size
+        arrow = rr.Arrows3D(
+            vectors=[2 * axis],
+            origins=[-axis],
+            colors=[COLOURS["axis"]],
+            radii=[size / 25],
+            labels=[joint.name],
+            show_labels=False,
+        )
+        stream.log(f"{at}/robot/{j + 1}/axis", arrow, static=True)
+
+
+def send_poses(
+    stream: rr.RecordingStream, look: Appearance, time: Array, q: Array, at: str
+) -> list[tuple[Array, Array]]:
+    """The bodies' poses over time, logged and returned."""
+    placed = poses(look.tree, q)
+    for j, (rotation, position) in enumerate(placed):
+        turned = quaternions(rotation)
+        columns = rr.Transform3D.columns(translation=position, quaternion=turned)
+        stream.send_columns(f"{at}/robot/{j + 1}", indexes=[clock(time)], columns=columns)
+    return placed
+
+
+def send_arrows(
+    stream: rr.RecordingStream,
+    look: Appearance,
+    time: Array,
+    wrench: Array,
+    scales: Array,
+    at: str,
+    places: Array | None = None,
+) -> None:
+    """Force and moment over time, drawn at a sensor, or beside the plate: nothing hides them.
+
+    Args:
+        stream: Where to.
+        look: The robot and its plate.
+        time: (M,) [s].
+        wrench: (M, 6) [N, N m].
+        scales: What a newton and a newton metre are drawn as, (2,) [m].
+        at: The bedplate's place among the entities.
+        places: Where they are drawn, (M, 3) [m]; default beside the plate.
+    """
+    if places is None:
+        places = np.tile(look.corner, (len(time), 1))
+    radius = ARROW * look.reach / 40
+    for name, vectors, scale in zip(
+        ("force", "moment"), (wrench[:, :3], wrench[:, 3:]), scales, strict=True
+    ):
+        columns = rr.Arrows3D.columns(
+            vectors=vectors * scale,
+            origins=places,
+            colors=np.tile(np.array([COLOURS[name]], dtype=np.uint8), (len(time), 1)),
+            radii=np.full(len(time), radius),
+        )
+        stream.send_columns(f"{at}/{name}", indexes=[clock(time)], columns=columns)
+
+
+def log_reaction(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
+    """Force and moment beside the plate; centre of pressure and its trace, drawn on the plate."""
+    if scene.wrench is None:
+        return
+    look, size = scene.appearance, scene.frames.step
+    wrench, times = means(scene.wrench, size), scene.motion.t[::size]
+    length = ARROW * look.reach
+    largest = [
+        max(float(np.linalg.norm(part, axis=1).max(initial=0.0)), 1e-9)
+        for part in (wrench[:, :3], wrench[:, 3:])
+    ]
+    scales = length / np.array(largest)
+    tree = scene.run.tree
+    if tree.sensor is not None:
+        turn, places = sensor_poses(tree, scene.motion.q[::size])
+        turned = [apply(turn, part) for part in (wrench[:, :3], wrench[:, 3:])]
+        send_arrows(stream, look, times, np.hstack(turned), scales, at, places)
+        return
+    send_arrows(stream, look, times, wrench, scales, at)
+    points = pressure(wrench)
+    far = 3 * max(float(np.abs(look.corner).max()), look.reach / 3)
+    there = (np.abs(points) < far).all(axis=1)  # false for what is not a number, too
+    if there.any():
+        flat = np.column_stack([points[there], np.full(there.sum(), look.deck + 0.002)])
+        columns = rr.Points3D.columns(
+            positions=flat,
+            colors=np.tile(np.array([COLOURS["pressure"]], dtype=np.uint8), (len(flat), 1)),
+            radii=np.full(len(flat), length / 25),
+        )
+        stream.send_columns(f"{at}/pressure", indexes=[clock(times[there])], columns=columns)
+        runs = np.split(flat, np.flatnonzero(np.diff(np.flatnonzero(there)) > 1) + 1)
+        trace = rr.LineStrips3D(runs, colors=[COLOURS["pressure"]], radii=[length / 150])
+        stream.log(f"{at}/trace", trace, static=True)
+
+
+def _archetype(shape: Shape) -> Any:
+    """The shape as Rerun draws it."""
+    colour = [(np.clip(shape.colour, 0, 1) * 255).astype(np.uint8)]
+    turn = [rr.Quaternion(xyzw=quaternions(shape.rotation))]
+    solid: dict[str, Any] = {
+        "colors": colour,
+        "quaternions": turn,
+        "fill_mode": rr.components.FillMode.Solid,
+    }
+    if shape.kind == "box":
+        return rr.Boxes3D(half_sizes=[shape.size], centers=[shape.position], **solid)
+    if shape.kind == "ellipsoid":
+        return rr.Ellipsoids3D(half_sizes=[shape.size], centers=[shape.position], **solid)
+    if shape.kind == "cylinder":
+        radius, half = shape.size
+        return rr.Cylinders3D(lengths=[2 * half], radii=[radius], centers=[shape.position], **solid)
+    if shape.kind == "capsule":
+        radius, half = shape.size
+        start = shape.position - shape.rotation[:, 2] * half
+        return rr.Capsules3D(lengths=[2 * half], radii=[radius], translations=[start], **solid)
+    vertices = shape.vertices @ shape.rotation.T + shape.position
+    corners = vertices[shape.faces.astype(int)]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    return rr.Mesh3D(  # corners of its own for every face: edges stay sharp
+        vertex_positions=corners.reshape(-1, 3),
+        vertex_normals=np.repeat(normals, 3, axis=0),
+        albedo_factor=colour[0],
+    )
+
+
+def quaternions(rotation: Array) -> Array:
+    """(x, y, z, w) of rotations, (..., 4), w positive; (..., 3, 3) given."""
+    m = np.empty((*rotation.shape[:-2], 4, 4))
+    trace = np.trace(rotation, axis1=-2, axis2=-1)[..., None, None]
+    m[..., :3, :3] = rotation + rotation.swapaxes(-1, -2) - trace * np.eye(3)
+    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
+        m[..., k, 3] = m[..., 3, k] = rotation[..., i, j] - rotation[..., j, i]
+    m[..., 3, 3] = trace[..., 0, 0]
+    found = np.linalg.eigh(m)[1][..., -1]
+    return np.asarray(np.where(found[..., 3:] < 0, -found, found))
