@@ -2,6 +2,9 @@
 
 Arrow, which keeps the tables, asks the system for memory and gives it back, unless somebody has
 said otherwise: its own pools keep what they once had, a fifth of what a large campaign needs.
+
+In: an experiment file with factors.
+Out: one Parquet table, its summary and page.
 """
 
 import os

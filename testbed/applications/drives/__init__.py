@@ -1,0 +1,5 @@
+"""Joint torques against the wrench of the plate.
+
+In: a recording with both.
+Out: torque constants, rotors, friction curves.
+"""

@@ -1,0 +1,5 @@
+"""What every room uses: arrays, errors, files, diagnostics as values, JSON.
+
+In: nothing of the package.
+Out: small functions and types without robots in them.
+"""

@@ -122,7 +122,7 @@ def _make_call(folder: Path) -> None:
 def _limit(seconds: float, memory: int) -> None:
     """Limits of this process, where the system has such."""
     with suppress(ImportError):
-        import resource  # noqa: PLC0415  # not on Windows
+        import resource  # not on Windows
 
         limits = {
             resource.RLIMIT_AS: memory,

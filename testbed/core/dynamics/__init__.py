@@ -1,0 +1,5 @@
+"""Inverse dynamics, linear in the parameters.
+
+In: a `Tree` and a `Motion`.
+Out: joint forces, wrench at the base, regressors and their derivatives.
+"""

@@ -121,11 +121,11 @@ class Settings:
     terms: Sequence[str | JointLaw] | Literal["auto"] | None = None
     """What a joint's torque holds besides the forces that move the bodies: "coulomb", "viscous",
     "offset", "rotor", "asymmetric", "quadratic", "square_root", "slope", "warm_coulomb",
-    "warm_viscous", and "stribeck@0.1", friction that
-    fades out at 0.1 rad/s; "stribeck" looks for the speed, too (testbed/core/robot/friction.py). Each
-    holds at all joints and at all shafts that couple some, "rotor/elbow" at that one. "auto" lets
-    held-out data choose. Default: "coulomb" and "viscous", "offset" of imported recordings, and
-    "rotor" of torques from motors, else of joints whose rotor the model file states."""
+    "warm_viscous", and "stribeck@0.1", friction that fades out at 0.1 rad/s; "stribeck" looks for
+    the speed, too. Each holds at all joints and at all shafts that couple some, "rotor/elbow" at
+    that one. "auto" lets held-out data choose. Default: "coulomb" and "viscous", "offset" of
+    imported recordings, and "rotor" of torques from motors, else of joints whose rotor the model
+    file states."""
 
     weights: Literal["channels", "full"] | Sequence[Sequence[float]] = "channels"
     """Weights of the channels: "channels", by each one's own noise; "full", by the covariance

@@ -1,0 +1,5 @@
+"""Kinematic trees from URDF and MJCF.
+
+In: a model file.
+Out: `Tree`: joints, inertias, shafts, friction models.
+"""

@@ -1,4 +1,8 @@
-"""Equations as text: the paper's notation, LaTeX, Python and C."""
+"""Equations as text: the paper's notation, LaTeX, Python and C.
+
+In: expressions.
+Out: text.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Readers of foreign formats: one module each, with `read_file` or, by topics, `tables`."""
+"""Readers of foreign formats: one module each, with `read_file` or, by topics, `tables`.
+
+In: a file.
+Out: named columns as they stand there.
+"""
 
 from __future__ import annotations
 

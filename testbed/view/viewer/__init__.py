@@ -1,0 +1,5 @@
+"""Runs in the Rerun viewer.
+
+In: a `Run`.
+Out: a Rerun recording, or a live window.
+"""

@@ -1,0 +1,5 @@
+"""Tests for faults in the data.
+
+In: residuals of a fit.
+Out: `Diagnostic` values.
+"""

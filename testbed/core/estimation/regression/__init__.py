@@ -1,0 +1,5 @@
+"""Filters, regressor rows, normal equations and their solution.
+
+In: a `Problem`.
+Out: sums of products, and fits.
+"""

@@ -2,6 +2,9 @@
 
 A module of this room holds a function `open_table(path) -> Table`, which yields columns and
 metadata; nothing else knows of it.
+
+In: a file.
+Out: named columns, read block by block.
 """
 
 from __future__ import annotations
