@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from testbed.lab.experiment.run import Run
 
 
-LEGEND = "mbar mass, mb first moments, K inertia, * with bodies beyond it (docs/glossary.md)"
+LEGEND = "mbar mass, mb first moments, K inertia, * with bodies beyond it (docs/conventions.md)"
 """What names of base parameters mean."""
 
 ROWS = 10
