@@ -10,7 +10,6 @@ from dataclasses import fields, is_dataclass
 from itertools import chain
 from typing import Any
 
-from testbed.importing.mapping import Mapping
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_tables import METRICS
 from tests.helpers.blocks import PAGES, TEMPLATES
@@ -60,7 +59,6 @@ def test_whatever_a_file_may_say_is_documented() -> None:
     files = [path.name for path in (ROOT / "experiments").glob("*.toml")]
     for page, names in (
         ("docs/experiments.md", [*METRICS, *keys(Experiment)]),
-        ("docs/your-recording.md", keys(Mapping)),
         ("docs/dependencies.md", packages),
     ):
         assert [name for name in names if f"`{name}`" not in said(page)] == [], page
