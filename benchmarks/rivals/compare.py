@@ -102,7 +102,7 @@ def rivals(folder: Path, pythons: Mapping[str, str], draws: int, jobs: int, docs
     found = Findings(folder, there, draws)
     lines = list(found.summary())
     if len(found.scores) > 1:  # another tool is there
-        lines += [*found.cells(), *found.asked()]
+        lines += found.asked()
     print("\n".join(lines), f"\n{time.monotonic() - start:.0f} s", flush=True)
     absent = [
         _answers(folder, *each).name for each in tasks if not _answers(folder, *each).exists()
@@ -256,29 +256,6 @@ class Findings:
                 "recordings"
             )
             yield from ("", *table(head, [cells for _, cells in sorted(rows)]))
-
-    def cells(self) -> Iterator[str]:
-        """Errors by robot and noise."""
-        for signal, words in SIGNALS.items():
-            best, rows = self.best(signal), []
-            for cell, bound in self.bound["error"][signal].items():
-                over, who = best[cell]
-                own = self.own["over"][signal][cell]
-                rows.append(
-                    (
-                        cell,
-                        f"{100 * bound:.3f}",
-                        f"{own:.2f}",
-                        f"{over:.2f}",
-                        who,
-                        f"{own / over:.2f}",
-                    )
-                )
-            head = (
-                f"by {words} | bound [%] | testbed over it | best expert over it | whose | "
-                "testbed over the best"
-            )
-            yield from ("", *table(head, rows))
 
     def asked(self) -> Iterator[str]:
         """What is asked of testbed, and what is obtained."""
