@@ -133,7 +133,7 @@ def dots(E, X, n):
 
 
 @plain
-def estimate_mass(rows, signals, work, centre, count, at, n):
+def apply_filter(rows, signals, work, centre, count, at, n):
     """Add what a chunk of samples gives to the filtered rows that it reaches.
 
     centre: sample of the block's first row; count: its rows; at, n: the chunk's samples.
@@ -311,7 +311,7 @@ def sweep(robot, rows, signals, work, question, sums):
             n = min(CHUNK, end - at) if half > 0 else count
             fill(robot, rows, signals, at, n, work, work.Y if half > 0 else work.Z)
             if half > 0:
-                estimate_mass(rows, signals, work, centre, count, at, n)
+                apply_filter(rows, signals, work, centre, count, at, n)
         if signals.deadband > 0.0:
             rest_joints(rows, signals, work, count, sums)
         else:
