@@ -13,8 +13,10 @@ from typing import TypeVar
 
 import pytest
 
+from tests.helpers.blocks import PAGES
 from tests.helpers.paths import ROOT
 
+DOCS = ROOT / "docs"
 BUDGET = tomllib.loads((Path(__file__).parent / "budget.toml").read_text())
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 DOCUMENTED = (ast.Module, ast.ClassDef, *FUNCTIONS)
@@ -207,3 +209,13 @@ def test_tests_and_benchmarks_stay_short() -> None:
     for folder, limit in BUDGET["lines"].items():
         lines = sum(path.read_text().count("\n") for path in (ROOT / folder).rglob("*.py"))
         within(f"lines of {folder}/", lines, limit)
+
+
+def test_documents_stay_short() -> None:
+    limits = BUDGET["documents"]
+    pages = {page.name: page.read_text().count("\n") for page in PAGES if page.parent == DOCS}
+    within("pages of docs/", len(pages), limits["pages"])
+    within("lines of docs/", sum(pages.values()), limits["lines"])
+    within(f"lines of {max(pages, key=pages.__getitem__)}", max(pages.values()), limits["longest"])
+    changes = (ROOT / "CHANGELOG.md").read_text().count("\n")
+    within("lines of CHANGELOG.md", changes, limits["changes"])
