@@ -16,7 +16,7 @@ from testbed.bodies.consistency.likelihood import (
     rigid_body_test,
     terms_of,
 )
-from testbed.bodies.consistency.options import ConsistencyOptions, conditions
+from testbed.bodies.consistency.options import ConsistencyOptions, known_masses
 from testbed.bodies.consistency.program import Program, program_of, solve
 from testbed.bodies.prior import Prior, matrices
 from testbed.core.base.arrays import Array, freeze
@@ -166,7 +166,7 @@ def consistent(
         weight = 1 / options.prior_error**2
         z, left = solve(program, weight)
         spread, shares = spread_at(program, z, weight)
-    x, sigma = program.lead @ z, standard_deviations(spread)
+    x, sigma, terms = program.lead @ z, standard_deviations(spread), terms_of(used)
     bodies = x[: 10 * tree.n].reshape(-1, 10)
     bent = tuple(_bent(each, x, spread) for each in likelihoods)
     return Consistent(
@@ -177,12 +177,12 @@ def consistent(
         sigma=sigma[: 10 * tree.n].reshape(-1, 10),
         data_share=shares[: 10 * tree.n].reshape(-1, 10),
         prior=prior.standard,
-        terms=terms_of(used),
+        terms=terms,
         coefficients=x[10 * tree.n :],
         coefficient_sigma=sigma[10 * tree.n :],
         bent=bent,
         eigenvalues=np.array([_eigenvalues(each) for each in bodies]),
-        binding=tuple(_at_limits(tree, program, z)),
+        binding=tuple(_at_limits(tree, program, terms, z)),
         unsettled=left,
         prior_error=options.prior_error,
         diagnostics=tuple(_diagnostics(prior, estimates, used, bent, left)),
@@ -199,8 +199,8 @@ def problem_of(
     used, blind = _usable(estimates), tree.without_inertias()
     terms = terms_of(used)
     likelihoods = agreeing([evidence(blind, each, terms) for each in used])
-    asked = conditions(tree, prior, options, terms)
-    return used, likelihoods, program_of(blind, prior, likelihoods, asked, terms)
+    known = known_masses(tree, prior, options)
+    return used, likelihoods, program_of(blind, prior, likelihoods, known, terms)
 
 
 def _usable(estimates: Sequence[Estimate]) -> list[Estimate]:
@@ -280,14 +280,13 @@ def _eigenvalues(body: Array) -> Array:
     return np.linalg.eigvalsh(whole / np.outer(size, size))
 
 
-def _at_limits(tree: Tree, program: Program, z: Array) -> Iterator[str]:
+def _at_limits(tree: Tree, program: Program, terms: Sequence[JointTerm], z: Array) -> Iterator[str]:
     """Bodies at the edge of what can be, and conditions that bind."""
     for body, own in zip(program.prior.massive, program.matrices(z), strict=True):
         if np.linalg.eigvalsh(own)[0] < THIN:
             yield f"'{tree.joints[body].body}' a possible body"
-    bounds = program.bounds
-    slack = bounds.rows @ z - bounds.values
-    yield from (n for n, left in zip(bounds.names, slack, strict=True) if left < CLOSE)
+    for k in program.positive[z[program.positive] < CLOSE] - 10 * program.bodies:
+        yield f"{terms[k].name(tree)} not negative"
 
 
 def _diagnostics(

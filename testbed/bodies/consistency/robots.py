@@ -233,8 +233,7 @@ def _draws(
         found += _log_prior(of_coordinates(z[:, :bodies].reshape(len(z), -1, 10)), error)
         logs = np.log(z[:, own])  # of what the file states of the joints
         found -= (logs + 0.5 * (logs / error) ** 2).sum(axis=1)
-        possible = (z @ program.bounds.rows.T > program.bounds.values).all(axis=1)
-        return np.where(possible & np.isfinite(found), found, -np.inf)
+        return np.where(np.isfinite(found), found, -np.inf)
 
     move = centre - mean
     move[program.positive] = 0.0
