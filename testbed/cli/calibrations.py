@@ -202,7 +202,7 @@ def drives(
         Path | None,
         typer.Option(
             callback=ending(".csv", ".json"),
-            help="File for friction: .csv (map and law) or .json (BAM).",
+            help="File for friction: .csv (curve and law) or .json (BAM).",
         ),
     ] = None,
     force: Force = False,
@@ -213,8 +213,8 @@ def drives(
 
     The bodies are known from the plate; what a drive reports is a constant times the torque that
     they need and its own terms: --set 'identification.terms=["coulomb","viscous","rotor"]'.
-    Friction over velocity, and over velocity and load, is in the JSON, and drawn by report
-    --set identification.drives=given. Laws of the load are load, viscous_load and others.
+    Friction over velocity is in the JSON, and drawn by report --set identification.drives=given.
+    Laws of the load are load, viscous_load and others.
 
     --write copies the model file with consistent bodies by the plate, friction, rotors, and (MJCF)
     motors whose gear makes true torque of what the drive reports, with the delay of --commands.
@@ -304,9 +304,6 @@ def payload(
         str | None,
         typer.Option(help="Joint that moves the link with the payload; default the last."),
     ] = None,
-    at_rest: Annotated[
-        bool, typer.Option("--at-rest", help="By the weight in static poses.")
-    ] = False,
     settings: RecordingSet = None,
     gravity: Gravity = None,
     weld_root: Weld = False,
@@ -321,41 +318,24 @@ def payload(
     """Find a payload's mass, centre and inertia by two recordings, without it and with it.
 
     Its parameters, as far as the plate identifies them, or the joint torques of recordings without
-    a plate; for a robot at rest in some poses, mass and centre by the weight alone.
+    a plate.
 
     Example: testbed payload empty.parquet loaded.parquet --model robot.urdf
 
     Example: testbed payload empty.parquet loaded.parquet --model ur5e.urdf --as ur --flange tool0
     """
-    from testbed.applications.payload.payload import (
-        estimate_mass,
-        estimate_payload_mass,
-        poses_at_rest,
-    )
     from testbed.applications.payload.payload import payload as payload_of
     from testbed.core.base.codec import encode
     from testbed.core.base.errors import SettingsError
     from testbed.core.estimation.identify import identify
-    from testbed.core.recordings.geometry import in_its_gravity
-    from testbed.view import estimates as shown
     from testbed.view import output, terminal
 
     reading = Reading(settings, False, weld_root, lock, lock_mimic, plate)
-    if vendor is not None and (at_rest or as_json):
-        raise SettingsError("--as goes neither with --json, nor with payload --at-rest")
+    if vendor is not None and as_json:
+        raise SettingsError("--as and --json are two forms of one answer: give one of them")
     tree, table = reading.tree(model), reading.tables().identification
     link = flange_link(vendor, flange, reading.model_file(model), tree)
     sources = [reading.source(opened(path), tree) for path in (without, loaded)]
-    if at_rest:
-        tree = in_its_gravity(tree, sources[0], gravity)
-        with output.Progress("weighing"):
-            alone, carrying = (poses_at_rest(tree, source) for source in sources)
-            weighed = estimate_payload_mass(tree, alone, carrying, joint)
-        whole = estimate_mass(tree, alone)
-        words = {"payload": encode(weighed), "robot": encode(whole)}
-        lines = shown.weighed_lines(weighed, whole)
-        output.print_json(words) if as_json else output.print_lines(lines, tree.diagnostics)
-        return
     plates = all("wrench" in source.signals for source in sources)
     method: Method = "external" if plates else "internal"
     estimates = []

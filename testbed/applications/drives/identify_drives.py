@@ -19,7 +19,6 @@ from testbed.applications.drives.friction_curves import (
     offered,
     picked_terms,
 )
-from testbed.applications.drives.friction_map import FrictionMap, friction_maps
 from testbed.applications.drives.joint_regression import (
     JointRegression,
     Torques,
@@ -223,13 +222,11 @@ class DriveFindings(Diagnosed):
         estimates: Constants and terms, one a joint.
         curves: Friction over velocity, one a joint.
         combined: The bodies by plate and torques together.
-        maps: Friction over velocity and load, one a joint.
     """
 
     estimates: tuple[DriveEstimate, ...]
     curves: tuple[FrictionCurve, ...]
     combined: Combined
-    maps: tuple[FrictionMap, ...] = ()
 
     @property
     def gears(self) -> dict[str, float]:
@@ -309,5 +306,4 @@ def identify_drives(
     found = regressions(torques, bodies, picked_terms(torques, choices) if choose else None)
     drives = tuple(drive_of(problem.tree, torques, each, choices.get(each.joint)) for each in found)
     curves = friction_curves(problem, bodies, drives)
-    maps = friction_maps(problem, bodies, found)
-    return DriveFindings(drives, curves, combined(torques, bodies, found), maps)
+    return DriveFindings(drives, curves, combined(torques, bodies, found))
