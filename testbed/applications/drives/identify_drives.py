@@ -40,7 +40,6 @@ from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
-from testbed.core.robot.friction import LAWS
 from testbed.core.robot.tree import Tree
 
 DONE = 1e-12
@@ -250,9 +249,9 @@ def with_drives(tree: Tree, found: DriveFindings) -> Tree:
     """
     settings = {
         drive.joint: {
-            str(term.law.parameter): max(term.value, 0.0)
+            term.law.parameter: max(term.value, 0.0)
             for term in drive.terms
-            if term.law in LAWS and term.law.parameter is not None
+            if term.law.parameter is not None
         }
         for drive in found.estimates
     }

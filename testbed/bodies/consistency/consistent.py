@@ -27,7 +27,7 @@ from testbed.core.base.errors import RecordingError, few
 from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.regression.normal_equations import TINY, standard_deviations
 from testbed.core.parameters.symbols import with_standard
-from testbed.core.robot.friction import LAWS, ROTOR, JointTerm
+from testbed.core.robot.friction import ROTOR, JointTerm
 from testbed.core.robot.locks import places
 from testbed.core.robot.tree import Tree
 
@@ -221,12 +221,10 @@ def robot_of(found: Consistent, tree: Tree) -> Tree:
         found: Of this robot.
         tree: The robot.
     """
-    settings: dict[str, dict[str, object]] = {}
-    for term, value in zip(found.terms, found.coefficients, strict=True):
-        held = term.law in LAWS and term.law.parameter is not None and term.joint < tree.n
-        if held and term.law.parameter is not None:
-            own = settings.setdefault(tree.names[term.joint], {})
-            own[term.law.parameter] = max(float(value), 0.0)
+    settings: dict[str, dict[str, object]] = {name: {} for name in tree.names}
+    for term, value in zip(found.terms, found.coefficients.tolist(), strict=True):
+        if term.law.parameter is not None and term.joint < tree.n:
+            settings[tree.names[term.joint]][term.law.parameter] = max(value, 0.0)
     return with_standard(tree, np.array(found.standard)).with_joints(settings)
 
 
@@ -317,7 +315,7 @@ def _diagnostics(
         yield from _moved_far(estimate, moved)
         yield from _negative(estimate)
     terms = [term for each in used for term in each.joint_terms]
-    if lost := [t.name for t in terms if t.law not in LAWS or t.law.parameter is None]:
+    if lost := [t.name for t in terms if t.law.parameter is None]:
         yield diagnose("bodies.no-place", few(lost))
 
 
