@@ -230,7 +230,6 @@ def drives(
     from testbed.core.base.errors import SettingsError
     from testbed.core.base.files import together
     from testbed.core.estimation.identify import identify
-    from testbed.core.recordings.recording import Recording
     from testbed.importing.check.time_offset import delivered
     from testbed.view import output, terminal
     from testbed.view.drives import delay_line
@@ -248,29 +247,14 @@ def drives(
         raise SettingsError("--write and --commands need bodies by the plate, not by a sensor")
     tree = replace(reading, sensor=None).tree(model)
     source = reading.source(source, tree)
+    how: dict[str, Any] = {"gravity": gravity, "settings": table, "threads": threads}
     with output.Progress("identifying by the wrench") as progress:
-        bodies = identify(
-            felt,
-            source,
-            gravity=gravity,
-            settings=table,
-            doubt=reading.doubt(tree),
-            threads=threads,
-            progress=progress,
-        )
+        bodies = identify(felt, source, doubt=reading.doubt(tree), progress=progress, **how)
     source, offset = delivered(tree, source, bodies) if commands else (source, None)
     late, lines = (0.0, []) if offset is None else (-offset.delay, [delay_line(offset)])
+    choose = choose_terms or table.drives == "chosen"
     with output.Progress("regressing torques") as progress:
-        found = identify_drives(
-            tree,
-            source,
-            bodies,
-            gravity=gravity,
-            settings=table,
-            choose=choose_terms or table.drives == "chosen",
-            threads=threads,
-            progress=progress,
-        )
+        found = identify_drives(tree, source, bodies, choose=choose, progress=progress, **how)
     said = [*tree.diagnostics, *held, *bodies.diagnostics, *found.diagnostics]
     with together():
         if friction is not None:
@@ -280,17 +264,23 @@ def drives(
             said += writing.written(links, reading, model, [recording], found, late)
             lines.append(f"model file: {write}")
     if write is not None and unseen is not None:
-        from testbed.lab.simulation.replay import replay
-        from testbed.view.drives import replay_lines
-
-        files = (reading.model_file(model), reading.model_file(write))
-        motion = Recording.load(unseen)
-        lines += replay_lines(tree.names, *(replay(each, motion) for each in files))
+        lines += _replayed(reading, unseen, model, write)
     if as_json:
         output.print_json({**encode(found), "delay": late})
     else:
         terminal.print_drives(found, said)
         output.print_lines(lines, ())
+
+
+def _replayed(reading: Reading, unseen: Path, model: Path, written: Path) -> list[str]:
+    """How far a model file, and what was written, are from an unseen motion by its torques."""
+    from testbed.core.recordings.recording import Recording
+    from testbed.lab.simulation.replay import replay
+    from testbed.view.drives import replay_lines
+
+    motion = Recording.load(unseen)
+    ends = [replay(reading.model_file(path), motion) for path in (model, written)]
+    return replay_lines(reading.tree(model).names, *ends)
 
 
 @app.command()
@@ -338,18 +328,15 @@ def payload(
     sources = [reading.source(opened(path), tree) for path in (without, loaded)]
     plates = all("wrench" in source.signals for source in sources)
     method: Method = "external" if plates else "internal"
-    estimates = []
+    how: dict[str, Any] = {"gravity": gravity, "settings": table, "threads": threads}
+    doubt, estimates = reading.doubt(tree), []
     for source, name in zip(sources, ("without", "with"), strict=True):
         with output.Progress(f"identifying, {name}") as progress:
-            estimates.append(
-                identify(
-                    tree, source, method, gravity=gravity, settings=table,
-                    doubt=reading.doubt(tree), threads=threads, progress=progress,
-                )
-            )  # fmt: skip
+            made = identify(tree, source, method, doubt=doubt, progress=progress, **how)
+            estimates.append(made)
     found = payload_of(tree, estimates[0], estimates[1], joint)
-    every = [each for estimate in estimates for each in estimate.diagnostics]
-    known = [each for each in every if each.code != "plate.no-tare"]  # the difference has none
+    known = [each for estimate in estimates for each in estimate.diagnostics]
+    known = [each for each in known if each.code != "plate.no-tare"]  # the difference has none
     said = [*tree.diagnostics, *known, *found.diagnostics]
     if as_json:
         output.print_json(encode(found))

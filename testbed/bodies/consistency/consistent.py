@@ -172,7 +172,7 @@ def consistent(
     return Consistent(
         joints=tree.names,
         places=places(tree),
-        links=tuple(joint.body for joint in tree.joints),
+        links=tuple(each.body for each in tree.joints),
         standard=bodies,
         sigma=sigma[: 10 * tree.n].reshape(-1, 10),
         data_share=shares[: 10 * tree.n].reshape(-1, 10),

@@ -67,8 +67,9 @@ def beside_consistent(
     """
 
     def beside(found: Posterior, estimate: Estimate) -> Posterior:
-        method, gravity = estimate.method, estimate.gravity
-        problem, parts = parts_of(tree, recording, method, [estimate], gravity, settings, None)
+        problem, parts = parts_of(
+            tree, recording, estimate.method, [estimate], estimate.gravity, settings, None
+        )
         before = linear_prior(problem, prior, found.prior_error, parts.whole)
 
         def of_rows(rows: RowProducts) -> Array:

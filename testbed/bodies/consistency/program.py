@@ -212,19 +212,16 @@ def program_of(
     ]
     massive = prior.root[:, np.repeat(prior.standard[:, 0] > 0, 10)]
     lead = linalg.block_diag(massive, np.diag(sizes))
-    masses = np.zeros((len(known.rows), len(lead)))
-    masses[:, : 10 * tree.n : 10] = known.rows
-    masses, values, sigma = masses @ lead, known.values, known.sigma
-    doubtful = sigma > 0
+    masses = known.rows @ lead[: 10 * tree.n : 10]
+    doubtful, sigma = known.sigma > 0, known.sigma[known.sigma > 0]
     zeros = [_unit(each.zero @ lead) / ZERO for each in likelihoods]
     right = [each.white @ each.estimate.values for each in likelihoods]
-    right += [values[doubtful] / sigma[doubtful], np.zeros(sum(map(len, zeros)))]
-    besides = masses[doubtful] / sigma[doubtful, None]
+    right += [known.values[doubtful] / sigma, np.zeros(sum(map(len, zeros)))]
     start = np.outer(known.scale[list(prior.massive)], coordinates(np.eye(4)))
     return Program(
         prior=prior,
         lead=lead,
-        rows=np.vstack([measured @ lead, besides, *zeros]),
+        rows=np.vstack([measured @ lead, masses[doubtful] / sigma[:, None], *zeros]),
         right=np.concatenate(right),
         measured=len(measured),
         own=(stated > 0).astype(float),
