@@ -175,10 +175,6 @@ HEADINGS: dict[str, tuple[list[str], list[str], float, float, float]] = {
                  [f"{x} [N]" for x in AXES[:3]] + [f"{x} [Nmm]" for x in AXES[3:]], DEG, 1, 1e3),
     "suffixes": ([f"joint_{k}_deg" for k in range(1, 7)],
                  ["Fx_kgf", "Fy_kgf", "Fz_kgf", "Tx_Nm", "Ty_Nm", "Tz_Nm"], DEG, 1 / KGF, 1),
-    "words": ([f"Joint {k} (rad)" for k in range(1, 7)],
-              [f"{x} {y}" for x in ("Force", "Torque") for y in "XYZ"], 1, 1, 1),
-    "from zero": ([f"position[{k}]" for k in range(6)],
-                  [f"wrench[{k}]" for k in range(6)], 1, 1, 1),
     "by size": ([f"A{k}" for k in range(1, 7)], [f"force_{x}" for x in "xyz"] +
                 [f"moment_{x}" for x in "xyz"], DEG, 1, 1),
 }  # fmt: skip
