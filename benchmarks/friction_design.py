@@ -7,6 +7,7 @@ of many seeds; scatter and sigmas of what `drives` finds stand beside the predic
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -14,8 +15,7 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from benchmarks.friction import Case
-from testbed.applications.drives.friction_curves import ChosenTerms, DriveEstimate
+from testbed.applications.drives.friction_curves import DriveEstimate, drive_of
 from testbed.applications.drives.joint_regression import regressions, torques_beside
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import Estimate
@@ -25,6 +25,21 @@ from testbed.lab.experiment.evaluate import robot_of
 from testbed.lab.instruments.chain import measured_again
 from testbed.motion.excite import Excitation, excite, forecaster, wish_of, write_motion
 from tests.helpers.paths import GOLDEN, REAL, ROOT
+
+
+@dataclass(frozen=True)
+class Case:
+    """A robot, and what is said of it.
+
+    Attributes:
+        words: Beside those of the experiment.
+        dry: Dry friction of every joint, viscous friction is as large at 1 rad/s; () for the
+            model file's.
+    """
+
+    words: tuple[str, ...] = ()
+    dry: tuple[float, ...] = ()
+
 
 CASES: Mapping[str, Case] = {
     "puma": Case(),
@@ -53,7 +68,7 @@ def drives_of(
     """
     problem = Problem.of(tree, seen, "internal", settings, threads=1, knows_load=True)
     torques = torques_beside(problem, bodies)
-    return ChosenTerms(None).estimates(tree, torques, regressions(torques, bodies))
+    return tuple(drive_of(tree, torques, each) for each in regressions(torques, bodies))
 
 
 def experiment_of(name: str, seconds: float, *words: str) -> tb.Experiment:

@@ -149,24 +149,23 @@ class Writing:
         Raises:
             SettingsError: No bodies are as is wished.
         """
-        from testbed.bodies.consistency.consistent import consistent_by_held_out
+        from testbed.bodies.consistency.consistent import consistent
         from testbed.bodies.consistency.held_out import (
             beside_consistent,
             with_likely_error,
         )
+        from testbed.bodies.prior import prior_of
         from testbed.core.estimation.problem import samples_of
         from testbed.core.recordings.views import with_gear
-        from testbed.lab.experiment.evaluate import prior_from
         from testbed.view import output
 
         tree = with_gear(reading.tree(model), source)
         options = with_likely_error(reading.tables().consistent, posteriors.values())
-        file = reading.model_file(model)
-        prior = prior_from(tree, file, shapes=options.centres_in_shapes)
+        prior = prior_of(tree)
         table = reading.tables().identification
         part = samples_of(source, table)
         with output.Progress("computing consistent bodies"):
-            found = consistent_by_held_out(tree, estimates, prior, options, part, table)
+            found = consistent(tree, estimates, prior, options)
             return found, beside_consistent(
                 posteriors, found, tree, part, prior, estimates, options, table
             )
@@ -426,10 +425,10 @@ def sample(
     import numpy as np
 
     from testbed.bodies.consistency.robots import robots
+    from testbed.bodies.prior import prior_of
     from testbed.bodies.write_model import ARCHIVE, write_models
     from testbed.core.base.codec import encode
     from testbed.core.base.errors import SettingsError
-    from testbed.lab.experiment.evaluate import prior_from
     from testbed.lab.experiment.read_result import read_result
     from testbed.lab.experiment.results import versions
     from testbed.view import bodies as shown
@@ -446,7 +445,7 @@ def sample(
             f"'{out}' holds {others[0]}, not robots alone: --out names a new folder"
         )
     check_outputs(out, force=force, folder=True)
-    prior = prior_from(kept.prior, kept.file, shapes=kept.options.centres_in_shapes)
+    prior = prior_of(kept.prior)
     rng = np.random.default_rng(seed)
     with output.Progress("drawing robots"):
         found = robots(kept.tree, kept.whole_estimates, prior, count, rng, kept.options)

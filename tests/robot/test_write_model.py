@@ -180,9 +180,6 @@ def test_what_cannot_be_is_written_as_what_can_and_sound_links_stay(
     repaired = model.tree()
     write_model(model, repaired, path)
     assert_same_tree(tb.load_tree(path, repair={}), repaired)
-    kept = [text for text in re.split(rb"(?=<link |<joint )", source.read_bytes())
-            if b"_body" in text and b"pedestal" not in text]  # fmt: skip
-    assert form == "xml" or all(text in path.read_bytes() for text in kept)
     given = {"j2_body": Inertia.about_centre(2.0, [0.1, 0, 0], np.eye(3))}
     model = ModelFile(source, repair=given | {"pedestal_body": repaired.pedestal})
     write_model(model, model.tree(), path)

@@ -1,30 +1,27 @@
-"""A payload from two recordings of one robot, in motion or in poses at rest."""
+"""A payload from two recordings of one robot in motion."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
+from scipy.linalg import orth
 
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.codec import with_properties
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
-from testbed.core.base.errors import RecordingError, SettingsError
-from testbed.core.dynamics.newton_euler import Motion, linear
+from testbed.core.base.errors import SettingsError
 from testbed.core.estimation.estimate import Estimate
-from testbed.core.estimation.problem import check_source, tare_of
 from testbed.core.estimation.regression.normal_equations import (
-    TINY,
     scaled_inverse,
     standard_deviations,
+    unit_diagonal,
 )
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.core.parameters.symbols import STANDARD, to_barycentric
-from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import Source, open_source
 from testbed.core.robot.tree import Tree
 
 UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
@@ -46,26 +43,26 @@ class PayloadEstimate(Diagnosed):
 
     Attributes:
         joint: The link is the one that this joint moves.
-        names: Of the ten: m, mx, ..., Izz.
-        units: (10,).
         identifiable: Which of them are identifiable alone, (10,).
         values: (10,); nothing but a choice where not identifiable.
         sigma: Standard deviations, (10,); infinite where not identifiable.
         covariance: (10, 10), of what is identifiable.
         rank: How many combinations are identifiable.
         chance: That noise alone leaves so much of the difference as no payload explains.
+        names: Of the ten: m, mx, ..., Izz.
+        units: (10,).
         diagnostics: What a careful reader should know.
     """
 
     joint: str
-    names: tuple[str, ...]
-    units: tuple[str, ...]
     identifiable: tuple[bool, ...]
     values: Array
     sigma: Array
     covariance: Array
     rank: int
     chance: float
+    names: tuple[str, ...] = STANDARD
+    units: tuple[str, ...] = UNITS
     diagnostics: tuple[Diagnostic, ...] = ()
 
     __get_pydantic_core_schema__ = with_properties("centre")
@@ -159,213 +156,35 @@ def payload_from(
         noise: Their covariance, (p, p).
         what: "payload", of two recordings, or "tool", of one.
     """
-    scale = np.sqrt(np.diagonal(noise))
-    _, sizes, directions = np.linalg.svd(adds)
-    rank = int((sizes > SMALLEST * sizes[0]).sum())
-    seen = directions[:rank].T
-    white = np.linalg.cholesky(noise / np.outer(scale, scale))
-    columns = np.linalg.solve(white, (adds @ seen) / scale[:, None])
-    right = np.linalg.solve(white, difference / scale)
+    unit, scale = unit_diagonal(noise)
+    white = np.linalg.inv(np.linalg.cholesky(unit)) / scale
+    seen = orth(adds.T, rcond=SMALLEST)
+    columns = white @ adds @ seen
     inverse = scaled_inverse(columns.T @ columns)
-    found = inverse @ columns.T @ right
-    identifiable = np.abs(np.linalg.norm(seen, axis=1) - 1) < SEEN
+    found = inverse @ columns.T @ white @ difference
+    rest = white @ difference - columns @ found
+    freedom = max(len(adds) - len(found), 1)
+    chance = float(special.chdtrc(freedom, rest @ rest))
     covariance = seen @ inverse @ seen.T
-    left = float(np.sum((right - columns @ found) ** 2))
-    chance = float(special.chdtrc(max(len(adds) - rank, 1), left))
-    sigma = standard_deviations(covariance)
+    identifiable = np.abs(np.linalg.norm(seen, axis=1) - 1) < SEEN
+    sigma = np.where(identifiable, standard_deviations(covariance), np.inf)
+    values = seen @ found
     return PayloadEstimate(
         joint=joint,
-        names=STANDARD,
-        units=UNITS,
-        identifiable=tuple(bool(each) for each in identifiable),
-        values=seen @ found,
-        sigma=np.where(identifiable, sigma, np.inf),
+        identifiable=tuple(identifiable.tolist()),
+        values=values,
+        sigma=sigma,
         covariance=covariance,
-        rank=rank,
+        rank=len(found),
         chance=chance,
-        diagnostics=tuple(_diagnostics(joint, chance, seen @ found, sigma, identifiable, what)),
+        diagnostics=tuple(_diagnostics(joint, chance, values[0], sigma[0], what)),
     )
 
 
 def _diagnostics(
-    joint: str, chance: float, values: Array, sigma: Array, identifiable: Array, what: str
+    joint: str, chance: float, mass: float, sigma: float, what: str
 ) -> Iterator[Diagnostic]:
     if chance < IMPOSSIBLE:
         yield diagnose("payload.unexplained", joint, chance)
-    if identifiable[0] and values[0] < -5 * sigma[0]:
-        yield diagnose(f"{what}.negative-mass", joint, values[0], sigma=sigma[0])
-
-
-SPAN = 0.5
-"""Seconds over which a robot at rest does not move."""
-
-STILL = 1e-3
-"""Most that a joint at rest wanders [rad or m]."""
-
-APART = 5e-3
-"""Least that some joint moves from one pose to another [rad or m]."""
-
-LEAST = 3
-"""Poses that are needed."""
-
-
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """One pose at rest.
-
-    Attributes:
-        position: Of the joints, (n,) [rad or m].
-        wrench: Mean, without the tare, (6,) [N, N m].
-    """
-
-    position: Array
-    wrench: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, position=(len(self.position),), wrench=(6,))
-
-
-@dataclass(frozen=True)
-class MassEstimate:
-    """A mass by its weight.
-
-    Attributes:
-        mass: [kg].
-        sigma: [kg].
-        centre: Of mass in the link's frame [m]; () for a whole robot, whose centre moves.
-        centre_sigma: [m].
-        poses: How many there were.
-    """
-
-    mass: float
-    sigma: float
-    centre: tuple[float, ...]
-    centre_sigma: tuple[float, ...]
-    poses: int
-
-
-def poses_at_rest(tree: Tree, recording: Recording | Source | str) -> tuple[Pose, ...]:
-    """The poses in which a robot stood still.
-
-    Args:
-        tree: The robot.
-        recording: With the wrench.
-
-    Raises:
-        RecordingError: It has no wrench, is of another robot, or shows too few poses at rest.
-    """
-    source = open_source(recording)
-    check_source(source, tree, "external")
-    tare = tare_of(tree, source)
-    groups: list[list[tuple[Array, Array]]] = []
-    for position, wrench in _spans(source, tree):
-        if np.ptp(position, axis=0).max() > STILL:
-            continue
-        here = position.mean(axis=0), wrench.mean(axis=0) - tare
-        if groups and np.abs(groups[-1][0][0] - here[0]).max() < APART:
-            groups[-1].append(here)
-        else:
-            groups.append([here])
-    if len(groups) < LEAST:
-        raise RecordingError(
-            f"the recording shows {len(groups)} poses at rest; a pose is {SPAN:g} s in which no "
-            f"joint moves more than {STILL:g} rad or m, and {LEAST} are needed"
-        )
-    return tuple(Pose(*(np.mean(each, axis=0) for each in zip(*g, strict=True))) for g in groups)
-
-
-def _spans(source: Source, tree: Tree) -> Iterator[tuple[Array, Array]]:
-    """Positions and wrench, half a second at a time."""
-    count = max(2, round(SPAN * source.rate))
-    for first in range(0, source.samples - count + 1, count):
-        part = source.part(first, first + count).ordered(tree)
-        yield part.position, part.measured("wrench")
-
-
-def estimate_mass(tree: Tree, poses: Sequence[Pose]) -> MassEstimate:
-    """The mass of all that moves, by its weight in a few poses.
-
-    Args:
-        tree: The robot, under its gravity.
-        poses: At rest.
-
-    Raises:
-        RecordingError: There is no gravity to weigh by.
-    """
-    columns = _weights(tree, poses)
-    total = np.tile([1.0, 0.0, 0.0, 0.0], tree.n)
-    values, covariance, identifiable = _solved(columns, _stacked(poses), total[None])
-    if not identifiable[0]:
-        raise RecordingError("the moving mass is not identifiable from these poses")
-    return MassEstimate(float(values[0]), float(np.sqrt(covariance[0, 0])), (), (), len(poses))
-
-
-def estimate_payload_mass(
-    tree: Tree, without: Sequence[Pose], loaded: Sequence[Pose], joint: str | None = None
-) -> MassEstimate:
-    """A payload's mass and centre by what it adds to the weight; the poses need not be the same.
-
-    Args:
-        tree: The robot, under its gravity; only its geometry matters.
-        without: Poses without the payload.
-        loaded: Poses with it.
-        joint: Of the link that carries it; default the last.
-
-    Raises:
-        RecordingError: The poses do not identify the payload's mass.
-        UnknownName: There is no such joint.
-    """
-    link = tree.index(tree.names[-1] if joint is None else joint)
-    robot = _weights(tree, [*without, *loaded])
-    load = _weights(tree, loaded)[:, 4 * link : 4 * link + 4]
-    beside = np.concatenate([np.zeros((6 * len(without), 4)), load])
-    asked = np.eye(4, robot.shape[1] + 4, robot.shape[1])
-    columns, measured = np.hstack([robot, beside]), _stacked([*without, *loaded])
-    values, covariance, identifiable = _solved(columns, measured, asked)
-    if not identifiable[0]:
-        raise RecordingError(
-            "the payload's mass is not identifiable beside the robot's: repeat some poses with and "
-            "without the payload, or measure more different ones"
-        )
-    place, doubt = (tuple(x.tolist()) for x in _centre(values, covariance, identifiable))
-    poses = len(without) + len(loaded)
-    return MassEstimate(float(values[0]), float(np.sqrt(covariance[0, 0])), place, doubt, poses)
-
-
-def _weights(tree: Tree, poses: Sequence[Pose]) -> Array:
-    """Wrench of a unit of every link's mass and first moment, (6 P, 4 n)."""
-    standard = np.zeros((tree.n, 10, 4 * tree.n))
-    standard[:, :4] = np.eye(4 * tree.n).reshape(tree.n, 4, -1)
-    theta = to_barycentric(tree, standard)
-    q = np.array([pose.position for pose in poses])
-    still = np.zeros_like(q)
-    motion = Motion(np.arange(len(q), dtype=float), q, still, still)
-    wrench = linear(tree, motion, theta)[1]
-    return wrench.reshape(6 * len(q), -1)
-
-
-def _stacked(poses: Sequence[Pose]) -> Array:
-    return np.concatenate([pose.wrench for pose in poses])
-
-
-def _solved(columns: Array, measured: Array, asked: Array) -> tuple[Array, Array, Array]:
-    """Values, covariance and which are identifiable of sums of unknowns, (q,), (q, q), (q,).
-
-    Forces and moments are weighted by what a first fit leaves of each.
-    """
-    force = np.arange(len(measured)) % 6 < 3
-    scale = np.ones(len(measured))
-    for _ in range(2):
-        left, sizes, directions = np.linalg.svd(columns / scale[:, None], full_matrices=False)
-        rank = int((sizes > SMALLEST * sizes[0]).sum()) if sizes[0] > 0 else 0
-        seen, kept = directions[:rank].T, left[:, :rank]
-        found = seen @ (kept.T @ (measured / scale) / sizes[:rank])
-        rest = measured - columns @ found
-        variance = float(np.sum((rest / scale) ** 2)) / max(len(measured) - rank, 1)
-        half = (asked @ seen) / sizes[:rank]
-        covariance = variance * half @ half.T
-        rms = [np.sqrt(np.mean(rest[part] ** 2)) for part in (force, ~force)]
-        least = max(1e-6 * max(rms), TINY)
-        scale = np.where(force, max(rms[0], least), max(rms[1], least))
-    identifiable = np.linalg.norm(asked - (asked @ seen) @ seen.T, axis=1) < SEEN
-    return asked @ found, covariance, identifiable
+    if mass < -5 * sigma:
+        yield diagnose(f"{what}.negative-mass", joint, mass, sigma=sigma)

@@ -10,16 +10,14 @@ import numpy as np
 
 from testbed.bodies.consistency.consistent import (
     Consistent,
-    consistent_by_held_out,
+    consistent,
 )
 from testbed.bodies.consistency.held_out import (
     beside_consistent,
     with_likely_error,
 )
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.bodies.prior import Prior, prior_of
-from testbed.bodies.shapes.appearance import load_shapes
-from testbed.bodies.shapes.shapes import extents
+from testbed.bodies.prior import prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ExperimentError, TestbedError, UnknownName
@@ -194,20 +192,6 @@ def _wrong(body: Inertia, error: float, rng: np.random.Generator) -> Inertia:
     return Inertia.of_pseudo(root @ root.T)
 
 
-def prior_from(tree: Tree, model: ModelFile | None, *, shapes: bool) -> Prior:
-    """The bodies of a tree as a prior, with the boxes around their shapes where those matter.
-
-    Args:
-        tree: The robot.
-        model: Its model file.
-        shapes: Whether mass centres are to lie in their shapes.
-    """
-    if model is None or not shapes:
-        return prior_of(tree)
-    seen = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
-    return prior_of(tree, extents(seen.shapes, tree.n))
-
-
 def with_consistent(run: Run) -> Run:
     """A run with its consistent bodies, where the experiment asks for them, and their figures.
 
@@ -240,12 +224,10 @@ def recorded_bodies(run: Run, options: ConsistencyOptions) -> Run:
 
 def _with_bodies(run: Run, believed: Tree, options: ConsistencyOptions) -> Run:
     """A run with its consistent bodies, or with a warning that says why there are none."""
-    prior = prior_from(believed, run.model, shapes=options.centres_in_shapes)
-
-    estimates = list(run.estimates.values())
+    prior, estimates = prior_of(believed), list(run.estimates.values())
     blind = samples_of(run.recording.blind(), run.settings)
     try:
-        found = consistent_by_held_out(run.tree, estimates, prior, options, blind, run.settings)
+        found = consistent(run.tree, estimates, prior, options)
     except TestbedError as error:
         return run.with_diagnostics([diagnose("bodies.missing", reason=error)])
     beside = beside_consistent(
