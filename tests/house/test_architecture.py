@@ -65,15 +65,13 @@ GUESTS = {
     "pyarrow": "recordings/formats/parquet.py campaign/ "
     "recordings/importing/readers/parquet_columns.py recordings/importing/readers/lerobot.py "
     "recordings/importing/readers/rerun_log.py",
-    "distributed": "campaign/cluster.py",
-    "dask": "campaign/cluster.py",
     "h5py": "recordings/importing/readers/hdf5.py",
     "rosbags": "recordings/importing/readers/ros_bag.py",
     **dict.fromkeys(("mcap", "google", "lz4"), "recordings/importing/readers/mcap.py"),
     "zstandard": "recordings/importing/readers/mcap.py recordings/importing/readers/ros_bag.py",
     "pydantic": "codec.py experiment/ campaign/ recordings/importing/mapping.py toml_text.py",
     "pydantic_core": "codec.py",
-    "tomli_w": "experiment/ campaign/results.py",
+    "tomli_w": "experiment/",
     "typer": "cli/",
     "rich": "reporting/",
     "matplotlib": "reporting/plot.py reporting/portrait.py",
