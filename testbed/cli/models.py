@@ -149,9 +149,6 @@ def equations(
     zeros: Zeros = False,
     zero: Zero = None,
     gravity: Gravity = None,
-    numbers: Annotated[
-        bool, typer.Option("--numbers", help="Write lengths and gravity as numbers.")
-    ] = False,
     square: Annotated[
         bool,
         typer.Option("--right-angles", help="Round almost right angles."),
@@ -189,15 +186,15 @@ def equations(
         raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")
     known, most = _known(zeros, zero), max_terms or MAX_TERMS
     if against is not None:
-        if what or numbers or out is not None or as_json:
+        if what or out is not None or as_json:
             raise typer.BadParameter(
-                "--against compares and writes nothing: leave --what, --numbers, --out, --json out"
+                "--against compares and writes nothing: leave --what, --out, --json out"
             )
         _compare(tree, against, form, gravity, known, most)
     wanted = what or [_What.joint_forces]
     names = list(KINDS) if _What.all in wanted else [each.value for each in wanted]
     with output.Progress("deriving"):
-        listing = derived(tree, names, form.value, gravity, known, numbers, most)
+        listing = derived(tree, names, form.value, gravity, known, most)
         text = write_equations(
             listing, language.value, f"{model.name}, SHA-256 {fingerprint(model)[:16]}"
         )

@@ -38,7 +38,7 @@ from testbed.equations.expression import (
     of,
 )
 from testbed.equations.polynomial import Ring
-from testbed.equations.program import Program, literal, recursive, with_numbers
+from testbed.equations.program import Program, literal, recursive
 from testbed.equations.robot import (
     Parameter,
     Robot,
@@ -305,7 +305,6 @@ def equations(
     form: Form = "full",
     gravity: ArrayLike | None = None,
     zeros: bool | Sequence[str] = False,
-    numbers: bool = False,
     max_terms: int = MAX_TERMS,
 ) -> Listing:
     """Literal equations of a robot.
@@ -318,7 +317,6 @@ def equations(
         gravity: (3,) [m/s^2], bedplate frame; default the model file's.
         zeros: Barycentric parameters known to be zero: True for those that are zero in the
             model file, or a list of names.
-        numbers: Whether lengths and gravity are written as numbers.
         max_terms: How many terms may be written, those on the way to the equations included.
 
     Raises:
@@ -333,7 +331,7 @@ def equations(
         raise UnknownName("form", form, FORMS)
     budget = Budget(max_terms, "" if form == "recursive" else SHORTER)
     weight, known_zero = tree.gravity_or(gravity), known_zeros(tree, zeros)
-    builder = _Builder(tree, form, weight, known_zero, zeros, numbers, budget)
+    builder = _Builder(tree, form, weight, known_zero, zeros, budget)
     robot = builder.robot
     with _no_garbage_collection():
         results = tuple(builder.build(KINDS[name]) for name in dict.fromkeys(what))
@@ -342,7 +340,7 @@ def equations(
         tree=tree,
         form=form,
         gravity=weight,
-        constants={} if numbers else robot.values,
+        constants=robot.values,
         minimal=builder.minimal,
         known_zero=known_zero,
         definitions=tuple(meanings),
@@ -359,7 +357,6 @@ class _Builder:
     gravity: Array
     known_zero: AnyArray
     zeros: bool | Sequence[str]
-    numbers: bool
     budget: Budget
 
     def __post_init__(self) -> None:
@@ -380,8 +377,6 @@ class _Builder:
             if kind.name == "joint-forces":
                 results = self._by_reference(results)
             program = literal(results)
-        if self.numbers:
-            program = with_numbers(program, self.robot.values)
         rows = 6 if kind.model == "reaction" else self.tree.n
         shape: tuple[int, ...] = (rows,)
         if kind.is_regressor or kind.name == "mass-matrix":

@@ -11,6 +11,7 @@ groups are expanded. Numbers are integers and binary fractions.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from itertools import product as choices
 from math import prod
 from typing import TypeAlias
@@ -68,19 +69,22 @@ class Waves:
         return found
 
     def tone(self, kind: int, angle: Sequence[tuple[int, Number]]) -> Mixture:
-        """Cosine or sine of a sum of angles, as a mixture of waves."""
+        """Cosine or sine of a sum of angles, as a mixture of waves: part of exp(i angle)."""
         parts: dict[int, list[tuple[int, Number]]] = {}
         for atom, times in sorted(angle):
             parts.setdefault(self.group.get(atom, -1 - atom), []).append((atom, times))
-        cosines: dict[int, float] = {0: 1.0}
-        sines: dict[int, float] = {}
-        for group, part in parts.items():  # cos(a + b) and sin(a + b)
-            c, s = self._single(group, COSINE, tuple(part)), self._single(group, SINE, tuple(part))
-            cosines, sines = (
-                self._added(self._times(cosines, c), self._times(sines, s), -1.0),
-                self._added(self._times(sines, c), self._times(cosines, s), 1.0),
-            )
-        return tuple((sines if kind else cosines).items())
+        total: dict[int, complex] = {0: 1.0}
+        for group, part in parts.items():
+            sign, sine = _normal(group, SINE, tuple(part))
+            _, cosine = _normal(group, COSINE, tuple(part))
+            factor = {self.number(cosine): 1.0, self.number(sine): 1j * sign}
+            products: dict[int, complex] = {}
+            for (x, u), (y, v) in choices(total.items(), factor.items()):
+                for wave, weight in self.product(x, y):
+                    products[wave] = products.get(wave, 0.0) + u * v * weight
+            total = products
+        weights = {wave: (w.imag if kind == SINE else w.real) for wave, w in total.items()}
+        return tuple((wave, weight) for wave, weight in weights.items() if weight)
 
     def product(self, a: int, b: int) -> Mixture:
         """Two waves multiplied."""
@@ -109,37 +113,16 @@ class Waves:
                 mixture[wave] = mixture.get(wave, 0.0) + weight
         return tuple((wave, weight) for wave, weight in mixture.items() if weight)
 
-    def _single(self, group: int, kind: int, index: Index) -> dict[int, float]:
-        sign, wave = _normal(group, kind, index)
-        return {self.number(wave): sign} if sign else {}
-
-    def _times(self, a: dict[int, float], b: dict[int, float]) -> dict[int, float]:
-        result: dict[int, float] = {}
-        for x, u in a.items():
-            for y, v in b.items():
-                for wave, weight in self.product(x, y):
-                    result[wave] = result.get(wave, 0.0) + u * v * weight
-        return result
-
-    def _added(self, a: dict[int, float], b: dict[int, float], sign: float) -> dict[int, float]:
-        result = dict(a)
-        for wave, weight in b.items():
-            result[wave] = result.get(wave, 0.0) + sign * weight
-        return {wave: weight for wave, weight in result.items() if weight}
-
 
 def _in_group(group: int, one: Tone, two: Tone) -> list[tuple[Wave, float]]:
     """The product of two tones of one group as a sum of two."""
-    difference, total = combine(one[2], two[2], -1), combine(one[2], two[2], 1)
-    kinds = (one[1], two[1])
-    if kinds == (COSINE, COSINE):
-        parts = [(COSINE, difference, 0.5), (COSINE, total, 0.5)]
-    elif kinds == (SINE, SINE):
-        parts = [(COSINE, difference, 0.5), (COSINE, total, -0.5)]
-    else:  # sin a cos b = (sin(a + b) + sin(a - b)) / 2
-        parts = [(SINE, total, 0.5), (SINE, difference, 0.5 if kinds == (SINE, COSINE) else -0.5)]
+    kind = SINE if one[1] != two[1] else COSINE
+    parts = (
+        (combine(one[2], two[2], -1), -0.5 if one[1] < two[1] else 0.5),
+        (combine(one[2], two[2], 1), -0.5 if one[1] and two[1] else 0.5),
+    )
     options = []
-    for kind, index, weight in parts:
+    for index, weight in parts:
         sign, wave = _normal(group, kind, index)
         options.append((wave, sign * weight))
     return options
@@ -168,6 +151,7 @@ def positive(index: Index) -> tuple[int, Index]:
     return 1, index
 
 
+@dataclass(frozen=True)
 class Polynomial:
     """A sum of monomials times waves.
 
@@ -176,12 +160,8 @@ class Polynomial:
         degree: Bound on the degree.
     """
 
-    __slots__ = ("degree", "parts")
-
-    def __init__(self, parts: dict[int, dict[int, Number]], degree: int) -> None:
-        """Args: parts: As the attribute. degree: As the attribute."""
-        self.parts = parts
-        self.degree = degree
+    parts: dict[int, dict[int, Number]]
+    degree: int
 
     @property
     def size(self) -> int:
@@ -236,23 +216,16 @@ class Ring:
         total: dict[int, dict[int, Number]] = {}
         degree = 0
         for factors, size in expression(value).terms:
-            monomial, plain = 0, 0
-            product = Polynomial({0: {0: size}}, 0)
+            symbols = [self._monomial(factor) for factor in factors if factor.content is None]
+            product = Polynomial({0: {sum(symbols): size}}, len(symbols))
             for factor in factors:
-                if factor.content is None:
-                    monomial += self._monomial(factor)
-                    plain += 1
-                else:
+                if factor.content is not None:
                     product = self.multiply(product, self._factor(factor))
-            degree = max(degree, product.degree + plain)
+            degree = max(degree, product.degree)
             for wave, part in product.parts.items():
-                if not monomial and wave not in total:
-                    total[wave] = part
-                    continue
                 into = total.setdefault(wave, {})
-                for exponents, each in part.items():
-                    key = exponents + monomial
-                    into[key] = into.get(key, 0) + each
+                for monomial, each in part.items():
+                    into[monomial] = into.get(monomial, 0) + each
         return self._clean(total, degree)
 
     def multiply(self, a: Polynomial, b: Polynomial) -> Polynomial:

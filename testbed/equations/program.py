@@ -24,13 +24,11 @@ from testbed.equations.expression import (
     collect,
     depth_first,
     exact,
-    number,
     of,
     substitute,
 )
 
 Step: TypeAlias = tuple[Factor, Expression]
-Values: TypeAlias = Mapping[Factor, float]
 SNAP = 4e-15
 """Relative distance from a fraction of 64 within which a number of the geometry is one."""
 
@@ -116,36 +114,6 @@ def literal(results: Mapping[Factor, Expression]) -> Program:
         results: What is asked for, by name, multiplied out; may refer to one another.
     """
     return _program(Assignments(results), named=False)
-
-
-def with_numbers(program: Program, values: Values) -> Program:
-    """The program with numbers in the place of constants.
-
-    Args:
-        program: Any.
-        values: The constants.
-    """
-    known = dict(values)
-    once = []
-    for name, value in program.once:
-        value = with_values(value, known)
-        if all(not factors for factors, _ in value.terms):
-            known[name] = float(value.terms[0][1]) if value.terms else 0.0
-        else:
-            once.append((name, value))
-    steps = [(name, with_values(value, known)) for name, value in program.steps]
-    return Program(tuple(once), tuple(steps), program.results)
-
-
-def with_values(value: Expression, known: Values) -> Expression:
-    """The expression with numbers for some of its factors, in its brackets too."""
-
-    def meaning(factor: Factor) -> Expression | None:
-        if factor.nature is Nature.BRACKET and factor.content is not None:
-            return with_values(factor.content, known)
-        return number(known[factor]) if factor in known else None
-
-    return substitute(value, meaning)
 
 
 def _program(sheet: Assignments, named: bool) -> Program:
