@@ -188,6 +188,8 @@ def _right_side(text: str, names: Mapping[str, Expression], budget: Budget) -> E
         return _value(ast.parse(f"{summands},", mode="eval").body, names, budget)
     except SyntaxError as error:
         raise ExpressionError(f"'{text.strip()[:40]}' cannot be read: {error.msg}") from None
+    except ZeroDivisionError:
+        raise ExpressionError("a division by zero") from None
     except (RecursionError, MemoryError):
         raise ExpressionError("factors, signs or brackets are nested too deeply") from None
 
@@ -206,33 +208,27 @@ def _value(node: ast.AST, names: Mapping[str, Expression], budget: Budget) -> Ex
             value = _value(operand, names, budget)
             return -value if isinstance(sign, ast.USub) else value
         case ast.BinOp(left=left, op=ast.Mult(), right=right):
-            a, b = _value(left, names, budget), _value(right, names, budget)
-            budget.multiply(len(a.terms) + len(b.terms))  # a sum becomes a bracket
-            return expression(a * b)
-        case ast.BinOp(
-            left=left, op=ast.Div(), right=ast.Constant(value=float() | int() as size)
-        ) if size:
-            value = _value(left, names, budget)
-            budget.multiply(len(value.terms))
-            return value / size
-        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int(exponent))) if (
-            1 <= exponent <= MAX_EXPONENT
-        ):
-            value = _value(left, names, budget)
-            budget.multiply(exponent * len(value.terms))
-            return expression(prod([value] * exponent))
-        case ast.Constant(value=float() | int() as size) if not isinstance(size, bool):
-            return number(size)
-        case ast.Name(id=name) if name in names:
-            return names[name]
-        case ast.Name(id=name) if _WAVE.fullmatch(name):
-            return _wave(name, names)
+            factors = [_value(left, names, budget), _value(right, names, budget)]
+        case ast.BinOp(left=left, op=ast.Div(), right=right):
+            return _value(left, names, budget) / _number(right)
+        case ast.BinOp(left=left, op=ast.Pow(), right=right):
+            exponent = _number(right)
+            if exponent not in range(1, MAX_EXPONENT + 1):
+                raise ExpressionError(f"an exponent is a number from 1 to {MAX_EXPONENT}")
+            factors = [_value(left, names, budget)] * int(exponent)
         case ast.Name(id=name):
-            raise UnknownName("name", name, names)
-    raise ExpressionError(
-        f"'{ast.unparse(node)[:40]}' is no sum, product, quotient by a number, or power up to "
-        f"{MAX_EXPONENT}"
-    )
+            return names[name] if name in names else _wave(name, names)
+        case _:
+            return number(_number(node))
+    budget.multiply(sum(len(factor.terms) for factor in factors))  # a sum becomes a bracket
+    return expression(prod(factors))
+
+
+def _number(node: ast.AST) -> float:
+    """Number of a leaf of a syntax tree."""
+    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        return node.value
+    raise ExpressionError(f"'{ast.unparse(node)[:40]}' is no sum, product, power or number")
 
 
 def _wave(name: str, names: Mapping[str, Expression]) -> Expression:
@@ -241,6 +237,8 @@ def _wave(name: str, names: Mapping[str, Expression]) -> Expression:
     Raises:
         UnknownName: There is no such joint.
     """
+    if not _WAVE.fullmatch(name):
+        raise UnknownName("name", name, names)
     label = name[1:]
     angle = ZERO
     for part in label.strip("_").split("_") if "_" in label else label:
