@@ -238,47 +238,37 @@ class Assignments:
 
     def unify(self) -> None:
         """One line for all that are equal or opposite; none for those that only rename."""
-        while True:
-            first: dict[tuple[tuple[Factors, Number], ...], tuple[Factor, int]] = {}
-            other: dict[Factor, tuple[Factor, Number]] = {}
-            nothing = {name for name, line in self.lines.items() if not line} - set(self.results)
+        while other := self._superfluous():
+
+            def meaning(factor: Factor) -> Expression | None:
+                value = other.get(factor)
+                return substitute(value, meaning) if value else value
+
+            for name in other:
+                del self.lines[name]
+            self._fixed.clear()
             for name, line in self.lines.items():
-                if name in self.results or not line:
-                    continue
-                terms = collect(line.items()).terms
-                factors, number = terms[0]
-                if len(terms) == 1 and len(factors) == 1 and abs(number) == 1:
-                    other[name] = (factors[0], number)
-                    continue
-                sign = 1 if number > 0 else -1
-                key = tuple((each, value * sign) for each, value in terms)
-                found, its = first.setdefault(key, (name, sign))
-                if found is not name:
-                    other[name] = (found, sign * its)
-            if not other and not nothing:
-                break
-            self._rename(other, nothing)
+                if any(factor in other for factors in line for factor in factors):
+                    self.lines[name] = dict(substitute(collect(line.items()), meaning).terms)
         needed = set(depth_first(self.results, self.needs))
         self.lines = {name: line for name, line in self.lines.items() if name in needed}
 
-    def _rename(self, other: dict[Factor, tuple[Factor, Number]], nothing: set[Factor]) -> None:
-        """Put other lines' names in the place of some, and zero in the place of `nothing`."""
-        for name in (*other, *nothing):
-            del self.lines[name]
-        self._fixed.clear()
+    def _superfluous(self) -> dict[Factor, Expression]:
+        """Lines that are zero, another name for a factor, or another line up to its sign."""
+        first: dict[Expression, tuple[Factor, int]] = {}
+        other: dict[Factor, Expression] = {}
         for name, line in self.lines.items():
-            if any(f in other or f in nothing for factors in line for f in factors):
-                terms = []
-                for factors, number in line.items():
-                    renamed = []
-                    for factor in factors:
-                        while factor in other:
-                            factor, sign = other[factor]
-                            number *= sign
-                        renamed.append(factor)
-                    if nothing.isdisjoint(renamed):
-                        terms.append((_ordered(renamed), number))
-                self.lines[name] = dict(collect(terms).terms)
+            if name in self.results:
+                continue
+            value = collect(line.items())
+            if not value or cost(value) == (0, 0):
+                other[name] = value
+                continue
+            sign = 1 if value.terms[0][1] > 0 else -1
+            found, its = first.setdefault(value * sign, (name, sign))
+            if found is not name:
+                other[name] = of(found) * (sign * its)
+        return other
 
     def gather_fixed(self) -> None:
         """Several fixed factors of a term, or one with a number, become one."""
