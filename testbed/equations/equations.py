@@ -97,7 +97,7 @@ def auxiliary(name: str, value: Any) -> Any:
         fixed = all(f.nature in (Nature.PARAMETER, Nature.CONSTANT) for f in factors)
         if fixed or (len(factors) <= 1 and abs(size) == 1):
             return value
-    return of(Factor(Nature.AUXILIARY, name, value))
+    return of(Factor.of(Nature.AUXILIARY, name, value))
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +188,7 @@ def _of_joints(letter: str, forces: AnyArray) -> Content:
 
 
 def _name(name: str) -> Factor:
-    return Factor(Nature.AUXILIARY, name)
+    return Factor.of(Nature.AUXILIARY, name)
 
 
 @dataclass(frozen=True)

@@ -238,7 +238,7 @@ class Ring:
         """The number of an angle: the monomial, or a symbol made for what has waves in it."""
         if not wave:
             return monomial
-        return self._monomial(Factor(Nature.CONSTANT, f"angle {wave} {monomial}"))
+        return self._monomial(Factor.of(Nature.CONSTANT, f"angle {wave} {monomial}"))
 
     def _product(self, a: Wave, b: Wave) -> Mixture:
         """Two waves multiplied."""

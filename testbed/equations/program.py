@@ -135,7 +135,7 @@ def _program(sheet: Assignments, named: bool) -> Program:
             if not own:
                 numbers[letter] += 1
                 label = f"{letter}{numbers[letter]}"
-            shown = Factor(Nature.AUXILIARY, label)
+            shown = Factor.of(Nature.AUXILIARY, label)
             made[name] = of(shown)
             (once if sheet.fixed(name) else steps).append((shown, value))
         else:
@@ -157,8 +157,8 @@ def leaves(value: Expression) -> Iterator[Factor]:
     """Every factor of an expression and of its brackets."""
     for factors, _ in value.terms:
         for factor in factors:
-            if factor.nature is Nature.BRACKET and factor.content is not None:
-                yield from leaves(factor.content)
+            if factor.inside:
+                yield from leaves(factor.inside)
             else:
                 yield factor
 
@@ -169,8 +169,8 @@ def cost(value: Expression) -> tuple[int, int]:
     for factors, size in value.terms:
         products += len(factors) - 1 + (abs(size) != 1) if factors else 0
         for factor in factors:
-            if factor.nature is Nature.BRACKET and factor.content is not None:
-                inner = cost(factor.content)
+            if factor.inside:
+                inner = cost(factor.inside)
                 products, sums = products + inner[0], sums + inner[1]
     return products, sums
 
@@ -232,7 +232,7 @@ class Assignments:
     def new(self, line: Line) -> Factor:
         """A new line, and its name."""
         self._made += 1
-        name = Factor(Nature.AUXILIARY, f"_{self._made}")
+        name = Factor.of(Nature.AUXILIARY, f"_{self._made}")
         self.lines[name] = line
         return name
 

@@ -95,8 +95,8 @@ def _product(factors: list[Factor], style: Style) -> list[str]:
 
 
 def _factor(factor: Factor, style: Style) -> str:
-    if factor.nature is Nature.BRACKET and factor.content is not None:
-        return f"({' '.join(terms(factor.content, style))})"
+    if factor.inside:
+        return f"({' '.join(terms(factor.inside, style))})"
     return style.name(factor)
 
 
