@@ -6,13 +6,12 @@ sines and cosines; then the auxiliary variables; then the results.
 
 from __future__ import annotations
 
-import heapq
-from collections import Counter, defaultdict
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Set
+from collections import Counter
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from typing import Generic, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 from testbed.equations.expression import (
     Expression,
@@ -209,7 +208,6 @@ class Assignments:
         self.take_factors_out()
         self.gather_fixed()
         self.share_products()
-        self.share_sums()
 
     def fixed(self, factor: Factor) -> bool:
         """Whether a factor depends on parameters and constants alone."""
@@ -289,70 +287,34 @@ class Assignments:
 
     def share_products(self) -> None:
         """Two factors that stand together in several terms become one, the most frequent first."""
-        pairs: Pairs[tuple[Factor, Factors], tuple[Factor, Factor]] = Pairs()
-        for name, line in self.lines.items():
-            if not self.fixed(name):
-                for factors in line:
-                    pairs.add((name, factors), combinations(factors, 2))
-        while (found := pairs.most_frequent()) is not None:
-            pair, places = found
-            home = next((n for n, factors in places if self._is_all(n, {factors: 1}, pair)), None)
-            sign: Number = 1 if home is None else self.lines[home][pair]
-            new = home or self.new({pair: 1})
-            for name, factors in places:
-                if name is home:
-                    continue
-                line = self.lines[name]
-                number = line.pop(factors)
-                pairs.remove((name, factors), combinations(factors, 2))
+        while True:
+            places: dict[tuple[Factor, Factor], dict[tuple[Factor, Factors], None]] = {}
+            for name, line in self.lines.items():
+                for factors in () if self.fixed(name) else line:
+                    for pair in combinations(factors, 2):
+                        places.setdefault(pair, {})[name, factors] = None
+            common = [pair for pair, found in places.items() if len(found) > 1]
+            if not common:
+                break
+            for pair in sorted(common, key=lambda pair: -len(places[pair])):
+                self._share(pair, [(n, each) for n, each in places[pair] if each in self.lines[n]])
+        self.unify()
+
+    def _share(self, pair: tuple[Factor, Factor], places: list[tuple[Factor, Factors]]) -> None:
+        """A line for a pair of factors, where it still stands in several places."""
+        if len(places) < 2:
+            return
+        alone = ({pair: 1}, {pair: -1})
+        own = (n for n, _ in places if self.lines[n] in alone and n not in self.results)
+        new = next(own, None) or self.new({pair: 1})
+        sign = self.lines[new][pair]
+        for name, factors in places:
+            if name is not new:
                 rest = list(factors)
                 rest.remove(pair[0])
                 rest.remove(pair[1])
-                merged = _ordered([*rest, new])
-                _add(line, merged, number * sign)
-                if merged in line:
-                    pairs.add((name, merged), combinations(merged, 2))
-        self.unify()
-
-    def share_sums(self) -> None:
-        """Two terms that stand together in several sums become one, the most frequent first."""
-        pairs: Pairs[Factor, tuple[Factors, Factors, Number]] = Pairs()
-        for name, line in self._short_sums().items():
-            pairs.add(name, _ratios(line))
-        while (found := pairs.most_frequent()) is not None:
-            (a, b, ratio), places = found
-            home = next((n for n in places if self._is_all(n, {a: 1, b: ratio}, a)), None)
-            sign: Number = 1 if home is None else self.lines[home][a]
-            new = home or self.new({a: 1, b: ratio})
-            for name in places:
-                if name is home:
-                    continue
-                line = self.lines[name]
-                pairs.remove(name, _ratios(line, {a, b, (new,)}))
-                number = line.pop(a)
-                del line[b]
-                _add(line, (new,), number * sign)
-                pairs.add(name, _ratios(line, {(new,)}))
-        self.unify()
-
-    def _short_sums(self) -> dict[Factor, Line]:
-        """The sums whose pairs of terms are few enough together; the longest ones are left out."""
-        sums = {name: line for name, line in self.lines.items() if not self.fixed(name)}
-        longest = 0
-        room = MOST_PAIRS
-        for length, count in sorted(Counter(map(len, sums.values())).items()):
-            room -= count * length * length
-            if room < 0:
-                break
-            longest = length
-        return {name: line for name, line in sums.items() if len(line) <= longest}
-
-    def _is_all(self, name: Factor, whole: Line, first: Factors) -> bool:
-        """Whether a line consists of these terms, up to its sign."""
-        line = self.lines[name]
-        if name in self.results or line.keys() != whole.keys() or first not in line:
-            return False
-        return abs(line[first]) == 1
+                number = self.lines[name].pop(factors)
+                _add(self.lines[name], _ordered([*rest, new]), number * sign)
 
     def take_factors_out(self) -> None:
         """A factor that several terms of a sum share leaves them in brackets."""
@@ -378,52 +340,6 @@ class Assignments:
             if saved > most:
                 best, most = factor, saved
         return best
-
-
-class Pairs(Generic[Place, Pair]):
-    """Which pairs stand where; the one that stands in the most places."""
-
-    def __init__(self) -> None:
-        self._places: dict[Pair, dict[Place, None]] = defaultdict(dict)
-        self._serial: dict[Pair, int] = {}
-        self._heap: list[tuple[int, int, Pair]] = []
-
-    def add(self, place: Place, pairs: Iterable[Pair]) -> None:
-        """Pairs that stand in a place."""
-        for pair in dict.fromkeys(pairs):
-            places = self._places[pair]
-            places[place] = None
-            if len(places) > 1:
-                serial = self._serial.setdefault(pair, len(self._serial))
-                heapq.heappush(self._heap, (-len(places), serial, pair))
-
-    def remove(self, place: Place, pairs: Iterable[Pair]) -> None:
-        """Pairs that stand there no more."""
-        for pair in dict.fromkeys(pairs):
-            self._places[pair].pop(place, None)
-
-    def most_frequent(self) -> tuple[Pair, list[Place]] | None:
-        """The pair in the most places, once; None if all stand in one place only."""
-        while self._heap:
-            count, _, pair = heapq.heappop(self._heap)
-            places = self._places[pair]
-            if len(places) == -count and count < -1:
-                return pair, list(places)
-        return None
-
-
-def _ratios(line: Line, some: Set[Factors] | None = None) -> list[tuple[Factors, Factors, Number]]:
-    """Every pair of terms, or those with one among some, with the ratio of their numbers."""
-    terms = collect(line.items()).terms
-    if some is None:
-        return [(a, b, v / u) for (a, u), (b, v) in combinations(terms, 2)]
-    places = [k for k, (factors, _) in enumerate(terms) if factors in some]
-    pairs = {(min(k, other), max(k, other)) for k in places for other in range(len(terms))}
-    return [
-        (terms[k][0], terms[other][0], terms[other][1] / terms[k][1])
-        for k, other in sorted(pairs)
-        if k != other
-    ]
 
 
 def _add(line: Line, factors: Factors, number: Number) -> None:

@@ -9,12 +9,11 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from testbed.equations.equations import Equations, Listing
 from testbed.equations.expression import Expression, Factor, Nature, Number, Term
-from testbed.equations.program import Program, leaves
 from testbed.equations.robot import almost_right
 
 WIDTH = 96
@@ -43,14 +42,9 @@ class Style:
     power: Callable[[str, int], str] | None = None
 
 
-def own_name(factor: Factor) -> str:
-    """The factor's own name."""
-    return factor.name
-
-
 def decimal(value: Number) -> str:
-    """A number that reads back as the same."""
-    return repr(value)
+    """A number with a decimal point, that reads back as the same."""
+    return repr(float(value))
 
 
 def fraction(value: Number) -> str:
@@ -58,6 +52,10 @@ def fraction(value: Number) -> str:
     if isinstance(value, float) and value == (near := Fraction(value)) and near.denominator <= 64:
         return str(near)
     return repr(value)
+
+
+PROGRAMS = Style(lambda factor: factor.name, decimal, plus_first=True)
+"""How Python and C write terms."""
 
 
 def terms(value: Expression, style: Style) -> list[str]:
@@ -179,7 +177,7 @@ def function_name(each: Equations) -> str:
     return each.kind.name.replace("-", "_")
 
 
-def inputs(each: Equations, style: Style) -> Iterator[tuple[str, str]]:
+def inputs(each: Equations) -> Iterator[tuple[str, str]]:
     """Names and where they come from: qp1 from qp[0], K3d from delta_d[2] / 2, S2 from sin(q2)."""
     program = each.program
     for symbol in program.symbols:
@@ -189,27 +187,18 @@ def inputs(each: Equations, style: Style) -> Iterator[tuple[str, str]]:
     used = set(program.symbols)
     for k, parameter in enumerate(each.parameters):
         if parameter.symbol is not None and parameter.symbol in used:
-            divided = f" / {style.number(parameter.times)}" if parameter.times != 1 else ""
+            divided = f" / {parameter.times}" if parameter.times != 1 else ""
             yield parameter.symbol.name, f"{each.vector}[{k}]{divided}"
     for wave in program.waves:
         if wave.content is not None:
             function = "cos" if wave.nature is Nature.COSINE else "sin"
-            yield wave.name, f"{function}({' '.join(terms(wave.content, style))})"
+            yield wave.name, f"{function}({' '.join(terms(wave.content, PROGRAMS))})"
 
 
-def references(each: Equations) -> set[Factor]:
-    """Results that other lines refer to."""
-    factors = (f for _, value in each.program.steps for f in leaves(value))
-    return {factor for factor in factors if factor in each.places}
-
-
-def last_uses(program: Program) -> dict[Factor, list[str]]:
-    """After which line which auxiliary variables are needed no more."""
-    last: dict[Factor, Factor] = {}
-    made = {name for name, _ in program.steps} - program.results
-    for name, value in program.steps:
-        last |= dict.fromkeys((f for f in leaves(value) if f in made), name)
-    done: dict[Factor, list[str]] = {}
-    for factor, name in last.items():
-        done.setdefault(name, []).append(factor.name)
-    return done
+def assignments(each: Equations) -> Iterator[tuple[str, list[str]]]:
+    """Name and terms of each line of a program; results as result[0] or result[0][1]."""
+    places = {name: "".join(f"[{k}]" for k in place) for name, place in each.places.items()}
+    names = {name: f"result{place}" for name, place in places.items()}
+    style = replace(PROGRAMS, name=lambda factor: names.get(factor, factor.name))
+    for label, value in each.program.lines:
+        yield names.get(label, label.name), terms(value, style)
