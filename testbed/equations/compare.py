@@ -22,6 +22,7 @@ from testbed.equations.expression import (
     ZERO,
     Budget,
     Expression,
+    Number,
     Term,
     collect,
     cosine,
@@ -210,7 +211,8 @@ def _value(node: ast.AST, names: Mapping[str, Expression], budget: Budget) -> Ex
         case ast.BinOp(left=left, op=ast.Mult(), right=right):
             factors = [_value(left, names, budget), _value(right, names, budget)]
         case ast.BinOp(left=left, op=ast.Div(), right=right):
-            return _value(left, names, budget) / _number(right)
+            value = _value(left, names, budget)
+            return value / _number(right)
         case ast.BinOp(left=left, op=ast.Pow(), right=right):
             exponent = _number(right)
             if exponent not in range(1, MAX_EXPONENT + 1):
@@ -224,10 +226,11 @@ def _value(node: ast.AST, names: Mapping[str, Expression], budget: Budget) -> Ex
     return expression(prod(factors))
 
 
-def _number(node: ast.AST) -> float:
+def _number(node: ast.AST) -> Number:
     """Number of a leaf of a syntax tree."""
-    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
-        return node.value
+    match node:
+        case ast.Constant(value=float() | int() as size) if not isinstance(size, bool):
+            return size
     raise ExpressionError(f"'{ast.unparse(node)[:40]}' is no sum, product, power or number")
 
 

@@ -52,9 +52,9 @@ def _paired(terms: Terms, group: int, natural: frozenset[Index]) -> Terms:
     """Terms with pairs of tones of one group as products."""
     alike: dict[Key, dict[Shape, Number]] = {}
     for (monomial, shapes), number in terms.items():
-        others = dict(shapes)
-        shape = others.pop(group, ())
-        alike.setdefault((monomial, tuple(others.items())), {})[shape] = number
+        rest = dict(shapes)
+        shape = rest.pop(group, ())
+        alike.setdefault((monomial, tuple(rest.items())), {})[shape] = number
     found: Terms = {}
     for (monomial, others), tones in alike.items():
         for shape, number in _products(tones, natural).items():
