@@ -11,9 +11,7 @@ Names     w3x, W3xy, F3x of body 3; of many columns F3x_7
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, TypeAlias
@@ -74,11 +72,11 @@ def named_components(budget: Budget, mark: str, name: str, value: AnyArray) -> A
     kept = np.empty(value.shape, dtype=object)
     for place in np.ndindex(value.shape):
         one = value.item(place)
-        if value.ndim == 1 or name.startswith("W"):
-            component = name + "".join("xyz"[index] for index in place)
-        else:
-            column = f"_{place[1] + 1}" if value.shape[1] > 1 else ""
-            component = name + "xyz"[place[0]] + column
+        component = name + "xyz"[place[0]]
+        if name.startswith("W"):
+            component += "xyz"[place[1]]
+        elif value.size > 3:
+            component += f"_{place[1] + 1}"
         kept[place] = auxiliary(component + mark, one)
         if isinstance(one, Expression):
             budget.write(len(one.terms))
@@ -90,12 +88,12 @@ def auxiliary(name: str, value: Any) -> Any:
 
     Products of parameters and lengths without a name can cancel.
     """
-    if not isinstance(value, Expression) or len(value.terms) < 1:
+    if not isinstance(value, Expression) or not value:
         return value
-    factors, size = value.terms[0]
     if len(value.terms) == 1:
+        ((factors, size),) = value.terms
         fixed = all(f.nature in (Nature.PARAMETER, Nature.CONSTANT) for f in factors)
-        if fixed or (len(factors) <= 1 and abs(size) == 1):
+        if fixed or (len(factors) == 1 and abs(size) == 1):
             return value
     return of(Factor.of(Nature.AUXILIARY, name, value))
 
@@ -160,14 +158,11 @@ def _by_column(values: AnyArray, rows: Sequence[str], names: Sequence[str]) -> C
 def _mass_matrix(recursion: Recursion) -> Content:
     """Column by column: the joint forces of unit accelerations, on the chain to the base."""
     n = recursion.robot.n
-    weightless = replace(recursion.robot, gravity=np.zeros(3, dtype=object))
-    recursion = replace(recursion, robot=weightless)
-    split = "_" if n > 9 else ""
     still = np.zeros(n, dtype=object)
-    for j in range(n):
-        unit = np.zeros(n, dtype=object)
-        unit[j] = 1
-        forces, _ = recursion.run(still, unit, f"_{j + 1}")
+    weightless = replace(recursion.robot, gravity=np.zeros(3, dtype=object))
+    split = "_" if n > 9 else ""
+    for j, unit in enumerate(np.eye(n, dtype=int).astype(object)):
+        forces, _ = replace(recursion, robot=weightless).run(still, unit, f"_{j + 1}")
         for i in range(j + 1):
             name = _name(f"M{i + 1}{split}{j + 1}")
             yield name, ((i, j), forces[i, 0])
@@ -333,8 +328,7 @@ def equations(
     weight, known_zero = tree.gravity_or(gravity), known_zeros(tree, zeros)
     builder = _Builder(tree, form, weight, known_zero, zeros, budget)
     robot = builder.robot
-    with _no_garbage_collection():
-        results = tuple(builder.build(KINDS[name]) for name in dict.fromkeys(what))
+    results = tuple(builder.build(KINDS[name]) for name in dict.fromkeys(what))
     meanings = barycentric_definitions(tree, robot, known_zero, budget) if form == "full" else ()
     return Listing(
         tree=tree,
@@ -434,15 +428,3 @@ def expander(robot: Robot, budget: Budget) -> Callable[[Any], Expression]:
         return simplify(ring, polynomial, natural)
 
     return expand
-
-
-@contextmanager
-def _no_garbage_collection() -> Iterator[None]:
-    """Expressions have no cycles, and walking them costs a third."""
-    was = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was:
-            gc.enable()

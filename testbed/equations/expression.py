@@ -18,6 +18,7 @@ from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 from hashlib import blake2s
+from math import prod
 from typing import Any, TypeAlias
 from weakref import WeakValueDictionary
 
@@ -233,10 +234,9 @@ def substitute(value: Expression, meaning: Callable[[Factor], Expression | None]
         if all(part is None for part in parts):
             terms.append((factors, size))
             continue
-        product = number(size)
-        for factor, part in zip(factors, parts, strict=True):
-            product = expression(product * (of(factor) if part is None else part))
-        terms += product.terms
+        known = zip(factors, parts, strict=True)
+        product = (of(factor) if part is None else part for factor, part in known)
+        terms += expression(prod(product, start=number(size))).terms
     return collect(terms)
 
 
@@ -247,8 +247,8 @@ def bracket(inside: Expression) -> tuple[Factor, Number]:
     """
     first = inside.terms[0][1]
     sizes = {abs(value) for _, value in inside.terms}
-    out = (first if len(sizes) == 1 else 1 if first > 0 else -1) if inside.terms else 1
-    plain = inside if out == 1 else Expression(tuple((f, exact(c / out)) for f, c in inside.terms))
+    out = first if len(sizes) == 1 else 1 if first > 0 else -1
+    plain = inside / out
     name = f"({as_text(plain)})"
     if len(name) > LONGEST_NAME:
         name = f"{name[: LONGEST_NAME - 33]}~{blake2s(name.encode(), digest_size=16).hexdigest()}"

@@ -67,36 +67,30 @@ def _products(tones: dict[Shape, Number], natural: frozenset[Index]) -> dict[Sha
     """The tones of one term, pairs of them as products where that is shorter."""
     left = dict(sorted(tones.items()))
     found: dict[Shape, Number] = {}
-    for one in list(left):
-        partner = None
-        if one in left:
-            candidates = (two for two in left if two > one and abs(left[two]) == abs(left[one]))
-            partner = next(
-                ((two, made) for two in candidates if (made := _product(one, two, left, natural))),
-                None,
-            )
-        if partner:
-            two, (shape, number) = partner
-            del left[one], left[two]
-            found[shape] = found.get(shape, 0) + number
-    for shape, number in left.items():
-        shape, number = _halved(shape, number, natural)
-        found[shape] = found.get(shape, 0) + number
+    while left:
+        one = next(iter(left))
+        number = left.pop(one)
+        made = None
+        for two, other in left.items():
+            if abs(other) == abs(number):
+                made = _product(one, two, number, other, natural)
+            if made:
+                del left[two]
+                break
+        shape, size = made or _halved(one, number, natural)
+        found[shape] = found.get(shape, 0) + size
     return {shape: number for shape, number in found.items() if number}
 
 
 def _product(
-    one: Shape, two: Shape, numbers: dict[Shape, Number], natural: frozenset[Index]
+    one: Shape, two: Shape, size: Number, other: Number, natural: frozenset[Index]
 ) -> tuple[Shape, Number] | None:
     """Two tones of one kind and with numbers of one size as a product, if it is natural."""
-    (kind, u), (other, v) = _tone(one), _tone(two)
-    if kind != other or (kind == SINE and not (u and v)):
-        return None
+    (kind, u), (second, v) = _tone(one), _tone(two)
     half, rest = _half(combine(u, v, 1)), _half(combine(u, v, -1))
-    if half is None or rest is None:
+    if kind != second or half is None or rest is None or (kind == SINE and not (u and v)):
         return None
-    alike = (numbers[one] > 0) == (numbers[two] > 0)
-    size = 2 * numbers[one]
+    alike = (size > 0) == (other > 0)
     if kind == COSINE:  # cos u + cos v = 2 cos h cos r; cos u - cos v = -2 sin h sin r
         kinds = (COSINE, COSINE) if alike else (SINE, SINE)
         size = size if alike else -size
@@ -109,7 +103,7 @@ def _product(
             return None
         size = size * sign if each == SINE else size
         shape.append((each, angle))
-    return tuple(sorted(shape)), size
+    return tuple(sorted(shape)), 2 * size
 
 
 def _halved(shape: Shape, number: Number, natural: frozenset[Index]) -> tuple[Shape, Number]:

@@ -41,12 +41,9 @@ def _definitions(listing: Listing) -> list[str]:
     """What the barycentric parameters stand for, or the minimal ones are made of."""
     lines = []
     if listing.form == "full":
-        titles = ("Barycentric masses", "Barycentric moments", "Barycentric tensors")
-        for title, head in zip(titles, ("mbar", "mb", "K"), strict=True):
-            lines += ["", f"* {title}"]
-            for name, value in listing.definitions:
-                if name.rstrip("xyz0123456789") == head:
-                    lines += wrap(f"{name.replace('mbar', 'mm')} =", terms(value, STYLE), " ")
+        lines += ["", "* Barycentric masses, moments and tensors"]
+        for name, value in listing.definitions:
+            lines += wrap(f"{name.replace('mbar', 'mm')} =", terms(value, STYLE), " ")
     made = [f"* {line}" for line in definitions(listing)]
     return [*lines, "", *made] if made else lines
 
