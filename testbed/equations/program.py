@@ -7,13 +7,14 @@ sines and cosines; then the auxiliary variables; then the results.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from typing import TypeAlias, TypeVar
+from typing import TypeAlias
 
 from testbed.equations.expression import (
+    ZERO,
     Expression,
     Factor,
     Factors,
@@ -103,7 +104,7 @@ def recursive(results: Mapping[Factor, Expression]) -> Program:
     """
     sheet = Assignments(results)
     sheet.optimise()
-    return _program(sheet, named=True)
+    return _program(sheet)
 
 
 def literal(results: Mapping[Factor, Expression]) -> Program:
@@ -112,31 +113,30 @@ def literal(results: Mapping[Factor, Expression]) -> Program:
     Args:
         results: What is asked for, by name, multiplied out; may refer to one another.
     """
-    return _program(Assignments(results), named=False)
+    return _program(Assignments(results))
 
 
-def _program(sheet: Assignments, named: bool) -> Program:
+def _program(sheet: Assignments) -> Program:
     """Lines in order: brackets and products that serve once go where they are used."""
-    uses = Counter(f for line in sheet.lines.values() for factors in line for f in factors)
+    uses = Counter(f for line in sheet.lines.values() for factors, _ in line.terms for f in factors)
     made: dict[Factor, Expression] = {}  # what to write in the place of a line's name
     once: list[Step] = []
     steps: list[Step] = []
     numbers: Counter[str] = Counter()
     for name in depth_first(sheet.results, sheet.needs):
-        value = _snap(substitute(collect(sheet.lines[name].items()), made.get))
+        value = _snap(substitute(sheet.lines[name], made.get))
         own = name.nature is Nature.AUXILIARY and not name.name.startswith("_")
+        fixed = sheet.fixed(name)
         if name in sheet.results:
             made[name] = of(name) if value else value
             steps.append((name, value))
-        elif (own and named) or uses[name] > 1 or sheet.fixed(name):
-            letter = "k" if sheet.fixed(name) else "t"
-            label = name.name
-            if not own:
-                numbers[letter] += 1
-                label = f"{letter}{numbers[letter]}"
+        elif own or uses[name] > 1 or fixed:
+            letter = "k" if fixed else "t"
+            numbers[letter] += not own
+            label = name.name if own else f"{letter}{numbers[letter]}"
             shown = Factor.of(Nature.AUXILIARY, label)
             made[name] = of(shown)
-            (once if sheet.fixed(name) else steps).append((shown, value))
+            (once if fixed else steps).append((shown, value))
         else:
             made[name] = value
     return Program(tuple(once), tuple(steps), frozenset(sheet.results))
@@ -174,13 +174,6 @@ def cost(value: Expression) -> tuple[int, int]:
     return products, sums
 
 
-Line = dict[Factors, Number]
-Place = TypeVar("Place", bound=Hashable)
-Pair = TypeVar("Pair", bound=Hashable)
-MOST_PAIRS = 1_000_000
-"""Pairs of terms, each counted twice, among which common ones are looked for: some 200 MB."""
-
-
 class Assignments:
     """Sums under names, and among them the results.
 
@@ -191,14 +184,11 @@ class Assignments:
 
     def __init__(self, results: Mapping[Factor, Expression]) -> None:
         """Args: results: By name; what they refer to gets lines of its own."""
-        self.lines: dict[Factor, Line] = {}
+        self.lines = {each: each.content or ZERO for each in auxiliaries(results.values())}
+        self.lines |= results
         self.results = dict.fromkeys(results)
         self._fixed: dict[Factor, bool] = {}
         self._made = 0
-        for factor in auxiliaries(results.values()):
-            self.lines[factor] = dict(factor.content.terms if factor.content else ())
-        for name, value in results.items():
-            self.lines[name] = dict(value.terms)
 
     def optimise(self) -> None:
         """All that this module can do; more rounds of it were found to change nothing."""
@@ -211,27 +201,28 @@ class Assignments:
 
     def fixed(self, factor: Factor) -> bool:
         """Whether a factor depends on parameters and constants alone."""
-        known = self._fixed.get(factor)
-        if known is None:
-            if factor.content is None and factor not in self.lines:
+        if factor not in self._fixed:
+            value = self.lines.get(factor, factor.content)
+            if value is None:
                 known = factor.nature in (Nature.PARAMETER, Nature.CONSTANT)
             else:
-                line = self.lines.get(factor) or dict(
-                    factor.content.terms if factor.content else ()
-                )
-                known = all(self.fixed(part) for factors in line for part in factors)
+                known = all(self.fixed(part) for factors, _ in value.terms for part in factors)
             self._fixed[factor] = known
-        return known
+        return self._fixed[factor]
+
+    def variable_lines(self) -> list[Factor]:
+        """Names of the lines that are not fixed."""
+        return [name for name in self.lines if not self.fixed(name)]
 
     def needs(self, name: Factor) -> list[Factor]:
         """The lines that a line refers to."""
-        return [f for factors in self.lines[name] for f in factors if f in self.lines]
+        return [f for factors, _ in self.lines[name].terms for f in factors if f in self.lines]
 
-    def new(self, line: Line) -> Factor:
+    def new(self, value: Expression) -> Factor:
         """A new line, and its name."""
         self._made += 1
         name = Factor.of(Nature.AUXILIARY, f"_{self._made}")
-        self.lines[name] = line
+        self.lines[name] = value
         return name
 
     def unify(self) -> None:
@@ -242,24 +233,20 @@ class Assignments:
                 value = other.get(factor)
                 return substitute(value, meaning) if value else value
 
-            for name in other:
-                del self.lines[name]
+            left = {name: value for name, value in self.lines.items() if name not in other}
+            self.lines = {name: substitute(value, meaning) for name, value in left.items()}
             self._fixed.clear()
-            for name, line in self.lines.items():
-                if any(factor in other for factors in line for factor in factors):
-                    self.lines[name] = dict(substitute(collect(line.items()), meaning).terms)
         needed = set(depth_first(self.results, self.needs))
-        self.lines = {name: line for name, line in self.lines.items() if name in needed}
+        self.lines = {name: value for name, value in self.lines.items() if name in needed}
 
     def _superfluous(self) -> dict[Factor, Expression]:
         """Lines that are zero, another name for a factor, or another line up to its sign."""
         first: dict[Expression, tuple[Factor, int]] = {}
         other: dict[Factor, Expression] = {}
-        for name, line in self.lines.items():
+        for name, value in self.lines.items():
             if name in self.results:
                 continue
-            value = collect(line.items())
-            if not value or cost(value) == (0, 0):
+            if cost(value) == (0, 0):
                 other[name] = value
                 continue
             sign = 1 if value.terms[0][1] > 0 else -1
@@ -270,84 +257,76 @@ class Assignments:
 
     def gather_fixed(self) -> None:
         """Several fixed factors of a term, or one with a number, become one."""
-        made: dict[tuple[Factors, Number], Factor] = {}
-        for name in [name for name in self.lines if not self.fixed(name)]:
+        made: dict[Expression, Factor] = {}
+        for name in self.variable_lines():
             terms = []
-            for factors, weight in self.lines[name].items():
+            for factors, weight in self.lines[name].terms:
                 fixed = tuple(factor for factor in factors if self.fixed(factor))
                 if fixed and len(fixed) + (abs(weight) != 1) > 1:
-                    key = (fixed, abs(weight))
-                    if key not in made:
-                        made[key] = self.new({fixed: abs(weight)})
+                    product = Expression(((fixed, abs(weight)),))
+                    if product not in made:
+                        made[product] = self.new(product)
                     rest = [factor for factor in factors if factor not in fixed]
-                    factors, weight = _ordered([*rest, made[key]]), 1 if weight > 0 else -1
+                    factors, weight = _ordered([*rest, made[product]]), 1 if weight > 0 else -1
                 terms.append((factors, weight))
-            self.lines[name] = dict(collect(terms).terms)
+            self.lines[name] = collect(terms)
         self.unify()
 
     def share_products(self) -> None:
         """Two factors that stand together in several terms become one, the most frequent first."""
         while True:
             places: dict[tuple[Factor, Factor], dict[tuple[Factor, Factors], None]] = {}
-            for name, line in self.lines.items():
-                for factors in () if self.fixed(name) else line:
+            for name in self.variable_lines():
+                for factors, _ in self.lines[name].terms:
                     for pair in combinations(factors, 2):
                         places.setdefault(pair, {})[name, factors] = None
             common = [pair for pair, found in places.items() if len(found) > 1]
             if not common:
                 break
             for pair in sorted(common, key=lambda pair: -len(places[pair])):
-                self._share(pair, [(n, each) for n, each in places[pair] if each in self.lines[n]])
+                self._share(pair, places[pair])
         self.unify()
 
-    def _share(self, pair: tuple[Factor, Factor], places: list[tuple[Factor, Factors]]) -> None:
+    def _share(self, pair: tuple[Factor, Factor], places: Iterable[tuple[Factor, Factors]]) -> None:
         """A line for a pair of factors, where it still stands in several places."""
-        if len(places) < 2:
+        there = [(name, each) for name, each in places if each in dict(self.lines[name].terms)]
+        if len(there) < 2:
             return
-        alone = ({pair: 1}, {pair: -1})
-        own = (n for n, _ in places if self.lines[n] in alone and n not in self.results)
-        new = next(own, None) or self.new({pair: 1})
-        sign = self.lines[new][pair]
-        for name, factors in places:
+        alone = (Expression(((pair, 1),)), Expression(((pair, -1),)))
+        own = (n for n, _ in there if self.lines[n] in alone and n not in self.results)
+        new = next(own, None) or self.new(alone[0])
+        sign = self.lines[new].terms[0][1]
+        for name, factors in there:
             if name is not new:
-                rest = list(factors)
-                rest.remove(pair[0])
-                rest.remove(pair[1])
-                number = self.lines[name].pop(factors)
-                _add(self.lines[name], _ordered([*rest, new]), number * sign)
+                terms = dict(self.lines[name].terms)
+                size = terms.pop(factors)
+                rest = _without(_without(factors, pair[0]), pair[1])
+                shared = _ordered((*rest, new)), size * sign
+                self.lines[name] = collect([*terms.items(), shared])
 
     def take_factors_out(self) -> None:
         """A factor that several terms of a sum share leaves them in brackets."""
-        for name in [name for name in self.lines if not self.fixed(name)]:
+        for name in self.variable_lines():
             while (best := self._best_factor(self.lines[name])) is not None:
-                line = self.lines[name]
-                inner = {_without(fs, best): c for fs, c in line.items() if best in fs}
-                rest = {fs: c for fs, c in line.items() if best not in fs}
-                _add(rest, _ordered([best, self.new(inner)]), 1)
-                self.lines[name] = rest
+                terms = self.lines[name].terms
+                inner = collect((_without(each, best), c) for each, c in terms if best in each)
+                rest = [(each, c) for each, c in terms if best not in each]
+                self.lines[name] = collect([*rest, (_ordered((best, self.new(inner))), 1)])
         self.unify()
 
-    def _best_factor(self, line: Line) -> Factor | None:
+    def _best_factor(self, value: Expression) -> Factor | None:
         """The factor that saves the most operations, if any does."""
-        count = Counter(factor for factors in line for factor in dict.fromkeys(factors))
+        count = Counter(factor for factors, _ in value.terms for factor in dict.fromkeys(factors))
         best, most = None, (0, False)
         for factor, times in count.items():
             if times < 2:
                 continue
-            inner = [_without(factors, factor) for factors in line if factor in factors]
+            inner = [_without(each, factor) for each, _ in value.terms if factor in each]
             free = all(self.fixed(part) for factors in inner for part in factors)
             saved = ((times - 1) * (1 + free), self.fixed(factor))
             if saved > most:
                 best, most = factor, saved
         return best
-
-
-def _add(line: Line, factors: Factors, number: Number) -> None:
-    total = line.get(factors, 0) + number
-    if total:
-        line[factors] = total
-    else:
-        line.pop(factors, None)
 
 
 def _without(factors: Factors, one: Factor) -> Factors:
