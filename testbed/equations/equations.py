@@ -40,13 +40,11 @@ from testbed.equations.program import Program, literal, recursive
 from testbed.equations.robot import (
     Parameter,
     Robot,
-    all_parameters,
+    barycentric,
     barycentric_definitions,
-    columns,
     distinct,
     draw,
-    lift,
-    minimal_parameters,
+    parameters,
 )
 from testbed.equations.simplify import natural_angles, simplify
 
@@ -360,8 +358,8 @@ class _Builder:
 
     def build(self, kind: Kind) -> Equations:
         """The equations of one kind."""
-        vector, parameters, theta = self._parameters(kind)
-        recursion = Recursion(self.robot, theta, tuple(p.name for p in parameters), self.budget)
+        vector, own, theta = self._parameters(kind)
+        recursion = Recursion(self.robot, theta, tuple(p.name for p in own), self.budget)
         values = dict(kind.content(recursion))
         places = {name: place for name, (place, _) in values.items()}
         if self.form == "recursive":
@@ -374,29 +372,24 @@ class _Builder:
         rows = 6 if kind.model == "reaction" else self.tree.n
         shape: tuple[int, ...] = (rows,)
         if kind.is_regressor or kind.name == "mass-matrix":
-            shape = (rows, len(parameters) if kind.is_regressor else rows)
-        return Equations(kind, shape, places, vector, parameters, program)
+            shape = (rows, len(own) if kind.is_regressor else rows)
+        return Equations(kind, shape, places, vector, own, program)
 
     def _parameters(self, kind: Kind) -> tuple[str, tuple[Parameter, ...], AnyArray]:
         """Name and entries of the vector, and what each barycentric parameter is, (n, 10, p)."""
-        if self.form == "full":
-            theta = all_parameters(self.tree, self.known_zero)
-            labels = [Label((Term(symbol),)) for symbol in parameter_symbols(self.tree)]
-            parameters = map(Parameter.of, labels, UNITS * self.tree.n, theta.ravel())
-            return (
-                "theta",
-                tuple(parameters),
-                columns(self.known_zero) if kind.is_regressor else theta,
-            )
-        minimal = self.minimal.get(kind.model)
-        if minimal is None:
-            minimal = minimal_set(self.tree, kind.model, self.gravity, self.zeros)
-            self.minimal[kind.model] = minimal
-        delta = minimal_parameters(minimal)
-        parameters = map(Parameter.of, minimal.labels, minimal.units, delta)
-        units = np.eye(len(delta), dtype=int).astype(object)
-        theta = lift(minimal, units if kind.is_regressor else delta[:, None], self.tree.n)
-        return f"delta_{kind.model[0]}", tuple(parameters), theta
+        labels: Sequence[Label] = [Label((Term(each),)) for each in parameter_symbols(self.tree)]
+        units: Sequence[str] = UNITS * self.tree.n
+        bodies: Sequence[int] = [body for body in range(self.tree.n) for _ in range(10)]
+        vector, lift = "theta", np.diag(1.0 - self.known_zero.ravel())
+        if self.form != "full":
+            if kind.model not in self.minimal:
+                minimal = minimal_set(self.tree, kind.model, self.gravity, self.zeros)
+                self.minimal[kind.model] = minimal
+            minimal = self.minimal[kind.model]
+            labels, units, bodies = minimal.labels, minimal.units, minimal.bodies
+            vector, lift = f"delta_{kind.model[0]}", minimal.lift
+        own = parameters(labels, units, bodies, lift)
+        return vector, own, barycentric(own, lift, by_column=kind.is_regressor)
 
     def _by_reference(self, results: dict[Factor, Expression]) -> dict[Factor, Expression]:
         """Joint forces, tips first; Q2 = Q3 + ... where that is shorter."""
