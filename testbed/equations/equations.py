@@ -11,7 +11,7 @@ Names     w3x, W3xy, F3x of body 3; of many columns F3x_7
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, TypeAlias
@@ -324,37 +324,27 @@ def equations(
         raise UnknownName("form", form, FORMS)
     budget = Budget(max_terms, "" if form == "recursive" else SHORTER)
     weight, known_zero = tree.gravity_or(gravity), known_zeros(tree, zeros)
-    builder = _Builder(tree, form, weight, known_zero, zeros, budget)
-    robot = builder.robot
-    results = tuple(builder.build(KINDS[name]) for name in dict.fromkeys(what))
+    robot = draw(tree, weight)
+    kinds = [KINDS[name] for name in dict.fromkeys(what)]
+    models = dict.fromkeys(kind.model for kind in kinds if form != "full")
+    minimal = {model: minimal_set(tree, model, weight, zeros) for model in models}
+    builder = _Builder(tree, robot, form, minimal, known_zero, budget, expander(robot, budget))
+    results = tuple(builder.build(kind) for kind in kinds)
     meanings = barycentric_definitions(tree, robot, known_zero, budget) if form == "full" else ()
-    return Listing(
-        tree=tree,
-        form=form,
-        gravity=weight,
-        constants=robot.values,
-        minimal=builder.minimal,
-        known_zero=known_zero,
-        definitions=tuple(meanings),
-        equations=results,
-    )
+    return Listing(tree, form, weight, robot.values, minimal, known_zero, tuple(meanings), results)
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Builder:
     """Derives the equations of one robot."""
 
     tree: Tree
+    robot: Robot
     form: Form
-    gravity: Array
+    minimal: Mapping[Model, MinimalSet]
     known_zero: AnyArray
-    zeros: bool | Sequence[str]
     budget: Budget
-
-    def __post_init__(self) -> None:
-        self.robot = draw(self.tree, self.gravity)
-        self.minimal: dict[Model, MinimalSet] = {}
-        self.expand = expander(self.robot, self.budget)
+    expand: Callable[[Any], Expression]
 
     def build(self, kind: Kind) -> Equations:
         """The equations of one kind."""
@@ -382,9 +372,6 @@ class _Builder:
         bodies: Sequence[int] = [body for body in range(self.tree.n) for _ in range(10)]
         vector, lift = "theta", np.diag(1.0 - self.known_zero.ravel())
         if self.form != "full":
-            if kind.model not in self.minimal:
-                minimal = minimal_set(self.tree, kind.model, self.gravity, self.zeros)
-                self.minimal[kind.model] = minimal
             minimal = self.minimal[kind.model]
             labels, units, bodies = minimal.labels, minimal.units, minimal.bodies
             vector, lift = f"delta_{kind.model[0]}", minimal.lift

@@ -94,8 +94,8 @@ def _equations(each: Equations, joints: int) -> str:
 
 
 def _power(name: str, times: int) -> str:
-    base = rf"({name})" if "^" in name else name
-    return rf"{base}^{{{times}}}"
+    base = f"({name})" if "^" in name else name
+    return f"{base}^{{{times}}}" if times > 1 else name
 
 
 def _number(value: Number) -> str:

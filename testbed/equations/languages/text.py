@@ -31,7 +31,7 @@ class Style:
         times: Between factors.
         parameter_first: Whether the number stands behind the parameter, as in the paper.
         plus_first: Whether a sum begins with a term that is not subtracted, if it has one.
-        power: A factor that stands several times in a term; None writes it so.
+        power: A factor that stands once or several times in a term.
     """
 
     name: Callable[[Factor], str]
@@ -39,7 +39,7 @@ class Style:
     times: str = "*"
     parameter_first: bool = False
     plus_first: bool = False
-    power: Callable[[str, int], str] | None = None
+    power: Callable[[str, int], str] = lambda name, times: "*".join([name] * times)
 
 
 def decimal(value: Number) -> str:
@@ -82,14 +82,8 @@ def terms(value: Expression, style: Style) -> list[str]:
 
 
 def _product(factors: list[Factor], style: Style) -> list[str]:
-    """Factors as written, repeated ones as powers if the language has them."""
-    if style.power is None:
-        return [_factor(factor, style) for factor in factors]
-    texts = []
-    for factor, times in Counter(factors).items():
-        name = _factor(factor, style)
-        texts.append(style.power(name, times) if times > 1 else name)
-    return texts
+    """Factors as written, repeated ones as powers."""
+    return [style.power(_factor(each, style), times) for each, times in Counter(factors).items()]
 
 
 def _factor(factor: Factor, style: Style) -> str:
