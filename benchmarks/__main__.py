@@ -457,22 +457,16 @@ def excite(
 
 @app.command()
 def campaign(
-    runs: Annotated[int, typer.Option(min=0, help="Trivial runs; 0 for none.")] = 100_000,
-    busy: Annotated[int, typer.Option(min=0, help="Runs of 0.2 s, by one worker and two.")] = 100,
     moments: Annotated[int, typer.Option(min=0, help="Kills of each process.")] = 20,
     seconds: Annotated[float, typer.Option(help="Of real runs; 0 for none.")] = 60.0,
     seed: Annotated[int, typer.Option(help="Of the moments.")] = 0,
 ) -> None:
-    """Campaigns: a run's cost, the engine's overhead, two workers against one, kills."""
+    """Campaigns: a run's cost, kills of workers and commands."""
     from benchmarks import campaign as bench
 
     if seconds:
         _print(bench.run_cost(seconds, 8))
-    if runs:
-        _print(bench.overhead(runs))
-    if busy:
-        _print(bench.speedup(busy))
-    for who in ("worker", "scheduler", "command") if moments else ():
+    for who in ("worker", "command") if moments else ():
         line = bench.kills(who, moments, 150, seed)
         _print(line)
         if line["same_table"] != moments:

@@ -10,6 +10,7 @@ chromium-driver.
 from __future__ import annotations
 
 import base64
+import math
 import subprocess
 import sys
 import tempfile
@@ -93,28 +94,37 @@ def report(run: Path, folder: Path) -> None:
 def campaign(folder: Path) -> None:
     """Errors of both methods over plate noise and friction, if the folder is new, from new runs."""
     from docs.pictures.drawing import CELL, LEFT, save, table, words
-    from testbed.campaigns.campaign_section import campaign_contents
-    from testbed.campaigns.summary import read_campaign, summarise
+    from testbed.campaigns.results import RESULTS, read_results
+    from testbed.campaigns.summary import summarise
+    from testbed.core.base.errors import round_significant
+    from testbed.view.section import DARKEST
 
     if not folder.exists():
         file = "experiments/campaigns/noise_friction.toml"
         testbed("campaign", file, "--out", str(folder))
     wide, top, parts = 62, 24.0, []
-    found = campaign_contents(summarise(read_campaign(folder)))
-    for heat in found["heats"]:
-        rows = {name: [cell["text"] for cell in cells] for name, cells in heat.rows}
-        for k, (_, cells) in enumerate(heat.rows):
-            for c, cell in enumerate(cells):
+    cells = summarise(read_results(folder / RESULTS).rows)
+    errors = {(each.estimator, *map(float, each.levels.values())): each.error for each in cells}
+    columns = sorted({noise for _, _, noise in errors})
+    lightest = math.log(min(errors.values()))
+    span = math.log(max(errors.values())) - lightest
+    for method, caption in (("external", "Wrench"), ("internal", "Joint torques")):
+        rows: dict[str, list[str]] = {}
+        for k, friction in enumerate(sorted({friction for _, friction, _ in errors})):
+            values = [errors[method, friction, noise] for noise in columns]
+            rows[f"{friction:g}"] = [f"{round_significant(100 * value, 2):g}" for value in values]
+            for c, value in enumerate(values):
+                share = DARKEST * (math.log(value) - lightest) / span
                 parts.append(
                     f'<rect x="{LEFT + wide * c}" y="{top + 6 + CELL * (k + 1)}" width="{wide}" '
-                    f'height="{CELL}" fill="var(--external)" opacity="{cell["share"] / 100}"/>'
+                    f'height="{CELL}" fill="var(--external)" opacity="{share / 100:.2f}"/>'
                 )
-        parts += table(top, f"{heat.caption} [%]", heat.names, rows, wide)
+        parts += table(top, f"{caption} [%]", [f"{noise:g}" for noise in columns], rows, wide)
         top += 26 + CELL * (len(rows) + 1) + 12
-    rows, columns = found["factors"]
-    parts.append(words(8, top, f"Rows: {rows}. Columns: {columns}.", "start", "", "faint"))
+    row, column = cells[0].levels
+    parts.append(words(8, top, f"Rows: {row}. Columns: {column}.", "start", "", "faint"))
     says = "Rms relative error of both methods over friction that the model lacks and plate noise"
-    save("campaign", LEFT + wide * 5 + 8, top + 14, parts, says)
+    save("campaign", LEFT + wide * len(columns) + 8, top + 14, parts, says)
 
 
 def smaller(path: Path, width: int) -> None:

@@ -1,246 +1,232 @@
-"""Carry out a campaign: what is not there yet, bundle by bundle, in whatever way."""
+"""Carry out a campaign: its runs that have no result yet, on several processes."""
 
 from __future__ import annotations
 
-import errno
-import math
+import hashlib
+import multiprocessing
+import signal
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, field
+import warnings
+from collections.abc import Callable, Generator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
+from dataclasses import dataclass
+from functools import cache, partial
 from itertools import product
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
-import numpy as np
-
-from testbed.campaigns.bundle import Bundle, Outcome, carry_out_bundle, code_version, run_hash
-from testbed.campaigns.campaign import Campaign, Place
-from testbed.campaigns.results import CampaignFolder, own_folder
-from testbed.core.base.errors import ExperimentError
+import testbed
+from testbed.campaigns.campaign import Campaign
+from testbed.campaigns.results import RESULTS, read_results, write_rows
+from testbed.core.base.blas import one_blas_thread
+from testbed.core.base.errors import ExperimentError, TestbedError, printable
+from testbed.core.base.files import fingerprint
+from testbed.core.robot.model_file import references
 from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.results import versions
 
-WHOLE = 5.0
-"""Seconds that a bundle is meant to take; where little is left, bundles are smaller."""
+SAVE_EVERY = 10.0
+"""Seconds between two writings of the table."""
 
-LEAST = 0.5
-"""Seconds below which none is made smaller: that would be lost in passing it on."""
-
-MOST = 200
-"""Runs of a bundle."""
-
-
-FIXED = 0.3
-"""Seconds of reading the robot, choosing a motion, building the plant."""
-
-PER_SAMPLE, PER_STEP, PER_CANDIDATE = 30e-6, 12e-6, 0.004
-"""Seconds of a sample, an integration step (three joints), a random motion that is drawn."""
-
-ROW_BYTES = 1500
-"""Of a run in the table."""
-
-SAMPLE_BYTES = 250
-"""Of a sample in a recording of three joints that is kept."""
+ASIDE: Any = {"model": True, "name": True, "claim": True, "motion": {"file"}}
+"""Keys of an experiment that do not determine its result; files do by their content."""
 
 
 @dataclass(frozen=True)
-class Standing:
-    """How far a campaign is.
+class Place:
+    """One run of a campaign.
 
     Attributes:
-        done: Runs that are there, results and failures.
-        total: Runs that are wanted, as far as is known.
-        failed: Failures among those that are there.
-        rate: Runs that came a second since the command began.
+        run: Hash of all that determines its result.
+        cell: Number of its cell.
+        replicate: Number of its replicate.
     """
 
-    done: int
-    total: int
-    failed: int
-    rate: float
+    run: str
+    cell: int
+    replicate: int
 
 
-@dataclass(frozen=True)
-class Supply:
-    """Runs that are missing, handed out in bundles.
+def places_of(campaign: Campaign) -> list[Place]:
+    """List the runs of a campaign, replicate by replicate and in each cell by cell.
 
-    Attributes:
-        campaign: Of the runs.
-        runs: Their hashes, cells and replicates, in order.
-        seconds: What one is expected to take, learnt on the way.
-    """
-
-    campaign: Campaign
-    runs: list[tuple[str, int, int]]
-    seconds: list[float] = field(default_factory=list)
-
-    def take(self, workers: int) -> Bundle | None:
-        """The next bundle; None when nothing is left.
-
-        Args:
-            workers: How many there are.
-        """
-        if not self.runs:
-            return None
-        each = max(float(np.median(self.seconds[-20:])), 1e-6)
-        share = math.ceil(len(self.runs) / (2 * max(workers, 1)))
-        size = min(math.ceil(WHOLE / each), max(share, math.ceil(LEAST / each)), MOST)
-        size = max(size, 1)  # a run may be expected to take forever: it fails in no time
-        taken, self.runs[:size] = self.runs[:size], []
-        campaign = self.campaign
-        return Bundle(
-            base=str(campaign.base),
-            content=campaign.content,
-            methods=campaign.tables.methods,
-            keeps=campaign.tables.recordings == "keep",
-            code=code_version(),
-            runs=tuple((run, campaign.words(cell, k)) for run, cell, k in taken),
-        )
-
-
-Answers = Iterator[tuple[list[Outcome], float]]
-"""Outcomes of bundles and the seconds that each took, in any order."""
-
-
-class Engine(Protocol):
-    """What carries bundles out."""
-
-    def answers(self, supply: Supply) -> Answers:
-        """Outcomes of all that a supply hands out."""
-        ...
-
-
-class InThisProcess:
-    """Bundles one after the other, no other process."""
-
-    def answers(self, supply: Supply) -> Answers:
-        """Outcomes of all that a supply hands out."""
-        while (bundle := supply.take(1)) is not None:
-            yield carry_out_bundle(bundle)
-
-
-def places_of(campaign: Campaign) -> dict[str, Place]:
-    """Every run of a campaign by its hash, in the order of replicates and cells.
+    Args:
+        campaign: The campaign.
 
     Raises:
         TestbedError: The experiment of a run cannot be read.
     """
-    found: dict[str, Place] = {}
+    digest, code = cache(_model_digest), code_version()
+    places = []
     for replicate, cell in product(range(campaign.tables.replicates), range(len(campaign.cells))):
-        run = run_hash(campaign.experiment(cell, replicate), campaign.tables.methods)
-        found.setdefault(run, Place(cell, replicate))  # two cells may say the same
-    return found
+        experiment = campaign.experiment(cell, replicate)
+        parts = [experiment.model_dump_json(exclude=ASIDE)]
+        parts += [*campaign.tables.methods, code, digest(experiment.model)]
+        if experiment.motion.file:
+            parts.append(fingerprint(Path(experiment.motion.file)))
+        run = hashlib.sha256("\n".join(parts).encode()).hexdigest()
+        places.append(Place(run, cell, replicate))
+    return places
+
+
+def _model_digest(path: str) -> str:
+    """Digest of a model file and of all files that it refers to."""
+    files = sorted({Path(path).resolve(), *references(Path(path))})
+    return " ".join(fingerprint(file) for file in files)
+
+
+@cache
+def code_version() -> str:
+    """Digest of the package's modules, and of the versions of the packages that it uses."""
+    home = Path(testbed.__file__).parent
+    digest = hashlib.sha256(repr(sorted(versions().items())).encode())
+    for path in sorted(home.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def conduct(
     campaign: Campaign,
-    path: Path,
-    engine: Engine,
+    folder: Path,
+    workers: int = 0,
     limit: int | None = None,
-    progress: Callable[[Standing], None] = lambda standing: None,
-) -> CampaignFolder:
-    """Carry out what is missing of a campaign.
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> None:
+    """Carry out the runs of a campaign that have no result yet.
 
     Args:
         campaign: What to do.
-        path: Its folder; what is there already is not done again.
-        engine: Carries bundles out.
-        limit: Only so many runs, the first ones; default all.
-        progress: Called whenever outcomes have come.
-
-    Returns:
-        The folder, everything in its table.
+        folder: Folder of the table, which is written again every few seconds.
+        workers: Number of processes; 0 for this one.
+        limit: Largest number of runs; default all.
+        progress: Called with the number of rows and of runs.
 
     Raises:
-        TestbedError: The campaign cannot be carried out as written, or its folder not be written.
+        TestbedError: The table is another campaign's, cannot be read, or a process has died.
     """
-    with own_folder(path, campaign.tables):
-        folder = CampaignFolder(path, campaign, places_of(campaign))
-        try:
-            try:
-                for runs in _rounds(campaign, folder, limit):
-                    _make(campaign, runs, folder, engine, progress)
-            finally:
-                folder.compact()
-        except OSError as error:
-            if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-                raise
+    path, places = folder / RESULTS, places_of(campaign)
+    rows = _finished(path, places)
+    missing = [place for place in places if place.run not in rows][:limit]
+    start = time.monotonic()
+    try:
+        with closing(_carried_out(campaign, missing, workers)) as results:
+            for row in results:
+                rows[row["run"]] = row
+                progress(len(rows), len(places))
+                if time.monotonic() - start > SAVE_EVERY:
+                    _write(path, campaign, places, rows)
+                    start = time.monotonic()
+    except BrokenProcessPool:
+        raise ExperimentError(
+            "a process has died, perhaps for lack of memory; what had come is kept: the same "
+            "command with fewer --workers goes on with the rest"
+        ) from None
+    finally:
+        _write(path, campaign, places, rows)
+
+
+def _finished(path: Path, places: Sequence[Place]) -> dict[str, dict[str, Any]]:
+    """Rows with a result, by run.
+
+    Raises:
+        ExperimentError: The folder is no campaign's, or of other runs.
+    """
+    if not path.exists():
+        if path.parent.exists() and any(path.parent.iterdir()):
             raise ExperimentError(
-                f"'{path}': {error.strerror}; what was written is kept and whole: make room, and "
-                "the same command goes on"
-            ) from None
-    return folder
+                f"'{path.parent}' is no campaign's folder; name another with --out"
+            )
+        return {}
+    rows = {row["run"]: row for row in read_results(path).rows if row["status"] == "done"}
+    if rows.keys() - {place.run for place in places}:
+        raise ExperimentError(
+            f"'{path}' has runs of another campaign, or of another version of testbed, Python or "
+            "its packages; name another folder with --out"
+        )
+    return rows
 
 
-def _rounds(campaign: Campaign, folder: CampaignFolder, limit: int | None) -> Iterator[list[str]]:
-    """The runs of each round; which ones they are depends on results alone, not on the route."""
-    open_cells = set(range(len(campaign.cells)))
-    for replicates in campaign.rounds():
-        runs = [
-            run
-            for run, place in folder.places.items()
-            if place.replicate in replicates and place.cell in open_cells
-        ][:limit]
-        yield runs
-        if limit is not None:
-            limit -= len(runs)
-        if campaign.tables.stop is not None:
-            open_cells = _unsure(campaign.tables.stop.standard_error, folder, open_cells)
-
-
-def _unsure(enough: float, folder: CampaignFolder, cells: Collection[int]) -> set[int]:
-    """Cells whose mean has a standard error above what is enough."""
-    values: dict[int, list[float]] = {cell: [] for cell in cells}
-    for run, place in folder.places.items():
-        value = folder.figures.get(run)
-        if place.cell in values and value is not None:
-            values[place.cell].append(value)
-    return {
-        cell
-        for cell, found in values.items()
-        if len(found) < 2 or np.std(found, ddof=1) / math.sqrt(len(found)) > enough
-    }
-
-
-def _make(
-    campaign: Campaign,
-    runs: Sequence[str],
-    folder: CampaignFolder,
-    engine: Engine,
-    progress: Callable[[Standing], None],
+def _write(
+    path: Path, campaign: Campaign, places: Sequence[Place], rows: Mapping[str, Mapping[str, Any]]
 ) -> None:
-    """Carry out those runs that are missing."""
-    missing = folder.missing(runs)
-    if not missing:
+    """Write the rows that there are, each with its place in the campaign."""
+    table = []
+    for place in places:
+        if place.run in rows:
+            levels = campaign.cells[place.cell].levels
+            named = {f"factor/{k}": v for k, v in zip(campaign.factors, levels, strict=True)}
+            numbers = {"cell": place.cell, "replicate": place.replicate}
+            table.append({**rows[place.run], **numbers, **named})
+    write_rows(path, campaign, table)
+
+
+def _carried_out(
+    campaign: Campaign, places: Sequence[Place], workers: int
+) -> Generator[dict[str, Any]]:
+    """Rows of runs, in order."""
+    run = partial(carry_out_run, campaign)
+    if not workers:
+        yield from map(run, places)
         return
-    places, start, came = folder.places, time.monotonic(), 0
-    first = places[missing[0]]
-    guess = seconds_of(campaign.experiment(first.cell, first.replicate))
-    order = [(run, places[run].cell, places[run].replicate) for run in missing]
-    for outcomes, seconds in engine.answers(supply := Supply(campaign, order, [guess])):
-        folder.add(outcomes)
-        supply.seconds.append(seconds / len(outcomes))
-        came += len(outcomes)
-        failed = sum(status != "done" for status in folder.status.values())
-        rate = came / max(time.monotonic() - start, 1e-9)
-        progress(Standing(len(runs) - len(missing) + came, len(runs), failed, rate))
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, context, _leave_interrupts)
+    try:
+        yield from pool.map(run, places)
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
-def seconds_of(experiment: Experiment) -> float:
-    """CPU time of a run [s], simulation and identification."""
-    motion, measurement = experiment.motion, experiment.measurement
-    time = motion.duration + experiment.simulation.warm_up
-    steps = time / experiment.simulation.step
-    candidates = 0 if motion.file else motion.candidates
-    work = PER_SAMPLE * time * measurement.rate + PER_STEP * steps
-    return FIXED + work + PER_CANDIDATE * candidates
+def _leave_interrupts() -> None:
+    """Leave Ctrl-C to the command."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def bytes_of(experiment: Experiment, *, keeps: bool) -> float:
-    """Place on disk that a run takes.
+def carry_out_run(campaign: Campaign, place: Place) -> dict[str, Any]:
+    """Row of a run; a failure is a row like any other.
 
     Args:
-        experiment: Of the run.
-        keeps: Whether its recording is kept.
+        campaign: Whose run it is.
+        place: Which.
     """
-    samples = experiment.motion.duration * experiment.measurement.rate
-    return ROW_BYTES + (SAMPLE_BYTES * samples if keeps else 0.0)
+    seed = campaign.tables.seed + place.replicate
+    row: dict[str, Any] = {"run": place.run, "seed": seed, "status": "done"}
+    row |= {"error": "", "command": campaign.command(place.cell, place.replicate)}
+    try:
+        with warnings.catch_warnings(), one_blas_thread():
+            warnings.simplefilter("ignore")  # numerical doubt is a diagnostic of the result
+            experiment = campaign.experiment(place.cell, place.replicate)
+            return row | _results(experiment, campaign)
+    except Exception as error:
+        name = "" if isinstance(error, TestbedError) else f"{type(error).__name__}: "
+        return row | {"status": "failed", "error": printable(name + str(error))}
+
+
+def _results(experiment: Experiment, campaign: Campaign) -> dict[str, Any]:
+    """Metrics, estimates and diagnostics of an experiment, by column."""
+    from testbed.lab.experiment.evaluate import evaluate
+    from testbed.lab.experiment.simulate import simulate
+
+    run = evaluate(experiment, simulate(experiment), methods=campaign.tables.methods, threads=1)
+    if run.score is None or not run.estimates:
+        raise ExperimentError("; ".join(run.failures.values()))
+    estimates = []
+    for method, estimate in run.estimates.items():
+        errors = run.score.errors[method]
+        columns = (estimate.names, errors.truth, estimate.values, estimate.sigma, errors.relative)
+        for name, *numbers in zip(*columns, strict=True):
+            truth, value, sigma, relative = map(float, numbers)
+            estimates.append(
+                {
+                    "method": method,
+                    "parameter": name,
+                    "truth": truth,
+                    "value": value,
+                    "sigma": sigma,
+                    "relative_error": relative,
+                }
+            )
+    metrics = {f"metric/{name}": value for name, value in run.score.metrics.items()}
+    diagnostics = [each.code for each in run.diagnostics]
+    return metrics | {"estimates": estimates, "diagnostics": diagnostics}

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
-from importlib.util import find_spec
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,8 +24,6 @@ from testbed.core.base.errors import plural
 from testbed.core.base.installation import own_or_shipped
 
 if TYPE_CHECKING:
-    from testbed.campaigns.cluster import Tls
-    from testbed.campaigns.conduct import Engine
     from testbed.core.base.arrays import Array
     from testbed.core.recordings.recording import Truth
     from testbed.lab.experiment.experiment import Experiment
@@ -157,114 +154,45 @@ def campaign(
     out: Annotated[
         Path | None, typer.Option(help="Campaign folder; default runs/NAME-campaign.")
     ] = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="List and count the runs, estimate time and disk.")
-    ] = False,
-    limit: Annotated[int | None, typer.Option(min=1, help="Only the first runs.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List cells, count runs.")] = False,
+    limit: Annotated[int | None, typer.Option(min=1, help="At most so many runs.")] = None,
     summary: Annotated[
         bool, typer.Option("--summary", help="Only summarise a campaign folder.")
     ] = False,
-    against: Annotated[
-        Path | None, typer.Option(help="With --summary: compare with this campaign's folder.")
-    ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(min=0, help="Local processes; default one per processor, 0: none."),
+        typer.Option(min=0, help="Processes; default one per processor, 0: only this one."),
     ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Of a Dask cluster, as tcp://host:8786."),
-    ] = None,
-    tls_ca: Annotated[Path | None, typer.Option(help="Authority's certificate (PEM).")] = None,
-    tls_cert: Annotated[Path | None, typer.Option(help="Own certificate (PEM).")] = None,
-    tls_key: Annotated[Path | None, typer.Option(help="Its key (PEM).")] = None,
 ) -> None:
     """Carry out many runs of an experiment: factors, replicates, one table.
 
-    The same command again does what is missing. A run that fails is a row of the table, with what
-    makes it again; exit code 1 if there is one.
+    The same command again does what is missing, and what failed. A run that fails is a row of the
+    table, with what makes it again; exit code 1 if there is one.
 
     Example: testbed campaign experiments/campaigns/coverage.toml --limit 20
 
     Example: testbed campaign --summary runs/coverage-campaign
     """
-    if summary or against is not None:
-        _summary(file, against)
-        return
     from testbed.campaigns.campaign import Campaign
-    from testbed.campaigns.campaign_section import Throughput, print_conducted, print_plan
+    from testbed.campaigns.campaign_section import print_campaign, print_plan, write_campaign_page
     from testbed.campaigns.conduct import conduct
-    from testbed.campaigns.results import CAMPAIGN, LOCK
+    from testbed.campaigns.results import RESULTS, read_results
     from testbed.view import output
 
-    asked = Campaign.load(file, settings or ())
-    folder = out or Path("runs") / f"{asked.tables.name}-campaign"
-    if dry_run:
-        print_plan(output.console(), asked, folder, limit)
-        return
-    if not (folder / LOCK).exists():  # the folder's own file may ask for what is missing
-        check_outputs(folder / CAMPAIGN, force=True, read=(file, asked.base))
-    tls = _tls(tls_ca, tls_cert, tls_key)
-    with _engine(workers, scheduler, tls) as engine, Throughput() as throughput:
-        found = conduct(asked, folder, engine, limit, throughput.of)
-    failures = print_conducted(output.console(), found)
-    raise typer.Exit(1 if failures else 0)
-
-
-def _summary(folder: Path, against: Path | None) -> None:
-    """Print what a campaign says, and write it beside its table."""
-    from testbed.campaigns.campaign_section import print_changes, print_summary, write_campaign_page
-    from testbed.campaigns.summary import changes, read_campaign, summarise, write_summary
-    from testbed.core.base.files import together
-    from testbed.view import output
-
-    with output.Progress("summarising"):
-        found = summarise(read_campaign(folder))
-    out, place = output.console(), folder if folder.is_dir() else folder.parent
-    if against is not None:
-        with output.Progress("summarising"):
-            lines = list(changes(summarise(read_campaign(against)), found))
-        print_changes(out, lines)
-        return
-    page = place / "summary.html"
-    with output.Progress("drawing"), together():
-        write_campaign_page(page, found)
-        files = [page, *write_summary(found, place)]
-    print_summary(out, found, files)
-
-
-def _tls(authority: Path | None, certificate: Path | None, key: Path | None) -> Tls | None:
-    """Files of an encrypted connection, all or none.
-
-    Raises:
-        BadParameter: One is missing, or is no file.
-    """
-    from testbed.campaigns.cluster import Tls
-
-    if authority is None or certificate is None or key is None:
-        if authority or certificate or key:
-            raise typer.BadParameter("--tls-ca, --tls-cert and --tls-key go together")
-        return None
-    for path in (authority, certificate, key):
-        if not path.is_file():
-            raise typer.BadParameter(f"there is no file '{path}'")
-    return Tls(authority, certificate, key)
-
-
-def _engine(
-    workers: int | None, scheduler: str | None, tls: Tls | None
-) -> AbstractContextManager[Engine]:
-    """What carries the bundles out."""
-    from testbed.campaigns.cluster import local_workers, workers_at
-    from testbed.campaigns.conduct import InThisProcess
-
-    if scheduler is not None:
-        if workers is not None:
-            raise typer.BadParameter("--workers is for local ones, --scheduler for a cluster's")
-        return workers_at(scheduler, tls)
-    if tls is not None:
-        raise typer.BadParameter("the TLS options go with --scheduler")
-    if workers is None and find_spec("distributed") is None:
-        note(["no Dask: one run after the other; pip install '.[cluster]' uses all processors"])
-        workers = 0
-    return nullcontext(InThisProcess()) if workers == 0 else local_workers(workers)
+    if summary:
+        path = file if file.is_file() else file / RESULTS
+    else:
+        asked = Campaign.load(file, settings or ())
+        folder = out or Path("runs") / f"{asked.tables.name}-campaign"
+        if dry_run:
+            print_plan(output.console(), asked)
+            return
+        path = folder / RESULTS
+        check_outputs(path, force=True, read=(file, asked.base))
+        count = len(os.sched_getaffinity(0)) if workers is None else workers
+        with output.Progress("runs") as progress:
+            conduct(asked, folder, count, limit, progress)
+    results = read_results(path)
+    print_campaign(output.console(), results)
+    write_campaign_page(path.with_name("summary.html"), results)
+    raise typer.Exit(1 if results.failures else 0)

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from testbed.core.parameters.identifiability import Visibility
     from testbed.core.robot.tree import Tree
     from testbed.lab.kind_table import Entry
-    from testbed.view.minimal_sets import Findings
 
 
 class _What(StrEnum):
@@ -82,9 +81,8 @@ def minimal(
         ),
     ] = None,
     matrices: Annotated[
-        bool | None,
-        typer.Option("--matrices/--no-matrices", help="With --json: include the matrices."),
-    ] = None,
+        bool, typer.Option("--matrices/--no-matrices", help="With --json: include the matrices.")
+    ] = True,
     sensor: Sensor = None,
     weld_root: Weld = False,
     lock: Lock = None,
@@ -98,7 +96,7 @@ def minimal(
     from testbed.core.dynamics.drive_set import drive_set, verify, verify_drives
     from testbed.core.parameters.minimal_set import minimal_set
     from testbed.view import output
-    from testbed.view.minimal_sets import Findings, print_latex, print_sets
+    from testbed.view.minimal_sets import Findings, as_document, print_latex, print_sets
 
     tree = Reading(None, False, weld_root, lock, lock_mimic, sensor=sensor).tree(model)
     known = _known(zeros, zero)
@@ -109,32 +107,18 @@ def minimal(
         seen = _map(tree, gravity, known) if show_map or as_json else ()
         found = Findings(tree, dynamic, reaction, drives, seen)
         if check:
-            drives_agree = None if drives is None else verify_drives(tree, drives)
-            both = [verify(tree, each) for each in found.sets]
-            found = replace(found, agreements=both, drives_agree=drives_agree)
+            drives_agree = [] if drives is None else [verify_drives(tree, drives)]
+            sets_agree = [verify(tree, each) for each in found.sets]
+            found = replace(found, agreements=[*sets_agree, *drives_agree])
     lengths: Literal["symbols", "numbers"] = "numbers" if numbers else "symbols"
     if as_json:
-        _print_minimal_json(found, matrices)
+        output.print_json(as_document(found, matrices))
     elif as_latex:
         print_latex(output.console(), found, lengths)
     else:
         output.print_diagnostics(output.console(), tree.diagnostics)
         print_sets(output.console(), found, lengths)
     raise typer.Exit(0 if found.hold else 1)
-
-
-def _print_minimal_json(found: Findings, matrices: bool | None) -> None:
-    """For programs; large matrices only if asked for, and otherwise with a word about it."""
-    from testbed.view import output
-    from testbed.view.minimal_sets import BYTES, MANY, as_document, matrix_numbers
-
-    numbers = matrix_numbers(found)
-    if matrices is None and numbers > MANY:
-        size = numbers * BYTES / 1e6
-        typer.echo(
-            f"the matrices, about {size:.0f} MB, are left out: add --matrices for them", err=True
-        )
-    output.print_json(as_document(found, numbers <= MANY if matrices is None else matrices))
 
 
 @app.command()
@@ -149,9 +133,6 @@ def equations(
     zeros: Zeros = False,
     zero: Zero = None,
     gravity: Gravity = None,
-    numbers: Annotated[
-        bool, typer.Option("--numbers", help="Write lengths and gravity as numbers.")
-    ] = False,
     square: Annotated[
         bool,
         typer.Option("--right-angles", help="Round almost right angles."),
@@ -189,15 +170,15 @@ def equations(
         raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")
     known, most = _known(zeros, zero), max_terms or MAX_TERMS
     if against is not None:
-        if what or numbers or out is not None or as_json:
+        if what or out is not None or as_json:
             raise typer.BadParameter(
-                "--against compares and writes nothing: leave --what, --numbers, --out, --json out"
+                "--against compares and writes nothing: leave --what, --out, --json out"
             )
         _compare(tree, against, form, gravity, known, most)
     wanted = what or [_What.joint_forces]
     names = list(KINDS) if _What.all in wanted else [each.value for each in wanted]
     with output.Progress("deriving"):
-        listing = derived(tree, names, form.value, gravity, known, numbers, most)
+        listing = derived(tree, names, form.value, gravity, known, most)
         text = write_equations(
             listing, language.value, f"{model.name}, SHA-256 {fingerprint(model)[:16]}"
         )

@@ -232,7 +232,7 @@ def _run_at(path: Path, model: Path | None, reading: Reading, *, unchecked: bool
     if not path.exists():
         raise ExperimentError(f"there is no run folder or recording '{path}'{_alike(path)}")
     if path.is_dir():
-        if (path / "campaign.toml").is_file():
+        if (path / "results.parquet").is_file():
             raise ExperimentError(f"'{path}' is a campaign: testbed campaign --summary {path}")
         return read_run(path)
     with expecting(path, "recording", "mapping"):

@@ -2,26 +2,27 @@
 
 Reads the notation of `languages.text`, the paper's: sums of products of names and numbers,
 brackets, NAME = ... on one line or several. Python's own parser makes a syntax tree of a right-hand
-side, and the few kinds of nodes above are read from it; nothing of it is ever executed.
+side, and a few kinds of nodes are read from it; nothing of it is ever executed.
 """
 
 from __future__ import annotations
 
 import ast
 import re
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import partial, reduce
+from collections.abc import Iterator, Mapping, Sequence
+from math import prod
 
 from numpy.typing import ArrayLike
 
 from testbed.core.base.errors import ExpressionError, UnknownName
 from testbed.core.robot.tree import Tree
-from testbed.equations.equations import FORMS, KINDS, Form, Listing, equations, expander
+from testbed.equations.equations import KINDS, Form, Listing, equations, expander
 from testbed.equations.expression import (
     MAX_TERMS,
+    ZERO,
     Budget,
     Expression,
+    Number,
     Term,
     collect,
     cosine,
@@ -31,18 +32,15 @@ from testbed.equations.expression import (
     sine,
     substitute,
 )
-from testbed.equations.polynomial import LARGEST as HIGHEST_DEGREE
 from testbed.equations.robot import Robot, draw
 
-_ILLEGIBLE = re.compile(r"[^\w\s.+\-*/^()].{,9}", re.ASCII)
 _SUMMAND_END = re.compile(
     r"((?<![\w.])(?>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_]\w*)|\))\s*(?=[+-])", re.ASCII
 )
 _WAVE = re.compile(r"[SC](?:\d+|(?:_m?\d+)+)", re.ASCII)
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
-HIGHEST = 20
-"""Largest exponent."""
+MAX_EXPONENT = 20
 TERM_LENGTH = 40
 """Characters that a term of a listing takes, amply."""
 
@@ -55,7 +53,7 @@ def compare_equations(
     zeros: bool | Sequence[str] = False,
     max_terms: int = MAX_TERMS,
 ) -> dict[str, Expression]:
-    """What a listing says too much or too little, equation by equation.
+    """Subtract a robot's own equations from those of a listing.
 
     Args:
         tree: The robot.
@@ -76,12 +74,40 @@ def compare_equations(
         UnknownName: It holds a name that stands for nothing, or an equation that is none of
             the robot's and no definition for others.
     """
-    if form not in FORMS:
-        raise UnknownName("form", form, FORMS)
-    literal: Form = "full" if form == "full" else "reduced"
     kinds = _kinds([name for _, name, _ in _statements(text, max_terms)])
-    listing = equations(tree, kinds, literal, gravity, zeros, max_terms=max_terms)
+    literal: Form = "reduced" if form == "recursive" else form
+    listing = equations(tree, kinds, literal, gravity, zeros, max_terms)
     robot = draw(tree, tree.gravity_or(gravity))
+    ours = _own_equations(listing)
+    names = _names(listing, robot)
+    read = read_listing(text, names, max_terms)
+    if not read:
+        raise ExpressionError("the listing holds no equation")
+    expand = expander(robot, Budget(max_terms))
+    found = {}
+    for name, value in read.items():
+        if name in ours:
+            found[name] = expand(value - ours[name])
+        elif name in names:
+            raise ExpressionError(f"'{name}' is the robot's own and not for a listing to define")
+        elif len(re.findall(rf"\b{name}\b", text)) < 2:
+            raise UnknownName("equation", name, ours)
+    return found
+
+
+def _kinds(names: Sequence[str]) -> list[str]:
+    """The kinds of equations that a listing's names belong to."""
+    found = [
+        kind.name
+        for kind in KINDS.values()
+        if any(re.fullmatch(kind.results, name, re.ASCII) for name in names)
+        and not kind.is_regressor
+    ]
+    return found or ["joint-forces"]
+
+
+def _own_equations(listing: Listing) -> dict[str, Expression]:
+    """The robot's equations by name, those that refer to others written out."""
     steps = [step for each in listing.equations for step in each.program.steps]
     meanings = dict(steps)
     ours = {}
@@ -89,117 +115,18 @@ def compare_equations(
         meanings[name] = ours[name.name] = substitute(value, meanings.get)
     for label, value in listing.definitions:
         ours[label] = ours[label.replace("mbar", "mm")] = value
-    names = _names(listing, robot)
-    read = read_listing(text, names, max_terms)
-    if not read:
-        raise ExpressionError("the listing holds no equation")
-    _check_definitions(text, [name for name in read if name not in ours], names, ours)
-    found = [name for name in read if name in ours]
-    expand = expander(robot, Budget(max_terms))
-    return {name: expand(read[name] - ours[name]) for name in found}
-
-
-def _kinds(names: Sequence[str]) -> list[str]:
-    """The kinds of equations that a listing's names belong to."""
-    comparable = [kind for kind in KINDS.values() if not kind.is_regressor]
-    found = [
-        kind.name
-        for kind in comparable
-        if any(re.fullmatch(kind.results, name, re.ASCII) for name in names)
-    ]
-    return found or [kind.name for kind in comparable]
-
-
-def _check_definitions(
-    text: str, others: Sequence[str], names: Mapping[str, Expression], ours: Iterable[str]
-) -> None:
-    """What is none of the robot's equations must be new, and of use below."""
-    times = Counter(re.findall(r"\w+", text, re.ASCII))
-    for name in others:
-        if name in names:
-            raise ExpressionError(f"'{name}' is the robot's own and not for a listing to define")
-        if times[name] < 2:
-            raise UnknownName("equation", name, ours)
+    return ours
 
 
 def _names(listing: Listing, robot: Robot) -> dict[str, Expression]:
     """What the names of a listing may stand for."""
-    symbols = [*robot.q, *robot.qd, *robot.qdd, *(of(constant) for constant in robot.values)]
-    names = {repr(value): value for value in symbols}
+    symbols = [*robot.q, *robot.qd, *robot.qdd, *map(of, robot.values)]
     for each in listing.equations:
-        for parameter in each.parameters:
-            if parameter.symbol is not None:
-                names[parameter.symbol.name] = of(parameter.symbol)
+        symbols += [of(parameter.symbol) for parameter in each.parameters if parameter.symbol]
     for _, value in listing.definitions:
-        names |= {factor.name: of(factor) for factors, _ in value.terms for factor in factors}
-    names |= {name.replace("mbar", "mm"): value for name, value in names.items()}
-    return names
-
-
-def _value(node: ast.AST, names: Mapping[str, Expression], budget: Budget) -> Expression:
-    """Expression of a syntax tree; tuples stand for sums."""
-    match node:
-        case ast.Tuple(elts=summands):
-            terms: list[Term] = []
-            for summand in summands:
-                added = _value(summand, names, budget).terms
-                budget.write(max(1, len(added)))
-                terms += added
-            return collect(terms)
-        case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
-            found = _value(operand, names, budget)
-            return -found if isinstance(sign, ast.USub) else found
-        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int(exponent))):
-            if not 1 <= exponent <= HIGHEST:
-                raise ExpressionError(f"an exponent is a number from 1 to {HIGHEST}")
-            base = _value(left, names, budget)
-            return reduce(partial(_multiplied, budget), [base] * exponent)
-        case ast.BinOp(left=left, op=ast.Mult() | ast.Div() as operator, right=right):
-            combined = _multiplied if isinstance(operator, ast.Mult) else _divided
-            return combined(budget, _value(left, names, budget), _value(right, names, budget))
-    return _leaf(node, names)
-
-
-def _leaf(node: ast.AST, names: Mapping[str, Expression]) -> Expression:
-    match node:
-        case ast.Constant(value=int(value) | float(value)) if not isinstance(value, bool):
-            return number(value)
-        case ast.Name(id=name) if name in names:
-            return names[name]
-        case ast.Name(id=name) if _WAVE.fullmatch(name):
-            return _wave(name, names)
-        case ast.Name(id=name):
-            raise UnknownName("name", name, names)
-    raise ExpressionError(f"'{ast.unparse(node)[:40]}' is no sum, product or power")
-
-
-def _divided(budget: Budget, a: Expression, b: Expression) -> Expression:
-    if len(b.terms) != 1 or b.terms[0][0]:
-        raise ExpressionError("a listing divides by numbers only, and not by zero")
-    budget.multiply(1 + len(a.terms))
-    return a / b.terms[0][1]
-
-
-def _multiplied(budget: Budget, a: Expression, b: Expression) -> Expression:
-    budget.multiply(len(a.terms) + len(b.terms))  # a sum becomes a bracket
-    product = expression(a * b)
-    if any(len(factors) > HIGHEST_DEGREE for factors, _ in product.terms):
-        raise ExpressionError(f"a product of more than {HIGHEST_DEGREE} factors")
-    return product
-
-
-def _right_side(text: str, names: Mapping[str, Expression], budget: Budget) -> Expression:
-    """Right-hand side of an equation; a sum of any length becomes a tuple."""
-    culprit = _ILLEGIBLE.search(text)
-    if culprit:
-        raise ExpressionError(f"'{culprit[0]}' cannot be read")
-    summands = _SUMMAND_END.sub(r"\1,", text.replace("^", "**")).strip()
-    try:
-        return _value(ast.parse(f"{summands},", mode="eval").body, names, budget)
-    except SyntaxError as error:
-        raise ExpressionError(f"'{text.strip()[:40]}' cannot be read: {error.msg}") from None
-    except (RecursionError, MemoryError):
-        raise ExpressionError("factors, signs or brackets are nested too deeply") from None
+        symbols += [of(factor) for factors, _ in value.terms for factor in factors]
+    names = {repr(value): value for value in symbols}
+    return names | {name.replace("mbar", "mm"): value for name, value in names.items()}
 
 
 def read_listing(
@@ -235,29 +162,6 @@ def read_listing(
     return found
 
 
-def _wave(name: str, names: Mapping[str, Expression]) -> Expression:
-    """S223 as sin(2 q2 + q3), C_12_m3 as cos(q12 - q3).
-
-    Raises:
-        ExpressionError: It is of too many joints.
-        UnknownName: There is no such joint.
-    """
-    label = name[1:]
-    parts = label.strip("_").split("_") if "_" in label else list(label)
-    if len(parts) > HIGHEST_DEGREE:
-        raise ExpressionError(f"an angle of more than {HIGHEST_DEGREE} joints")
-    terms = []
-    for part in parts:
-        angle = names.get(f"q{part.removeprefix('m')}")
-        if angle is None:
-            raise UnknownName("name", name, names)
-        terms.append((angle.terms[0][0], -1 if part[0] == "m" else 1))
-    angle = collect(terms)
-    if not angle:
-        return number(0 if name[0] == "S" else 1)
-    return sine(angle) if name[0] == "S" else cosine(angle)
-
-
 def _statements(text: str, max_terms: int) -> Iterator[tuple[int, str, str]]:
     """Number of the first line, name and right-hand side of every equation."""
     most = TERM_LENGTH * max_terms
@@ -276,3 +180,75 @@ def _statements(text: str, max_terms: int) -> Iterator[tuple[int, str, str]]:
     for line, lines in statements:
         name, _, right = "".join(lines).partition("=")
         yield line, name.strip(), right
+
+
+def _right_side(text: str, names: Mapping[str, Expression], budget: Budget) -> Expression:
+    """Right-hand side of an equation; a sum of any length becomes a tuple."""
+    summands = _SUMMAND_END.sub(r"\1,", text.replace("^", "**")).strip()
+    try:
+        return _value(ast.parse(f"{summands},", mode="eval").body, names, budget)
+    except SyntaxError as error:
+        raise ExpressionError(f"'{text.strip()[:40]}' cannot be read: {error.msg}") from None
+    except ZeroDivisionError:
+        raise ExpressionError("a division by zero") from None
+    except (RecursionError, MemoryError):
+        raise ExpressionError("factors, signs or brackets are nested too deeply") from None
+
+
+def _value(node: ast.AST, names: Mapping[str, Expression], budget: Budget) -> Expression:
+    """Expression of a syntax tree; tuples stand for sums."""
+    match node:
+        case ast.Tuple(elts=summands):
+            terms: list[Term] = []
+            for summand in summands:
+                added = _value(summand, names, budget).terms
+                budget.write(max(1, len(added)))
+                terms += added
+            return collect(terms)
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
+            value = _value(operand, names, budget)
+            return -value if isinstance(sign, ast.USub) else value
+        case ast.BinOp(left=left, op=ast.Mult(), right=right):
+            factors = [_value(left, names, budget), _value(right, names, budget)]
+        case ast.BinOp(left=left, op=ast.Div(), right=right):
+            value = _value(left, names, budget)
+            return value / _number(right)
+        case ast.BinOp(left=left, op=ast.Pow(), right=right):
+            exponent = _number(right)
+            if exponent not in range(1, MAX_EXPONENT + 1):
+                raise ExpressionError(f"an exponent is a number from 1 to {MAX_EXPONENT}")
+            factors = [_value(left, names, budget)] * int(exponent)
+        case ast.Name(id=name):
+            return names[name] if name in names else _wave(name, names)
+        case _:
+            return number(_number(node))
+    budget.multiply(sum(len(factor.terms) for factor in factors))  # a sum becomes a bracket
+    return expression(prod(factors))
+
+
+def _number(node: ast.AST) -> Number:
+    """Number of a leaf of a syntax tree."""
+    match node:
+        case ast.Constant(value=float() | int() as size) if not isinstance(size, bool):
+            return size
+    raise ExpressionError(f"'{ast.unparse(node)[:40]}' is no sum, product, power or number")
+
+
+def _wave(name: str, names: Mapping[str, Expression]) -> Expression:
+    """S223 as sin(2 q2 + q3), C_12_m3 as cos(q12 - q3).
+
+    Raises:
+        UnknownName: There is no such joint.
+    """
+    if not _WAVE.fullmatch(name):
+        raise UnknownName("name", name, names)
+    label = name[1:]
+    angle = ZERO
+    for part in label.strip("_").split("_") if "_" in label else label:
+        coordinate = names.get(f"q{part.removeprefix('m')}")
+        if coordinate is None:
+            raise UnknownName("name", name, names)
+        angle = angle - coordinate if part[0] == "m" else angle + coordinate
+    if name[0] == "S":
+        return sine(angle) if angle else ZERO
+    return cosine(angle) if angle else number(1)

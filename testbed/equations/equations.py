@@ -11,9 +11,7 @@ Names     w3x, W3xy, F3x of body 3; of many columns F3x_7
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, TypeAlias
@@ -38,17 +36,15 @@ from testbed.equations.expression import (
     of,
 )
 from testbed.equations.polynomial import Ring
-from testbed.equations.program import Program, literal, recursive, with_numbers
+from testbed.equations.program import Program, literal, recursive
 from testbed.equations.robot import (
     Parameter,
     Robot,
-    all_parameters,
+    barycentric,
     barycentric_definitions,
-    columns,
     distinct,
     draw,
-    lift,
-    minimal_parameters,
+    parameters,
 )
 from testbed.equations.simplify import natural_angles, simplify
 
@@ -74,11 +70,11 @@ def named_components(budget: Budget, mark: str, name: str, value: AnyArray) -> A
     kept = np.empty(value.shape, dtype=object)
     for place in np.ndindex(value.shape):
         one = value.item(place)
-        if value.ndim == 1 or name.startswith("W"):
-            component = name + "".join("xyz"[index] for index in place)
-        else:
-            column = f"_{place[1] + 1}" if value.shape[1] > 1 else ""
-            component = name + "xyz"[place[0]] + column
+        component = name + "xyz"[place[0]]
+        if name.startswith("W"):
+            component += "xyz"[place[1]]
+        elif value.size > 3:
+            component += f"_{place[1] + 1}"
         kept[place] = auxiliary(component + mark, one)
         if isinstance(one, Expression):
             budget.write(len(one.terms))
@@ -90,14 +86,14 @@ def auxiliary(name: str, value: Any) -> Any:
 
     Products of parameters and lengths without a name can cancel.
     """
-    if not isinstance(value, Expression) or len(value.terms) < 1:
+    if not isinstance(value, Expression) or not value:
         return value
-    factors, size = value.terms[0]
     if len(value.terms) == 1:
+        ((factors, size),) = value.terms
         fixed = all(f.nature in (Nature.PARAMETER, Nature.CONSTANT) for f in factors)
-        if fixed or (len(factors) <= 1 and abs(size) == 1):
+        if fixed or (len(factors) == 1 and abs(size) == 1):
             return value
-    return of(Factor(Nature.AUXILIARY, name, value))
+    return of(Factor.of(Nature.AUXILIARY, name, value))
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,14 +156,11 @@ def _by_column(values: AnyArray, rows: Sequence[str], names: Sequence[str]) -> C
 def _mass_matrix(recursion: Recursion) -> Content:
     """Column by column: the joint forces of unit accelerations, on the chain to the base."""
     n = recursion.robot.n
-    weightless = replace(recursion.robot, gravity=np.zeros(3, dtype=object))
-    recursion = replace(recursion, robot=weightless)
-    split = "_" if n > 9 else ""
     still = np.zeros(n, dtype=object)
-    for j in range(n):
-        unit = np.zeros(n, dtype=object)
-        unit[j] = 1
-        forces, _ = recursion.run(still, unit, f"_{j + 1}")
+    weightless = replace(recursion.robot, gravity=np.zeros(3, dtype=object))
+    split = "_" if n > 9 else ""
+    for j, unit in enumerate(np.eye(n, dtype=int).astype(object)):
+        forces, _ = replace(recursion, robot=weightless).run(still, unit, f"_{j + 1}")
         for i in range(j + 1):
             name = _name(f"M{i + 1}{split}{j + 1}")
             yield name, ((i, j), forces[i, 0])
@@ -188,7 +181,7 @@ def _of_joints(letter: str, forces: AnyArray) -> Content:
 
 
 def _name(name: str) -> Factor:
-    return Factor(Nature.AUXILIARY, name)
+    return Factor.of(Nature.AUXILIARY, name)
 
 
 @dataclass(frozen=True)
@@ -305,7 +298,6 @@ def equations(
     form: Form = "full",
     gravity: ArrayLike | None = None,
     zeros: bool | Sequence[str] = False,
-    numbers: bool = False,
     max_terms: int = MAX_TERMS,
 ) -> Listing:
     """Literal equations of a robot.
@@ -318,7 +310,6 @@ def equations(
         gravity: (3,) [m/s^2], bedplate frame; default the model file's.
         zeros: Barycentric parameters known to be zero: True for those that are zero in the
             model file, or a list of names.
-        numbers: Whether lengths and gravity are written as numbers.
         max_terms: How many terms may be written, those on the way to the equations included.
 
     Raises:
@@ -333,44 +324,32 @@ def equations(
         raise UnknownName("form", form, FORMS)
     budget = Budget(max_terms, "" if form == "recursive" else SHORTER)
     weight, known_zero = tree.gravity_or(gravity), known_zeros(tree, zeros)
-    builder = _Builder(tree, form, weight, known_zero, zeros, numbers, budget)
-    robot = builder.robot
-    with _no_garbage_collection():
-        results = tuple(builder.build(KINDS[name]) for name in dict.fromkeys(what))
+    robot = draw(tree, weight)
+    kinds = [KINDS[name] for name in dict.fromkeys(what)]
+    models = dict.fromkeys(kind.model for kind in kinds if form != "full")
+    minimal = {model: minimal_set(tree, model, weight, zeros) for model in models}
+    builder = _Builder(tree, robot, form, minimal, known_zero, budget, expander(robot, budget))
+    results = tuple(builder.build(kind) for kind in kinds)
     meanings = barycentric_definitions(tree, robot, known_zero, budget) if form == "full" else ()
-    return Listing(
-        tree=tree,
-        form=form,
-        gravity=weight,
-        constants={} if numbers else robot.values,
-        minimal=builder.minimal,
-        known_zero=known_zero,
-        definitions=tuple(meanings),
-        equations=results,
-    )
+    return Listing(tree, form, weight, robot.values, minimal, known_zero, tuple(meanings), results)
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Builder:
     """Derives the equations of one robot."""
 
     tree: Tree
+    robot: Robot
     form: Form
-    gravity: Array
+    minimal: Mapping[Model, MinimalSet]
     known_zero: AnyArray
-    zeros: bool | Sequence[str]
-    numbers: bool
     budget: Budget
-
-    def __post_init__(self) -> None:
-        self.robot = draw(self.tree, self.gravity)
-        self.minimal: dict[Model, MinimalSet] = {}
-        self.expand = expander(self.robot, self.budget)
+    expand: Callable[[Any], Expression]
 
     def build(self, kind: Kind) -> Equations:
         """The equations of one kind."""
-        vector, parameters, theta = self._parameters(kind)
-        recursion = Recursion(self.robot, theta, tuple(p.name for p in parameters), self.budget)
+        vector, own, theta = self._parameters(kind)
+        recursion = Recursion(self.robot, theta, tuple(p.name for p in own), self.budget)
         values = dict(kind.content(recursion))
         places = {name: place for name, (place, _) in values.items()}
         if self.form == "recursive":
@@ -380,34 +359,24 @@ class _Builder:
             if kind.name == "joint-forces":
                 results = self._by_reference(results)
             program = literal(results)
-        if self.numbers:
-            program = with_numbers(program, self.robot.values)
         rows = 6 if kind.model == "reaction" else self.tree.n
         shape: tuple[int, ...] = (rows,)
         if kind.is_regressor or kind.name == "mass-matrix":
-            shape = (rows, len(parameters) if kind.is_regressor else rows)
-        return Equations(kind, shape, places, vector, parameters, program)
+            shape = (rows, len(own) if kind.is_regressor else rows)
+        return Equations(kind, shape, places, vector, own, program)
 
     def _parameters(self, kind: Kind) -> tuple[str, tuple[Parameter, ...], AnyArray]:
         """Name and entries of the vector, and what each barycentric parameter is, (n, 10, p)."""
-        if self.form == "full":
-            theta = all_parameters(self.tree, self.known_zero)
-            labels = [Label((Term(symbol),)) for symbol in parameter_symbols(self.tree)]
-            parameters = map(Parameter.of, labels, UNITS * self.tree.n, theta.ravel())
-            return (
-                "theta",
-                tuple(parameters),
-                columns(self.known_zero) if kind.is_regressor else theta,
-            )
-        minimal = self.minimal.get(kind.model)
-        if minimal is None:
-            minimal = minimal_set(self.tree, kind.model, self.gravity, self.zeros)
-            self.minimal[kind.model] = minimal
-        delta = minimal_parameters(minimal)
-        parameters = map(Parameter.of, minimal.labels, minimal.units, delta)
-        units = np.eye(len(delta), dtype=int).astype(object)
-        theta = lift(minimal, units if kind.is_regressor else delta[:, None], self.tree.n)
-        return f"delta_{kind.model[0]}", tuple(parameters), theta
+        labels: Sequence[Label] = [Label((Term(each),)) for each in parameter_symbols(self.tree)]
+        units: Sequence[str] = UNITS * self.tree.n
+        bodies: Sequence[int] = [body for body in range(self.tree.n) for _ in range(10)]
+        vector, lift = "theta", np.diag(1.0 - self.known_zero.ravel())
+        if self.form != "full":
+            minimal = self.minimal[kind.model]
+            labels, units, bodies = minimal.labels, minimal.units, minimal.bodies
+            vector, lift = f"delta_{kind.model[0]}", minimal.lift
+        own = parameters(labels, units, bodies, lift)
+        return vector, own, barycentric(own, lift, by_column=kind.is_regressor)
 
     def _by_reference(self, results: dict[Factor, Expression]) -> dict[Factor, Expression]:
         """Joint forces, tips first; Q2 = Q3 + ... where that is shorter."""
@@ -439,15 +408,3 @@ def expander(robot: Robot, budget: Budget) -> Callable[[Any], Expression]:
         return simplify(ring, polynomial, natural)
 
     return expand
-
-
-@contextmanager
-def _no_garbage_collection() -> Iterator[None]:
-    """Expressions have no cycles, and walking them costs a third."""
-    was = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was:
-            gc.enable()

@@ -14,9 +14,11 @@ Source    [FRS96] section 3, figure 4
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
+from dataclasses import dataclass
 from enum import IntEnum
 from hashlib import blake2s
+from math import prod
 from typing import Any, TypeAlias
 from weakref import WeakValueDictionary
 
@@ -48,6 +50,7 @@ class Nature(IntEnum):
     BRACKET = 8
 
 
+@dataclass(frozen=True, eq=False, repr=False, slots=True, weakref_slot=True)
 class Factor:
     """One factor of a term; equal factors are the same object.
 
@@ -56,40 +59,30 @@ class Factor:
         name: As printed; of a bracket, its content.
         content: The angle of a cosine or sine, what an auxiliary variable stands for, what
             is between brackets; else None.
+        rank: Its place among factors of its nature; of a coordinate, the index of its joint.
         key: Its place in the order.
     """
-
-    __slots__ = ("__weakref__", "content", "key", "name", "nature")
 
     nature: Nature
     name: str
     content: Expression | None
+    rank: int
     key: Key
 
-    def __new__(
-        cls, nature: Nature, name: str, content: Expression | None = None, rank: int = 0
-    ) -> Factor:
+    @staticmethod
+    def of(nature: Nature, name: str, content: Expression | None = None, rank: int = 0) -> Factor:
         """The factor of these properties, made if there is none yet."""
-        label = (nature, rank, name, content.terms if content else ())
+        label = (nature, rank, name, content)
         found = _FACTORS.get(label)
         if found is None:
-            found = object.__new__(cls)
-            for slot, value in zip(
-                ("nature", "name", "content", "key"),
-                (nature, name, content, (int(nature), rank, name)),
-                strict=True,
-            ):
-                object.__setattr__(found, slot, value)
-            _FACTORS[label] = found
+            key = (int(nature), rank, name)
+            found = _FACTORS[label] = Factor(nature, name, content, rank, key)
         return found
 
     @property
-    def rank(self) -> int:
-        """Its place among factors of its nature; of a coordinate, the index of its joint."""
-        return self.key[1]
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError("a factor does not change")
+    def inside(self) -> Expression | None:
+        """What is between brackets; None for other factors."""
+        return self.content if self.nature is Nature.BRACKET else None
 
     def __repr__(self) -> str:
         return self.name
@@ -98,14 +91,13 @@ class Factor:
         return self.key < other.key
 
 
-_FACTORS: WeakValueDictionary[tuple[Nature, int, str, tuple[Term, ...]], Factor] = (
-    WeakValueDictionary()
-)
+_FACTORS: WeakValueDictionary[Hashable, Factor] = WeakValueDictionary()
 
 Factors: TypeAlias = tuple[Factor, ...]
 Term: TypeAlias = tuple[Factors, Number]
 
 
+@dataclass(frozen=True, repr=False, slots=True)
 class Expression:
     """A sum of terms in order; see the module's description.
 
@@ -113,25 +105,10 @@ class Expression:
     are written alike; they are equal if their difference, expanded, has no parts.
 
     Attributes:
-        terms: (factors, number), in order; none of the numbers is zero.
+        terms: (factors, number), in order, as `collect` makes them; none of the numbers is zero.
     """
 
-    __slots__ = ("terms",)
-
     terms: tuple[Term, ...]
-
-    def __init__(self, terms: tuple[Term, ...]) -> None:
-        """From terms that are in order already; `collect` makes them so."""
-        object.__setattr__(self, "terms", terms)
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError("an expression does not change")
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Expression) and self.terms == other.terms
-
-    def __hash__(self) -> int:
-        return hash(self.terms)
 
     def __bool__(self) -> bool:
         return bool(self.terms)
@@ -143,18 +120,15 @@ class Expression:
         return Expression(tuple((factors, -number) for factors, number in self.terms))
 
     def __add__(self, other: Any) -> Any:
-        added = _terms(other)
-        if added is None:
+        if not isinstance(other, Expression | int | float):
             return NotImplemented
+        added = expression(other).terms
         return collect((*self.terms, *added)) if added else self
 
     __radd__ = __add__
 
     def __sub__(self, other: Any) -> Any:
-        added = _terms(other)
-        if added is None:
-            return NotImplemented
-        return self + Expression(tuple((f, -c) for f, c in added)) if added else self
+        return self + -other
 
     def __rsub__(self, other: Any) -> Any:
         return (-self) + other
@@ -162,14 +136,11 @@ class Expression:
     def __mul__(self, other: Any) -> Any:
         if isinstance(other, Expression):
             return _product(self, other)
-        number = _number(other)
-        if number is None:
+        if not isinstance(other, int | float):
             return NotImplemented
-        if number == 0:
-            return 0
-        if number == 1:
-            return self
-        return Expression(tuple((f, exact(c * number)) for f, c in self.terms))
+        if other in (0, 1):
+            return self if other else 0
+        return Expression(tuple((factors, exact(size * other)) for factors, size in self.terms))
 
     __rmul__ = __mul__
 
@@ -197,7 +168,7 @@ def symbol(nature: Nature, name: str, rank: int = 0) -> Expression:
         name: As printed.
         rank: Its place among symbols of its nature; those of one rank go by name.
     """
-    return of(Factor(nature, name, None, rank))
+    return of(Factor.of(nature, name, None, rank))
 
 
 def of(factor: Factor) -> Expression:
@@ -219,14 +190,14 @@ def sine(angle: Expression) -> Expression:
     """Sine of an expression, odd."""
     if angle.terms[0][1] < 0:
         return -sine(-angle)
-    return of(Factor(Nature.SINE, _trig("S", angle), angle))
+    return of(Factor.of(Nature.SINE, _trig("S", angle), angle))
 
 
 def cosine(angle: Expression) -> Expression:
     """Cosine of an expression, even."""
     if angle.terms[0][1] < 0:
         angle = -angle
-    return of(Factor(Nature.COSINE, _trig("C", angle), angle))
+    return of(Factor.of(Nature.COSINE, _trig("C", angle), angle))
 
 
 def _trig(letter: str, angle: Expression) -> str:
@@ -263,10 +234,9 @@ def substitute(value: Expression, meaning: Callable[[Factor], Expression | None]
         if all(part is None for part in parts):
             terms.append((factors, size))
             continue
-        product = number(size)
-        for factor, part in zip(factors, parts, strict=True):
-            product = expression(product * (of(factor) if part is None else part))
-        terms += product.terms
+        known = zip(factors, parts, strict=True)
+        product = (of(factor) if part is None else part for factor, part in known)
+        terms += expression(prod(product, start=number(size))).terms
     return collect(terms)
 
 
@@ -277,12 +247,12 @@ def bracket(inside: Expression) -> tuple[Factor, Number]:
     """
     first = inside.terms[0][1]
     sizes = {abs(value) for _, value in inside.terms}
-    out = (first if len(sizes) == 1 else 1 if first > 0 else -1) if inside.terms else 1
-    plain = inside if out == 1 else Expression(tuple((f, exact(c / out)) for f, c in inside.terms))
+    out = first if len(sizes) == 1 else 1 if first > 0 else -1
+    plain = inside / out
     name = f"({as_text(plain)})"
     if len(name) > LONGEST_NAME:
         name = f"{name[: LONGEST_NAME - 33]}~{blake2s(name.encode(), digest_size=16).hexdigest()}"
-    return Factor(Nature.BRACKET, name, plain), out
+    return Factor.of(Nature.BRACKET, name, plain), out
 
 
 def as_text(value: Expression) -> str:
@@ -317,21 +287,6 @@ def _single(value: Expression) -> Term:
     return (factor,), out
 
 
-def _terms(value: Any) -> tuple[Term, ...] | None:
-    if isinstance(value, Expression):
-        return value.terms
-    number = _number(value)
-    if number is None:
-        return None
-    return (((), number),) if number else ()
-
-
-def _number(value: Any) -> Number | None:
-    if isinstance(value, int):
-        return exact(value)
-    return exact(float(value)) if isinstance(value, float) else None
-
-
 def exact(value: Number) -> Number:
     """The number, as an integer where it is one.
 
@@ -340,7 +295,7 @@ def exact(value: Number) -> Number:
     """
     if not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:
         raise ExpressionError(f"a number beyond {LARGEST_NUMBER:g}, too large to calculate with")
-    return int(value) if value == int(value) else value
+    return int(value) if value == int(value) else float(value)
 
 
 def auxiliaries(values: Iterable[Expression]) -> list[Factor]:

@@ -10,7 +10,8 @@ groups are expanded. Numbers are integers and binary fractions.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import product as choices
 from math import prod
 from typing import TypeAlias
@@ -30,7 +31,7 @@ from testbed.equations.expression import (
 Index: TypeAlias = tuple[tuple[int, Number], ...]  # (angle, how many times), in order
 Tone: TypeAlias = tuple[int, int, Index]  # group, 0 for a cosine or 1 for a sine, its angle
 Wave: TypeAlias = tuple[Tone, ...]  # at most one tone a group, in order
-Mixture: TypeAlias = tuple[tuple[int, float], ...]  # (number of a wave, its weight)
+Mixture: TypeAlias = tuple[tuple[Wave, float], ...]  # waves with their weights
 
 COSINE, SINE = 0, 1
 BITS = 6
@@ -38,108 +39,15 @@ LARGEST = (1 << BITS) - 1
 """Largest degree of a polynomial: no exponent can run over into the next."""
 
 
-class Waves:
-    """Every wave met so far by number, and the products of any two.
-
-    Attributes:
-        list: The waves; number 0 is 1.
-        group: The group of an angle, by its number; angles that are not there are alone.
-    """
-
-    def __init__(self, group: dict[int, int], budget: Budget) -> None:
-        """No waves but 1.
-
-        Args:
-            group: Angles that are together, by angle.
-            budget: Counts what is multiplied.
-        """
-        self._budget = budget
-        self.list: list[Wave] = [()]
-        self.group = group
-        self._number: dict[Wave, int] = {(): 0}
-        self._products: dict[tuple[int, int], Mixture] = {}
-
-    def number(self, wave: Wave) -> int:
-        """The number of a wave."""
-        found = self._number.get(wave)
-        if found is None:
-            found = self._number[wave] = len(self.list)
-            self.list.append(wave)
-        return found
-
-    def tone(self, kind: int, angle: Sequence[tuple[int, Number]]) -> Mixture:
-        """Cosine or sine of a sum of angles, as a mixture of waves."""
-        parts: dict[int, list[tuple[int, Number]]] = {}
-        for atom, times in sorted(angle):
-            parts.setdefault(self.group.get(atom, -1 - atom), []).append((atom, times))
-        cosines: dict[int, float] = {0: 1.0}
-        sines: dict[int, float] = {}
-        for group, part in parts.items():  # cos(a + b) and sin(a + b)
-            c, s = self._single(group, COSINE, tuple(part)), self._single(group, SINE, tuple(part))
-            cosines, sines = (
-                self._added(self._times(cosines, c), self._times(sines, s), -1.0),
-                self._added(self._times(sines, c), self._times(cosines, s), 1.0),
-            )
-        return tuple((sines if kind else cosines).items())
-
-    def product(self, a: int, b: int) -> Mixture:
-        """Two waves multiplied."""
-        if a == 0 or b == 0:
-            return ((a or b, 1.0),)
-        key = (a, b) if a < b else (b, a)
-        found = self._products.get(key)
-        if found is None:
-            found = self._products[key] = self._multiplied(self.list[a], self.list[b])
-        return found
-
-    def _multiplied(self, a: Wave, b: Wave) -> Mixture:
-        left, right = {tone[0]: tone for tone in a}, {tone[0]: tone for tone in b}
-        options: list[list[tuple[Wave, float]]] = []
-        for group in sorted({*left, *right}):
-            tones = [each[group] for each in (left, right) if group in each]
-            options.append(_in_group(group, *tones) if len(tones) > 1 else [(tuple(tones), 1.0)])
-        self._budget.multiply(prod(len(each) for each in options))
-        mixture: dict[int, float] = {}
-        for choice in choices(*options):
-            weight = 1.0
-            for _, share in choice:
-                weight *= share
-            if weight:
-                wave = self.number(tuple(tone for tones, _ in choice for tone in tones))
-                mixture[wave] = mixture.get(wave, 0.0) + weight
-        return tuple((wave, weight) for wave, weight in mixture.items() if weight)
-
-    def _single(self, group: int, kind: int, index: Index) -> dict[int, float]:
-        sign, wave = _normal(group, kind, index)
-        return {self.number(wave): sign} if sign else {}
-
-    def _times(self, a: dict[int, float], b: dict[int, float]) -> dict[int, float]:
-        result: dict[int, float] = {}
-        for x, u in a.items():
-            for y, v in b.items():
-                for wave, weight in self.product(x, y):
-                    result[wave] = result.get(wave, 0.0) + u * v * weight
-        return result
-
-    def _added(self, a: dict[int, float], b: dict[int, float], sign: float) -> dict[int, float]:
-        result = dict(a)
-        for wave, weight in b.items():
-            result[wave] = result.get(wave, 0.0) + sign * weight
-        return {wave: weight for wave, weight in result.items() if weight}
-
-
 def _in_group(group: int, one: Tone, two: Tone) -> list[tuple[Wave, float]]:
     """The product of two tones of one group as a sum of two."""
-    difference, total = combine(one[2], two[2], -1), combine(one[2], two[2], 1)
-    kinds = (one[1], two[1])
-    if kinds == (COSINE, COSINE):
-        parts = [(COSINE, difference, 0.5), (COSINE, total, 0.5)]
-    elif kinds == (SINE, SINE):
-        parts = [(COSINE, difference, 0.5), (COSINE, total, -0.5)]
-    else:  # sin a cos b = (sin(a + b) + sin(a - b)) / 2
-        parts = [(SINE, total, 0.5), (SINE, difference, 0.5 if kinds == (SINE, COSINE) else -0.5)]
+    kind = SINE if one[1] != two[1] else COSINE
+    parts = (
+        (combine(one[2], two[2], -1), -0.5 if one[1] < two[1] else 0.5),
+        (combine(one[2], two[2], 1), -0.5 if one[1] and two[1] else 0.5),
+    )
     options = []
-    for kind, index, weight in parts:
+    for index, weight in parts:
         sign, wave = _normal(group, kind, index)
         options.append((wave, sign * weight))
     return options
@@ -168,6 +76,7 @@ def positive(index: Index) -> tuple[int, Index]:
     return 1, index
 
 
+@dataclass(frozen=True)
 class Polynomial:
     """A sum of monomials times waves.
 
@@ -176,12 +85,8 @@ class Polynomial:
         degree: Bound on the degree.
     """
 
-    __slots__ = ("degree", "parts")
-
-    def __init__(self, parts: dict[int, dict[int, Number]], degree: int) -> None:
-        """Args: parts: As the attribute. degree: As the attribute."""
-        self.parts = parts
-        self.degree = degree
+    parts: dict[Wave, dict[int, Number]]
+    degree: int
 
     @property
     def size(self) -> int:
@@ -194,7 +99,6 @@ class Ring:
 
     Attributes:
         symbols: By number.
-        waves: The waves of this ring.
     """
 
     def __init__(
@@ -215,10 +119,10 @@ class Ring:
         self.symbols: list[Factor] = []
         self._place: dict[Factor, int] = {}
         self._known: dict[Factor, Polynomial] = {}
-        together = {
+        self._products: dict[tuple[Wave, Wave], Mixture] = {}
+        self._group = {
             self._monomial(angle): number for number, group in enumerate(groups) for angle in group
         }
-        self.waves = Waves(together, self._budget)
 
     def expand(self, value: Expression | Number) -> Polynomial:
         """An expression multiplied out.
@@ -233,34 +137,27 @@ class Ring:
         for factor in auxiliaries([expression(value)]):  # the deepest first: no deep recursion
             if factor.content is not None:
                 self._factor(factor)
-        total: dict[int, dict[int, Number]] = {}
+        total: dict[Wave, dict[int, Number]] = {}
         degree = 0
         for factors, size in expression(value).terms:
-            monomial, plain = 0, 0
-            product = Polynomial({0: {0: size}}, 0)
+            symbols = [self._monomial(factor) for factor in factors if factor.content is None]
+            product = Polynomial({(): {sum(symbols): size}}, len(symbols))
             for factor in factors:
-                if factor.content is None:
-                    monomial += self._monomial(factor)
-                    plain += 1
-                else:
+                if factor.content is not None:
                     product = self.multiply(product, self._factor(factor))
-            degree = max(degree, product.degree + plain)
+            degree = max(degree, product.degree)
             for wave, part in product.parts.items():
-                if not monomial and wave not in total:
-                    total[wave] = part
-                    continue
                 into = total.setdefault(wave, {})
-                for exponents, each in part.items():
-                    key = exponents + monomial
-                    into[key] = into.get(key, 0) + each
+                for monomial, each in part.items():
+                    into[monomial] = into.get(monomial, 0) + each
         return self._clean(total, degree)
 
     def multiply(self, a: Polynomial, b: Polynomial) -> Polynomial:
         """The product of two polynomials of this ring."""
-        total: dict[int, dict[int, Number]] = {}
+        total: dict[Wave, dict[int, Number]] = {}
         for wave_a, part_a in a.parts.items():
             for wave_b, part_b in b.parts.items():
-                mixture = self.waves.product(wave_a, wave_b)
+                mixture = self._product(wave_a, wave_b)
                 self._budget.multiply(len(part_a) * len(part_b) * len(mixture))
                 for wave, weight in mixture:
                     into = total.setdefault(wave, {})
@@ -286,7 +183,7 @@ class Ring:
         """The symbol that an angle's number in a wave stands for."""
         return self.exponents(number)[0][0]
 
-    def _clean(self, parts: dict[int, dict[int, Number]], degree: int) -> Polynomial:
+    def _clean(self, parts: dict[Wave, dict[int, Number]], degree: int) -> Polynomial:
         """Without zeros, and with numbers that a further product leaves finite."""
         if degree > LARGEST:
             raise ExpressionError(f"an expression of degree {degree}; at most {LARGEST}")
@@ -317,19 +214,50 @@ class Ring:
         return known
 
     def _trigonometric(self, nature: Nature, content: Expression) -> Polynomial:
-        angle = self.expand(content)
-        atoms = [
-            (self._atom(wave, monomial), number)
-            for wave, part in angle.parts.items()
-            for monomial, number in part.items()
-        ]
-        kind = SINE if nature is Nature.SINE else COSINE
-        mixture = self.waves.tone(kind, atoms)
-        return Polynomial({wave: {0: weight} for wave, weight in mixture}, 0)
+        """Cosine or sine of a sum of angles: the real or imaginary part of exp(i angle)."""
+        parts: dict[int, list[tuple[int, Number]]] = {}
+        for wave, part in self.expand(content).parts.items():
+            for monomial, number in part.items():
+                atom = self._atom(wave, monomial)
+                parts.setdefault(self._group.get(atom, -1 - atom), []).append((atom, number))
+        total: dict[Wave, complex] = {(): 1.0}
+        for group, angle in sorted(parts.items()):
+            index = tuple(sorted(angle))
+            sign, sine = _normal(group, SINE, index)
+            _, cosine = _normal(group, COSINE, index)
+            products: dict[Wave, complex] = {}
+            for (x, u), (y, v) in choices(total.items(), ((cosine, 1.0), (sine, 1j * sign))):
+                for wave, weight in self._product(x, y):
+                    products[wave] = products.get(wave, 0.0) + u * v * weight
+            total = products
+        sines = nature is Nature.SINE
+        weights = {wave: (w.imag if sines else w.real) for wave, w in total.items()}
+        return Polynomial({wave: {0: weight} for wave, weight in weights.items() if weight}, 0)
 
-    def _atom(self, wave: int, monomial: int) -> int:
+    def _atom(self, wave: Wave, monomial: int) -> int:
         """The number of an angle: the monomial, or a symbol made for what has waves in it."""
-        if wave == 0:
+        if not wave:
             return monomial
-        name = f"angle {wave} {monomial}"
-        return self._monomial(Factor(Nature.CONSTANT, name))
+        return self._monomial(Factor.of(Nature.CONSTANT, f"angle {wave} {monomial}"))
+
+    def _product(self, a: Wave, b: Wave) -> Mixture:
+        """Two waves multiplied."""
+        if not a or not b:
+            return ((a or b, 1.0),)
+        found = self._products.get((a, b))
+        if found is None:
+            found = self._products[a, b] = self._multiplied(a, b)
+        return found
+
+    def _multiplied(self, a: Wave, b: Wave) -> Mixture:
+        left, right = {tone[0]: tone for tone in a}, {tone[0]: tone for tone in b}
+        options: list[list[tuple[Wave, float]]] = []
+        for group in sorted({*left, *right}):
+            tones = [each[group] for each in (left, right) if group in each]
+            options.append(_in_group(group, *tones) if len(tones) > 1 else [(tuple(tones), 1.0)])
+        self._budget.multiply(prod(len(each) for each in options))
+        mixture: dict[Wave, float] = {}
+        for choice in choices(*options):
+            wave = tuple(tone for tones, _ in choice for tone in tones)
+            mixture[wave] = mixture.get(wave, 0.0) + prod(share for _, share in choice)
+        return tuple((wave, weight) for wave, weight in mixture.items() if weight)

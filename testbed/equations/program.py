@@ -6,15 +6,15 @@ sines and cosines; then the auxiliary variables; then the results.
 
 from __future__ import annotations
 
-import heapq
-from collections import Counter, defaultdict
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Set
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from typing import Generic, TypeAlias, TypeVar
+from typing import TypeAlias
 
 from testbed.equations.expression import (
+    ZERO,
     Expression,
     Factor,
     Factors,
@@ -24,13 +24,11 @@ from testbed.equations.expression import (
     collect,
     depth_first,
     exact,
-    number,
     of,
     substitute,
 )
 
 Step: TypeAlias = tuple[Factor, Expression]
-Values: TypeAlias = Mapping[Factor, float]
 SNAP = 4e-15
 """Relative distance from a fraction of 64 within which a number of the geometry is one."""
 
@@ -106,7 +104,7 @@ def recursive(results: Mapping[Factor, Expression]) -> Program:
     """
     sheet = Assignments(results)
     sheet.optimise()
-    return _program(sheet, named=True)
+    return _program(sheet)
 
 
 def literal(results: Mapping[Factor, Expression]) -> Program:
@@ -115,61 +113,30 @@ def literal(results: Mapping[Factor, Expression]) -> Program:
     Args:
         results: What is asked for, by name, multiplied out; may refer to one another.
     """
-    return _program(Assignments(results), named=False)
+    return _program(Assignments(results))
 
 
-def with_numbers(program: Program, values: Values) -> Program:
-    """The program with numbers in the place of constants.
-
-    Args:
-        program: Any.
-        values: The constants.
-    """
-    known = dict(values)
-    once = []
-    for name, value in program.once:
-        value = with_values(value, known)
-        if all(not factors for factors, _ in value.terms):
-            known[name] = float(value.terms[0][1]) if value.terms else 0.0
-        else:
-            once.append((name, value))
-    steps = [(name, with_values(value, known)) for name, value in program.steps]
-    return Program(tuple(once), tuple(steps), program.results)
-
-
-def with_values(value: Expression, known: Values) -> Expression:
-    """The expression with numbers for some of its factors, in its brackets too."""
-
-    def meaning(factor: Factor) -> Expression | None:
-        if factor.nature is Nature.BRACKET and factor.content is not None:
-            return with_values(factor.content, known)
-        return number(known[factor]) if factor in known else None
-
-    return substitute(value, meaning)
-
-
-def _program(sheet: Assignments, named: bool) -> Program:
+def _program(sheet: Assignments) -> Program:
     """Lines in order: brackets and products that serve once go where they are used."""
-    uses = Counter(f for line in sheet.lines.values() for factors in line for f in factors)
+    uses = Counter(f for line in sheet.lines.values() for factors, _ in line.terms for f in factors)
     made: dict[Factor, Expression] = {}  # what to write in the place of a line's name
     once: list[Step] = []
     steps: list[Step] = []
     numbers: Counter[str] = Counter()
     for name in depth_first(sheet.results, sheet.needs):
-        value = _snap(substitute(collect(sheet.lines[name].items()), made.get))
+        value = _snap(substitute(sheet.lines[name], made.get))
         own = name.nature is Nature.AUXILIARY and not name.name.startswith("_")
+        fixed = sheet.fixed(name)
         if name in sheet.results:
             made[name] = of(name) if value else value
             steps.append((name, value))
-        elif (own and named) or uses[name] > 1 or sheet.fixed(name):
-            letter = "k" if sheet.fixed(name) else "t"
-            label = name.name
-            if not own:
-                numbers[letter] += 1
-                label = f"{letter}{numbers[letter]}"
-            shown = Factor(Nature.AUXILIARY, label)
+        elif own or uses[name] > 1 or fixed:
+            letter = "k" if fixed else "t"
+            numbers[letter] += not own
+            label = name.name if own else f"{letter}{numbers[letter]}"
+            shown = Factor.of(Nature.AUXILIARY, label)
             made[name] = of(shown)
-            (once if sheet.fixed(name) else steps).append((shown, value))
+            (once if fixed else steps).append((shown, value))
         else:
             made[name] = value
     return Program(tuple(once), tuple(steps), frozenset(sheet.results))
@@ -189,8 +156,8 @@ def leaves(value: Expression) -> Iterator[Factor]:
     """Every factor of an expression and of its brackets."""
     for factors, _ in value.terms:
         for factor in factors:
-            if factor.nature is Nature.BRACKET and factor.content is not None:
-                yield from leaves(factor.content)
+            if factor.inside:
+                yield from leaves(factor.inside)
             else:
                 yield factor
 
@@ -201,17 +168,10 @@ def cost(value: Expression) -> tuple[int, int]:
     for factors, size in value.terms:
         products += len(factors) - 1 + (abs(size) != 1) if factors else 0
         for factor in factors:
-            if factor.nature is Nature.BRACKET and factor.content is not None:
-                inner = cost(factor.content)
+            if factor.inside:
+                inner = cost(factor.inside)
                 products, sums = products + inner[0], sums + inner[1]
     return products, sums
-
-
-Line = dict[Factors, Number]
-Place = TypeVar("Place", bound=Hashable)
-Pair = TypeVar("Pair", bound=Hashable)
-MOST_PAIRS = 1_000_000
-"""Pairs of terms, each counted twice, among which common ones are looked for: some 200 MB."""
 
 
 class Assignments:
@@ -224,14 +184,11 @@ class Assignments:
 
     def __init__(self, results: Mapping[Factor, Expression]) -> None:
         """Args: results: By name; what they refer to gets lines of its own."""
-        self.lines: dict[Factor, Line] = {}
+        self.lines = {each: each.content or ZERO for each in auxiliaries(results.values())}
+        self.lines |= results
         self.results = dict.fromkeys(results)
         self._fixed: dict[Factor, bool] = {}
         self._made = 0
-        for factor in auxiliaries(results.values()):
-            self.lines[factor] = dict(factor.content.terms if factor.content else ())
-        for name, value in results.items():
-            self.lines[name] = dict(value.terms)
 
     def optimise(self) -> None:
         """All that this module can do; more rounds of it were found to change nothing."""
@@ -241,239 +198,135 @@ class Assignments:
         self.take_factors_out()
         self.gather_fixed()
         self.share_products()
-        self.share_sums()
 
     def fixed(self, factor: Factor) -> bool:
         """Whether a factor depends on parameters and constants alone."""
-        known = self._fixed.get(factor)
-        if known is None:
-            if factor.content is None and factor not in self.lines:
+        if factor not in self._fixed:
+            value = self.lines.get(factor, factor.content)
+            if value is None:
                 known = factor.nature in (Nature.PARAMETER, Nature.CONSTANT)
             else:
-                line = self.lines.get(factor) or dict(
-                    factor.content.terms if factor.content else ()
-                )
-                known = all(self.fixed(part) for factors in line for part in factors)
+                known = all(self.fixed(part) for factors, _ in value.terms for part in factors)
             self._fixed[factor] = known
-        return known
+        return self._fixed[factor]
+
+    def variable_lines(self) -> list[Factor]:
+        """Names of the lines that are not fixed."""
+        return [name for name in self.lines if not self.fixed(name)]
 
     def needs(self, name: Factor) -> list[Factor]:
         """The lines that a line refers to."""
-        return [f for factors in self.lines[name] for f in factors if f in self.lines]
+        return [f for factors, _ in self.lines[name].terms for f in factors if f in self.lines]
 
-    def new(self, line: Line) -> Factor:
+    def new(self, value: Expression) -> Factor:
         """A new line, and its name."""
         self._made += 1
-        name = Factor(Nature.AUXILIARY, f"_{self._made}")
-        self.lines[name] = line
+        name = Factor.of(Nature.AUXILIARY, f"_{self._made}")
+        self.lines[name] = value
         return name
 
     def unify(self) -> None:
         """One line for all that are equal or opposite; none for those that only rename."""
-        while True:
-            first: dict[tuple[tuple[Factors, Number], ...], tuple[Factor, int]] = {}
-            other: dict[Factor, tuple[Factor, Number]] = {}
-            nothing = {name for name, line in self.lines.items() if not line} - set(self.results)
-            for name, line in self.lines.items():
-                if name in self.results or not line:
-                    continue
-                terms = collect(line.items()).terms
-                factors, number = terms[0]
-                if len(terms) == 1 and len(factors) == 1 and abs(number) == 1:
-                    other[name] = (factors[0], number)
-                    continue
-                sign = 1 if number > 0 else -1
-                key = tuple((each, value * sign) for each, value in terms)
-                found, its = first.setdefault(key, (name, sign))
-                if found is not name:
-                    other[name] = (found, sign * its)
-            if not other and not nothing:
-                break
-            self._rename(other, nothing)
-        needed = set(depth_first(self.results, self.needs))
-        self.lines = {name: line for name, line in self.lines.items() if name in needed}
+        while other := self._superfluous():
 
-    def _rename(self, other: dict[Factor, tuple[Factor, Number]], nothing: set[Factor]) -> None:
-        """Put other lines' names in the place of some, and zero in the place of `nothing`."""
-        for name in (*other, *nothing):
-            del self.lines[name]
-        self._fixed.clear()
-        for name, line in self.lines.items():
-            if any(f in other or f in nothing for factors in line for f in factors):
-                terms = []
-                for factors, number in line.items():
-                    renamed = []
-                    for factor in factors:
-                        while factor in other:
-                            factor, sign = other[factor]
-                            number *= sign
-                        renamed.append(factor)
-                    if nothing.isdisjoint(renamed):
-                        terms.append((_ordered(renamed), number))
-                self.lines[name] = dict(collect(terms).terms)
+            def meaning(factor: Factor) -> Expression | None:
+                value = other.get(factor)
+                return substitute(value, meaning) if value else value
+
+            left = {name: value for name, value in self.lines.items() if name not in other}
+            self.lines = {name: substitute(value, meaning) for name, value in left.items()}
+            self._fixed.clear()
+        needed = set(depth_first(self.results, self.needs))
+        self.lines = {name: value for name, value in self.lines.items() if name in needed}
+
+    def _superfluous(self) -> dict[Factor, Expression]:
+        """Lines that are zero, another name for a factor, or another line up to its sign."""
+        first: dict[Expression, tuple[Factor, int]] = {}
+        other: dict[Factor, Expression] = {}
+        for name, value in self.lines.items():
+            if name in self.results:
+                continue
+            if cost(value) == (0, 0):
+                other[name] = value
+                continue
+            sign = 1 if value.terms[0][1] > 0 else -1
+            found, its = first.setdefault(value * sign, (name, sign))
+            if found is not name:
+                other[name] = of(found) * (sign * its)
+        return other
 
     def gather_fixed(self) -> None:
         """Several fixed factors of a term, or one with a number, become one."""
-        made: dict[tuple[Factors, Number], Factor] = {}
-        for name in [name for name in self.lines if not self.fixed(name)]:
+        made: dict[Expression, Factor] = {}
+        for name in self.variable_lines():
             terms = []
-            for factors, weight in self.lines[name].items():
+            for factors, weight in self.lines[name].terms:
                 fixed = tuple(factor for factor in factors if self.fixed(factor))
                 if fixed and len(fixed) + (abs(weight) != 1) > 1:
-                    key = (fixed, abs(weight))
-                    if key not in made:
-                        made[key] = self.new({fixed: abs(weight)})
+                    product = Expression(((fixed, abs(weight)),))
+                    if product not in made:
+                        made[product] = self.new(product)
                     rest = [factor for factor in factors if factor not in fixed]
-                    factors, weight = _ordered([*rest, made[key]]), 1 if weight > 0 else -1
+                    factors, weight = _ordered([*rest, made[product]]), 1 if weight > 0 else -1
                 terms.append((factors, weight))
-            self.lines[name] = dict(collect(terms).terms)
+            self.lines[name] = collect(terms)
         self.unify()
 
     def share_products(self) -> None:
         """Two factors that stand together in several terms become one, the most frequent first."""
-        pairs: Pairs[tuple[Factor, Factors], tuple[Factor, Factor]] = Pairs()
-        for name, line in self.lines.items():
-            if not self.fixed(name):
-                for factors in line:
-                    pairs.add((name, factors), combinations(factors, 2))
-        while (found := pairs.most_frequent()) is not None:
-            pair, places = found
-            home = next((n for n, factors in places if self._is_all(n, {factors: 1}, pair)), None)
-            sign: Number = 1 if home is None else self.lines[home][pair]
-            new = home or self.new({pair: 1})
-            for name, factors in places:
-                if name is home:
-                    continue
-                line = self.lines[name]
-                number = line.pop(factors)
-                pairs.remove((name, factors), combinations(factors, 2))
-                rest = list(factors)
-                rest.remove(pair[0])
-                rest.remove(pair[1])
-                merged = _ordered([*rest, new])
-                _add(line, merged, number * sign)
-                if merged in line:
-                    pairs.add((name, merged), combinations(merged, 2))
-        self.unify()
-
-    def share_sums(self) -> None:
-        """Two terms that stand together in several sums become one, the most frequent first."""
-        pairs: Pairs[Factor, tuple[Factors, Factors, Number]] = Pairs()
-        for name, line in self._short_sums().items():
-            pairs.add(name, _ratios(line))
-        while (found := pairs.most_frequent()) is not None:
-            (a, b, ratio), places = found
-            home = next((n for n in places if self._is_all(n, {a: 1, b: ratio}, a)), None)
-            sign: Number = 1 if home is None else self.lines[home][a]
-            new = home or self.new({a: 1, b: ratio})
-            for name in places:
-                if name is home:
-                    continue
-                line = self.lines[name]
-                pairs.remove(name, _ratios(line, {a, b, (new,)}))
-                number = line.pop(a)
-                del line[b]
-                _add(line, (new,), number * sign)
-                pairs.add(name, _ratios(line, {(new,)}))
-        self.unify()
-
-    def _short_sums(self) -> dict[Factor, Line]:
-        """The sums whose pairs of terms are few enough together; the longest ones are left out."""
-        sums = {name: line for name, line in self.lines.items() if not self.fixed(name)}
-        longest = 0
-        room = MOST_PAIRS
-        for length, count in sorted(Counter(map(len, sums.values())).items()):
-            room -= count * length * length
-            if room < 0:
+        while True:
+            places: dict[tuple[Factor, Factor], dict[tuple[Factor, Factors], None]] = {}
+            for name in self.variable_lines():
+                for factors, _ in self.lines[name].terms:
+                    for pair in combinations(factors, 2):
+                        places.setdefault(pair, {})[name, factors] = None
+            common = [pair for pair, found in places.items() if len(found) > 1]
+            if not common:
                 break
-            longest = length
-        return {name: line for name, line in sums.items() if len(line) <= longest}
+            for pair in sorted(common, key=lambda pair: -len(places[pair])):
+                self._share(pair, places[pair])
+        self.unify()
 
-    def _is_all(self, name: Factor, whole: Line, first: Factors) -> bool:
-        """Whether a line consists of these terms, up to its sign."""
-        line = self.lines[name]
-        if name in self.results or line.keys() != whole.keys() or first not in line:
-            return False
-        return abs(line[first]) == 1
+    def _share(self, pair: tuple[Factor, Factor], places: Iterable[tuple[Factor, Factors]]) -> None:
+        """A line for a pair of factors, where it still stands in several places."""
+        there = [(name, each) for name, each in places if each in dict(self.lines[name].terms)]
+        if len(there) < 2:
+            return
+        alone = (Expression(((pair, 1),)), Expression(((pair, -1),)))
+        own = (n for n, _ in there if self.lines[n] in alone and n not in self.results)
+        new = next(own, None) or self.new(alone[0])
+        sign = self.lines[new].terms[0][1]
+        for name, factors in there:
+            if name is not new:
+                terms = dict(self.lines[name].terms)
+                size = terms.pop(factors)
+                rest = _without(_without(factors, pair[0]), pair[1])
+                shared = _ordered((*rest, new)), size * sign
+                self.lines[name] = collect([*terms.items(), shared])
 
     def take_factors_out(self) -> None:
         """A factor that several terms of a sum share leaves them in brackets."""
-        for name in [name for name in self.lines if not self.fixed(name)]:
+        for name in self.variable_lines():
             while (best := self._best_factor(self.lines[name])) is not None:
-                line = self.lines[name]
-                inner = {_without(fs, best): c for fs, c in line.items() if best in fs}
-                rest = {fs: c for fs, c in line.items() if best not in fs}
-                _add(rest, _ordered([best, self.new(inner)]), 1)
-                self.lines[name] = rest
+                terms = self.lines[name].terms
+                inner = collect((_without(each, best), c) for each, c in terms if best in each)
+                rest = [(each, c) for each, c in terms if best not in each]
+                self.lines[name] = collect([*rest, (_ordered((best, self.new(inner))), 1)])
         self.unify()
 
-    def _best_factor(self, line: Line) -> Factor | None:
+    def _best_factor(self, value: Expression) -> Factor | None:
         """The factor that saves the most operations, if any does."""
-        count = Counter(factor for factors in line for factor in dict.fromkeys(factors))
+        count = Counter(factor for factors, _ in value.terms for factor in dict.fromkeys(factors))
         best, most = None, (0, False)
         for factor, times in count.items():
             if times < 2:
                 continue
-            inner = [_without(factors, factor) for factors in line if factor in factors]
+            inner = [_without(each, factor) for each, _ in value.terms if factor in each]
             free = all(self.fixed(part) for factors in inner for part in factors)
             saved = ((times - 1) * (1 + free), self.fixed(factor))
             if saved > most:
                 best, most = factor, saved
         return best
-
-
-class Pairs(Generic[Place, Pair]):
-    """Which pairs stand where; the one that stands in the most places."""
-
-    def __init__(self) -> None:
-        self._places: dict[Pair, dict[Place, None]] = defaultdict(dict)
-        self._serial: dict[Pair, int] = {}
-        self._heap: list[tuple[int, int, Pair]] = []
-
-    def add(self, place: Place, pairs: Iterable[Pair]) -> None:
-        """Pairs that stand in a place."""
-        for pair in dict.fromkeys(pairs):
-            places = self._places[pair]
-            places[place] = None
-            if len(places) > 1:
-                serial = self._serial.setdefault(pair, len(self._serial))
-                heapq.heappush(self._heap, (-len(places), serial, pair))
-
-    def remove(self, place: Place, pairs: Iterable[Pair]) -> None:
-        """Pairs that stand there no more."""
-        for pair in dict.fromkeys(pairs):
-            self._places[pair].pop(place, None)
-
-    def most_frequent(self) -> tuple[Pair, list[Place]] | None:
-        """The pair in the most places, once; None if all stand in one place only."""
-        while self._heap:
-            count, _, pair = heapq.heappop(self._heap)
-            places = self._places[pair]
-            if len(places) == -count and count < -1:
-                return pair, list(places)
-        return None
-
-
-def _ratios(line: Line, some: Set[Factors] | None = None) -> list[tuple[Factors, Factors, Number]]:
-    """Every pair of terms, or those with one among some, with the ratio of their numbers."""
-    terms = collect(line.items()).terms
-    if some is None:
-        return [(a, b, v / u) for (a, u), (b, v) in combinations(terms, 2)]
-    places = [k for k, (factors, _) in enumerate(terms) if factors in some]
-    pairs = {(min(k, other), max(k, other)) for k in places for other in range(len(terms))}
-    return [
-        (terms[k][0], terms[other][0], terms[other][1] / terms[k][1])
-        for k, other in sorted(pairs)
-        if k != other
-    ]
-
-
-def _add(line: Line, factors: Factors, number: Number) -> None:
-    total = line.get(factors, 0) + number
-    if total:
-        line[factors] = total
-    else:
-        line.pop(factors, None)
 
 
 def _without(factors: Factors, one: Factor) -> Factors:

@@ -13,30 +13,23 @@ Source    [FRS96] eqs. (3)-(5), and the first part of its listing
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from testbed.core.base.arrays import AnyArray, Array
-from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.regroup import length_symbol
-from testbed.core.parameters.symbols import (
-    UPPER,
-    Label,
-    component_symbol,
-    parameter_names,
-    point_mass,
-)
+from testbed.core.parameters.symbols import UPPER, Label, component_symbol, point_mass
 from testbed.core.robot.tree import Tree
 from testbed.equations.expression import (
     Budget,
     Expression,
     Factor,
     Nature,
-    collect,
     expression,
+    of,
     symbol,
 )
 from testbed.equations.polynomial import Ring
@@ -63,12 +56,9 @@ def almost_right(tree: Tree) -> dict[str, float]:
     """Joints with a rotation or axis that `right_angles` would change, and by how much [rad]."""
     found = {}
     for joint, squared in zip(tree.joints, right_angles(tree).joints, strict=True):
-        off = max(
-            float(np.abs(squared.rotation - joint.rotation).max()),
-            float(np.abs(squared.axis - joint.axis).max()),
-        )
-        if off > EXACT:
-            found[joint.name] = off
+        changes = np.vstack((squared.rotation - joint.rotation, squared.axis - joint.axis))
+        if np.abs(changes).max() > EXACT:
+            found[joint.name] = float(np.abs(changes).max())
     return found
 
 
@@ -228,12 +218,6 @@ class Parameter:
     unit: str
     symbol: Factor | None
 
-    @classmethod
-    def of(cls, label: Label, unit: str, value: Expression | int) -> Parameter:
-        """Whose symbol `value` is a multiple of."""
-        ((factor,), _) = value.terms[0] if isinstance(value, Expression) else ((None,), 0)
-        return cls(label, unit, factor)
-
     @property
     def name(self) -> str:
         """As in the minimal set; or the barycentric parameter's."""
@@ -245,31 +229,40 @@ class Parameter:
         return self.label.times
 
 
-def columns(known_zero: AnyArray) -> AnyArray:
-    """A column a barycentric parameter, (n, 10, 10 n); of zeros where it is known to be zero."""
-    units = np.diag((~known_zero).ravel().astype(int)).astype(object)
-    return units.reshape(*known_zero.shape, known_zero.size)
+def parameters(
+    labels: Sequence[Label], units: Sequence[str], bodies: Iterable[int], lift: Array
+) -> tuple[Parameter, ...]:
+    """Parameters that equations take; in symbols a star becomes an s.
 
-
-def all_parameters(tree: Tree, known_zero: AnyArray) -> AnyArray:
-    """Symbols of the barycentric parameters, (n, 10, 1); 0 where known to be zero."""
-    theta = np.zeros(10 * tree.n, dtype=object)
-    for k, name in enumerate(parameter_names(tree)):
-        if not known_zero.ravel()[k]:
-            theta[k] = parameter_symbol(name, k // 10)
-    return theta.reshape(tree.n, 10, 1)
-
-
-def minimal_parameters(minimal: MinimalSet) -> AnyArray:
-    """Symbols of the minimal parameters, each with its number: delta, (N,).
-
-    2*K3d is twice the symbol K3d; a star becomes an s.
+    Args:
+        labels: (N,).
+        units: (N,).
+        bodies: Index of the body of each.
+        lift: (10 n, N), the barycentric parameters on these; a column of zeros is left out.
     """
-    delta = np.zeros(minimal.count, dtype=object)
-    safe = distinct([label.stem.text for label in minimal.labels])
-    for k, (label, body) in enumerate(zip(minimal.labels, minimal.bodies, strict=True)):
-        delta[k] = parameter_symbol(safe[k], body) * label.times
-    return delta
+    names = distinct([label.stem.text for label in labels])
+    symbols = (
+        parameter_symbol(name, body).terms[0][0][0] if column.any() else None
+        for name, body, column in zip(names, bodies, lift.T, strict=True)
+    )
+    return tuple(map(Parameter, labels, units, symbols))
+
+
+def barycentric(parameters: Sequence[Parameter], lift: Array, *, by_column: bool) -> AnyArray:
+    """Barycentric parameters in symbols, (n, 10, 1), or on unit columns, (n, 10, N).
+
+    Args:
+        parameters: What they are made of.
+        lift: (10 n, N).
+        by_column: Whether on unit columns.
+    """
+    values = np.eye(len(parameters), dtype=int).astype(object)
+    if not by_column:
+        values = _objects([of(p.symbol) * p.times if p.symbol else 0 for p in parameters])[:, None]
+    theta = np.zeros((len(lift), values.shape[1]), dtype=object)
+    for row, column in zip(*np.nonzero(lift), strict=True):
+        theta[row] += float(lift[row, column]) * values[column]
+    return theta.reshape(-1, 10, values.shape[1])
 
 
 def distinct(names: Sequence[str]) -> list[str]:
@@ -287,20 +280,6 @@ def identifier(name: str) -> str:
     """A parameter's name as programs can have it: mb*2z becomes mbs2z, 2*K3d 2K3d."""
     text = re.sub(r"^2\*", "2", name).replace("*", "s")
     return re.sub(r"\W", "_", text, flags=re.ASCII)
-
-
-def lift(minimal: MinimalSet, columns: AnyArray, n: int) -> AnyArray:
-    """Lift times columns, (n, 10, p): barycentric parameters that stand for minimal ones.
-
-    Args:
-        minimal: The minimal set.
-        columns: (N, p), numbers or symbols.
-        n: Number of joints.
-    """
-    theta = np.zeros((10 * n, columns.shape[1]), dtype=object)
-    for row, column in zip(*np.nonzero(minimal.lift), strict=True):
-        theta[row] += float(minimal.lift[row, column]) * columns[column]
-    return theta.reshape(n, 10, columns.shape[1])
 
 
 def parameter_symbol(name: str, body: int) -> Expression:
@@ -330,44 +309,39 @@ def barycentric_definitions(
             components of its centre of mass and central inertia that are zero in the file.
         budget: Counts terms.
     """
-    masses = _total_masses(tree)
+    masses = [symbol(Nature.PARAMETER, f"m{j + 1}", j) for j in range(tree.n)]
+    for j in reversed(range(tree.n)):
+        if tree.parents[j] >= 0:
+            masses[tree.parents[j]] += masses[j]
     ring = Ring(budget=budget)
     found = []
     for j in range(tree.n):
         values = _own(tree, j, bool(known_zero[j].any()))
         for child in tree.children(j):
             mass = parameter_symbol(f"mbar{child + 1}", child)
-            values[1:] = values[1:] + point_mass(robot.joints[child].offset)[1:] * mass
+            values += point_mass(robot.joints[child].offset) * mass
         values[0] = masses[j]
-        for component, (value, zero) in enumerate(zip(values, known_zero[j], strict=True)):
-            if not zero:
-                shown = simplify(ring, ring.expand(expression(value)), frozenset())
-                budget.write(len(shown.terms))
-                found.append((component_symbol(j, component).text, shown))
+        for component in np.flatnonzero(~known_zero[j]):
+            value = expression(values[component])
+            shown = simplify(ring, ring.expand(value), frozenset())
+            budget.write(len(shown.terms))
+            found.append((component_symbol(j, int(component)).text, shown))
     return sorted(found, key=lambda pair: -_degree(pair[0]))  # as in the paper's listing
-
-
-def _total_masses(tree: Tree) -> list[Expression]:
-    """Of each body, the sum of its mass and of all that it carries."""
-    totals = [symbol(Nature.PARAMETER, f"m{j + 1}", j) for j in range(tree.n)]
-    for j in reversed(range(tree.n)):
-        carried = (term for child in tree.children(j) for term in totals[child].terms)
-        totals[j] = collect((*totals[j].terms, *carried))
-    return totals
 
 
 def _own(tree: Tree, j: int, by_file: bool) -> AnyArray:
     """A body's own ten parameters about its frame, of mass, centre and central inertia."""
-    inertia, mass = tree.inertias[j], symbol(Nature.PARAMETER, f"m{j + 1}", j)
-    centre = np.zeros(3, dtype=object)
-    for axis, length in zip(range(3), inertia.com, strict=True):
-        if not (by_file and abs(length) < TINY):
-            centre[axis] = symbol(Nature.CONSTANT, length_symbol(j, j, "xyz"[axis]).text)
-    central = np.zeros(6, dtype=object)
-    scale = np.abs(inertia.central).max()
-    for k, (a, b) in enumerate(zip(*UPPER, strict=True)):
-        if not (by_file and abs(inertia.central[a, b]) < TINY * scale):
-            central[k] = symbol(Nature.PARAMETER, f"J{j + 1}{'xyz'[a]}{'xyz'[b]}", j)
-    own: AnyArray = point_mass(centre) * mass
-    own[4:] = own[4:] + central
+    inertia = tree.inertias[j]
+    least = TINY if by_file else 0.0
+    centre = [
+        symbol(Nature.CONSTANT, length_symbol(j, j, axis).text) if abs(length) >= least else 0
+        for axis, length in zip("xyz", inertia.com, strict=True)
+    ]
+    least *= np.abs(inertia.central).max()
+    central = [
+        symbol(Nature.PARAMETER, f"J{j + 1}{'xyz'[a]}{'xyz'[b]}", j) if abs(size) >= least else 0
+        for a, b, size in zip(*UPPER, inertia.central[UPPER], strict=True)
+    ]
+    own: AnyArray = point_mass(_objects(centre)) * symbol(Nature.PARAMETER, f"m{j + 1}", j)
+    own[4:] += _objects(central)
     return own

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TypeAlias
 
-from testbed.equations.expression import Expression, Factor, Number, Term, collect, cosine, sine
+from testbed.equations.expression import Expression, Number, Term, collect, cosine, sine
 from testbed.equations.polynomial import COSINE, SINE, Index, Polynomial, Ring, combine, positive
 
 Tone: TypeAlias = tuple[int, Index]  # 0 for a cosine or 1 for a sine, its angle
@@ -29,110 +29,68 @@ def simplify(ring: Ring, polynomial: Polynomial, natural: frozenset[Index]) -> E
         polynomial: What to write.
         natural: Angles that products may have, in the ring's numbers.
     """
-    sheet = _Sheet()
+    terms: Terms = {}
     for wave, part in polynomial.parts.items():
-        shapes = tuple((group, ((kind, index),)) for group, kind, index in ring.waves.list[wave])
-        for monomial, number in part.items():
-            sheet.put((monomial, shapes), number)
-    for group in sorted(sheet.places):
-        _pair(sheet, group, natural)
-    angles: dict[Tone, Term] = {}
-    return collect(_term(ring, key, number, angles) for key, number in sheet.terms.items())
-
-
-class _Sheet:
-    """Terms, and where each group of angles stands.
-
-    Attributes:
-        terms: Number by key.
-        places: By group, the keys of the terms in which its angles stand.
-    """
-
-    def __init__(self) -> None:
-        self.terms: Terms = {}
-        self.places: dict[int, dict[Key, None]] = {}
-
-    def put(self, key: Key, number: Number) -> None:
-        self.terms[key] = number
-        for group, _ in key[1]:
-            self.places.setdefault(group, {})[key] = None
-
-    def take(self, key: Key) -> None:
-        del self.terms[key]
-        for group, _ in key[1]:
-            del self.places[group][key]
+        shapes = tuple((group, ((kind, index),)) for group, kind, index in wave)
+        terms |= {(monomial, shapes): number for monomial, number in part.items()}
+    for group in sorted({group for wave in polynomial.parts for group, _, _ in wave}):
+        terms = _paired(terms, group, natural)
+    return collect(_term(ring, *key, number) for key, number in terms.items())
 
 
 def natural_angles(ring: Ring, angles: Iterable[Expression]) -> frozenset[Index]:
     """Angles in the ring's numbers, each with its first part positive."""
     found = set()
     for angle in angles:
-        terms = ring.expand(angle).parts.get(0, {})
+        terms = ring.expand(angle).parts.get((), {})
         index = tuple(sorted((atom, int(times)) for atom, times in terms.items()))
         found.add(positive(index)[1])
     return frozenset(found)
 
 
-def _pair(sheet: _Sheet, group: int, natural: frozenset[Index]) -> None:
-    """Pairs of tones of one group as products."""
-    buckets: dict[Key, dict[Shape, Number]] = {}
-    for key in sheet.places[group]:
-        monomial, shapes = key
-        rest = tuple(item for item in shapes if item[0] != group)
-        shape = next(shape for name, shape in shapes if name == group)
-        buckets.setdefault((monomial, rest), {})[shape] = sheet.terms[key]
-    for plain, tones in buckets.items():
-        if plain in sheet.terms:
-            tones[()] = sheet.terms[plain]
-        found = _products(tones, natural)
-        if found == tones:
-            continue
-        for shape in tones:
-            sheet.take(_with(plain, group, shape))
-        for shape, number in found.items():
-            sheet.put(_with(plain, group, shape), number)
-
-
-def _with(plain: Key, group: int, shape: Shape) -> Key:
-    """The key of a term with one more group's cosines and sines."""
-    monomial, rest = plain
-    return monomial, tuple(sorted((*rest, (group, shape)))) if shape else rest
+def _paired(terms: Terms, group: int, natural: frozenset[Index]) -> Terms:
+    """Terms with pairs of tones of one group as products."""
+    alike: dict[Key, dict[Shape, Number]] = {}
+    for (monomial, shapes), number in terms.items():
+        rest = dict(shapes)
+        shape = rest.pop(group, ())
+        alike.setdefault((monomial, tuple(rest.items())), {})[shape] = number
+    found: Terms = {}
+    for (monomial, others), tones in alike.items():
+        for shape, number in _products(tones, natural).items():
+            own = ((group, shape),) if shape else ()
+            found[monomial, (*others, *own)] = number
+    return found
 
 
 def _products(tones: dict[Shape, Number], natural: frozenset[Index]) -> dict[Shape, Number]:
     """The tones of one term, pairs of them as products where that is shorter."""
     left = dict(sorted(tones.items()))
     found: dict[Shape, Number] = {}
-    for one in list(left):
-        partner = None
-        if one in left:
-            candidates = (two for two in left if two > one and abs(left[two]) == abs(left[one]))
-            partner = next(
-                ((two, made) for two in candidates if (made := _product(one, two, left, natural))),
-                None,
-            )
-        if partner:
-            two, (shape, number) = partner
-            del left[one], left[two]
-            found[shape] = found.get(shape, 0) + number
-    for shape, number in left.items():
-        shape, number = _halved(shape, number, natural)
-        found[shape] = found.get(shape, 0) + number
+    while left:
+        one = next(iter(left))
+        number = left.pop(one)
+        made = None
+        for two, other in left.items():
+            if abs(other) == abs(number):
+                made = _product(one, two, number, other, natural)
+            if made:
+                del left[two]
+                break
+        shape, size = made or _halved(one, number, natural)
+        found[shape] = found.get(shape, 0) + size
     return {shape: number for shape, number in found.items() if number}
 
 
 def _product(
-    one: Shape, two: Shape, numbers: dict[Shape, Number], natural: frozenset[Index]
+    one: Shape, two: Shape, size: Number, other: Number, natural: frozenset[Index]
 ) -> tuple[Shape, Number] | None:
     """Two tones of one kind and with numbers of one size as a product, if it is natural."""
-    (kind, u), (other, v) = _tone(one), _tone(two)
-    if kind != other or (kind == SINE and not (u and v)):
-        return None
+    (kind, u), (second, v) = _tone(one), _tone(two)
     half, rest = _half(combine(u, v, 1)), _half(combine(u, v, -1))
-    if half is None or rest is None:
+    if kind != second or half is None or rest is None or (kind == SINE and not (u and v)):
         return None
-    alike = (numbers[one] > 0) == (numbers[two] > 0)
-    size = 2 * numbers[one]
+    alike = (size > 0) == (other > 0)
     if kind == COSINE:  # cos u + cos v = 2 cos h cos r; cos u - cos v = -2 sin h sin r
         kinds = (COSINE, COSINE) if alike else (SINE, SINE)
         size = size if alike else -size
@@ -145,7 +103,7 @@ def _product(
             return None
         size = size * sign if each == SINE else size
         shape.append((each, angle))
-    return tuple(sorted(shape)), size
+    return tuple(sorted(shape)), 2 * size
 
 
 def _halved(shape: Shape, number: Number, natural: frozenset[Index]) -> tuple[Shape, Number]:
@@ -169,19 +127,12 @@ def _half(index: Index) -> Index | None:
     return tuple((atom, int(times) // 2) for atom, times in index)
 
 
-def _term(ring: Ring, key: Key, number: Number, angles: dict[Tone, Term]) -> Term:
-    monomial, shapes = key
-    factors: list[Factor] = []
-    for factor, power in ring.exponents(monomial):
-        factors += [factor] * power
+def _term(ring: Ring, monomial: int, shapes: Shapes, number: Number) -> Term:
+    factors = [factor for factor, power in ring.exponents(monomial) for _ in range(power)]
     for _, shape in shapes:
-        for tone in shape:
-            found = angles.get(tone)
-            if found is None:
-                kind, index = tone
-                angle = collect(((ring.angle(atom),), times) for atom, times in index)
-                found = angles[tone] = (sine if kind == SINE else cosine)(angle).terms[0]
-            inside, sign = found
+        for kind, index in shape:
+            angle = collect(((ring.angle(atom),), times) for atom, times in index)
+            ((inside, sign),) = (sine if kind == SINE else cosine)(angle).terms
             factors += inside
             number *= sign
     return tuple(sorted(factors)), number if number != int(number) else int(number)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -17,12 +16,9 @@ from testbed.core.parameters.minimal_set import MinimalSet, selection
 from testbed.core.parameters.regroup import Lengths
 from testbed.core.parameters.rules import REASONS, Model
 from testbed.core.parameters.symbols import (
-    COMPONENTS,
     STANDARD,
     Formula,
-    Label,
     parameter_names,
-    summands,
 )
 from testbed.core.robot.locks import places
 from testbed.core.robot.tree import Tree
@@ -31,26 +27,14 @@ if TYPE_CHECKING:
     from testbed.core.parameters.identifiability import Visibility
 
 
-MANY = 500_000
-"""Numbers in the matrices above which they are left out unless they are asked for."""
-
-BYTES = 8
-"""About what one number of a matrix takes in the document."""
-
 GLYPHS = ("·", "+", "#")
 """Never, in combination with others, alone."""
-
-HEADINGS = {"unit": 6, "torques": 7, "plate": 8}
-"""Of the columns between name and formula, and their widths."""
-
-NAME = "parameter"
-"""Heading of the names."""
 
 GAP = 2
 """Blanks between columns."""
 
-LEAST = 24
-"""Columns below which a formula goes below its parameter."""
+WIDTHS = (6, 7, 8)
+"""Widths of the columns between name and formula: unit, torques, plate."""
 
 SHARE = 3
 """A name takes no more than one part of so many of a line, and goes on below."""
@@ -66,8 +50,7 @@ class Findings:
         reaction: delta_r.
         drives: The dynamic set together with terms of the joints; None if none are asked for.
         seen: The identifiability map; empty for none.
-        agreements: Witnesses; empty for none.
-        drives_agree: The witness of the drives; None for none.
+        agreements: Witnesses of the sets and of the drives; empty for none.
     """
 
     tree: Tree
@@ -75,8 +58,7 @@ class Findings:
     reaction: MinimalSet
     drives: DriveSet | None = None
     seen: Sequence[Visibility] = ()
-    agreements: Sequence[Agreement] = ()
-    drives_agree: DriveAgreement | None = None
+    agreements: Sequence[Agreement | DriveAgreement] = ()
 
     @property
     def sets(self) -> tuple[MinimalSet, ...]:
@@ -86,8 +68,7 @@ class Findings:
     @property
     def hold(self) -> bool:
         """Whether all witnesses agree."""
-        drives = self.drives_agree is None or self.drives_agree.holds
-        return drives and all(each.holds for each in self.agreements)
+        return all(each.holds for each in self.agreements)
 
     def formulas(self, model: Model, lengths: Lengths) -> tuple[Formula, ...]:
         """Of one model's minimal parameters, with the terms regrouped into them."""
@@ -96,16 +77,6 @@ class Findings:
         if self.drives is None:
             return self.dynamic.formulas_with(lengths)
         return self.drives.formulas_with(lengths)[: self.dynamic.count]
-
-
-@dataclass(frozen=True)
-class _Line:
-    """One parameter: its formula, unit, and the rule that keeps it by model."""
-
-    formula: Formula
-    unit: str
-    torques: str = "-"
-    bedplate: str = "-"
 
 
 def print_sets(console: Console, found: Findings, lengths: Lengths) -> None:
@@ -171,83 +142,31 @@ def map_table(tree: Tree, seen: Sequence[Visibility]) -> Table:
 
 
 def _print_bodies(console: Console, found: Findings, lengths: Lengths) -> None:
-    """Body by body, tips first and the bedplate last, under one row of headings."""
-    lines = _lines(found, lengths)
-    labels = [line.formula.left for each in lines.values() for line in each]
-    marks = dict(HEADINGS)
-    if found.tree.sensor is not None:
-        marks = {"unit": HEADINGS["unit"], "sensor": HEADINGS["plate"]}
-    widths = [_name_width(labels, console.width), *marks.values()]
-    rest = console.width - sum(widths) - GAP * (len(widths) + 1)
-    below = rest < LEAST
-    headings = [NAME, *marks, *(() if below else ("combination of",))]
-    console.print(_columns(headings, widths), style="bold", soft_wrap=True)
-    for body in sorted(lines, reverse=True):
-        for part in textwrap.wrap(
-            _heading(found, body), console.width, subsequent_indent=" " * GAP
-        ):
-            console.print(part, style="bold", soft_wrap=True)
-        for line in lines[body]:
-            name = broken_name(line.formula.left, widths[0])
-            said = [] if line.formula.trivial else summands(line.formula.right, "text") or ["0"]
-            made = [] if below else broken_sum(said, rest)
-            for k in range(max(len(name), len(made))):
-                every = {"unit": line.unit, "torques": line.torques}
-                shown = [every.get(mark, line.bedplate) if k == 0 else "" for mark in marks]
-                cells = ("".join(name[k : k + 1]), *shown, "".join(made[k : k + 1]))
-                console.print(_columns(cells, widths), soft_wrap=True)
-            if below and said:
-                for part in broken_sum(["=", *said], console.width - 3 * GAP):
-                    console.print(" " * 3 * GAP + part, soft_wrap=True)
-
-
-def _name_width(labels: Sequence[Label], width: int) -> int:
-    """What names take: their share, or what their longest piece needs if there is room."""
-    longest = max((len(label.text) for label in labels), default=0)
-    piece = max((len(piece) for label in labels for piece in label.pieces), default=0)
-    room = width - sum(HEADINGS.values()) - GAP * (len(HEADINGS) + 1)
-    wanted = min(longest, max(piece, width // SHARE))
-    return max(len(NAME), min(wanted, room))
-
-
-def _columns(cells: Sequence[str], widths: Sequence[int]) -> str:
-    """Cells side by side, set in; the last takes what it needs."""
-    padded = (f"{cell:{width + GAP}}" for cell, width in zip(cells, widths, strict=False))
-    return " " * GAP + ("".join(padded) + "".join(cells[len(widths) :])).rstrip()
-
-
-def broken_sum(pieces: Sequence[str], width: int) -> list[str]:
-    """A sum in lines, broken between its terms, and within one only if that is too long."""
-    lines: list[str] = []
-    for piece in pieces:
-        if lines and len(lines[-1]) + 1 + len(piece) <= width:
-            lines[-1] += f" {piece}"
-        else:
-            lines += textwrap.wrap(piece, width, break_on_hyphens=False)
-    return lines
-
-
-def broken_name(label: Label, width: int) -> list[str]:
-    """A name in lines, broken between its terms, and within one only if that is too long."""
-    if len(label.text) <= width:
-        return [label.text]
-    return [line for piece in label.pieces for line in textwrap.wrap(piece, width)]
-
-
-def _lines(found: Findings, lengths: Lengths) -> dict[int, list[_Line]]:
-    """One line a parameter by body; torques and bedplate share it where they mean the same."""
-    lines: dict[int, dict[Formula, _Line]] = {}
+    """Body by body, tips first and the bedplate last: parameters, and the rules that keep them."""
+    instruments = [each.model for each in found.sets]
+    rows: dict[int, dict[Formula, dict[str, str]]] = {}
     for each in found.sets:
         formulas = found.formulas(each.model, lengths)
-        rows = zip(formulas, each.units, each.bodies, each.reasons, strict=True)
-        for formula, unit, body, reason in rows:
-            known = lines.setdefault(body, {})
-            line = known.get(formula, _Line(formula, unit))
-            torques = each.model == "dynamic"
-            known[formula] = (
-                replace(line, torques=reason) if torques else replace(line, bedplate=reason)
-            )
-    return {body: list(known.values()) for body, known in lines.items()}
+        columns = zip(each.bodies, formulas, each.units, each.reasons, strict=True)
+        for body, formula, unit, reason in columns:
+            row = rows.setdefault(body, {}).setdefault(formula, {"unit": unit})
+            row[each.model] = reason
+    names = [formula.left.text for known in rows.values() for formula in known]
+    width = min(max(map(len, names), default=0), console.width // SHARE)
+    heads = ["torques", "plate"] if found.tree.sensor is None else ["sensor"]
+    for body in sorted(rows, reverse=True):
+        console.print(_heading(found, body), style="bold", soft_wrap=True)
+        table = Table(box=None, padding=(0, 0, 0, GAP), header_style="bold")
+        table.add_column("parameter", width=max(width, len("parameter")), overflow="fold")
+        table.show_header = body == max(rows)
+        for head, wide in zip(("unit", *heads), WIDTHS, strict=False):
+            table.add_column(head, min_width=wide)
+        table.add_column("combination of", overflow="fold")
+        for formula, row in rows[body].items():
+            rules = (row.get(model, "-") for model in instruments)
+            right = "" if formula.trivial else formula.said
+            table.add_row(formula.left.text, row["unit"], *rules, right)
+        console.print(table)
 
 
 def _heading(found: Findings, body: int) -> str:
@@ -263,13 +182,13 @@ def _explained(found: Findings, lengths: Lengths) -> Iterator[str]:
     """Rules, redefinitions, directions and terms of the joints, a line each."""
     for number in sorted({reason for each in found.sets for reason in each.reasons}):
         yield f"{'rule ' * number[0].isdigit()}{number}: {REASONS[number]}"
-    sets = {"torques": found.sets[0], "plate": found.reaction}
-    said = {name: each.auxiliary_with(lengths) for name, each in sets.items()}
-    other = {name: {f.left: f for f in said[name]} for name in sets}
-    for formula in dict.fromkeys((*said["torques"], *said["plate"])):
-        of = [name for name in sets if other[name].get(formula.left) == formula]
-        differs = len({f for name in sets if (f := other[name].get(formula.left))}) > 1
-        yield f"with {formula}{f' ({of[0]})' if differs else ''}"
+    instruments: dict[Formula, list[str]] = {}
+    for each in found.sets:
+        for formula in each.auxiliary_with(lengths):
+            name = "torques" if each.model == "dynamic" else "plate"
+            instruments.setdefault(formula, []).append(name)
+    for formula, names in instruments.items():
+        yield f"with {formula}{f' ({names[0]})' if len(names) < len(found.sets) else ''}"
     for body, triad in (found.sets[0].triads | found.reaction.triads).items():
         axes = (
             f"{letter} = ({x:.6g}, {y:.6g}, {z:.6g})"
@@ -286,8 +205,7 @@ def _drive_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
         names = places(tree)
         joints = [names[term.joint] for term in drives.terms if term.law == law]
         if joints:
-            whose = "every joint" if tuple(joints) == tree.names else ", ".join(joints)
-            yield f"{law.kind}: a column of its own for {whose}"
+            yield f"{law.kind}: a column of its own for {', '.join(joints)}"
     for term, column in drives.regrouped.items():
         holders = [name for name, share in zip(drives.names, column, strict=True) if share]
         beside = " and ".join(holders)
@@ -295,50 +213,36 @@ def _drive_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
 
 
 def _summary(found: Findings) -> str:
-    tared = " (tared)" if found.reaction.tared else ""
-    count = plural(found.sets[0].count, "combination")
-    phrase = (
-        f"{count} identifiable by joint torques, {found.reaction.count} by the force plate{tared}"
-    )
+    instruments = ["joint torques", "the force plate"]
     if found.tree.sensor is not None:
-        phrase = f"{count} identifiable by the force sensor{tared}"
-    drives = found.drives
-    terms = (
-        f"; with terms of the joints, {plural(drives.count, 'unknown')}"
-        if drives is not None
-        else ""
-    )
+        instruments = ["the force sensor"]
+    first, *others = zip(found.sets, instruments, strict=True)
+    phrase = f"{plural(first[0].count, 'combination')} identifiable by {first[1]}"
+    phrase += "".join(f", {each.count} by {name}" for each, name in others)
+    phrase += " (tared)" * found.reaction.tared
+    if found.drives is not None:
+        phrase += f"; with terms of the joints, {plural(found.drives.count, 'unknown')}"
     bodies = found.tree.n - found.tree.massless
-    return f"{found.tree.name}: {10 * bodies} parameters; {phrase}{terms}"
+    return f"{found.tree.name}: {10 * bodies} parameters; {phrase}"
 
 
 def _verdicts(found: Findings) -> Iterator[str]:
     """What the witnesses say, a line each."""
     for each in found.agreements:
-        yield (
-            f"{each.model}: three methods {_agree(each.holds)}: rules {each.rules}, exact "
-            f"recursion {each.recursion} (row spaces apart by {each.recursion_distance:.0e}), "
-            f"sampled regressor {each.sampled} ({each.sampled_distance:.0e}, singular-value gap "
-            f"{each.gap:.0e}); regrouping changes the model by {each.change:.0e}"
-        )
-    drives = found.drives_agree
-    if drives is not None:
-        yield (
-            f"with terms of the joints: two methods {_agree(drives.holds)}: exact recursion "
-            f"{drives.count}, sampled columns {drives.sampled} (singular-value gap "
-            f"{drives.gap:.0e}); regrouping changes the model by {drives.change:.0e}"
-        )
-
-
-def _agree(holds: bool) -> str:
-    return "agree" if holds else "DISAGREE"
-
-
-def matrix_numbers(found: Findings) -> int:
-    """How many numbers the matrices hold; it grows with the square of the joints."""
-    d, r, columns = found.dynamic.count, found.reaction.count, 10 * found.tree.n
-    drives = 0 if found.drives is None else found.drives.count * len(found.drives.asked)
-    return 2 * (d + r) * columns + d * r + drives
+        agree = "agree" if each.holds else "DISAGREE"
+        change = f"regrouping changes the model by {each.change:.0e}"
+        if isinstance(each, Agreement):
+            yield (
+                f"{each.model}: three methods {agree}: rules {each.rules}, exact recursion "
+                f"{each.recursion} (row spaces apart by {each.recursion_distance:.0e}), sampled "
+                f"regressor {each.sampled} ({each.sampled_distance:.0e}, singular-value gap "
+                f"{each.gap:.0e}); {change}"
+            )
+        else:
+            yield (
+                f"with terms of the joints: two methods {agree}: exact recursion {each.count}, "
+                f"sampled columns {each.sampled} (singular-value gap {each.gap:.0e}); {change}"
+            )
 
 
 def as_document(found: Findings, matrices: bool = True) -> dict[str, Any]:
@@ -365,8 +269,6 @@ def as_document(found: Findings, matrices: bool = True) -> dict[str, Any]:
         document["S"] = selection(*sets).tolist()
     if found.drives is not None:
         document["drives"] = _drives_as_json(found.drives, matrices)
-    if (agree := found.drives_agree) is not None:
-        document["drives"]["verified"] = asdict(agree) | {"holds": agree.holds}
     return document
 
 
@@ -413,11 +315,8 @@ def _drives_as_json(drives: DriveSet, matrices: bool) -> dict[str, Any]:
 
 def _map_as_json(tree: Tree, each: Visibility) -> dict[str, Any]:
     words = ("never", "combined", "alone")
-    levels = {"standard": (STANDARD, each.standard), "barycentric": (COMPONENTS, each.barycentric)}
-    return {"instrument": each.instrument, "count": each.count} | {
-        basis: {
-            joint.body: {p: words[level] for p, level in zip(names, table[j], strict=True)}
-            for j, joint in enumerate(tree.joints)
-        }
-        for basis, (names, table) in levels.items()
+    bodies = {
+        joint.body: dict(zip(STANDARD, map(words.__getitem__, levels), strict=True))
+        for joint, levels in zip(tree.joints, each.standard.tolist(), strict=True)
     }
+    return {"instrument": each.instrument, "count": each.count, "standard": bodies}

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from testbed.core.base.errors import round_significant
 from testbed.view.figures import Panel
 
 DARKEST = 48
@@ -64,37 +62,6 @@ class HeatTable:
     caption: str
     names: Sequence[str]
     rows: Sequence[tuple[str, Sequence[Mapping[str, Any]]]]
-
-    @staticmethod
-    def of_powers(
-        caption: str,
-        rows: Sequence[str],
-        columns: Sequence[str],
-        values: Sequence[Sequence[float]],
-        least: float,
-        most: float,
-    ) -> HeatTable:
-        """Values as percents, which span powers of ten: dark where they are large.
-
-        Args:
-            caption: What is shown.
-            rows: Their names.
-            columns: Theirs.
-            values: By row and column; not a number where there is none.
-            least: Value of the lightest cell, above zero.
-            most: Of the darkest one.
-        """
-        span = math.log(most / least) or 1.0
-
-        def cell(value: float) -> dict[str, Any]:
-            if not value > 0:
-                return {"text": "", "share": 0}
-            part = min(max(math.log(value / least) / span, 0.0), 1.0)
-            text = f"{round_significant(100 * value, 2):g}"
-            return {"text": text, "share": round(DARKEST * part)}
-
-        shown = [(name, [cell(x) for x in line]) for name, line in zip(rows, values, strict=True)]
-        return HeatTable(caption, list(columns), shown)
 
 
 @dataclass(frozen=True)

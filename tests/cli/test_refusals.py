@@ -105,9 +105,7 @@ report {ONE} --out x.pdf | --out 'x.pdf' .html
 view {ONE} --save x.png | --save 'x.png' .rrd
 simulate table.toml | --out
 campaign quick.toml --workers -1 | --workers 0
-campaign quick.toml --tls-key log.csv | --tls-ca --tls-cert
-campaign quick.toml --tls-key log.csv --tls-ca log.csv --tls-cert log.csv | TLS --scheduler
-campaign --summary none | 'none' results.parquet
+campaign --summary none | none/results.parquet
 excite two.urdf --trajectory t.txt | 't.txt' .csv
 excite two.urdf --check | 'two.urdf' model testbed new
 excite two.urdf --check --page x.html --trajectory t.csv | --trajectory --page

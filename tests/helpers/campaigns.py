@@ -1,16 +1,15 @@
-"""Campaigns whose runs cost next to nothing, and engines that go other ways."""
+"""Campaigns whose runs cost next to nothing."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from testbed.campaigns.bundle import Bundle, Outcome, carry_out_bundle
-from testbed.campaigns.cluster import Work
-from testbed.campaigns.conduct import Answers, Supply
+from testbed.campaigns.campaign import Campaign
+from testbed.campaigns.conduct import Place
 from tests.helpers.paths import ROOT
 
 QUICK = (
@@ -53,53 +52,22 @@ set = ["measurement.force_noise=$", "measurement.moment_noise=$*0.2"]
 values = [0.5, 2.0]
 """
 
-
-def made_up(bundle: Bundle) -> tuple[list[Outcome], float]:
-    """Outcomes that only the hash of a run decides; no simulation."""
-    found = []
-    for run, _ in bundle.runs:
-        rng = np.random.default_rng(int(run, 16))
-        truth, sigma = np.array([1.0, -2.0]), np.array([0.1, 0.3])
-        values = truth + sigma * rng.normal(size=2)
-        estimate = {
-            "names": ["a", "b"],
-            "truth": truth.tolist(),
-            "values": values.tolist(),
-            "sigma": sigma.tolist(),
-            "relative_error": ((values - truth) / truth).tolist(),
-        }
-        error = float(np.abs(values - truth).max())
-        metrics = {"external_rms_relative_error": error}
-        found.append(Outcome(run, "done", metrics=metrics, estimates={"external": estimate}))
-    return found, 0.01 * len(found)
+TRUTH, SIGMA = np.array([1.0, -2.0]), np.array([0.1, 0.3])
 
 
-class Odd:
-    """Bundles of another size, in another order, by other work."""
-
-    def __init__(self, work: Work = made_up, size: int | None = None, seed: int = 0) -> None:
-        """Nothing asked for yet.
-
-        Args:
-            work: What is done with a bundle.
-            size: Runs of a bundle; default as they are handed out.
-            seed: Of the order.
-        """
-        self.work, self.size, self.rng = work, size, np.random.default_rng(seed)
-        self.asked: list[str] = []
-
-    def answers(self, supply: Supply) -> Answers:
-        """Outcomes of all that a supply hands out, in an order of our own."""
-        bundles = []
-        while (bundle := supply.take(3)) is not None:
-            size = self.size or len(bundle.runs)
-            for first in range(0, len(bundle.runs), size):
-                part = bundle.runs[first : first + size]
-                bundles.append(replace(bundle, runs=part))
-        for k in self.rng.permutation(len(bundles)):
-            self.asked += [run for run, _ in bundles[k].runs]
-            yield self.work(bundles[k])
-
-
-real = carry_out_bundle
-"""The work itself."""
+def made_up(campaign: Campaign, place: Place) -> dict[str, Any]:
+    """Row that only the hash of a run decides; no simulation."""
+    values = TRUTH + SIGMA * np.random.default_rng(int(place.run, 16)).normal(size=2)
+    columns = zip("ab", TRUTH, values, SIGMA, (values - TRUTH) / TRUTH, strict=True)
+    names = ("parameter", "truth", "value", "sigma", "relative_error")
+    return {
+        "run": place.run,
+        "status": "done",
+        "error": "",
+        "command": campaign.command(place.cell, place.replicate),
+        "seed": campaign.tables.seed + place.replicate,
+        "metric/external_rms_relative_error": float(np.abs(values - TRUTH).max()),
+        "estimates": [
+            {"method": "external"} | dict(zip(names, row, strict=True)) for row in columns
+        ],
+    }

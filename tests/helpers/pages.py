@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from testbed.campaigns.bundle import Bundle, Outcome
 from testbed.campaigns.campaign import Campaign
 from testbed.campaigns.campaign_section import write_campaign_page
-from testbed.campaigns.conduct import conduct
-from testbed.campaigns.summary import Summary, read_campaign, summarise
+from testbed.campaigns.conduct import places_of
+from testbed.campaigns.results import Results, read_results, write_rows
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.importing.check.mapping_solution import KNOWN, MappingSolution
@@ -32,7 +31,7 @@ from testbed.motion.information import Prediction
 from testbed.view.mapping import write_mapping_page
 from testbed.view.motion import write_motion_page
 from testbed.view.run_page import write_report
-from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up
+from tests.helpers.campaigns import NOISES, campaign_file, made_up
 from tests.helpers.ideal import ideal
 from tests.helpers.paths import ROOT
 from tests.helpers.runs import experiment, noisy, robot, run_of, without
@@ -117,19 +116,19 @@ def excitation() -> Excitation:
     return Excitation(found.experiment, tree, rules, design, promise, found.motion, random)
 
 
-def with_failures(bundle: Bundle) -> tuple[list[Outcome], float]:
-    """Outcomes by the hash of a run; the first of each bundle fails."""
-    (first, *others), seconds = made_up(bundle)
-    return [replace(first, status="failed", error=HOSTILE), *others], seconds
-
-
 @cache
-def campaign() -> Summary:
-    """A campaign of made-up outcomes."""
+def campaign() -> Results:
+    """Results of a campaign of made-up outcomes, a failure among them."""
     place = Path(mkdtemp())
     asked = Campaign.load(campaign_file(place, 12, GRID))
-    conduct(asked, place / "r", Odd(with_failures))
-    return summarise(read_campaign(place / "r"))
+    rows = []
+    for run in places_of(asked):
+        levels = asked.cells[run.cell].levels
+        factors = dict(zip((f"factor/{name}" for name in asked.factors), levels, strict=True))
+        rows.append(made_up(asked, run) | factors | {"cell": run.cell, "replicate": run.replicate})
+    rows[0] |= {"status": "failed", "error": HOSTILE}
+    write_rows(place / "results.parquet", asked, rows)
+    return read_results(place / "results.parquet")
 
 
 def mapping() -> MappingSolution:

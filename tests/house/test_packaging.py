@@ -34,14 +34,12 @@ def test_the_lock_pins_what_is_permitted_and_nothing_needed_is_left_out() -> Non
 
 def test_tests_need_the_same_versions_of_an_extra_as_its_users() -> None:
     tested = {each.name: each.specifier for each in EXTRAS["dev"]}
-    for extra in ("import", "cluster"):
-        assert {each.name: tested[each.name] for each in EXTRAS[extra]} == {
-            each.name: each.specifier for each in EXTRAS[extra]
-        }
+    used = {each.name: each.specifier for each in EXTRAS["import"]}
+    assert {name: tested[name] for name in used} == used
 
 
 def test_every_requirement_has_a_lowest_version() -> None:
-    for each in (*NEEDED, *EXTRAS["dev"], *EXTRAS["import"], *EXTRAS["cluster"]):
+    for each in (*NEEDED, *EXTRAS["dev"], *EXTRAS["import"]):
         assert any(bound.operator in (">=", "==") for bound in each.specifier), each
 
 

@@ -24,7 +24,6 @@ from testbed.bodies.shapes.appearance import Appearance, load_appearance
 from testbed.view.figures import Panel, named_panels, power_of_ten, tick_label
 from testbed.view.plot import MOST, ErrorDots, dot_panels, dots_of_run
 from testbed.view.portrait import HEIGHT, LETTER, paint, png, portrait
-from testbed.view.section import DARKEST, HeatTable
 from testbed.view.signals import SEGMENT, rms_within, spectrum
 from tests.helpers.pages import HOSTILE, run_named
 from tests.helpers.shapes import ball
@@ -120,15 +119,6 @@ def test_dots_are_errors_and_bars_are_sigmas() -> None:
     labels = [text.get_text() for text in tb.plot(run).axes[0].get_yticklabels()]
     assert labels == list(dots.names)
     assert tb.plot(run.estimates["external"])._repr_png_().startswith(b"\x89PNG")
-
-
-def test_cells_are_as_dark_as_the_logarithm_of_what_they_hold() -> None:
-    """Empty where there is nothing; axe sees to it that the darkest can be read."""
-    values = [0.01, 0.1, 1.0, 10.0, 100.0, 1e6, 1e-9, float("nan")]
-    ((_, cells),) = HeatTable.of_powers("", ["a"], list("bcdefghi"), [values], 0.01, 100.0).rows
-    wanted = [0, DARKEST / 4, DARKEST / 2, 3 * DARKEST / 4, DARKEST, DARKEST, 0, 0]
-    assert [cell["share"] for cell in cells] == [round(part) for part in wanted]
-    assert [cells[k]["text"] for k in (0, 2, 7)] == ["1", "100", ""]
 
 
 @given(rngs, st.sampled_from([300, SEGMENT, 40 * SEGMENT]), st.floats(50, 1000))

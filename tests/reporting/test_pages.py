@@ -45,7 +45,7 @@ SECTIONS = {
     "half": "warnings errors parameters prediction spectra map asked",
     "silent": "warnings prediction map asked",
     "motion": "sigma motion limits",
-    "campaign": "heat marginals coverage scores sigma parameters failures",
+    "campaign": "cells failures",
     "mapping": "values before after",
 }  # fmt: skip
 """What there is to read of each page."""

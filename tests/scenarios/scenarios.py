@@ -23,7 +23,7 @@ from testbed.applications.calibration import Calibration, calibrate
 from testbed.applications.payload.payload import PayloadEstimate, payload
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.campaigns.campaign import Campaign
-from testbed.campaigns.conduct import InThisProcess, conduct
+from testbed.campaigns.conduct import conduct
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.estimation.settings import DEFAULTS, Settings
@@ -205,7 +205,7 @@ def _several() -> Run:
 def _campaign() -> list[dict[str, Any]]:
     with TemporaryDirectory() as folder:
         campaign = Campaign.load(campaign_file(Path(folder), 2, NOISES))
-        conduct(campaign, Path(folder) / "r", InThisProcess())
+        conduct(campaign, Path(folder) / "r")
         rows: list[dict[str, Any]] = pq.read_table(Path(folder) / "r/results.parquet").to_pylist()
     return rows
 

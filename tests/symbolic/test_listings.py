@@ -289,8 +289,8 @@ NO_LISTING = {
     "Q1 = " + "-" * 100_000 + "g": "line 1", "Q1 = g ** 99": "20", "Q1 = g\nQ1 = g": "Q1",
     "Q1 = \u0663*g": "\u0663", "Q1 = __import__('os')": "'os'", "Q1 = g(g)": "g(g)",
     "Q1 = g if g else g": "line 1", "Q1 = True*g": "True",
+    "Q1 = g / 'a'": "line 1",
     "Q1 = K9zz*qpp1": "K9zz", "Q1 = S_1_m9": "S_1_m9",
-    "Q1 = " + "*".join(["g"] * (LARGEST + 1)): str(LARGEST),
 }  # fmt: skip
 
 

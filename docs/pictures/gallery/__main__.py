@@ -33,8 +33,9 @@ from docs.pictures.drawing import error_dots, placed, save
 from docs.pictures.explained import errors_of
 from testbed.bodies.shapes.appearance import load_appearance
 from testbed.campaigns.campaign import Campaign
-from testbed.campaigns.conduct import InThisProcess, conduct
-from testbed.campaigns.summary import read_campaign, summarise
+from testbed.campaigns.conduct import conduct
+from testbed.campaigns.results import RESULTS, read_results
+from testbed.campaigns.summary import summarise
 from testbed.cli.reading import Reading
 from testbed.lab.experiment.summary import obtained, percent
 from testbed.view.drives import curve_lines
@@ -130,12 +131,11 @@ def varied(path: Path) -> dict[str, str]:
     """Carry out a campaign over faults: errors with each, and where it is estimated."""
     campaign, errors = Campaign.load(path), defaultdict[str, dict[str, float]](dict)
     with TemporaryDirectory() as folder:
-        conduct(campaign, Path(folder), InThisProcess())
-        found = summarise(read_campaign(Path(folder)))
-    for each in found.figures:
-        if each.metric == "external_rms_relative_error":
-            fault, _, estimated = str(*found.cells[each.cell]).partition("; ")
-            errors[fault]["external" if estimated else "internal"] = 100 * each.mean
+        conduct(campaign, Path(folder))
+        found = summarise(read_results(Path(folder) / RESULTS).rows)
+    for each in found:
+        fault, _, estimated = str(*each.levels.values()).partition("; ")
+        errors[fault]["external" if estimated else "internal"] = 100 * each.error
     width, height, parts = error_dots(errors, ESTIMATED, left=230)
     shows = "Rms error of the plate's estimate with one fault at a time, and with it estimated"
     save(f"gallery/{path.stem}", width, height, parts, shows)

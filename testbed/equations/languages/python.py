@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from testbed.equations.equations import Equations, Listing
+from testbed.equations.expression import Factor
 from testbed.equations.languages.text import (
-    Style,
+    assignments,
     decimal,
     function_name,
     inputs,
-    last_uses,
-    own_name,
     preface,
-    references,
-    terms,
     used_constants,
     wrap,
 )
+from testbed.equations.program import Program, leaves
 
 MOST_TERMS = 500
 """Terms of one Python expression; a few thousand overflow the compiler's stack."""
-STYLE = Style(own_name, decimal, plus_first=True)
 
 _FIRST_LINES = ("# -*- coding: utf-8 -*-", "# Written by testbed.")
 """In the first two lines Python looks for a coding: nothing from a model file stands there."""
@@ -50,7 +47,7 @@ def python(listing: Listing, source: str) -> str:
     """A Python module; arguments as for `write_equations`."""
     lines = [*_FIRST_LINES, *(f"# {line}".rstrip() for line in preface(listing, source))]
     lines += ["", "import numpy as np", "from numpy import cos, sin", ""]
-    lines += [f"JOINTS = {listing.tree.n}", "BLOCK = 4096  # samples at once"]
+    lines += [f"JOINTS = {listing.tree.n}", "BLOCK = 2048  # samples at once"]
     lines += [
         f"{name} = {decimal(value)}  # {unit}" for name, value, unit in used_constants(listing)
     ]
@@ -89,37 +86,27 @@ def _front(each: Equations) -> list[str]:
 
 def _body(each: Equations) -> list[str]:
     """The lines of the program, on one block: coordinates (joints, samples)."""
-    name, again, done = function_name(each), references(each), last_uses(each.program)
-    lines = [f"def _{name}({', '.join(each.kind.takes)}, {each.vector}, result):"]
-    lines += [f"    {name} = {source}" for name, source in inputs(each, STYLE)]
-    for label, value in each.program.lines:
-        pieces = terms(value, STYLE)
-        if label not in each.places:
-            lines += _assigned(label.name, pieces)
-        elif value:
-            target = f"result[{', '.join(str(index) for index in each.places[label])}]"
-            if label in again:
-                lines += _assigned(label.name, pieces)
-                pieces = [label.name]
-            lines += _assigned(target, pieces)
-        if label in done:  # memory that is given back at once stays in the cache
-            lines += _deleted(done[label])
+    lines = [f"def _{function_name(each)}({', '.join(each.kind.takes)}, {each.vector}, result):"]
+    lines += [f"    {name} = {source}" for name, source in inputs(each)]
+    unused = last_uses(each.program)
+    for (label, value), (target, pieces) in zip(each.program.lines, assignments(each), strict=True):
+        for first in range(0, len(pieces) if value else 0, MOST_TERMS):
+            part = pieces[first : first + MOST_TERMS]
+            sum_of = wrap(f"    {target} {'+=' if first else '='} (", part, "        ")
+            lines += [sum_of[0].replace("= ( ", "= (", 1), *sum_of[1:]]
+            lines[-1] += ")"
+        if label in unused:  # memory that is given back at once stays in the cache
+            lines.append(f"    del {', '.join(unused[label])}")
     return lines if len(lines) > 1 else [*lines, "    del result  # all zero"]
 
 
-def _deleted(names: list[str]) -> list[str]:
-    return [f"    del {', '.join(names[k : k + 8])}" for k in range(0, len(names), 8)]
-
-
-def _assigned(target: str, pieces: list[str]) -> list[str]:
-    """One assignment; a sum longer than the compiler can take is added up in parts."""
-    lines = []
-    for first in range(0, len(pieces), MOST_TERMS):
-        part = pieces[first : first + MOST_TERMS]
-        sign = "+=" if first else "="
-        short = wrap(f"    {target} {sign}", part, "")
-        if len(short) == 1:
-            lines += short
-        else:
-            lines += [f"    {target} {sign} (", *wrap("       ", part, "        "), "    )"]
-    return lines
+def last_uses(program: Program) -> dict[Factor, list[str]]:
+    """Auxiliary variables by the line that is the last to need them."""
+    needed = {name for name, _ in program.steps} - program.results
+    found: dict[Factor, list[str]] = {}
+    for name, value in reversed(program.steps):
+        last = needed.intersection(leaves(value))
+        needed -= last
+        if last:
+            found[name] = sorted(factor.name for factor in last)
+    return found

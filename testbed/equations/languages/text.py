@@ -9,12 +9,11 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from testbed.equations.equations import Equations, Listing
 from testbed.equations.expression import Expression, Factor, Nature, Number, Term
-from testbed.equations.program import Program, leaves
 from testbed.equations.robot import almost_right
 
 WIDTH = 96
@@ -32,7 +31,7 @@ class Style:
         times: Between factors.
         parameter_first: Whether the number stands behind the parameter, as in the paper.
         plus_first: Whether a sum begins with a term that is not subtracted, if it has one.
-        power: A factor that stands several times in a term; None writes it so.
+        power: A factor that stands once or several times in a term.
     """
 
     name: Callable[[Factor], str]
@@ -40,17 +39,12 @@ class Style:
     times: str = "*"
     parameter_first: bool = False
     plus_first: bool = False
-    power: Callable[[str, int], str] | None = None
-
-
-def own_name(factor: Factor) -> str:
-    """The factor's own name."""
-    return factor.name
+    power: Callable[[str, int], str] = lambda name, times: "*".join([name] * times)
 
 
 def decimal(value: Number) -> str:
-    """A number that reads back as the same."""
-    return repr(value)
+    """A number with a decimal point, that reads back as the same."""
+    return repr(float(value))
 
 
 def fraction(value: Number) -> str:
@@ -58,6 +52,10 @@ def fraction(value: Number) -> str:
     if isinstance(value, float) and value == (near := Fraction(value)) and near.denominator <= 64:
         return str(near)
     return repr(value)
+
+
+PROGRAMS = Style(lambda factor: factor.name, decimal, plus_first=True)
+"""How Python and C write terms."""
 
 
 def terms(value: Expression, style: Style) -> list[str]:
@@ -84,19 +82,13 @@ def terms(value: Expression, style: Style) -> list[str]:
 
 
 def _product(factors: list[Factor], style: Style) -> list[str]:
-    """Factors as written, repeated ones as powers if the language has them."""
-    if style.power is None:
-        return [_factor(factor, style) for factor in factors]
-    texts = []
-    for factor, times in Counter(factors).items():
-        name = _factor(factor, style)
-        texts.append(style.power(name, times) if times > 1 else name)
-    return texts
+    """Factors as written, repeated ones as powers."""
+    return [style.power(_factor(each, style), times) for each, times in Counter(factors).items()]
 
 
 def _factor(factor: Factor, style: Style) -> str:
-    if factor.nature is Nature.BRACKET and factor.content is not None:
-        return f"({' '.join(terms(factor.content, style))})"
+    if factor.inside:
+        return f"({' '.join(terms(factor.inside, style))})"
     return style.name(factor)
 
 
@@ -179,7 +171,7 @@ def function_name(each: Equations) -> str:
     return each.kind.name.replace("-", "_")
 
 
-def inputs(each: Equations, style: Style) -> Iterator[tuple[str, str]]:
+def inputs(each: Equations) -> Iterator[tuple[str, str]]:
     """Names and where they come from: qp1 from qp[0], K3d from delta_d[2] / 2, S2 from sin(q2)."""
     program = each.program
     for symbol in program.symbols:
@@ -189,27 +181,18 @@ def inputs(each: Equations, style: Style) -> Iterator[tuple[str, str]]:
     used = set(program.symbols)
     for k, parameter in enumerate(each.parameters):
         if parameter.symbol is not None and parameter.symbol in used:
-            divided = f" / {style.number(parameter.times)}" if parameter.times != 1 else ""
+            divided = f" / {parameter.times}" if parameter.times != 1 else ""
             yield parameter.symbol.name, f"{each.vector}[{k}]{divided}"
     for wave in program.waves:
         if wave.content is not None:
             function = "cos" if wave.nature is Nature.COSINE else "sin"
-            yield wave.name, f"{function}({' '.join(terms(wave.content, style))})"
+            yield wave.name, f"{function}({' '.join(terms(wave.content, PROGRAMS))})"
 
 
-def references(each: Equations) -> set[Factor]:
-    """Results that other lines refer to."""
-    factors = (f for _, value in each.program.steps for f in leaves(value))
-    return {factor for factor in factors if factor in each.places}
-
-
-def last_uses(program: Program) -> dict[Factor, list[str]]:
-    """After which line which auxiliary variables are needed no more."""
-    last: dict[Factor, Factor] = {}
-    made = {name for name, _ in program.steps} - program.results
-    for name, value in program.steps:
-        last |= dict.fromkeys((f for f in leaves(value) if f in made), name)
-    done: dict[Factor, list[str]] = {}
-    for factor, name in last.items():
-        done.setdefault(name, []).append(factor.name)
-    return done
+def assignments(each: Equations) -> Iterator[tuple[str, list[str]]]:
+    """Name and terms of each line of a program; results as result[0] or result[0][1]."""
+    places = {name: "".join(f"[{k}]" for k in place) for name, place in each.places.items()}
+    names = {name: f"result{place}" for name, place in places.items()}
+    style = replace(PROGRAMS, name=lambda factor: names.get(factor, factor.name))
+    for label, value in each.program.lines:
+        yield names.get(label, label.name), terms(value, style)
