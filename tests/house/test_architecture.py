@@ -67,6 +67,7 @@ GUESTS = {
     "recordings/importing/readers/rerun_log.py",
     "distributed": "campaign/cluster.py",
     "dask": "campaign/cluster.py",
+    "ezc3d": "recordings/importing/readers/c3d.py",
     "h5py": "recordings/importing/readers/hdf5.py",
     "rosbags": "recordings/importing/readers/ros_bag.py",
     **dict.fromkeys(("mcap", "google", "lz4"), "recordings/importing/readers/mcap.py"),

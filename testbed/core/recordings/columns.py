@@ -1,8 +1,5 @@
 """The columns of a recording: their names, their units, and what is known beside them.
 
-A file format knows nothing of robots: it yields columns and metadata (`Table`), and the
-rest of this room makes a recording of them.
-
 Columns   time, position/JOINT, velocity/JOINT, acceleration/JOINT, torque/JOINT,
           temperature/JOINT, wrench/Fx ... wrench/Mz, sensors/NAME/Fx ... sensors/NAME/Mz,
           base/x ... base/qz; in simulated recordings truth/..., which no estimator reads
@@ -12,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -49,29 +46,6 @@ UNITS = {
     | {"temperature": "degC"},
 }
 """Of what is measured at a joint, by the joint's kind."""
-
-
-class Table(Protocol):
-    """Columns of equal length that stay in their file, and what the file says of them."""
-
-    @property
-    def columns(self) -> Sequence[str]:
-        """Names of all columns."""
-
-    @property
-    def samples(self) -> int:
-        """Number of rows."""
-
-    @property
-    def metadata(self) -> Mapping[str, Any]:
-        """What the file says besides, unchecked: `tare`, `facts`."""
-
-    def read(self, columns: Sequence[str], first: int, last: int) -> dict[str, Array]:
-        """Rows `first` to `last` - 1 of some columns, (last - first,) each.
-
-        Raises:
-            RecordingError: The file is damaged there, or a column holds no numbers.
-        """
 
 
 def axis_unit(axis: str) -> str:

@@ -12,7 +12,7 @@ from testbed.core.base.diagnostics import of_recording
 from testbed.core.base.errors import RecordingError
 from testbed.core.recordings.columns import COUNTED
 from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import Source, counted
+from testbed.core.recordings.source import DerivedSource, Source, counted
 
 SAME_RATE = 1e-3
 """Relative difference of sampling rates that are one."""
@@ -21,18 +21,11 @@ LEAST_GAP = 16
 """Samples between two recordings, and a second at least: more rows than noise remembers."""
 
 
-class Joined:
+class Joined(DerivedSource):
     """Recordings one after the other, none of which knows of the others.
 
-    Attributes:
-        names: Joint names, in the order of the first.
-        samples: Number of samples, those of the gaps counted.
-        rate: Samples a second [Hz].
-        tare: As `Recording.tare`: the first one's; the others' wrenches are changed accordingly.
-        facts: The first one's, with all diagnostics.
-        signals: What all of them measured.
-        senses_kinematics: Whether all sensed velocities and accelerations, both.
-        segments: First sample of each, and the one after its last.
+    The header is the first one's, with the diagnostics of all and the signals that all have; gaps
+    count as samples, and the others' wrenches are changed as the first one's tare wants it.
     """
 
     def __init__(self, parts: Sequence[Source]) -> None:
@@ -47,14 +40,13 @@ class Joined:
         self._parts = tuple(counted(part) for part in parts)
         first = self._parts[0]
         _check_alike(self._parts)
-        self.names, self.rate, self.tare = first.names, first.rate, first.tare
+        lengths = np.array([part.samples for part in self._parts])
+        ends = np.cumsum(lengths + max(LEAST_GAP, round(first.rate)))
+        begins = np.append(0, ends[:-1])
+        super().__init__(first, int(begins[-1] + lengths[-1]), first.rate)
+        self.segments = tuple(zip(begins.tolist(), (begins + lengths).tolist(), strict=True))
         self.signals = tuple(s for s in first.signals if all(s in p.signals for p in parts))
         self.senses_kinematics = all(part.senses_kinematics for part in parts)
-        gap, at, found = max(LEAST_GAP, round(first.rate)), 0, []
-        for part in self._parts:
-            found.append((at, at + part.samples))
-            at += part.samples + gap
-        self.segments, self.samples = tuple(found), at - gap
         said = dict.fromkeys(each for part in self._parts for each in of_recording(part.facts))
         facts = {k: fact for k, fact in first.facts.items() if k != COUNTED}
         self.facts: dict[str, Any] = {**facts, "diagnostics": [d.as_dict() for d in said]}

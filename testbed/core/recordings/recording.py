@@ -36,9 +36,6 @@ from testbed.core.robot.tree import Tree
 READ = {*SIGNALS, *(f"truth/{signal}" for signal in TRUE_SIGNALS)}
 """Signals that are read from a file; its other columns are left alone."""
 
-AT_ONCE = 100_000
-"""Samples that are read from a file at once."""
-
 
 @dataclass(frozen=True, eq=False)
 class Truth:
@@ -117,6 +114,11 @@ class Recording:
     def samples(self) -> int:
         """Number M of samples."""
         return len(self.time)
+
+    @property
+    def segments(self) -> tuple[tuple[int, int], ...]:
+        """Blocks without a gap: the first sample of each, and the one after its last."""
+        return ((0, self.samples),)
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -264,8 +266,7 @@ class Recording:
         Raises:
             RecordingError: Something that is no Parquet file is there.
         """
-        from testbed.core.recordings.formats import is_parquet
-        from testbed.core.recordings.formats.parquet import write_table
+        from testbed.core.recordings.formats.parquet import is_parquet, write_table
 
         if Path(path).is_file() and not is_parquet(Path(path)):
             raise RecordingError(f"'{path}' is there and is no recording; choose another name")
@@ -275,21 +276,17 @@ class Recording:
 
     @staticmethod
     def load(path: str | Path) -> Recording:
-        """Read a file of any known format (`formats`) with a recording's columns.
+        """Read a Parquet file with a recording's columns.
 
         Raises:
             RecordingError: The file is missing, damaged or incomplete, or holds values
                 that are not numbers, or its sampling is not uniform.
         """
-        from testbed.core.recordings.formats import open_table
+        from testbed.core.recordings.formats.parquet import open_table
 
         table = open_table(Path(path))
         wanted = [column for column in table.columns if signal_of(column) in READ]
-        columns = {column: np.empty(table.samples) for column in wanted}
-        for first in range(0, table.samples, AT_ONCE):  # a reader may hold what it is asked for
-            last = min(first + AT_ONCE, table.samples)
-            for column, values in table.read(wanted, first, last).items():
-                columns[column][first:last] = values
+        columns = table.read(wanted, 0, table.samples)
         recording = Recording.from_columns(columns, table.metadata, str(path))
         check_columns(recording.columns(), str(path))
         return recording

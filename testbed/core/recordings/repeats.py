@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
-from testbed.core.recordings.source import Source, segments_of
+from testbed.core.recordings.source import Source
 
 MOST = 200_000
 """Samples of a recording that is read at once."""
@@ -28,7 +28,7 @@ def without_repeated_poses(source: Source) -> tuple[Source, float]:
         source: The recording; one that is long, joined of several, or that senses velocities and
             accelerations stays as it is, and so does one that repeats its poses irregularly.
     """
-    if source.samples > MOST or source.senses_kinematics or len(segments_of(source)) > 1:
+    if source.samples > MOST or source.senses_kinematics or len(source.segments) > 1:
         return source, 0.0
     recording = source.part(0, source.samples)
     changed = np.append(True, (np.diff(recording.position, axis=0) != 0).any(axis=1))

@@ -25,6 +25,7 @@ from testbed.importing.foreign_table import (
     MOST_COLUMNS,
     MOST_NUMBERS,
     ForeignTable,
+    Tables,
     check_count,
     readable,
 )
@@ -43,8 +44,8 @@ COUNTED = ("episode_index", "frame_index", "index", "task_index")
 """Columns that number what is in a row."""
 
 
-def read_file(path: Path, topic: str | None) -> ForeignTable:
-    """Columns of a dataset.
+def tables(path: Path, topic: str | None) -> Tables:
+    """Columns of a dataset, of all its episodes or of one.
 
     Args:
         path: The folder, or one of its Parquet files.
@@ -99,7 +100,7 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
     count = len(np.unique(episode))
     about = f'{count} episodes, one after the other; topic = "episode {episode[0]}" takes one'
     about = about if topic is None and count > 1 else ""
-    return ForeignTable(path, shapes, load, {"timestamp": "s"}, about=about)
+    return {"": ForeignTable(path, shapes, load, {"timestamp": "s"}, about=about)}
 
 
 def _info(path: Path) -> tuple[dict[str, Any], float]:

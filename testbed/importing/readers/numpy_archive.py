@@ -19,17 +19,15 @@ LONGEST_HEADER = 10_000
 """Bytes of the words before an array's numbers."""
 
 
-def read_file(path: Path, topic: str | None) -> ForeignTable:
+def read_file(path: Path) -> ForeignTable:
     """Columns of an archive's arrays; of a single array, those of `array`.
 
     Args:
         path: The file.
-        topic: None.
 
     Raises:
         RecordingError: It is damaged.
     """
-    del topic
     with readable(path):
         if path.suffix.lower() == ".npy":
             with path.open("rb") as stream:

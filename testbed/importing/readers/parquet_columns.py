@@ -23,17 +23,15 @@ SMALL = 20_000_000
 """Numbers of a file that is read at once."""
 
 
-def read_file(path: Path, topic: str | None) -> ForeignTable:
+def read_file(path: Path) -> ForeignTable:
     """Columns of a Parquet file; instants and durations are in the unit of their type.
 
     Args:
         path: The file.
-        topic: None.
 
     Raises:
         RecordingError: It is damaged.
     """
-    del topic
     with readable(path):
         file = pq.ParquetFile(path, pre_buffer=False)
         schema, rows = file.schema_arrow, file.metadata.num_rows
