@@ -188,7 +188,7 @@ def test_a_topic_that_cannot_be_read_hides_no_other(tmp_path: Path) -> None:
                 writer.add_message(channels[topic], EPOCH + k * 10**7, data, EPOCH)
         writer.finish()  # type: ignore[no-untyped-call]
     kinds = {topic: type(each) for topic, each in tables(tmp_path / "odd.mcap").items()}
-    assert kinds == {"/odd": UnknownName, "/joints": ForeignTable, "/grows": RecordingError,
+    assert kinds == {"/odd": RecordingError, "/joints": ForeignTable, "/grows": RecordingError,
                      "/none": ForeignTable}  # fmt: skip
     draft = guessed([tmp_path / "odd.mcap"], tmp_path, JOINTS).tables
     assert draft["torque"]["columns"] == ["effort/j1", "effort/j2"]
@@ -238,4 +238,4 @@ def test_traps_of_new_formats_are_read_or_refused(tmp_path: Path) -> None:
                     each.read(each.columns)
                 else:
                     refused += 1
-    assert refused > len(TRAPS) // 2
+    assert refused > len(TRAPS) // 3

@@ -79,7 +79,7 @@ def _tables(path: Path, module: str, topic: str | None) -> Tables:
 PARTED = ("ros_bag", "mcap", "rerun_log", "lerobot")
 """Modules whose files may hold several tables."""
 
-ISOLATED = ("matlab", "hdf5", "ros_bag", "rerun_log", "c3d")
+ISOLATED = ("matlab", "hdf5", "ros_bag", "rerun_log", "c3d", "mcap")
 """Modules whose libraries a damaged file can crash or flood."""
 
 MOST_FILES = 100_000
