@@ -214,7 +214,7 @@ def import_(
             if cuts
             else {}
         )
-        found_in = [report.as_dict() for report in reports]
+        found_in = [recording.facts["import"] for recording in made]
         said = {"import": found_in if cuts else found_in[0], "clocks": lines}
         output.print_json(said | {"diagnostics": [d.as_dict() for d in checked]} | several)
         return

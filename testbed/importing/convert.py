@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
+from testbed.core.base.codec import encode
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import WIDTH, RecordingError, UnknownName, few, plural
 from testbed.core.recordings.columns import check_columns, members_of
@@ -408,7 +409,7 @@ def _mapped(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
 def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
     """What the recording's file keeps beside its columns."""
     said = mapping.model_dump(mode="json", exclude_none=True)
-    facts: dict[str, Any] = {"import": report.as_dict(), "mapping": said}
+    facts: dict[str, Any] = {"import": encode(report), "mapping": said}
     if report.diagnostics:
         facts["diagnostics"] = [each.as_dict() for each in report.diagnostics]
     if mapping.sensors:

@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import RecordingError, few, plural, printable
+from testbed.core.base.errors import RecordingError, plural, printable
 from testbed.importing.column_names import (
     WARMTH,
     ColumnName,
     at_the_hand,
-    base_columns,
     grouped,
 )
 from testbed.importing.foreign_table import KINDS, RAW, UNITS, ForeignTable, Kind, plain
@@ -61,7 +60,7 @@ def guessed(
         listed = ", ".join(f"'{path}'" for path in paths)
         raise RecordingError(f"no columns of numbers in {listed}")
     signals, joints = _fitting(sources, joints, subsets)
-    temperatures, base = [*_temperatures(sources, joints, signals)], [*_base(sources)]
+    temperatures = [*_temperatures(sources, joints, signals)]
     by_name = {each.source.name: each.source for each in signals.values()}
     sources = [by_name.get(each.name, each) for each in sources]
     files = ", ".join(printable(path.name, 100) for path in paths)
@@ -78,7 +77,7 @@ def guessed(
     draft = draft.saying("", "joints", *_joints(signals, joints))
     plates = likely_plates(sources, signals)
     used = {each.source.name for each in signals.values()} | {each[1].name for each in plates}
-    used |= {keys[0][1] for keys in (temperatures, base) if keys}
+    used |= {keys[0][1] for keys in (temperatures,) if keys}
     for each in sources:
         needed = each.name in used or not used
         draft = _with_source(draft, each, folder, needed=needed)
@@ -98,8 +97,6 @@ def guessed(
         table = "wrench" if len(plates) == 1 else f"plates.{_key(own)}"
         for said in _plate(source, columns, alone=len(plates) == 1):
             draft = draft.saying(table, *said)
-    for said in base:
-        draft = draft.saying("base", *said)
     return draft
 
 
@@ -157,15 +154,7 @@ def _joints(
         more += f"; no columns of {', '.join(missing)}" if missing and group.matched else ""
         return [""] if plain else list(group.names), about + more
     found = f"{plural(len(group.names), 'column')} for {plural(len(joints), 'joint')}"
-    return [""], f"{about}, {found}{_gaps(group.names)}: {', '.join(joints)}"
-
-
-def _gaps(names: Sequence[str]) -> str:
-    """Numbers that are left out in names that end with one."""
-    ends = [re.search("[0-9]{1,3}$", name) for name in names]
-    numbers = {int(end[0]) for end in ends if end}
-    left = sorted({*range(min(numbers, default=0), max(numbers, default=0))} - numbers)
-    return f" (none has number {few([str(k) for k in left])})" if left else ""
+    return [""], f"{about}, {found}: {', '.join(joints)}"
 
 
 def _listed(table: ForeignTable) -> Iterator[str]:
@@ -201,9 +190,6 @@ def _with_signal(
     beside = [c.name for s in sources for c in s.columns if c.kind == kind and c.beside]
     if beside:
         draft = draft.remarking(kind, f"# left out, by their names: {json.dumps(beside)}")
-    empty = [column.name for s in sources for column in s.empty if column.kind == kind]
-    if empty:
-        draft = draft.remarking(kind, f"# left out, without a number: {json.dumps(empty)}")
     if found is None:
         optional = ", if there are any" if kind != "position" else ""
         lines = [
@@ -240,7 +226,6 @@ def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
     if len(taken) < len(found.units) or 0 < len(raw) < len(taken):
         more = "; or A, V, raw with gain = [N m each]" if kind == "torque" else ""
         large = float(np.nanmax(np.abs(values_of(found)))) if kind == "position" else 0.0
-        more += f"; {large:.4g} rad would be more than a turn" if large > 2 * np.pi else ""
         if PER_CENT[0] <= large <= PER_CENT[1]:
             more += "; per cent of each joint's range, as of SO arms: deg, matrix of ranges / 200"
         yield "unit", "", f"{', '.join(UNITS[kind])}{more}"
@@ -315,19 +300,3 @@ def _of_all(columns: Sequence[ColumnName], kind: str) -> str:
     """The unit of all columns; empty if they do not say one."""
     units = {plain(each.unit or "") for each in columns}
     return units.pop() if len(units) == 1 and units <= UNITS[kind].keys() else ""
-
-
-def _base(sources: Sequence[LikelySource]) -> Iterator[Said]:
-    """Keys of a base that moves, if columns look like it."""
-    for source in sources:
-        columns = [each for each in source.columns if each.kind == "base"]
-        place, turn = base_columns(columns)
-        if not any((*place, *turn)):
-            continue
-        listed = f"of these: {json.dumps([each.name for each in columns])}"
-        units = {each.unit for each in columns if each.name in place}
-        yield "source", source.name, ""
-        yield "position", place, "" if all(place) else listed
-        yield "unit", (units.pop() or "") if len(units) == 1 else "", "m, cm, mm, inch"
-        yield "quaternion", turn, "w, x, y, z, in this order" + f", {listed}" * (not all(turn))
-        return

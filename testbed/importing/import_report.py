@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
-from testbed.core.base.diagnostics import Diagnostic, diagnose, from_json
+from testbed.core.base.codec import decode
+from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import plural, printable
 from testbed.importing.source_clock import ClockReport
 
@@ -82,15 +83,11 @@ class Draft:
             key: Dotted, with its table's name.
         """
         table, _, name = key.rpartition(".")
-        above, found = "", 1
-        for number, line in enumerate(self.text.splitlines(), start=1):
-            header = re.fullmatch(r"(?:# )?\[(.+?)\](?:  #.*)?", line)
-            above = header[1] if header else above
-            if header and above in (table, key):
-                found = number
-            elif above == table and line.startswith(f"{name} = "):
-                return number
-        return found
+        lines = self.text.splitlines()
+        heads = (f"[{table}]", f"# [{table}]")
+        first = next((k for k, line in enumerate(lines) if line.startswith(heads)), 0)
+        keys = [k for k, line in enumerate(lines) if k >= first and line.startswith(f"{name} = ")]
+        return 1 + (keys or [first])[0]
 
 
 def in_toml(value: Any) -> str:
@@ -166,21 +163,10 @@ class ImportReport:
     clocks: Mapping[str, ClockReport]
     signals: Mapping[str, SignalReport]
 
-    def as_dict(self) -> dict[str, Any]:
-        """As JSON takes it."""
-        found = asdict(self)
-        for name, signal in found["signals"].items():
-            signal["diagnostics"] = [each.as_dict() for each in self.signals[name].diagnostics]
-        return found
-
     @staticmethod
     def from_dict(said: Mapping[str, Any]) -> ImportReport:
-        """Of `as_dict`, as a recording keeps it under the fact "import"."""
-        clocks = {name: ClockReport(**each) for name, each in said["clocks"].items()}
-        signals = {}
-        for name, each in said["signals"].items():
-            signals[name] = SignalReport(**each | {"diagnostics": from_json(each["diagnostics"])})
-        return ImportReport(said["rate"], said["samples"], clocks, signals)
+        """Report that a recording keeps under the fact "import"."""
+        return decode(ImportReport, said, {})  # type: ignore[no-any-return]
 
     def lines(self) -> list[str]:
         """All of it for a person, a line each."""
