@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from collections.abc import Mapping as Table
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -100,26 +99,6 @@ class _Samples:
     report: SignalReport
 
 
-@contextmanager
-def _naming(path: Path, mapping: Mapping) -> Iterator[None]:
-    """Reword errors of data so that they name the mapping file and the data file.
-
-    Args:
-        path: The mapping file.
-        mapping: What it says.
-    """
-    try:
-        yield
-    except (RecordingError, UnknownName) as error:
-        said = str(error).removeprefix(f"{path}: ")
-        files = {name: source.file for name, source in mapping.sources.items()}
-        if not any(file in said for file in files.values()):
-            own = [file for name, file in files.items() if f"sources.{name}:" in said]
-            said = f"{few(own or [*files.values()], WIDTH)}: {said}"
-        error.args = (f"{path}: {said}",)
-        raise
-
-
 def pieces(
     path: Path, mapping: Mapping | None = None
 ) -> tuple[tuple[Recording, ...], list[Diagnostic]]:
@@ -136,7 +115,7 @@ def pieces(
         RecordingError: A file is missing or damaged, or does not hold what the mapping says.
     """
     mapping = mapping or read_mapping(path)
-    with _naming(path, mapping):
+    try:
         streams = _streams(mapping, path.parent)
         clocks = [
             (each.table.source, mapping.sources[each.table.source], each.time, each.rows)
@@ -149,6 +128,9 @@ def pieces(
             recording = Recording.from_columns(columns, metadata, str(path))
             check_columns(recording.columns(), str(path))
             recordings.append(recording)
+    except (RecordingError, UnknownName) as error:
+        error.args = (_with_files(path, mapping, str(error)),)
+        raise
     return tuple(recordings), cuts
 
 
@@ -169,6 +151,16 @@ def import_recording(path: str | Path) -> Recording:
             "`max_gap` bridges it"
         )
     return recording
+
+
+def _with_files(path: Path, mapping: Mapping, said: str) -> str:
+    """What is wrong with data, with the names of the mapping file and of a data file."""
+    said = said.removeprefix(f"{path}: ")
+    files = [source.file for source in mapping.sources.values()]
+    own = [each.file for name, each in mapping.sources.items() if f"sources.{name}:" in said]
+    if any(file in said for file in files):
+        return f"{path}: {said}"
+    return f"{path}: {few(own or files, WIDTH)}: {said}"
 
 
 def clock_ranges(mapping: Mapping, folder: Path) -> dict[str, tuple[float, float]]:
@@ -213,7 +205,7 @@ def _converted(
 def _used(mapping: Mapping) -> dict[str, list[str]]:
     """Columns that are needed, by source."""
     found: dict[str, list[str]] = {}
-    for table in (*mapping.signals.values(), *mapping.others.values()):
+    for table in mapping.tables.values():
         found.setdefault(table.source, []).extend(table.columns)
     unused = [name for name in mapping.sources if name not in found]
     if unused:
@@ -264,11 +256,9 @@ def _streams(mapping: Mapping, folder: Path) -> dict[str, _Stream]:
     files = {name: _open(folder, mapping, name) for name in _used(mapping)}
     clocks = {name: _times(mapping, name, file) for name, file in files.items()}
     times = by_one_clock(clocks, {name: mapping.sources[name].offset for name in clocks})
-    tables: dict[str, AnyTable] = dict(mapping.signals.items())
-    tables |= mapping.others
     found = {
         label: _stream(label, table, files[table.source], times[table.source])
-        for label, table in tables.items()
+        for label, table in mapping.tables.items()
     }
     spans: dict[str, float] = {}
     for each in found.values():
@@ -391,17 +381,15 @@ def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, fl
 
 def _mapped(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
     """A signal on the grid as the recording's columns."""
-    table = mapping.others.get(label)
-    sensors: tuple[str, ...] = ()
+    table = mapping.tables[label]
+    signal, sensors = label, (label.removeprefix("sensors."),)
     if isinstance(table, SixAxisTable):
-        signal, found = "wrench", wrench_of(table, raw)
-        if isinstance(table, ForceSensorTable):
-            signal, sensors = "sensors", (label.removeprefix("sensors."),)
+        found = wrench_of(table, raw)
+        signal = "sensors" if isinstance(table, ForceSensorTable) else "wrench"
     elif isinstance(table, BaseTable):
-        signal, found = "base", base_pose(table, raw)
+        found = base_pose(table, raw)
     else:
-        (kind,) = (kind for kind in mapping.signals if kind == label)
-        signal, found = label, joint_signal(kind, mapping.signals[kind], mapping.gear, raw)
+        found = joint_signal(label, table, mapping.gear, raw)
     members = members_of(signal, tuple(mapping.joints), sensors)
     return {f"{signal}/{member}": found[:, k] for k, member in enumerate(members)}
 

@@ -136,7 +136,6 @@ class SignalReport:
         dropped: Samples left out as held.
         low_pass: Whether it was low-passed, the source being faster than the grid.
         diagnostics: What else a person should know.
-        use: What the signal was held against, and what it is for; empty where that is plain.
     """
 
     source: str
@@ -144,7 +143,6 @@ class SignalReport:
     dropped: int
     low_pass: bool
     diagnostics: tuple[Diagnostic, ...] = ()
-    use: str = ""
 
 
 @dataclass(frozen=True)
@@ -222,4 +220,4 @@ def _signal(name: str, signal: SignalReport) -> str:
     filtered = "low-pass and spline" if signal.low_pass else "spline"
     dropped = f", {signal.dropped} left out" if signal.dropped else ""
     held = f"{signal.held:.1%} repeated values"
-    return f"{name} of '{signal.source}': {filtered}, {held}{dropped}{signal.use}"
+    return f"{name} of '{signal.source}': {filtered}, {held}{dropped}"

@@ -14,7 +14,6 @@ from testbed.importing.foreign_table import (
     RAW,
     UNITS,
     ForeignTable,
-    Kind,
     factor,
     plain,
     slides,
@@ -29,7 +28,7 @@ from testbed.importing.mapping import (
 )
 
 
-def joint_signal(kind: Kind, table: SignalTable, gear: GearTable | None, columns: Array) -> Array:
+def joint_signal(kind: str, table: SignalTable, gear: GearTable | None, columns: Array) -> Array:
     """A signal at the joints in SI units, (M, n).
 
     Args:

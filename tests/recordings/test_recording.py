@@ -270,7 +270,7 @@ def test_damaged_files_and_metadata_are_refused_in_one_line(path: Path, tmp_path
             with refuses(RecordingError, "other.parquet"):
                 read(other)
     joint: list[tuple[str, Any]] = [
-        ("kind", "ball"), ("parent", 3), ("axis", [1, 0]), ("axis", [1, 0, 1e12]),
+        ("kind", "ball"), ("parent", 3), ("axis", [1, 0]), ("axis", [1, 0, float("inf")]),
         ("rotation", [[1, 0, 0], [0, 1], 3]),
     ]  # fmt: skip
     for key, value in joint:
