@@ -55,7 +55,7 @@ def guessed(
         RecordingError: One cannot be read, or they hold no columns.
         UnknownName: An ending is that of no known format.
     """
-    sources = likely_sources(paths, len(joints))
+    sources = likely_sources(paths)
     if not sources:
         listed = ", ".join(f"'{path}'" for path in paths)
         raise RecordingError(f"no columns of numbers in {listed}")
@@ -77,7 +77,7 @@ def guessed(
     draft = draft.saying("", "joints", *_joints(signals, joints))
     plates = likely_plates(sources, signals)
     used = {each.source.name for each in signals.values()} | {each[1].name for each in plates}
-    used |= {keys[0][1] for keys in (temperatures,) if keys}
+    used |= {value for key, value, _ in temperatures if key == "source"}
     for each in sources:
         needed = each.name in used or not used
         draft = _with_source(draft, each, folder, needed=needed)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -111,12 +110,11 @@ class LikelySignal:
 _Pair = tuple[str | None, str | None]
 
 
-def likely_sources(paths: Sequence[Path], joints: int = 0) -> list[LikelySource]:
+def likely_sources(paths: Sequence[Path]) -> list[LikelySource]:
     """Tables of foreign files with what their columns likely are.
 
     Args:
         paths: The files; of a bag every topic of numbers is a table.
-        joints: Of the robot; 0 if that is not known.
 
     Raises:
         RecordingError: One cannot be read.
@@ -129,7 +127,7 @@ def likely_sources(paths: Sequence[Path], joints: int = 0) -> list[LikelySource]
         name = f"{stem}_{len(stems)}" if stem in stems else stem
         stems.append(stem)
         found += _tables(path, name if len(paths) > 1 else "")
-    return [by_file(in_order(each, joints) if joints else each) for each in found]
+    return [by_file(each) for each in found]
 
 
 def by_file(source: LikelySource) -> LikelySource:
@@ -147,36 +145,6 @@ def by_file(source: LikelySource) -> LikelySource:
         for each in source.columns
     )
     return replace(source, columns=tuple(columns))
-
-
-def in_order(source: LikelySource, joints: int) -> LikelySource:
-    """A source whose columns have no names, with what they are in the order that loggers have.
-
-    Positions, velocities and accelerations if what follows is a derivative, torques, the plate.
-
-    Args:
-        source: As its names state it.
-        joints: Of the robot.
-    """
-    if any(re.search("[A-Za-z]", column.name) for column in source.columns):
-        return source
-    names = [column.name for column in source.columns]
-    read = source.table.read(names)
-    starts = range(0, min(3 * joints, len(names) - joints + 1), joints)
-    blocks = [np.stack([read[n] for n in names[k : k + joints]], axis=1) for k in starts]
-    time = source.clock.time(source.table, len(read[names[0]])) if names else np.zeros(0)
-    follows = [np.diagonal(slopes(*pair, time).fit).min() > SURE for pair in pairwise(blocks)]
-    moved = KINDS[: 1 + (follows.index(False) if False in follows else len(follows))]
-    for rest in (("torque", "wrench"), ("torque",), ("wrench",)):
-        roles: list[tuple[str, tuple[int, int] | None]] = [
-            (kind, None) for kind in (*moved, *rest) if kind != "wrench" for _ in range(joints)
-        ]
-        roles += [("wrench", divmod(k, 3)) for k in range(6) if "wrench" in rest]
-        if len(roles) == len(names):
-            pairs = zip(source.columns, roles, strict=True)
-            assigned = [replace(column, kind=kind, role=role) for column, (kind, role) in pairs]
-            return replace(source, columns=tuple(assigned))
-    return source
 
 
 def _tables(path: Path, name: str) -> Iterator[LikelySource]:

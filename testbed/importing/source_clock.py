@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,29 +189,26 @@ def steady_times(name: str, time: Array, rows: NDArray[np.intp]) -> Array:
     Raises:
         RecordingError: The stamps do not lie along a line: samples are missing.
     """
-    line, stray, even = steady_line(time)
-    if not even:
-        line, stray, even = steady_line(time, rows)
-    if not even:
-        k = int(np.argmax(np.abs(stray)))
-        raise RecordingError(
-            f"sources.{name}: its stamps stray from those of a steady device by "
-            f"{np.abs(stray).max():.3g} s near sample {k}: samples are missing, or leave out "
-            "`steady`"
-        )
-    return line
+    for numbers in (np.arange(len(time)), rows):
+        line, stray, even = steady_line(time, numbers)
+        if even:
+            return line
+    k = int(np.argmax(np.abs(stray)))
+    raise RecordingError(
+        f"sources.{name}: its stamps stray from those of a steady device by "
+        f"{np.abs(stray).max():.3g} s near sample {k}: samples are missing, or leave out `steady`"
+    )
 
 
-def steady_line(time: Array, rows: NDArray[np.intp] | None = None) -> tuple[Array, Array, bool]:
+def steady_line(time: Array, number: NDArray[Any]) -> tuple[Array, Array, bool]:
     """Fit a line to time stamps: line, deviations, whether a constant rate explains them.
 
     Stamps of a coarse clock stand and jump by its tick: the line is that of the jumps.
 
     Args:
         time: The stamps, (M,) [s].
-        rows: Numbers of the samples, (M,); default 0, 1, ....
+        number: Numbers of the samples, (M,), as 0, 1, ....
     """
-    number = np.arange(len(time), dtype=np.float64) if rows is None else rows.astype(np.float64)
     jumps = np.flatnonzero(np.diff(time) > 0) + 1
     if len(jumps) < len(time) - 1:  # a sample at which the clock jumps is late by less than a step
         slope, begin = _line(number[jumps], time[jumps])
@@ -224,7 +222,7 @@ def steady_line(time: Array, rows: NDArray[np.intp] | None = None) -> tuple[Arra
     return line, stray, slope > 0 and bool(np.abs(stray).max() <= STRAY * slope)
 
 
-def _line(number: Array, time: Array) -> tuple[float, float]:
+def _line(number: NDArray[Any], time: Array) -> tuple[float, float]:
     """Slope and intercept of the line through points."""
     if len(number) < 2:
         return 0.0, 0.0
@@ -271,7 +269,7 @@ def clock_report(
     jitter = float(np.std(near) / typical) if len(near) else 0.0
     gaps = used > GAP * typical
     missing = int((np.round(used[gaps] / typical) - 1).sum())
-    even = steady_line(stamps)[2]
+    even = steady_line(stamps, np.arange(len(stamps)))[2]
     return ClockReport(
         len(time),
         1 / typical,

@@ -65,11 +65,13 @@ def tables(path: Path, topic: str | None) -> Tables:
             raise RecordingError(
                 f"{path}: more than {MOST_NUMBERS:.0e} rows; name an episode's file"
             )
-        episodes = [read_column(file, "episode_index") for file in files]
+        episodes = [read_column(_opened(file), "episode_index") for file in files]
         if any(each.dtype.kind not in "iu" for each in episodes):
             raise RecordingError(f"{path}: 'episode_index' is not whole numbers")
         episode = np.concatenate(episodes).astype(np.int64)
-        stamp = np.concatenate([read_column(file, "timestamp") for file in files]).astype(float)
+        stamp = np.concatenate([read_column(_opened(file), "timestamp") for file in files]).astype(
+            float
+        )
         wanted, time = _chosen(path, topic, episode, stamp, fps)
         names = pq.read_schema(files[0]).names
         columns: dict[str, tuple[str, int]] = {}
@@ -87,7 +89,7 @@ def tables(path: Path, topic: str | None) -> Tables:
             here = wanted[first : first + len(own)]
             first += len(own)
             if here.any():
-                parts.append(read_column(file, feature).reshape(len(own), -1)[here])
+                parts.append(read_column(_opened(file), feature).reshape(len(own), -1)[here])
         return np.concatenate(parts).astype(np.float64)
 
     def load(name: str) -> Array:
@@ -101,6 +103,10 @@ def tables(path: Path, topic: str | None) -> Tables:
     about = f'{count} episodes, one after the other; topic = "episode {episode[0]}" takes one'
     about = about if topic is None and count > 1 else ""
     return {"": ForeignTable(path, shapes, load, {"timestamp": "s"}, about=about)}
+
+
+def _opened(file: Path) -> pq.ParquetFile:
+    return pq.ParquetFile(file, pre_buffer=False)
 
 
 def _info(path: Path) -> tuple[dict[str, Any], float]:
