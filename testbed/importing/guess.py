@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import RecordingError, plural, printable
+from testbed.core.base.errors import RecordingError, few, plural, printable
 from testbed.importing.column_names import (
     WARMTH,
     ColumnName,
@@ -79,41 +79,35 @@ def guessed(
     used = {each.source.name for each in signals.values()} | {each[1].name for each in plates}
     used |= {value for key, value, _ in temperatures if key == "source"}
     for each in sources:
-        needed = each.name in used or not used
-        draft = _with_source(draft, each, folder, needed=needed)
+        if each.name in used or not used:
+            draft = _with_source(draft, each, folder)
+        else:
+            unused = f"{few(each.table.columns)} of {each.file.name} {each.topic or ''}"
+            draft = draft.remarking("", f"# not used: {printable(unused)}")
         if not rate:  # then it is the recording's
             draft = draft.saying(f"sources.{each.name}", "rate", None)
     for kind in KINDS:
         draft = _with_signal(draft, kind, signals, sources)
-    for said in temperatures:
-        draft = draft.saying("temperature", *said)
-    stated = {p.columns: p.name for _, each, _ in plates for p in each.table.plates}
-    taken = [tuple(column.name for column in columns) for _, _, columns in plates]
-    if idle := [name for columns, name in stated.items() if columns not in taken]:
-        draft = draft.remarking("", f"# left out, without a load: {json.dumps(idle)}")
+    draft = draft.saying_all("temperature", temperatures) if temperatures else draft
     names = [name for name, _, _ in plates]
     for name, source, columns in plates:
         own = name if names.count(name) == 1 else f"{source.name} {name}"
         table = "wrench" if len(plates) == 1 else f"plates.{_key(own)}"
-        for said in _plate(source, columns, alone=len(plates) == 1):
-            draft = draft.saying(table, *said)
+        draft = draft.saying_all(table, _plate(source, columns, alone=len(plates) == 1))
     return draft
 
 
-def _with_source(draft: Draft, source: LikelySource, folder: Path, *, needed: bool) -> Draft:
-    """Mapping with a source's table, or a comment that lists its unused columns."""
+def _with_source(draft: Draft, source: LikelySource, folder: Path) -> Draft:
+    """Mapping with a source's table, and what its columns hold."""
     name = f"sources.{source.name}"
     file = os.path.relpath(source.file.resolve(), folder.resolve())
     known = [f"# {source.table.about}"] if source.table.about else []
     known += [f"# {source.logger} names its columns like this"] if source.logger else []
     rows = max(source.table.lengths.values(), default=0)
     known += [f"# the last line is incomplete: {rows} rows are read"] if source.table.cut else []
-    known += [] if needed else [f"# no signal is of {printable(f'{file} {source.topic or str()}')}"]
     draft = draft.remarking(name, *known, *_listed(source.table))
     keys = [("file", file, ""), ("topic", source.topic, ""), *source.clock.said()]
-    for said in keys if needed else ():
-        draft = draft.saying(name, *said)
-    return draft
+    return draft.saying_all(name, keys)
 
 
 def _fitting(
@@ -203,8 +197,7 @@ def _with_signal(
     others = "; ".join(each for each in (found.evidence, others) if each)
     draft = draft.saying(kind, "source", found.source.name)
     draft = draft.saying(kind, "columns", [each.name for each in found.group.columns], others)
-    for said in _unit(kind, found):
-        draft = draft.saying(kind, *said)
+    draft = draft.saying_all(kind, _unit(kind, found))
     if found.counts:
         turns, n = 1 / found.counts, len(found.units)
         rows = [[turns if j == k else 0.0 for k in range(n)] for j in range(n)]

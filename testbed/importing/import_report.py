@@ -46,6 +46,13 @@ class Draft:
         notes |= {(table, key): note} if note and value is not None else {}
         return replace(self, tables={**self.tables, table: keys}, notes=notes)
 
+    def saying_all(self, table: str, keys: Iterable[tuple[str, Any, str]]) -> Draft:
+        """The same with keys of a table, their values and notes."""
+        draft = self
+        for key, value, note in keys:
+            draft = draft.saying(table, key, value, note)
+        return draft
+
     def remarking(self, table: str, *lines: str) -> Draft:
         """The same with lines of comment above a table, or in place of one that is not there."""
         said = [*self.remarks.get(table, ()), *lines]
