@@ -184,7 +184,6 @@ def _converted(
 ) -> tuple[dict[str, Array], dict[str, Any]]:
     """Columns and metadata of a recording of a part of the time."""
     samples = {label: _samples(mapping, label, each, window) for label, each in streams.items()}
-    samples["position"] = _without_turns(mapping, samples["position"])
     grid = _grid(mapping, samples.values(), window)
     columns: dict[str, Array] = {"time": grid - grid[0]}
     clocks: dict[str, ClockReport] = {}
@@ -236,12 +235,10 @@ def _times(mapping: Mapping, name: str, table: ForeignTable) -> Times:
     """Sample times of a source, corrected for clock drift [s]; nan where not recorded."""
     source = mapping.sources[name]
     if source.time is None:
-        first = _used(mapping)[name][0]
-        table.read([first])
-        time = sample_times(name, source, None, table.lengths[first], None)
+        column = table.stamps(_used(mapping)[name][0])
+        time = Times(0.0, np.arange(len(column)) / (source.rate or mapping.rate))
     else:
-        stamps = table.stamps(source.time)
-        time = sample_times(name, source, stamps, len(stamps), table.unit(source.time))
+        time = sample_times(name, source, table.stamps(source.time), table.unit(source.time))
     since = time.since
     if np.nanmin(since) == np.nanmax(since):
         raise RecordingError(
@@ -342,20 +339,17 @@ def _samples(mapping: Mapping, label: str, stream: _Stream, window: Window) -> _
     if isinstance(table, BaseTable):
         values = np.hstack([values[:, :3], without_turnovers(values[:, 3:])])
     values = signed(table, values) if table is mapping.torque else values
+    steps: tuple[Diagnostic, ...] = ()
+    if table is mapping.position:
+        names = mapping.joints if table.matrix is None else table.columns
+        values, steps = without_turns(table, names, time, values)
     passed = low_pass_reach(rate, mapping.rate) > 0
     said: tuple[Diagnostic, ...] = ()
     if stream.shorter > longest_bridged(source, 1 / rate):
         said = (diagnose("import.shorter", label, stream.shorter, source=name),)
-    return _Samples(time, values, rate, clock, SignalReport(name, held, dropped, passed, said))
-
-
-def _without_turns(mapping: Mapping, samples: _Samples) -> _Samples:
-    """Positions of encoders that wrap, unwrapped."""
-    table = mapping.position
-    names = mapping.joints if table.matrix is None else table.columns
-    values, said = without_turns(table, names, samples.time, samples.values)
-    said = (*samples.report.diagnostics, *said)
-    return replace(samples, values=values, report=replace(samples.report, diagnostics=said))
+    return _Samples(
+        time, values, rate, clock, SignalReport(name, held, dropped, passed, (*said, *steps))
+    )
 
 
 def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, float]) -> Array:

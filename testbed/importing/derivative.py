@@ -260,8 +260,7 @@ def _units(
     kind: Kind, table: SignalTable, order: NDArray[np.intp], sizes: Array
 ) -> str | list[str] | None:
     """Units that make a signal so many times larger, one if all are the same; None if none do."""
-    said = table.unit if isinstance(table.unit, list) else [table.unit] * len(sizes)
-    now = [plain(said[k]) for k in order]
+    now = [plain(table.units[k]) for k in order]
     found = []
     for unit, size in zip(now, sizes, strict=True):
         factor = UNITS[kind].get(unit, 0.0)

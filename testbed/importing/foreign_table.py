@@ -228,11 +228,6 @@ class ForeignTable:
         """Rows of the given columns, (M, k)."""
         places, wanted = self._places, list(columns)
         for name in wanted:
-            if name not in places and len(places) == 1:
-                raise RecordingError(
-                    f"{self.path}: it has one column; write the numbers of a sample into one line, "
-                    "as by `paste -d, - - - < in.txt > out.csv` for three of them"
-                )
             if name not in places:
                 raise UnknownName(f"column of '{self.path}'", name, places)
         arrays = dict.fromkeys(places[name][0] for name in wanted)

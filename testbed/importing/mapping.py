@@ -143,6 +143,11 @@ class SignalTable(MappingTable):
     delay: Finite = 0.0
     """How late the signal is, besides its source's clock: a filter in the drive [s]."""
 
+    @property
+    def units(self) -> list[str]:
+        """Unit of each column."""
+        return self.unit if isinstance(self.unit, list) else [self.unit] * len(self.columns)
+
 
 class PlaceTable(MappingTable):
     """Where the sensor is and how it is turned, in the bedplate's frame."""
@@ -260,20 +265,6 @@ class Mapping(MappingTable):
     base: BaseTable | None = None
     """Where the robot's base is, if it moves (`robot.base = "measured"`)."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _with_rates(cls, content: object) -> object:
-        """Sources without times or a rate are sampled at the recording's."""
-        if not isinstance(content, dict) or not isinstance(content.get("sources"), dict):
-            return content
-        sources = {
-            name: {**table, "rate": content["rate"]}
-            if isinstance(table, dict) and "rate" in content and not {"time", "rate"} & {*table}
-            else table
-            for name, table in content["sources"].items()
-        }
-        return {**content, "sources": sources}
-
     @property
     def others(self) -> dict[str, AnyTable]:
         """What is measured besides joint by joint: wrench, plates.NAME, sensors.NAME, base."""
@@ -371,9 +362,8 @@ def _check_signal(kind: str, table: SignalTable, joints: int, geared: bool) -> N
         ValueError: They do not.
     """
     columns, rows = len(table.columns), joints
-    units = table.unit if isinstance(table.unit, list) else [table.unit] * columns
     lists: tuple[tuple[str, Sequence[object] | None, int], ...] = (
-        ("unit", units, columns),
+        ("unit", table.units, columns),
         ("sign", table.sign, columns),
         ("gain", table.gain if isinstance(table.gain, list) else None, columns),
         ("offset", table.offset, rows),
@@ -382,7 +372,7 @@ def _check_signal(kind: str, table: SignalTable, joints: int, geared: bool) -> N
     for what, given, wanted in lists:
         if given is not None and len(given) != wanted:
             raise ValueError(f"{kind}.{what}: {len(given)} given, {wanted} wanted")
-    for each in units:
+    for each in table.units:
         check_unit(kind, each, gained=table.gain is not None)
     if table.matrix is not None and any(len(row) != columns for row in table.matrix):
         raise ValueError(f"{kind}.matrix: a row has as many numbers as there are columns")

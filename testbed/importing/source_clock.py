@@ -113,26 +113,19 @@ def by_one_clock(times: Mapping[str, Times], offsets: Mapping[str, float]) -> di
 
 
 def sample_times(
-    name: str,
-    table: SourceTable,
-    stamps: Array | NDArray[np.int64] | None,
-    samples: int,
-    unit: str | None,
+    name: str, table: SourceTable, stamps: Array | NDArray[np.int64], unit: str | None
 ) -> Times:
     """When samples were taken by a source's clock, without offset and skew.
 
     Args:
         name: Of the source.
         table: What the mapping says of it.
-        stamps: Its column of times, (M,), if it has one.
-        samples: M.
+        stamps: Its column of times, (M,).
         unit: What the file says of the times' unit; None if nothing.
 
     Raises:
         RecordingError: The times are none, or their unit is not said or another.
     """
-    if stamps is None:
-        return Times(0.0, np.arange(samples) / float(table.rate or 1.0))
     known = unit if unit in TIMES else None
     if table.time_unit is None and known is None:
         raise RecordingError(f"sources.{name}: say `time_unit`: {', '.join(TIMES)}")

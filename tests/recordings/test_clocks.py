@@ -183,7 +183,7 @@ def test_times_are_in_the_units_of_file_or_mapping_and_whole_ones_keep_all_digit
     ticks = np.cumsum(rng.integers(1, 5000, 100)) + 1_761_234_567 * scale
     known = unit if by_file else "V"  # what is no unit of time says nothing
     stamps: Any = ticks if scale > 1 else 0.5 * ticks
-    found = sample_times("log", source, stamps, 100, known)
+    found = sample_times("log", source, stamps, known)
     if scale > 1:
         exact = [int(tick) - int(found.start) * scale for tick in ticks]
         np.testing.assert_allclose(found.since, np.array(exact) / scale, rtol=1e-15, atol=0)

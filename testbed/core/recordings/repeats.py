@@ -31,10 +31,10 @@ def without_repeated_poses(source: Source) -> tuple[Source, float]:
     if source.samples > MOST or source.senses_kinematics or len(source.segments) > 1:
         return source, 0.0
     recording = source.part(0, source.samples)
-    changed = np.append(True, (np.diff(recording.position, axis=0) != 0).any(axis=1))
-    lengths = np.diff(np.flatnonzero(changed))
-    typical = float(np.median(lengths)) if len(lengths) > DEGREE else 1.0
-    regular = typical > 1 and np.mean(lengths == typical) > REGULAR
+    _, lengths = _runs(recording.position)
+    whole = lengths[:-1]
+    typical = float(np.median(whole)) if len(whole) > DEGREE else 1.0
+    regular = typical > 1 and np.mean(whole == typical) > REGULAR
     if not regular or not np.isfinite(recording.position).all():
         return source, 0.0
     from scipy.interpolate import make_interp_spline
@@ -43,7 +43,7 @@ def without_repeated_poses(source: Source) -> tuple[Source, float]:
     kept = recording.part(0, int(news[-1]) + 1)
     curve = make_interp_spline(news, kept.position[news], k=DEGREE)
     found = replace(kept, position=curve(np.arange(kept.samples)))
-    return found, float(1 - changed.mean())
+    return found, 1 - len(lengths) / recording.samples
 
 
 REST = 4
