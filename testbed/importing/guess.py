@@ -88,7 +88,7 @@ def guessed(
             draft = draft.saying(f"sources.{each.name}", "rate", None)
     for kind in KINDS:
         draft = _with_signal(draft, kind, signals, sources)
-    draft = draft.saying_all("temperature", temperatures) if temperatures else draft
+    draft = draft.saying_all("temperature", temperatures)
     names = [name for name, _, _ in plates]
     for name, source, columns in plates:
         own = name if names.count(name) == 1 else f"{source.name} {name}"
@@ -126,11 +126,9 @@ def _fitting(
 
 def _rate(sources: Sequence[LikelySource], signals: Mapping[Kind, LikelySignal]) -> float:
     """The positions' rate, else the highest."""
-    rates = [each.clock.rate for each in sources if each.clock.rate]
-    if "position" in signals:
-        (own,) = (s.clock.rate for s in sources if s.name == signals["position"].source.name)
-        rates = [own] if own else rates
-    return max(rates, default=0.0)
+    if "position" in signals and (own := signals["position"].source.clock.rate):
+        return own
+    return max((each.clock.rate for each in sources), default=0.0)
 
 
 def _joints(

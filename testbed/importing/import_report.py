@@ -179,7 +179,6 @@ class ImportReport:
             f"{plural(self.samples, 'sample')} at {self.rate:g} Hz "
             f"({(self.samples - 1) / self.rate:.4g} s)",
             *(_clock(name, clock) for name, clock in self.clocks.items()),
-            *(_signal(name, signal) for name, signal in self.signals.items()),
         ]
 
     @property
@@ -221,10 +220,3 @@ def _clock(name: str, clock: ClockReport) -> str:
         f"source '{name}': {plural(clock.samples, 'sample')} at {clock.rate:.6g} Hz, jitter "
         f"{clock.jitter:.2%}, {gaps}, {clock.repeated} repeated"
     )
-
-
-def _signal(name: str, signal: SignalReport) -> str:
-    filtered = "low-pass and spline" if signal.low_pass else "spline"
-    dropped = f", {signal.dropped} left out" if signal.dropped else ""
-    held = f"{signal.held:.1%} repeated values"
-    return f"{name} of '{signal.source}': {filtered}, {held}{dropped}"

@@ -33,7 +33,7 @@ from testbed.core.recordings.columns import (
 from testbed.core.recordings.geometry import check_robot
 from testbed.core.robot.tree import Tree
 
-READ = {*SIGNALS, *(f"truth/{signal}" for signal in TRUE_SIGNALS)}
+READ = (*SIGNALS, *(f"truth/{signal}" for signal in TRUE_SIGNALS))
 """Signals that are read from a file; its other columns are left alone."""
 
 
@@ -243,21 +243,17 @@ class Recording:
         except ValueError as error:
             raise RecordingError(f"{source}: not a recording: {error}") from None
         known = {signal_of(column) for column in columns}
-        signals: dict[str, Any] = {
-            s: _joined(s, columns, names, sensors, source) for s in SIGNALS if s in known
+        read: dict[str, Any] = {
+            s: _joined(s, columns, names, sensors, source) for s in READ if s in known
         }
-        true = {
-            s: _joined(f"truth/{s}", columns, names, sensors, source)
-            for s in TRUE_SIGNALS
-            if f"truth/{s}" in known
-        }
+        true = {s: read.pop(f"truth/{s}") for s in TRUE_SIGNALS if f"truth/{s}" in read}
         return Recording(
             names=names,
             tare=None if tare is None else np.array(tare),
             truth=Truth(**true) if {*TRUE_SIGNALS} - {*true} <= {"sensors"} else None,
             sensor_names=sensors,
             facts=facts,
-            **signals,
+            **read,
         )
 
     def save(self, path: str | Path) -> None:
