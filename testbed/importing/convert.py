@@ -273,8 +273,7 @@ def _stream(label: str, table: AnyTable, file: ForeignTable, time: Array) -> _St
     Raises:
         RecordingError: There are hardly any.
     """
-    read = file.read(table.columns)
-    values = np.stack([read[name] for name in table.columns], axis=1)
+    values = file.matrix(table.columns)
     finite = np.isfinite(values)
     rows = np.flatnonzero(finite.all(axis=1) & np.isfinite(time))
     if not len(rows) and finite.any(axis=0).all():

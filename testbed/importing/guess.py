@@ -101,8 +101,7 @@ def _with_source(draft: Draft, source: LikelySource, folder: Path) -> Draft:
     """Mapping with a source's table, and what its columns hold."""
     name = f"sources.{source.name}"
     file = os.path.relpath(source.file.resolve(), folder.resolve())
-    known = [f"# {source.table.about}"] if source.table.about else []
-    known += [f"# {source.logger} names its columns like this"] if source.logger else []
+    known = [f"# {source.logger} names its columns like this"] if source.logger else []
     rows = max(source.table.lengths.values(), default=0)
     known += [f"# the last line is incomplete: {rows} rows are read"] if source.table.cut else []
     draft = draft.remarking(name, *known, *_listed(source.table))

@@ -75,9 +75,7 @@ class LikelySource:
         Args:
             group: Of the table.
         """
-        names = [each.name for each in group.columns]
-        read = self.table.read(names)
-        return np.stack([read[name] for name in names], axis=1)
+        return self.table.matrix([each.name for each in group.columns])
 
 
 @dataclass(frozen=True, eq=False)
