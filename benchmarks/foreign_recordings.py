@@ -161,8 +161,6 @@ def _csv(
     path: Path,
     stamps: Stamps,
     columns: Mapping[str, Array],
-    *,
-    named: bool = True,
     stamp: str = "t",
 ) -> None:
     """Lines of text, the times first; nanoseconds since 1970 have digits of their own."""
@@ -172,7 +170,7 @@ def _csv(
     np.savetxt(
         path, np.column_stack([time, *columns.values()]), delimiter=",", comments="",
         fmt=[first, *["%.9g"] * len(columns)],
-        header=",".join([stamp, *columns]) if named else "",
+        header=",".join([stamp, *columns]),
     )  # fmt: skip
 
 
@@ -247,21 +245,13 @@ def lerobot(folder: Path, made: Truth, raw: dict[str, Array], _seed: int) -> Fil
     return _files(path, said, {"timestamp": stamps.astype(float)}, 1.0, raw)
 
 
-def bare(folder: Path, made: Truth, raw: dict[str, Array], _seed: int) -> Files:
-    """No names at all: times, positions, torques, forces, moments."""
-    signals = [(s, k) for s in ("position", "torque", "wrench") for k in range(raw[s].shape[1])]
-    said = {str(place + 1): each for place, each in enumerate(signals)}
-    t = np.arange(len(made.position)) / RATE
-    return _one(folder / "log.csv", said, raw, t, named=False, stamp="0")
-
-
 def _one(
     path: Path, said: Mapping[str, tuple[str, int]], raw: Mapping[str, Array], stamps: Stamps,
-    *, named: bool = True, stamp: str = "t",
+    stamp: str = "t",
 ) -> Files:  # fmt: skip
     """A text file."""
     columns = {name: raw[s][:, k] for name, (s, k) in said.items()}
-    _csv(path, stamps, columns, named=named, stamp=stamp)
+    _csv(path, stamps, columns, stamp=stamp)
     counted = stamps.dtype.kind == "i"
     return _files(path, said, {stamp: stamps}, 1e-9 if counted else 1.0, raw)
 
@@ -276,6 +266,6 @@ def _files(
 
 
 LAYOUTS: dict[str, Callable[[Path, Truth, dict[str, Array], int], Files]] = {
-    "ros": ros, "two_csv": two_csv, "mat": mat, "lerobot": lerobot, "bare": bare,
+    "ros": ros, "two_csv": two_csv, "mat": mat, "lerobot": lerobot,
 }  # fmt: skip
 """Each writes its files into a folder."""

@@ -18,6 +18,7 @@ from benchmarks.timing import forget_peak, least, peak_rss
 from testbed.core.estimation.estimate import Method
 from testbed.core.parameters.rules import Model
 from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.source import DerivedSource
 
 EXACT = tb.Settings(position_cutoff="off", cutoff="off", deadband=0.0, terms=(), noise="white")
 REPEATS = {"arm3": 200, "puma6": 200, "tree30": 64}
@@ -27,14 +28,12 @@ LOOP = {"arm3": 16_000, "puma6": 16_000, "tree30": 1600}
 """Samples of a loop whose rows do not fit into a cache: nor do those of a long recording."""
 
 
-class Endless:
+class Endless(DerivedSource):
     """Samples made as they are asked for: a recording of any length that takes no memory."""
 
     def __init__(self, recording: Recording, samples: int) -> None:
-        self.recording, self.samples = recording, samples
-        self.names, self.tare, self.facts = recording.names, recording.tare, recording.facts
-        self.rate, self.senses_kinematics = 1000.0, True
-        self.signals = recording.signals
+        super().__init__(recording, samples, 1000.0)
+        self.recording = recording
 
     def part(self, first: int, last: int) -> Recording:
         """The recording over and over."""

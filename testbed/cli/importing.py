@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -60,6 +59,7 @@ def write_mapping(
     from testbed.importing.check.mapping_solution import missing, solve_mapping
     from testbed.importing.guess import guessed
     from testbed.view import output
+    from testbed.view.mapping import solved_table, write_mapping_page
 
     folder, found = out.parent if out else Path(), None
     written = out or folder / "mapping.toml"
@@ -68,32 +68,27 @@ def write_mapping(
             draft = guessed(files, folder)
         else:
             draft, file, tree = draft_mapping(files, folder, reading.model_file(model))
-            welded = file.weld_root and not reading.weld_root
     if model is not None:
         with output.Progress("solving the mapping, hypotheses") as bar:
             found = solve_mapping(draft, written, tree, bar)
         draft = found.draft
         locked = few([f"{name} at {q:.4g}" for name, q in draft.tables.get("lock", {}).items()])
         said = [diagnose("robot.locked", locked)] if locked else []
-        said += [diagnose("robot.welded", tree.name)] if welded else []
+        if file.weld_root and not reading.weld_root:
+            said.append(diagnose("robot.welded", tree.name))
         output.print_lines((), [*tree.diagnostics, *said, *found.diagnostics])
-    if out is None:
-        typer.echo(draft.text, nl=False)
-    elif model is not None:
-        _show(draft)
+        if out is not None:
+            output.print_tables(output.console(), [solved_table(draft)])
     with together():
         if page is not None and found is not None:
-            from testbed.view.mapping import write_mapping_page
-
             write_mapping_page(page, found)
         if out is not None:
             with replacing(out) as fresh:
                 fresh.write_text(draft.text, encoding="utf-8")
+    if out is None:
+        typer.echo(draft.text, nl=False)
     if found is not None and found.refusal is not None:
-        named = re.search(r"\[([\w.]+)\] (\w+)", str(found.refusal))
-        number = draft.line(f"{named[1]}.{named[2]}") if named else 1
-        reason = str(found.refusal).removeprefix(f"{written}: ")
-        raise RecordingError(f"{out}:{number}: {reason}" if out else reason)
+        raise _refused(found.refusal, draft, written)
     if out is None:
         return None
     empty = missing(draft)
@@ -106,15 +101,12 @@ def write_mapping(
     return None if empty else found
 
 
-def _show(draft: Draft) -> None:
-    """What was solved; on a terminal a person says yes to it."""
-    from testbed.view import output
-    from testbed.view.mapping import solved_table
-
-    if (table := solved_table(draft)).rows:
-        output.print_tables(output.console(), [table])
-    if sys.stdin.isatty() and sys.stdout.isatty():
-        typer.confirm("Write it so?", default=True, abort=True)
+def _refused(refusal: Exception, draft: Draft, written: Path) -> RecordingError:
+    """Refusal of a solved mapping that names the line in question."""
+    reason = str(refusal).removeprefix(f"{written}: ")
+    named = re.search(r"\[([\w.]+)\] (\w+)", reason)
+    number = draft.line(f"{named[1]}.{named[2]}") if named else 1
+    return RecordingError(f"{written}:{number}: {reason}")
 
 
 @app.command("import")
@@ -160,8 +152,8 @@ def import_(
 
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
-    from testbed.core.recordings.joined import pieces
-    from testbed.importing.check.check import import_and_check
+    from testbed.importing.check.check import CheckReport, import_and_check
+    from testbed.importing.convert import pieces
     from testbed.importing.import_report import ImportReport
     from testbed.importing.mapping import sources
     from testbed.view import output
@@ -171,8 +163,8 @@ def import_(
             raise typer.BadParameter(misplaced(each, kind_of(each) or LOG, "mapping"))
     if page is not None and not (guess and model):
         raise typer.BadParameter("--page is of a mapping: --guess and --model go with it")
-    named = () if guess or out is None else sources(files[0])
-    check_outputs(out, page, force=force, read=(*files, model, *named))
+    logs = () if guess or out is None else sources(files[0])
+    check_outputs(out, page, force=force, read=(*files, model, *logs))
     reading = Reading(settings, False, weld_root, lock, lock_mimic)
     if guess:
         write_mapping(files, out, model, reading, page)
@@ -184,43 +176,38 @@ def import_(
         raise typer.BadParameter("--out is missing, e.g. --out recording.parquet")
     if model is None and align:
         raise typer.BadParameter("--align needs --model: delays are found by the robot's motion")
-    lines: list[str] = []
+    report = CheckReport()
     checked: list[Diagnostic] = []
     if model is None:
         with output.Progress("importing"):
             made, cuts = pieces(mapping)
     else:
         with output.Progress("importing, checking against the robot") as bar:
-            made, cuts, found = import_and_check(
+            made, cuts, report = import_and_check(
                 mapping,
                 lambda one: reading.robot_of(one, model)[1:],
                 align=align,
                 unchecked=unchecked,
                 progress=bar,
             )
-            tree = reading.robot_of(made[0], model)[1]
-        taken = " (corrected)" if align else ""
-        lines = [
-            each.diagnostic().text + (taken if each.matters else ", not significant")
-            for each in found.offsets
-        ]
-        checked = [*tree.diagnostics, *found.diagnostics]
-    paths = save_pieces(made, out, force=force)
-    reports = [ImportReport.from_dict(recording.facts["import"]) for recording in made]
-    doubts = ordered([*(each for report in reports for each in report.diagnostics), *checked])
+        checked = [*reading.robot_of(made[0], model)[1].diagnostics, *report.diagnostics]
+    taken = " (corrected)" if align else ""
+    lines = [
+        each.diagnostic().text + (taken if each.matters else ", not significant")
+        for each in report.offsets
+    ]
+    paths = [str(path) for path in save_pieces(made, out, force=force)]
+    found = [recording.facts["import"] for recording in made]
     if as_json:
-        several = (
-            {"recordings": [str(path) for path in paths], "cuts": [each.text for each in cuts]}
-            if cuts
-            else {}
-        )
-        found_in = [report.as_dict() for report in reports]
-        said = {"import": found_in if cuts else found_in[0], "clocks": lines}
+        several = {"recordings": paths, "cuts": [each.text for each in cuts]} if cuts else {}
+        said = {"import": found if cuts else found[0], "clocks": lines}
         output.print_json(said | {"diagnostics": [d.as_dict() for d in checked]} | several)
         return
+    reports = [ImportReport.from_dict(each) for each in found]
+    doubts = ordered([*(each for report in reports for each in report.diagnostics), *checked])
     reported = [line for report in reports for line in report.lines()]
-    names = ", ".join(map(str, paths))
-    last = f"recordings: {names}; identify takes them together" if cuts else f"recording: {out}"
+    named = f"{', '.join(paths)}; identify takes them together" if cuts else str(out)
+    last = f"recording{'s' * bool(cuts)}: {named}"
     output.print_lines([*reported, *lines, last], [*cuts, *doubts])
 
 

@@ -83,12 +83,6 @@ WORD = r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+"
 HAND = {"tcp", "ee", "eef", "tool", "wrist", "flange", "gripper", "hand"}
 """Words of a wrench that is not the plate's."""
 
-TURNS = {"quat", "quaternion", "orientation", "rotation", "qw", "qx", "qy", "qz"}
-"""Words of a base's quaternion."""
-
-RATES = {"vel", "velocity", "angular", "linear", "lin", "ang", "twist", "acc", "acceleration"}
-"""Words of a base's columns that are not its pose."""
-
 AXES = {
     f"{letter}{axis}": (part, k)
     for part, letters in enumerate(("f", "mt"))
@@ -362,26 +356,6 @@ def plate_columns(columns: Sequence[ColumnName]) -> dict[str, list[ColumnName]]:
         return whole
     six = (list(each.columns) for each in grouped(columns) if len(each.columns) == 6)
     return {"": next(six, list(columns))}
-
-
-def base_columns(columns: Sequence[ColumnName]) -> tuple[list[str], list[str]]:
-    """Columns of a base's place (x, y, z) and quaternion (w, x, y, z), empty where not named.
-
-    Seven that are only numbered are in this order.
-
-    Args:
-        columns: Those that look like a base's.
-    """
-    own = [each for each in columns if not each.beside and RATES.isdisjoint(each.words)]
-    turn = [each for each in own if not TURNS.isdisjoint(each.words)]
-    if len(own) == 7 and all(each.words[-1].isdigit() for each in own):
-        names = [each.name for each in own]
-        return names[:3], names[3:]
-
-    def along(of: Sequence[ColumnName], axes: str) -> list[str]:
-        return [next((c.name for c in of if c.words[-1] in (a, f"q{a}")), "") for a in axes]
-
-    return along([each for each in own if each not in turn], "xyz"), along(turn, "wxyz")
 
 
 def at_the_hand(column: ColumnName) -> bool:

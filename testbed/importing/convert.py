@@ -1,11 +1,10 @@
-"""From a mapping file to a recording's columns on a uniform grid: the room's front door."""
+"""From a mapping file to recordings on a uniform grid."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from collections.abc import Mapping as Table
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,9 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
+from testbed.core.base.codec import encode
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import WIDTH, RecordingError, UnknownName, few, plural
-from testbed.core.recordings.columns import members_of
+from testbed.core.recordings.columns import check_columns, members_of
+from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.repeats import held_share, slow_device
 from testbed.importing.derivative import derivatives
 from testbed.importing.encoder_steps import without_turns
 from testbed.importing.foreign_table import MOST_NUMBERS, ForeignTable
@@ -28,6 +30,7 @@ from testbed.importing.mapping import (
     Mapping,
     SixAxisTable,
     WrenchTable,
+    read_mapping,
 )
 from testbed.importing.readers import open_foreign
 from testbed.importing.resampling import (
@@ -54,29 +57,12 @@ from testbed.importing.source_clock import (
     by_one_clock,
     clock_report,
     cut,
-    held_share,
     longest_bridged,
     sample_times,
-    slow_device,
     steady_times,
     without_gaps,
     without_repeats,
 )
-
-
-@dataclass(frozen=True, eq=False)
-class Imported:
-    """A recording's columns, made of other programs' files.
-
-    Attributes:
-        columns: By name, (M,) each.
-        metadata: `tare` and `facts`, as a recording's file keeps them.
-        report: What was found on the way.
-    """
-
-    columns: Table[str, Array]
-    metadata: Table[str, Any]
-    report: ImportReport
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,60 +99,68 @@ class _Samples:
     report: SignalReport
 
 
-@contextmanager
-def naming(path: Path, mapping: Mapping) -> Iterator[None]:
-    """Reword errors of data so that they name the mapping file and the data file.
+def pieces(
+    path: Path, mapping: Mapping | None = None
+) -> tuple[tuple[Recording, ...], list[Diagnostic]]:
+    """Recordings that a mapping file makes, in the order of time, and where it was cut.
+
+    What was found on the way is in `facts["import"]`, what to doubt in `facts["diagnostics"]`.
 
     Args:
-        path: The mapping file.
-        mapping: What it says.
+        path: The mapping file, TOML; the files it names are relative to it.
+        mapping: What it says; default what is in it.
+
+    Raises:
+        ExperimentError: The mapping is not understood.
+        RecordingError: A file is missing or damaged, or does not hold what the mapping says.
     """
+    mapping = mapping or read_mapping(path)
     try:
-        yield
+        streams = _streams(mapping, path.parent)
+        clocks = [
+            (each.table.source, mapping.sources[each.table.source], each.time, each.rows)
+            for each in streams.values()
+        ]
+        windows, cuts = cut(_window(mapping, streams), clocks)
+        recordings = []
+        for window in windows:
+            columns, metadata = _converted(mapping, streams, window)
+            recording = Recording.from_columns(columns, metadata, str(path))
+            check_columns(recording.columns(), str(path))
+            recordings.append(recording)
     except (RecordingError, UnknownName) as error:
-        said = str(error).removeprefix(f"{path}: ")
-        files = {name: source.file for name, source in mapping.sources.items()}
-        if not any(file in said for file in files.values()):
-            own = [file for name, file in files.items() if f"sources.{name}:" in said]
-            said = f"{few(own or [*files.values()], WIDTH)}: {said}"
-        error.args = (f"{path}: {said}",)
+        error.args = (_with_files(path, mapping, str(error)),)
         raise
+    return tuple(recordings), cuts
 
 
-def converted(mapping: Mapping, folder: Path) -> Imported:
-    """What the files that a mapping names say.
-
-    Args:
-        mapping: What their columns mean.
-        folder: To which the files are relative.
-
-    Raises:
-        RecordingError: A file is missing or damaged, has no such columns, or its clock is none.
-    """
-    streams = _streams(mapping, folder)
-    return _converted(mapping, streams, _window(mapping, streams))
-
-
-def converted_pieces(mapping: Mapping, folder: Path) -> tuple[list[Imported], list[Diagnostic]]:
-    """The same, cut wherever a source was silent for too long.
+def import_recording(path: str | Path) -> Recording:
+    """Recording that a mapping file makes (docs/your-recording.md).
 
     Args:
-        mapping: What the files' columns mean.
-        folder: To which the files are relative.
-
-    Returns:
-        One or more, in the order of time; and where they were cut.
+        path: The mapping file, TOML; the files it names are relative to it.
 
     Raises:
-        RecordingError: As `converted`; of a gap where no piece is long enough.
+        ExperimentError: The mapping is not understood.
+        RecordingError: As `pieces`, or a source was silent for too long.
     """
-    streams = _streams(mapping, folder)
-    clocks = [
-        (each.table.source, mapping.sources[each.table.source], each.time, each.rows)
-        for each in streams.values()
-    ]
-    windows, said = cut(_window(mapping, streams), clocks)
-    return [_converted(mapping, streams, each) for each in windows], said
+    (recording, *_), cuts = pieces(Path(path))
+    if cuts:
+        raise RecordingError(
+            f"{path}: {cuts[0].text} by `testbed import`; `start` and `stop` take one part, "
+            "`max_gap` bridges it"
+        )
+    return recording
+
+
+def _with_files(path: Path, mapping: Mapping, said: str) -> str:
+    """What is wrong with data, with the names of the mapping file and of a data file."""
+    said = said.removeprefix(f"{path}: ")
+    files = [source.file for source in mapping.sources.values()]
+    own = [each.file for name, each in mapping.sources.items() if f"sources.{name}:" in said]
+    if any(file in said for file in files):
+        return f"{path}: {said}"
+    return f"{path}: {few(own or files, WIDTH)}: {said}"
 
 
 def clock_ranges(mapping: Mapping, folder: Path) -> dict[str, tuple[float, float]]:
@@ -185,10 +179,11 @@ def clock_ranges(mapping: Mapping, folder: Path) -> dict[str, tuple[float, float
     }
 
 
-def _converted(mapping: Mapping, streams: Table[str, _Stream], window: Window) -> Imported:
-    """What the files say of a part of the time."""
+def _converted(
+    mapping: Mapping, streams: Table[str, _Stream], window: Window
+) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Columns and metadata of a recording of a part of the time."""
     samples = {label: _samples(mapping, label, each, window) for label, each in streams.items()}
-    samples["position"] = _without_turns(mapping, samples["position"])
     grid = _grid(mapping, samples.values(), window)
     columns: dict[str, Array] = {"time": grid - grid[0]}
     clocks: dict[str, ClockReport] = {}
@@ -203,13 +198,13 @@ def _converted(mapping: Mapping, streams: Table[str, _Stream], window: Window) -
     reports = {label: got.report for label, got in samples.items()}
     reports |= derivatives(mapping, columns, reports)
     report = ImportReport(mapping.rate, len(grid), clocks, reports)
-    return Imported(columns, _metadata(mapping, report), report)
+    return columns, _metadata(mapping, report)
 
 
 def _used(mapping: Mapping) -> dict[str, list[str]]:
     """Columns that are needed, by source."""
     found: dict[str, list[str]] = {}
-    for table in (*mapping.signals.values(), *mapping.others.values()):
+    for table in mapping.tables.values():
         found.setdefault(table.source, []).extend(table.columns)
     unused = [name for name in mapping.sources if name not in found]
     if unused:
@@ -240,12 +235,10 @@ def _times(mapping: Mapping, name: str, table: ForeignTable) -> Times:
     """Sample times of a source, corrected for clock drift [s]; nan where not recorded."""
     source = mapping.sources[name]
     if source.time is None:
-        first = _used(mapping)[name][0]
-        table.read([first])
-        time = sample_times(name, source, None, table.lengths[first], None)
+        column = table.stamps(_used(mapping)[name][0])
+        time = Times(0.0, np.arange(len(column)) / (source.rate or mapping.rate))
     else:
-        stamps = table.stamps(source.time)
-        time = sample_times(name, source, stamps, len(stamps), table.unit(source.time))
+        time = sample_times(name, source, table.stamps(source.time), table.unit(source.time))
     since = time.since
     if np.nanmin(since) == np.nanmax(since):
         raise RecordingError(
@@ -260,11 +253,9 @@ def _streams(mapping: Mapping, folder: Path) -> dict[str, _Stream]:
     files = {name: _open(folder, mapping, name) for name in _used(mapping)}
     clocks = {name: _times(mapping, name, file) for name, file in files.items()}
     times = by_one_clock(clocks, {name: mapping.sources[name].offset for name in clocks})
-    tables: dict[str, AnyTable] = dict(mapping.signals.items())
-    tables |= mapping.others
     found = {
         label: _stream(label, table, files[table.source], times[table.source])
-        for label, table in tables.items()
+        for label, table in mapping.tables.items()
     }
     spans: dict[str, float] = {}
     for each in found.values():
@@ -282,8 +273,7 @@ def _stream(label: str, table: AnyTable, file: ForeignTable, time: Array) -> _St
     Raises:
         RecordingError: There are hardly any.
     """
-    read = file.read(table.columns)
-    values = np.stack([read[name] for name in table.columns], axis=1)
+    values = file.matrix(table.columns)
     finite = np.isfinite(values)
     rows = np.flatnonzero(finite.all(axis=1) & np.isfinite(time))
     if not len(rows) and finite.any(axis=0).all():
@@ -348,20 +338,17 @@ def _samples(mapping: Mapping, label: str, stream: _Stream, window: Window) -> _
     if isinstance(table, BaseTable):
         values = np.hstack([values[:, :3], without_turnovers(values[:, 3:])])
     values = signed(table, values) if table is mapping.torque else values
+    steps: tuple[Diagnostic, ...] = ()
+    if table is mapping.position:
+        names = mapping.joints if table.matrix is None else table.columns
+        values, steps = without_turns(table, names, time, values)
     passed = low_pass_reach(rate, mapping.rate) > 0
     said: tuple[Diagnostic, ...] = ()
     if stream.shorter > longest_bridged(source, 1 / rate):
         said = (diagnose("import.shorter", label, stream.shorter, source=name),)
-    return _Samples(time, values, rate, clock, SignalReport(name, held, dropped, passed, said))
-
-
-def _without_turns(mapping: Mapping, samples: _Samples) -> _Samples:
-    """Positions of encoders that wrap, unwrapped."""
-    table = mapping.position
-    names = mapping.joints if table.matrix is None else table.columns
-    values, said = without_turns(table, names, samples.time, samples.values)
-    said = (*samples.report.diagnostics, *said)
-    return replace(samples, values=values, report=replace(samples.report, diagnostics=said))
+    return _Samples(
+        time, values, rate, clock, SignalReport(name, held, dropped, passed, (*said, *steps))
+    )
 
 
 def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, float]) -> Array:
@@ -387,17 +374,15 @@ def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, fl
 
 def _mapped(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
     """A signal on the grid as the recording's columns."""
-    table = mapping.others.get(label)
-    sensors: tuple[str, ...] = ()
+    table = mapping.tables[label]
+    signal, sensors = label, (label.removeprefix("sensors."),)
     if isinstance(table, SixAxisTable):
-        signal, found = "wrench", wrench_of(table, raw)
-        if isinstance(table, ForceSensorTable):
-            signal, sensors = "sensors", (label.removeprefix("sensors."),)
+        found = wrench_of(table, raw)
+        signal = "sensors" if isinstance(table, ForceSensorTable) else "wrench"
     elif isinstance(table, BaseTable):
-        signal, found = "base", base_pose(table, raw)
+        found = base_pose(table, raw)
     else:
-        (kind,) = (kind for kind in mapping.signals if kind == label)
-        signal, found = label, joint_signal(kind, mapping.signals[kind], mapping.gear, raw)
+        found = joint_signal(label, table, mapping.gear, raw)
     members = members_of(signal, tuple(mapping.joints), sensors)
     return {f"{signal}/{member}": found[:, k] for k, member in enumerate(members)}
 
@@ -405,7 +390,7 @@ def _mapped(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
 def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
     """What the recording's file keeps beside its columns."""
     said = mapping.model_dump(mode="json", exclude_none=True)
-    facts: dict[str, Any] = {"import": report.as_dict(), "mapping": said}
+    facts: dict[str, Any] = {"import": encode(report), "mapping": said}
     if report.diagnostics:
         facts["diagnostics"] = [each.as_dict() for each in report.diagnostics]
     if mapping.sensors:

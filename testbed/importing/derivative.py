@@ -17,7 +17,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import RecordingError
 from testbed.importing.foreign_table import UNITS, Kind, plain
-from testbed.importing.import_report import Line, SignalReport, in_mapping, in_toml
+from testbed.importing.import_report import Line, SignalReport, in_mapping
 from testbed.importing.mapping import Mapping, SignalTable
 
 PARTS = (200, 60, 20)
@@ -36,9 +36,6 @@ NEAR = 0.1
 
 BETWEEN = 0.03
 """Relative error of a slope by which a unit is recognised."""
-
-CLEARLY = 2.0
-"""Difference of logarithms of sizes from which one of two signals is in another unit."""
 
 MOVED = 0.02
 """Integral of a velocity from which a joint has moved [rad or m]."""
@@ -100,17 +97,13 @@ def slopes(values: Array, rates: Array, time: Array) -> Slopes:
 
 def _over(reach: int, values: Array, whole: Array) -> Slopes:
     """Increments over so many samples."""
-    moved, came = (_centred(each[reach:] - each[:-reach]) for each in (values, whole))
+    increments = (each[reach:] - each[:-reach] for each in (values, whole))
+    moved, came = (each - each.mean(axis=0) for each in increments)
     between, squares = moved.T @ came, (came * came).sum(axis=0)
     total = (moved * moved).sum(axis=0)[:, None] * squares
     with np.errstate(divide="ignore", invalid="ignore"):
         slope, fit = between / squares, between**2 / total
     return Slopes(np.nan_to_num(slope, posinf=0, neginf=0), np.nan_to_num(fit, posinf=0, neginf=0))
-
-
-def _centred(values: Array) -> Array:
-    found: Array = values - values.mean(axis=0)
-    return found
 
 
 def unit_of(kind: str, size: float) -> str | None:
@@ -139,7 +132,6 @@ def derivatives(
         RecordingError: They are derivatives in another unit, sense or order.
     """
     found: dict[str, SignalReport] = {}
-    used = {"velocity", "acceleration"} <= mapping.signals.keys()
     pairs: tuple[tuple[Kind, Kind], ...] = (("position", "velocity"), ("velocity", "acceleration"))
     for below, kind in pairs:
         if below not in mapping.signals or kind not in mapping.signals:
@@ -155,10 +147,7 @@ def derivatives(
             slopes(values, rates, columns["time"]),
             np.sqrt([np.mean(each**2, axis=0) for each in (values, rates)]),
         )
-        use = f"; held against the {below}s, " + (
-            "taken for their derivatives" if used else "and not used by estimates"
-        )
-        found[kind] = replace(reports[kind], diagnostics=said, use=use)
+        found[kind] = replace(reports[kind], diagnostics=said)
     return found
 
 
@@ -168,7 +157,7 @@ def _check_moves(
     """Whether what has a derivative changes at all."""
     varied = np.cumsum((rates - rates.mean(axis=0))[1:] * np.diff(time)[:, None], axis=0)
     dead = (np.ptp(values, axis=0) == 0) & (np.ptp(varied, axis=0) > MOVED)
-    names = [joint for joint, each in zip(joints, dead, strict=True) if each]
+    names = np.array(joints)[dead].tolist()
     if names:
         raise RecordingError(
             f"the {of} of {_listed(names, len(joints))} is the same throughout, and by the {kind} "
@@ -192,7 +181,7 @@ def _diagnostics(
     wrong = sure & (np.abs(slope - 1) > NEAR)
     if (order != np.arange(n)).any() or wrong.any():
         read = np.stack([sizes[0], sizes[1][order]])
-        lines, other = _lines(kind, table, of, below, order, np.where(sure, slope, 1.0), read)
+        lines = _lines(kind, table, of, below, order, np.where(sure, slope, 1.0), read)
         names = [joints[k] for k in range(n) if wrong[k] or order[k] != k]
         said = f"it is {_times(slope[wrong])}" if wrong.any() else "it is that of other joints"
         advice = (
@@ -202,13 +191,13 @@ def _diagnostics(
         )
         raise DerivativeError(
             f"the {kind} of {_listed(names, n)} is not the derivative of the {of}: {said}; "
-            f"{advice}; or leave [{kind}] out{other}",
+            f"{advice}; or leave [{kind}] out",
             lines,
         )
     moving = (found.fit.max(axis=1) > 0) & ~sure
     if not moving.any():
         return ()
-    names = [joint for joint, moves in zip(joints, moving, strict=True) if moves]
+    names = np.array(joints)[moving].tolist()
     least = float(fit[moving].min())
     return (diagnose("import.derivative", _listed(names, n), least, kind=kind, of=of),)
 
@@ -229,15 +218,14 @@ def _times(slope: Array) -> str:
 def _lines(
     kind: Kind, table: SignalTable, of: Kind, below: SignalTable, order: NDArray[np.intp],
     slope: Array, read: Array,
-) -> tuple[list[Line], str]:  # fmt: skip
-    """Lines of the mapping without the mistake, and what else it may be.
+) -> list[Line]:  # fmt: skip
+    """Lines of the mapping without the mistake.
 
     Of two signals whose units may be wrong that one is whose sizes are less usual.
     """
     if table.matrix is not None or below.matrix is not None:
-        return [], ""
+        return []
     lines: list[Line] = []
-    instead = ""
     if (order != np.arange(len(order))).any():
         lines.append((kind, "columns", [table.columns[k] for k in order]))
     if (slope < 0).any():
@@ -248,16 +236,11 @@ def _lines(
     if (np.abs(sizes - 1) > NEAR).any():
         own = _units(kind, table, order, sizes)
         other = _units(of, below, np.arange(len(order)), 1 / sizes)
-        odd = _odd(read, sizes)
-        of_below = own is None or (other is not None and odd > 0)
-        either: list[Line] = [(kind, "unit", own), (of, "unit", other)]
-        if None not in (own, other) and abs(odd) < CLEARLY:
-            wrong, (name, _, unit) = (kind if of_below else of), either[not of_below]
-            instead = f"; or, if the {wrong} is wrong, [{name}] unit = {in_toml(unit)}"
         if own is None and other is None:
-            return [], ""
-        lines.append(either[of_below])
-    return lines, instead
+            return []
+        of_below = own is None or (other is not None and _odd(read, sizes) > 0)
+        lines.append((of, "unit", other) if of_below else (kind, "unit", own))
+    return lines
 
 
 def _odd(read: Array, sizes: Array) -> float:
@@ -277,8 +260,7 @@ def _units(
     kind: Kind, table: SignalTable, order: NDArray[np.intp], sizes: Array
 ) -> str | list[str] | None:
     """Units that make a signal so many times larger, one if all are the same; None if none do."""
-    said = table.unit if isinstance(table.unit, list) else [table.unit] * len(sizes)
-    now = [plain(said[k]) for k in order]
+    now = [plain(table.units[k]) for k in order]
     found = []
     for unit, size in zip(now, sizes, strict=True):
         factor = UNITS[kind].get(unit, 0.0)

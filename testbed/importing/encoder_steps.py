@@ -32,10 +32,9 @@ def without_turns(
         time: (M,), increasing [s].
         values: As the file holds them, (M, k).
     """
-    units = [table.unit] * len(names) if isinstance(table.unit, str) else table.unit
     found, said = values.copy(), []
     wrapped: dict[str, int] = {}
-    for k, (name, unit) in enumerate(zip(names, units, strict=True)):
+    for k, (name, unit) in enumerate(zip(names, table.units, strict=True)):
         scale = factor("position", unit)
         if table.matrix is not None:
             scale *= float(np.abs(np.array(table.matrix)[:, k]).max())

@@ -177,7 +177,6 @@ class ForeignTable:
         load: Gives an array by name.
         units: What the file says of columns' or arrays' units, as it says it.
         cut: Whether a last sample was incomplete and is left out.
-        about: What a person should know of the file, if anything.
         plates: Force plates that the file describes.
     """
 
@@ -186,7 +185,6 @@ class ForeignTable:
     load: Callable[[str], Any]
     units: Mapping[str, str] = field(default_factory=dict)
     cut: bool = False
-    about: str = ""
     plates: Sequence[StatedPlate] = ()
 
     def __post_init__(self) -> None:
@@ -224,15 +222,23 @@ class ForeignTable:
         """
         return {k: np.array(row, dtype=np.float64) for k, row in self._rows(columns).items()}
 
+    def matrix(self, columns: Sequence[str]) -> Array:
+        """Some columns of one length side by side, (M, k).
+
+        Args:
+            columns: Their names.
+
+        Raises:
+            UnknownName: There is no such column.
+            RecordingError: The file is damaged there, or holds too much.
+        """
+        read = self.read(columns)
+        return np.stack([read[name] for name in columns], axis=1)
+
     def _rows(self, columns: Iterable[str]) -> dict[str, NDArray[Any]]:
         """Rows of the given columns, (M, k)."""
         places, wanted = self._places, list(columns)
         for name in wanted:
-            if name not in places and len(places) == 1:
-                raise RecordingError(
-                    f"{self.path}: it has one column; write the numbers of a sample into one line, "
-                    "as by `paste -d, - - - < in.txt > out.csv` for three of them"
-                )
             if name not in places:
                 raise UnknownName(f"column of '{self.path}'", name, places)
         arrays = dict.fromkeys(places[name][0] for name in wanted)

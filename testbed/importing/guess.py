@@ -17,7 +17,6 @@ from testbed.importing.column_names import (
     WARMTH,
     ColumnName,
     at_the_hand,
-    base_columns,
     grouped,
 )
 from testbed.importing.foreign_table import KINDS, RAW, UNITS, ForeignTable, Kind, plain
@@ -56,12 +55,12 @@ def guessed(
         RecordingError: One cannot be read, or they hold no columns.
         UnknownName: An ending is that of no known format.
     """
-    sources = likely_sources(paths, len(joints))
+    sources = likely_sources(paths)
     if not sources:
         listed = ", ".join(f"'{path}'" for path in paths)
         raise RecordingError(f"no columns of numbers in {listed}")
     signals, joints = _fitting(sources, joints, subsets)
-    temperatures, base = [*_temperatures(sources, joints, signals)], [*_base(sources)]
+    temperatures = [*_temperatures(sources, joints, signals)]
     by_name = {each.source.name: each.source for each in signals.values()}
     sources = [by_name.get(each.name, each) for each in sources]
     files = ", ".join(printable(path.name, 100) for path in paths)
@@ -78,45 +77,36 @@ def guessed(
     draft = draft.saying("", "joints", *_joints(signals, joints))
     plates = likely_plates(sources, signals)
     used = {each.source.name for each in signals.values()} | {each[1].name for each in plates}
-    used |= {keys[0][1] for keys in (temperatures, base) if keys}
+    used |= {value for key, value, _ in temperatures if key == "source"}
     for each in sources:
-        needed = each.name in used or not used
-        draft = _with_source(draft, each, folder, needed=needed)
+        if each.name in used or not used:
+            draft = _with_source(draft, each, folder)
+        else:
+            unused = f"{few(each.table.columns)} of {each.file.name} {each.topic or ''}"
+            draft = draft.remarking("", f"# not used: {printable(unused)}")
         if not rate:  # then it is the recording's
             draft = draft.saying(f"sources.{each.name}", "rate", None)
     for kind in KINDS:
         draft = _with_signal(draft, kind, signals, sources)
-    for said in temperatures:
-        draft = draft.saying("temperature", *said)
-    stated = {p.columns: p.name for _, each, _ in plates for p in each.table.plates}
-    taken = [tuple(column.name for column in columns) for _, _, columns in plates]
-    if idle := [name for columns, name in stated.items() if columns not in taken]:
-        draft = draft.remarking("", f"# left out, without a load: {json.dumps(idle)}")
+    draft = draft.saying_all("temperature", temperatures)
     names = [name for name, _, _ in plates]
     for name, source, columns in plates:
         own = name if names.count(name) == 1 else f"{source.name} {name}"
         table = "wrench" if len(plates) == 1 else f"plates.{_key(own)}"
-        for said in _plate(source, columns, alone=len(plates) == 1):
-            draft = draft.saying(table, *said)
-    for said in base:
-        draft = draft.saying("base", *said)
+        draft = draft.saying_all(table, _plate(source, columns, alone=len(plates) == 1))
     return draft
 
 
-def _with_source(draft: Draft, source: LikelySource, folder: Path, *, needed: bool) -> Draft:
-    """Mapping with a source's table, or a comment that lists its unused columns."""
+def _with_source(draft: Draft, source: LikelySource, folder: Path) -> Draft:
+    """Mapping with a source's table, and what its columns hold."""
     name = f"sources.{source.name}"
     file = os.path.relpath(source.file.resolve(), folder.resolve())
-    known = [f"# {source.table.about}"] if source.table.about else []
-    known += [f"# {source.logger} names its columns like this"] if source.logger else []
+    known = [f"# {source.logger} names its columns like this"] if source.logger else []
     rows = max(source.table.lengths.values(), default=0)
     known += [f"# the last line is incomplete: {rows} rows are read"] if source.table.cut else []
-    known += [] if needed else [f"# no signal is of {printable(f'{file} {source.topic or str()}')}"]
     draft = draft.remarking(name, *known, *_listed(source.table))
     keys = [("file", file, ""), ("topic", source.topic, ""), *source.clock.said()]
-    for said in keys if needed else ():
-        draft = draft.saying(name, *said)
-    return draft
+    return draft.saying_all(name, keys)
 
 
 def _fitting(
@@ -135,11 +125,9 @@ def _fitting(
 
 def _rate(sources: Sequence[LikelySource], signals: Mapping[Kind, LikelySignal]) -> float:
     """The positions' rate, else the highest."""
-    rates = [each.clock.rate for each in sources if each.clock.rate]
-    if "position" in signals:
-        (own,) = (s.clock.rate for s in sources if s.name == signals["position"].source.name)
-        rates = [own] if own else rates
-    return max(rates, default=0.0)
+    if "position" in signals and (own := signals["position"].source.clock.rate):
+        return own
+    return max((each.clock.rate for each in sources), default=0.0)
 
 
 def _joints(
@@ -157,15 +145,7 @@ def _joints(
         more += f"; no columns of {', '.join(missing)}" if missing and group.matched else ""
         return [""] if plain else list(group.names), about + more
     found = f"{plural(len(group.names), 'column')} for {plural(len(joints), 'joint')}"
-    return [""], f"{about}, {found}{_gaps(group.names)}: {', '.join(joints)}"
-
-
-def _gaps(names: Sequence[str]) -> str:
-    """Numbers that are left out in names that end with one."""
-    ends = [re.search("[0-9]{1,3}$", name) for name in names]
-    numbers = {int(end[0]) for end in ends if end}
-    left = sorted({*range(min(numbers, default=0), max(numbers, default=0))} - numbers)
-    return f" (none has number {few([str(k) for k in left])})" if left else ""
+    return [""], f"{about}, {found}: {', '.join(joints)}"
 
 
 def _listed(table: ForeignTable) -> Iterator[str]:
@@ -201,9 +181,6 @@ def _with_signal(
     beside = [c.name for s in sources for c in s.columns if c.kind == kind and c.beside]
     if beside:
         draft = draft.remarking(kind, f"# left out, by their names: {json.dumps(beside)}")
-    empty = [column.name for s in sources for column in s.empty if column.kind == kind]
-    if empty:
-        draft = draft.remarking(kind, f"# left out, without a number: {json.dumps(empty)}")
     if found is None:
         optional = ", if there are any" if kind != "position" else ""
         lines = [
@@ -217,8 +194,7 @@ def _with_signal(
     others = "; ".join(each for each in (found.evidence, others) if each)
     draft = draft.saying(kind, "source", found.source.name)
     draft = draft.saying(kind, "columns", [each.name for each in found.group.columns], others)
-    for said in _unit(kind, found):
-        draft = draft.saying(kind, *said)
+    draft = draft.saying_all(kind, _unit(kind, found))
     if found.counts:
         turns, n = 1 / found.counts, len(found.units)
         rows = [[turns if j == k else 0.0 for k in range(n)] for j in range(n)]
@@ -240,7 +216,6 @@ def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
     if len(taken) < len(found.units) or 0 < len(raw) < len(taken):
         more = "; or A, V, raw with gain = [N m each]" if kind == "torque" else ""
         large = float(np.nanmax(np.abs(values_of(found)))) if kind == "position" else 0.0
-        more += f"; {large:.4g} rad would be more than a turn" if large > 2 * np.pi else ""
         if PER_CENT[0] <= large <= PER_CENT[1]:
             more += "; per cent of each joint's range, as of SO arms: deg, matrix of ranges / 200"
         yield "unit", "", f"{', '.join(UNITS[kind])}{more}"
@@ -315,19 +290,3 @@ def _of_all(columns: Sequence[ColumnName], kind: str) -> str:
     """The unit of all columns; empty if they do not say one."""
     units = {plain(each.unit or "") for each in columns}
     return units.pop() if len(units) == 1 and units <= UNITS[kind].keys() else ""
-
-
-def _base(sources: Sequence[LikelySource]) -> Iterator[Said]:
-    """Keys of a base that moves, if columns look like it."""
-    for source in sources:
-        columns = [each for each in source.columns if each.kind == "base"]
-        place, turn = base_columns(columns)
-        if not any((*place, *turn)):
-            continue
-        listed = f"of these: {json.dumps([each.name for each in columns])}"
-        units = {each.unit for each in columns if each.name in place}
-        yield "source", source.name, ""
-        yield "position", place, "" if all(place) else listed
-        yield "unit", (units.pop() or "") if len(units) == 1 else "", "m, cm, mm, inch"
-        yield "quaternion", turn, "w, x, y, z, in this order" + f", {listed}" * (not all(turn))
-        return

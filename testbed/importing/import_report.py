@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
-from testbed.core.base.diagnostics import Diagnostic, diagnose, from_json
+from testbed.core.base.codec import decode
+from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import plural, printable
 from testbed.importing.source_clock import ClockReport
 
@@ -44,6 +45,13 @@ class Draft:
         notes = {place: each for place, each in self.notes.items() if place != (table, key)}
         notes |= {(table, key): note} if note and value is not None else {}
         return replace(self, tables={**self.tables, table: keys}, notes=notes)
+
+    def saying_all(self, table: str, keys: Iterable[tuple[str, Any, str]]) -> Draft:
+        """The same with keys of a table, their values and notes."""
+        draft = self
+        for key, value, note in keys:
+            draft = draft.saying(table, key, value, note)
+        return draft
 
     def remarking(self, table: str, *lines: str) -> Draft:
         """The same with lines of comment above a table, or in place of one that is not there."""
@@ -82,15 +90,11 @@ class Draft:
             key: Dotted, with its table's name.
         """
         table, _, name = key.rpartition(".")
-        above, found = "", 1
-        for number, line in enumerate(self.text.splitlines(), start=1):
-            header = re.fullmatch(r"(?:# )?\[(.+?)\](?:  #.*)?", line)
-            above = header[1] if header else above
-            if header and above in (table, key):
-                found = number
-            elif above == table and line.startswith(f"{name} = "):
-                return number
-        return found
+        lines = self.text.splitlines()
+        heads = (f"[{table}]", f"# [{table}]")
+        first = next((k for k, line in enumerate(lines) if line.startswith(heads)), 0)
+        keys = [k for k, line in enumerate(lines) if k >= first and line.startswith(f"{name} = ")]
+        return 1 + (keys or [first])[0]
 
 
 def in_toml(value: Any) -> str:
@@ -139,7 +143,6 @@ class SignalReport:
         dropped: Samples left out as held.
         low_pass: Whether it was low-passed, the source being faster than the grid.
         diagnostics: What else a person should know.
-        use: What the signal was held against, and what it is for; empty where that is plain.
     """
 
     source: str
@@ -147,7 +150,6 @@ class SignalReport:
     dropped: int
     low_pass: bool
     diagnostics: tuple[Diagnostic, ...] = ()
-    use: str = ""
 
 
 @dataclass(frozen=True)
@@ -166,21 +168,10 @@ class ImportReport:
     clocks: Mapping[str, ClockReport]
     signals: Mapping[str, SignalReport]
 
-    def as_dict(self) -> dict[str, Any]:
-        """As JSON takes it."""
-        found = asdict(self)
-        for name, signal in found["signals"].items():
-            signal["diagnostics"] = [each.as_dict() for each in self.signals[name].diagnostics]
-        return found
-
     @staticmethod
     def from_dict(said: Mapping[str, Any]) -> ImportReport:
-        """Of `as_dict`, as a recording keeps it under the fact "import"."""
-        clocks = {name: ClockReport(**each) for name, each in said["clocks"].items()}
-        signals = {}
-        for name, each in said["signals"].items():
-            signals[name] = SignalReport(**each | {"diagnostics": from_json(each["diagnostics"])})
-        return ImportReport(said["rate"], said["samples"], clocks, signals)
+        """Report that a recording keeps under the fact "import"."""
+        return decode(ImportReport, said, {})  # type: ignore[no-any-return]
 
     def lines(self) -> list[str]:
         """All of it for a person, a line each."""
@@ -188,7 +179,6 @@ class ImportReport:
             f"{plural(self.samples, 'sample')} at {self.rate:g} Hz "
             f"({(self.samples - 1) / self.rate:.4g} s)",
             *(_clock(name, clock) for name, clock in self.clocks.items()),
-            *(_signal(name, signal) for name, signal in self.signals.items()),
         ]
 
     @property
@@ -230,10 +220,3 @@ def _clock(name: str, clock: ClockReport) -> str:
         f"source '{name}': {plural(clock.samples, 'sample')} at {clock.rate:.6g} Hz, jitter "
         f"{clock.jitter:.2%}, {gaps}, {clock.repeated} repeated"
     )
-
-
-def _signal(name: str, signal: SignalReport) -> str:
-    filtered = "low-pass and spline" if signal.low_pass else "spline"
-    dropped = f", {signal.dropped} left out" if signal.dropped else ""
-    held = f"{signal.held:.1%} repeated values"
-    return f"{name} of '{signal.source}': {filtered}, {held}{dropped}{signal.use}"

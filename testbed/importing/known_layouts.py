@@ -22,8 +22,7 @@ class Layout:
 
     Attributes:
         logger: Whose they are.
-        signals: Of each kind the columns and their unit. Those with the same text in a group `part`
-            belong together; the first such are taken.
+        signals: Of each kind the columns and their unit.
         mark: A column by which the logger is known, too.
         beside: Columns that look like the joints' or a plate's and are neither.
         time: The column of times, or of seconds and of nanoseconds; none if a word says it.
@@ -55,22 +54,18 @@ class Layout:
         Args:
             columns: By their names.
         """
-        first: dict[str, str] = {}
-        return tuple(self._of(column, first) for column in columns)
+        return tuple(self._of(column) for column in columns)
 
-    def _of(self, column: ColumnName, first: dict[str, str]) -> ColumnName:
+    def _of(self, column: ColumnName) -> ColumnName:
         for kind, (pattern, unit) in self.signals.items():
-            if found := re.fullmatch(pattern, column.name):
-                part = found.groupdict().get("part") or ""
-                if first.setdefault(kind, part) == part:
-                    words = (kind, re.findall(r"\d+", column.name)[-1])
-                    unit = column.unit or unit
-                    return ColumnName(column.name, "".join(words), words, unit, kind, None)
+            if re.fullmatch(pattern, column.name):
+                words = (kind, re.findall(r"\d+", column.name)[-1])
+                unit = column.unit or unit
+                return ColumnName(column.name, "".join(words), words, unit, kind, None)
         other = column.kind in KINDS or re.fullmatch(self.beside, column.name)
         return replace(column, kind=None, role=None) if other else column
 
 
-DEMO = r"(?P<part>data/demo_\d+)/obs/robot\d_"
 DROID = r"observation/robot_state/"
 FRANKA = r"(?:(?:robot_)?state[._])?"
 IIWA = r"_LBR_iiwa_\w+"
@@ -105,11 +100,6 @@ LAYOUTS: tuple[Layout, ...] = (
          "velocity": (f"observations/qvel{K}", "rad/s"),
          "torque": (f"observations/effort{K}", "mA")},
         rate=50.0,
-    ),
-    Layout(
-        "robomimic",
-        {"position": (f"{DEMO}joint_pos{K}", "rad"), "velocity": (f"{DEMO}joint_vel{K}", "rad/s")},
-        beside=r"data/.*", rate=20.0,
     ),
     Layout(
         "KUKA's iiwa",

@@ -68,7 +68,7 @@ class LikelyClock:
         if self.column is None:
             return np.arange(samples, dtype=np.float64)
         since = Times.of(table.stamps(self.column), self.unit or "s").since
-        return steady_line(since)[0] if self.steady else since
+        return steady_line(since, np.arange(len(since)))[0] if self.steady else since
 
     def by_velocity(self, seconds: float) -> LikelyClock:
         """The clock if one of `time` is so many seconds, by velocities against positions."""
@@ -112,17 +112,16 @@ def clock_of(
     timed = {c for c in table.columns if plain(table.unit(c) or "") in TIMES}
     named = [c for c in table.columns if c in timed or like_time(c) < len(TIME_WORDS)]
     likely = known or sorted(named, key=like_time)
-    unnamed = not any(re.search("[A-Za-z]", column) for column in table.columns)
-    for column in table.columns[:1] if unnamed else likely[:LOOKED_AT]:
+    for column in likely[:LOOKED_AT]:
         stamps = table.stamps(column)
         stamps = stamps[np.isfinite(stamps) if rows is None else rows & np.isfinite(stamps)]
         if len(stamps) < 2:
             continue
         steps = np.diff(stamps)
-        stands = 0.0 if unnamed or (steps < 0).any() else float((steps == 0).mean())
-        line, _, even = steady_line((stamps - stamps[0]).astype(np.float64))
+        stands = 0.0 if (steps < 0).any() else float((steps == 0).mean())
+        line, _, even = steady_line((stamps - stamps[0]).astype(np.float64), np.arange(len(stamps)))
         coarse = STANDING < stands < 1 and even
-        if not coarse and (steps > 0).mean() <= (1 - 1e-9 if unnamed else RISING):
+        if not coarse and (steps > 0).mean() <= RISING:
             continue
         said = plain(table.unit(column) or "")
         given = said in TIMES

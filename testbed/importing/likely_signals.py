@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -60,7 +59,6 @@ class LikelySource:
         columns: What their names say, without that of the times.
         clock: Its likely clock.
         logger: Whose names the columns have, if that is known.
-        empty: Columns that by their names would be signals and hold no number.
     """
 
     name: str
@@ -70,7 +68,6 @@ class LikelySource:
     columns: tuple[ColumnName, ...]
     clock: LikelyClock
     logger: str = ""
-    empty: tuple[ColumnName, ...] = ()
 
     def values(self, group: Group) -> Array:
         """Columns of a group as the file holds them, (M, n).
@@ -78,9 +75,7 @@ class LikelySource:
         Args:
             group: Of the table.
         """
-        names = [each.name for each in group.columns]
-        read = self.table.read(names)
-        return np.stack([read[name] for name in names], axis=1)
+        return self.table.matrix([each.name for each in group.columns])
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,12 +108,11 @@ class LikelySignal:
 _Pair = tuple[str | None, str | None]
 
 
-def likely_sources(paths: Sequence[Path], joints: int = 0) -> list[LikelySource]:
+def likely_sources(paths: Sequence[Path]) -> list[LikelySource]:
     """Tables of foreign files with what their columns likely are.
 
     Args:
         paths: The files; of a bag every topic of numbers is a table.
-        joints: Of the robot; 0 if that is not known.
 
     Raises:
         RecordingError: One cannot be read.
@@ -131,7 +125,7 @@ def likely_sources(paths: Sequence[Path], joints: int = 0) -> list[LikelySource]
         name = f"{stem}_{len(stems)}" if stem in stems else stem
         stems.append(stem)
         found += _tables(path, name if len(paths) > 1 else "")
-    return [by_file(in_order(each, joints) if joints else each) for each in found]
+    return [by_file(each) for each in found]
 
 
 def by_file(source: LikelySource) -> LikelySource:
@@ -149,36 +143,6 @@ def by_file(source: LikelySource) -> LikelySource:
         for each in source.columns
     )
     return replace(source, columns=tuple(columns))
-
-
-def in_order(source: LikelySource, joints: int) -> LikelySource:
-    """A source whose columns have no names, with what they are in the order that loggers have.
-
-    Positions, velocities and accelerations if what follows is a derivative, torques, the plate.
-
-    Args:
-        source: As its names state it.
-        joints: Of the robot.
-    """
-    if any(re.search("[A-Za-z]", column.name) for column in source.columns):
-        return source
-    names = [column.name for column in source.columns]
-    read = source.table.read(names)
-    starts = range(0, min(3 * joints, len(names) - joints + 1), joints)
-    blocks = [np.stack([read[n] for n in names[k : k + joints]], axis=1) for k in starts]
-    time = source.clock.time(source.table, len(read[names[0]])) if names else np.zeros(0)
-    follows = [np.diagonal(slopes(*pair, time).fit).min() > SURE for pair in pairwise(blocks)]
-    moved = KINDS[: 1 + (follows.index(False) if False in follows else len(follows))]
-    for rest in (("torque", "wrench"), ("torque",), ("wrench",)):
-        roles: list[tuple[str, tuple[int, int] | None]] = [
-            (kind, None) for kind in (*moved, *rest) if kind != "wrench" for _ in range(joints)
-        ]
-        roles += [("wrench", divmod(k, 3)) for k in range(6) if "wrench" in rest]
-        if len(roles) == len(names):
-            pairs = zip(source.columns, roles, strict=True)
-            assigned = [replace(column, kind=kind, role=role) for column, (kind, role) in pairs]
-            return replace(source, columns=tuple(assigned))
-    return source
 
 
 def _tables(path: Path, name: str) -> Iterator[LikelySource]:
@@ -200,17 +164,26 @@ def _tables(path: Path, name: str) -> Iterator[LikelySource]:
 def _source(
     name: str, path: Path, topic: str | None, table: ForeignTable
 ) -> Iterator[LikelySource]:
-    """A table with its likely clock, unless it is empty."""
+    """A table with its likely clock and the columns that hold numbers, unless it is empty."""
     if table.columns:
         layout = layout_of(table.columns)
         clock = clock_of(table, layout)
         names = [each for each in table.columns if each != clock.column]
         read = tuple(read_name(each, table.unit(each)) for each in names)
         read = layout.read(read) if layout else read
+        filled = [c for c in read if not c.kind or np.isfinite(table.read([c.name])[c.name]).any()]
         logger = layout.logger if layout else ""
-        none = {c for c in read if c.kind and not np.isfinite(table.read([c.name])[c.name]).any()}
-        filled = tuple(each for each in read if each not in none)
-        yield LikelySource(name, path, topic, table, filled, clock, logger, tuple(none))
+        yield LikelySource(name, path, topic, table, tuple(filled), clock, logger)
+
+
+def _with_source(
+    signals: Mapping[Kind, LikelySignal], old: LikelySource, new: LikelySource
+) -> Mapping[Kind, LikelySignal]:
+    """Signals of a source as those of another."""
+    return {
+        kind: replace(each, source=new) if each.source is old else each
+        for kind, each in signals.items()
+    }
 
 
 def likely_signals(
@@ -255,10 +228,7 @@ def _with_own_rows(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, Likely
         return signals
     table = q.source.table
     source = replace(q.source, clock=clock_of(table, layout_of(table.columns), rows))
-    return {
-        kind: replace(each, source=source) if each.source is q.source else each
-        for kind, each in signals.items()
-    }
+    return _with_source(signals, q.source, source)
 
 
 def _with_counts(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySignal]:
@@ -361,7 +331,7 @@ def _with_derivatives(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, Lik
     q, v = signals["position"], signals["velocity"]
     if np.nanmin(slope) < 0:
         v = replace(v, sign=tuple(-1 if each < 0 else 1 for each in slope))
-    clock, ratios, units = q.source.clock, np.abs(slope), list(zip(q.units, v.units, strict=True))
+    clock, units, ratios = q.source.clock, [*zip(q.units, v.units, strict=True)], np.abs(slope)
     if clock.seconds is None:
         sizes = [
             ratio * UNITS["position"][a] / UNITS["velocity"][b]
@@ -370,17 +340,12 @@ def _with_derivatives(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, Lik
         ]
         clock = clock.by_velocity(float(np.median(sizes))) if sizes else clock
     else:
-        usual = float(np.nanmedian(ratios))  # of joints that rest
-        pairs = zip(units, np.where(np.isnan(ratios), usual, ratios) / clock.seconds, strict=True)
+        ratios[np.isnan(ratios)] = np.nanmedian(ratios)  # of joints that rest
+        pairs = zip(units, ratios / clock.seconds, strict=True)
         units = [_pair(a, b, float(ratio)) for (a, b), ratio in pairs]
-    source = replace(q.source, clock=clock)
-    changed = {
-        kind: replace(each, source=source) if each.source is q.source else each
-        for kind, each in {**signals, "position": q, "velocity": v}.items()
-    }
-    changed["position"] = _in_units(changed["position"], [a for a, _ in units])
-    changed["velocity"] = _in_units(changed["velocity"], [b for _, b in units])
-    return changed
+    own, rates = ([pair[k] for pair in units] for k in (0, 1))
+    changed = {**signals, "position": _in_units(q, own), "velocity": _in_units(v, rates)}
+    return _with_source(changed, q.source, replace(q.source, clock=clock))
 
 
 def _pair(position: str | None, velocity: str | None, ratio: float) -> _Pair:

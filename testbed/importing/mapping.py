@@ -25,7 +25,6 @@ from testbed.core.base.toml_text import (
 )
 from testbed.importing.foreign_table import (
     KINDS,
-    Kind,
     check_unit,
     slides,
 )
@@ -104,9 +103,9 @@ class GearTable(MappingTable):
     def _can_be_undone(self) -> GearTable:
         if (self.ratio is None) == (self.matrix is None):
             raise ValueError("a gear has a `ratio` or a `matrix`, one of them")
-        found = np.diag(self.ratio or []) if self.matrix is None else self.matrix
-        square = all(len(row) == len(found) for row in found)
-        if not square or np.linalg.matrix_rank(np.array(found, float)) < len(found):
+        rows = self.matrix or []
+        square = all(len(row) == len(rows) for row in rows)
+        if not square or np.linalg.matrix_rank(self.motor_of_joint) < len(self.motor_of_joint):
             raise ValueError("a gear's matrix is square and can be inverted; no ratio is zero")
         return self
 
@@ -143,6 +142,11 @@ class SignalTable(MappingTable):
     Default: torques that seem to have such a bit are refused."""
     delay: Finite = 0.0
     """How late the signal is, besides its source's clock: a filter in the drive [s]."""
+
+    @property
+    def units(self) -> list[str]:
+        """Unit of each column."""
+        return self.unit if isinstance(self.unit, list) else [self.unit] * len(self.columns)
 
 
 class PlaceTable(MappingTable):
@@ -261,20 +265,6 @@ class Mapping(MappingTable):
     base: BaseTable | None = None
     """Where the robot's base is, if it moves (`robot.base = "measured"`)."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _with_rates(cls, content: object) -> object:
-        """Sources without times or a rate are sampled at the recording's."""
-        if not isinstance(content, dict) or not isinstance(content.get("sources"), dict):
-            return content
-        sources = {
-            name: {**table, "rate": content["rate"]}
-            if isinstance(table, dict) and "rate" in content and not {"time", "rate"} & {*table}
-            else table
-            for name, table in content["sources"].items()
-        }
-        return {**content, "sources": sources}
-
     @property
     def others(self) -> dict[str, AnyTable]:
         """What is measured besides joint by joint: wrench, plates.NAME, sensors.NAME, base."""
@@ -284,10 +274,15 @@ class Mapping(MappingTable):
         return found | ({"base": self.base} if self.base is not None else {})
 
     @property
-    def signals(self) -> dict[Kind, SignalTable]:
+    def signals(self) -> dict[str, SignalTable]:
         """What is measured joint by joint, by its kind."""
         found = {kind: getattr(self, kind) for kind in (*KINDS, "temperature")}
         return {kind: table for kind, table in found.items() if table is not None}
+
+    @property
+    def tables(self) -> dict[str, AnyTable]:
+        """All that is measured, by its label in the file."""
+        return {**self.signals, **self.others}
 
     @model_validator(mode="after")
     def _fits_together(self) -> Mapping:
@@ -311,9 +306,7 @@ class Mapping(MappingTable):
                 _check_wrench(plate)
         if self.base is not None and not slides(self.base.unit):
             raise ValueError(f"base.unit: '{self.base.unit}' is no length (m, cm, mm, inch)")
-        read: dict[str, AnyTable] = {**self.others}
-        read.update(self.signals.items())
-        for label, found in read.items():
+        for label, found in self.tables.items():
             if found.source not in self.sources:
                 known = ", ".join(self.sources)
                 raise ValueError(f"{label}.source: there is no source '{found.source}' ({known})")
@@ -362,16 +355,15 @@ def sources(path: Path) -> list[Path]:
     return [path.parent / source.file for source in read_mapping(path).sources.values()]
 
 
-def _check_signal(kind: Kind, table: SignalTable, joints: int, geared: bool) -> None:
+def _check_signal(kind: str, table: SignalTable, joints: int, geared: bool) -> None:
     """Whether a signal's lists are of one length and its units fit.
 
     Raises:
         ValueError: They do not.
     """
     columns, rows = len(table.columns), joints
-    units = table.unit if isinstance(table.unit, list) else [table.unit] * columns
     lists: tuple[tuple[str, Sequence[object] | None, int], ...] = (
-        ("unit", units, columns),
+        ("unit", table.units, columns),
         ("sign", table.sign, columns),
         ("gain", table.gain if isinstance(table.gain, list) else None, columns),
         ("offset", table.offset, rows),
@@ -380,7 +372,7 @@ def _check_signal(kind: Kind, table: SignalTable, joints: int, geared: bool) -> 
     for what, given, wanted in lists:
         if given is not None and len(given) != wanted:
             raise ValueError(f"{kind}.{what}: {len(given)} given, {wanted} wanted")
-    for each in units:
+    for each in table.units:
         check_unit(kind, each, gained=table.gain is not None)
     if table.matrix is not None and any(len(row) != columns for row in table.matrix):
         raise ValueError(f"{kind}.matrix: a row has as many numbers as there are columns")

@@ -37,7 +37,8 @@ def low_pass_reach(source_rate: float, rate: float) -> float:
     """
     if source_rate <= FASTER * rate:
         return 0.0
-    return (_taps(source_rate, rate) // 2) / source_rate
+    taps, _ = _kaiser(source_rate, rate)
+    return (taps // 2) / source_rate
 
 
 def onto_grid(time: Array, values: Array, source_rate: float, grid: Array) -> Array:
@@ -76,19 +77,21 @@ def _spline(time: Array, values: Array, even: bool) -> Callable[[Array], Array]:
     return found
 
 
-def _taps(source_rate: float, rate: float) -> int:
-    """Length of the low-pass, odd, by Kaiser's rule."""
-    width = np.pi * (1 - PASSING) * rate / source_rate
-    return 2 * int(np.ceil((ATTENUATION - 7.95) / (2.285 * width) / 2)) + 1
+def _kaiser(source_rate: float, rate: float) -> tuple[int, float]:
+    """Length of the low-pass, odd, and the shape of its window."""
+    from scipy.signal import kaiserord
+
+    taps, beta = kaiserord(ATTENUATION, (1 - PASSING) * rate / source_rate)
+    return int(taps) | 1, float(beta)
 
 
 def _filtered(values: Array, time: Array, source_rate: float, rate: float) -> tuple[Array, Array]:
     """A signal without what a slower grid cannot hold, where the filter has all it needs."""
     from scipy.signal import firwin, oaconvolve
 
-    taps = _taps(source_rate, rate)
+    taps, beta = _kaiser(source_rate, rate)
     cutoff = (1 + PASSING) / 2 * rate / source_rate
-    weights = firwin(taps, cutoff, window=("kaiser", 0.1102 * (ATTENUATION - 8.7)))
+    weights = firwin(taps, cutoff, window=("kaiser", beta))
     middle = values.mean(axis=0)
     found = oaconvolve(values - middle, weights[:, None], mode="valid", axes=0) + middle
     return found, time[taps // 2 : taps // 2 + len(found)]

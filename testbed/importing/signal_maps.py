@@ -14,7 +14,6 @@ from testbed.importing.foreign_table import (
     RAW,
     UNITS,
     ForeignTable,
-    Kind,
     factor,
     plain,
     slides,
@@ -29,7 +28,7 @@ from testbed.importing.mapping import (
 )
 
 
-def joint_signal(kind: Kind, table: SignalTable, gear: GearTable | None, columns: Array) -> Array:
+def joint_signal(kind: str, table: SignalTable, gear: GearTable | None, columns: Array) -> Array:
     """A signal at the joints in SI units, (M, n).
 
     Args:
@@ -38,8 +37,7 @@ def joint_signal(kind: Kind, table: SignalTable, gear: GearTable | None, columns
         gear: Between motors and joints, if there is one.
         columns: As the file holds them, (M, k).
     """
-    units = table.unit if isinstance(table.unit, list) else [table.unit] * columns.shape[1]
-    scale = np.array([factor(kind, unit) for unit in units])
+    scale = np.array([factor(kind, unit) for unit in table.units])
     for given in (table.gain, table.sign):
         if given is not None:
             scale = scale * np.asarray(given, dtype=np.float64)
@@ -162,8 +160,7 @@ def joint_kinds(table: SignalTable, joints: Sequence[str]) -> dict[str, dict[str
         table: Of positions.
         joints: Their names.
     """
-    units = table.unit if isinstance(table.unit, list) else [table.unit] * len(joints)
-    sliding = [slides(unit) for unit in units]
+    sliding = [slides(unit) for unit in table.units]
     if table.matrix is not None:
         if len(set(sliding)) > 1:
             return {}
@@ -186,35 +183,9 @@ def effort_kinds(mapping: Mapping) -> dict[str, str]:
     """
     if (table := mapping.torque) is None:
         return {}
-    units = [table.unit] if isinstance(table.unit, str) else table.unit
-    if len(units) != len(mapping.joints) or table.matrix is not None:
-        units = units[:1] * len(mapping.joints)
+    units = table.units if table.matrix is None else table.units[:1] * len(mapping.joints)
     other = "motor" if table.side == "motor" else "torque"
     return {j: EFFORTS.get(plain(u), other) for j, u in zip(mapping.joints, units, strict=True)}
-
-
-def _check_file_units(label: str, kind: str, columns: Sequence[str], units: Sequence[str],
-                     table: ForeignTable) -> None:  # fmt: skip
-    """Compare one source's stated units with those of a mapping.
-
-    Args:
-        label: Of the mapping's table.
-        kind: What is measured, a key of `UNITS`.
-        columns: Their names.
-        units: By the mapping, one a column.
-        table: The file.
-
-    Raises:
-        RecordingError: They differ.
-    """
-    for column, unit in zip(columns, units, strict=True):
-        said = plain(table.unit(column) or "")
-        if said in {*UNITS[kind], *RAW} and said != plain(unit) and plain(unit) in UNITS[kind]:
-            how = {"torque": "; say its `gain`", "force": "; say the plate's gains, `matrix`"}
-            raise RecordingError(
-                f"{label}: the file says that '{column}' is in {said}, the mapping says {unit}"
-                + how.get(kind, "") * (said in RAW)
-            )
 
 
 def check_units(label: str, table: AnyTable, file: ForeignTable) -> None:
@@ -228,13 +199,20 @@ def check_units(label: str, table: AnyTable, file: ForeignTable) -> None:
     Raises:
         RecordingError: They differ.
     """
-    columns = table.columns
     if isinstance(table, BaseTable):
-        _check_file_units(label, "position", table.position, [table.unit] * 3, file)
+        stated = [("position", column, table.unit) for column in table.position]
     elif isinstance(table, SignalTable):
-        if table.gain is None:
-            units = table.unit if isinstance(table.unit, list) else [table.unit] * len(columns)
-            _check_file_units(label, label, columns, units, file)
-    elif table.matrix is None:
-        _check_file_units(label, "force", columns[:3], [table.units[0]] * 3, file)
-        _check_file_units(label, "moment", columns[3:], [table.units[1]] * 3, file)
+        stated = [(label, *pair) for pair in zip(table.columns, table.units, strict=True)]
+        stated = stated if table.gain is None else []
+    else:
+        kinds = np.repeat(["force", "moment"], 3).tolist() if table.matrix is None else []
+        units = np.repeat(table.units, 3).tolist()
+        stated = [*zip(kinds, table.columns, units, strict=False)]
+    for kind, column, unit in stated:
+        said = plain(file.unit(column) or "")
+        if said in {*UNITS[kind], *RAW} and said != plain(unit) and plain(unit) in UNITS[kind]:
+            how = {"torque": "; say its `gain`", "force": "; say the plate's gains, `matrix`"}
+            raise RecordingError(
+                f"{label}: the file says that '{column}' is in {said}, the mapping says {unit}"
+                + how.get(kind, "") * (said in RAW)
+            )

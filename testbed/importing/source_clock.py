@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,26 +113,19 @@ def by_one_clock(times: Mapping[str, Times], offsets: Mapping[str, float]) -> di
 
 
 def sample_times(
-    name: str,
-    table: SourceTable,
-    stamps: Array | NDArray[np.int64] | None,
-    samples: int,
-    unit: str | None,
+    name: str, table: SourceTable, stamps: Array | NDArray[np.int64], unit: str | None
 ) -> Times:
     """When samples were taken by a source's clock, without offset and skew.
 
     Args:
         name: Of the source.
         table: What the mapping says of it.
-        stamps: Its column of times, (M,), if it has one.
-        samples: M.
+        stamps: Its column of times, (M,).
         unit: What the file says of the times' unit; None if nothing.
 
     Raises:
         RecordingError: The times are none, or their unit is not said or another.
     """
-    if stamps is None:
-        return Times(0.0, np.arange(samples) / float(table.rate or 1.0))
     known = unit if unit in TIMES else None
     if table.time_unit is None and known is None:
         raise RecordingError(f"sources.{name}: say `time_unit`: {', '.join(TIMES)}")
@@ -188,29 +182,26 @@ def steady_times(name: str, time: Array, rows: NDArray[np.intp]) -> Array:
     Raises:
         RecordingError: The stamps do not lie along a line: samples are missing.
     """
-    line, stray, even = steady_line(time)
-    if not even:
-        line, stray, even = steady_line(time, rows)
-    if not even:
-        k = int(np.argmax(np.abs(stray)))
-        raise RecordingError(
-            f"sources.{name}: its stamps stray from those of a steady device by "
-            f"{np.abs(stray).max():.3g} s near sample {k}: samples are missing, or leave out "
-            "`steady`"
-        )
-    return line
+    for numbers in (np.arange(len(time)), rows):
+        line, stray, even = steady_line(time, numbers)
+        if even:
+            return line
+    k = int(np.argmax(np.abs(stray)))
+    raise RecordingError(
+        f"sources.{name}: its stamps stray from those of a steady device by "
+        f"{np.abs(stray).max():.3g} s near sample {k}: samples are missing, or leave out `steady`"
+    )
 
 
-def steady_line(time: Array, rows: NDArray[np.intp] | None = None) -> tuple[Array, Array, bool]:
+def steady_line(time: Array, number: NDArray[Any]) -> tuple[Array, Array, bool]:
     """Fit a line to time stamps: line, deviations, whether a constant rate explains them.
 
     Stamps of a coarse clock stand and jump by its tick: the line is that of the jumps.
 
     Args:
         time: The stamps, (M,) [s].
-        rows: Numbers of the samples, (M,); default 0, 1, ....
+        number: Numbers of the samples, (M,), as 0, 1, ....
     """
-    number = np.arange(len(time), dtype=np.float64) if rows is None else rows.astype(np.float64)
     jumps = np.flatnonzero(np.diff(time) > 0) + 1
     if len(jumps) < len(time) - 1:  # a sample at which the clock jumps is late by less than a step
         slope, begin = _line(number[jumps], time[jumps])
@@ -224,7 +215,7 @@ def steady_line(time: Array, rows: NDArray[np.intp] | None = None) -> tuple[Arra
     return line, stray, slope > 0 and bool(np.abs(stray).max() <= STRAY * slope)
 
 
-def _line(number: Array, time: Array) -> tuple[float, float]:
+def _line(number: NDArray[Any], time: Array) -> tuple[float, float]:
     """Slope and intercept of the line through points."""
     if len(number) < 2:
         return 0.0, 0.0
@@ -271,7 +262,7 @@ def clock_report(
     jitter = float(np.std(near) / typical) if len(near) else 0.0
     gaps = used > GAP * typical
     missing = int((np.round(used[gaps] / typical) - 1).sum())
-    even = steady_line(stamps)[2]
+    even = steady_line(stamps, np.arange(len(stamps)))[2]
     return ClockReport(
         len(time),
         1 / typical,
@@ -354,49 +345,3 @@ def _gaps(source: SourceTable, time: Array, rows: NDArray[np.intp]) -> list[Wind
         steps = np.diff(rows) * np.ptp(time) / np.ptp(rows)
     wide = np.flatnonzero(steps > longest_bridged(source, float(np.median(steps))))
     return [(float(time[k]), float(time[k + 1])) for k in wide]
-
-
-REST = 4
-"""Times the typical run of equal samples from which a run is a rest of the robot."""
-
-
-def slow_device(values: Array) -> NDArray[np.bool_]:
-    """Which samples are news from a device that is read more often than it measures.
-
-    Of a run of equal samples the first is news; of longer runs than most, every so many. Where
-    most samples are news, the others were filled in, but for rests of the robot.
-
-    Args:
-        values: Of all channels, (M, k).
-
-    Returns:
-        (M,) of bool.
-    """
-    starts, lengths = _runs(values)
-    typical, since = _typical(lengths), np.arange(len(values)) - np.repeat(starts, lengths)
-    filled = (typical == 1) & (np.repeat(lengths, lengths) <= REST)
-    found: NDArray[np.bool_] = since % np.where(filled, REST, typical) == 0
-    return found
-
-
-def held_share(values: Array) -> float:
-    """Part of the samples that are what the ones before were, rests of the robot aside.
-
-    Args:
-        values: Of all channels, (M, k).
-    """
-    _, lengths = _runs(values)
-    moving = lengths <= REST * _typical(lengths)
-    return float((lengths[moving] - 1).sum() / len(values))
-
-
-def _runs(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First samples of runs of equal ones, and their lengths."""
-    changes = np.append(True, (np.diff(values, axis=0) != 0).any(axis=1))
-    starts = np.flatnonzero(changes)
-    return starts, np.diff(np.append(starts, len(values)))
-
-
-def _typical(lengths: NDArray[np.intp]) -> int:
-    """Length of a run that is hardly ever exceeded but at rest."""
-    return max(1, int(np.percentile(lengths, 90, method="lower")))

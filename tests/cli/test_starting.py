@@ -23,7 +23,7 @@ LONG = {
     "experiment.carry_out:evaluate": ("run table.toml --set motion.duration=2",),
     "experiment.new_experiment:new_experiment": ("new two.urdf",),
     "experiment.run:assemble_run": (f"report {PUMA}",),
-    "recordings.joined:pieces": ("import map.toml --out x.parquet",),
+    "recordings.importing.convert:pieces": ("import map.toml --out x.parquet",),
     "recordings.importing.guess:guessed": ("import --guess log.csv",),
     "plausibility.check:import_and_check": ("import map.toml --out x.parquet --model two.urdf",),
     "identification.identify:identify": (

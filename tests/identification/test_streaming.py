@@ -31,7 +31,7 @@ from testbed.core.kernel.layout import layout
 from testbed.core.kernel.records import Signals
 from testbed.core.recordings.joined import Joined
 from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import Stretch, segments_of
+from testbed.core.recordings.source import Stretch
 from tests.helpers.command import command_line
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.measured import measured
@@ -290,8 +290,8 @@ def test_a_stretch_of_joined_recordings_has_their_gaps(puma: tb.Tree) -> None:
     )
     assert [each.text for each in of_recording(both.facts)] == ["a gap", "both", "late"]
     (_, end), (begin, last) = both.segments
-    assert segments_of(Stretch(both, 100, last - 50)) == ((0, end - 100), (begin - 100, last - 150))
-    assert segments_of(Stretch(both, end, last)) == ((begin - end, last - end),)
+    assert Stretch(both, 100, last - 50).segments == ((0, end - 100), (begin - 100, last - 150))
+    assert Stretch(both, end, last).segments == ((begin - end, last - end),)
     with pytest.raises(ValueError, match=str(end - 1)):
         both.part(end - 1, begin + 1)
 

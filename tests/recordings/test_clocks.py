@@ -18,11 +18,12 @@ import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import of_recording
 from testbed.core.base.errors import RecordingError
-from testbed.core.recordings.joined import pieces
+from testbed.core.recordings.repeats import held_share, slow_device
+from testbed.importing.convert import pieces
 from testbed.importing.foreign_table import TIMES
 from testbed.importing.mapping import SourceTable
 from testbed.importing.resampling import low_pass_reach, onto_grid
-from testbed.importing.source_clock import held_share, sample_times, slow_device
+from testbed.importing.source_clock import sample_times
 from tests.helpers.foreign_files import imported, mapping
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import rngs
@@ -182,7 +183,7 @@ def test_times_are_in_the_units_of_file_or_mapping_and_whole_ones_keep_all_digit
     ticks = np.cumsum(rng.integers(1, 5000, 100)) + 1_761_234_567 * scale
     known = unit if by_file else "V"  # what is no unit of time says nothing
     stamps: Any = ticks if scale > 1 else 0.5 * ticks
-    found = sample_times("log", source, stamps, 100, known)
+    found = sample_times("log", source, stamps, known)
     if scale > 1:
         exact = [int(tick) - int(found.start) * scale for tick in ticks]
         np.testing.assert_allclose(found.since, np.array(exact) / scale, rtol=1e-15, atol=0)

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import ExperimentError
 from testbed.importing.foreign_table import TIMES, UNITS
 from testbed.importing.guess import guessed
 from testbed.importing.likely_clock import rate_of
@@ -138,7 +137,7 @@ def test_a_guess_converts_the_log_back(
     empty = [line for line in lines if '""' in line or line.startswith("rate = 0")]
     assert [line[:10] for line in empty] == ['sense = ""'], text
     (folder / "map.toml").write_text(text.replace('sense = ""', 'sense = "on_robot"'))
-    made = tb.Recording.from_mapping(folder / "map.toml")
+    made = tb.import_recording(folder / "map.toml")
     assert made.rate == pytest.approx(rate, rel=1e-9), text
     assert sorted(made.names) == sorted(names), text
     order = [made.names.index(name) for name in names]
@@ -165,7 +164,7 @@ def test_a_rate_is_as_round_as_its_stamps_allow(rate: float, since: int, unit: s
 
 
 def test_files_names_other_words_and_what_does_not_grow_are_understood(tmp_path: Path) -> None:
-    """Columns of joints alone; a second torque; a counter that begins again; a base's pose."""
+    """Columns of joints alone; a second torque; a counter that begins again."""
 
     def guess(columns: str, row: str, *names: str) -> Mapping[str, Mapping[str, Any]]:
         rows = [row.replace("K", f"{k}").replace("R", f"{k % 3}") for k in range(5)]
@@ -182,16 +181,3 @@ def test_files_names_other_words_and_what_does_not_grow_are_understood(tmp_path:
     assert found["torque"]["columns"] == ["Torque1", "Torque2"]
     assert (found["sources.log"]["time"], found[""]["rate"]) == ("Takt [ms]", 1000)
     assert "time" not in guess("count,q", "R,0", "log")["sources.log"]
-    base = "base_x,base_y,base_z,quat_w,quat_x,quat_y,quat_z"
-    found = guess(f"t,q1,{base}", "K,1,0,0,1,1,0,0,0", "walk")
-    assert found["base"]["position"] == ["base_x", "base_y", "base_z"]
-    assert found["base"]["unit"] == ""  # to be filled in
-    with pytest.raises(ExperimentError):
-        tb.Recording.from_mapping(tmp_path / "map.toml")
-
-
-def test_a_column_that_is_missing_is_said_by_its_number(tmp_path: Path) -> None:
-    (tmp_path / "log.csv").write_text("t,q1,q2,q4\n" + "".join(f"{k},1,2,{k}\n" for k in range(9)))
-    draft = guessed([tmp_path / "log.csv"], tmp_path, ("a", "b", "c", "d"))
-    assert draft.tables[""]["joints"] == [""]
-    assert "3 columns for 4 joints (none has number 3)" in draft.notes["", "joints"]

@@ -155,15 +155,6 @@ def test_a_wrong_mapping_is_answered_by_naming_the_key(text: str, tmp_path: Path
         assert is_message(said.replace(str(tmp_path), "")), said
 
 
-def test_numbers_one_a_line_are_answered_by_how_to_write_them(tmp_path: Path, log: Log) -> None:
-    """A file that another program wrote sample after sample, each number into its own line."""
-    text = csv(tmp_path, log)
-    rows = np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1)
-    np.savetxt(tmp_path / "log.csv", rows.ravel())
-    with refuses(RecordingError, "log.csv", "paste"):
-        imported(tmp_path, text)
-
-
 def test_columns_without_numbers_of_one_length_and_time_are_named(
     text: str, tmp_path: Path, log: Log
 ) -> None:

@@ -49,7 +49,7 @@ from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.sensor.sensor_model import LinearFit, SensorModel, gauss_newton
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.kernel.records import Question
-from testbed.core.recordings.source import RecordingLike, Source, segments_of
+from testbed.core.recordings.source import RecordingLike, Source
 from testbed.core.recordings.views import is_imported, pedestal_said
 from testbed.core.robot.friction import BACKWARD, FORWARD, LAWS, ROTOR
 from testbed.core.robot.tree import Tree
@@ -197,7 +197,7 @@ def _of_problem(problem: Problem) -> Iterator[Diagnostic]:
             if term.law in (FORWARD, BACKWARD):
                 yield diagnose("drives.one-way", problem.tree.names[term.joint], method="internal")
     passing = [kind for kind in ("bias", "slope") if kind in settings.nuisances]
-    if plate and passing and len(segments_of(source)) > 1:
+    if plate and passing and len(source.segments) > 1:
         yield diagnose("plate.common-offset", " and ".join(passing), method="external")
 
 

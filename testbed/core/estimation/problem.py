@@ -36,7 +36,7 @@ from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.core.recordings.columns import check_samples
 from testbed.core.recordings.geometry import check_robot, in_its_gravity
 from testbed.core.recordings.repeats import without_repeated_poses
-from testbed.core.recordings.source import RecordingLike, Source, counted, open_source, segments_of
+from testbed.core.recordings.source import RecordingLike, Source, counted, open_source
 from testbed.core.recordings.views import is_imported, is_of_motors, on_its_base, with_gear
 from testbed.core.robot.friction import BY_LOAD, OFFSET, ROTOR
 from testbed.core.robot.tree import Tree
@@ -218,7 +218,7 @@ def samples_of(recording: RecordingLike, settings: Settings) -> Source:
         SettingsError: A time is said of several recordings.
     """
     source = open_source(recording)
-    if len(segments_of(source)) == 1:
+    if len(source.segments) == 1:
         return counted(source, settings.span)
     if settings.span is not None:
         raise SettingsError(

@@ -1,8 +1,5 @@
 """The columns of a recording: their names, their units, and what is known beside them.
 
-A file format knows nothing of robots: it yields columns and metadata (`Table`), and the
-rest of this room makes a recording of them.
-
 Columns   time, position/JOINT, velocity/JOINT, acceleration/JOINT, torque/JOINT,
           temperature/JOINT, wrench/Fx ... wrench/Mz, sensors/NAME/Fx ... sensors/NAME/Mz,
           base/x ... base/qz; in simulated recordings truth/..., which no estimator reads
@@ -10,13 +7,14 @@ Columns   time, position/JOINT, velocity/JOINT, acceleration/JOINT, torque/JOINT
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
+from testbed.core.base.codec import decode
 from testbed.core.base.diagnostics import of_recording
 from testbed.core.base.errors import RecordingError, plural
 
@@ -49,29 +47,6 @@ UNITS = {
     | {"temperature": "degC"},
 }
 """Of what is measured at a joint, by the joint's kind."""
-
-
-class Table(Protocol):
-    """Columns of equal length that stay in their file, and what the file says of them."""
-
-    @property
-    def columns(self) -> Sequence[str]:
-        """Names of all columns."""
-
-    @property
-    def samples(self) -> int:
-        """Number of rows."""
-
-    @property
-    def metadata(self) -> Mapping[str, Any]:
-        """What the file says besides, unchecked: `tare`, `facts`."""
-
-    def read(self, columns: Sequence[str], first: int, last: int) -> dict[str, Array]:
-        """Rows `first` to `last` - 1 of some columns, (last - first,) each.
-
-        Raises:
-            RecordingError: The file is damaged there, or a column holds no numbers.
-        """
 
 
 def axis_unit(axis: str) -> str:
@@ -239,6 +214,39 @@ def check_sampling_time(step: float, source: str) -> None:
         )
 
 
+Three = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class JointGeometry:
+    """Kind of a joint, its parent, and its frame in that of the parent, as far as they are said."""
+
+    kind: Literal["revolute", "prismatic"] = "revolute"
+    parent: str = ""
+    axis: Three | None = None
+    offset: Three | None = None
+    rotation: tuple[Three, Three, Three] | None = None
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Facts whose form is known; others are kept as they are."""
+
+    gravity: Three | None = None
+    counted: tuple[float, float] | None = None
+    sensors: dict[str, dict[str, Any]] = field(default_factory=dict)
+    geometry: dict[str, JointGeometry] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """What a file says of its recording."""
+
+    __pydantic_config__: ClassVar[Any] = {"allow_inf_nan": False}
+    tare: tuple[float, float, float, float, float, float] | None = None
+    facts: Facts | None = None
+
+
 def checked_metadata(found: Any) -> tuple[tuple[float, ...] | None, dict[str, Any]]:
     """What a file says of its recording: the tare, if any, and facts.
 
@@ -251,56 +259,12 @@ def checked_metadata(found: Any) -> tuple[tuple[float, ...] | None, dict[str, An
     Raises:
         ValueError: Something is not what it should be; says what.
     """
-    if not isinstance(found, Mapping):
-        raise ValueError("its metadata are not a table")
-    tare, facts = found.get("tare"), found.get("facts")
-    facts = {} if facts is None else facts
-    if not isinstance(facts, dict):
-        raise ValueError("its 'facts' are not a table")
-    if facts.get("gravity") is not None:
-        _numbers(facts["gravity"], (3,), "'gravity'")
-    if facts.get(COUNTED) is not None:
-        _numbers(facts[COUNTED], (2,), f"'{COUNTED}'")
+    try:
+        tare: tuple[float, ...] | None = decode(Metadata, found, {}).tare
+    except ValueError as error:
+        first = error.errors()[0]  # type: ignore[attr-defined]
+        place = ".".join(f"'{each}'" for each in first["loc"])
+        raise ValueError(f"its {place or 'metadata'}: {first['msg']}") from None
+    facts = found.get("facts") or {}
     of_recording(facts)
-    sensors = facts.get("sensors", {})
-    if not isinstance(sensors, dict) or not all(isinstance(s, dict) for s in sensors.values()):
-        raise ValueError("its 'sensors' are not a table by sensor")
-    geometry = facts.get("geometry", {})
-    if not isinstance(geometry, dict):
-        raise ValueError("its 'geometry' is not a table by joint")
-    for name, joint in geometry.items():
-        _check_joint(name, joint)
-    return None if tare is None else _numbers(tare, (6,), "'tare'"), facts
-
-
-def _check_joint(name: str, joint: Any) -> None:
-    """Whether a joint's geometry, as far as it is given, is one."""
-    if not isinstance(joint, dict):
-        raise ValueError("its 'geometry' is not a table by joint")
-    label = f"the geometry of joint '{name}': "
-    if joint.get("kind", "revolute") not in ("revolute", "prismatic"):
-        raise ValueError(f"{label}kind is revolute or prismatic")
-    if not isinstance(joint.get("parent", ""), str):
-        raise ValueError(f"{label}parent is no name")
-    for what, shape in (("axis", (3,)), ("offset", (3,)), ("rotation", (3, 3))):
-        if what in joint:
-            _numbers(joint[what], shape, f"{label}{what}")
-
-
-def _numbers(value: Any, shape: tuple[int, ...], label: str) -> tuple[float, ...]:
-    """A list, or list of lists, of finite numbers, as one list.
-
-    Raises:
-        ValueError: It is something else.
-    """
-    size, *rest = shape
-    wanted = " x ".join(map(str, shape))
-    if not isinstance(value, list) or len(value) != size:
-        raise ValueError(f"its {label} is not {wanted} numbers")
-    if rest:
-        return tuple(x for line in value for x in _numbers(line, tuple(rest), label))
-    for number in value:
-        known = isinstance(number, int | float) and not isinstance(number, bool)
-        if not known or not -LARGEST < number < LARGEST or math.isnan(number):
-            raise ValueError(f"its {label} is not {wanted} numbers")
-    return tuple(float(number) for number in value)
+    return tare, facts

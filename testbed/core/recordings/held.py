@@ -10,8 +10,8 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import RecordingError, few
-from testbed.core.recordings.source import Source, segments_of
-from testbed.core.recordings.views import of_joints, seen
+from testbed.core.recordings.source import Source
+from testbed.core.recordings.views import of_joints, transformed
 from testbed.core.robot.model_file import ModelFile, joint_names
 
 STILL = 1e-3
@@ -116,13 +116,13 @@ def without(source: Source, names: Collection[str]) -> Source:
     own = tuple(name for name in source.names if name not in names)
     if own == tuple(source.names):
         return source
-    return seen(source, own, lambda recording: replace(of_joints(recording, own), truth=None))
+    return transformed(source, lambda each: replace(of_joints(each, own), truth=None))
 
 
 def _ranges(source: Source) -> tuple[Array, Array, Array]:
     """Least, greatest and mean position of each joint, (n,) each [rad or m]."""
     lows, highs, sums, count = [], [], [], 0
-    for begin, end in segments_of(source):
+    for begin, end in source.segments:
         for first in range(begin, end, BLOCK):
             position = source.part(first, min(end, first + BLOCK)).position
             lows.append(position.min(axis=0))

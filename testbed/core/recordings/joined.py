@@ -1,21 +1,18 @@
-"""Several recordings of one robot as one source, with gaps between them; those of a mapping."""
+"""Several recordings of one robot as one source, with gaps between them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from testbed.core.base.diagnostics import Diagnostic, of_recording
+from testbed.core.base.diagnostics import of_recording
 from testbed.core.base.errors import RecordingError
-from testbed.core.recordings.columns import COUNTED, check_columns
+from testbed.core.recordings.columns import COUNTED
 from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import Source, counted
-from testbed.importing.convert import converted_pieces, naming
-from testbed.importing.mapping import Mapping, read_mapping
+from testbed.core.recordings.source import DerivedSource, Source, counted
 
 SAME_RATE = 1e-3
 """Relative difference of sampling rates that are one."""
@@ -24,18 +21,11 @@ LEAST_GAP = 16
 """Samples between two recordings, and a second at least: more rows than noise remembers."""
 
 
-class Joined:
+class Joined(DerivedSource):
     """Recordings one after the other, none of which knows of the others.
 
-    Attributes:
-        names: Joint names, in the order of the first.
-        samples: Number of samples, those of the gaps counted.
-        rate: Samples a second [Hz].
-        tare: As `Recording.tare`: the first one's; the others' wrenches are changed accordingly.
-        facts: The first one's, with all diagnostics.
-        signals: What all of them measured.
-        senses_kinematics: Whether all sensed velocities and accelerations, both.
-        segments: First sample of each, and the one after its last.
+    The header is the first one's, with the diagnostics of all and the signals that all have; gaps
+    count as samples, and the others' wrenches are changed as the first one's tare wants it.
     """
 
     def __init__(self, parts: Sequence[Source]) -> None:
@@ -50,14 +40,13 @@ class Joined:
         self._parts = tuple(counted(part) for part in parts)
         first = self._parts[0]
         _check_alike(self._parts)
-        self.names, self.rate, self.tare = first.names, first.rate, first.tare
+        lengths = np.array([part.samples for part in self._parts])
+        ends = np.cumsum(lengths + max(LEAST_GAP, round(first.rate)))
+        begins = np.append(0, ends[:-1])
+        super().__init__(first, int(begins[-1] + lengths[-1]), first.rate)
+        self.segments = tuple(zip(begins.tolist(), (begins + lengths).tolist(), strict=True))
         self.signals = tuple(s for s in first.signals if all(s in p.signals for p in parts))
         self.senses_kinematics = all(part.senses_kinematics for part in parts)
-        gap, at, found = max(LEAST_GAP, round(first.rate)), 0, []
-        for part in self._parts:
-            found.append((at, at + part.samples))
-            at += part.samples + gap
-        self.segments, self.samples = tuple(found), at - gap
         said = dict.fromkeys(each for part in self._parts for each in of_recording(part.facts))
         facts = {k: fact for k, fact in first.facts.items() if k != COUNTED}
         self.facts: dict[str, Any] = {**facts, "diagnostics": [d.as_dict() for d in said]}
@@ -109,24 +98,3 @@ def _check_alike(parts: Sequence[Source]) -> None:
             raise RecordingError(
                 f"recording {k} and the first do not both say what of the wrench is the pedestal's"
             )
-
-
-def pieces(
-    path: Path, mapping: Mapping | None = None
-) -> tuple[tuple[Recording, ...], list[Diagnostic]]:
-    """The recordings that a mapping file makes, in the order of time, and where it was cut.
-
-    Args:
-        path: The mapping file.
-        mapping: What it says; default what is in it.
-
-    Raises:
-        ExperimentError: The mapping is not understood.
-        RecordingError: A file is missing or damaged, or does not hold what the mapping says.
-    """
-    with naming(path, mapping := mapping or read_mapping(path)):
-        found, said = converted_pieces(mapping, path.parent)
-        made = [Recording.from_columns(each.columns, each.metadata, str(path)) for each in found]
-        for recording in made:
-            check_columns(recording.columns(), str(path))
-    return tuple(made), said

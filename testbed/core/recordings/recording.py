@@ -33,11 +33,8 @@ from testbed.core.recordings.columns import (
 from testbed.core.recordings.geometry import check_robot
 from testbed.core.robot.tree import Tree
 
-READ = {*SIGNALS, *(f"truth/{signal}" for signal in TRUE_SIGNALS)}
+READ = (*SIGNALS, *(f"truth/{signal}" for signal in TRUE_SIGNALS))
 """Signals that are read from a file; its other columns are left alone."""
-
-AT_ONCE = 100_000
-"""Samples that are read from a file at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +114,11 @@ class Recording:
     def samples(self) -> int:
         """Number M of samples."""
         return len(self.time)
+
+    @property
+    def segments(self) -> tuple[tuple[int, int], ...]:
+        """Blocks without a gap: the first sample of each, and the one after its last."""
+        return ((0, self.samples),)
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -241,21 +243,17 @@ class Recording:
         except ValueError as error:
             raise RecordingError(f"{source}: not a recording: {error}") from None
         known = {signal_of(column) for column in columns}
-        signals: dict[str, Any] = {
-            s: _joined(s, columns, names, sensors, source) for s in SIGNALS if s in known
+        read: dict[str, Any] = {
+            s: _joined(s, columns, names, sensors, source) for s in READ if s in known
         }
-        true = {
-            s: _joined(f"truth/{s}", columns, names, sensors, source)
-            for s in TRUE_SIGNALS
-            if f"truth/{s}" in known
-        }
+        true = {s: read.pop(f"truth/{s}") for s in TRUE_SIGNALS if f"truth/{s}" in read}
         return Recording(
             names=names,
             tare=None if tare is None else np.array(tare),
             truth=Truth(**true) if {*TRUE_SIGNALS} - {*true} <= {"sensors"} else None,
             sensor_names=sensors,
             facts=facts,
-            **signals,
+            **read,
         )
 
     def save(self, path: str | Path) -> None:
@@ -264,8 +262,7 @@ class Recording:
         Raises:
             RecordingError: Something that is no Parquet file is there.
         """
-        from testbed.core.recordings.formats import is_parquet
-        from testbed.core.recordings.formats.parquet import write_table
+        from testbed.core.recordings.formats.parquet import is_parquet, write_table
 
         if Path(path).is_file() and not is_parquet(Path(path)):
             raise RecordingError(f"'{path}' is there and is no recording; choose another name")
@@ -275,45 +272,19 @@ class Recording:
 
     @staticmethod
     def load(path: str | Path) -> Recording:
-        """Read a file of any known format (`formats`) with a recording's columns.
+        """Read a Parquet file with a recording's columns.
 
         Raises:
             RecordingError: The file is missing, damaged or incomplete, or holds values
                 that are not numbers, or its sampling is not uniform.
         """
-        from testbed.core.recordings.formats import open_table
+        from testbed.core.recordings.formats.parquet import open_table
 
         table = open_table(Path(path))
         wanted = [column for column in table.columns if signal_of(column) in READ]
-        columns = {column: np.empty(table.samples) for column in wanted}
-        for first in range(0, table.samples, AT_ONCE):  # a reader may hold what it is asked for
-            last = min(first + AT_ONCE, table.samples)
-            for column, values in table.read(wanted, first, last).items():
-                columns[column][first:last] = values
+        columns = table.read(wanted, 0, table.samples)
         recording = Recording.from_columns(columns, table.metadata, str(path))
         check_columns(recording.columns(), str(path))
-        return recording
-
-    @staticmethod
-    def from_mapping(path: str | Path) -> Recording:
-        """Made of other programs' files, as a mapping file says (docs/your-recording.md).
-
-        What was found on the way is in `facts["import"]`, what to doubt in `facts["diagnostics"]`.
-
-        Args:
-            path: The mapping file, TOML; the files it names are relative to it.
-
-        Raises:
-            ExperimentError: The mapping is not understood.
-            RecordingError: A file is missing or damaged, or does not hold what the mapping says.
-        """
-        from testbed.importing.convert import converted, naming
-        from testbed.importing.mapping import read_mapping
-
-        with naming(path := Path(path), mapping := read_mapping(path)):
-            found = converted(mapping, path.parent)
-            recording = Recording.from_columns(found.columns, found.metadata, str(path))
-            check_columns(recording.columns(), str(path))
         return recording
 
 

@@ -20,10 +20,8 @@ from testbed.core.recordings.columns import (
     check_samples,
     check_sampling_time,
     check_values,
-    joints_in,
     signal_of,
 )
-from testbed.core.recordings.formats import open_table
 from testbed.core.recordings.recording import Recording
 
 
@@ -44,8 +42,8 @@ def alike(parts: Iterable[Recording]) -> Iterator[Recording]:
         raise RecordingError("the recording has no parts")
 
 
-class StoredRecording:
-    """A recording that stays in its file; parts are read as they are asked for.
+class DerivedSource:
+    """Header that sources share which are not recordings in memory.
 
     Attributes:
         names: Joint names.
@@ -55,7 +53,25 @@ class StoredRecording:
         facts: As `Recording.facts`.
         signals: As `Recording.signals`.
         senses_kinematics: Whether velocities and accelerations were sensed, both.
+        segments: As `Recording.segments`.
     """
+
+    def __init__(self, header: Source, samples: int, rate: float) -> None:
+        """Copy the header of a recording.
+
+        Args:
+            header: Any part of the recording, or another form of it.
+            samples: Number of samples.
+            rate: Samples a second [Hz].
+        """
+        self.names, self.tare, self.facts = header.names, header.tare, header.facts
+        self.signals, self.senses_kinematics = header.signals, header.senses_kinematics
+        self.samples, self.rate = samples, rate
+        self.segments: tuple[tuple[int, int], ...] = ((0, samples),)
+
+
+class StoredRecording(DerivedSource):
+    """A recording that stays in its file; parts are read as they are asked for."""
 
     def __init__(self, path: str | Path) -> None:
         """Open a file; reads its ends only.
@@ -64,21 +80,20 @@ class StoredRecording:
             RecordingError: The file is missing or damaged, a channel is missing, or its times
                 are no times of samples.
         """
+        from testbed.core.recordings.formats.parquet import open_table
+
         self._path = Path(path)
         self._table = open_table(self._path)
         self._wanted = [c for c in self._table.columns if signal_of(c) in SIGNALS]
-        self.names = joints_in(self._wanted)
-        self.samples = self._table.samples
-        check_samples(self.samples, str(path))
+        samples = self._table.samples
+        check_samples(samples, str(path))
         start = self.part(0, 1)
-        self.tare, self.facts = start.tare, start.facts
-        self.signals, self.senses_kinematics = start.signals, start.senses_kinematics
-        self.rate = 0.0
-        last = self._table.read(["time"], self.samples - 1, self.samples)["time"]
+        super().__init__(start, samples, 0.0)
+        last = self._table.read(["time"], samples - 1, samples)["time"]
         length = float(last[0] - start.time[0])
         if 0 < length < math.inf:  # else the part says so in which it happens
-            check_sampling_time(length / (self.samples - 1), str(path))
-            self.rate = (self.samples - 1) / length
+            check_sampling_time(length / (samples - 1), str(path))
+            self.rate = (samples - 1) / length
 
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1; cheap where parts are asked for in their order.
@@ -124,6 +139,10 @@ class Source(Protocol):
     def senses_kinematics(self) -> bool:
         """Whether velocities and accelerations were sensed, both."""
 
+    @property
+    def segments(self) -> tuple[tuple[int, int], ...]:
+        """As `Recording.segments`."""
+
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1, without the truth."""
 
@@ -132,7 +151,7 @@ RecordingLike: TypeAlias = Recording | Source | str | Path | Iterable[Recording]
 """A recording in memory, or a Parquet file's path, or parts in the order of time."""
 
 
-class Stretch:
+class Stretch(DerivedSource):
     """A stretch of a source, which is a source."""
 
     def __init__(self, whole: Source, first: int, last: int) -> None:
@@ -143,30 +162,14 @@ class Stretch:
             first: The first.
             last: The one after the last.
         """
-        self.whole, self.first, self.last = whole, first, last
-        self.names, self.samples, self.rate = whole.names, last - first, whole.rate
-        self.tare, self.facts, self.signals = whole.tare, whole.facts, whole.signals
-        self.senses_kinematics = whole.senses_kinematics
-
-    @property
-    def segments(self) -> tuple[tuple[int, int], ...]:
-        """As `segments_of`."""
-        cut = [np.clip(s, self.first, self.last) - self.first for s in segments_of(self.whole)]
-        return tuple((int(first), int(last)) for first, last in cut if last > first)
+        super().__init__(whole, last - first, whole.rate)
+        self._whole, self._first = whole, first
+        cut = (np.clip(segment, first, last) - first for segment in whole.segments)
+        self.segments = tuple((int(begin), int(end)) for begin, end in cut if end > begin)
 
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1 of the stretch, without the truth."""
-        return self.whole.part(self.first + first, self.first + last)
-
-
-def segments_of(source: Source) -> tuple[tuple[int, int], ...]:
-    """Stretches without a gap: the first sample of each, and the one after its last.
-
-    Args:
-        source: One stretch, unless it says otherwise.
-    """
-    found: tuple[tuple[int, int], ...] = getattr(source, "segments", ((0, source.samples),))
-    return found
+        return self._whole.part(self._first + first, self._first + last)
 
 
 def open_source(what: RecordingLike) -> Source:

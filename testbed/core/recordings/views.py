@@ -13,13 +13,10 @@ from testbed.core.base.arrays import Array, apply
 from testbed.core.base.errors import RecordingError
 from testbed.core.dynamics.newton_euler import pedestal_wrench, wrench_transforms
 from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import Source, segments_of
+from testbed.core.recordings.source import DerivedSource, Source
 from testbed.core.robot.free_base import COORDINATES, coordinates
 from testbed.core.robot.locks import Shafts, with_shafts
 from testbed.core.robot.tree import Tree
-
-LONGEST = 1000
-"""Joints of a mapping."""
 
 
 def is_imported(source: Source) -> bool:
@@ -72,59 +69,38 @@ def coupled_shafts(facts: Mapping[str, Any]) -> Shafts:
     Args:
         facts: Of a recording; nothing in it is trusted.
     """
-    mapping = facts.get("mapping")
-    gear = mapping.get("gear") if isinstance(mapping, Mapping) else None
-    joints = mapping.get("joints") if isinstance(mapping, Mapping) else None
-    rows = _rows(gear.get("matrix")) if isinstance(gear, Mapping) else None
-    named = isinstance(joints, Sequence) and all(isinstance(joint, str) for joint in joints)
-    if rows is None or not named or rows.shape != (len(joints or ()),) * 2:
+    try:
+        joints = [str(joint) for joint in facts["mapping"]["joints"]]
+        rows = np.array(facts["mapping"]["gear"]["matrix"], dtype=np.float64)
+    except (LookupError, TypeError, ValueError, OverflowError):
+        return {}
+    if rows.shape != (len(joints), len(joints)) or not np.isfinite(rows).all():
         return {}
     found = {}
-    for k, (name, row) in enumerate(zip(joints or (), rows, strict=True)):
+    for k, (name, row) in enumerate(zip(joints, rows, strict=True)):
         if np.count_nonzero(row) > 1:
             turns = row / (row[k] or row[np.argmax(np.abs(row))])
-            found[f"{name}.motor"] = {
-                joint: float(turn) for joint, turn in zip(joints or (), turns, strict=True) if turn
-            }
+            coupled = np.flatnonzero(turns)
+            found[f"{name}.motor"] = {joints[j]: float(turns[j]) for j in coupled}
     return found
-
-
-def _rows(matrix: object) -> Any:
-    try:
-        rows = np.array(matrix, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        return None
-    square = rows.ndim == 2 and rows.shape[0] == rows.shape[1] <= LONGEST
-    return rows if square and np.isfinite(rows).all() else None
 
 
 NAMES = tuple(name for name, _, _ in COORDINATES)
 
 
-class Seen:
-    """A source whose parts are seen otherwise, one by one: other joints, no torques, no truth."""
+class TransformedSource(DerivedSource):
+    """A source whose parts are transformed one by one: other joints, no torques, no truth."""
 
-    def __init__(
-        self, source: Source, names: Sequence[str], change: Callable[[Recording], Recording]
-    ) -> None:
+    def __init__(self, source: Source, transform: Callable[[Recording], Recording]) -> None:
         """The same samples.
 
         Args:
             source: The recording.
-            names: Of the joints that it has then.
-            change: What is made of each part.
+            transform: What is made of each part.
         """
-        first = change(source.part(0, min(1, source.samples)))
-        self._source, self._change = source, change
-        self.names = tuple(names)
-        self.samples, self.rate, self.tare = source.samples, source.rate, first.tare
-        self.facts, self.signals = first.facts, first.signals
-        self.senses_kinematics = first.senses_kinematics
-
-    @property
-    def segments(self) -> tuple[tuple[int, int], ...]:
-        """As `segments_of`."""
-        return segments_of(self._source)
+        header = transform(source.part(0, min(1, source.samples)))
+        super().__init__(header, source.samples, source.rate)
+        self._source, self._transform, self.segments = source, transform, source.segments
 
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1, without the truth.
@@ -132,7 +108,7 @@ class Seen:
         Raises:
             RecordingError: They cannot be seen so.
         """
-        return self._change(self._source.part(first, last))
+        return self._transform(self._source.part(first, last))
 
 
 def with_base_joints(recording: Recording) -> Recording:
@@ -160,7 +136,7 @@ def with_base_joints(recording: Recording) -> Recording:
         acceleration=None,
         temperature=None,
         truth=None,
-        facts={k: v for k, v in recording.facts.items() if k != "geometry"},
+        facts=_without_geometry(recording),
     )
 
 
@@ -171,8 +147,11 @@ def of_joints(recording: Recording, names: Sequence[str]) -> Recording:
         recording: With more.
         names: Of those that are kept, in the order of their columns.
     """
-    facts = {k: v for k, v in recording.facts.items() if k != "geometry"}
-    return replace(recording.of_joints(names), facts=facts)
+    return replace(recording.of_joints(names), facts=_without_geometry(recording))
+
+
+def _without_geometry(recording: Recording) -> dict[str, Any]:
+    return {name: fact for name, fact in recording.facts.items() if name != "geometry"}
 
 
 SEGMENT = "segment"
@@ -279,18 +258,19 @@ def on_its_base(source: Source, tree: Tree) -> Source:
         RecordingError: The recording lacks a joint of the robot, the base's pose, or a sensor.
     """
     if tree.floating and NAMES[0] not in source.names:
-        source = seen(source, (*NAMES, *source.names), with_base_joints)
+        source = transformed(source, with_base_joints)
     if tree.is_part and source.facts.get(SEGMENT) != _segment_of(tree):
-        source = seen(source, tree.names, partial(of_segment, tree=tree))
+        source = transformed(source, partial(of_segment, tree=tree))
     return source
 
 
-def seen(source: Source, names: Sequence[str], change: Callable[[Recording], Recording]) -> Source:
-    """A source of changed recordings: at once of one in memory, else part by part.
+def transformed(source: Source, transform: Callable[[Recording], Recording]) -> Source:
+    """A source of transformed recordings: at once of one in memory, else part by part.
 
     Args:
         source: The recording.
-        names: Of the joints that it has then.
-        change: What is made of it.
+        transform: What is made of it.
     """
-    return change(source) if isinstance(source, Recording) else Seen(source, names, change)
+    if isinstance(source, Recording):
+        return transform(source)
+    return TransformedSource(source, transform)

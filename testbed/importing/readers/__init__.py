@@ -42,7 +42,7 @@ def open_foreign(path: Path, topic: str | None = None) -> ForeignTable:
     Args:
         path: The file, of one of `ENDINGS`, text also packed as .gz; or a folder that holds one of
             `FOLDERS`.
-        topic: Which of a file's tables: a topic, an entity of Rerun, an episode; None if it is one.
+        topic: Which of a file's tables: a topic, an entity of Rerun; None if it is one.
 
     Raises:
         RecordingError: The file is missing or damaged, or a library is not installed.
@@ -50,7 +50,7 @@ def open_foreign(path: Path, topic: str | None = None) -> ForeignTable:
     """
     module = _reader_of(path)
     if topic is not None and module not in PARTED:
-        raise RecordingError(f"{path}: `topic` is for bags, MCAP, .rrd and datasets of LeRobot")
+        raise RecordingError(f"{path}: `topic` is for bags, MCAP and .rrd")
     found = _tables(path, module, topic)
     if len(found) > 1:
         raise RecordingError(f"{path}: say `topic`: {few([*found], WIDTH)}")
@@ -80,10 +80,10 @@ def _tables(path: Path, module: str, topic: str | None) -> Tables:
     return found
 
 
-PARTED = ("ros_bag", "mcap", "rerun_log", "lerobot")
+PARTED = ("ros_bag", "mcap", "rerun_log")
 """Modules whose files may hold several tables."""
 
-ISOLATED = ("matlab", "hdf5", "ros_bag", "rerun_log")
+ISOLATED = ("matlab", "hdf5", "ros_bag", "rerun_log", "c3d", "mcap")
 """Modules whose libraries a damaged file can crash or flood."""
 
 MOST_FILES = 100_000

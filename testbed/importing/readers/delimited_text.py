@@ -52,17 +52,15 @@ MISSING = {"", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none"}
 """Fields without a number, in small letters."""
 
 
-def read_file(path: Path, topic: str | None) -> ForeignTable:
+def read_file(path: Path) -> ForeignTable:
     """Columns of a text file.
 
     Args:
         path: The file.
-        topic: None.
 
     Raises:
         RecordingError: It holds no table of numbers.
     """
-    del topic
     with readable(path):
         lines, ended = _lines(path)
         numbered = [k for k, line in enumerate(lines) if not _comment(line)]

@@ -11,17 +11,15 @@ from typing import Any
 from testbed.importing.foreign_table import ForeignTable, is_column, library, readable
 
 
-def read_file(path: Path, topic: str | None) -> ForeignTable:
+def read_file(path: Path) -> ForeignTable:
     """Columns of an HDF5 file.
 
     Args:
         path: The file.
-        topic: None.
 
     Raises:
         RecordingError: It is damaged, or h5py is not installed.
     """
-    del topic
     with library("h5py"):
         import h5py
     shapes: dict[str, tuple[int, ...]] = {}

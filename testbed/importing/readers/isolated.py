@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from dataclasses import astuple
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,12 @@ from numpy.typing import NDArray
 
 from testbed.core.base.child_process import Returned, call_in_child
 from testbed.core.base.errors import RecordingError
-from testbed.importing.foreign_table import ForeignTable, Tables, readable
+from testbed.importing.foreign_table import (
+    ForeignTable,
+    StatedPlate,
+    Tables,
+    readable,
+)
 
 SENT = 20_000_000
 """Numbers that come with the names of a file's columns; arrays beyond are read when asked for."""
@@ -40,7 +46,7 @@ def tables_of(module: str, path: Path, topic: str | None) -> Tables:
     if hasattr(reader, "tables"):
         found: Tables = reader.tables(path, topic)
         return found
-    return {"": reader.read_file(path, topic)}
+    return {"": reader.read_file(path)}
 
 
 def read_isolated(module: str, path: Path, topic: str | None) -> Tables:
@@ -73,7 +79,8 @@ def read_isolated(module: str, path: Path, topic: str | None) -> Tables:
             return arrays[key]
 
         shapes = {name: tuple(shape) for name, shape in said["shapes"].items()}
-        return ForeignTable(path, shapes, load, said["units"])
+        plates = [StatedPlate(own, tuple(columns), *rest) for own, columns, *rest in said["plates"]]
+        return ForeignTable(path, shapes, load, said["units"], plates=plates)
 
     found, read = called(topic, None)
     arrays = {**read}
@@ -103,7 +110,8 @@ def read(file: str, module: str, topic: str | None, first: str | None) -> Return
         if not isinstance(table, ForeignTable):
             said.append((name, str(table)))
             continue
-        said.append((name, {"shapes": table.shapes, "units": table.units}))
+        plates = [astuple(plate) for plate in table.plates]
+        said.append((name, {"shapes": table.shapes, "units": table.units, "plates": plates}))
         wanted = first is None
         for each, shape in table.shapes.items():
             if each == first:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import RecordingError, UnknownName
+from testbed.core.base.errors import RecordingError
 from testbed.importing.foreign_table import (
     MOST_COLUMNS,
     MOST_NUMBERS,
@@ -43,16 +44,14 @@ COUNTED = ("episode_index", "frame_index", "index", "task_index")
 """Columns that number what is in a row."""
 
 
-def read_file(path: Path, topic: str | None) -> ForeignTable:
-    """Columns of a dataset.
+def read_file(path: Path) -> ForeignTable:
+    """Columns of all episodes of a dataset.
 
     Args:
         path: The folder, or one of its Parquet files.
-        topic: One of its episodes, as "episode 3"; None for all of them.
 
     Raises:
         RecordingError: It is damaged, or of another version.
-        UnknownName: There is no such episode.
     """
     with readable(path):
         features, fps = _info(path if path.is_dir() else path.absolute().parents[2])
@@ -64,15 +63,9 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
             raise RecordingError(
                 f"{path}: more than {MOST_NUMBERS:.0e} rows; name an episode's file"
             )
-        episodes = [read_column(file, "episode_index") for file in files]
-        if any(each.dtype.kind not in "iu" for each in episodes):
-            raise RecordingError(f"{path}: 'episode_index' is not whole numbers")
-        episode = np.concatenate(episodes).astype(np.int64)
-        stamp = np.concatenate([read_column(file, "timestamp") for file in files]).astype(float)
-        wanted, time = _chosen(path, topic, episode, stamp, fps)
-        names = pq.read_schema(files[0]).names
+        time = _times(path, _read(files, "episode_index"), _read(files, "timestamp"), fps)
         columns: dict[str, tuple[str, int]] = {}
-        for feature in names:
+        for feature in pq.read_schema(files[0]).names:
             if feature in features and feature not in (*COUNTED, "timestamp"):
                 own = _columns(feature, features[feature])
                 columns |= {column: (feature, k) for k, column in enumerate(own)}
@@ -80,14 +73,8 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
 
     @lru_cache(maxsize=2)
     def values(feature: str) -> Array:
-        """A feature of the wanted rows, (M, k)."""
-        parts, first = [], 0
-        for file, own in zip(files, episodes, strict=True):
-            here = wanted[first : first + len(own)]
-            first += len(own)
-            if here.any():
-                parts.append(read_column(file, feature).reshape(len(own), -1)[here])
-        return np.concatenate(parts).astype(np.float64)
+        """A feature, (M, k)."""
+        return _read(files, feature).reshape(len(time), -1).astype(np.float64)
 
     def load(name: str) -> Array:
         if name == "timestamp":
@@ -96,10 +83,13 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         return values(feature)[:, k]
 
     shapes = dict.fromkeys(("timestamp", *columns), time.shape)
-    count = len(np.unique(episode))
-    about = f'{count} episodes, one after the other; topic = "episode {episode[0]}" takes one'
-    about = about if topic is None and count > 1 else ""
-    return ForeignTable(path, shapes, load, {"timestamp": "s"}, about=about)
+    return ForeignTable(path, shapes, load, {"timestamp": "s"})
+
+
+def _read(files: Sequence[Path], feature: str) -> NDArray[Any]:
+    """A feature of several files."""
+    opened = (pq.ParquetFile(file, pre_buffer=False) for file in files)
+    return np.concatenate([read_column(each, feature) for each in opened])
 
 
 def _info(path: Path) -> tuple[dict[str, Any], float]:
@@ -122,25 +112,21 @@ def _info(path: Path) -> tuple[dict[str, Any], float]:
     return features, float(fps)
 
 
-def _chosen(
-    path: Path, topic: str | None, episode: NDArray[np.int64], stamp: Array, fps: float
-) -> tuple[NDArray[np.bool_], Array]:
-    """Rows that are wanted, and their times [s], a silence between two episodes."""
-    wanted = np.ones(len(episode), dtype=bool)
-    if topic is not None:
-        found = re.fullmatch(r"(?:episode )?(\d{1,9})", topic, re.ASCII)
-        wanted = episode == (int(found[1]) if found else -1)
-    if not wanted.any():
-        raise UnknownName("episode", str(topic), [f"episode {k}" for k in np.unique(episode)])
-    own, time = episode[wanted], stamp[wanted]
-    first = np.flatnonzero(np.append(True, np.diff(own) != 0))
-    last = np.append(first[1:], len(own)) - 1
-    if len(first) > len(np.unique(own)):
+def _times(path: Path, episode: NDArray[Any], stamp: NDArray[Any], fps: float) -> Array:
+    """Times of rows, a silence between two episodes, (M,) [s]."""
+    if episode.dtype.kind not in "iu":
+        raise RecordingError(f"{path}: 'episode_index' is not whole numbers")
+    time = stamp.astype(np.float64)
+    first = np.flatnonzero(np.append(True, np.diff(episode) != 0))
+    last = np.append(first[1:], len(episode)) - 1
+    if len(first) > len(np.unique(episode)):
         raise RecordingError(f"{path}: rows of an episode are not one after the other")
+    if len(first) == 1:
+        return time
     pause = max(SILENCE, SILENT_FRAMES / fps)
     starts = np.append(0.0, np.cumsum(time[last] - time[first] + pause)[:-1])
-    shift = np.repeat(starts - time[first], last - first + 1) if len(first) > 1 else 0.0
-    return wanted, time + shift
+    shifted: Array = time + np.repeat(starts - time[first], last - first + 1)
+    return shifted
 
 
 def _columns(feature: str, about: Any) -> list[str]:

@@ -18,12 +18,11 @@ HEADER = 128
 """Bytes before the first element."""
 
 
-def read_file(path: Path, topic: str | None) -> ForeignTable:
+def read_file(path: Path) -> ForeignTable:
     """Columns of a MATLAB file.
 
     Args:
         path: The file.
-        topic: None.
 
     Raises:
         RecordingError: It is damaged, or of version 7.3 and h5py is not installed.
@@ -32,7 +31,7 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         with path.open("rb") as stream:
             head = stream.read(HEADER)
         if head.startswith(b"MATLAB 7.3"):
-            return hdf5.read_file(path, topic)
+            return hdf5.read_file(path)
         if not head.startswith(b"MATLAB 5.0"):
             raise RecordingError(f"{path}: no MATLAB file of version 5 or 7.3")
         from scipy.io import loadmat

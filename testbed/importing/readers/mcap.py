@@ -1,18 +1,14 @@
 """MCAP files: messages in JSON, Protobuf and of ROS 1 and 2 are numbers by their paths.
 
-Messages are decoded by the schemas in the file; none of its names becomes code.
+Messages are decoded by the schemas in the file.
 
 Source    The MCAP format specification, mcap.dev/spec
 """
 
 from __future__ import annotations
 
-import io
 import json
-import mmap
-import zlib
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -25,29 +21,13 @@ from testbed.importing.foreign_table import (
     readable,
     refusal,
 )
-from testbed.importing.readers.ros_bag import (
-    LISTS_OF_NAMES,
-    MOST_STEPS,
-    Nanoseconds,
-    Numbers,
-    Rows,
-    definitions_of,
-    numbers_of,
-)
+from testbed.importing.readers.message_rows import Rows, numbers_of
+from testbed.importing.readers.ros_bag import Decoder, decoder_of
 
 MOST_BYTES = 250_000_000
-"""Of a record, and of a chunk, unpacked."""
-
-MOST_PACKED = 500
-"""Bytes that one packed byte may be: robots' messages are some tens."""
-
-SECONDS = (("sec", "nsec"), ("sec", "nanosec"), ("secs", "nsecs"), ("seconds", "nanos"))
-"""Keys of a time: whole seconds, and nanoseconds."""
+"""Of a record."""
 
 TIMES = ("google.protobuf.Timestamp", "google.protobuf.Duration")
-
-Decoder = Callable[[bytes], Numbers]
-"""Numbers of a message by their paths."""
 
 
 def tables(path: Path, topic: str | None) -> Tables:
@@ -61,18 +41,21 @@ def tables(path: Path, topic: str | None) -> Tables:
         RecordingError: The file is damaged, or mcap is not installed.
         UnknownName: There is no such topic.
     """
-    with readable(path):
-        return _tables(path, topic)
+    with library("mcap"):
+        from mcap.stream_reader import StreamReader
+    with readable(path), path.open("rb") as stream:
+        reader = StreamReader(stream, validate_crcs=True, record_size_limit=MOST_BYTES)
+        return _tables(path, reader.records, topic)
 
 
-def _tables(path: Path, wanted: str | None) -> Tables:
+def _tables(path: Path, records: Iterable[Any], wanted: str | None) -> Tables:
     """One topic or all of them, in one pass."""
     known: dict[str, dict[int, Any]] = {"Schema": {}, "Channel": {}}
     decoders: dict[int, Decoder] = {}
     rows: dict[str, Rows] = {}
     failed: Tables = {}
     count = 0
-    for record in _records(path):
+    for record in records:
         if (kind := type(record).__name__) in known:
             known[kind][record.id] = record
         if kind != "Message":
@@ -105,43 +88,9 @@ def _decoder(channel: Any, schema: Any) -> Decoder:
     return DECODERS[channel.message_encoding](schema)
 
 
-def _records(path: Path) -> Iterator[Any]:
-    """Records of a file, those in chunks with the others."""
-    with library("mcap"):
-        from mcap.stream_reader import StreamReader, breakup_chunk
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        reader: Any = StreamReader(data, emit_chunks=True, record_size_limit=MOST_BYTES)  # type: ignore[arg-type]
-        for record in reader.records:
-            if type(record).__name__ == "Chunk":
-                yield from breakup_chunk(replace(record, compression="", data=_unpacked(record)))
-            else:
-                yield record
-
-
-def _unpacked(chunk: Any) -> bytes:
-    """A chunk's records, as many bytes as it says."""
-    size, packed = int(chunk.uncompressed_size), len(chunk.data)
-    if size > min(MOST_BYTES, MOST_PACKED * packed):
-        raise ValueError(f"a chunk of {packed} bytes would be {size:.2g}")
-    if chunk.compression == "zstd":
-        import zstandard
-
-        with zstandard.ZstdDecompressor().stream_reader(io.BytesIO(chunk.data)) as stream:
-            found = bytes(stream.read(size + 1))
-    elif chunk.compression == "lz4":
-        import lz4.frame
-
-        found = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1)
-    else:
-        found = chunk.data
-    if len(found) != size or chunk.uncompressed_crc not in (0, zlib.crc32(found)):
-        raise ValueError("a chunk is not what the file says of it")
-    return found
-
-
 def _json(_schema: Any) -> Decoder:
     """Of JSON, which needs no schema."""
-    return lambda data: _numbers(json.loads(data))
+    return lambda data: numbers_of(json.loads(data))
 
 
 def _protobuf(schema: Any) -> Decoder:
@@ -162,7 +111,7 @@ def _protobuf(schema: Any) -> Decoder:
     for name in [*files]:
         add(name)
     made = GetMessageClass(pool.FindMessageTypeByName(schema.name))
-    return lambda data: _numbers(_content(made.FromString(data)))
+    return lambda data: numbers_of(_content(made.FromString(data)))
 
 
 def _content(message: Any) -> dict[str, Any]:
@@ -189,9 +138,8 @@ def _ros(version: int) -> Callable[[Any], Decoder]:
     """Of ROS 1 or 2."""
 
     def decoder(schema: Any) -> Decoder:
-        idl, text = schema.encoding.endswith("idl"), schema.data.decode()
-        kind, known = definitions_of(schema.name, text, version, idl=idl)
-        return lambda data: numbers_of(data, kind, known, version)
+        idl = schema.encoding.endswith("idl")
+        return decoder_of(schema.name, schema.data.decode(), version, idl=idl)
 
     return decoder
 
@@ -200,41 +148,3 @@ DECODERS: dict[str, Callable[[Any], Decoder]] = {
     "json": _json, "protobuf": _protobuf, "cdr": _ros(2), "ros1": _ros(1),
 }  # fmt: skip
 """By a channel's encoding: of a schema, what decodes its messages."""
-
-
-def _numbers(content: Any) -> Numbers:
-    """All numbers of a message by path, as position/elbow, joints/elbow/effort, wrench[2]."""
-    found: dict[str, float] = {}
-    for path, number in _walk(content, "", ()):
-        found[path] = number
-        if len(found) > MOST_STEPS:
-            raise ValueError("a message has too many parts")
-    return found
-
-
-def _walk(content: Any, path: str, names: tuple[str, ...]) -> Iterator[tuple[str, float]]:
-    if isinstance(content, dict):
-        for keys in SECONDS:
-            second, rest = (content.get(key) for key in keys)
-            if isinstance(second, int) and isinstance(rest, int):
-                yield path or "time", Nanoseconds(second * 1_000_000_000 + rest)
-                return
-        lists = (_texts(content.get(key)) for key in LISTS_OF_NAMES)
-        own = next((each for each in lists if each), ())
-        for key, value in content.items():
-            yield from _walk(value, f"{path}/{key}" if path else str(key), own)
-    elif isinstance(content, list):
-        own = _texts([each.get("name") if isinstance(each, dict) else None for each in content])
-        label = next((each for each in (own, names) if len(each) == len(content) > 0), None)
-        for k, value in enumerate(content):
-            yield from _walk(value, f"{path}/{label[k]}" if label else f"{path}[{k}]", ())
-    elif isinstance(content, int | float):
-        yield path, content
-
-
-def _texts(value: Any) -> tuple[str, ...]:
-    """A list of texts that are not alike; else nothing."""
-    texts = (
-        value if isinstance(value, list) and all(isinstance(each, str) for each in value) else []
-    )
-    return tuple(texts) if len(set(texts)) == len(texts) else ()

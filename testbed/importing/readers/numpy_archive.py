@@ -19,17 +19,15 @@ LONGEST_HEADER = 10_000
 """Bytes of the words before an array's numbers."""
 
 
-def read_file(path: Path, topic: str | None) -> ForeignTable:
+def read_file(path: Path) -> ForeignTable:
     """Columns of an archive's arrays; of a single array, those of `array`.
 
     Args:
         path: The file.
-        topic: None.
 
     Raises:
         RecordingError: It is damaged.
     """
-    del topic
     with readable(path):
         if path.suffix.lower() == ".npy":
             with path.open("rb") as stream:
@@ -60,13 +58,11 @@ def _header(stream: IO[bytes], size: int) -> tuple[tuple[int, ...], str]:
     Raises:
         RecordingError: It does not: reading it would make place for numbers that are not there.
     """
-    version = np.lib.format.read_magic(stream)
-    read = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }.get(version)
+    readers = {1: np.lib.format.read_array_header_1_0, 2: np.lib.format.read_array_header_2_0}
+    major, _ = np.lib.format.read_magic(stream)
+    read = readers.get(major)
     if read is None:
-        raise RecordingError(f"an array of NumPy's format {version} is not known")
+        raise RecordingError(f"an array of NumPy's format {major} is not known")
     shape, _, kind = read(stream, max_header_size=LONGEST_HEADER)
     if min(shape, default=0) < 0 or np.prod(shape, dtype=float) * kind.itemsize > size:
         raise RecordingError(f"an array of shape {shape} is larger than its file")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-from functools import cache
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,21 +18,16 @@ from testbed.importing.foreign_table import (
     readable,
 )
 
-SMALL = 20_000_000
-"""Numbers of a file that is read at once."""
 
-
-def read_file(path: Path, topic: str | None) -> ForeignTable:
+def read_file(path: Path) -> ForeignTable:
     """Columns of a Parquet file; instants and durations are in the unit of their type.
 
     Args:
         path: The file.
-        topic: None.
 
     Raises:
         RecordingError: It is damaged.
     """
-    del topic
     with readable(path):
         file = pq.ParquetFile(path, pre_buffer=False)
         schema, rows = file.schema_arrow, file.metadata.num_rows
@@ -42,20 +36,7 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         units = {f.name: u for f in schema if widths.get(f.name) and (u := _unit(f))}
         kept = {n: k for n, k in widths.items() if 0 < k <= MOST_COLUMNS and rows > 1}
         shapes = {n: (rows, k) if k > 1 else (rows,) for n, k in kept.items()}
-    small = rows * sum(kept.values()) <= SMALL
-
-    @cache
-    def whole() -> pa.Table | None:
-        """The columns of a small file, unless one is damaged: to open it for each takes long."""
-        with suppress(pa.ArrowException, OSError):
-            return pq.ParquetFile(path, pre_buffer=False).read([*shapes]) if small else None
-        return None
-
-    def load(name: str) -> NDArray[Any]:
-        table = whole()
-        return read_column(path, name) if table is None else _values(name, table.column(name))
-
-    return ForeignTable(path, shapes, load, units)
+    return ForeignTable(path, shapes, partial(read_column, file), units)
 
 
 def _width(field: pa.Field, metadata: Any) -> int:
@@ -85,29 +66,20 @@ def _unit(field: pa.Field) -> str:
     return str((field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace"))
 
 
-def read_column(path: Path, name: str) -> NDArray[Any]:
+def read_column(file: pq.ParquetFile, name: str) -> NDArray[Any]:
     """A column, (M,), or (M, k) of lists.
 
     Args:
-        path: The file.
+        file: An open file.
         name: Of the column.
 
     Raises:
         ValueError: A value is missing, or lists are of different lengths.
     """
-    file = pq.ParquetFile(path, pre_buffer=False)
     width = _width(file.schema_arrow.field(name), file.metadata)
     if width * file.metadata.num_rows > MOST_NUMBERS:  # a small file can hold as many equal ones
         raise ValueError(f"column '{name}' has more than {MOST_NUMBERS:.0e} numbers")
-    try:
-        return _values(name, file.read([name]).column(0))
-    except pa.ArrowInvalid as error:  # before version 26, an empty list among lists of one length
-        raise ValueError(f"column '{name}': {error}") from None
-
-
-def _values(name: str, column: pa.ChunkedArray) -> NDArray[Any]:
-    """Values of a column, as `read_column` gives them."""
-    array = column.combine_chunks()
+    array = file.read([name]).column(0).combine_chunks()
     array = array.combine_chunks() if isinstance(array, pa.ChunkedArray) else array
     rows, kind = len(array), array.type
     missing, listed = array.null_count, pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind)

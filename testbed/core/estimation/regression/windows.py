@@ -18,7 +18,7 @@ from testbed.core.estimation.settings import Settings
 from testbed.core.kernel.layout import Layout
 from testbed.core.kernel.records import NO_LOAD, NONE, Signals
 from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import Source, segments_of
+from testbed.core.recordings.source import Source
 from testbed.core.robot.friction import BY_LOAD, ROOM
 
 POSITION_ATTENUATION = 120.0
@@ -265,7 +265,7 @@ class Plan:
         """All rows in order, in windows of whole blocks: the same whatever the source."""
         block = self.layout.rows.block
         size = max(1, WINDOW // (block * self.step)) * block
-        ends = [last for _, last in segments_of(self.source)]
+        ends = [last for _, last in self.source.segments]
         for begin, number in self.spans:
             for row in range(begin, begin + number, size):
                 rows = min(size, begin + number - row)
@@ -354,7 +354,7 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
         )
     far = low_pass_reach(rate, slow, ROW_ATTENUATION)
     far += low_pass_reach(rate, position, POSITION_ATTENUATION)
-    segments = segments_of(source)
+    segments = source.segments
     lengths = [last - first for first, last in segments]
     if 2 * far >= max(lengths):  # before weights are made: they could be endless
         raise _too_short(source, int(np.argmax(lengths)), far)
@@ -385,7 +385,7 @@ def _rows_in(segment: tuple[int, int], reach: int, step: int) -> tuple[int, int]
 
 def _too_short(source: Source, number: int, reach: float) -> RecordingError:
     """What to say of the segment of a number."""
-    segments = segments_of(source)
+    segments = source.segments
     first, last = segments[number]
     which = "the recording" if len(segments) == 1 else f"recording {number + 1}"
     return RecordingError(

@@ -17,7 +17,6 @@ from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import TINY
 from testbed.core.estimation.regression.windows import motion_taps
 from testbed.core.estimation.selection.term_choice import held_out
-from testbed.core.recordings.source import segments_of
 
 MOSTLY = 0.8
 """Part of accelerations' square beyond the slowest filter, from which they are mostly noise."""
@@ -63,7 +62,7 @@ def with_position_filter(problem: Problem) -> tuple[Problem, tuple[Diagnostic, .
 
 def _noise(problem: Problem, cutoff: float) -> Array:
     """Part of each acceleration's square that is faster than a filter, (n,)."""
-    first, last = segments_of(problem.source)[0]
+    first, last = problem.source.segments[0]
     part = problem.source.part(first, min(last, first + SAMPLES)).ordered(problem.tree)
     squares = []
     for each in (problem.settings.position_low_pass, cutoff):

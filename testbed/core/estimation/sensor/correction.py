@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -35,7 +34,7 @@ from testbed.core.estimation.sensor.plate import (
     reach,
 )
 from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import Source, segments_of
+from testbed.core.recordings.source import DerivedSource, Source
 from testbed.core.robot.tree import Tree
 
 NUISANCES: tuple[Nuisance, ...] = (
@@ -127,7 +126,7 @@ Values = Mapping[str, Array]
 """Numbers of nuisances, by kind."""
 
 
-class Corrected:
+class Corrected(DerivedSource):
     """A recording as another instrument would have made it, joints in the order of the tree.
 
     Samples at the ends that a delay leaves without neighbours are left out.
@@ -143,23 +142,9 @@ class Corrected:
         """
         self._source, self._values, self._tree = source, values, tree
         self._ends = reach(float(values["skew"][0]), source.rate) if "skew" in values else 0
-        self.names, self.rate = tree.names, source.rate
-        self.samples = source.samples - 2 * self._ends
-        self.tare, self.facts, self.signals = source.tare, source.facts, source.signals
-        self.senses_kinematics = source.senses_kinematics
-
-    names: tuple[str, ...]
-    samples: int
-    rate: float
-    tare: Array | None
-    facts: Mapping[str, Any]
-    signals: tuple[str, ...]
-    senses_kinematics: bool
-
-    @property
-    def segments(self) -> tuple[tuple[int, int], ...]:
-        """As `segments_of`."""
-        return tuple((a, b - 2 * self._ends) for a, b in segments_of(self._source))
+        super().__init__(source, source.samples - 2 * self._ends, source.rate)
+        self.names = tree.names
+        self.segments = tuple((a, b - 2 * self._ends) for a, b in source.segments)
 
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1, without the truth."""

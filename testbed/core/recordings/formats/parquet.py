@@ -13,7 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import RecordingError
+from testbed.core.base.errors import RecordingError, no_file
+from testbed.core.base.file_kinds import expecting
 
 FORMAT = "testbed recording 1"
 """Name and version of the layout, kept in the file."""
@@ -34,13 +35,31 @@ MOST_METADATA = 16_000_000
 """Bytes of metadata that a recording may have."""
 
 
+def is_parquet(path: Path) -> bool:
+    """Whether the file begins as Parquet files do."""
+    with path.open("rb") as stream:
+        return stream.read(4) == b"PAR1"
+
+
 def open_table(path: Path) -> ParquetTable:
-    """The columns of a Parquet file.
+    """The columns of a recording's file.
 
     Raises:
-        RecordingError: The file is damaged.
+        RecordingError: The file is missing or damaged, or no Parquet file.
     """
-    return ParquetTable(path)
+    with expecting(path, "recording"):
+        if not path.exists():
+            raise RecordingError(no_file(path, "recording"))
+        if not path.is_file():
+            raise RecordingError(
+                f"'{path}' is no file; testbed new --recording makes one of a dataset"
+            )
+        if path.suffix.lower() not in ("", ".parquet") and not is_parquet(path):
+            raise RecordingError(
+                f"'{path}' is no recording, which is Parquet; another program's file becomes one: "
+                f"testbed new --recording {path}"
+            )
+        return ParquetTable(path)
 
 
 class ParquetTable:
