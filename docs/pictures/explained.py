@@ -34,7 +34,7 @@ from testbed.core.parameters.identifiability import ALONE, COMBINED, identifiabi
 from testbed.core.parameters.symbols import STANDARD
 from testbed.lab.instruments.chain import measured_again
 from testbed.view.figures import Panel
-from testbed.view.run_page import GLYPHS
+from testbed.view.minimal_sets import GLYPHS
 
 MODEL, EXPERIMENT = "models/puma562.xml", "experiments/table6.toml"
 UR5 = "tests/golden/robots/ur5.urdf"

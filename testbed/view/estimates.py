@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from testbed.applications.calibration import Calibration
-from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import phrase
 from testbed.core.base.errors import plural, printable
 from testbed.core.estimation.estimate import Estimate, by_influence, number_with_sigma
@@ -18,7 +17,7 @@ from testbed.core.estimation.selection.held_out import HeldOut, TermChoice
 from testbed.core.estimation.sensor.estimates import TraceTest
 from testbed.core.recordings.columns import AXES
 from testbed.lab.experiment.run import SAID, Run, matrix_errors
-from testbed.view.section import DARKEST, HeatTable, Table
+from testbed.view.section import HeatTable, Table
 
 if TYPE_CHECKING:
     from testbed.applications.payload.payload import MassEstimate, PayloadEstimate
@@ -349,18 +348,11 @@ def matrix_maps(run: Run) -> list[HeatTable]:
     found = matrix_errors(run)
     if found is None:
         return []
-    scale = DARKEST / found.most if found.most else 0.0
-
-    def table(caption: str, values: Array) -> HeatTable:
-        rows = [
-            (name, [{"text": f"{v:.2g}", "share": round(scale * abs(v))} for v in line])
-            for name, line in zip(AXES, values.tolist(), strict=True)
-        ]
-        return HeatTable(caption, AXES, rows)
-
+    most = found.most or 1.0
+    tables = {"Before: error of the matrix": found.error, "After: standard deviation": found.sigma}
     return [
-        table(f"Before: error of the matrix, {SAID}", found.error),
-        table(f"After: standard deviation, {SAID}", found.sigma),
+        HeatTable.of_shares(f"{title}, {SAID}", AXES, AXES, values, np.abs(values) / most)
+        for title, values in tables.items()
     ]
 
 

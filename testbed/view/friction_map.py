@@ -3,33 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from html import escape
 
 import numpy as np
+from numpy.typing import NDArray
 
-from testbed.applications.drives.friction_map import LOADS, SPEEDS, FrictionMap
+from testbed.applications.drives.friction_map import FrictionMap
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import number_with_sigma
 from testbed.view.drives import BAND
-from testbed.view.figures import (
-    BOTTOM,
-    FONT,
-    GRID,
-    HEIGHT,
-    LEFT,
-    MIDDLE,
-    NUMBERS,
-    RIGHT,
-    STILL,
-    TOP,
-    WIDTH,
-    X_LABEL,
-    Panel,
-    colour,
-    text,
-    tick_label,
-)
-from testbed.view.section import Drawing, Section, Table
+from testbed.view.figures import Panel
+from testbed.view.section import HeatTable, Section, Table
 
 
 def map_section(maps: Sequence[FrictionMap]) -> Section:
@@ -38,9 +21,7 @@ def map_section(maps: Sequence[FrictionMap]) -> Section:
     Args:
         maps: One a joint.
     """
-    panels: list[Panel | Drawing] = []
-    for each in (part for cells in maps for part in cells.by_temperature()):
-        panels += [_heat(each), _section(each)]
+    parts = [part for cells in maps for part in cells.by_temperature()]
     return Section(
         id="friction-map",
         title="Friction over velocity and load",
@@ -50,11 +31,12 @@ def map_section(maps: Sequence[FrictionMap]) -> Section:
             "drives the link, else the link drives it back. No friction model is assumed."
         ),
         legend={"external": "forward", "internal": "backward"},
-        panels=panels,
+        panels=[_section(each) for each in parts],
+        heats=[_heat(each) for each in parts],
         shown=4,
         caption=(
-            "Maps: against the motion, the larger the stronger; cells without data are empty. "
-            f"Sections: at the speeds with most data, with {BAND:g} standard deviations."
+            f"At the speeds with most data, with {BAND:g} standard deviations. Maps: cells without "
+            "data are empty."
         ),
         table=Table(
             ["joint", "velocity", "load", "temperature", "friction", "rows"],
@@ -87,59 +69,24 @@ def resisting(cells: FrictionMap) -> Array:
     return np.asarray(cells.friction * np.sign(cells.speed))
 
 
-FAINT = 0.15
-"""Opacity of the least friction; the largest has one."""
-
-
-def _heat(cells: FrictionMap) -> Drawing:
-    """Cells of one size between their edges; a gap is a cell without data."""
-    size = np.abs(resisting(cells))
-    least, most = float(size.min()), float(size.max())
-    shade = FAINT + (1 - FAINT) * (size - least) / max(most - least, 1e-300)
-    across = _edges(cells.speeds, np.array([*-np.array(SPEEDS[::-1]), *SPEEDS[1:]]))
-    step = cells.loads[0, 1] - cells.loads[0, 0]
-    up = _edges(cells.loads, step * np.arange(-LOADS, LOADS + 1))
-    wide = (WIDTH - LEFT - RIGHT) / len(across)
-    tall = (HEIGHT - TOP - BOTTOM) / len(up)
-    x = LEFT + wide * np.searchsorted(across, cells.speeds[:, 0] - STILL)
-    y = HEIGHT - BOTTOM - tall * (1 + np.searchsorted(up, cells.loads[:, 0] - STILL * step))
-    title = f"{_name(cells)}: friction, {least:.3g} to {most:.3g} {cells.unit}"
-    parts = [text(title, LEFT, TOP - 3.5, "start")]
-    for k, opacity in enumerate(shade.tolist()):
-        said = f"{cells.friction[k]:.3g} ± {cells.sigma[k]:.2g} {cells.unit}"
-        parts.append(
-            f'<rect x="{x[k]:.1f}" y="{y[k]:.1f}" width="{wide:.1f}" height="{tall:.1f}" '
-            f'fill="{colour("external")}" opacity="{opacity:.2f}">'
-            f"<title>{escape(said)}</title></rect>"
-        )
-    parts.append(
-        f'<rect x="{LEFT:g}" y="{TOP:g}" width="{WIDTH - LEFT - RIGHT:g}" '
-        f'height="{HEIGHT - TOP - BOTTOM:g}" fill="none" stroke="currentColor"{GRID}/>'
+def _heat(cells: FrictionMap) -> HeatTable:
+    """Friction against the motion, a row a load and a column a velocity."""
+    loads, rows = np.unique(cells.loads[:, 0], return_inverse=True)
+    speeds, columns = np.unique(cells.speeds[:, 0], return_inverse=True)
+    values = np.full((len(loads), len(speeds)), np.nan)
+    values[rows, columns] = resisting(cells)
+    return HeatTable.of_shares(
+        f"{_name(cells)}: friction [{cells.unit}] over load and velocity, means of the cells",
+        _means(cells.load, rows),
+        _means(cells.speed, columns),
+        values,
+        np.abs(values) / np.nanmax(np.abs(values)),
     )
-    for number, edge in enumerate(across.tolist()):
-        if number % (1 + len(across) // 8) == 0 and np.isfinite(edge):
-            place = LEFT + wide * number
-            parts.append(text(tick_label(edge), place, HEIGHT - BOTTOM + NUMBERS, "middle", "x"))
-    for number, edge in enumerate(up.tolist()):
-        if number and number % (1 + len(up) // 5) == 0:  # the first is beside the other axis' first
-            place = HEIGHT - BOTTOM - tall * number + MIDDLE
-            parts.append(text(tick_label(edge), LEFT - 3.5, place, "end", "y"))
-    speed = "velocity [rad/s]" if cells.unit == "N m" else "velocity [m/s]"
-    middle = (LEFT + WIDTH - RIGHT) / 2
-    label = f"{speed}; upwards load [{cells.unit}]"
-    parts.append(text(label, middle, HEIGHT - BOTTOM + X_LABEL, "middle"))
-    svg = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" '
-        f'aria-label="{escape(title)}" font-size="{FONT:g}" '
-        f"font-family=\"'DejaVu Sans',sans-serif\">{''.join(parts)}</svg>"
-    )
-    return Drawing(title, svg)
 
 
-def _edges(cells: Array, every: Array) -> Array:
-    """Lower edges of all cells from the first with data to the last, those between as well."""
-    every = np.array([-np.inf, *every])
-    return np.asarray(every[(every >= cells.min() - STILL) & (every < cells[:, 0].max() + STILL)])
+def _means(values: Array, groups: NDArray[np.intp]) -> list[str]:
+    """Mean value of each group of cells."""
+    return [f"{mean:.2g}" for mean in np.bincount(groups, values) / np.bincount(groups)]
 
 
 def _section(cells: FrictionMap) -> Panel:

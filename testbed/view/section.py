@@ -7,6 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
+from testbed.core.base.arrays import Array
 from testbed.core.base.errors import round_significant
 from testbed.view.figures import Panel
 
@@ -65,8 +68,31 @@ class HeatTable:
     names: Sequence[str]
     rows: Sequence[tuple[str, Sequence[Mapping[str, Any]]]]
 
-    @staticmethod
+    @classmethod
+    def of_shares(
+        cls, caption: str, rows: Sequence[str], columns: Sequence[str], values: Array, shares: Array
+    ) -> HeatTable:
+        """Values on a colour scale.
+
+        Args:
+            caption: What is shown.
+            rows: Their names, (m,).
+            columns: Their names, (n,).
+            values: (m, n); not a number where there is none.
+            shares: Darkness of the cells from 0 to 1, (m, n).
+        """
+        percents = np.rint(DARKEST * np.clip(np.nan_to_num(shares), 0.0, 1.0)).astype(int)
+        shown = []
+        for name, row, dark in zip(rows, values.tolist(), percents.tolist(), strict=True):
+            texts = ("" if math.isnan(x) else f"{round_significant(x, 2):g}" for x in row)
+            shown.append(
+                (name, [{"text": t, "share": s} for t, s in zip(texts, dark, strict=True)])
+            )
+        return cls(caption, columns, shown)
+
+    @classmethod
     def of_powers(
+        cls,
         caption: str,
         rows: Sequence[str],
         columns: Sequence[str],
@@ -74,40 +100,19 @@ class HeatTable:
         least: float,
         most: float,
     ) -> HeatTable:
-        """Values as percents, which span powers of ten: dark where they are large.
+        """Positive values in percent on a logarithmic colour scale.
 
         Args:
             caption: What is shown.
-            rows: Their names.
-            columns: Theirs.
-            values: By row and column; not a number where there is none.
+            rows: Their names, (m,).
+            columns: Their names, (n,).
+            values: (m, n); not a number where there is none.
             least: Value of the lightest cell, above zero.
             most: Of the darkest one.
         """
-        span = math.log(most / least) or 1.0
-
-        def cell(value: float) -> dict[str, Any]:
-            if not value > 0:
-                return {"text": "", "share": 0}
-            part = min(max(math.log(value / least) / span, 0.0), 1.0)
-            text = f"{round_significant(100 * value, 2):g}"
-            return {"text": text, "share": round(DARKEST * part)}
-
-        shown = [(name, [cell(x) for x in line]) for name, line in zip(rows, values, strict=True)]
-        return HeatTable(caption, list(columns), shown)
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """A drawing, and what it shows.
-
-    Attributes:
-        title: In words.
-        svg: As an element of a page.
-    """
-
-    title: str
-    svg: str
+        positive = np.where(np.array(values) > 0, values, np.nan)
+        shares = np.log(positive / least) / (math.log(most / least) or 1.0)
+        return cls.of_shares(caption, rows, columns, 100 * positive, shares)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -120,6 +125,7 @@ class Section:
         says: What there is to see, in a few sentences.
         legend: What curves are, by their kind.
         panels: Drawings.
+        heats: Tables with cells from light to dark.
         shown: How many of these are not folded away; None for all.
         caption: Below them.
         table: The same in numbers.
@@ -129,7 +135,8 @@ class Section:
     title: str
     says: str
     legend: Mapping[str, str] = field(default_factory=dict)
-    panels: Sequence[Panel | Drawing]
+    panels: Sequence[Panel] = ()
+    heats: Sequence[HeatTable] = ()
     shown: int | None = None
     caption: str = ""
     table: Table

@@ -76,7 +76,7 @@ GUESTS = {
     "tomli_w": "experiment/ campaign/results.py",
     "typer": "cli/",
     "rich": "reporting/",
-    "matplotlib": "reporting/plot.py reporting/portrait.py",
+    "matplotlib": "reporting/plot.py reporting/drawing.py",
     "jinja2": "reporting/output.py",
     "markupsafe": "reporting/output.py",
     "subprocess": "viewer/live.py child_process.py",  # Rerun's viewer; calls that may crash
