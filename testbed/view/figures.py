@@ -59,13 +59,6 @@ class Panel:
         shown = [words for words in (self.title, *rows, *self.below) if words]
         return f"{', '.join(shown)} over {self.x_label}"
 
-    @property
-    def svg(self) -> str:
-        """Element of a page."""
-        from testbed.view.drawing import svg
-
-        return svg(self)
-
 
 def thinned(x: Array, y: Array, most: int = 1000) -> tuple[Array, Array]:
     """At most so many points of a curve, evenly taken."""

@@ -58,6 +58,8 @@ def rendered(template: str, content: dict[str, Any]) -> str:
         template: One of those in page/.
         content: What it shows.
     """
+    from testbed.view.drawing import svg
+
     pages = files("testbed.view") / "page"
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(lambda name: (pages / name).read_text("utf-8")),
@@ -66,7 +68,11 @@ def rendered(template: str, content: dict[str, Any]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"typeset": typeset, "breakable": breakable, "drawing": Markup}
+    environment.filters |= {
+        "typeset": typeset,
+        "breakable": breakable,
+        "svg": lambda panel: Markup(svg(panel)),
+    }
     style = (pages / "style.css").read_text("utf-8")
     text = environment.get_template(template).render(content, style=style)
     heads = _HEAD.findall(text)

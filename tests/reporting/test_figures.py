@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.signal import welch
 
 import testbed as tb
-from testbed.view.drawing import draw
+from testbed.view.drawing import draw, svg
 from testbed.view.figures import Panel, named_panels
 from testbed.view.plot import MOST, ErrorDots, dots_of_run
 from testbed.view.section import DARKEST, HeatTable
@@ -28,8 +28,8 @@ SVG = "{http://www.w3.org/2000/svg}"
 SIZES = st.floats(-9, 9).map(lambda power: float(10**power))
 
 
-def texts(svg: str) -> list[str]:
-    return [each.text or "" for each in ET.fromstring(svg).iter(f"{SVG}text")]
+def texts(drawing: str) -> list[str]:
+    return [each.text or "" for each in ET.fromstring(drawing).iter(f"{SVG}text")]
 
 
 @pytest.mark.slow
@@ -41,8 +41,8 @@ def test_axes_can_be_read(size: float, rng: np.random.Generator, kind: str) -> N
     y = {"zero": size * noise, "far": size * (noise + 500), "positive": size * (1 + noise**2),
          "log": size / x**3}.get(kind, 0 * x)  # fmt: skip
     panel = Panel(HOSTILE, {"measured": (x, y)}, "time [s]", kind in ("log", "nothing"))
-    assert {HOSTILE, "time [s]"} <= set(texts(panel.svg))
-    assert "#" not in re.sub(r"&#?\w+;|(url\(|href=\")#", "", panel.svg)
+    assert {HOSTILE, "time [s]"} <= set(texts(svg(panel)))
+    assert "#" not in re.sub(r"&#?\w+;|(url\(|href=\")#", "", svg(panel))
     (axis,) = draw(panel).axes
     for each in (axis.xaxis, axis.yaxis):
         low, high = sorted(each.get_view_interval())
@@ -79,7 +79,7 @@ def test_values_by_name_are_all_drawn_on_one_scale(count: int, rng: np.random.Ge
     dots, bars = ErrorDots(names, {"external": external}, {"external": internal}).drawn
     np.testing.assert_array_equal(dots["external"], external)
     np.testing.assert_array_equal(bars["external"], (np.full(count, limits[0]), internal))
-    assert [name for panel in panels for name in texts(panel.svg) if name in names] == list(names)
+    assert [name for panel in panels for name in texts(svg(panel)) if name in names] == list(names)
 
 
 @pytest.mark.slow

@@ -34,6 +34,7 @@ from testbed.campaigns.conduct import InThisProcess, conduct
 from testbed.campaigns.summary import read_campaign, summarise
 from testbed.cli.reading import Reading
 from testbed.lab.experiment.summary import obtained, percent
+from testbed.view.drawing import svg
 from testbed.view.drives import curve_lines
 from testbed.view.figures import Panel
 
@@ -98,7 +99,7 @@ def draw_friction(name: str, run: Any) -> str:
             "speed [rad/s]",
             bands={"external": 2 * sigma},
         )
-        parts.append(placed(panel.svg, 0, k * height, 400, height))
+        parts.append(placed(svg(panel), 0, k * height, 400, height))
     shows = "Friction of every joint over its speed, by the plate, without a friction model"
     save(f"gallery/{name}", 400, height * len(parts), parts, shows)
     return shows
