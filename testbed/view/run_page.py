@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import is_dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import plural
@@ -181,31 +183,37 @@ def _settings(run: Run) -> dict[str, str]:
     """Robot, recording, identification and versions, in words."""
     tree, recording = run.tree, run.recording
     joints = tree.names[FREE:] if tree.floating else tree.names
-    signals = {
-        "pose of the base": tree.floating or None,
-        "bedplate wrench": recording.wrench,
-        "joint torques": recording.torque,
-        "velocities": recording.velocity,
-        "accelerations": recording.acceleration,
-    }
-    measured = [name for name, signal in signals.items() if signal is not None]
-    duration = float(recording.time[-1] - recording.time[0])
     fitted = vars(run.settings.fitted(recording.rate))
     facts = {
         "robot": f"{tree.name}, {plural(len(joints), 'joint')}: {', '.join(joints)}",
         "gravity": f"{' '.join(f'{each:g}' for each in tree.gravity)} m/s^2",
-        "recording": f"{duration:.4g} s, {recording.rate:.5g} samples a second",
-        "measured": ", ".join(["joint positions", *measured]),
+        "recording": f"{np.ptp(recording.time):.4g} s, {recording.rate:.5g} samples a second",
+        "measured": ", ".join(_measured(run)),
         "terms": "; ".join(choice_lines(run.estimates.values())),
         "identification": ", ".join(f"{name} {value}" for name, value in fitted.items() if value),
         "versions": ", ".join(f"{name} {number}" for name, number in versions().items()),
         "model's SHA-256": str(recording.facts.get("model_sha256", "")),
     }
     if run.model is not None:
-        facts["model file"] = run.model.path.name
         held = run.model.lock.items()
+        facts["model file"] = run.model.path.name
         facts["held"] = ", ".join(joint if q is None else f"{joint} at {q:g}" for joint, q in held)
     return {name: text for name, text in facts.items() if text}
+
+
+def _measured(run: Run) -> Iterator[str]:
+    """Names of the recorded signals."""
+    yield "joint positions"
+    if run.tree.floating:
+        yield "pose of the base"
+    recording = run.recording
+    signals = {
+        "bedplate wrench": recording.wrench,
+        "joint torques": recording.torque,
+        "velocities": recording.velocity,
+        "accelerations": recording.acceleration,
+    }
+    yield from (name for name, signal in signals.items() if signal is not None)
 
 
 def _without_folders(experiment: Experiment) -> str:
