@@ -197,9 +197,19 @@ def print_lines(lines: Sequence[str], diagnostics: Iterable[Diagnostic]) -> None
         diagnostics: What a careful reader should know.
     """
     out = console()
+    print_text(out, lines)
+    print_diagnostics(out, diagnostics)
+
+
+def print_text(out: Console, lines: Iterable[str]) -> None:
+    """Print lines that a terminal wraps.
+
+    Args:
+        out: Where to.
+        lines: One each.
+    """
     for line in lines:
         out.print(line, soft_wrap=True)
-    print_diagnostics(out, diagnostics)
 
 
 def print_diagnostics(

@@ -45,8 +45,7 @@ def sections(found: Predictions) -> list[Section]:
     if found.unexplained_torque is not None:
         shown.append(_friction(found, found.unexplained_torque))
         if found.run.drives is not None:
-            seconds = seconds_shown(found.motion.t)
-            shown.append(drive_section(smooth, found.run.drives, CUTOFF, seconds))
+            shown.append(drive_section(found.run.drives))
             if any(len(each.rows) for each in found.run.drives.maps):
                 shown.append(map_section(found.run.drives.maps))
     if found.run.consistent is not None:
@@ -65,17 +64,9 @@ def _channels(found: Predictions) -> list[tuple[Signal, int]]:
     return [(signal, c) for signal in found.signals for c in range(len(signal.channels))]
 
 
-def seconds_shown(time: Array) -> float:
-    """How much of a recording its figures show [s].
-
-    Args:
-        time: Of the samples, (K,) [s].
-    """
-    return min(SHOWN, float(time[-1] - time[0]))
-
-
 def _measured(found: Predictions, smooth: Predictions) -> Section:
     names = {method: found.run.instruments[method] for method in found.run.estimates}
+    duration = float(np.ptp(smooth.motion.t))
     motion = "a held-out motion" if found.unseen else "the motion used for the fit"
     says = ["Measured signals (grey) and predictions; residuals below."]
     if "external" in names:
@@ -96,7 +87,7 @@ def _measured(found: Predictions, smooth: Predictions) -> Section:
         legend={"measured": "measured"} | names,
         panels=[_signal_panel(smooth, signal, c) for signal, c in _channels(smooth)],
         shown=SHOWN_CHANNELS,
-        caption=f"The first {seconds_shown(found.motion.t):.3g} s, low-pass {CUTOFF:g} Hz.",
+        caption=f"The first {min(SHOWN, duration):.3g} s, low-pass {CUTOFF:g} Hz.",
         table=_residual_table(found, smooth, names),
     )
 

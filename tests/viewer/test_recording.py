@@ -26,7 +26,6 @@ from testbed.view.viewer.curves import BINS, FEW, thinned
 from testbed.view.viewer.log import write_motion_rrd, write_rrd
 from testbed.view.viewer.robot_drawing import ARROW
 from testbed.view.viewer.scene import Scene, means, pressure, scene_of
-from tests.helpers.approved import hold
 from tests.helpers.pages import checked, run_named
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.strategies import rngs
@@ -46,15 +45,6 @@ def rrd(name: str) -> Path:
     path = Path(mkdtemp()) / f"{name}.rrd"
     write_rrd([scene(name)], path)
     return path
-
-
-@slow
-def test_a_whole_recording_is_as_approved() -> None:
-    """Entities and their columns; what they hold is for the laws below."""
-    hold(
-        "ur5.rrd.txt",
-        (f"{at}: {', '.join(sorted(c))}" for at, c in sorted(tree(rrd("ur5")).items())),
-    )
 
 
 @slow

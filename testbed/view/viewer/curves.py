@@ -25,7 +25,7 @@ THIN, THICKER = 1.0, 1.4
 
 
 def log_signals(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
-    """Positions; torques and wrench, measured and predicted; residuals, smoothed."""
+    """Positions; torques and wrench, measured and predicted."""
     recording, drives, time = scene.run.recording, scene.run.drives, scene.motion.t
     names = scene.run.tree.names
     positions = dict(zip(names, recording.position.T, strict=True))
@@ -38,6 +38,10 @@ def log_signals(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
             if signal.kind == "torque" and drives is not None:
                 friction = {"friction": drives.curves[c].at(scene.motion.qd[:, c])}
                 log_series(stream, f"{path}/friction", time, friction, [COLOURS["path"]])
+
+
+def log_residuals(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
+    """Residuals of torques and wrench, smoothed."""
     for signal in scene.smooth.signals:
         residuals = {method: signal.residual(method) for method in signal.predicted}
         for c, channel in enumerate(signal.channels if residuals else ()):

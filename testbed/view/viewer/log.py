@@ -24,7 +24,7 @@ from testbed.motion.proof import Proof, Rules, Slack, slack
 from testbed.view.motion import margin_table
 from testbed.view.viewer.blueprint import RATES, blueprint, motion_blueprint
 from testbed.view.viewer.colours import COLOURS
-from testbed.view.viewer.curves import log_series, log_signals
+from testbed.view.viewer.curves import log_residuals, log_series, log_signals
 from testbed.view.viewer.live import start_viewer
 from testbed.view.viewer.robot_drawing import (
     log_appearance,
@@ -144,6 +144,7 @@ def log_scene(stream: rr.RecordingStream, scene: Scene, at: str = "") -> None:
     log_bodies(stream, scene, f"{at}/world")
     log_reaction(stream, scene, f"{at}/world/bedplate")
     log_signals(stream, scene, at)
+    log_residuals(stream, scene, at)
     notes = rr.TextDocument(scene.notes, media_type=rr.MediaType.MARKDOWN)
     stream.log(f"{at}/notes", notes, static=True)
 
