@@ -159,5 +159,13 @@ def plot(what: Run | Estimate) -> Picture:
     axis = figure.axes[0]
     lines, methods = axis.get_legend_handles_labels()
     labels = [instruments[method] for method in methods]
-    axis.legend(lines, labels, loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
+    axis.legend(
+        lines[::-1],
+        labels[::-1],
+        loc="lower left",
+        bbox_to_anchor=(0, 1),
+        ncols=2,
+        frameon=False,
+        fontsize=9,
+    )
     return figure
