@@ -76,7 +76,7 @@ def _heat(cells: FrictionMap) -> HeatTable:
     values = np.full((len(loads), len(speeds)), np.nan)
     values[rows, columns] = resisting(cells)
     return HeatTable.of_shares(
-        f"{_name(cells)}: friction [{cells.unit}] over load and velocity, means of the cells",
+        f"{_name(cells)}: against the motion [{cells.unit}], rows: load, columns: velocity",
         _means(cells.load, rows),
         _means(cells.speed, columns),
         values,
