@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from testbed.view.figures import Curves, Panel, decades
 
@@ -116,6 +117,7 @@ def _scale(axis: Axes, panel: Panel, curves: Curves) -> None:
     values = np.concatenate([y for _, y in curves.values()])
     if panel.log and (panel.names or (values > 0).any()):
         axis.set_xscale("log")
+        axis.xaxis.set_major_locator(LogLocator(numticks=5))
         if not panel.names:
             axis.set_yscale("log")
             axis.set_ylim(decades(values))
