@@ -31,7 +31,6 @@ class Robot:
         name: Of its picture.
         title: What it is.
         file: Of the project; of the package example-robot-data if it begins with "robots/".
-        posture: Positions of the first joints; the rest is in the middle of its range.
         weld: Weld its floating root.
         lock: Words of --lock.
         mimic: Hold joints that follow others.
@@ -40,7 +39,6 @@ class Robot:
     name: str
     title: str
     file: str
-    posture: tuple[float, ...] = ()
     weld: bool = False
     lock: tuple[str, ...] = ()
     mimic: bool = False
@@ -55,41 +53,36 @@ class Robot:
 
 
 ROBOTS = (
-    Robot("puma", "PUMA 562, the paper's three joints", "models/puma562.xml", (0.6, -0.7, 1.9)),
-    Robot("ur5", "UR5", "robots/ur_description/urdf/ur5_robot.urdf", (0.5, -1.2, 1.4, -0.6, 1.2)),
+    Robot("puma", "PUMA 562, the paper's three joints", "models/puma562.xml"),
+    Robot("ur5", "UR5", "robots/ur_description/urdf/ur5_robot.urdf"),
     Robot(
         "panda",
         "Panda, its fingers held",
         "robots/panda_description/urdf/panda.urdf",
-        (0.3, 0.2, 0.0, -1.9, 0.0, 2.1, 0.6),
         lock=("panda_finger_joint1=0",),
         mimic=True,
     ),
-    Robot("tx40", "Staubli TX40", "examples/tx40/tx40.urdf", (0.4, 0.5, 1.2, 0.2, 0.6)),
+    Robot("tx40", "Staubli TX40", "examples/tx40/tx40.urdf"),
     Robot(
         "gantry",
         "A gantry with a wrist",
         "tests/golden/robots/gantry_ppp_rrr.urdf",
-        (0.2, 0.1, 0.2, 0.3, 0.4, 0.2),
     ),
     Robot(
         "anymal",
         "ANYmal B, held by its trunk",
         "robots/anymal_b_simple_description/robots/anymal.urdf",
-        (-0.1, 0.7, -1.0, -0.1, -0.7, 1.0, 0.1, 0.7, -1.0, 0.1, -0.7, 1.0),
         weld=True,
     ),
     Robot(
         "talos_arm",
         "Talos's left arm",
         "robots/talos_data/robots/talos_left_arm.urdf",
-        (0.3, 0.4, 0.2, -1.2),
     ),
     Robot(
         "g1",
         "Unitree G1, 29 joints, held by its pelvis",
         "robots/g1_description/urdf/g1_29dof_rev_1_0.urdf",
-        (0.0,) * 29,
         weld=True,
     ),
 )

@@ -41,28 +41,15 @@ def testbed(*words: str) -> None:
 
 
 def viewer(run: Path, folder: Path) -> None:
-    """What the viewer shows in some of its tabs."""
-    for tab in ("wrench", "friction"):
-        shown(run, tab, f"viewer_{tab}", folder)
-
-
-def shown(run: Path, tab: str, picture: str, folder: Path) -> None:
-    """A run in the viewer.
-
-    Args:
-        run: Its folder.
-        tab: That is open.
-        picture: Name of the picture.
-        folder: For files on the way.
-    """
+    """What the viewer shows first of a run."""
     from testbed.lab.experiment.results import read_run
     from testbed.view.viewer.log import write_rrd
     from testbed.view.viewer.scene import scene_of
     from tests.helpers.viewer import headless_viewer
 
     scene = scene_of(read_run(run))
-    path = folder / f"{picture}.rrd"
-    write_rrd([scene], path, tab)
+    path = folder / "viewer_wrench.rrd"
+    write_rrd([scene], path)
     with headless_viewer(folder, SIZE) as (seen, _):
         seen.open(str(path))
         for _ in range(ZOOM):
@@ -70,8 +57,8 @@ def shown(run: Path, tab: str, picture: str, folder: Path) -> None:
         time.sleep(6)
         seen.set_time("time", duration=sum(scene.window) / 2, play_state="paused")
         time.sleep(4)
-        seen.save_screenshot(str(HERE / f"{picture}.png"))
-    smaller(HERE / f"{picture}.png", WIDTH)
+        seen.save_screenshot(str(HERE / "viewer_wrench.png"))
+    smaller(HERE / "viewer_wrench.png", WIDTH)
 
 
 def report(run: Path, folder: Path) -> None:

@@ -33,8 +33,9 @@ from testbed.bodies.prior import prior_of
 from testbed.core.parameters.identifiability import ALONE, COMBINED, identifiability
 from testbed.core.parameters.symbols import STANDARD
 from testbed.lab.instruments.chain import measured_again
+from testbed.view.drawing import svg
 from testbed.view.figures import Panel
-from testbed.view.run_page import GLYPHS
+from testbed.view.minimal_sets import GLYPHS
 
 MODEL, EXPERIMENT = "models/puma562.xml", "experiments/table6.toml"
 UR5 = "tests/golden/robots/ur5.urdf"
@@ -141,7 +142,7 @@ def save_same_forces() -> None:
         {"measured": (sampled.t, torque[0]), "external": (sampled.t, torque[1])},
         "time [s]",
     )
-    parts.append(placed(panel.svg, 300, 40, 500, 225))
+    parts.append(placed(svg(panel), 300, 40, 500, 225))
     parts += [line((400, 284, 430, 284), "measured", 4), words(438, 289, "the first robot")]
     parts += [line((580, 284, 610, 284), "external", 2), words(618, 289, "the other one")]
     save("same_forces", 820, 310, parts, "Two robots whose second links have other masses, first "

@@ -66,7 +66,7 @@ def view(
     unchecked: Unchecked = False,
     force: Force = False,
 ) -> None:
-    """Show runs in the Rerun viewer: robot, reaction, predictions, friction.
+    """Show runs in the Rerun viewer: robot, reaction, predictions.
 
     Of a motion that `testbed excite` wrote: the robot on its path, and what is left of every limit.
     A recording is shown with what its own estimates predict.

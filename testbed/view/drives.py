@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -13,13 +13,12 @@ from testbed.applications.drives.identify_drives import DriveFindings
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import printable
 from testbed.core.estimation.estimate import number_with_sigma
-from testbed.view.figures import Panel, named_panels, thinned
+from testbed.view.figures import named_panels
 from testbed.view.section import Section, Table
 
 if TYPE_CHECKING:
     from testbed.applications.drives.friction_curves import Choice, DriveEstimate
     from testbed.importing.check.time_offset import TimeOffset
-    from testbed.lab.experiment.predict import Predictions
 
 BAND = 2.0
 """Sigmas to either side of a curve."""
@@ -100,60 +99,36 @@ def _chosen(choice: Choice) -> str:
     return text
 
 
-def drive_section(
-    found: Predictions, drives: DriveFindings, cutoff: float, seconds: float
-) -> Section:
-    """Torque constants with error bars, and over time what of each torque friction is.
+def drive_section(drives: DriveFindings) -> Section:
+    """Torque constants with error bars, and the joints' own terms.
 
     Args:
-        found: Predictions for the recording that is drawn, through a low-pass.
         drives: What the plate says of the drives.
-        cutoff: Of the low-pass [Hz].
-        seconds: How much of the recording is drawn.
     """
+    off = np.array([100 * (each.constant - 1) for each in drives.estimates])
+    sigma = np.array([100 * each.sigma for each in drives.estimates])
     return Section(
         id="drives",
         title=TITLE,
         says=(
             "The force plate's estimate gives the rigid-body torque. The ratio of the reported "
             "torque to it is the torque constant (1 if the data sheet is right); the rest is "
-            "friction. Grey: measured torque; in colour: friction by the friction curve."
+            "friction."
         ),
-        legend={"measured": "measured torque", "external": "constant; friction"},
-        panels=[*_constants(drives), *_torques(found, drives, seconds)],
-        shown=3,
+        panels=named_panels(
+            "torque constants",
+            [each.joint for each in drives.estimates],
+            {"external": off},
+            "reported over true, less one [%]",
+            bars={"external": (off - BAND * sigma, off + BAND * sigma)},
+            line=0.0,
+        ),
         caption=(
-            f"Bars and bands are {BAND:g} standard deviations to either side. Torques over "
-            f"{seconds:.3g} s, low-pass {cutoff:g} Hz, divided by the constants. "
-            "In the table, digits in brackets are the standard deviation of the last places."
+            f"Bars are {BAND:g} standard deviations to either side. In the table, digits in "
+            "brackets are the standard deviation of the last places."
         ),
         table=replace(drive_table(drives.estimates), title=""),
     )
-
-
-def _constants(drives: DriveFindings) -> list[Panel]:
-    off = np.array([100 * (each.constant - 1) for each in drives.estimates])
-    sigma = np.array([100 * each.sigma for each in drives.estimates])
-    return named_panels(
-        "torque constants",
-        [each.joint for each in drives.estimates],
-        {"external": off},
-        "reported over true, less one [%]",
-        bars={"external": (off - BAND * sigma, off + BAND * sigma)},
-        line=0.0,
-    )
-
-
-def _torques(found: Predictions, drives: DriveFindings, seconds: float) -> Iterator[Panel]:
-    """Each joint's torque over time, and its friction."""
-    shown = found.motion.t <= found.motion.t[0] + seconds
-    time = found.motion.t[shown]
-    torque = next(signal for signal in found.signals if signal.kind == "torque")
-    for j, curve in enumerate(drives.curves):
-        own = torque.measured[shown, j] / drives.estimates[j].constant
-        rubbed = curve.at(found.motion.qd[shown, j])
-        lines = {"measured": thinned(time, own), "external": thinned(time, rubbed)}
-        yield Panel(f"{curve.joint}: torque, friction in it [{curve.unit}]", lines, "time [s]")
 
 
 def curve_lines(curve: FrictionCurve) -> tuple[Array, Array, Array]:

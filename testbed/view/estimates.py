@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from testbed.applications.calibration import Calibration
-from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import phrase
 from testbed.core.base.errors import plural, printable
 from testbed.core.estimation.estimate import Estimate, by_influence, number_with_sigma
@@ -18,7 +17,7 @@ from testbed.core.estimation.selection.held_out import HeldOut, TermChoice
 from testbed.core.estimation.sensor.estimates import TraceTest
 from testbed.core.recordings.columns import AXES
 from testbed.lab.experiment.run import SAID, Run, matrix_errors
-from testbed.view.section import DARKEST, HeatTable, Table
+from testbed.view.section import HeatTable, Table
 
 if TYPE_CHECKING:
     from testbed.applications.payload.payload import PayloadEstimate
@@ -58,20 +57,42 @@ def _table(
 ) -> Table:
     """Of some methods; short: 1.0610(9) for 1.0610 +- 0.0009, and no units."""
     units = {n: u for e in estimates for n, u in zip(e.names, e.units, strict=True)}
-    rows = [
-        [
-            name,
-            *([] if short else [units[name]]),
-            *([_number(truths.get(name))] if truths else []),
-            *(cell for e in estimates for cell in _cells(e, name, truths, short)),
-        ]
-        for name in names
-        if name in units
-    ]
-    heads = ["parameter", *([] if short else ["unit"]), *(["truth"] if truths else [])]
+    heads = ["parameter"] if short else ["parameter", "unit"]
+    rows = [[name] if short else [name, units[name]] for name in names if name in units]
+    if truths:
+        heads.append("truth")
+        for row in rows:
+            row.append(f"{truths[row[0]]:.6g}" if row[0] in truths else "-")
     for estimate in estimates:
-        heads += [estimate.instrument, *(["z" if short else "error/std"] if truths else [])]
+        heads.append(estimate.instrument)
+        cells = _cells(estimate, short)
+        for row in rows:
+            row.append(cells.get(row[0], "-"))
+        if truths:
+            heads.append("z" if short else "error/std")
+            errors = _errors(estimate, truths)
+            for row in rows:
+                row.append(errors.get(row[0], ""))
     return Table(heads, rows, title, left=["unit"])
+
+
+def _cells(estimate: Estimate, short: bool) -> dict[str, str]:
+    """Value with sigma by name."""
+    numbers = zip(estimate.names, estimate.values.tolist(), estimate.sigma.tolist(), strict=True)
+    return {
+        name: number_with_sigma(value, sigma, short or name in estimate.unidentifiable)
+        for name, value, sigma in numbers
+    }
+
+
+def _errors(estimate: Estimate, truths: Mapping[str, float]) -> dict[str, str]:
+    """Errors in standard deviations by name, of what is identifiable and known."""
+    numbers = zip(estimate.names, estimate.values.tolist(), estimate.sigma.tolist(), strict=True)
+    return {
+        name: f"{(value - truths[name]) / sigma if sigma else 0.0:+.1f}"
+        for name, value, sigma in numbers
+        if name in truths and math.isfinite(sigma)
+    }
 
 
 def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
@@ -112,41 +133,6 @@ def _noise(estimate: Estimate) -> str:
         f"noise correlation time {max(noise.memory):.2g} s (bootstrap factor {noise.factor:.2f}"
         f"{constants}{rests}), "
     )
-
-
-def _cells(
-    estimate: Estimate, name: str, truths: Mapping[str, float], short: bool
-) -> tuple[str, ...]:
-    """Value with sigma, and, where truths are known, the error in sigmas."""
-    value = with_sigma(estimate, name, short=short or name in estimate.unidentifiable)
-    if not truths:
-        return (value,)
-    if name not in estimate.names or name not in truths:
-        return value, ""
-    k = estimate.names.index(name)
-    sigma = float(estimate.sigma[k])
-    if math.isinf(sigma):
-        return value, ""
-    z = (float(estimate.values[k]) - truths[name]) / sigma if sigma > 0 else 0.0
-    return value, f"{z:+.1f}"
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.6g}"
-
-
-def with_sigma(estimate: Estimate, name: str, short: bool = False) -> str:
-    """Value and sigma, with as many decimals as sigma has to say; "-" if it is not there.
-
-    Args:
-        estimate: Where to look.
-        name: Of the parameter.
-        short: 1.0610(9) for 1.0610 +- 0.0009: the digits in brackets are of the last places.
-    """
-    if name not in estimate.names:
-        return "-"
-    k = estimate.names.index(name)
-    return number_with_sigma(float(estimate.values[k]), float(estimate.sigma[k]), short)
 
 
 def choice_lines(estimates: Iterable[Estimate]) -> Iterator[str]:
@@ -334,18 +320,11 @@ def matrix_maps(run: Run) -> list[HeatTable]:
     found = matrix_errors(run)
     if found is None:
         return []
-    scale = DARKEST / found.most if found.most else 0.0
-
-    def table(caption: str, values: Array) -> HeatTable:
-        rows = [
-            (name, [{"text": f"{v:.2g}", "share": round(scale * abs(v))} for v in line])
-            for name, line in zip(AXES, values.tolist(), strict=True)
-        ]
-        return HeatTable(caption, AXES, rows)
-
+    most = found.most or 1.0
+    tables = {"Before: error of the matrix": found.error, "After: standard deviation": found.sigma}
     return [
-        table(f"Before: error of the matrix, {SAID}", found.error),
-        table(f"After: standard deviation, {SAID}", found.sigma),
+        HeatTable.of_shares(f"{title}, {SAID}", AXES, AXES, values, np.abs(values) / most)
+        for title, values in tables.items()
     ]
 
 

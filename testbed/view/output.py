@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib.resources import files
 from pathlib import Path
-from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import jinja2
@@ -58,6 +57,8 @@ def rendered(template: str, content: dict[str, Any]) -> str:
         template: One of those in page/.
         content: What it shows.
     """
+    from testbed.view.drawing import svg
+
     pages = files("testbed.view") / "page"
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(lambda name: (pages / name).read_text("utf-8")),
@@ -66,7 +67,11 @@ def rendered(template: str, content: dict[str, Any]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"typeset": typeset, "breakable": breakable, "drawing": Markup}
+    environment.filters |= {
+        "typeset": typeset,
+        "breakable": breakable,
+        "svg": lambda panel: Markup(svg(panel)),
+    }
     style = (pages / "style.css").read_text("utf-8")
     text = environment.get_template(template).render(content, style=style)
     heads = _HEAD.findall(text)
@@ -87,14 +92,14 @@ def breakable(name: str) -> Markup:
 
 
 BETWEEN = 10.0
-"""Seconds between two lines where no bar can be shown."""
+"""Seconds at least between two lines where no bar can be shown."""
 
 NAME = 12
 """Columns that are left to a row's name, at least, when it gives way."""
 
 
 class Progress:
-    """How far something is, on standard error: a bar on a terminal, else a line now and then.
+    """Progress on standard error: a bar on a terminal, else a line now and then.
 
     Of blocks in one another the inner one is shown.
     """
@@ -107,37 +112,32 @@ class Progress:
         Args:
             label: What is going on.
         """
-        text = TextColumn("{task.description}", markup=False)
-        shown = (text, BarColumn(), TimeRemainingColumn())
         self._bar = Bar(  # what goes to standard output stays there
-            *shown,
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TimeRemainingColumn(),
             console=Console(stderr=True),
             transient=True,
             redirect_stdout=False,
             redirect_stderr=False,
+            disable=not sys.stderr.isatty(),
         )
-        self._bar.disable = not sys.stderr.isatty()
         self._task = self._bar.add_task(printable(label), total=None)
-        self._label, self._part, self._ended = label, "", Event()
-        self._lines: Thread | None = None
-
-    @property
-    def line(self) -> str:
-        """What is going on and how far it is."""
-        return f"{self._label}{self._part} ..."
+        self._label, self._written = label, time.monotonic()
+        self.line = f"{label} ..."
 
     def __enter__(self) -> Self:
         if self._shown:
-            self._shown[-1]._pause()
+            self._shown[-1]._bar.stop()
         self._shown.append(self)
-        self._show()
+        self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._pause()
+        self._bar.stop()
         self._shown.remove(self)
         if self._shown:
-            self._shown[-1]._show()
+            self._shown[-1]._bar.start()
 
     def __call__(self, done: int, total: int) -> None:
         """Show how much is done."""
@@ -146,31 +146,15 @@ class Progress:
     def say(self, done: int, total: int, label: str) -> None:
         """Show how much is done, and in other words what is going on."""
         much = f"{done / total:.0%}" if total else str(done or "")
-        self._label, self._part = label, f", {much}" if much else ""
+        self._label = label
+        self.line = f"{label}, {much} ..." if much else f"{label} ..."
         self._bar.update(
             self._task, completed=done, total=total or None, description=printable(label)
         )
-
-    def _show(self) -> None:
-        if not self._bar.disable:
-            self._bar.start()
-            return
-        self._ended.clear()
-        self._lines = Thread(target=self._write_lines, daemon=True)
-        self._lines.start()
-
-    def _pause(self) -> None:
-        self._ended.set()
-        if self._lines is not None:
-            self._lines.join()
-        self._bar.stop()
-
-    def _write_lines(self) -> None:
-        """A line whenever `BETWEEN` has passed."""
-        while not self._ended.wait(BETWEEN):
+        if self._bar.disable and time.monotonic() > self._written + BETWEEN:
+            self._written = time.monotonic()
             with suppress(OSError, ValueError):  # nobody reads any more
-                sys.stderr.write(f"{printable(self.line)}\n")
-                sys.stderr.flush()
+                print(printable(self.line), file=sys.stderr, flush=True)
 
 
 class PlainConsole(Console):
@@ -213,9 +197,19 @@ def print_lines(lines: Sequence[str], diagnostics: Iterable[Diagnostic]) -> None
         diagnostics: What a careful reader should know.
     """
     out = console()
+    print_text(out, lines)
+    print_diagnostics(out, diagnostics)
+
+
+def print_text(out: Console, lines: Iterable[str]) -> None:
+    """Print lines that a terminal wraps.
+
+    Args:
+        out: Where to.
+        lines: One each.
+    """
     for line in lines:
         out.print(line, soft_wrap=True)
-    print_diagnostics(out, diagnostics)
 
 
 def print_diagnostics(

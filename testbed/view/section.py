@@ -64,18 +64,6 @@ class HeatTable:
     rows: Sequence[tuple[str, Sequence[Mapping[str, Any]]]]
 
 
-@dataclass(frozen=True)
-class Drawing:
-    """A drawing, and what it shows.
-
-    Attributes:
-        title: In words.
-        svg: As an element of a page.
-    """
-
-    title: str
-    svg: str
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Section:
@@ -87,6 +75,7 @@ class Section:
         says: What there is to see, in a few sentences.
         legend: What curves are, by their kind.
         panels: Drawings.
+        heats: Tables with cells from light to dark.
         shown: How many of these are not folded away; None for all.
         caption: Below them.
         table: The same in numbers.
@@ -96,7 +85,8 @@ class Section:
     title: str
     says: str
     legend: Mapping[str, str] = field(default_factory=dict)
-    panels: Sequence[Panel | Drawing]
+    panels: Sequence[Panel] = ()
+    heats: Sequence[HeatTable] = ()
     shown: int | None = None
     caption: str = ""
     table: Table

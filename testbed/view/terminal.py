@@ -32,7 +32,7 @@ from testbed.view.estimates import (
     plate_table,
     quality_lines,
 )
-from testbed.view.output import console, print_diagnostics, print_tables
+from testbed.view.output import console, print_diagnostics, print_tables, print_text
 from testbed.view.posterior import errors_table, posterior_table, validation_table
 
 if TYPE_CHECKING:
@@ -95,12 +95,10 @@ def print_estimates(
     for each in posteriors:
         print_tables(out, [errors_table(errors) for errors in each.errors])
     lines = choice_lines(estimates)
-    for line in [*quality_lines(estimates), *lines] if everything else lines:
-        out.print(line, soft_wrap=True)
+    print_text(out, [*quality_lines(estimates), *lines] if everything else lines)
     if bodies is not None:
         print_tables(out, consistent_tables(bodies))
-        for line in consistent_lines(bodies):
-            out.print(printable(line), soft_wrap=True)
+        print_text(out, map(printable, consistent_lines(bodies)))
 
 
 def _print_parameters(
@@ -147,8 +145,7 @@ def print_plate(plate: Calibration, diagnostics: Sequence[Diagnostic], path: Pat
     """
     out = console()
     print_tables(out, [plate_table(plate)])
-    for line in plate_lines(plate):
-        out.print(line, soft_wrap=True)
+    print_text(out, plate_lines(plate))
     estimates = [] if plate.estimate is None else [plate.estimate]
     if estimates:
         print_tables(out, *parameter_tables(estimates, {}))
@@ -170,8 +167,7 @@ def print_drives(drives: DriveFindings, diagnostics: Sequence[Diagnostic]) -> No
 
 def _print_drives(out: Console, drives: DriveFindings) -> None:
     print_tables(out, [drive_table(drives.estimates)])
-    for line in drive_lines(drives):
-        out.print(line, soft_wrap=True)
+    print_text(out, drive_lines(drives))
 
 
 def print_payload(
@@ -186,8 +182,7 @@ def print_payload(
     """
     out = console()
     print_tables(out, [payload_table(found, title)])
-    for line in payload_lines(found):
-        out.print(line, soft_wrap=True)
+    print_text(out, payload_lines(found))
     print_diagnostics(out, diagnostics)
 
 
@@ -202,17 +197,14 @@ def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
     out = console()
     estimates = list(run.estimates.values())
     out.print(Panel(printable(headline(run)), box=ROUNDED))
-    for line in accuracy_lines(run)[: None if everything else 1]:
-        out.print(printable(line), soft_wrap=True)
+    print_text(out, map(printable, accuracy_lines(run)[: None if everything else 1]))
     _print_verdict(out, run)
     print_diagnostics(out, run.diagnostics, None if everything else 1)
     _print_parameters(out, estimates, run.truths, run.name, everything=everything)
     if everything:
-        for line in quality_lines(estimates):
-            out.print(line, soft_wrap=True)
+        print_text(out, quality_lines(estimates))
     if run.consistent is not None:
-        for line in consistent_lines(run.consistent):
-            out.print(printable(line), soft_wrap=True)
+        print_text(out, map(printable, consistent_lines(run.consistent)))
     if run.drives is not None:
         _print_drives(out, run.drives)
     if everything:

@@ -52,7 +52,7 @@ def test_a_real_recording_is_imported_identified_and_looked_at(tmp_path: Path) -
     done = command_line(*words, *more, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     page = json.loads((tmp_path / "page.json").read_text())
-    assert not page["has_truth"]
+    assert "truth" not in page["parameters"][0]["heads"]
     assert len(page["posterior"]) >= 3  # errors by halves and on the other one, and shares
     assert [section["id"] for section in page["figures"]] == ["prediction", "spectra", "bodies"]
     shown = command_line("view", "first.toml", *MODEL, "--save", "r.rrd", cwd=tmp_path)

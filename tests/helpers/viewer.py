@@ -25,19 +25,6 @@ def columns(path: Path, entity: str, column: str, *, static: bool = False) -> np
     return np.concatenate([np.array(each.flatten().to_pylist(), dtype=float) for each in found])
 
 
-def tensor(path: Path, entity: str, column: str) -> np.ndarray[Any, Any]:
-    """A static column of one tensor, flat."""
-    (found,) = _chunks(path, entity, column, True)
-    (held,) = found.flatten().to_pylist()
-    return np.array(held["buffer"], dtype=float)
-
-
-def words(path: Path, entity: str, column: str) -> list[str]:
-    """What a static column of text says."""
-    found = _chunks(path, entity, column, True)
-    return [word for each in found for word in each.flatten().to_pylist()]
-
-
 def tree(path: Path) -> dict[str, set[str]]:
     """The columns of all entities that a file speaks of; one on a timeline begins with '~'."""
     reader, found = RrdReader(str(path)), dict[str, set[str]]()

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.nightly
 
 WIDER = """
 return [...document.querySelectorAll('main *')].filter(e => !e.closest('svg')
-  && !e.closest('.unseen') && e.offsetParent && !e.closest('[role=region]')
+  && e.offsetParent && !e.closest('[role=region]')
   && e.getBoundingClientRect().right > innerWidth + 1).map(e => e.outerHTML.slice(0, 60))"""
 """Elements that end outside of the window and do not scroll."""
 OVERLAPS = """

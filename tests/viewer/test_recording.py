@@ -21,15 +21,14 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import sentences
 from testbed.core.estimation.estimate import METHODS
 from testbed.motion.collision_model import Obstacle
-from testbed.view.viewer.curves import BINS, FEW, thinned, tick
+from testbed.view.viewer.curves import BINS, FEW, thinned
 from testbed.view.viewer.log import write_motion_rrd, write_rrd
 from testbed.view.viewer.robot_drawing import ARROW
-from testbed.view.viewer.scene import Scene, means, pressure, rounded_up, scene_of
-from tests.helpers.approved import hold
+from testbed.view.viewer.scene import Scene, means, pressure, scene_of
 from tests.helpers.pages import checked, run_named
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.strategies import rngs
-from tests.helpers.viewer import columns, tree, words
+from tests.helpers.viewer import columns, tree
 
 SCALARS = "Scalars:scalars"
 slow = pytest.mark.slow
@@ -45,15 +44,6 @@ def rrd(name: str) -> Path:
     path = Path(mkdtemp()) / f"{name}.rrd"
     write_rrd([scene(name)], path)
     return path
-
-
-@slow
-def test_a_whole_recording_is_as_approved() -> None:
-    """Entities and their columns; what they hold is for the laws below."""
-    hold(
-        "ur5.rrd.txt",
-        (f"{at}: {', '.join(sorted(c))}" for at, c in sorted(tree(rrd("ur5")).items())),
-    )
 
 
 @slow
@@ -160,28 +150,6 @@ def test_bodies_that_can_exist_hang_on_their_links_with_the_estimates_size() -> 
 
 
 @slow
-def test_friction_is_drawn_to_scale_and_its_axes_say_which() -> None:
-    shown, path = scene("plate"), rrd("plate")
-    rest, speed = shown.predictions.unexplained_torque, shown.motion.qd
-    assert rest is not None
-    for j, name in enumerate(shown.run.tree.names):
-        axes = shown.friction_axes(j)
-        points = columns(path, f"/friction/{name}/points", "Points2D:positions", static=True)
-        step = len(rest) // 2000 or 1
-        wanted = np.column_stack([speed[::step, j], -rest[::step, j]]) / axes
-        np.testing.assert_allclose(points.reshape(-1, 2), wanted, atol=1e-5)
-        ticks = columns(path, f"/friction/{name}/axes/ticks", "Points2D:positions", static=True)
-        labels = words(path, f"/friction/{name}/axes/ticks", "Points2D:labels")
-        assert [label.split(" ", 1)[1] for label in labels] == ["rad/s", "rad/s", "N m", "N m"]
-        x, y = ticks.reshape(-1, 2).T
-        values = [float(label.split()[0]) for label in labels]
-        np.testing.assert_allclose([*(x[:2] * axes[0]), *(-y[2:] * axes[1])], values, rtol=1e-5)
-        strips = columns(path, f"/friction/{name}/by_plate", "LineStrips2D:radii", static=True)
-        radii = strips.reshape(-1, 3)
-        assert (radii[:, 0] > 2 * radii[:, 1:].max(axis=1)).all()  # the band is thinner
-
-
-@slow
 def test_what_was_not_measured_is_not_in_the_file_and_runs_stand_side_by_side(
     tmp_path: Path,
 ) -> None:
@@ -189,7 +157,7 @@ def test_what_was_not_measured_is_not_in_the_file_and_runs_stand_side_by_side(
     entities = tree(tmp_path / "two.rrd")
     first = {entity.split("/")[2] for entity in entities if entity.startswith("/run1/")}
     assert "torque" in first
-    assert not {"wrench", "friction"} & first
+    assert "wrench" not in first
     assert not [entity for entity in entities if "/force" in entity]
     assert "/run2/world/robot/3" in entities
 
@@ -234,10 +202,3 @@ def test_means_keep_every_sample(samples: int, size: int, rng: np.random.Generat
     np.testing.assert_allclose(means(signal, size), wanted, atol=1e-12)
 
 
-@given(st.floats(1e-6, 1e6))
-def test_axes_end_at_round_numbers(end: float) -> None:
-    above, below = rounded_up(end), tick(end)
-    assert end * (1 - 1e-9) <= above < 1.51 * end
-    assert end / 2.51 < below <= end * (1 + 1e-9)
-    for found in (above, below):
-        assert float(f"{found:.1e}") == pytest.approx(found)

@@ -38,19 +38,13 @@ def views(part: Any) -> Iterator[Any]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ur5", "plate", "half"])
 def test_every_view_looks_at_something_and_has_its_unit(name: str) -> None:
-    """Opened on the same seconds; those of one unit on one scale, which their titles say."""
+    """All are opened on the same seconds."""
     shown, there = scene(name), tree(rrd(name))
-    page = blueprint([shown], "notes")
-    tabs: Any = list(page.root_container.contents)[1]
-    assert tabs.contents[tabs.active_tab].name == "notes"
+    page = blueprint([shown])
     for view in views(page.root_container):
         assert any(f"{at}/".startswith(f"{view.origin}/") for at in there), view.origin
-        scale = view.properties.get("ScalarAxis")
-        if view.origin.startswith(("/wrench", "/torque", "/residual", "/friction")):
+        if view.origin.startswith(("/wrench", "/torque", "/residual")):
             assert "[" in view.name
-        if "±" in view.name and scale is not None:
-            low, high = scale.range.pa_array.to_pylist()[0]
-            assert -low == high > float(view.name.rpartition("±")[2])
     start, end = shown.window
     assert start == shown.run.recording.time[0]
     assert 0 < end - start <= 10.0

@@ -1,4 +1,4 @@
-"""Robots on their plates, what came of the experiments: `python -m docs.pictures.gallery`.
+"""Counts of robots, what came of the experiments: `python -m docs.pictures.gallery`.
 
 With names only these are made anew. All take some minutes; the robots of example-robot-data
 need the extra `dev`.
@@ -13,8 +13,6 @@ from collections import defaultdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-
-import numpy as np
 
 import testbed as tb
 from docs.gallery import (
@@ -31,22 +29,19 @@ from docs.gallery import (
 from docs.marks import write
 from docs.pictures.drawing import error_dots, placed, save
 from docs.pictures.explained import errors_of
-from testbed.bodies.shapes.appearance import load_appearance
 from testbed.campaigns.campaign import Campaign
 from testbed.campaigns.conduct import conduct
 from testbed.campaigns.results import RESULTS, read_results
 from testbed.campaigns.summary import summarise
 from testbed.cli.reading import Reading
 from testbed.lab.experiment.summary import obtained, percent
+from testbed.view.drawing import svg
 from testbed.view.drives import curve_lines
 from testbed.view.figures import Panel
-from testbed.view.portrait import portrait
 
 PACKAGE = Path(sysconfig.get_paths()["purelib"]) / "cmeel.prefix/share/example-robot-data"
 METHODS = {"external": "force plate", "internal": "joint torques"}
 ESTIMATED = {"internal": "with the fault", "external": "with it estimated"}
-LONGER = 360
-"""The longer side of a robot's picture [pixels]."""
 
 
 def main(names: list[str]) -> None:
@@ -58,7 +53,7 @@ def main(names: list[str]) -> None:
     figures = json.loads(FIGURES.read_text()) if FIGURES.exists() else {}
     for robot in ROBOTS:
         if not names or robot.name in names:
-            figures[robot.name] = drawn(robot)
+            figures[robot.name] = counted(robot)
     for path in experiments():
         if not names or path.stem in names:
             print(path.stem, flush=True)
@@ -67,29 +62,13 @@ def main(names: list[str]) -> None:
     write(DOCUMENT, MODULE, as_markdown)
 
 
-def drawn(robot: Robot) -> dict[str, int]:
-    """Draw a robot on its plate with the reaction at rest, and count its base parameters."""
+def counted(robot: Robot) -> dict[str, int]:
+    """Count a robot's joints and base parameters."""
     reading = Reading(weld_root=robot.weld, lock=robot.lock, lock_mimic=robot.mimic)
     folder = PACKAGE if robot.file.startswith("robots/") else ROOT
-    model = reading.model_file(folder / robot.file)
-    tree = model.tree()
-    posture = np.array([middle(joint.position_range) for joint in tree.joints])
-    posture[: len(robot.posture)] = robot.posture
-    still = np.zeros((1, tree.n))
-    at_rest = tb.Motion(np.zeros(1), posture[None], still, still)
-    wrench = tb.base_wrench(tree, at_rest)[0] + tb.pedestal_wrench(tree)
-    svg = portrait(load_appearance(tree, model), posture[None], wrench, robot.title)
-    _, _, width, height = map(float, svg.split('viewBox="')[1].split('"')[0].split())
-    scale = LONGER / max(width, height)
-    width, height = round(width * scale), round(height * scale)
-    save(f"gallery/{robot.name}", width, height, [placed(svg, 0, 0, width, height)], robot.title)
+    tree = reading.model_file(folder / robot.file).tree()
     counts = {of: tb.minimal_set(tree, of).count for of in ("dynamic", "reaction")}
     return {"joints": tree.n, **counts}
-
-
-def middle(ends: Any) -> float:
-    """The middle of a range; zero where it has none."""
-    return float(np.mean(ends)) if np.isfinite(ends).all() else 0.0
 
 
 def carried_out(path: Path) -> dict[str, str]:
@@ -121,7 +100,7 @@ def draw_friction(name: str, run: Any) -> str:
             "speed [rad/s]",
             bands={"external": 2 * sigma},
         )
-        parts.append(placed(panel.svg, 0, k * height, 400, height))
+        parts.append(placed(svg(panel), 0, k * height, 400, height))
     shows = "Friction of every joint over its speed, by the plate, without a friction model"
     save(f"gallery/{name}", 400, height * len(parts), parts, shows)
     return shows

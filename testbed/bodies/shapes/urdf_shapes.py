@@ -78,12 +78,10 @@ def _read(path: Path, root: ET.Element, tree: Tree, coloured: bool) -> tuple[Sha
         raise ModelError(f"{path}: {fault}")
     found = []
     for k, (joint, kind) in enumerate(said["shapes"]):
-        size, position, rotation, colour, vertices, faces = (
-            arrays[f"{k} {part}"] for part in _PARTS
-        )
-        body = tree.index(joint) if joint else -1
-        colour = colour if coloured else _GREY
-        found.append(Shape(body, kind, size, position, rotation, colour, vertices, faces))
+        parts = {part: arrays[f"{k} {part}"] for part in _PARTS}
+        if not coloured:
+            parts["colour"] = _GREY
+        found.append(Shape(tree.index(joint) if joint else -1, kind, **parts))
     return tuple(found)
 
 

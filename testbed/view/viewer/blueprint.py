@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -22,21 +21,17 @@ RATES = ("position", "velocity", "acceleration")
 
 Range = tuple[float, float]
 
-ROOM = 1.2
-"""Of an axis, beyond the ends that its title says."""
 
-
-def blueprint(scenes: Sequence[Scene], tab: str = "wrench") -> rrb.Blueprint:
+def blueprint(scenes: Sequence[Scene]) -> rrb.Blueprint:
     """Robots on their plates to the left, everything over time to the right, in tabs.
 
     Args:
         scenes: One run, or several side by side.
-        tab: Which tab is in front: "wrench", "joints", "friction", "drives", "plate", "notes".
     """
     count = len(scenes)
     roots = [root(k, count) for k in range(count)]
     robots = [_robot(s.run.name, s.span, at) for s, at in zip(scenes, roots, strict=True)]
-    sides = [_tabs(scene, at, tab) for scene, at in zip(scenes, roots, strict=True)]
+    sides = [_tabs(scene, at) for scene, at in zip(scenes, roots, strict=True)]
     name = " | ".join(scene.run.name for scene in scenes)
     left = robots[0] if count == 1 else rrb.Vertical(*robots)
     right = sides[0] if count == 1 else rrb.Tabs(*sides)
@@ -120,7 +115,7 @@ def _robot(name: str, size: float, at: str, shown: str = "robot and reaction") -
     return rrb.Spatial3DView(origin=f"{at}/world", name=f"{name}: {shown}", eye_controls=eye)
 
 
-def _tabs(scene: Scene, at: str, tab: str) -> rrb.Tabs:
+def _tabs(scene: Scene, at: str) -> rrb.Tabs:
     views: list[rrb.Container | rrb.View] = []
     torque = []
     for signal in scene.predictions.signals:
@@ -130,12 +125,8 @@ def _tabs(scene: Scene, at: str, tab: str) -> rrb.Tabs:
         else:
             torque = rows
     views.append(_joints(at, torque, scene.window))
-    if scene.predictions.unexplained_torque is not None:
-        across = math.ceil(math.sqrt(scene.run.tree.n))
-        views.append(rrb.Grid(*_friction(scene, at), grid_columns=across, name="friction"))
     views.append(rrb.TextDocumentView(origin=f"{at}/notes", name="notes"))
-    front = next((k for k, view in enumerate(views) if view.name == tab), 0)
-    return rrb.Tabs(*views, name=scene.run.name, active_tab=front)
+    return rrb.Tabs(*views, name=scene.run.name, active_tab=0)
 
 
 def _joints(
@@ -160,45 +151,15 @@ def _rows(scene: Scene, signal: Signal, at: str) -> list[rrb.Horizontal]:
     for k, (channel, unit) in enumerate(zip(signal.channels, signal.units, strict=True)):
         path = f"{at}/{signal.kind}/{safe(channel)}"
         plots = [_plot(path, f"{channel} [{unit}]", scene.window, k == 0)]
-        rows.append(rrb.Horizontal(*plots, *_residual(scene, signal, k, at)))
+        if signal.predicted:
+            path, title = f"{at}/residual/{signal.kind}/{safe(channel)}", f"{channel}: residual"
+            plots.append(_plot(path, f"{title} [{unit}]", scene.window, k == 0))
+        rows.append(rrb.Horizontal(*plots))
     return rows
 
 
-def _residual(scene: Scene, signal: Signal, k: int, at: str) -> Iterator[rrb.TimeSeriesView]:
-    """What is left over of a channel, where anything predicts it; channels of a unit alike."""
-    if signal.predicted:
-        channel, unit = signal.channels[k], signal.units[k]
-        most = scene.reach(signal.kind, k)
-        title = f"{channel}: residual [{unit}], ±{most:g}"
-        path = f"{at}/residual/{signal.kind}/{safe(channel)}"
-        yield _plot(path, title, scene.window, k == 0, _within(most))
-
-
-def _within(most: float) -> rrb.ScalarAxis:
-    """An axis with a little room beyond its ends."""
-    return rrb.ScalarAxis(range=(-ROOM * most, ROOM * most))
-
-
-def _friction(scene: Scene, at: str) -> list[rrb.Spatial2DView]:
-    """Torque that rigid bodies do not explain over velocity, and the friction found, by joint."""
-    bounds = rrb.VisualBounds2D(x_range=[-1.25, 1.25], y_range=[-1.2, 1.2])
-    return [
-        rrb.Spatial2DView(
-            origin=f"{at}/friction/{safe(joint.name)}",
-            name=f"{joint.name} [{'N m' if joint.revolute else 'N'}], "
-            f"[{'rad/s' if joint.revolute else 'm/s'}]",  # short: narrow columns cut it
-            visual_bounds=bounds,
-        )
-        for joint in scene.run.tree.joints
-    ]
-
-
 def _plot(
-    origin: str,
-    name: str,
-    window: Range | None = None,
-    legend: bool = True,
-    axis_y: rrb.ScalarAxis | None = None,
+    origin: str, name: str, window: Range | None = None, legend: bool = True
 ) -> rrb.TimeSeriesView:
     """Curves over time, opened on a window of it."""
     axis = None
@@ -209,6 +170,4 @@ def _plot(
         )
         axis = rrb.TimeAxis(view_range=seen, link="Independent")
     shown = rrb.PlotLegend(corner=rrb.Corner2D.RightTop, visible=legend)
-    return rrb.TimeSeriesView(
-        origin=origin, name=name, plot_legend=shown, axis_x=axis, axis_y=axis_y
-    )
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=shown, axis_x=axis)

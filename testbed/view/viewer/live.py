@@ -20,7 +20,8 @@ from testbed.core.recordings.columns import AXES
 from testbed.core.recordings.recording import Truth
 from testbed.view.viewer.blueprint import live_blueprint
 from testbed.view.viewer.colours import COLOURS, palette
-from testbed.view.viewer.robot_drawing import ARROW, clock, log_appearance, send_arrows, send_poses
+from testbed.view.viewer.curves import send_values
+from testbed.view.viewer.robot_drawing import ARROW, log_appearance, send_arrows, send_poses
 from testbed.view.viewer.scene import POSES, safe
 
 LOOPBACK = "127.0.0.1"
@@ -135,16 +136,16 @@ class Live:
         )
         log_appearance(self._stream, look, "/world")
         names = look.tree.names
-        lines = rr.SeriesLines(names=list(names), colors=palette(len(names)))
+        lines = rr.SeriesLines(names=names, colors=palette(len(names)))
         self._stream.log("/position", lines, static=True)
+        self._paths = [*(f"/wrench/{c}" for c in AXES), *(f"/torque/{safe(n)}" for n in names)]
         single = rr.SeriesLines(names=["true"], colors=[COLOURS["measured"]])
-        for path in (*(f"/wrench/{c}" for c in AXES), *(f"/torque/{safe(n)}" for n in names)):
+        for path in self._paths:
             self._stream.log(path, single, static=True)
         mass = max(sum(inertia.mass for inertia in look.tree.inertias), 1e-3)
         weight = mass * max(float(np.linalg.norm(look.tree.gravity)), 1.0)
-        size = look.reach
+        self._scales = ARROW / weight * np.array([look.reach / 1.5, 1 / 0.3])
         self._flush()
-        self._scales = ARROW * size / np.array([1.5 * weight, 0.3 * weight * size])
 
     def __call__(self, time: Array, truth: Truth) -> None:
         """Show a part of the run.
@@ -156,22 +157,16 @@ class Live:
         there = time >= 0
         if not there.any():
             return
-        time = time[there]
-        rate = (len(time) - 1) / max(float(time[-1] - time[0]), 1e-9) if len(time) > 1 else POSES
-        step = max(1, round(rate / POSES))
-        q, wrench = truth.position[there], truth.wrench[there]
-        send_poses(self._stream, self._look, time[::step], q[::step], "/world")
+        time, q, wrench = time[there], truth.position[there], truth.wrench[there]
+        _, frames = np.unique(np.floor(POSES * time), return_index=True)
+        send_poses(self._stream, self._look, time[frames], q[frames], "/world")
         send_arrows(
-            self._stream, self._look, time[::step], wrench[::step], self._scales, "/world/bedplate"
+            self._stream, self._look, time[frames], wrench[frames], self._scales, "/world/bedplate"
         )
-        index = [clock(time)]
-        self._stream.send_columns("/position", indexes=index, columns=rr.Scalars.columns(scalars=q))
-        signals = {f"/wrench/{c}": wrench[:, k] for k, c in enumerate(AXES)}
-        torque = truth.torque[there]
-        signals |= {f"/torque/{safe(n)}": torque[:, j] for j, n in enumerate(self._look.tree.names)}
-        for path, values in signals.items():
-            columns = rr.Scalars.columns(scalars=np.ascontiguousarray(values))
-            self._stream.send_columns(path, indexes=index, columns=columns)
+        send_values(self._stream, "/position", time, q)
+        signals = np.hstack([wrench, truth.torque[there]])
+        for path, values in zip(self._paths, signals.T, strict=True):
+            send_values(self._stream, path, time, values)
         self._flush()
 
     def _flush(self) -> None:

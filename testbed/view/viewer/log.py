@@ -21,9 +21,10 @@ from testbed.lab.experiment.run import Run
 from testbed.motion.collision_model import Obstacle
 from testbed.motion.fourier import Fourier
 from testbed.motion.proof import Proof, Rules, Slack, slack
+from testbed.view.motion import margin_table
 from testbed.view.viewer.blueprint import RATES, blueprint, motion_blueprint
 from testbed.view.viewer.colours import COLOURS
-from testbed.view.viewer.curves import log_friction, log_signals, series
+from testbed.view.viewer.curves import log_residuals, log_series, log_signals
 from testbed.view.viewer.live import start_viewer
 from testbed.view.viewer.robot_drawing import (
     log_appearance,
@@ -84,15 +85,11 @@ def _log_curves(
     stream: rr.RecordingStream, rules: Rules, motion: Fourier, times: Array, left: list[Slack]
 ) -> None:
     for k, kind in enumerate(left):
-        colours = [COLOURS["external"]]
-        series(stream, f"/left/{k}", times, kind.left[:, None], [kind.label], colours)
-    for order, (rate, colour) in enumerate(
-        zip(RATES, ("path", "external", "internal"), strict=True)
-    ):
-        values = motion.derivative(times, order)
-        for j, name in enumerate(rules.tree.names):
-            column = values[:, j : j + 1]
-            series(stream, f"/{rate}/{safe(name)}", times, column, [rate], [COLOURS[colour]])
+        log_series(stream, f"/left/{k}", times, {kind.label: kind.left}, [COLOURS["external"]])
+    for order, rate in enumerate(RATES):
+        for name, values in zip(rules.tree.names, motion.derivative(times, order).T, strict=True):
+            path = f"/{rate}/{safe(name)}"
+            log_series(stream, path, times, {rate: values}, [COLOURS["external"]])
 
 
 def _notes(name: str, rules: Rules, proof: Proof) -> str:
@@ -100,23 +97,21 @@ def _notes(name: str, rules: Rules, proof: Proof) -> str:
         "Proven at every moment." if proof.holds else f"**Not proven:** {plain(proof.worst.words)}"
     )
     lines = [f"# {plain(name)}", f"{plural(len(proof.margins), 'limit')}. {said}"]
-    nearest = sorted(proof.margins, key=lambda margin: (margin.holds, margin.left))
-    lines.append("\n".join(f"- {plain(margin.words)}" for margin in nearest[:20]))
+    lines.append(margin_table(proof.margins).markdown)
     if rules.diagnostics:
         known = sentences(rules.diagnostics)
         lines += ["## Notes", "\n".join(f"- {plain(line)}" for line in known)]
     return "\n\n".join(lines)
 
 
-def write_rrd(scenes: Sequence[Scene], path: Path, tab: str = "wrench") -> None:
+def write_rrd(scenes: Sequence[Scene], path: Path) -> None:
     """Write runs as one Rerun recording, with a blueprint for a first look.
 
     Args:
         scenes: One run, or several to be shown side by side.
         path: The .rrd file; appears whole or not at all.
-        tab: Which tab is in front.
     """
-    with _written(path, blueprint(scenes, tab)) as stream:
+    with _written(path, blueprint(scenes)) as stream:
         for k, scene in enumerate(scenes):
             log_scene(stream, scene, root(k, len(scenes)))
 
@@ -149,7 +144,7 @@ def log_scene(stream: rr.RecordingStream, scene: Scene, at: str = "") -> None:
     log_bodies(stream, scene, f"{at}/world")
     log_reaction(stream, scene, f"{at}/world/bedplate")
     log_signals(stream, scene, at)
-    log_friction(stream, scene, f"{at}/friction")
+    log_residuals(stream, scene, at)
     notes = rr.TextDocument(scene.notes, media_type=rr.MediaType.MARKDOWN)
     stream.log(f"{at}/notes", notes, static=True)
 
@@ -158,7 +153,7 @@ Shown = Run | str | Path
 
 
 def view(runs: Shown | Sequence[Shown], path: str | Path | None = None) -> Path:
-    """Show runs in Rerun's viewer: robot, reaction, predictions, friction.
+    """Show runs in Rerun's viewer: robot, reaction, predictions.
 
     Args:
         runs: One or several, or folders of runs.

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
+from scipy.spatial.transform import Rotation
 
 from testbed.bodies.consistency.consistent import robot_of
 from testbed.bodies.shapes.appearance import Appearance
@@ -58,17 +59,19 @@ def log_bodies(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
     run = scene.run
     if run.consistent is None:
         return
-    robots = {"prior": with_standard(run.tree, run.consistent.prior)}
+    robots = {
+        "prior": (with_standard(run.tree, run.consistent.prior), COLOURS["measured"]),
+        "estimate": (robot_of(run.consistent, run.tree), COLOURS["external"]),
+    }
     if run.score is not None:
-        robots["truth"] = run.tree
-    robots["estimate"] = robot_of(run.consistent, run.tree)
-    for name, colour in (("prior", "measured"), ("truth", "path"), ("estimate", "external")):
-        for shape in equivalent_ellipsoids(robots[name], (0, 0, 0, 1)) if name in robots else ():
+        robots["truth"] = run.tree, COLOURS["path"]
+    for name, (tree, colour) in robots.items():
+        for shape in equivalent_ellipsoids(tree, (0, 0, 0, 1)):
             ellipsoids = rr.Ellipsoids3D(
                 half_sizes=[shape.size],
                 centers=[shape.position],
                 quaternions=[rr.Quaternion(xyzw=quaternions(shape.rotation))],
-                colors=[COLOURS[colour]],
+                colors=[colour],
                 fill_mode=rr.components.FillMode.MajorWireframe,
             )
             stream.log(f"{at}/robot/{shape.body + 1}/body/{name}", ellipsoids, static=True)
@@ -128,52 +131,56 @@ def send_arrows(
     """
     if places is None:
         places = np.tile(look.corner, (len(time), 1))
-    radius = ARROW * look.reach / 40
-    for name, vectors, scale in zip(
-        ("force", "moment"), (wrench[:, :3], wrench[:, 3:]), scales, strict=True
-    ):
-        columns = rr.Arrows3D.columns(
-            vectors=vectors * scale,
-            origins=places,
-            colors=np.tile(np.array([COLOURS[name]], dtype=np.uint8), (len(time), 1)),
-            radii=np.full(len(time), radius),
-        )
+    for k, name in enumerate(("force", "moment")):
+        style = rr.Arrows3D.from_fields(colors=[COLOURS[name]], radii=[ARROW * look.reach / 40])
+        stream.log(f"{at}/{name}", style, static=True)
+        vectors = scales[k] * wrench[:, 3 * k : 3 * k + 3]
+        columns = rr.Arrows3D.columns(vectors=vectors, origins=places)
         stream.send_columns(f"{at}/{name}", indexes=[clock(time)], columns=columns)
 
 
 def log_reaction(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
-    """Force and moment beside the plate; centre of pressure and its trace, drawn on the plate."""
+    """Force and moment at the sensor, or beside the plate with the centre of pressure on it."""
     if scene.wrench is None:
         return
-    look, size = scene.appearance, scene.frames.step
-    wrench, times = means(scene.wrench, size), scene.motion.t[::size]
-    length = ARROW * look.reach
-    largest = [
-        max(float(np.linalg.norm(part, axis=1).max(initial=0.0)), 1e-9)
-        for part in (wrench[:, :3], wrench[:, 3:])
-    ]
-    scales = length / np.array(largest)
-    tree = scene.run.tree
-    if tree.sensor is not None:
-        turn, places = sensor_poses(tree, scene.motion.q[::size])
-        turned = [apply(turn, part) for part in (wrench[:, :3], wrench[:, 3:])]
-        send_arrows(stream, look, times, np.hstack(turned), scales, at, places)
+    look, tree, step = scene.appearance, scene.run.tree, scene.frames.step
+    wrench, time = means(scene.wrench, step), scene.motion.t[::step]
+    largest = np.linalg.norm(wrench.reshape(-1, 2, 3), axis=2).max(axis=0, initial=1e-9)
+    scales = ARROW * look.reach / largest
+    if tree.sensor is None:
+        send_arrows(stream, look, time, wrench, scales, at)
+        _log_pressure(stream, look, time, pressure(wrench), at)
         return
-    send_arrows(stream, look, times, wrench, scales, at)
-    points = pressure(wrench)
+    rotation, places = sensor_poses(tree, scene.motion.q[::step])
+    turned = np.hstack([apply(rotation, part) for part in np.split(wrench, 2, axis=1)])
+    send_arrows(stream, look, time, turned, scales, at, places)
+
+
+def _log_pressure(
+    stream: rr.RecordingStream, look: Appearance, time: Array, points: Array, at: str
+) -> None:
+    """Centre of pressure near the robot and its trace, on the plate's upper side.
+
+    Args:
+        stream: Where to.
+        look: The robot and its plate.
+        time: (M,) [s].
+        points: On the plate's plane, (M, 2) [m]; not a number where there is none.
+        at: The bedplate's place among the entities.
+    """
     far = 3 * max(float(np.abs(look.corner).max()), look.reach / 3)
     there = (np.abs(points) < far).all(axis=1)  # false for what is not a number, too
-    if there.any():
-        flat = np.column_stack([points[there], np.full(there.sum(), look.deck + 0.002)])
-        columns = rr.Points3D.columns(
-            positions=flat,
-            colors=np.tile(np.array([COLOURS["pressure"]], dtype=np.uint8), (len(flat), 1)),
-            radii=np.full(len(flat), length / 25),
-        )
-        stream.send_columns(f"{at}/pressure", indexes=[clock(times[there])], columns=columns)
-        runs = np.split(flat, np.flatnonzero(np.diff(np.flatnonzero(there)) > 1) + 1)
-        trace = rr.LineStrips3D(runs, colors=[COLOURS["pressure"]], radii=[length / 150])
-        stream.log(f"{at}/trace", trace, static=True)
+    if not there.any():
+        return
+    flat = np.column_stack([points[there], np.full(there.sum(), look.deck + 0.002)])
+    colour, size = COLOURS["pressure"], ARROW * look.reach
+    style = rr.Points3D.from_fields(colors=[colour], radii=[size / 25])
+    stream.log(f"{at}/pressure", style, static=True)
+    columns = rr.Points3D.columns(positions=flat)
+    stream.send_columns(f"{at}/pressure", indexes=[clock(time[there])], columns=columns)
+    gaps = np.flatnonzero(np.diff(np.flatnonzero(there)) > 1) + 1
+    trace = rr.LineStrips3D(np.split(flat, gaps), colors=[colour], radii=[size / 150])
+    stream.log(f"{at}/trace", trace, static=True)
 
 
 def _archetype(shape: Shape) -> Any:
@@ -208,12 +215,5 @@ def _archetype(shape: Shape) -> Any:
 
 
 def quaternions(rotation: Array) -> Array:
-    """(x, y, z, w) of rotations, (..., 4), w positive; (..., 3, 3) given."""
-    m = np.empty((*rotation.shape[:-2], 4, 4))
-    trace = np.trace(rotation, axis1=-2, axis2=-1)[..., None, None]
-    m[..., :3, :3] = rotation + rotation.swapaxes(-1, -2) - trace * np.eye(3)
-    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
-        m[..., k, 3] = m[..., 3, k] = rotation[..., i, j] - rotation[..., j, i]
-    m[..., 3, 3] = trace[..., 0, 0]
-    found = np.linalg.eigh(m)[1][..., -1]
-    return np.asarray(np.where(found[..., 3:] < 0, -found, found))
+    """Quaternions x, y, z, w of rotations, (M, 4) or (4,); w is not negative."""
+    return np.asarray(Rotation.from_matrix(rotation).as_quat(canonical=True))

@@ -16,7 +16,8 @@ from testbed.core.dynamics.newton_euler import Motion, poses
 from testbed.lab.experiment.predict import Predictions, predict
 from testbed.lab.experiment.run import Run
 from testbed.lab.experiment.summary import summary, verdict
-from testbed.view.viewer.drives import notes_of_drives, notes_of_plate
+from testbed.view.drives import TITLE, drive_table
+from testbed.view.estimates import instrument_tables
 
 PRESSED = 0.05
 """Part of the largest force that must press for there to be a centre of pressure."""
@@ -24,8 +25,6 @@ POSES = 50.0
 """Poses shown a second [Hz]; the eye sees no more."""
 WINDOW = 10.0
 """What is seen first [s]."""
-STEPS = (1, 1.5, 2, 3, 4, 5, 6, 8, 10)
-"""Between which axes end."""
 CUTOFF = 10.0
 """Of the low-pass on residuals: motions are slower [Hz]."""
 
@@ -86,20 +85,6 @@ class Scene:
         time = self.run.recording.time
         return float(time[0]), float(min(time[0] + WINDOW, time[-1]))
 
-    def reach(self, kind: str, channel: int) -> float:
-        """Where the axis of a channel's residual ends: those of all forces at one, or all moments.
-
-        Args:
-            kind: Of the signal.
-            channel: Its place there.
-        """
-        signal = next(each for each in self.smooth.signals if each.kind == kind)
-        alike = np.arange(len(signal.units)) == channel
-        if kind == "wrench":
-            alike = np.array([unit == signal.units[channel] for unit in signal.units])
-        rest = [np.abs(signal.residual(m)[:, alike]).max(initial=0.0) for m in signal.predicted]
-        return rounded_up(float(max(rest)))
-
     @cached_property
     def notes(self) -> str:
         """What was found and what to be careful about, as Markdown."""
@@ -108,17 +93,14 @@ class Scene:
         lines = [f"# {plain(run.name)}", *(plain(line) for line in said)]
         if run.experiment is not None and run.experiment.claim:
             lines.insert(1, f"**Claim.** {plain(run.experiment.claim)}")
-        lines += [*notes_of_drives(run), *notes_of_plate(run)]
+        if run.drives is not None:
+            lines += [f"## {TITLE}", drive_table(run.drives.estimates).markdown]
+        for table in instrument_tables(run):
+            lines += [f"## {table.title}", table.markdown]
         if self.diagnostics:
             lines.append("## Warnings")
             lines.append("\n".join(f"- {plain(line)}" for line in sentences(self.diagnostics)))
         return "\n\n".join(lines)
-
-    def friction_axes(self, j: int) -> tuple[float, float]:
-        """Largest speed and largest unexplained torque of a joint, where its axes end."""
-        rest = self.predictions.unexplained_torque
-        torque = 1e-9 if rest is None else max(float(np.abs(rest[:, j]).max()), 1e-9)
-        return max(float(np.abs(self.motion.qd[:, j]).max()), 1e-9), torque
 
 
 def scene_of(run: Run) -> Scene:
@@ -142,13 +124,6 @@ def span_of(look: Appearance, q: Array) -> float:
     far = [position for _, position in placed]
     far += [placed[j][1] + placed[j][0] @ tip for j, tip in look.tips.items()]
     return max(0.3, *(float(np.linalg.norm(points, axis=1).max()) for points in far))
-
-
-def rounded_up(end: float) -> float:
-    """The smallest number of one digit or 1.5, 15, ... that is not below a number; above zero."""
-    end = max(end, 1e-9)
-    power = 10.0 ** np.floor(np.log10(end))
-    return float(min(step * power for step in STEPS if step * power >= end * (1 - 1e-9)))
 
 
 def root(k: int, count: int) -> str:
