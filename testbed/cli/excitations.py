@@ -116,7 +116,7 @@ def excite(
 
 
 class _Searching:
-    """Tells how long all steps of all searches would take, and the best so far."""
+    """Report how long all steps of all searches would take, and the best so far."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
