@@ -9,18 +9,14 @@ from testbed.lab.kind_table import of_table
 from testbed.lab.simulation.bodies import CompliantPlate, GearedRotor, Payload, Tilt
 from testbed.lab.simulation.effect import Effect
 from testbed.lab.simulation.joint_friction import (
-    AsymmetricFriction,
     LoadFriction,
     LuGreFriction,
-    PowerFriction,
     StribeckFriction,
     WarmingDrives,
 )
 
 EFFECTS: tuple[type[Effect], ...] = (
     StribeckFriction,
-    PowerFriction,
-    AsymmetricFriction,
     LoadFriction,
     WarmingDrives,
     LuGreFriction,
