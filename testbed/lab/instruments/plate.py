@@ -20,7 +20,6 @@ from testbed.lab.instruments.fault import (
     PerChannel,
     Place,
     PlateFault,
-    Rig,
     Signal,
 )
 from testbed.lab.kind_table import hidden, key
@@ -268,7 +267,7 @@ class PlateCrosstalk(PlateFault):
     matrix: Matrix | None = key(None, "matrix")
     full_scale: tuple[float, ...] = hidden(FULL_SCALE)
 
-    def sample(self, rig: Rig, rng: np.random.Generator) -> Self:
+    def sample(self, joints: int, rng: np.random.Generator) -> Self:
         """The same fault with a matrix."""
         if self.matrix is not None:
             return self
@@ -307,28 +306,9 @@ class PlatePose(PlateFault):
         """The wrench in the plate's own frame, (M, 6) [N, N m]."""
         del time, rng
         vector, origin = (np.broadcast_to(v, 3) for v in (self.rotation, self.translation))
-        return in_frame(signal, vector, origin)
-
-
-@dataclass(frozen=True)
-class PlateOriginHeight(PlateFault):
-    """Moments about a point above or below the origin: a cover not counted, a wrong data sheet.
-
-    Source    [BS90] and data sheets: origins of force plates lie 30 to 60 mm below the cover,
-        and are known to some millimetres.
-
-    Attributes:
-        height: Of the true origin over the supposed one [m].
-    """
-
-    kind: ClassVar[str] = "plate_origin_height"
-    place: ClassVar[Place] = Place.SENSOR
-    height: float = key(5e-3)
-
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench about the other origin, (M, 6) [N, N m]."""
-        del time, rng
-        return in_frame(signal, np.zeros(3), np.array([0.0, 0.0, self.height]))
+        force, moment = np.hsplit(signal, 2)
+        turn = from_vector(vector)
+        return np.hstack([force @ turn, (moment - np.cross(origin, force)) @ turn])
 
 
 @dataclass(frozen=True)
@@ -430,24 +410,10 @@ class MeasuredTare(Fault):
         return np.broadcast_to(signal.mean(axis=0), signal.shape)
 
 
-def in_frame(wrench: Array, rotation: Array, origin: Array) -> Array:
-    """A wrench as a frame shows it that lies elsewhere.
-
-    Args:
-        wrench: (M, 6) [N, N m], bedplate axes, about its origin.
-        rotation: Rotation vector of the frame, (3,) [rad].
-        origin: Of the frame, (3,) [m], bedplate axes.
-    """
-    force, moment = wrench[:, :3], wrench[:, 3:]
-    turn = from_vector(rotation)
-    return np.hstack([force @ turn, (moment - np.cross(origin, force)) @ turn])
-
-
 FAULTS: tuple[type[Fault], ...] = (
     PlateGain,
     PlateCrosstalk,
     PlatePose,
-    PlateOriginHeight,
     PlateSaturation,
     PlateConverter,
     MeasuredTare,
