@@ -287,19 +287,11 @@ def friction(
     seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 60.0,
     jobs: Annotated[int, typer.Option(help="Processes at a time.")] = 2,
     only: Annotated[str, typer.Option(help="Only lines whose words hold this.")] = "",
-    designed: Annotated[
-        bool, typer.Option("--designed", help="Of motions designed for it, and their promises.")
-    ] = False,
 ) -> None:
     """Friction under load: three robots, gears that lose nothing to 20 %; and without the plate."""
-    from benchmarks import friction, friction_design
+    from benchmarks import friction
 
-    lines = (
-        friction_design.study(first, seeds, seconds, only)
-        if designed
-        else friction.study(seeds, first, seconds, only, jobs)
-    )
-    for line in lines:
+    for line in friction.study(seeds, first, seconds, only, jobs):
         _print(line)
 
 

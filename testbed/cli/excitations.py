@@ -39,14 +39,6 @@ def excite(
         "motion.toml"
     ),
     settings: Set = None,
-    aim: Annotated[
-        str | None,
-        typer.Option(
-            "--for",
-            metavar="bodies|friction",
-            help="What is to become certain: sets excitation.aim.",
-        ),
-    ] = None,
     prior: Annotated[
         Path | None,
         typer.Option(help="Earlier estimate: a run folder, or the output of identify --json."),
@@ -77,8 +69,7 @@ def excite(
 ) -> None:
     """Design the motion that makes parameters most certain, and prove that it may be run.
 
-    What is wanted stands in the table [excitation] (docs/excitation.md); --for friction designs it
-    for torque constants and friction under load instead of the bodies. Every limit is proven at
+    What is wanted stands in the table [excitation] (docs/excitation.md). Every limit is proven at
     every moment: joints, motors with friction, plate, distances to the robot itself, to plate,
     floor and boxes around it. Stopped by Ctrl-C, it goes on with the best motion so far.
 
@@ -90,7 +81,7 @@ def excite(
     from testbed.view import output
     from testbed.view.motion import print_excitation
 
-    settings = [*(settings or []), *([] if aim is None else [f"excitation.aim={aim}"])]
+    settings = settings or []
     if check:
         _require_nothing({"--trajectory": trajectory, "--page": page, "--prior": prior})
         _check(file, settings, everything=everything, as_json=as_json)

@@ -183,7 +183,7 @@ def _search(problem: DesignProblem, fundamental: float, harmonics: int, finer: i
     terms: list[LimitTerm] = list(rules.terms)
     if rules.collision is not None and rules.collision.pairs:
         room = finer * np.maximum(ROOM * rules.clearance, LEAST_ROOM)
-        terms.append(ClearanceTerm(rules.collision, rules.limits, rules.clearance + room))
+        terms.append(ClearanceTerm(rules.collision, rules.clearance + room))
     instants = finer * max(INSTANTS, DENSITY * harmonics)
     return Problem(
         series=Series(rules.limits, fundamental, harmonics, instants, rules.margin),

@@ -9,14 +9,12 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ExperimentError, TestbedError
 from testbed.core.estimation.regression.windows import (
-    drive_filter,
     motion_taps,
     reversal_samples,
     row_weights,
 )
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.rules import Model
-from testbed.core.robot.friction import BY_LOAD, LOAD, JointLaw
 from testbed.lab.experiment.evaluate import model_of, robot_of
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.motions import motion_of, plate_noise_of, rules_of
@@ -79,28 +77,20 @@ def design_problem(experiment: Experiment, prior: Array | None = None) -> Design
         ExperimentError: The band holds no motion, or the instruments do not show what is wanted.
     """
     tree, table, about = robot_of(experiment), experiment.excitation, experiment.robot.sensor
-    if about and table.signals != "plate":
+    if about and table.instrument != "plate":
         raise ExperimentError(
             f"robot.sensor = {about!r} is designed for by its own rows alone: leave "
-            'excitation.instrument "plate" and excitation.aim "bodies", or drop robot.sensor'
-        )
-    if table.aim == "friction" and tree.shafts:
-        raise ExperimentError(
-            "joints are held against the plate one by one, and robot.coupling joins some: leave "
-            'excitation.aim "bodies"'
+            'excitation.instrument "plate", or drop robot.sensor'
         )
     rules = rules_of(experiment, tree, designed=True)
     rows, pipeline = _rows(experiment, rules), pipeline_of(experiment)
     information = information_of(
-        tree,
         rows,
-        table.signals,
+        table.instrument,
         plate_noise_of(experiment),
         np.full(tree.n, experiment.measurement.torque_noise or QUIET_TORQUE),
-        table.judged_by,
+        table.criterion,
         None if prior is None else pipeline.samples * prior,  # as much as of one sample
-        friction_of(experiment),
-        (pipeline.resting, pipeline.reach) if table.aim == "friction" else (0.0, 0.0),
     )
     frequencies = frequencies_of(experiment)
     return DesignProblem(
@@ -114,18 +104,14 @@ def pipeline_of(experiment: Experiment) -> Pipeline:
     settings = experiment.identification.fitted(rate)
     sensed = experiment.measurement.senses_kinematics
     taps = 1 if sensed else motion_taps(rate, settings.position_low_pass).shape[1]
-    if experiment.excitation.aim == "friction":
-        weights, nearby = drive_filter(settings, rate)
-    else:
-        weights = row_weights(rate, settings.row_low_pass)
-        nearby = reversal_samples(weights, settings.reversal_reach, rate)
+    weights = row_weights(rate, settings.row_low_pass)
     lost = 2 * (taps // 2 + len(weights) // 2)
     return Pipeline(
         rate=rate,
         span=max(experiment.motion.duration - lost / rate, 1 / rate),
         band=settings.row_low_pass or np.inf,
         resting=settings.deadband,
-        reach=nearby / rate,
+        reach=reversal_samples(weights, settings.reversal_reach, rate) / rate,
     )
 
 
@@ -155,18 +141,10 @@ def frequencies_of(experiment: Experiment) -> tuple[tuple[float, int], ...]:
     return tuple(found)
 
 
-def friction_of(experiment: Experiment) -> tuple[JointLaw, ...]:
-    """Laws whose coefficients are wanted, the load's among them; () where bodies are."""
-    if experiment.excitation.aim == "bodies":
-        return ()
-    laws = dict.fromkeys([*experiment.identification.laws, LOAD])
-    return tuple(law for law in laws if not law.by or law.by in BY_LOAD)
-
-
 def _rows(experiment: Experiment, rules: Rules) -> dict[Model, SampledRows]:
     """Rows that the criterion and the limits look at."""
     tree, zeros = rules.tree, experiment.identification.zeros
-    wanted: list[Model] = ["reaction", *models_of(experiment.excitation.signals)]
+    wanted: list[Model] = ["reaction", *models_of(experiment.excitation.instrument)]
     if np.isfinite(rules.limits.effort).any():
         wanted.append("dynamic")
     found = {m: SampledRows(tree, minimal_set(tree, m, zeros=zeros)) for m in dict.fromkeys(wanted)}

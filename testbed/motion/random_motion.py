@@ -15,10 +15,9 @@ from testbed.core.parameters.symbols import barycentric
 from testbed.core.robot.tree import Tree
 from testbed.motion.clearance import ClearanceTerm
 from testbed.motion.fourier import Fourier
-from testbed.motion.joint_unknowns import scale_of
 from testbed.motion.limits import Limits, limits_of, motor_efforts
 from testbed.motion.proof import Proof, Rules, prove, seems_to_hold
-from testbed.motion.samples import Computed
+from testbed.motion.samples import Computed, scale_of
 from testbed.motion.terms import LimitTerm
 
 
@@ -33,7 +32,7 @@ def rest_posture(rules: Rules) -> Array:
     """
     terms: list[LimitTerm] = list(rules.terms)
     if rules.collision is not None and rules.collision.pairs:
-        terms.append(ClearanceTerm(rules.collision, rules.limits, rules.clearance))
+        terms.append(ClearanceTerm(rules.collision, rules.clearance))
 
     def excess(postures: Array) -> Array:
         still = Computed(rules.tree, Motion.at_rest(postures))

@@ -63,8 +63,7 @@ def print_excitation(
 
 def _promise(found: Excitation) -> str:
     return (
-        f"predicted: {found.kind_of_mean} relative standard deviation "
-        f"{found.mean(found.predicted):.2%}, "
+        f"predicted: rms relative standard deviation {found.predicted.rms:.2%}, "
         f"{found.beside_random}; "
         f"condition number {found.predicted.condition:.3g}"
     )
@@ -147,8 +146,7 @@ def motion_contents(found: Excitation) -> dict[str, Any]:
         "title": f"Motion of {found.tree.name}",
         "summary": [
             f"{plural(motion.harmonics, 'harmonic')} of {motion.fundamental:g} Hz; "
-            f"predicted {found.kind_of_mean} of relative standard deviations "
-            f"{found.mean(found.predicted):.2%}, "
+            f"predicted rms of relative standard deviations {found.predicted.rms:.2%}, "
             f"{found.beside_random}.",
             *(f"Warning: {line}." for line in sentences(found.diagnostics)),
         ],

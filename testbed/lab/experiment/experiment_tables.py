@@ -87,15 +87,10 @@ class ObstacleTable(Table):
 class ExcitationTable(Table):
     """What a motion must respect, and what `testbed excite` looks for."""
 
-    aim: Literal["bodies", "friction"] = "bodies"
-    """What is to become certain: the bodies' parameters; or the joints' torque constants and
-    coefficients of friction, those of `identification.terms` and the load's, by torques beside the
-    plate."""
     instrument: Literal["plate", "joints", "both"] = "plate"
     """By whose signals the bodies are to become certain: the plate's, joint torques, or both."""
-    criterion: Literal["a", "d", "e"] | None = None
-    """Of the covariance of relative errors: its trace, determinant or largest eigenvalue; default
-    "a" for bodies, "d" for friction."""
+    criterion: Literal["a", "d", "e"] = "a"
+    """Of the covariance of relative errors: its trace, determinant or largest eigenvalue."""
     lowest_frequency: Positive = 0.1
     """At which a motion may repeat [Hz]."""
     highest_frequency: Positive = 1.6
@@ -123,16 +118,6 @@ class ExcitationTable(Table):
     pressure_area: tuple[Positive, Positive] | None = None
     """Half lengths along x and y of the area in which the centre of pressure stays [m]; default
     none: the plate is bolted down."""
-
-    @property
-    def signals(self) -> Literal["plate", "joints", "both"]:
-        """Whose rows count: of the plate and of torques for friction."""
-        return self.instrument if self.aim == "bodies" else "both"
-
-    @property
-    def judged_by(self) -> Literal["a", "d", "e"]:
-        """The criterion; that for friction needs no units to be relative to."""
-        return self.criterion or ("a" if self.aim == "bodies" else "d")
 
 
 class SimulationTable(Table):
