@@ -1,16 +1,16 @@
 """Design of an excitation trajectory: several searches within the limits, the best one proven.
 
 Several searches from random motions inside all limits, each with one of the frequencies that are
-allowed; the best result that can be proven. A proof that fails by a little between the samples of
-the search is had by a slightly smaller swing; by more, from a search with more samples and more
-room, which goes on from there.
+allowed; the best result that can be proven. A proof that fails between the samples of the search
+is had by a smaller swing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import product
 
 import numpy as np
 
@@ -30,12 +30,8 @@ DRAWS = 60
 """Random motions tried for a start inside the limits."""
 SHARES = 0.8 ** np.arange(1, 16)
 """Of their swing, largest first."""
-SMALLER = (1.0, 0.998, 0.995, 0.99, 0.98)
-"""Shares of the swing for which a proof is tried before anything else."""
-MUCH_SMALLER = (0.96, 0.93, 0.88, 0.8)
-"""Shares that are tried in the end."""
-FINER = (2, 4)
-"""Times as many samples, and as much room, in a search that goes on where a proof failed."""
+SMALLER = (1.0, 0.998, 0.995, 0.99, 0.98, 0.96, 0.93, 0.88, 0.8)
+"""Shares of the swing for which a proof is tried."""
 ROOM, LEAST_ROOM = 0.25, 2e-4
 """What a search keeps beyond the clearance that is to be proven: a share of it, at least [m]."""
 FAIR, BEHIND = 30, 2 * np.log(1.25)
@@ -75,23 +71,6 @@ class DesignProblem:
         return rest_posture(self.rules)
 
 
-@dataclass(frozen=True)
-class SearchRecord:
-    """One search.
-
-    Attributes:
-        fundamental: [Hz].
-        harmonics: Number of harmonics.
-        start: Criterion of the random motion it began with.
-        end: Criterion reached.
-    """
-
-    fundamental: float
-    harmonics: int
-    start: float
-    end: float
-
-
 @dataclass(frozen=True, eq=False)
 class Design:
     """A motion that may be run, and how it was found.
@@ -100,14 +79,14 @@ class Design:
         motion: The motion.
         value: Its criterion for one sample: exp(value / 2) is a relative sigma.
         proof: What it leaves of every limit.
-        searches: All that were made.
+        searches: Number of searches made.
         complete: Whether all searches were made, none interrupted.
     """
 
     motion: Fourier
     value: float
     proof: Proof
-    searches: tuple[SearchRecord, ...]
+    searches: int
     complete: bool
 
 
@@ -128,20 +107,17 @@ def design(
     """
     progress = _Progress(problem.starts, watch, interrupted)
     found: list[tuple[float, Fourier]] = []
-    records: list[SearchRecord] = []
-    while len(records) < problem.starts and not progress.stopped:
-        search, x = _start(problem, len(records))
+    while len(found) < problem.starts and not progress.stopped:
+        search, x = _start(problem, len(found))
         level = float(np.log(search.series.instants))  # a criterion is one sample's
-        start = search.inside(x).value + level
         reached = minimise(search, x, stop=partial(progress.step, level))
-        value, series = reached.value + level, search.series
-        found.append((value, series.motion(reached.x)))
-        records.append(SearchRecord(series.fundamental, series.harmonics, start, value))
+        value = reached.value + level
+        found.append((value, search.series.motion(reached.x)))
         progress.finish(value)
     best_first = [motion for _, motion in sorted(found, key=lambda pair: pair[0])]
-    motion, proof = _proven(problem, best_first, lambda value: interrupted())
+    motion, proof = _proven(problem.rules, best_first)
     value = criterion(problem, motion)
-    return Design(motion, value, proof, tuple(records), not progress.stopped)
+    return Design(motion, value, proof, len(found), not progress.stopped)
 
 
 def criterion(problem: DesignProblem, motion: Fourier) -> float:
@@ -177,14 +153,14 @@ class _Progress:
         self._watch(self._done, self._starts, self._best[-1])
 
 
-def _search(problem: DesignProblem, fundamental: float, harmonics: int, finer: int = 1) -> Problem:
-    """The search with these frequencies, with so many times the usual samples and room."""
+def _search(problem: DesignProblem, fundamental: float, harmonics: int) -> Problem:
+    """The search with these frequencies."""
     rules, information = problem.rules, problem.information
     terms: list[LimitTerm] = list(rules.terms)
-    if rules.collision is not None and rules.collision.pairs:
-        room = finer * np.maximum(ROOM * rules.clearance, LEAST_ROOM)
+    if rules.collision is not None:
+        room = np.maximum(ROOM * rules.clearance, LEAST_ROOM)
         terms.append(ClearanceTerm(rules.collision, rules.clearance + room))
-    instants = finer * max(INSTANTS, DENSITY * harmonics)
+    instants = max(INSTANTS, DENSITY * harmonics)
     return Problem(
         series=Series(rules.limits, fundamental, harmonics, instants, rules.margin),
         information=replace(information, prior=information.prior * instants),
@@ -240,46 +216,17 @@ def _first_inside(search: Problem, motions: Iterable[Fourier]) -> Array | None:
     return next((x for x in unknowns if search.inside(x).holds), None)
 
 
-def _proven(
-    problem: DesignProblem, motions: Sequence[Fourier], stop: Callable[[float], bool]
-) -> tuple[Fourier, Proof]:
-    """The first motion that can be proven: refined if need be, or a little smaller.
+def _proven(rules: Rules, motions: Iterable[Fourier]) -> tuple[Fourier, Proof]:
+    """The first motion that can be proven, if need be a little smaller.
 
     Raises:
         InfeasibleMotion: None can be.
     """
-    for motion in motions:
-        for finer in (*FINER, None):
-            smaller, proof = _smaller(problem.rules, motion, SMALLER)
-            if proof.holds:
-                return smaller, proof
-            if finer is not None:
-                motion = _refined(problem, motion, finer, stop)
-        smaller, proof = _smaller(problem.rules, motion, MUCH_SMALLER)
+    for motion, share in product(motions, SMALLER):
+        smaller = motion.scaled(share, motion.offset)
+        proof = prove(smaller, rules)
         if proof.holds:
             return smaller, proof
     raise InfeasibleMotion(
         f"a motion was found, but not proven between its samples: {proof.worst.words}"
     )
-
-
-def _smaller(rules: Rules, motion: Fourier, shares: Sequence[float]) -> tuple[Fourier, Proof]:
-    """The motion with the largest of some shares of its swing that is proven, else the least."""
-    for share in shares:
-        smaller = motion.scaled(share, motion.offset)
-        proof = prove(smaller, rules)
-        if proof.holds:
-            break
-    return smaller, proof
-
-
-def _refined(
-    problem: DesignProblem, motion: Fourier, finer: int, stop: Callable[[float], bool]
-) -> Fourier:
-    """What a finer search makes of a motion; the motion where that has no start inside limits."""
-    search = _search(problem, motion.fundamental, motion.harmonics, finer)
-    shrunk = (motion.scaled(share, motion.offset) for share in (*SMALLER, *MUCH_SMALLER))
-    start = _first_inside(search, shrunk)
-    if start is None:
-        return motion
-    return search.series.motion(minimise(search, start, stop=stop).x)

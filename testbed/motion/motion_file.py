@@ -1,4 +1,4 @@
-"""Motion files: Fourier coefficients with limits and proof, and samples for a controller."""
+"""Motion files: Fourier coefficients, and samples for a controller."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from testbed.core.base.installation import version
 from testbed.core.base.toml_text import KNOWN_KEYS, Finite, Positive, checked, read_toml
 from testbed.core.robot.tree import Tree
 from testbed.motion.fourier import Fourier
-from testbed.motion.limits import Limits
 from testbed.motion.rest_to_rest import RestToRest, rest_to_rest
 
 if TYPE_CHECKING:
@@ -31,8 +30,7 @@ _HEAD = """\
 # A motion, made by testbed {version}, excite.
 # q_j(t) = offset + sum over k = 1, 2, ... of sine_k sin(k w t) + cosine_k cos(k w t),
 # w = 2 pi fundamental [Hz]; rad or m, joint side. To run it: file = "this file" under [motion].
-# limits: rad or m, and per s, per s^2; N m or N. predicted: standard deviation of each parameter
-# as a share of its value. proof: what is left of each limit, at every moment; instant [s].
+# What limits leave of it: testbed excite --check.
 
 """
 
@@ -128,11 +126,11 @@ def write_motion(path: Path, found: Excitation, model: Path) -> None:
 
     Args:
         path: The file; what stands there is replaced.
-        found: The motion, its proof and predicted precision.
+        found: The motion.
         model: The robot's model file.
     """
-    motion, names, predicted = found.design.motion, found.tree.names, found.predicted
-    joints = zip(names, motion.offset, motion.sine, motion.cosine, strict=True)
+    motion = found.design.motion
+    joints = zip(found.tree.names, motion.offset, motion.sine, motion.cosine, strict=True)
     tables = {
         "model": Path(os.path.relpath(model.resolve(), path.resolve().parent)).as_posix(),
         "model_sha256": fingerprint(model),
@@ -141,27 +139,10 @@ def write_motion(path: Path, found: Excitation, model: Path) -> None:
             name: {"offset": float(offset), "sine": sine.tolist(), "cosine": cosine.tolist()}
             for name, offset, sine, cosine in joints
         },
-        "limits": {name: _bounds(found.rules.limits, j) for j, name in enumerate(names)},
-        "predicted": dict(zip(predicted.names, predicted.relative.tolist(), strict=True)),
-        "proof": [
-            {"limit": m.label, "left": m.left, "unit": m.unit or "share", "instant": m.instant}
-            for m in found.design.proof.margins
-        ],
     }
     with replacing(path) as fresh:
         text = _HEAD.format(version=version()) + tomli_w.dumps(tables)
         fresh.write_text(text, encoding="utf-8")
-
-
-def _bounds(limits: Limits, joint: int) -> dict[str, Any]:
-    """The limits of a joint that are finite, by name."""
-    known = {
-        "position": [limits.low[joint], limits.high[joint]],
-        "velocity": limits.velocity[joint],
-        "acceleration": limits.acceleration[joint],
-        "effort": limits.effort[joint],
-    }
-    return {key: np.array(each).tolist() for key, each in known.items() if np.isfinite(each).all()}
 
 
 def write_trajectory(path: Path, found: Excitation, rate: float, duration: float) -> RestToRest:

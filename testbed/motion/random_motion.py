@@ -31,7 +31,7 @@ def rest_posture(rules: Rules) -> Array:
         (n,) [rad or m]; where no posture keeps all limits, the one that exceeds them least.
     """
     terms: list[LimitTerm] = list(rules.terms)
-    if rules.collision is not None and rules.collision.pairs:
+    if rules.collision is not None:
         terms.append(ClearanceTerm(rules.collision, rules.clearance))
 
     def excess(postures: Array) -> Array:

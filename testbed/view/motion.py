@@ -50,7 +50,7 @@ def print_excitation(
     if len(rows) < count:
         console.print(f"({count - len(rows)} more with smaller standard deviation: --all)")
     motion, design = found.design.motion, found.design
-    count = len(design.searches)
+    count = design.searches
     searched = "one search" if count == 1 else f"the best of {count} searches"
     console.print(
         f"{plural(motion.harmonics, 'harmonic')} of {motion.fundamental:g} Hz, {searched}"

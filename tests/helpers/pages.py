@@ -111,7 +111,7 @@ def excitation() -> Excitation:
     names = tb.minimal_set(found.rules.tree, "reaction").names
     size = 10 ** rng.uniform(-5, 1, (2, len(names)))
     promise = Prediction(names, size[0], 0.1 * size[1], 30.0)
-    design = Design(found.motion, -9.0, found.proof, (), True)
+    design = Design(found.motion, -9.0, found.proof, 1, True)
     problem = replace(design_problem(found.experiment), rules=found.rules)
     random = replace(promise, relative=size[1])
     return Excitation(problem, design, promise, random, found.experiment.motion.candidates)

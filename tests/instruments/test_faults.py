@@ -77,8 +77,6 @@ def test_counts_are_whole_and_the_nearest_and_signals_end_where_ranges_do() -> N
     share = through(plate.PlateSaturation(0.9), W)
     same(np.ptp(share, axis=0), 0.9 * np.ptp(W, axis=0))
     same(share.max(0) + share.min(0), W.max(0) + W.min(0))
-    limited = through(plate.PlateSaturation(limit=(1.0, 90.0, 1e3, 1e3, 1e3, 1e3)), W)
-    same(limited, np.minimum(W, [1.0, 90.0, 1e3, 1e3, 1e3, 1e3]))
 
 
 def test_crosstalk_is_in_proportion_to_full_scale() -> None:
@@ -191,7 +189,7 @@ def test_a_fault_of_no_size_is_none_to_the_bit() -> None:
     """What is written down with all its sizes at zero spoils nothing."""
     others = ("measured_tare", "plate_converter",
               "plate_anti_alias_filter")  # fmt: skip
-    no_sizes = ("period", "phase", "frequency", "lowest", "time_constant", "matrix", "limit")
+    no_sizes = ("period", "phase", "frequency", "lowest", "time_constant", "matrix")
     for kind in [kind for kind in KINDS if kind not in others]:
         sizes = {name: 0.0 for name in KINDS[kind]().known_keys() if name not in no_sizes}
         sizes = {"covered": 1.0} if kind == "plate_saturation" else sizes

@@ -236,7 +236,6 @@ def test_what_no_instrument_can_be_is_refused_before_anything_is_simulated() -> 
         *(("rate", {"rate": value}) for value in (0.0, np.inf)),
         ("torque_constant_error", {"torque_constant_error": {"a": 0.1, "b": np.nan}}),
         *(("full_scale", {"full_scale": (1.0,) * 5 + more}) for more in ((), (0.0,))),
-        ("1e+06", {"rate": 1e6, "fault": (MeasuredTare(),)}),
     ]  # fmt: skip
     for culprit, keys in wrong:
         with refuses(SettingsError, culprit):

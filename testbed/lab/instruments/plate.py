@@ -9,7 +9,6 @@ from typing import ClassVar, Self
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import SettingsError
 from testbed.core.robot.inertia import from_vector
 from testbed.lab.instruments.fault import (
     FULL_SCALE,
@@ -226,10 +225,6 @@ def _step(time: Array) -> float:
     return float((time[-1] - time[0]) / (len(time) - 1))
 
 
-_MOST_SAMPLES = 1e6
-"""Of a tare: they are held in memory."""
-
-
 @dataclass(frozen=True)
 class PlateGain(GainFault, PlateFault):
     """Channels on wrong scales.
@@ -315,27 +310,22 @@ class PlatePose(PlateFault):
 class PlateSaturation(PlateFault):
     """Saturation: a range too small for the motion, at whose ends channels stop.
 
-    By default the range covers a share of each channel's swing in this recording, around its
-    middle: amplifiers are set to zero with the robot on the plate. `limit` gives it instead.
+    The range covers a share of each channel's swing in this recording, around its middle:
+    amplifiers are set to zero with the robot on the plate.
 
     Source    A range chosen for nine tenths of the motion.
 
     Attributes:
         covered: Share of the swing between least and greatest value.
-        limit: Largest absolute value that is shown instead [N, N m].
     """
 
     kind: ClassVar[str] = "plate_saturation"
     place: ClassVar[Place] = Place.RANGE
     covered: PerChannel = key(0.9, "channels", least=0)
-    limit: PerChannel | None = key(None, "channels", positive=True)
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """The wrench within the range, (M, 6) [N, N m]."""
         del time, rng
-        if self.limit is not None:
-            limit = np.asarray(self.limit)
-            return np.clip(signal, -limit, limit)
         low, high = signal.min(axis=0), signal.max(axis=0)
         cut = (1 - np.asarray(self.covered)) * (high - low) / 2
         return np.clip(signal, low + cut, high - cut)
@@ -384,16 +374,8 @@ class MeasuredTare(Fault):
     kind: ClassVar[str] = "measured_tare"
     signal: ClassVar[Signal] = "tare"
     place: ClassVar[Place] = Place.LINE
-    seconds: float = key(5.0, positive=True)
+    seconds: float = key(5.0, positive=True, most=60)
     before: float = key(60.0, least=0)
-
-    def check_rate(self, rate: float) -> None:
-        """Whether its samples have room."""
-        if self.seconds * rate > _MOST_SAMPLES:
-            raise SettingsError(
-                f"{self.kind}: {self.seconds:g} s at {rate:g} Hz are more than {_MOST_SAMPLES:.0e} "
-                "samples; measure for a shorter time"
-            )
 
     def instants(self, rate: float) -> Array:
         """When it is measured, with the recording's first sample at 0 [s].
