@@ -210,7 +210,6 @@ def test_real_runs_give_the_same_bits_in_any_bundles_and_recordings_are_kept(
         "much noise": "measurement.force_noise=3.0",
         "friction": "robot.joint.waist.coulomb=0.7",
         "wrong": "robot.lock.nobody=0.0",
-        "drives": "simulation.drive_model_error=0.2",
         "effect": "simulation.effect=[{kind='stribeck_friction',coefficient=0.1}]",
     }
     levels = (f'[[factor.level]]\nname = "{k}"\nset = ["{word}"]\n' for k, word in words.items())

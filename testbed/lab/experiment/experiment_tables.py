@@ -129,8 +129,6 @@ class SimulationTable(Table):
     """Keep the joints' friction."""
     bandwidth: Positive = 60.0
     """Of the joint controllers [rad/s]."""
-    drive_model_error: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    """Relative, of every mass and coefficient of friction that the controller believes."""
     warm_up: NotNegative = 2.0
     """Time run before the recording starts [s]."""
     effect: tuple[Annotated[Effect, AsTable(effect_of)], ...] = ()

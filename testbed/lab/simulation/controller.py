@@ -1,8 +1,8 @@
-"""The robot's own controller: computed torque, by what a drive believes of its robot."""
+"""The robot's own controller: computed torque along a sampled reference."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -11,42 +11,7 @@ from numpy.typing import NDArray
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.newton_euler import Motion, joint_forces
 from testbed.core.robot.friction import ROTOR, drive_torque
-from testbed.core.robot.inertia import Inertia
-from testbed.core.robot.tree import Joint, Tree
-
-
-def believed(tree: Tree, error: float, rng: np.random.Generator) -> Tree:
-    """A robot whose bodies and joints are all wrong by one relative size.
-
-    Each body keeps its shape and mass centre and is too heavy or too light; each coefficient
-    of friction and each rotor is too large or too small.
-
-    Args:
-        tree: The robot.
-        error: Relative size of every error, less than 1.
-        rng: Decides the signs.
-    """
-
-    def off() -> float:
-        return float(1 + error * rng.choice([-1.0, 1.0]))
-
-    def heavier(body: Inertia, factor: float) -> Inertia:
-        return Inertia(factor * body.mass, factor * body.first_moment, factor * body.tensor)
-
-    def rubbing(joint: Joint) -> Joint:
-        return replace(
-            joint,
-            coulomb=off() * joint.coulomb,
-            viscous=off() * joint.viscous,
-            rotor_inertia=off() * joint.rotor_inertia,
-        )
-
-    return replace(
-        tree,
-        inertias=tuple(heavier(body, off()) for body in tree.inertias),
-        joints=tuple(rubbing(joint) for joint in tree.joints),
-    )
-
+from testbed.core.robot.tree import Tree
 
 DAMPING = 0.9
 """Damping ratio of the position loop."""
