@@ -17,7 +17,8 @@ FAR = 0.3
 NEAR = 0.1
 """In a search, distances count only so far beyond the one to be kept [m]."""
 
-_UNIT = 0.1  # distance that counts as a share of one [m]
+CLEARANCE_UNIT = 0.1
+"""Missing distance that counts as a share of one [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,11 +131,11 @@ class ClearanceTerm:
 
     def values(self, samples: Instants) -> Array:
         """Missing distances as shares, (k, G)."""
-        return (self._least[:, None] - self._measured(samples.q).values.T) / _UNIT
+        return (self._least[:, None] - self._measured(samples.q).values.T) / CLEARANCE_UNIT
 
     def slopes(self, samples: Samples) -> Array:
         """Derivatives, (k, 3 n, G)."""
-        by_q = -self._measured(samples.q).slopes.transpose(1, 2, 0) / _UNIT
+        by_q = -self._measured(samples.q).slopes.transpose(1, 2, 0) / CLEARANCE_UNIT
         return np.concatenate([by_q, np.zeros_like(by_q), np.zeros_like(by_q)], axis=1)
 
     def _measured(self, postures: Array) -> Distances:

@@ -13,12 +13,11 @@ from testbed.core.dynamics.newton_euler import Motion, regressor
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.symbols import barycentric
 from testbed.core.robot.tree import Tree
-from testbed.motion.clearance import ClearanceTerm
+from testbed.motion.clearance import CLEARANCE_UNIT, FAR, DistanceMeter
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import Limits, limits_of, motor_efforts
 from testbed.motion.proof import Proof, Rules, prove, seems_to_hold
 from testbed.motion.samples import Computed, scale_of
-from testbed.motion.terms import LimitTerm
 
 
 def rest_posture(rules: Rules) -> Array:
@@ -30,20 +29,16 @@ def rest_posture(rules: Rules) -> Array:
     Returns:
         (n,) [rad or m]; where no posture keeps all limits, the one that exceeds them least.
     """
-    terms: list[LimitTerm] = list(rules.terms)
-    if rules.collision is not None:
-        terms.append(ClearanceTerm(rules.collision, rules.clearance))
-
-    def excess(postures: Array) -> Array:
-        still = Computed(rules.tree, Motion.at_rest(postures))
-        found = [term.values(still).max(axis=0) for term in terms]
-        return np.asarray(np.max(found, axis=0, initial=-np.inf))
-
-    home = rules.limits.home
-    if not terms or excess(home[None])[0] < 0:
-        return home
     postures = rules.limits.postures
-    return np.asarray(postures[excess(postures).argmin()])
+    still = Computed(rules.tree, Motion.at_rest(postures))
+    excess = np.full(len(postures), -np.inf)
+    for term in rules.terms:
+        excess = np.maximum(excess, term.values(still).max(axis=0))
+    if rules.collision is not None:
+        meter = DistanceMeter(rules.collision, float(rules.clearance.max()) + FAR)
+        missing = rules.clearance - meter.measure(postures).values
+        excess = np.maximum(excess, missing.max(axis=1) / CLEARANCE_UNIT)
+    return rules.limits.home if excess[0] < 0 else np.asarray(postures[excess.argmin()])
 
 
 def easiest_posture(tree: Tree, limits: Limits) -> Array:

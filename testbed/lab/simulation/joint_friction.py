@@ -178,10 +178,6 @@ class LuGreFriction(Effect):
 
 def _bent(before: Array, velocity: Array, slip: Array, stiff: Array, step: float) -> Array:
     """Deflection after a step of constant velocity: exact, so that it never overshoots."""
-    there = slip > 0
-    decay = stiff * np.abs(velocity) / np.where(there, slip, 1.0)
-    small = decay * step < 1e-8
-    kept = np.exp(-decay * step)
-    steady = np.sign(velocity) * slip / stiff
-    after = np.where(small, before + velocity * step, steady + (before - steady) * kept)
-    return np.where(there, after, 0.0)
+    tiny = np.finfo(float).tiny
+    decay = np.maximum(step * stiff * np.abs(velocity) / np.maximum(slip, 1e-99), tiny)
+    return np.asarray(before * np.exp(-decay) - velocity * step * np.expm1(-decay) / decay)
