@@ -434,19 +434,16 @@ def _printed(lines: Iterator[dict[str, Any]]) -> Iterator[dict[str, Any]]:
 def excite(
     seeds: Annotated[int, typer.Option(min=1, help="Designs of each robot.")] = 10,
     baseline: Annotated[int, typer.Option(min=1, help="Random motions to compare with.")] = 40,
-    runs: Annotated[int, typer.Option(min=0, help="Simulated runs for predicted sigma.")] = 20,
     sets: Annotated[int, typer.Option(min=0, help="Random limits for each of four robots.")] = 50,
     model: Annotated[list[Path] | None, typer.Option(help="Another robot; again for more.")] = None,
     only: Annotated[str, typer.Option(help="Only robots whose names hold this.")] = "",
 ) -> None:
-    """Designed motions: gain over random ones, promises kept, random limits respected."""
+    """Designed motions: gain over random ones, random limits respected."""
     from benchmarks import excite as bench
 
     for case in bench.cases(model or []):
         if only in case.name:
             _print(bench.gain(case, seeds, baseline))
-    if runs:
-        _print(bench.promises(runs, 20.0))
     for name in ("models/puma562.urdf", *(f"tests/golden/robots/{n}.urdf" for n in _SETS)):
         if sets:
             _print(bench.limit_sets(bench.ROOT / name, sets))
