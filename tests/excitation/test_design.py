@@ -33,8 +33,7 @@ from testbed.motion.samples import SampledRows, scale_of
 from testbed.motion.terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot
-from tests.helpers.sensors import random_cut
-from tests.helpers.strategies import few, rngs, trees
+from tests.helpers.strategies import few, rngs
 
 PLATE = np.repeat([0.5, 0.1], 3)
 ALL = Pipeline(rate=1.0, span=1.0, band=np.inf, resting=0.0, reach=0.0)
@@ -182,25 +181,6 @@ def test_the_promise_is_least_squares_own_sigma(name: str) -> None:
     np.testing.assert_allclose(found.relative, found.sigma / scale)
     spread = np.linalg.svd(flat * scale, compute_uv=False)
     assert found.condition == pytest.approx(spread[0] / spread[-1], rel=1e-6)
-
-
-@few(10)
-@given(trees((1, 7)), rngs)
-def test_a_force_sensor_is_designed_for_by_the_joints_that_matter_to_it(
-    tree: tb.Tree, rng: np.random.Generator
-) -> None:
-    """Rows are made of some columns of the whole robot's motion."""
-    cut = random_cut(tree, rng)
-    own = [tree.index(name) for name in cut.names]
-    q, qd, qdd = rng.uniform(-1, 1, (3, 30, tree.n))
-    minimal = tb.minimal_set(cut, "reaction")
-    rows = SampledRows(cut, minimal, own)
-    slots = rows.slots(q, qd, qdd)
-    motion = tb.Motion(np.arange(30.0), q[:, own], qd[:, own], qdd[:, own])
-    phi = tb.regressor(cut, motion, minimal)
-    for c, (part, basis) in enumerate(rows.channels()):
-        made = slots[part].T @ basis
-        np.testing.assert_allclose(made, phi[:, c], atol=1e-11 * np.abs(phi).max(initial=1.0))
 
 
 @given(rngs)

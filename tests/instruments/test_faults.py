@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from testbed.core.base.arrays import Array
 from testbed.lab.instruments import joints, plate, plate_clock
 from testbed.lab.instruments.fault import FULL_SCALE, Fault
-from testbed.lab.instruments.faults import KINDS
 from tests.helpers.strategies import rngs
 
 RATE = 1000.0
@@ -183,16 +182,3 @@ def test_a_single_number_gets_signs_and_phases_by_chance_and_a_list_keeps_its_ow
     by_name = joints.EncoderEccentricity({"a": 1e-3}, period={"c": 0.01}).on(NAMES)
     assert by_name.amplitude == (1e-3, 0.0, 0.0)
     assert by_name.period == (2 * np.pi, 2 * np.pi, 0.01)
-
-
-def test_a_fault_of_no_size_is_none_to_the_bit() -> None:
-    """What is written down with all its sizes at zero spoils nothing."""
-    others = ("measured_tare", "plate_converter",
-              "plate_anti_alias_filter")  # fmt: skip
-    no_sizes = ("period", "phase", "frequency", "lowest", "time_constant", "matrix")
-    for kind in [kind for kind in KINDS if kind not in others]:
-        sizes = {name: 0.0 for name in KINDS[kind]().known_keys() if name not in no_sizes}
-        sizes = {"covered": 1.0} if kind == "plate_saturation" else sizes
-        fault = KINDS[kind](**sizes).on(NAMES).sample(3, np.random.default_rng(1))
-        given = W if fault.signal == "wrench" else Q
-        assert through(fault, given).tobytes() == given.tobytes(), kind

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given
 
 import testbed as tb
@@ -21,7 +20,7 @@ from testbed.lab.simulation.rollout import Sampling, SimulationDiverged, simulat
 from testbed.motion.fourier import Fourier
 from tests.helpers.paths import ROOT
 from tests.helpers.pinocchio import by_pinocchio
-from tests.helpers.plants import PUMA, check_laws, run, waving
+from tests.helpers.plants import PUMA, run, waving
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot
 from tests.helpers.strategies import few, rngs, robots
@@ -141,22 +140,3 @@ def test_tracking_and_saturation_are_told_and_a_lost_or_unstable_run_is_refused(
     strong, plant = with_all(puma, max_effort=np.inf), build_plant(ModelFile(PUMA), puma, 1e-3)
     with refuses(SimulationDiverged, "1.00 s"):
         simulate_motion(plant, strong, waving(3), 1.0, 1e5, replace(INSTANTS, warm_up=0.0))
-
-
-@pytest.mark.slow
-def test_an_experiment_states_friction_and_a_payload_and_repeats_to_the_bit() -> None:
-    """The laws of motion hold for what was stated."""
-    words = ["motion.duration=1", "motion.candidates=1", "motion.fundamental=0.5",
-             "simulation.warm_up=0.5", "simulation.step=5e-4", "robot.joint.elbow.coulomb=4.5",
-             "robot.joint.waist.viscous=0.0", 'simulation.effect=[{kind="payload",mass=2.0}]',
-             ]  # fmt: skip
-    found, again = (tb.simulate(tb.Experiment.load(PUMA_FILE, words)) for _ in range(2))
-    truth = found.truth
-    assert truth is not None
-    for name, values in found.true_columns().items():
-        np.testing.assert_array_equal(again.true_columns()[name], values)
-    load = tb.Inertia.about_centre(2.0, [0.05] * 3, 2e-3 * np.eye(3))
-    check_laws(tb.load_tree(PUMA).with_inertia(2, load), found.time, truth, 1e-9)
-    speed, fast = truth.velocity, np.abs(truth.velocity) > 0.02
-    law = np.array([6.3, 5.5, 4.5]) * np.sign(speed) + [0, 9.5, 3.98] * speed
-    np.testing.assert_allclose(truth.friction[fast], law[fast], atol=1e-9)
