@@ -281,20 +281,11 @@ def friction(
     first: Annotated[int, typer.Option(help="The first seed.")] = 100,
     seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 60.0,
     jobs: Annotated[int, typer.Option(help="Processes at a time.")] = 2,
-    only: Annotated[str, typer.Option(help="Of designed ones, only lines that hold this.")] = "",
-    designed: Annotated[
-        bool, typer.Option("--designed", help="Of motions designed for it, and their promises.")
-    ] = False,
 ) -> None:
-    """Friction under load: a PUMA, gears that lose nothing to 20 %; or motions designed for it."""
-    from benchmarks import friction, friction_design
+    """Friction under load: a PUMA, gears that lose nothing to 20 %."""
+    from benchmarks import friction
 
-    lines = (
-        friction_design.study(first, seeds, seconds, only)
-        if designed
-        else friction.study(seeds, first, seconds, jobs)
-    )
-    for line in lines:
+    for line in friction.study(seeds, first, seconds, jobs):
         _print(line)
 
 
@@ -437,19 +428,16 @@ def _printed(lines: Iterator[dict[str, Any]]) -> Iterator[dict[str, Any]]:
 def excite(
     seeds: Annotated[int, typer.Option(min=1, help="Designs of each robot.")] = 10,
     baseline: Annotated[int, typer.Option(min=1, help="Random motions to compare with.")] = 40,
-    runs: Annotated[int, typer.Option(min=0, help="Simulated runs for predicted sigma.")] = 20,
     sets: Annotated[int, typer.Option(min=0, help="Random limits for each of four robots.")] = 50,
     model: Annotated[list[Path] | None, typer.Option(help="Another robot; again for more.")] = None,
     only: Annotated[str, typer.Option(help="Only robots whose names hold this.")] = "",
 ) -> None:
-    """Designed motions: gain over random ones, promises kept, random limits respected."""
+    """Designed motions: gain over random ones, random limits respected."""
     from benchmarks import excite as bench
 
     for case in bench.cases(model or []):
         if only in case.name:
             _print(bench.gain(case, seeds, baseline))
-    if runs:
-        _print(bench.promises(runs, 20.0))
     for name in ("models/puma562.urdf", *(f"tests/golden/robots/{n}.urdf" for n in _SETS)):
         if sets:
             _print(bench.limit_sets(bench.ROOT / name, sets))

@@ -17,7 +17,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import Estimate
 from testbed.lab.instruments.fault import Fault
 from testbed.lab.instruments.joints import EncoderZeroError
-from testbed.lab.instruments.plate import PlateBias, PlateDrift, PlateOriginHeight, PlatePose
+from testbed.lab.instruments.plate import PlateBias, PlateDrift, PlatePose
 from testbed.lab.instruments.plate_clock import PlateAntiAliasFilter, PlateDelay
 
 REDRAWN = 4000
@@ -30,7 +30,7 @@ REMEDIES: Mapping[str, tuple[tuple[Fault, ...], tuple[str, ...]]] = {
     "bias": ((PlateBias(),), ("bias",)),
     "drift": ((PlateDrift(),), ("bias", "slope")),
     "pose": ((PlatePose(rotation=3.5e-3, translation=1e-3),), ("pose",)),
-    "height": ((PlateOriginHeight(),), ("height",)),
+    "height": ((PlatePose(rotation=0.0, translation=(0.0, 0.0, 5e-3)),), ("height",)),
     "skew 1 ms": ((PlateDelay(delay=1e-3),), ("skew",)),
     "filter 100 Hz": ((PlateAntiAliasFilter(cutoff=100.0),), ("skew",)),
     "joint zeros": ((EncoderZeroError(),), ("joint_zeros",)),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,8 @@ import numpy as np
 import testbed as tb
 from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.kernel.numba_engine import warm_up
-from testbed.lab.experiment.evaluate import model_of, robot_of
-from testbed.lab.simulation.plant import build_plant
-from testbed.lab.simulation.rollout import Sampling, simulate_motion
-from testbed.motion.clearance import DistanceMeter
-from testbed.motion.design import Wish, criterion, design
-from testbed.motion.excite import excite, wish_of
+from testbed.motion.design import DesignProblem, criterion, design
+from testbed.motion.excite import design_problem
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import motor_efforts
 from testbed.motion.proof import Rules, prove, seems_to_hold
@@ -32,9 +28,6 @@ PUMA = ROOT / "models/puma562.xml"
 SEVEN = ROOT / "tests/golden/robots/kuka_lwr4.urdf"
 SHARES = 0.95 ** np.arange(60)
 """Of the swing of random motions, until one is proven."""
-
-LOOP_STEP = 1e-3
-"""Of simulations in closed loop [s]."""
 
 PLATE = ("measurement.force_noise=0.5", "measurement.moment_noise=0.1", "motion.duration=10")
 
@@ -69,16 +62,16 @@ def gain(case: Case, seeds: int, baseline: int) -> dict[str, Any]:
     warm_up()
     gains, seconds = [], []
     experiment = tb.Experiment.of_model(case.model, [*PLATE, *case.settings])
-    wish = wish_of(experiment, robot_of(experiment))
-    random = float(np.median([criterion(wish, motion) for motion in allowed(wish, baseline)]))
+    problem = design_problem(experiment)
+    random = float(np.median([criterion(problem, motion) for motion in allowed(problem, baseline)]))
     for seed in range(seeds):
         start = time.process_time()
-        found = design(wish_of(experiment.model_copy(update={"seed": seed}), wish.rules.tree))
+        found = design(replace(problem, seed=seed))
         seconds.append(time.process_time() - start)
         gains.append(float(np.exp((random - found.value) / 2)))
     return {
         "robot": case.name,
-        "joints": wish.rules.tree.n,
+        "joints": problem.rules.tree.n,
         "seeds": seeds,
         "random": baseline,
         "gain": round(float(np.median(gains)), 2),
@@ -87,9 +80,9 @@ def gain(case: Case, seeds: int, baseline: int) -> dict[str, Any]:
     }
 
 
-def allowed(wish: Wish, count: int) -> list[Fourier]:
+def allowed(problem: DesignProblem, count: int) -> list[Fourier]:
     """Random motions of 5 harmonics of 0.1 Hz that are proven."""
-    rules, rng = wish.rules, np.random.default_rng(1996)
+    rules, rng = problem.rules, np.random.default_rng(1996)
     found: list[Fourier] = []
     while len(found) < count:
         motion = random_motion(rules.tree, rules.limits, 0.1, 5, rng)
@@ -98,42 +91,6 @@ def allowed(wish: Wish, count: int) -> list[Fourier]:
         kept = next(good, None)
         found += [] if kept is None else [kept]
     return found
-
-
-def promises(seeds: int, seconds: float) -> dict[str, Any]:
-    """Obtained over predicted sigma: errors of simulated runs against what was promised.
-
-    Args:
-        seeds: Of noise, each a run of the same motion.
-        seconds: Of each run.
-    """
-    from tempfile import TemporaryDirectory
-
-    from testbed.motion.excite import write_motion
-
-    settings = [*PLATE, "identification.zeros=true", "excitation.starts=2"]
-    settings += [f"motion.duration={seconds}", "excitation.clearance=off"]
-    found = excite(tb.Experiment.of_model(PUMA, settings))
-    truth = tb.minimal_set(found.tree, "reaction", zeros=True).values(tb.barycentric(found.tree))
-    errors = []
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "motion.toml"
-        write_motion(file, found)
-        for seed in range(seeds):
-            run = tb.Experiment.of_model(PUMA, [*settings, f'motion.file="{file}"', f"seed={seed}"])
-            estimate = tb.identify(
-                found.tree, tb.simulate(run), "external", settings=run.identification
-            )
-            errors.append(estimate.values - truth)
-    ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / found.predicted.sigma
-    return {
-        "robot": "puma562",
-        "seeds": seeds,
-        "seconds": seconds,
-        "obtained_over_predicted": round(float(np.sqrt(np.mean(ratio**2))), 3),
-        "least": round(float(ratio.min()), 2),
-        "largest": round(float(ratio.max()), 2),
-    }
 
 
 def limit_sets(model: Path, count: int) -> dict[str, Any]:
@@ -145,7 +102,7 @@ def limit_sets(model: Path, count: int) -> dict[str, Any]:
     """
     rng = np.random.default_rng([count, *model.name.encode()])
     tree = tb.load_tree(model)
-    done, refused, violated, unproven, in_the_loop, overspeed = 0, 0, 0, 0, 0, 0.0
+    done, refused, violated, unproven = 0, 0, 0, 0
     for number in range(count):
         speeds = {n: float(10 ** rng.uniform(-1, 0.5)) for n in tree.names}
         accelerations = {n: float(10 ** rng.uniform(-0.5, 1)) for n in tree.names}
@@ -155,21 +112,19 @@ def limit_sets(model: Path, count: int) -> dict[str, Any]:
         settings += [f"motion.max_acceleration={_table(accelerations)}"]
         settings += [f"excitation.plate_range={(1e3 * 10 ** rng.uniform(-1, 1, 6)).tolist()}"]
         if efforts:
-            needed = np.abs(tb.joint_forces(tree, _still(tree))).max() + 1.0
-            size = float(efforts * needed)
+            still = tb.Motion(np.zeros(1), *np.zeros((3, 1, tree.n)))
+            size = float(efforts * (np.abs(tb.joint_forces(tree, still)).max() + 1.0))
             settings += [f"robot.joint.{name}.max_effort={size}" for name in tree.names]
         experiment = tb.Experiment.of_model(model, settings)
         try:
-            wish = wish_of(experiment, robot_of(experiment))
-            found = design(wish)
+            problem = design_problem(experiment)
+            found = design(problem)
         except InfeasibleMotion:
             refused += 1
             continue
         done += 1
         unproven += not found.proof.holds
-        violated += not _respected(found.motion, wish.rules)
-        kept, faster = _in_the_loop(found.motion, wish.rules, experiment)
-        in_the_loop, overspeed = in_the_loop + (not kept), max(overspeed, faster)
+        violated += not _respected(found.motion, problem.rules)
     return {
         "robot": model.stem,
         "sets": count,
@@ -177,37 +132,7 @@ def limit_sets(model: Path, count: int) -> dict[str, Any]:
         "refused": refused,
         "unproven": unproven,
         "violated": violated,
-        "violated_in_the_loop": in_the_loop,
-        "overspeed_in_the_loop": round(overspeed, 4),
     }
-
-
-def _in_the_loop(motion: Fourier, rules: Rules, experiment: tb.Experiment) -> tuple[bool, float]:
-    """What a simulated drive makes of it in one period, against all of each limit.
-
-    Returns:
-        Whether positions, efforts and distances are kept; and by how much the fastest joint is
-        faster than it may be [rad/s or m/s]: dry friction makes slow joints jerk.
-    """
-    tree, limits = rules.tree, rules.limits
-    plant = build_plant(
-        model_of(experiment), tree, LOOP_STEP, changed=experiment.robot.joint, friction=True
-    )
-    sampling = Sampling(1 / LOOP_STEP, 1, averaged=False, warm_up=1.0)
-    truth = simulate_motion(plant, tree, motion, motion.period, 60.0, sampling).truth
-    inside = (truth.position >= limits.low).all() and (truth.position <= limits.high).all()
-    strong = (np.abs(truth.torque) <= limits.effort).all()
-    clear = True
-    if rules.collision is not None:
-        meter = DistanceMeter(rules.collision)
-        clear = bool((meter.measure(truth.position[::20]).values > 0).all())
-    faster = float((np.abs(truth.velocity) - limits.velocity).max())
-    return bool(inside and strong and clear), max(faster, 0.0)
-
-
-def _still(tree: tb.Tree) -> tb.Motion:
-    nothing = np.zeros((1, tree.n))
-    return tb.Motion(np.zeros(1), nothing, nothing, nothing)
 
 
 def _table(values: dict[str, float]) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -66,18 +65,12 @@ def _of_the_plate() -> Iterator[tuple[str, str, Change]]:
         yield "clock", f"wrench {late} ms late", _late("wrench", late)
     for degrees, axes in ((5, "xyz"), (1, "xy")):
         for k, axis in enumerate(axes):
-            yield (
-                "pose",
-                f"plate turned {degrees} deg about {axis}",
-                _turned(np.deg2rad(degrees), k),
-            )
+            turned = _turned(np.deg2rad(degrees), k)
+            yield "pose", f"plate turned {degrees} deg about {axis}", turned
     for far in (0.02, 0.2):
         for k, axis in enumerate("xyz"):
-            yield (
-                "pose",
-                f"moment point off by {100 * far:g} cm along {axis}",
-                _moved(far * np.eye(3)[k]),
-            )
+            moved = _moved(far * np.eye(3)[k])
+            yield "pose", f"moment point off by {100 * far:g} cm along {axis}", moved
 
 
 def _of_the_drives(names: tuple[str, ...]) -> Iterator[tuple[str, str, Change]]:
@@ -110,11 +103,8 @@ def _of_the_encoders(names: tuple[str, ...]) -> Iterator[tuple[str, str, Change]
         yield "gain", f"encoder of {name} x 1.01", _linear("position", eye + 0.01 * unit)
         yield "zero", f"encoder of {name} + 0.02", _shifted(0.02 * eye[k])
         yield "sign", f"encoder of {name} of opposite sign", _linear("position", eye - 2 * unit)
-        yield (
-            "unit",
-            f"encoder of {name} in degrees",
-            _linear("position", eye + (degrees - 1) * unit),
-        )
+        in_degrees = _linear("position", eye + (degrees - 1) * unit)
+        yield "unit", f"encoder of {name} in degrees", in_degrees
         yield "clock", f"encoder of {name} 20 ms late", _late("position", 20, k)
     for a, b in combinations(range(n), 2):
         swapped = _linear("position", _exchanged(n, a, b))
@@ -133,7 +123,7 @@ def _of_the_model(tree: tb.Tree) -> Iterator[tuple[str, str, Change, tb.Tree]]:
 
 def _linear(signal: str, matrix: AnyArray) -> Change:
     """A signal's channels mixed; the wrench's tare is what it was."""
-    return lambda r: replace(r, **{signal: r.measured(signal) @ np.asarray(matrix).T})
+    return _with(signal, lambda values: values @ np.asarray(matrix).T)
 
 
 def _mixed(recording: Recording, matrix: AnyArray) -> Recording:
@@ -146,42 +136,45 @@ def _tared(recording: Recording, factor: float) -> Recording:
 
 
 def _exchanged(n: int, a: int, b: int) -> Array:
-    order = list(range(n))
-    order[a], order[b] = b, a
-    return np.eye(n)[order]
+    return np.eye(n)[[{a: b, b: a}.get(k, k) for k in range(n)]]
 
 
 def _drift(size: Array) -> Change:
-    return lambda r: replace(
-        r, wrench=r.measured("wrench") + np.linspace(0, 1, r.samples)[:, None] * size
-    )
+    return _with("wrench", lambda values: values + np.linspace(0, 1, len(values))[:, None] * size)
 
 
 def _saturated(signal: str, channel: int) -> Change:
     """Beyond half of what it reaches from its mean, nothing."""
 
-    def change(recording: Recording) -> Recording:
-        values = recording.measured(signal).copy()
-        mean = values[:, channel].mean()
-        far = 0.5 * np.abs(values[:, channel] - mean).max()
-        values[:, channel] = np.clip(values[:, channel], mean - far, mean + far)
-        return replace(recording, **{signal: values})  # type: ignore[arg-type]
+    def change(values: Array) -> Array:
+        away = values[:, channel] - values[:, channel].mean()
+        far = 0.5 * np.abs(away).max()
+        values[:, channel] += np.clip(away, -far, far) - away
+        return values
 
-    return change
+    return _with(signal, change)
 
 
 def _late(signal: str, milliseconds: int, channel: int | None = None) -> Change:
     """A whole signal, or one channel of it, comes later than the others."""
+    which = slice(None) if channel is None else channel
 
     def change(recording: Recording) -> Recording:
-        values = recording.measured(signal).copy()
         lag = round(1e-3 * milliseconds * recording.rate)
-        which = slice(None) if channel is None else channel
-        values[lag:, which] = values[:-lag, which]
-        late = replace(recording, **{signal: values})  # type: ignore[arg-type]
-        return late.part(lag, recording.samples)  # nobody saw what came before
+
+        def later(values: Array) -> Array:
+            values[lag:, which] = values[:-lag, which].copy()
+            return values
+
+        # nobody saw what came before
+        return _with(signal, later)(recording).part(lag, recording.samples)
 
     return change
+
+
+def _with(signal: str, change: Callable[[Array], Array]) -> Change:
+    """A signal's samples changed."""
+    return lambda r: replace(r, **{signal: change(r.measured(signal).copy())})  # type: ignore[arg-type]
 
 
 def _turned(angle: float, axis: int) -> Change:
@@ -197,7 +190,7 @@ def _moved(off: Array) -> Change:
 
 
 def _shifted(by: Array) -> Change:
-    return lambda r: replace(r, position=r.position + by)
+    return _with("position", lambda values: values + by)
 
 
 def _lossy(recording: Recording) -> Recording:
@@ -209,12 +202,9 @@ def _lossy(recording: Recording) -> Recording:
 
 def _of_no_robot(recording: Recording) -> Recording:
     """Without the geometry that would give another robot away."""
-    return replace(recording, facts=_without(recording, "geometry"))
+    facts = {key: value for key, value in recording.facts.items() if key != "geometry"}
+    return replace(recording, facts=facts)
 
 
 def _under(gravity: list[float]) -> Change:
     return lambda r: replace(r, facts=dict(r.facts) | {"gravity": gravity})
-
-
-def _without(recording: Recording, *facts: str) -> dict[str, Any]:
-    return {key: value for key, value in recording.facts.items() if key not in facts}

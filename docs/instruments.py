@@ -8,7 +8,7 @@ from docs.marks import write
 from testbed.lab.instruments.fault import Place
 from testbed.lab.instruments.faults import KINDS
 from testbed.lab.kind_table import in_words, rows
-from testbed.lab.simulation.effects import EFFECTS
+from testbed.lab.simulation.effects import KINDS as EFFECTS
 
 DOCUMENT = Path(__file__).with_suffix(".md")
 MODULE = "docs.instruments"
@@ -23,7 +23,7 @@ def as_markdown(of: str) -> str:
     """
     if of == "faults":
         return catalogue()
-    return "\n".join(["", *rows([in_words(effect) for effect in EFFECTS]), "", ""])
+    return "\n".join(["", *rows([in_words(effect) for effect in EFFECTS.values()]), "", ""])
 
 
 def catalogue() -> str:

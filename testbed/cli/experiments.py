@@ -47,13 +47,8 @@ def run(
     """Carry out an experiment: simulate, identify, compare with the model file.
 
     What may be wrong with the instruments is added by
-    --set 'measurement.fault=[{kind="plate_bias"}, {kind="encoder_zero_error"}]'. Kinds, of which
-    `testbed faults KIND` has more: encoder_instant_sampling, encoder_zero_error, encoder_gain,
-    encoder_eccentricity, encoder_noise, encoder_resolution, torque_constant_error, torque_ripple,
-    torque_offset, torque_noise, plate_gain, plate_crosstalk, plate_pose, plate_origin_height,
-    plate_saturation, plate_converter, plate_anti_alias_filter, plate_delay, plate_clock_rate,
-    plate_jitter, plate_dropped_samples, plate_bias, plate_drift, plate_random_walk, plate_noise,
-    plate_coloured_noise, plate_pink_noise, plate_hum, measured_tare.
+    --set 'measurement.fault=[{kind="plate_bias"}, {kind="encoder_zero_error"}]'. `testbed faults`
+    lists the kinds.
 
     Example: testbed run experiments/table6.toml --set motion.duration=20
     """

@@ -235,13 +235,13 @@ def faults(kind: Kind = None) -> None:
 
     Example: testbed faults plate_pose
     """
-    from testbed.lab.instruments.faults import KINDS, fault_named
-    from testbed.lab.kind_table import in_words
+    from testbed.lab.instruments.faults import KINDS
+    from testbed.lab.kind_table import in_words, kind_named
 
     if kind is None:
         _list(map(in_words, KINDS.values()), "faults")
     else:
-        _describe(in_words(fault_named(kind)), "[measurement] fault")
+        _describe(in_words(kind_named(kind, "fault", KINDS)), "[measurement] fault")
 
 
 @app.command()
@@ -250,13 +250,13 @@ def effects(kind: Kind = None) -> None:
 
     Example: testbed effects lugre_friction
     """
-    from testbed.lab.kind_table import in_words
-    from testbed.lab.simulation.effects import EFFECTS, effect_named
+    from testbed.lab.kind_table import in_words, kind_named
+    from testbed.lab.simulation.effects import KINDS
 
     if kind is None:
-        _list(map(in_words, EFFECTS), "effects")
+        _list(map(in_words, KINDS.values()), "effects")
     else:
-        _describe(in_words(effect_named(kind)), "[simulation] effect")
+        _describe(in_words(kind_named(kind, "effect", KINDS)), "[simulation] effect")
 
 
 def _list(entries: Iterable[Entry], command: str) -> None:

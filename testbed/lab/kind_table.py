@@ -16,7 +16,7 @@ import re
 from abc import ABC
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
-from typing import Any, ClassVar, TypeAlias, TypeVar
+from typing import Any, ClassVar, TypeAlias, TypeVar, cast
 
 import numpy as np
 
@@ -134,8 +134,8 @@ def key(default: Any, members: str = "", sample: str = "", **bounds: Any) -> Any
 
 
 def hidden(default: Any) -> Any:
-    """A field that is no key: what the value is installed on decides it."""
-    return field(default=default, repr=False, compare=False, metadata={"rig": True})
+    """A field that is no key: the instrument decides it."""
+    return field(default=default, repr=False, compare=False)
 
 
 class KindTable(ABC):
@@ -212,27 +212,41 @@ def each_joint(value: PerJoint) -> Array:
 Some = TypeVar("Some", bound=KindTable)
 
 
-def of_table(table: object, what: str, example: str, named: Callable[[str], type[Some]]) -> Some:
-    """A value of its table.
+def of_table(table: object, what: str, kinds: Mapping[str, type[Some]]) -> Some:
+    """Read a value of its table.
 
     Args:
-        table: `kind` and the kind's own keys.
-        what: What all kinds are, for the error.
-        example: One of the kinds, likewise.
-        named: The kind of a name.
+        table: `kind` and the kind's own keys; a value is returned as it is.
+        what: What all kinds are: "fault", "effect".
+        kinds: All kinds, by name.
 
     Raises:
         SettingsError: The kind or a key is not known, or a value is none that it takes.
     """
+    if isinstance(table, KindTable):
+        return cast(Some, table)
     if not isinstance(table, Mapping) or not isinstance(table.get("kind"), str):
+        example = next(iter(kinds))
         raise SettingsError(f'{what} is a table with its kind, as {{ kind = "{example}" }}')
-    kind = named(table["kind"])
+    kind = kind_named(table["kind"], what, kinds)
     values = {name: value for name, value in table.items() if name != "kind"}
     known = kind.known_keys()
     for name in values:
         if name not in known:
             raise SettingsError(str(UnknownName(f"key of {kind.kind}", str(name), known)))
     return kind(**values)
+
+
+def kind_named(name: str, what: str, kinds: Mapping[str, type[Some]]) -> type[Some]:
+    """The kind of a name.
+
+    Raises:
+        SettingsError: There is none.
+    """
+    if name not in kinds:
+        unknown = UnknownName(f"kind of {what}", name, kinds)
+        raise SettingsError(f"{unknown}; see `testbed {what}s`")
+    return kinds[name]
 
 
 class AsTable:

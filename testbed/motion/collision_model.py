@@ -118,37 +118,27 @@ def collision_model(
     bodies = [spec.worldbody]
     for j, joint in enumerate(tree.joints):
         place = {"pos": joint.offset, "quat": _quaternion(joint.rotation)}
-        body = bodies[joint.parent + 1].add_body(name=str(j), **place)
+        body = bodies[joint.parent + 1].add_body(**place)
         body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
         kind = mujoco.mjtJoint.mjJNT_HINGE if joint.revolute else mujoco.mjtJoint.mjJNT_SLIDE
         body.add_joint(name=str(j), type=kind, axis=joint.axis)
         bodies.append(body)
+    owners: dict[str, int] = {}
     for number, shape in enumerate(shapes):
-        _add(spec, bodies[shape.body + 1], shape, number)
-    around = {"type": _KINDS["box"]}
+        _add(spec, bodies[shape.body + 1], shape, f"shape {number}")
+        owners[f"shape {number}"] = max(shape.body, STANDING)
     for number, box in enumerate(obstacles):
-        name = f"{_AROUND}{number}"
-        bodies[0].add_geom(name=name, pos=box.centre, size=box.half, **around)
+        name, kind = f"obstacle {number}", _KINDS["box"]
+        spec.worldbody.add_geom(name=name, type=kind, pos=box.centre, size=box.half)
+        owners[name] = CELL
     if floor is not None:
-        plane = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [0, 0, 1]}
-        bodies[0].add_geom(name=_GROUND, pos=[0, 0, floor], **plane)
+        plane, size = mujoco.mjtGeom.mjGEOM_PLANE, [0, 0, 1]
+        spec.worldbody.add_geom(name="floor", type=plane, pos=[0, 0, floor], size=size)
+        owners["floor"] = FLOOR
     model = spec.compile()
-    owners = [_owner(model, geom) for geom in range(model.ngeom)]
     order = np.array([model.joint(str(j)).dofadr[0] for j in range(tree.n)])
-    pairs = _pairs(tree, owners)
+    pairs = _pairs(tree, [owners[model.geom(geom).name] for geom in range(model.ngeom)])
     return CollisionModel(tree, model, order, tuple(pairs), tuple(pairs.values()))
-
-
-_AROUND, _GROUND = "around ", "floor"
-
-
-def _owner(model: mujoco.MjModel, geom: int) -> int:
-    """The body that a shape is on."""
-    name = model.geom(geom).name
-    if name == _GROUND or name.startswith(_AROUND):
-        return FLOOR if name == _GROUND else CELL
-    body = model.geom_bodyid[geom]
-    return int(model.body(body).name) if body else STANDING
 
 
 def _pairs(tree: Tree, owners: Sequence[int]) -> dict[tuple[int, int], NDArray[np.int64]]:
@@ -169,14 +159,15 @@ def _quaternion(turn: Array) -> Array:
     return found
 
 
-def _add(spec: mujoco.MjSpec, body: mujoco.MjsBody, shape: Shape, number: int) -> None:
-    place = {"pos": shape.position, "quat": _quaternion(shape.rotation)}
+def _add(spec: mujoco.MjSpec, body: mujoco.MjsBody, shape: Shape, name: str) -> None:
+    """Put a shape on a body, but for flat meshes, which nothing can hit."""
+    place = {"name": name, "pos": shape.position, "quat": _quaternion(shape.rotation)}
     size = np.concatenate([shape.size, np.zeros(3)])[:3]
     if shape.kind == "mesh":
         hull = _hull(shape.vertices)
         if hull is None:
             return
-        mesh = spec.add_mesh(name=f"mesh {number}")
+        mesh = spec.add_mesh(name=name)
         mesh.uservert, mesh.userface = (part.ravel() for part in hull)
         body.add_geom(type=_KINDS["mesh"], meshname=mesh.name, **place)
     else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -14,16 +14,14 @@ from testbed.core.base.blas import eigh
 from testbed.core.base.codec import with_properties
 from testbed.core.parameters.minimal_set import selection
 from testbed.core.parameters.rules import Model
-from testbed.core.robot.friction import COULOMB, VISCOUS, JointLaw
-from testbed.core.robot.tree import Tree
 from testbed.motion.fourier import Fourier
-from testbed.motion.joint_unknowns import JointUnknowns, scale_of
-from testbed.motion.samples import SampledRows, Samples
+from testbed.motion.samples import SampledRows, Samples, scale_of
 
 Criterion: TypeAlias = Callable[[Array], tuple[float, Array]]
 """Of C, (N, N): the value, and its derivative by C, (N, N)."""
 
 CriterionName = Literal["a", "d", "e"]
+
 
 POWER = 8
 """Of the norm that stands for the largest eigenvalue."""
@@ -59,6 +57,10 @@ Instrument = Literal["plate", "joints", "both"]
 """Whose rows count: the bedplate's wrench, the joints' torques, or all."""
 
 
+SMOOTH = 0.05
+"""Speed over which the sign of dry friction is smoothed, for derivatives [rad/s or m/s]."""
+
+
 @dataclass(frozen=True, eq=False)
 class Part:
     """Rows of one model in terms of the unknowns.
@@ -68,39 +70,46 @@ class Part:
         slots: Of each channel.
         lead: What a channel's slots have of the unknowns, (s, U) each.
         weights: One over the variance of each channel's noise, (channels,).
-        load: What a channel's slots are worth by the a-priori model, (s,) each.
-        own: Unknowns of the joints' own torque; None for the plate.
+        friction: Place of the joints' dry friction among the unknowns, viscous friction after it;
+            None for the plate, which feels none.
     """
 
     model: Model
     slots: tuple[slice, ...]
     lead: tuple[Array, ...]
     weights: Array
-    load: tuple[Array, ...]
-    own: JointUnknowns | None
+    friction: int | None
+
+    def rows(self, samples: Samples) -> list[Array]:
+        """The rows of each channel on all unknowns, (G, U) each."""
+        slots = samples.slots[self.model][:, 0]
+        found = [slots[own].T @ lead for own, lead in zip(self.slots, self.lead, strict=True)]
+        if self.friction is not None:
+            n = len(found)
+            for joint, phi in enumerate(found):
+                qd, first = samples.qd[:, joint], self.friction + joint
+                phi[:, first], phi[:, first + n] = np.tanh(qd / SMOOTH), qd
+        return found
 
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What is asked of a motion.
+    """Unknowns that a motion should identify, and by which rows.
 
     Attributes:
-        counted: Those of the unknowns that count; the others are nuisances.
-        scale: What their relative errors are relative to, (counted,).
+        names: Names of the minimal parameters, the first of the unknowns; friction is a nuisance.
+        scale: What their relative errors are relative to, (N,).
         parts: Rows that identify them.
         prior: Information that is there before, on all unknowns, (U, U), as much as of one
             measurement an instant.
         criterion: By name.
-        reversal: Speed below which rows of a joint do not count, and time from such a speed
-            [rad/s or m/s, s]; in a search they count the less, the nearer.
     """
 
-    counted: slice
+    names: tuple[str, ...]
     scale: Array
     parts: tuple[Part, ...]
     prior: Array
     criterion: CriterionName = "a"
-    reversal: tuple[float, float] = (0.0, 0.0)
 
     def matrix(
         self,
@@ -113,162 +122,98 @@ class Information:
         Args:
             samples: The instants; of one period, if `harmonics` is given.
             counted: Whether each joint's row counts at each instant, (G, n); default all.
-            harmonics: Of the rows, those that count; default all.
+            harmonics: Of the plate's rows, those that count; default all.
         """
-        unknowns = len(self.prior)
-        total = np.zeros((unknowns, unknowns))
+        total = np.zeros_like(self.prior)
         for part in self.parts:
-            for channel, phi in enumerate(self._columns(part, samples)):
-                if part.own is not None:
-                    far = self._far(samples, channel)[0] if counted is None else counted[:, channel]
-                    phi *= np.sqrt(far)[:, None]
-                elif harmonics is not None and 2 * harmonics < len(phi):
+            for channel, phi in enumerate(part.rows(samples)):
+                if part.friction is not None and counted is not None:
+                    phi = counted[:, [channel]] * phi
+                elif part.friction is None and harmonics is not None:
                     waves = np.fft.rfft(phi, axis=0)
                     waves[harmonics + 1 :] = 0
-                    phi[:] = np.fft.irfft(waves, len(phi), axis=0)
+                    phi = np.fft.irfft(waves, len(phi), axis=0)
                 total += part.weights[channel] * (phi.T @ phi)
         return total
 
     def value(self, samples: Samples) -> float:
         """The criterion; infinite where an unknown is not seen."""
-        covariance = self._covariance(samples)
-        return np.inf if covariance is None else self._judged(covariance)[0]
+        covariance = self.covariance(self.matrix(samples) + self.prior)
+        return np.inf if covariance is None else CRITERIA[self.criterion](covariance)[0]
 
     def slopes(self, samples: Samples) -> Array:
         """The criterion's derivatives by q, then qd, then qdd of every instant, (3 n, G)."""
-        covariance = self._covariance(samples)
-        assert covariance is not None
+        full = _inverse(self.matrix(samples) + self.prior)
+        assert full is not None
         assert samples.stencil is not None
-        seen = covariance[:, self.counted]
-        by_matrix = seen @ self._judged(covariance)[1] @ seen.T  # times -1
+        count = len(self.scale)
+        by_covariance = CRITERIA[self.criterion](full[:count, :count])[1]
+        by_matrix = full[:, :count] @ by_covariance @ full[:count]  # times -1
         n = samples.q.shape[1]
         total = np.zeros((3 * n, len(samples.q)))
         for part in self.parts:
             slots = samples.slots[part.model]
             pulled = np.zeros((len(slots), len(samples.q)))
-            for c, phi in enumerate(self._columns(part, samples)):
+            for c, phi in enumerate(part.rows(samples)):
                 back = -2 * part.weights[c] * (by_matrix @ phi.T)  # (U, G)
-                if part.own is not None:
-                    far, *far_slopes = self._far(samples, c)
-                    all_of_it = np.sum(back * phi.T, axis=0) / 2
-                    back *= far
-                    *by_motion, by_load = part.own.slopes(c, back, *_of_joint(samples, part, c))
-                    for order, slope in enumerate(by_motion):
-                        total[(1 + order) * n + c] += slope + all_of_it * far_slopes[order]
-                    pulled[part.slots[c]] += np.outer(part.load[c], by_load)
                 pulled[part.slots[c]] += part.lead[c] @ back
+                if part.friction is not None:
+                    dry, wet = back[part.friction + c], back[part.friction + n + c]
+                    total[n + c] += dry * (1 - np.tanh(samples.qd[:, c] / SMOOTH) ** 2) / SMOOTH
+                    total[n + c] += wet
             total += samples.stencil.weights @ np.einsum("sg,seg->eg", pulled, slots)
         return total
 
     def covariance(self, information: Array) -> Array | None:
-        """Of the counted unknowns, as relative errors; None if one is not seen."""
+        """Covariance of the minimal parameters' relative errors; None if one is not seen."""
         full = _inverse(information)
-        return None if full is None else full[self.counted, self.counted]
-
-    def _covariance(self, samples: Samples) -> Array | None:
-        return _inverse(self.matrix(samples) + self.prior)
-
-    def _far(self, samples: Samples, joint: int) -> tuple[Array, Array, Array]:
-        """How much a joint's rows count, far from a reversal all; derivatives by qd and qdd."""
-        (slow, reach), qd, qdd = self.reversal, samples.qd[:, joint], samples.qdd[:, joint]
-        square = np.maximum(slow**2 + (reach * qdd) ** 2, np.finfo(float).tiny)
-        whole = qd**2 + square  # it was at rest abs(qd / qdd) ago, or will be
-        by_qd, by_qdd = 2 * qd * square / whole**2, -2 * reach**2 * qdd * qd**2 / whole**2
-        return qd**2 / whole, by_qd, by_qdd
-
-    def _judged(self, covariance: Array) -> tuple[float, Array]:
-        return CRITERIA[self.criterion](covariance[self.counted, self.counted])
-
-    def _columns(self, part: Part, samples: Samples) -> list[Array]:
-        """The rows of each channel on all unknowns, (G, U) each."""
-        slots = samples.slots[part.model][:, 0]
-        found = [slots[own].T @ lead for own, lead in zip(part.slots, part.lead, strict=True)]
-        if part.own is not None:
-            for c, phi in enumerate(found):
-                part.own.add(phi, c, *_of_joint(samples, part, c))
-        return found
-
-
-def _of_joint(samples: Samples, part: Part, joint: int) -> tuple[Array, Array, Array]:
-    """Velocity, acceleration and load, (G,) each."""
-    return samples.qd[:, joint], samples.qdd[:, joint], samples.forces(part.model)[joint]
+        count = len(self.scale)
+        return None if full is None else full[:count, :count]
 
 
 def information_of(
-    tree: Tree,
-    rows: dict[Model, SampledRows],
+    rows: Mapping[Model, SampledRows],
     instrument: Instrument,
     plate_noise: Array,
     torque_noise: Array,
     criterion: CriterionName = "a",
     prior: Array | None = None,
-    friction: Sequence[JointLaw] = (),
-    reversal: tuple[float, float] = (0.0, 0.0),
 ) -> Information:
-    """What is asked of a motion.
+    """Collect what a motion should identify.
 
     Args:
-        tree: The robot.
         rows: Of the models that `models_of(instrument)` names.
         instrument: Whose rows count.
         plate_noise: Standard deviation of the plate's channels, (6,) [N, N m].
         torque_noise: Of the joints' torques, (n,) [N m or N].
         criterion: By name.
         prior: Covariance of the minimal parameters from before, (N, N); None for none.
-        friction: Laws whose coefficients are to be identified, with the torque constants, the
-            bodies being nuisances; () for the bodies, dry and viscous friction being nuisances.
-        reversal: As `Information.reversal`.
     """
     main = rows["dynamic" if instrument == "joints" else "reaction"]
-    bodies = scale_of(main.delta, main.minimal.units)
-    count = len(bodies)
-    if friction:
-        own = JointUnknowns.relative(tree, tuple(friction), count)
-        counted = slice(count, own.first + own.scale.size)
-        scale = np.concatenate([np.ones(tree.n), own.scale.ravel()])
-    else:
-        ones = np.ones((2, tree.n))
-        own = JointUnknowns((COULOMB, VISCOUS), count, ones, 0 * ones)
-        counted, scale = slice(count), bodies
-    unknowns = count if instrument == "plate" else own.first + own.scale.size
+    scale = scale_of(main.delta, main.minimal.units)
+    count = len(scale)
+    unknowns = count if instrument == "plate" else count + 2 * len(torque_noise)
     parts = []
     for model in models_of(instrument):
-        here = rows[model]
+        here, joints = rows[model], model == "dynamic"
         same = here.minimal is main.minimal
-        turn = np.eye(count) if same else selection(here.minimal, main.minimal)
         lead = np.zeros((here.minimal.count, unknowns))
-        lead[:, :count] = turn * bodies
-        noise = plate_noise if model == "reaction" else torque_noise
-        channels = list(here.channels())
-        load = tuple(basis @ here.delta for _, basis in channels)
-        leads = tuple(basis @ lead for _, basis in channels)
-        if own.constants is not None and model == "dynamic":
-            for c, column in enumerate(load):
-                leads[c][:, own.constants + c] = column
-        parts.append(
-            Part(
-                model=model,
-                slots=tuple(slots for slots, _ in channels),
-                lead=leads,
-                weights=noise**-2.0,
-                load=load,
-                own=None if model == "reaction" else own,
-            )
-        )
+        lead[:, :count] = scale * (np.eye(count) if same else selection(here.minimal, main.minimal))
+        slots, bases = zip(*here.channels(), strict=True)
+        leads = tuple(basis @ lead for basis in bases)
+        weights = (torque_noise if joints else plate_noise) ** -2.0
+        parts.append(Part(model, slots, leads, weights, count if joints else None))
     before = np.zeros((unknowns, unknowns))
     if prior is not None:
-        before[:count, :count] = np.linalg.inv(prior) * np.outer(bodies, bodies)
-    return Information(counted, scale, tuple(parts), before, criterion, reversal)
+        before[:count, :count] = np.linalg.inv(prior) * np.outer(scale, scale)
+    return Information(main.minimal.names, scale, tuple(parts), before, criterion)
 
 
 def models_of(instrument: Instrument) -> tuple[Model, ...]:
     """Whose rows an instrument gives."""
-    known: dict[Instrument, tuple[Model, ...]] = {
-        "plate": ("reaction",),
-        "joints": ("dynamic",),
-        "both": ("reaction", "dynamic"),
-    }
-    return known[instrument]
+    if instrument == "both":
+        return "reaction", "dynamic"
+    return ("reaction" if instrument == "plate" else "dynamic",)
 
 
 def _inverse(matrix: Array) -> Array | None:
@@ -305,6 +250,11 @@ class Pipeline:
     resting: float
     reach: float
 
+    @property
+    def samples(self) -> float:
+        """Number of samples that the filters leave."""
+        return self.rate * self.span
+
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
@@ -335,16 +285,14 @@ def predict(
     rows: Mapping[Model, SampledRows],
     motion: Fourier,
     pipeline: Pipeline,
-    names: tuple[str, ...],
 ) -> Prediction:
-    """The sigma of white noise alone.
+    """Predict standard deviations, those of white noise alone.
 
     Args:
         information: What is asked; its prior is a share of one sample.
         rows: Of the models that it looks at.
         motion: The motion, repeated.
         pipeline: What an estimate makes of it.
-        names: Of the minimal parameters.
     """
     count = max(DENSITY * motion.harmonics, 200)
     times = np.arange(count) * motion.period / count
@@ -353,15 +301,14 @@ def predict(
     counted = moving(motion, count, pipeline)
     keep = int(pipeline.band * motion.period) if np.isfinite(pipeline.band) else count
     matrix = information.matrix(samples, counted=counted, harmonics=keep)
-    matrix = (matrix / count + information.prior) * pipeline.rate * pipeline.span
+    matrix = (matrix / count + information.prior) * pipeline.samples
     covariance = information.covariance(matrix)
     if covariance is None:
-        relative = np.full(len(information.scale), np.inf)
-        return Prediction(names, relative * information.scale, relative, np.inf)
-    relative = np.sqrt(np.diag(covariance))
-    spread = np.linalg.eigvalsh(covariance)
-    condition = float(np.sqrt(spread[-1] / spread[0]))
-    return Prediction(names, relative * information.scale, relative, condition)
+        relative, condition = np.full(len(information.scale), np.inf), np.inf
+    else:
+        relative = np.sqrt(np.diag(covariance))
+        condition = float(np.sqrt(np.linalg.cond(covariance)))
+    return Prediction(information.names, relative * information.scale, relative, condition)
 
 
 def moving(motion: Fourier, count: int, pipeline: Pipeline) -> NDArray[np.bool_]:

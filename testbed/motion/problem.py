@@ -9,13 +9,15 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, block_diag, cho_factor, cho_solve
 
 from testbed.core.base.arrays import Array
 from testbed.core.parameters.rules import Model
 from testbed.motion.fourier import Fourier, terms
 from testbed.motion.information import Information
-from testbed.motion.limits import Limits, LimitTerm
+from testbed.motion.limits import Limits
 from testbed.motion.samples import SampledRows, Samples, Stencil
+from testbed.motion.terms import LimitTerm
 
 WEIGHT = 20.0
 """Of the barrier at first, in all: its share of each limit is this over their number."""
@@ -126,20 +128,13 @@ def _newton(
     slack = -here.limits
     ratio = dual / slack
     downhill = -(here.gradient + here.jacobian.transposed(barrier / slack))
-    move = _solve(curvature + here.jacobian.squared(ratio), downhill)
-    if move is None:
+    matrix = curvature + here.jacobian.squared(ratio)
+    try:
+        move = cho_solve(cho_factor(matrix, check_finite=False), downhill)
+    except LinAlgError:
         return None
     along = here.jacobian.times(move)
     return move, barrier / slack - dual + ratio * along, float(-downhill @ move)
-
-
-def _solve(matrix: Array, right: Array) -> Array | None:
-    from scipy.linalg import cho_factor, cho_solve  # half a second to import
-
-    try:
-        return np.asarray(cho_solve(cho_factor(matrix, check_finite=False), right))
-    except np.linalg.LinAlgError:
-        return None
 
 
 def _length(search: Search, here: Point, move: Array, slope: float, barrier: float) -> float:
@@ -230,20 +225,9 @@ class Series:
     @cached_property
     def linear(self) -> Array:
         """Shares of position, velocity and acceleration limits, (n, 3 G, p), the middle aside."""
-        limit = np.stack([self.limits.half, self.limits.velocity, self.limits.acceleration], axis=1)
+        limits = self.limits
+        limit = np.stack([limits.half, limits.velocity, limits.acceleration], axis=1)
         return (self.motion_of / limit[:, :, None, None]).reshape(self.joints, -1, self.width)
-
-    @cached_property
-    def linear_offset(self) -> Array:
-        """What the middle of the ranges takes off them, (n, 3 G)."""
-        found = np.zeros((self.joints, 3, self.instants))
-        found[:, 0] = (self.limits.middle / self.limits.half)[:, None]
-        return found.reshape(self.joints, -1)
-
-    @property
-    def linear_most(self) -> float:
-        """Largest share at the instants for which `margin` holds between them, too."""
-        return float(self.margin * np.cos(np.pi * self.harmonics / self.instants))
 
     def motion(self, x: Array) -> Fourier:
         """The motion of unknowns, (n p,)."""
@@ -260,10 +244,15 @@ class Series:
         return np.asarray(np.einsum("jdgp,jp->dgj", self.motion_of, each))
 
     def linear_values(self, x: Array) -> Array:
-        """Shares of the linear limits less what is allowed, (n, 2, 3 G): above, below."""
-        each = x.reshape(self.joints, self.width)
-        share = np.einsum("jrp,jp->jr", self.linear, each) - self.linear_offset
-        return np.stack([share, -share], axis=1) - self.linear_most
+        """Shares of the linear limits less what is allowed, (n, 2, 3, G): above, below.
+
+        What is allowed at the instants is so much less that the margin holds between them, too.
+        """
+        share = self.linear @ x.reshape(self.joints, self.width, 1)
+        share = share.reshape(self.joints, 3, self.instants)
+        share[:, 0] -= (self.limits.middle / self.limits.half)[:, None]
+        most = self.margin * np.cos(np.pi * self.harmonics / self.instants)
+        return np.asarray(np.stack([share, -share], axis=1) - most)
 
     def pulled(self, slopes: Array) -> Array:
         """Derivatives by the unknowns, (..., n p), of derivatives by motion, (..., 3 n, G).
@@ -282,7 +271,7 @@ class Series:
             slopes: Derivatives by motion, (r, 3 n).
             instants: Number of the instant of each, (r,).
         """
-        by_joint = slopes.reshape(len(slopes), 3, self.joints)
+        by_joint = slopes.reshape(-1, 3, self.joints)
         found = np.zeros((len(slopes), self.joints, self.width))
         for order in range(3):
             there = self.motion_of[:, order, instants].transpose(1, 0, 2)  # (r, n, p)
@@ -309,30 +298,28 @@ class BlockJacobian:
     def times(self, x: Array) -> Array:
         """Of a direction, (n p,): how all limits change."""
         n, _, p = self.linear.shape
-        along = np.einsum("jrp,jp->jr", self.linear, x.reshape(n, p))
+        along = (self.linear @ x.reshape(n, p, 1))[:, :, 0]
         rest = np.zeros(self.others)
         rest[self.place] = self.dense @ x
         return np.concatenate([np.stack([along, -along], axis=1).ravel(), rest])
 
     def transposed(self, weights: Array) -> Array:
         """Sum of the limits' derivatives with weights, (n p,)."""
-        first, rest = self._split(weights)
-        blocks = np.einsum("jrp,jr->jp", self.linear, first[:, 0] - first[:, 1])
-        return np.asarray(blocks.ravel() + self.dense.T @ rest)
+        (above, below), rest = self._split(weights)
+        blocks = (above - below)[:, None] @ self.linear
+        return np.asarray(blocks.ravel() + rest @ self.dense)
 
     def squared(self, weights: Array) -> Array:
         """J' diag(weights) J, (n p, n p)."""
-        first, rest = self._split(weights)
-        p = self.linear.shape[2]
-        found = self.dense.T @ (rest[:, None] * self.dense)
-        for j, weight in enumerate(first.sum(axis=1)):
-            own = slice(j * p, (j + 1) * p)
-            found[own, own] += self.linear[j].T @ (weight[:, None] * self.linear[j])
-        return found
+        (above, below), rest = self._split(weights)
+        blocks = self.linear.transpose(0, 2, 1) @ ((above + below)[:, :, None] * self.linear)
+        return np.asarray(block_diag(*blocks) + self.dense.T @ (rest[:, None] * self.dense))
 
     def _split(self, weights: Array) -> tuple[Array, Array]:
+        """Weights above and below, (2, n, 3 G), and those of the others with derivatives, (r,)."""
         n, rows, _ = self.linear.shape
-        return weights[: 2 * n * rows].reshape(n, 2, rows), weights[2 * n * rows :][self.place]
+        first, rest = np.split(weights, [2 * n * rows])
+        return first.reshape(n, 2, rows).swapaxes(0, 1), rest[self.place]
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,8 +360,8 @@ class Problem:
 
     def worst(self, x: Array) -> tuple[str, float, float]:
         """The limit that is nearest or most exceeded: its label, instant [s], share over it."""
-        instants, joints = self.series.instants, self.series.joints
-        linear = self.series.linear_values(x).reshape(joints, 2, 3, instants).max(axis=1)
+        instants = self.series.instants
+        linear = self.series.linear_values(x).max(axis=1)
         samples = self._samples(x, None)
         kinds = ("position", "velocity", "acceleration")
         labels = [f"{kind} of '{name}'" for name in self.names for kind in kinds]

@@ -16,8 +16,9 @@ from testbed.core.robot.tree import Tree
 from testbed.motion.clearance import FAR, DistanceMeter
 from testbed.motion.collision_model import CollisionModel, levers
 from testbed.motion.fourier import Fourier
-from testbed.motion.limits import Limits, SmoothTerm, force_bounds
+from testbed.motion.limits import Limits
 from testbed.motion.samples import Computed
+from testbed.motion.terms import SmoothTerm, force_bounds
 
 RATE = 1000.0
 """Samples a second at which forces are looked at first [Hz]."""
@@ -254,40 +255,44 @@ def suprema(path: Path, count: int) -> Array:
 
 
 def _distances(motion: Fourier, rules: Rules) -> tuple[list[Margin], int]:
-    """Least distances of pairs, by conservative advancement."""
-    if rules.collision is None or not rules.collision.pairs:
+    """Least distances of pairs, and how often they were measured."""
+    if rules.collision is None:
         return [], 0
-    collision, far = rules.collision, float(rules.clearance.max()) + FAR
-    meter = DistanceMeter(collision, far)
-    speeds = (
-        levers(collision, rules.limits) @ suprema(motion, spans_of(motion.period))[1]
-    )  # (k, SPANS)
-    speeds = np.maximum(speeds, STILL)
-    least, when = np.full(len(collision.pairs), far), np.zeros(len(collision.pairs))
-    time, postures, meets = 0.0, 0, False
-    for number, speed in enumerate(speeds.T, start=1):  # each holds in its span alone
-        end = number * motion.period / SPANS
-        while time < end and not meets:
-            distance = meter.measure(motion.derivative(np.array([time]), 0)[0]).values
-            postures += 1
-            nearer = distance < least
-            least[nearer], when[nearer] = distance[nearer], time
-            left = distance - rules.clearance
-            ahead = float(np.min(left / speed))
-            meets = ahead < SHORTEST * motion.period
-            if meets:
-                worst = int(np.argmin(left / speed))
-                least[worst], when[worst] = (
-                    min(distance[worst], rules.clearance[worst] - TOUCH),
-                    time,
-                )
-            time = min(time + ahead, end)
+    far = float(rules.clearance.max()) + FAR
+    times, distances = _advanced(motion, rules, DistanceMeter(rules.collision, far))
+    least, when = distances.min(axis=0), times[distances.argmin(axis=0)]
+    kept = rules.clearance
     margins = [
-        Margin(f"distance of {name} (over {1000 * kept:.3g} mm)", float(d - kept), float(t), "m")
-        for name, d, kept, t in zip(collision.names, least, rules.clearance, when, strict=True)
-        if d < far
+        Margin(f"distance of {name} (over {1000 * kept[k]:.3g} mm)", left, float(when[k]), "m")
+        for k, (name, left) in enumerate(
+            zip(rules.collision.names, (least - kept).tolist(), strict=True)
+        )
+        if least[k] < far
     ]
-    return margins, postures
+    return margins, len(times)
+
+
+def _advanced(motion: Fourier, rules: Rules, meter: DistanceMeter) -> tuple[Array, Array]:
+    """Times and distances of all pairs, (P,) and (P, k), by conservative advancement.
+
+    From each time to the next no pair can use up what it has beyond its clearance. The last row
+    falls short of a clearance where a next time cannot be found.
+    """
+    speeds = levers(meter.collision, rules.limits) @ suprema(motion, spans_of(motion.period))[1]
+    times, distances, time = [], [], 0.0
+    for number, speed in enumerate(np.maximum(speeds, STILL).T, start=1):  # each in its span alone
+        end = number * motion.period / SPANS
+        while time < end:
+            distance = meter.measure(motion.derivative(np.array([time]), 0)[0]).values
+            times.append(time)
+            distances.append(distance)
+            ahead = (distance - rules.clearance) / speed
+            first = int(ahead.argmin())
+            if ahead[first] < SHORTEST * motion.period:
+                distance[first] = min(distance[first], rules.clearance[first] - TOUCH)
+                return np.array(times), np.array(distances)
+            time = min(time + float(ahead[first]), end)
+    return np.array(times), np.array(distances)
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,7 +323,7 @@ def slack(motion: Fourier, rules: Rules, times: Array) -> list[Slack]:
     left = {kind: rules.margin - used.max(axis=1) for kind, used in shares.items()}
     left |= {term.labels[0].split()[0]: -term.values(here).max(axis=0) for term in rules.terms}
     found = [Slack(f"{kind} limits", "%", 100 * values) for kind, values in left.items()]
-    if rules.collision is not None and rules.collision.pairs:
+    if rules.collision is not None:
         meter = DistanceMeter(rules.collision)
         wanted = rules.clearance.max()
         whole = rules.clearance == wanted  # others are built nearer, and would hide all else

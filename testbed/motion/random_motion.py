@@ -13,12 +13,11 @@ from testbed.core.dynamics.newton_euler import Motion, regressor
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.symbols import barycentric
 from testbed.core.robot.tree import Tree
-from testbed.motion.clearance import POSTURES, ClearanceTerm
+from testbed.motion.clearance import CLEARANCE_UNIT, FAR, DistanceMeter
 from testbed.motion.fourier import Fourier
-from testbed.motion.joint_unknowns import scale_of
-from testbed.motion.limits import Limits, LimitTerm, limits_of, motor_efforts
+from testbed.motion.limits import Limits, limits_of, motor_efforts
 from testbed.motion.proof import Proof, Rules, prove, seems_to_hold
-from testbed.motion.samples import Computed
+from testbed.motion.samples import Computed, scale_of
 
 
 def rest_posture(rules: Rules) -> Array:
@@ -30,20 +29,16 @@ def rest_posture(rules: Rules) -> Array:
     Returns:
         (n,) [rad or m]; where no posture keeps all limits, the one that exceeds them least.
     """
-    terms: list[LimitTerm] = list(rules.terms)
-    if rules.collision is not None and rules.collision.pairs:
-        terms.append(ClearanceTerm(rules.collision, rules.limits, rules.clearance))
-
-    def excess(postures: Array) -> Array:
-        still = Computed(rules.tree, Motion.at_rest(postures))
-        found = [term.values(still).max(axis=0) for term in terms]
-        return np.asarray(np.max(found, axis=0, initial=-np.inf))
-
-    home = rules.limits.home
-    if not terms or excess(home[None])[0] < 0:
-        return home
-    postures = tried_postures(rules.limits)
-    return np.asarray(postures[excess(postures).argmin()])
+    postures = rules.limits.postures
+    still = Computed(rules.tree, Motion.at_rest(postures))
+    excess = np.full(len(postures), -np.inf)
+    for term in rules.terms:
+        excess = np.maximum(excess, term.values(still).max(axis=0))
+    if rules.collision is not None:
+        meter = DistanceMeter(rules.collision, float(rules.clearance.max()) + FAR)
+        missing = rules.clearance - meter.measure(postures).values
+        excess = np.maximum(excess, missing.max(axis=1) / CLEARANCE_UNIT)
+    return rules.limits.home if excess[0] < 0 else np.asarray(postures[excess.argmin()])
 
 
 def easiest_posture(tree: Tree, limits: Limits) -> Array:
@@ -53,19 +48,9 @@ def easiest_posture(tree: Tree, limits: Limits) -> Array:
         tree: The robot.
         limits: Of its joints.
     """
-    postures = tried_postures(limits)
+    postures = limits.postures
     share = np.abs(motor_efforts(tree, Motion.at_rest(postures))) / limits.effort
     return np.asarray(postures[share.max(axis=1).argmin()])
-
-
-def tried_postures(limits: Limits) -> Array:
-    """The posture of zeros and random ones, the same every time, (POSTURES + 1, n) [rad or m].
-
-    Args:
-        limits: Of the joints.
-    """
-    random = np.random.default_rng(0).uniform(limits.low, limits.high, (POSTURES, len(limits.low)))
-    return np.vstack([limits.home, random])
 
 
 MARGIN = 0.95
@@ -239,6 +224,34 @@ def best_motion(
         f"of what stands around it, however small{said}: give limits of the joints, or leave it "
         'out with excitation.clearance = "off"'
     )
+
+
+NEARLY_AS_FAST = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
+"""Of the speed of a motion, tried one after the other for another one."""
+
+OTHERS = 20
+"""Motions tried at each of them."""
+
+
+def as_fast(motion: Fourier, rules: Rules, rng: np.random.Generator) -> Fourier:
+    """A motion with the amplitudes of another one and other phases, proven.
+
+    Over a period rms velocities and accelerations of every joint are those of that one, or a share
+    of them, at least a half, where limits ask for it.
+
+    Args:
+        motion: The other motion.
+        rules: What both respect.
+        rng: Source of phases.
+
+    Raises:
+        InfeasibleMotion: None that is half as fast respects all limits.
+    """
+    for share, _ in product(NEARLY_AS_FAST, range(OTHERS)):
+        other = motion.rephased(rng).scaled(share, motion.offset)
+        if seems_to_hold(other, rules) and prove(other, rules).holds:
+            return other
+    raise InfeasibleMotion("no other motion that is half as fast as it respects all limits")
 
 
 def relative_sigma(tree: Tree, motion: Fourier, minimal: MinimalSet, noise: Array) -> float:

@@ -50,7 +50,7 @@ def print_excitation(
     if len(rows) < count:
         console.print(f"({count - len(rows)} more with smaller standard deviation: --all)")
     motion, design = found.design.motion, found.design
-    count = len(design.searches)
+    count = design.searches
     searched = "one search" if count == 1 else f"the best of {count} searches"
     console.print(
         f"{plural(motion.harmonics, 'harmonic')} of {motion.fundamental:g} Hz, {searched}"
@@ -63,8 +63,7 @@ def print_excitation(
 
 def _promise(found: Excitation) -> str:
     return (
-        f"predicted: {found.kind_of_mean} relative standard deviation "
-        f"{found.mean(found.predicted):.2%}, "
+        f"predicted: rms relative standard deviation {found.predicted.rms:.2%}, "
         f"{found.beside_random}; "
         f"condition number {found.predicted.condition:.3g}"
     )
@@ -77,7 +76,7 @@ def sigma_table(found: Excitation, rows: Iterable[int]) -> Table:
         found: The motion.
         rows: Places of the parameters.
     """
-    random = None if found.random_predicted is None else found.random_predicted.relative
+    random = None if found.random is None else found.random.relative
 
     def row(k: int) -> list[str]:
         predicted = found.predicted
@@ -147,8 +146,7 @@ def motion_contents(found: Excitation) -> dict[str, Any]:
         "title": f"Motion of {found.tree.name}",
         "summary": [
             f"{plural(motion.harmonics, 'harmonic')} of {motion.fundamental:g} Hz; "
-            f"predicted {found.kind_of_mean} of relative standard deviations "
-            f"{found.mean(found.predicted):.2%}, "
+            f"predicted rms of relative standard deviations {found.predicted.rms:.2%}, "
             f"{found.beside_random}.",
             *(f"Warning: {line}." for line in sentences(found.diagnostics)),
         ],
@@ -162,7 +160,7 @@ def motion_contents(found: Excitation) -> dict[str, Any]:
 
 def _sigma_figure(found: Excitation) -> Section:
     names, promised = found.predicted.names, found.predicted.relative
-    random = None if found.gain is None else found.random_predicted
+    random = None if found.gain is None else found.random
     values = {} if random is None else {"measured": 100 * random.relative}
     values["external"] = 100 * promised
     return Section(
@@ -177,7 +175,7 @@ def _sigma_figure(found: Excitation) -> Section:
         else {"external": "this motion"},
         panels=named_panels("", names, values, "relative standard deviation [%]", log=True),
         caption=(
-            f"A recording of {found.experiment.motion.duration:g} s, without filter transients. "
+            f"For {found.problem.pipeline.span:.4g} s of a recording, without filter transients. "
             "Logarithmic scale."
         ),
         table=sigma_table(found, range(len(names))),

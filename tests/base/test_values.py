@@ -17,8 +17,9 @@ from testbed.core.base.arrays import readonly
 from testbed.core.base.blas import eigh, one_blas_thread
 from testbed.core.base.errors import SettingsError, UnknownName, printable
 from testbed.core.base.installation import DISTRIBUTION, own_or_shipped, shipped, version
-from testbed.lab.instruments.joints import TorqueRipple
+from testbed.lab.instruments.joints import EncoderEccentricity
 from testbed.lab.kind_table import COUNTS, LARGEST, Key
+from testbed.lab.simulation.joint_friction import StribeckFriction
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import few
@@ -83,15 +84,17 @@ def test_a_key_keeps_what_it_takes_and_refuses_all_else_by_name() -> None:
     for wanted, value in WRONG:
         with refuses(SettingsError, "bias: size"):
             wanted.checked(value, "bias: size")
-    one, other = (TorqueRipple({"waist": 1}, 0.5, position=at) for at in (None, np.zeros((1, 1))))
-    assert one == other != TorqueRipple()
-    assert len({one, other, TorqueRipple()}) == 2
-    said = {"kind": "torque_ripple", "amplitude": {"waist": 1.0}, "period": 0.5}
+    one, other = StribeckFriction({"waist": 1}, 0.5), StribeckFriction({"waist": 1.0}, 0.5)
+    assert one == other != StribeckFriction()
+    assert len({one, other, StribeckFriction()}) == 2
+    said = {"kind": "stribeck_friction", "coefficient": {"waist": 1.0}, "speed": 0.5}
     assert one.table() == said
-    assert TorqueRipple({"waist": 1.0}, 0.5, 3.0).table() == said | {"phase": 3.0}
-    assert one.by_joint == {"amplitude": {"waist": 1.0}}
-    with refuses(SettingsError, "torque_ripple", "phase", "'now'"):
-        TorqueRipple(phase="now")  # type: ignore[arg-type]
+    assert one.by_joint == {"coefficient": {"waist": 1.0}}
+    said = {"kind": "encoder_eccentricity", "amplitude": 1.0, "period": 0.5}
+    assert EncoderEccentricity(1.0, 0.5).table() == said
+    assert EncoderEccentricity(1.0, 0.5, 3.0).table() == said | {"phase": 3.0}
+    with refuses(SettingsError, "encoder_eccentricity", "phase", "'now'"):
+        EncoderEccentricity(phase="now")  # type: ignore[arg-type]
 
 
 @given(st.text(max_size=40), st.integers(1, 20), st.integers(20, 500))

@@ -73,7 +73,7 @@ COMMANDS = {
     "campaign, summary": ("campaign --summary OUT/many", ""),
     "excite": ("excite two.urdf --set excitation.starts=1 --set excitation.harmonics=2 --set "
                "motion.duration=6 --out OUT/m.toml --page OUT/m.html --trajectory OUT/m.csv --json",
-               "aim complete criterion diagnostics file fundamental gain harmonics predicted proof "
+               "complete criterion diagnostics file fundamental gain harmonics predicted proof "
                "random searches value"),
     "excite, check": ("excite OUT/m.toml --check --json",
                       "binding holds instants margins postures"),

@@ -16,22 +16,18 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import InfeasibleMotion, UnknownName
 from testbed.motion.collision_model import collision_model
 from testbed.motion.fourier import Fourier
-from testbed.motion.limits import (
-    PRESSURE,
-    EffortTerm,
-    ForceBounds,
-    Limits,
-    PlateRange,
-    PlateTerm,
-    force_bounds,
-    limits_of,
-    motor_efforts,
-)
+from testbed.motion.limits import Limits, limits_of, motor_efforts
 from testbed.motion.proof import SPANS, Rules, prove, seems_to_hold, slack, spans_of, suprema
 from testbed.motion.random_motion import MARGIN, best_motion, random_motion, relative_sigma
 from testbed.motion.rest_to_rest import RestToRest, Start, start_of
-from testbed.motion.samples import Computed, Samples, stencil
-from testbed.motion.sensor_range import SensorTerm
+from testbed.motion.samples import Samples, stencil
+from testbed.motion.terms import (
+    EffortTerm,
+    PlateRange,
+    PlateTerm,
+    SensorTerm,
+    force_bounds,
+)
 from tests.helpers.chains import Z, chain
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
@@ -114,43 +110,6 @@ def test_limits_that_mean_nothing_name_their_joint(puma: tb.Tree) -> None:
     ):
         with refuses(kind, culprit):
             asked()
-
-
-@few(4)
-@given(trees((4, 4)), rngs)
-def test_terms_of_efforts_and_plate_are_shares_of_limits(
-    tree: tb.Tree, rng: np.random.Generator
-) -> None:
-    """Friction of either sign, rotors, the pedestal, |My| <= x Fz; bounds of curvature."""
-    drawn = rng.uniform(0.5, 3.0, (4, 3)).tolist()
-    keys = ("coulomb", "viscous", "rotor_inertia")
-    own = {n: dict(zip(keys, row, strict=True)) for n, row in zip(tree.names, drawn, strict=True)}
-    tree = tree.with_joints(own)
-    effort = EffortTerm(tree, replace(limits_of(tree), effort=EFFORT), 0.9)
-    plate = PlateTerm(PlateRange(RANGE, HALF), PEDESTAL, 0.9)
-    motion = tb.Motion(np.arange(5.0), *rng.normal(size=(3, 5, 4)))
-    rubs, wet, rotor = np.array(drawn).T
-    joints = [0, 2, 3]  # those with a limit
-    smooth = tb.joint_forces(tree, motion) + wet * motion.qd + rotor * motion.qdd
-    wanted = [(s * smooth[:, j] + rubs[j]) / EFFORT[j] - 0.9 for j in joints for s in (1, -1)]
-    here = Computed(tree, motion)
-    np.testing.assert_allclose(effort.values(here), wanted, atol=1e-12)
-    braked = smooth + rubs * np.sign(motion.qd)
-    np.testing.assert_allclose(motor_efforts(tree, motion), braked, atol=1e-12)
-    wrench = (tb.base_wrench(tree, motion) + PEDESTAL).T
-    wanted = [s * wrench[k] / RANGE[k] - 0.9 for k in (0, 2, 3, 4) for s in (1, -1)]
-    for axis, channel in ((0, 4), (1, 3)):
-        inside = [s * wrench[channel] - 0.9 * HALF[axis] * wrench[2] for s in (1, -1)]
-        wanted += [share / (PRESSURE * HALF[axis]) for share in inside]
-    np.testing.assert_allclose(plate.values(here), wanted, atol=1e-12)
-    forces, (force, moment) = rng.uniform(1, 2, (4, 6)), rng.uniform(1, 2, (2, 6))
-    bounds = ForceBounds(forces, force, moment, rng.uniform(1, 2, (5, 4, 6)))
-    curved = forces + wet[:, None] * bounds.motion[3] + rotor[:, None] * bounds.motion[4]
-    curved = np.repeat((curved / EFFORT[:, None])[joints], 2, axis=0)
-    np.testing.assert_allclose(effort.curvatures(bounds), curved, rtol=1e-12)
-    of_plate = [force / 100, force / 300, moment / 40, moment / 50]
-    of_plate += [(moment + 0.9 * half * force) / (PRESSURE * half) for half in HALF]
-    np.testing.assert_allclose(plate.curvatures(bounds), np.repeat(of_plate, 2, axis=0), rtol=1e-12)
 
 
 # random motions

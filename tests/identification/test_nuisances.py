@@ -42,7 +42,7 @@ def shown(recording: Recording, kind: str, v: Array) -> Recording:
         "bias": {"kind": "plate_bias", "force": v[:3], "moment": v[3:]},
         "slope": {"kind": "plate_drift", "force": v[:3], "moment": v[3:]},
         "pose": {"kind": "plate_pose", "rotation": v[:3], "translation": v[3:]},
-        "height": {"kind": "plate_origin_height", "height": v[0]},
+        "height": {"kind": "plate_pose", "rotation": 0.0, "translation": [0.0, 0.0, v[0]]},
         "skew": {"kind": "plate_delay", "delay": v[0]},
         "gains": {"kind": "plate_gain", "error": v},
         "matrix": {"kind": "plate_crosstalk", "size": 0.0, "matrix": matrix * FULL / FULL[:, None]},

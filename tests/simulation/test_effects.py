@@ -5,7 +5,6 @@ If one fails, a virtual experiment is of another robot than its file describes.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +26,13 @@ from testbed.lab.simulation.effects import KINDS, effect_of
 from testbed.lab.simulation.plant import Plant, build_plant
 from testbed.lab.simulation.rollout import Rollout, Sampling, simulate_motion
 from tests.helpers.paths import ROOT
-from tests.helpers.plants import PUMA, check_laws, waving
+from tests.helpers.plants import PUMA, waving
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot
 from tests.helpers.strategies import few, rngs, robots
 
 SPEEDS = np.array([-1.0, -0.3, -0.1, 0.1, 0.3, 1.0])
 STEP = 2.5e-4
-MEANS, INSTANTS = Sampling(500.0, 8, True, 0.1), Sampling(500.0, 8, False, 0.1)
 
 
 def taken(tree: Tree, qd: Array, motor: float = 0.0, steps: int = 1, **table: object) -> Array:
@@ -50,18 +48,12 @@ def taken(tree: Tree, qd: Array, motor: float = 0.0, steps: int = 1, **table: ob
 
 
 def test_friction_follows_its_law(puma: Tree) -> None:
-    """Stribeck's, powers of speed, one direction, and LuGre's bristles: formulas by hand."""
+    """Stribeck's and LuGre's bristles: formulas by hand."""
     sign, v = np.sign(SPEEDS), SPEEDS
     dip = np.exp(-((v / 0.2) ** 2))
     dry, wet = COULOMB.coefficients(puma)[0], VISCOUS.coefficients(puma)[0]
-    cases: list[tuple[Array, dict[str, Any]]] = [
-        (2 * sign * dip, {"kind": "stribeck_friction", "coefficient": 2.0, "speed": 0.2}),
-        (3 * sign * v**2, {"kind": "power_friction", "coefficient": 3.0, "exponent": 2.0}),
-        (np.where(v > 0, 1 + 0.5 * v, 0),
-         {"kind": "asymmetric_friction", "coulomb": 1.0, "viscous": 0.5}),
-    ]  # fmt: skip
-    for want, said in cases:
-        np.testing.assert_allclose(taken(puma, v, -20.0, **said), want, rtol=1e-8)
+    stribeck = taken(puma, v, -20.0, kind="stribeck_friction", coefficient=2.0, speed=0.2)
+    np.testing.assert_allclose(stribeck, 2 * sign * dip, rtol=1e-8)
     slip = taken(puma, v, steps=400, kind="lugre_friction", static=1.5, speed=0.2)
     np.testing.assert_allclose(slip, sign * dry * (1 + 0.5 * dip) + wet * v, rtol=1e-6)
     for damping in (0.0, 100.0):  # at first a spring and a damper
@@ -86,43 +78,26 @@ def run(
     return simulate_motion(plant, tree, waving(3), 0.4, 60.0, sampling, forces=forces)
 
 
-@pytest.mark.parametrize("sampling", [MEANS, INSTANTS], ids=["means", "instants"])
-def test_pushes_of_zero_change_no_bit_and_viscous_ones_are_viscous_friction(
-    sampling: Sampling, robot: tuple[Tree, Path]
+@pytest.mark.parametrize("averaged", [True, False])
+def test_viscous_pushes_are_viscous_friction_and_know_time_and_place_of_every_step(
+    averaged: bool, robot: tuple[Tree, Path]
 ) -> None:
-    """And who pushes is told time, place and speed of every step."""
-    seen: list[tuple[float, Array]] = []
-
-    def nothing(time: float, q: Array, qd: Array, motor: Array) -> Array:
-        seen.append((time, q.copy()))
-        return np.zeros(3)
-
-    single = replace(sampling, rate=1 / STEP, steps=1)
-    alone, pushed = (run(robot, single, forces).truth for forces in (None, nothing))
-    for name, values in vars(alone).items():
-        np.testing.assert_array_equal(getattr(pushed, name), values, err_msg=name)
-    seen.clear()
-    pushed = run(robot, sampling, nothing).truth
-    times = np.array([time for time, _ in seen])
-    np.testing.assert_allclose(np.diff(times), STEP if sampling.averaged else times[1] - times[0])
-    first = int(np.searchsorted(times, -1e-9))
-    assert abs(times[first]) < 1e-12
-    np.testing.assert_allclose(seen[first][1], pushed.position[0], atol=2e-3)
-    inside = run(robot, sampling, None, viscous=2.0).truth
-    pushes: list[Array] = []
+    sampling, seen = Sampling(500.0, 8, averaged, 0.1), list[tuple[float, Array]]()
 
     def rubbing(time: float, q: Array, qd: Array, motor: Array) -> Array:
-        pushes.append(-2.0 * qd)
-        return pushes[-1]
+        seen.append((time, q.copy()))
+        return -2.0 * qd
 
-    outside = run(robot, sampling, rubbing).truth
-    each = np.array(pushes).reshape(-1, sampling.steps, 3)  # of every sample of the run
-    told = each.mean(axis=1) if sampling.averaged else each[:, 0]
-    np.testing.assert_allclose(outside.friction, -told[-len(outside.friction) :], atol=1e-12)
-    scale = np.abs(inside.friction).max()
+    inside, outside = run(robot, sampling, None, viscous=2.0), run(robot, sampling, rubbing)
+    times = np.array([time for time, _ in seen])
+    np.testing.assert_allclose(np.diff(times), STEP)
+    first = int(np.searchsorted(times, -1e-9))
+    assert abs(times[first]) < 1e-12
+    np.testing.assert_allclose(seen[first][1], outside.truth.position[0], atol=2e-3)
+    scale = np.abs(inside.truth.friction).max()
     assert scale > 0.1
-    assert np.abs(inside.friction - outside.friction).max() < 0.02 * scale
-    assert np.abs(inside.position - outside.position).max() < 1e-4
+    assert np.abs(inside.truth.friction - outside.truth.friction).max() < 0.02 * scale
+    assert np.abs(inside.truth.position - outside.truth.position).max() < 1e-4
 
 
 @few(8)
@@ -148,17 +123,6 @@ def test_a_sample_that_is_integrated_at_once_is_that_of_its_small_steps(
                 continue  # no force sensors
             off = np.abs(getattr(short, name) - values).max()
             assert off <= 2e-6 * np.abs(values).max(), name
-
-
-def test_no_push_at_the_joints_reaches_the_plate(robot: tuple[Tree, Path]) -> None:
-    """Torque less friction moves the robot, and the wrench is that of the motion alone."""
-
-    def rough(time: float, q: Array, qd: Array, motor: Array) -> Array:
-        return np.asarray(-1.5 * np.tanh(qd / 0.1) - 0.5 * np.sin(3 * q) + 0.3 * np.sin(40 * time))
-
-    found = run(robot, INSTANTS, rough)
-    check_laws(robot[0], found.time, found.truth, 1e-11)
-    assert np.abs(found.truth.friction).max() > 1.0
 
 
 def built(tree: Tree, path: Path = PUMA, **table: object) -> tuple[Effect, tb.Tree, Plant]:
@@ -187,12 +151,21 @@ def test_a_payload_is_the_same_body_for_tree_and_plant(
 
 def test_a_rotors_spin_reaches_the_plate_by_its_law(robot: tuple[Tree, Path], puma: Tree) -> None:
     """MuJoCo's geared bodies against a change of inertias; sliding joints have no spin."""
+    rng = np.random.default_rng(0)
     for name in ("puma562.xml", "puma562.urdf"):
         path = ROOT / "models" / name
-        table: dict[str, Any] = {"kind": "geared_rotor", "inertia": 3e-4}
-        _, loaded, plant = built(tb.load_tree(path), path, ratio=-50.0, **table)
-        other = effect_of({"ratio": -51.0, **table}).on(puma.names)
-        assert other.flaw(plant, loaded) is not None
+        _, loaded, plant = built(
+            tb.load_tree(path), path, kind="geared_rotor", inertia=3e-4, ratio=-50.0
+        )
+        data, (q, qd, motor) = mujoco.MjData(plant.model), rng.uniform(0.5, 1.0, (3, loaded.n))
+        data.qpos[:], data.qvel[:], data.ctrl[:] = plant.dofs @ q, plant.dofs @ qd, motor
+        mujoco.mj_forward(plant.model, data)
+        motion = tb.Motion(np.zeros(1), q[None], qd[None], data.qacc[plant.order][None])
+        still = tb.base_wrench(loaded, motion)[0]
+        turning = with_rotor_spin(loaded, dict.fromkeys(loaded.names, -50.0 * 3e-4))
+        spun = tb.base_wrench(turning, motion)[0] - still
+        felt = plant.bedplate_wrench(data.sensordata[plant.plate]) - plant.tare - still
+        np.testing.assert_allclose(felt, spun, atol=1e-3 * np.abs(spun).max())
     minimal = tb.minimal_set(puma, "reaction", zeros=True)
     spun = with_rotor_spin(puma, {"waist": 0.018})
     more = minimal.values(tb.barycentric(spun)) - minimal.values(tb.barycentric(puma))
@@ -211,16 +184,17 @@ def test_a_rotors_spin_reaches_the_plate_by_its_law(robot: tuple[Tree, Path], pu
 def test_the_bedplate_gives_way_and_tilts_as_asked(puma: Tree) -> None:
     """Springs and dampers by MuJoCo's own mass matrix; gravity keeps its size and turns."""
     soft: dict[str, Any] = {"kind": "compliant_plate", "damping": 0.1}
-    _, loaded, plant = built(puma, frequency=80.0, **soft)
+    plant = built(puma, frequency=80.0, **soft)[2]
     model = plant.model
     assert model.nv == puma.n + 6
-    assert effect_of({"frequency": 81.0, **soft}).flaw(plant, loaded) is not None
     data, mass = mujoco.MjData(model), np.zeros((model.nv, model.nv))
     mujoco.mj_forward(model, data)
     mujoco.mj_fullM(model, data, mass)
     plate = [k for k in range(model.nv) if model.joint(model.dof_jntid[k]).name not in puma.names]
     moved = np.diagonal(mass)[plate]
-    np.testing.assert_allclose(model.dof_damping[plate], 0.2 * moved * 160 * np.pi, rtol=1e-6)
+    pulse = 160 * np.pi
+    np.testing.assert_allclose(model.jnt_stiffness[plate], moved * pulse**2, rtol=1e-6)
+    np.testing.assert_allclose(model.dof_damping[plate], 0.2 * moved * pulse, rtol=1e-6)
     again = effect_of(soft)
     with refuses(SettingsError, "compliant_plate"):
         build_plant(ModelFile(PUMA), puma, 1e-3, effects=[again, again])

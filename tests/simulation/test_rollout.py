@@ -8,21 +8,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given
 
 import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.recordings.recording import Truth
 from testbed.core.robot.model_file import ModelFile
-from testbed.lab.simulation.compiled_loop import motor_torque
-from testbed.lab.simulation.controller import Controller, believed, computed_torque, mass_matrices
+from testbed.lab.simulation.controller import computed_torque, mass_matrices
 from testbed.lab.simulation.plant import build_plant
 from testbed.lab.simulation.rollout import Sampling, SimulationDiverged, simulate_motion
 from testbed.motion.fourier import Fourier
 from tests.helpers.paths import ROOT
 from tests.helpers.pinocchio import by_pinocchio
-from tests.helpers.plants import PUMA, check_laws, run, waving
+from tests.helpers.plants import PUMA, run, waving
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot
 from tests.helpers.strategies import few, rngs, robots
@@ -34,13 +32,6 @@ INSTANTS = Sampling(500.0, 2, False, 0.2)
 def with_all(tree: tb.Tree, **changes: object) -> tb.Tree:
     """The robot with something changed on every joint."""
     return replace(tree, joints=tuple(replace(j, **changes) for j in tree.joints))  # type: ignore[arg-type]
-
-
-def torque_of(drive: Controller, k: int, position: Array, velocity: Array) -> Array:
-    """What the compiled law asks of the motors."""
-    found = np.zeros(len(position))
-    motor_torque(drive, k, position, velocity, np.arange(len(position)), found)
-    return found
 
 
 @few(6)
@@ -59,36 +50,17 @@ def test_a_drive_asks_for_the_models_torque_and_pulls_all_joints_back_alike(
     mass = mass_matrices(tree, there.q)
     np.testing.assert_allclose(mass, witness.mass, atol=1e-12 * np.abs(witness.mass).max())
     for k in range(6):
-        alone = torque_of(drive, k, there.q[k], there.qd[k])
+        alone = drive.torque(k, there.q[k], there.qd[k])
         dry = alone - witness.forces[k] - 0.3 * there.qd[k] - 0.7 * there.qdd[k]
         np.testing.assert_allclose(dry, 2 * np.tanh(there.qd[k] / 0.05), rtol=1e-6, atol=1e-9)
         late, slow = 0.01 * rng.normal(size=(2, n))
-        added = torque_of(drive, k, there.q[k] - late, there.qd[k] - slow) - alone
+        added = drive.torque(k, there.q[k] - late, there.qd[k] - slow) - alone
         wanted = (witness.mass[k] + 0.7 * np.eye(n)) @ (w**2 * late + 2 * 0.9 * w * slow)
         np.testing.assert_allclose(added, wanted, atol=1e-4 * np.abs(wanted).max())
     weak = computed_torque(with_all(tree, max_effort=0.5), motion, there.t[:1], w)
-    free = torque_of(drive, 0, there.q[0] - 1, there.qd[0])
-    limited = torque_of(weak, 0, there.q[0] - 1, there.qd[0])
+    free = drive.torque(0, there.q[0] - 1, there.qd[0])
+    limited = weak.torque(0, there.q[0] - 1, there.qd[0])
     np.testing.assert_array_equal(limited, np.clip(free, -0.5, 0.5))
-
-
-@given(robot=robots((2, 6)), rng=rngs)
-def test_what_a_drive_believes_is_as_wrong_as_said_and_a_possible_robot(
-    robot: Robot, rng: np.random.Generator
-) -> None:
-    tree = with_all(robot.tree(), rotor_inertia=0.7, coulomb=2.0, viscous=0.3)
-    wrong = believed(tree, 0.1, rng)
-    assert wrong.names == tree.names
-    for old, new in zip(tree.inertias, wrong.inertias, strict=True):
-        factor = new.mass / old.mass
-        assert min(abs(factor - 0.9), abs(factor - 1.1)) < 1e-12
-        np.testing.assert_allclose(new.com, old.com, atol=1e-14)
-        np.testing.assert_allclose(new.central, factor * old.central, rtol=1e-9, atol=1e-14)
-    for one, other in zip(tree.joints, wrong.joints, strict=True):
-        for name in ("coulomb", "viscous", "rotor_inertia"):
-            assert round(getattr(other, name) / getattr(one, name), 9) in (0.9, 1.1)
-    masses = {tuple(body.mass for body in believed(tree, 0.1, rng).inertias) for _ in range(20)}
-    assert len(masses) > 2  # chance decides the signs
 
 
 def test_the_plate_feels_the_motion_that_the_encoders_show(puma: tb.Tree) -> None:
@@ -168,30 +140,3 @@ def test_tracking_and_saturation_are_told_and_a_lost_or_unstable_run_is_refused(
     strong, plant = with_all(puma, max_effort=np.inf), build_plant(ModelFile(PUMA), puma, 1e-3)
     with refuses(SimulationDiverged, "1.00 s"):
         simulate_motion(plant, strong, waving(3), 1.0, 1e5, replace(INSTANTS, warm_up=0.0))
-
-
-@pytest.mark.slow
-def test_an_experiment_states_friction_and_a_drives_beliefs_and_repeats_to_the_bit() -> None:
-    """The laws of motion hold for what was stated, whatever the drive believes."""
-    words = ["motion.duration=1", "motion.candidates=1", "motion.fundamental=0.5",
-             "simulation.warm_up=0.5", "simulation.step=5e-4", "robot.joint.elbow.coulomb=4.5",
-             "robot.joint.waist.viscous=0.0", 'simulation.effect=[{kind="payload",mass=2.0}]',
-             ]  # fmt: skip
-    right, wrong, again = (
-        tb.simulate(tb.Experiment.load(PUMA_FILE, [*words, f"simulation.drive_model_error={e}"]))
-        for e in (0.0, 0.1, 0.1)
-    )
-    truth = wrong.truth
-    assert truth is not None
-    for name, values in wrong.true_columns().items():
-        np.testing.assert_array_equal(again.true_columns()[name], values)
-    assert np.abs(wrong.position - right.position).max() > 1e-4
-    load = tb.Inertia.about_centre(2.0, [0.05] * 3, 2e-3 * np.eye(3))
-    tree = tb.load_tree(PUMA).with_inertia(2, load)
-    check_laws(tree, wrong.time, truth, 1e-9)
-    speed, fast = truth.velocity, np.abs(truth.velocity) > 0.02
-    law = np.array([6.3, 5.5, 4.5]) * np.sign(speed) + [0, 9.5, 3.98] * speed
-    np.testing.assert_allclose(truth.friction[fast], law[fast], atol=1e-9)
-    for error in ("-0.1", "1.0", "nan"):
-        with refuses(tb.TestbedError, "simulation.drive_model_error"):
-            tb.Experiment.load(PUMA_FILE, [f"simulation.drive_model_error={error}"])

@@ -87,15 +87,10 @@ class ObstacleTable(Table):
 class ExcitationTable(Table):
     """What a motion must respect, and what `testbed excite` looks for."""
 
-    aim: Literal["bodies", "friction"] = "bodies"
-    """What is to become certain: the bodies' parameters; or the joints' torque constants and
-    coefficients of friction, those of `identification.terms` and the load's, by torques beside the
-    plate."""
     instrument: Literal["plate", "joints", "both"] = "plate"
     """By whose signals the bodies are to become certain: the plate's, joint torques, or both."""
-    criterion: Literal["a", "d", "e"] | None = None
-    """Of the covariance of relative errors: its trace, determinant or largest eigenvalue; default
-    "a" for bodies, "d" for friction."""
+    criterion: Literal["a", "d", "e"] = "a"
+    """Of the covariance of relative errors: its trace, determinant or largest eigenvalue."""
     lowest_frequency: Positive = 0.1
     """At which a motion may repeat [Hz]."""
     highest_frequency: Positive = 1.6
@@ -104,8 +99,6 @@ class ExcitationTable(Table):
     """Most that are used."""
     starts: Annotated[int, Field(ge=1, le=10_000)] = 6
     """Searches, each from another random motion; the best result is taken."""
-    seconds: Positive | None = None
-    """Time after which searches end, whatever they have reached [s]; default none."""
     margin: Annotated[float, Field(gt=0, le=1)] = 0.95
     """Share of every limit that a designed motion may use; random ones are proven for all of it."""
     clearance: NotNegative | Literal["off"] = 0.02
@@ -126,16 +119,6 @@ class ExcitationTable(Table):
     """Half lengths along x and y of the area in which the centre of pressure stays [m]; default
     none: the plate is bolted down."""
 
-    @property
-    def signals(self) -> Literal["plate", "joints", "both"]:
-        """Whose rows count: of the plate and of torques for friction."""
-        return self.instrument if self.aim == "bodies" else "both"
-
-    @property
-    def judged_by(self) -> Literal["a", "d", "e"]:
-        """The criterion; that for friction needs no units to be relative to."""
-        return self.criterion or ("a" if self.aim == "bodies" else "d")
-
 
 class SimulationTable(Table):
     """The plant and its controller."""
@@ -146,8 +129,6 @@ class SimulationTable(Table):
     """Keep the joints' friction."""
     bandwidth: Positive = 60.0
     """Of the joint controllers [rad/s]."""
-    drive_model_error: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    """Relative, of every mass and coefficient of friction that the controller believes."""
     warm_up: NotNegative = 2.0
     """Time run before the recording starts [s]."""
     effect: tuple[Annotated[Effect, AsTable(effect_of)], ...] = ()

@@ -285,7 +285,7 @@ def prior_covariance(kept: KeptResult, experiment: Experiment) -> Array:
     Raises:
         ExperimentError: The file's estimates are of other parameters.
     """
-    joints = experiment.excitation.signals == "joints"
+    joints = experiment.excitation.instrument == "joints"
     wanted = "internal" if joints else "external"
     model: Model = "dynamic" if joints else "reaction"
     zeros = experiment.identification.zeros

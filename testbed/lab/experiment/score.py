@@ -375,7 +375,7 @@ def true_constants(experiment: Experiment, recording: Recording) -> Array:
     """
     shown = np.ones(len(recording.names))
     instrument = experiment.measurement
-    stages = instrument.installed(recording.names, recording.position, experiment.seed)
+    stages = instrument.installed(recording.names, experiment.seed)
     for fault in stages["torque"]:
         if isinstance(fault, TorqueConstantError):
             shown = shown * (1 + each_joint(fault.error))

@@ -23,8 +23,7 @@ from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.motions import FAST, motion_of, rules_of
 from testbed.lab.experiment.results import versions
 from testbed.lab.instruments.chain import measure, with_sensors
-from testbed.lab.instruments.fault import stream
-from testbed.lab.simulation.controller import Reference, believed
+from testbed.lab.simulation.controller import Reference
 from testbed.lab.simulation.effect import StepForces
 from testbed.lab.simulation.gear_friction import Gears
 from testbed.lab.simulation.plant import Plant, build_plant
@@ -79,10 +78,9 @@ class Prepared:
     def happens(self) -> Hashable:
         """What determines all that happens, whoever measures it."""
         said, motion = self.experiment, self.path
-        seed = said.seed if said.simulation.drive_model_error else None
         shapes = motion.offset.tobytes(), motion.sine.tobytes(), motion.cosine.tobytes()
         clock = self.end, self.sampling
-        return clock, _plant_words(said), motion.fundamental, shapes, seed
+        return clock, _plant_words(said), motion.fundamental, shapes
 
     def rollout(
         self,
@@ -224,13 +222,8 @@ def _gears(experiment: Experiment, tree: Tree) -> Gears | None:
 
 
 def _drives_model(experiment: Experiment, tree: Tree) -> Tree:
-    """The robot as its controller believes it to be."""
-    simulation = experiment.simulation
-    own = tree if simulation.friction else tree.without_friction()
-    if not simulation.drive_model_error:
-        return own
-    rng = stream("drive_model_error", experiment.seed)
-    return believed(own, simulation.drive_model_error, rng)
+    """The robot as its controller knows it."""
+    return tree if experiment.simulation.friction else tree.without_friction()
 
 
 def _sampling(experiment: Experiment) -> Sampling:

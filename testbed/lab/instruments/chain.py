@@ -14,7 +14,6 @@ from testbed.core.recordings.recording import Recording, Truth
 from testbed.lab.instruments.fault import (
     FULL_SCALE,
     Fault,
-    Rig,
     Signal,
     apply_chain,
     number_kinds,
@@ -22,7 +21,6 @@ from testbed.lab.instruments.fault import (
 )
 from testbed.lab.instruments.faults import fault_of
 from testbed.lab.instruments.joints import (
-    EncoderInstantSampling,
     EncoderNoise,
     EncoderResolution,
     TorqueConstantError,
@@ -30,9 +28,18 @@ from testbed.lab.instruments.joints import (
 )
 from testbed.lab.instruments.plate import MeasuredTare, PlateNoise
 from testbed.lab.instruments.plates import PLATES
-from testbed.lab.kind_table import AsTable
+from testbed.lab.kind_table import AsTable, Key
 
-_PLATE = ("force_noise", "moment_noise")
+_SIZES: Mapping[str, Key] = {
+    "rate": Key(positive=True),
+    "encoder_resolution": Key(least=0),
+    "encoder_noise": Key(least=0),
+    "torque_noise": Key(least=0),
+    "torque_constant_error": Key("joints"),
+    "force_noise": Key(least=0),
+    "moment_noise": Key(least=0),
+    "full_scale": Key("channels", positive=True),
+}
 _SIGNALS: tuple[Signal, ...] = ("position", "torque", "wrench", "tare")
 _TARE = "tare"
 """Use of random numbers for a tare that is measured."""
@@ -77,33 +84,18 @@ class Instrument:
     def __post_init__(self) -> None:
         if self.plate:
             self._take_from(self.plate)
-        if not 0 < self.rate < np.inf:
-            raise SettingsError(f"rate is a positive frequency [Hz], found {self.rate}")
-        for name in ("encoder_resolution", "encoder_noise", "torque_noise", *_PLATE):
-            value = getattr(self, name)
-            if not 0 <= value < np.inf:
-                raise SettingsError(f"{name} cannot be negative or infinite, found {value}")
-        for joint, error in self.torque_constant_error.items():
-            if not np.isfinite(error):
-                raise SettingsError(f"torque_constant_error of '{joint}' is no number: {error}")
-        if len(self.full_scale) != 6 or not all(0 < value < np.inf for value in self.full_scale):
-            raise SettingsError(f"full_scale is six positive numbers, found {self.full_scale}")
+        for name, size in _SIZES.items():
+            size.checked(getattr(self, name), name)
         for fault in self.fault:
             fault.check_rate(self.rate)
         if sum(isinstance(fault, MeasuredTare) for fault in self.fault) > 1:
             raise SettingsError("measured_tare is asked for more than once; there is one tare")
-        latched = any(isinstance(fault, EncoderInstantSampling) for fault in self.fault)
-        if latched and not self.averaged:
-            raise SettingsError(
-                "encoder_instant_sampling makes instants of means, and with averaged = false all "
-                "samples are instants; leave one of them out"
-            )
 
     def _take_from(self, plate: str) -> None:
         """Noise and range of a model of plate, where these are not said."""
         if plate not in PLATES:
             raise SettingsError(str(UnknownName("plate", plate, PLATES)))
-        for name in (*_PLATE, "full_scale"):
+        for name in ("force_noise", "moment_noise", "full_scale"):
             if getattr(self, name) == type(self).__dataclass_fields__[name].default:
                 object.__setattr__(self, name, getattr(PLATES[plate], name))
 
@@ -126,27 +118,24 @@ class Instrument:
             TorqueNoise(self.torque_noise),
             PlateNoise(self.force_noise, self.moment_noise),
         )
-        rig = Rig(names, self.full_scale)
-        every = sorted(
-            (fault.on(rig) for fault in (*always, *self.fault)), key=lambda fault: fault.place
-        )
+        every = [fault.on(names, self.full_scale) for fault in (*always, *self.fault)]
+        every.sort(key=lambda fault: fault.place)
         return {s: tuple(fault for fault in every if fault.signal == s) for s in _SIGNALS}
 
     def installed(
-        self, names: tuple[str, ...], position: Array, seed: int, sensor: str = ""
+        self, names: tuple[str, ...], seed: int, sensor: str = ""
     ) -> dict[Signal, tuple[Fault, ...]]:
         """The stages with all that chance decides once: signs, phases, crosstalk.
 
         Args:
             names: Joint names.
-            position: True positions, (M, n) [rad or m].
             seed: Of the recording.
             sensor: Name of the force sensor that it stands for; "" for the plate.
         """
-        rig, once = Rig(names, self.full_scale, position), f"once {sensor}".strip()
+        once = f"once {sensor}".strip()
         return {
             signal: tuple(
-                fault.on(rig).sample(rig, stream(fault.kind, seed, number, once))
+                fault.sample(len(names), stream(fault.kind, seed, number, once))
                 for fault, number in number_kinds(stages)
             )
             for signal, stages in self.stages(names).items()
@@ -189,7 +178,7 @@ def measure(
         facts=facts,
     )
     once = seed if installed is None else installed
-    chains = instrument.installed(names, truth.position, once)
+    chains = instrument.installed(names, once)
     seen: dict[str, Any] = {
         signal: apply_chain(chains[signal], exact.measured(signal), time, seed)
         for signal in ("position", "torque", "wrench")
@@ -225,7 +214,7 @@ def with_sensors(
         raise RecordingError("only a simulated recording, with truth, is measured again")
     once, shown = seed if installed is None else installed, []
     for k, (name, instrument) in enumerate(instruments.items()):
-        chain = instrument.installed(recording.names, truth.position, once, name)["wrench"]
+        chain = instrument.installed(recording.names, once, name)["wrench"]
         true = truth.sensors[:, 6 * k : 6 * k + 6]
         shown.append(apply_chain(chain, true, recording.time, seed, f"sensor {name}"))
     return replace(recording, sensors=np.hstack(shown), sensor_names=tuple(instruments))

@@ -20,7 +20,7 @@ import hashlib
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from enum import IntEnum
 from typing import Any, ClassVar, Literal, Self, TypeAlias
 
@@ -62,21 +62,6 @@ class Place(IntEnum):
     """Samples on their way to the file."""
 
 
-@dataclass(frozen=True, eq=False)
-class Rig:
-    """What faults are installed on.
-
-    Attributes:
-        names: Joint names.
-        full_scale: Of the plate's channels, (6,) [N, N m].
-        position: True joint positions, (M, n) [rad or m]; None before there are any.
-    """
-
-    names: tuple[str, ...]
-    full_scale: tuple[float, ...] = FULL_SCALE
-    position: Array | None = None
-
-
 class Fault(KindTable):
     """One imperfection that an experiment file can ask for."""
 
@@ -93,16 +78,20 @@ class Fault(KindTable):
             rng: The fault's own random numbers.
         """
 
-    def on(self, rig: Rig) -> Self:
+    def on(self, names: tuple[str, ...], full_scale: tuple[float, ...] = FULL_SCALE) -> Self:
         """The same fault on a robot and a plate: a value a joint, in their order.
+
+        Args:
+            names: Joint names.
+            full_scale: Of the plate's channels, (6,) [N, N m].
 
         Raises:
             SettingsError: It names a joint that is not there, or not of all.
         """
-        found: dict[str, Any] = {
-            f.name: getattr(rig, f.name) for f in fields(self) if f.metadata.get("rig")
-        }
-        return replace(self, **found, **self.of_joints(rig.names))
+        found: dict[str, Any] = self.of_joints(names)
+        if hasattr(self, "full_scale"):
+            found["full_scale"] = full_scale
+        return replace(self, **found)
 
     def check_rate(self, rate: float) -> None:
         """Whether the fault can be at a rate.
@@ -115,16 +104,16 @@ class Fault(KindTable):
         """
         del rate  # most can be at any
 
-    def sample(self, rig: Rig, rng: np.random.Generator) -> Self:
+    def sample(self, joints: int, rng: np.random.Generator) -> Self:
         """The same fault with the signs and phases that chance gives it.
 
         Args:
-            rig: What it is installed on.
+            joints: Number of joints.
             rng: The fault's own random numbers, for this use.
         """
         found: dict[str, Any] = {}
         for name, wanted in self.known_keys().items():
-            value, count = getattr(self, name), COUNTS.get(wanted.members, len(rig.names))
+            value, count = getattr(self, name), COUNTS.get(wanted.members, joints)
             if wanted.sample == "sign" and isinstance(value, float):
                 found[name] = tuple((value * rng.choice([-1.0, 1.0], count)).tolist())
             elif wanted.sample == "phase" and value is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.lab.instruments import joints, plate, plate_clock
 from testbed.lab.instruments.fault import Fault
 from testbed.lab.kind_table import of_table
@@ -26,17 +25,4 @@ def fault_of(table: object) -> Fault:
     Raises:
         SettingsError: The kind or a key is not known, or a value is none that it takes.
     """
-    if isinstance(table, Fault):
-        return table
-    return of_table(table, "a fault", "plate_bias", fault_named)
-
-
-def fault_named(kind: str) -> type[Fault]:
-    """The faults of a kind.
-
-    Raises:
-        SettingsError: There is none.
-    """
-    if kind not in KINDS:
-        raise SettingsError(f"{UnknownName('kind of fault', kind, KINDS)}; see `testbed faults`")
-    return KINDS[kind]
+    return of_table(table, "fault", KINDS)

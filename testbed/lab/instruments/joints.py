@@ -1,4 +1,4 @@
-"""What encoders do to joint positions."""
+"""Errors of encoders and of torques that drives report."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.lab.instruments.fault import EncoderFault, Fault, GainFault, Place, TorqueFault
-from testbed.lab.kind_table import PerJoint, each_joint, hidden, key
+from testbed.lab.kind_table import PerJoint, each_joint, key
 
 
 class NoiseFault(Fault):
@@ -32,23 +32,6 @@ class OffsetFault(Fault):
         """Signal plus the error, (M, n)."""
         del time, rng
         return signal + each_joint(self.error)
-
-
-class WaveFault(Fault):
-    """Error that repeats with every `period` of a joint's position."""
-
-    amplitude: PerJoint
-    period: PerJoint
-    phase: PerJoint | None
-
-    def wave(self, position: Array) -> Array:
-        """Amplitude times sin(2 pi q / period + phase), (M, n).
-
-        Args:
-            position: True joint positions q, (M, n) [rad or m].
-        """
-        turn = 2 * np.pi * position / each_joint(self.period) + each_joint(self.phase or 0.0)
-        return each_joint(self.amplitude) * np.sin(turn)
 
 
 @dataclass(frozen=True)
@@ -89,25 +72,6 @@ class EncoderResolution(EncoderFault):
 
 
 @dataclass(frozen=True)
-class EncoderInstantSampling(EncoderFault):
-    """Positions at the first instant of each sample, while all else is the mean over it.
-
-    What a controller's counter does: it latches. Against a plate that averages, positions are
-    half a sampling time early. Exact for smooth motions (`first_instants`).
-
-    Source    How counters work; no size.
-    """
-
-    kind: ClassVar[str] = "encoder_instant_sampling"
-    place: ClassVar[Place] = Place.CLOCK
-
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Positions at instants, (M, n) [rad or m], of means over samples."""
-        del rng
-        return first_instants(signal, time)
-
-
-@dataclass(frozen=True)
 class EncoderZeroError(OffsetFault, EncoderFault):
     """A constant error of the positions: wrong zeros.
 
@@ -138,7 +102,7 @@ class EncoderGain(GainFault, EncoderFault):
 
 
 @dataclass(frozen=True)
-class EncoderEccentricity(WaveFault, EncoderFault):
+class EncoderEccentricity(EncoderFault):
     """Eccentric discs: an error that repeats with every turn.
 
     Shown is q + amplitude sin(2 pi q / period + phase). A sliding joint has the period of its
@@ -161,28 +125,8 @@ class EncoderEccentricity(WaveFault, EncoderFault):
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Positions with the wave, (M, n) [rad or m]."""
         del time, rng
-        return signal + self.wave(signal)
-
-
-def first_instants(means: Array, time: Array) -> Array:
-    """A signal at the first instant of each sample, from its means over the samples.
-
-    The means' sum is the signal's integral at the samples' edges, exactly; the spline through
-    it is differentiated there.
-
-    Args:
-        means: (M, k).
-        time: Of the samples' first instants, uniform, (M,) [s].
-    """
-    from scipy.interpolate import make_interp_spline
-
-    step = (time[-1] - time[0]) / (len(time) - 1)
-    middle = means.mean(axis=0)
-    edges = np.append(time, time[-1] + step)
-    sums = np.cumsum(np.vstack([np.zeros_like(middle), means - middle]), axis=0) * step
-    spline = make_interp_spline(edges, sums, k=min(5, len(time)))
-    found: Array = spline.derivative()(time) + middle
-    return found
+        turn = 2 * np.pi * signal / each_joint(self.period) + each_joint(self.phase or 0.0)
+        return signal + each_joint(self.amplitude) * np.sin(turn)
 
 
 @dataclass(frozen=True)
@@ -198,37 +142,6 @@ class TorqueConstantError(GainFault, TorqueFault):
     kind: ClassVar[str] = "torque_constant_error"
     place: ClassVar[Place] = Place.SENSOR
     error: PerJoint = key(0.05, "joints", "sign")
-
-
-@dataclass(frozen=True, eq=False)
-class TorqueRipple(WaveFault, TorqueFault):
-    """Ripple: torque constants that change periodically with the position.
-
-    Reported is torque (1 + amplitude sin(2 pi q / period + phase)), q the true position. A
-    sliding joint has the period of its screw's lead.
-
-    Source    [TS96]: gears of the harmonic kind wave twice a turn of their input; ratio 100,
-        2 % of the torque.
-
-    Attributes:
-        amplitude: Relative.
-        period: Of the wave [rad or m].
-        phase: Of the wave at q = 0; drawn if left out [rad].
-    """
-
-    kind: ClassVar[str] = "torque_ripple"
-    place: ClassVar[Place] = Place.SENSOR
-    amplitude: PerJoint = key(0.02, "joints")
-    period: PerJoint = key(np.pi / 100, "joints", positive=True)
-    phase: PerJoint | None = key(None, "joints", "phase")
-    position: Array | None = hidden(None)
-
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Torques as they are reported, (M, n) [N m or N]; of a fault that is on a rig."""
-        del time, rng
-        if self.position is None:
-            raise ValueError("torque_ripple acts where positions are known: put it on a Rig")
-        return (1 + self.wave(self.position)) * signal
 
 
 @dataclass(frozen=True)
@@ -263,14 +176,12 @@ class TorqueNoise(NoiseFault, TorqueFault):
 
 
 FAULTS: tuple[type[Fault], ...] = (
-    EncoderInstantSampling,
     EncoderZeroError,
     EncoderGain,
     EncoderEccentricity,
     EncoderNoise,
     EncoderResolution,
     TorqueConstantError,
-    TorqueRipple,
     TorqueOffset,
     TorqueNoise,
 )

@@ -9,7 +9,6 @@ from typing import ClassVar, Self
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import SettingsError
 from testbed.core.robot.inertia import from_vector
 from testbed.lab.instruments.fault import (
     FULL_SCALE,
@@ -20,7 +19,6 @@ from testbed.lab.instruments.fault import (
     PerChannel,
     Place,
     PlateFault,
-    Rig,
     Signal,
 )
 from testbed.lab.kind_table import hidden, key
@@ -227,10 +225,6 @@ def _step(time: Array) -> float:
     return float((time[-1] - time[0]) / (len(time) - 1))
 
 
-_MOST_SAMPLES = 1e6
-"""Of a tare: they are held in memory."""
-
-
 @dataclass(frozen=True)
 class PlateGain(GainFault, PlateFault):
     """Channels on wrong scales.
@@ -268,7 +262,7 @@ class PlateCrosstalk(PlateFault):
     matrix: Matrix | None = key(None, "matrix")
     full_scale: tuple[float, ...] = hidden(FULL_SCALE)
 
-    def sample(self, rig: Rig, rng: np.random.Generator) -> Self:
+    def sample(self, joints: int, rng: np.random.Generator) -> Self:
         """The same fault with a matrix."""
         if self.matrix is not None:
             return self
@@ -307,55 +301,31 @@ class PlatePose(PlateFault):
         """The wrench in the plate's own frame, (M, 6) [N, N m]."""
         del time, rng
         vector, origin = (np.broadcast_to(v, 3) for v in (self.rotation, self.translation))
-        return in_frame(signal, vector, origin)
-
-
-@dataclass(frozen=True)
-class PlateOriginHeight(PlateFault):
-    """Moments about a point above or below the origin: a cover not counted, a wrong data sheet.
-
-    Source    [BS90] and data sheets: origins of force plates lie 30 to 60 mm below the cover,
-        and are known to some millimetres.
-
-    Attributes:
-        height: Of the true origin over the supposed one [m].
-    """
-
-    kind: ClassVar[str] = "plate_origin_height"
-    place: ClassVar[Place] = Place.SENSOR
-    height: float = key(5e-3)
-
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench about the other origin, (M, 6) [N, N m]."""
-        del time, rng
-        return in_frame(signal, np.zeros(3), np.array([0.0, 0.0, self.height]))
+        force, moment = np.hsplit(signal, 2)
+        turn = from_vector(vector)
+        return np.hstack([force @ turn, (moment - np.cross(origin, force)) @ turn])
 
 
 @dataclass(frozen=True)
 class PlateSaturation(PlateFault):
     """Saturation: a range too small for the motion, at whose ends channels stop.
 
-    By default the range covers a share of each channel's swing in this recording, around its
-    middle: amplifiers are set to zero with the robot on the plate. `limit` gives it instead.
+    The range covers a share of each channel's swing in this recording, around its middle:
+    amplifiers are set to zero with the robot on the plate.
 
     Source    A range chosen for nine tenths of the motion.
 
     Attributes:
         covered: Share of the swing between least and greatest value.
-        limit: Largest absolute value that is shown instead [N, N m].
     """
 
     kind: ClassVar[str] = "plate_saturation"
     place: ClassVar[Place] = Place.RANGE
     covered: PerChannel = key(0.9, "channels", least=0)
-    limit: PerChannel | None = key(None, "channels", positive=True)
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """The wrench within the range, (M, 6) [N, N m]."""
         del time, rng
-        if self.limit is not None:
-            limit = np.asarray(self.limit)
-            return np.clip(signal, -limit, limit)
         low, high = signal.min(axis=0), signal.max(axis=0)
         cut = (1 - np.asarray(self.covered)) * (high - low) / 2
         return np.clip(signal, low + cut, high - cut)
@@ -404,16 +374,8 @@ class MeasuredTare(Fault):
     kind: ClassVar[str] = "measured_tare"
     signal: ClassVar[Signal] = "tare"
     place: ClassVar[Place] = Place.LINE
-    seconds: float = key(5.0, positive=True)
+    seconds: float = key(5.0, positive=True, most=60)
     before: float = key(60.0, least=0)
-
-    def check_rate(self, rate: float) -> None:
-        """Whether its samples have room."""
-        if self.seconds * rate > _MOST_SAMPLES:
-            raise SettingsError(
-                f"{self.kind}: {self.seconds:g} s at {rate:g} Hz are more than {_MOST_SAMPLES:.0e} "
-                "samples; measure for a shorter time"
-            )
 
     def instants(self, rate: float) -> Array:
         """When it is measured, with the recording's first sample at 0 [s].
@@ -430,24 +392,10 @@ class MeasuredTare(Fault):
         return np.broadcast_to(signal.mean(axis=0), signal.shape)
 
 
-def in_frame(wrench: Array, rotation: Array, origin: Array) -> Array:
-    """A wrench as a frame shows it that lies elsewhere.
-
-    Args:
-        wrench: (M, 6) [N, N m], bedplate axes, about its origin.
-        rotation: Rotation vector of the frame, (3,) [rad].
-        origin: Of the frame, (3,) [m], bedplate axes.
-    """
-    force, moment = wrench[:, :3], wrench[:, 3:]
-    turn = from_vector(rotation)
-    return np.hstack([force @ turn, (moment - np.cross(origin, force)) @ turn])
-
-
 FAULTS: tuple[type[Fault], ...] = (
     PlateGain,
     PlateCrosstalk,
     PlatePose,
-    PlateOriginHeight,
     PlateSaturation,
     PlateConverter,
     MeasuredTare,

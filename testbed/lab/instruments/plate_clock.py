@@ -46,22 +46,17 @@ class PlateAntiAliasFilter(PlateFault):
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """The wrench behind the filter, (M, 6) [N, N m]."""
-        from scipy.signal import cont2discrete, lfilter, lfilter_zi
+        from scipy.signal import butter, cont2discrete, lfilter, lfilter_zi
 
         del rng
         step = (time[-1] - time[0]) / (len(time) - 1)
-        for numerator, denominator in _sections(2 * np.pi * self.cutoff, self.order):
-            above, below, _ = cont2discrete((numerator, denominator), step, "foh")
+        poles = butter(self.order, 2 * np.pi * self.cutoff, analog=True, output="zpk")[1]
+        for pole in poles[poles.imag > -1e-9 * abs(poles)]:  # of a pair the upper one
+            below = np.poly([pole, pole.conj()] if pole.imag > 1e-9 * abs(pole) else [pole]).real
+            above, below, _ = cont2discrete((below[-1:], below), step, "foh")
             rest = lfilter_zi(above[0], below)[:, None] * signal[0]
             signal = lfilter(above[0], below, signal, axis=0, zi=rest)[0]
         return signal
-
-
-def _sections(cutoff: float, order: int) -> list[tuple[list[float], list[float]]]:
-    """A Butterworth low-pass in factors of first and second order, cutoff in rad/s."""
-    damping = np.sin(np.pi * (2 * np.arange(order // 2) + 1) / (2 * order))
-    found = [([cutoff**2], [1.0, 2 * float(d) * cutoff, cutoff**2]) for d in damping]
-    return [*found, *[([cutoff], [1.0, cutoff])] * (order % 2)]
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
-"""The robot's own controller: computed torque, by what a drive believes of its robot."""
+"""The robot's own controller: computed torque along a sampled reference."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,42 +11,7 @@ from numpy.typing import NDArray
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.newton_euler import Motion, joint_forces
 from testbed.core.robot.friction import ROTOR, drive_torque
-from testbed.core.robot.inertia import Inertia
-from testbed.core.robot.tree import Joint, Tree
-
-
-def believed(tree: Tree, error: float, rng: np.random.Generator) -> Tree:
-    """A robot whose bodies and joints are all wrong by one relative size.
-
-    Each body keeps its shape and mass centre and is too heavy or too light; each coefficient
-    of friction and each rotor is too large or too small.
-
-    Args:
-        tree: The robot.
-        error: Relative size of every error, less than 1.
-        rng: Decides the signs.
-    """
-
-    def off() -> float:
-        return float(1 + error * rng.choice([-1.0, 1.0]))
-
-    def heavier(body: Inertia, factor: float) -> Inertia:
-        return Inertia(factor * body.mass, factor * body.first_moment, factor * body.tensor)
-
-    def rubbing(joint: Joint) -> Joint:
-        return replace(
-            joint,
-            coulomb=off() * joint.coulomb,
-            viscous=off() * joint.viscous,
-            rotor_inertia=off() * joint.rotor_inertia,
-        )
-
-    return replace(
-        tree,
-        inertias=tuple(heavier(body, off()) for body in tree.inertias),
-        joints=tuple(rubbing(joint) for joint in tree.joints),
-    )
-
+from testbed.core.robot.tree import Tree
 
 DAMPING = 0.9
 """Damping ratio of the position loop."""
@@ -69,8 +34,9 @@ class Reference(Protocol):
         """Where on the path at times t, (M,), as a time of it [s]."""
 
 
-class Controller(NamedTuple):
-    """A controller along a sampled reference, as machine code takes it.
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """A controller along a sampled reference.
 
     Attributes:
         times: Of the samples, (T,) [s].
@@ -91,6 +57,19 @@ class Controller(NamedTuple):
     posture: NDArray[np.int64]
     bandwidth: float
     effort: Array
+
+    def torque(self, k: int, position: Array, velocity: Array) -> Array:
+        """Torques for a sample within the limits of the motors, (n,) [N m or N].
+
+        Args:
+            k: The sample.
+            position: (n,) [rad or m].
+            velocity: (n,) [rad/s or m/s].
+        """
+        late, slow = self.q[k] - position, self.qd[k] - velocity
+        pull = self.bandwidth**2 * late + 2 * DAMPING * self.bandwidth * slow
+        wanted = self.expected[k] + self.inertia[self.posture[k]] @ pull
+        return np.asarray(np.clip(wanted, -self.effort, self.effort))
 
 
 def computed_torque(tree: Tree, motion: Reference, times: Array, bandwidth: float) -> Controller:

@@ -19,16 +19,11 @@ if TYPE_CHECKING:
     import mujoco
 
     from testbed.lab.simulation.gear_friction import Gears
-    from testbed.lab.simulation.plant import Plant
 
 StepForces: TypeAlias = Callable[[float, Array, Array, Array], Array]
 """Forces on the joints besides motors and the model's friction, (n,) [N m or N], of time [s],
 positions, velocities and motor torques, (n,) each, joints in the order of the tree; held over a
 step."""
-
-
-PLATE_FREEDOM = "testbed/plate/"
-"""How the names of joints begin that let the bedplate itself move."""
 
 
 class Effect(KindTable):
@@ -101,13 +96,3 @@ class Effect(KindTable):
             tree: The robot, effects included.
             prefix: Of the joints' names in `spec`.
         """
-
-    def flaw(self, plant: Plant, tree: Tree) -> str | None:
-        """How the changed plant departs from the effect's own law; None if it does not.
-
-        Args:
-            plant: After `disturb`.
-            tree: The robot, effects included.
-        """
-        del plant, tree
-        return None

@@ -4,33 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.lab.kind_table import of_table
 from testbed.lab.simulation.bodies import CompliantPlate, GearedRotor, Payload, Tilt
 from testbed.lab.simulation.effect import Effect
 from testbed.lab.simulation.joint_friction import (
-    AsymmetricFriction,
     LoadFriction,
     LuGreFriction,
-    PowerFriction,
     StribeckFriction,
     WarmingDrives,
 )
 
-EFFECTS: tuple[type[Effect], ...] = (
-    StribeckFriction,
-    PowerFriction,
-    AsymmetricFriction,
-    LoadFriction,
-    WarmingDrives,
-    LuGreFriction,
-    GearedRotor,
-    Payload,
-    CompliantPlate,
-    Tilt,
-)
-
-KINDS: Mapping[str, type[Effect]] = {effect.kind: effect for effect in EFFECTS}
+KINDS: Mapping[str, type[Effect]] = {
+    effect.kind: effect
+    for effect in (
+        StribeckFriction,
+        LoadFriction,
+        WarmingDrives,
+        LuGreFriction,
+        GearedRotor,
+        Payload,
+        CompliantPlate,
+        Tilt,
+    )
+}
 """Every effect that an experiment file can ask for, by kind."""
 
 
@@ -43,20 +39,4 @@ def effect_of(table: object) -> Effect:
     Raises:
         SettingsError: The kind or a key is not known, or a value is none that it takes.
     """
-    if isinstance(table, Effect):
-        return table
-    return of_table(table, "an effect", "stribeck_friction", effect_named)
-
-
-def effect_named(kind: str) -> type[Effect]:
-    """The effects of a kind.
-
-    Args:
-        kind: Its name.
-
-    Raises:
-        SettingsError: There is none.
-    """
-    if kind not in KINDS:
-        raise SettingsError(f"{UnknownName('kind of effect', kind, KINDS)}; see `testbed effects`")
-    return KINDS[kind]
+    return of_table(table, "effect", KINDS)

@@ -1,4 +1,4 @@
-"""Friction that no model file can state: of any speed, direction and load, and with a memory.
+"""Friction that no model file can state: at low speed, under load, warming up, with a memory.
 
 All of it acts at the joints and none reaches the plate. What jumps where a motion reverses is
 smoothed over a small speed, since forces are held over a step: sign(v) is tanh(v / 0.01). Only
@@ -7,7 +7,6 @@ friction that grows with the load is solved with the motion, and needs no such s
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -24,34 +23,8 @@ SMOOTH = 0.01
 """Speed over which a sign is smoothed [rad/s or m/s]."""
 
 
-def smooth_sign(velocity: Array) -> Array:
-    """sign(v), smoothed.
-
-    Args:
-        velocity: [rad/s or m/s].
-    """
-    return np.tanh(velocity / SMOOTH)
-
-
-class VelocityFriction(Effect):
-    """Joint friction by the velocity alone."""
-
-    @abstractmethod
-    def torque(self, qd: Array) -> Array:
-        """Against the motion, (n,) [N m or N].
-
-        Args:
-            qd: Velocities, (n,) [rad/s or m/s].
-        """
-
-    def forces(self, tree: Tree, step: float) -> StepForces:
-        """Minus the friction."""
-        del tree, step
-        return lambda time, q, qd, motor: -self.torque(qd)
-
-
 @dataclass(frozen=True, eq=False)
-class StribeckFriction(VelocityFriction):
+class StribeckFriction(Effect):
     """Friction that is higher at low speed: coefficient sign(v) exp(-(v / speed)^2).
 
     It comes on top of the joints' own dry and viscous friction.
@@ -67,51 +40,16 @@ class StribeckFriction(VelocityFriction):
     coefficient: PerJoint = key(3.0, "joints", least=0)
     speed: PerJoint = key(0.08, "joints", positive=True)
 
-    def torque(self, qd: Array) -> Array:
-        """The more the slower."""
-        fading = np.exp(-((qd / each_joint(self.speed)) ** 2))
-        return each_joint(self.coefficient) * fading * smooth_sign(qd)
+    def forces(self, tree: Tree, step: float) -> StepForces:
+        """The more the slower; the sign is smoothed."""
+        del tree, step
+        size, speed = each_joint(self.coefficient), each_joint(self.speed)
 
+        def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
+            del time, q, motor
+            return -size * np.exp(-((qd / speed) ** 2)) * np.tanh(qd / SMOOTH)
 
-@dataclass(frozen=True, eq=False)
-class PowerFriction(VelocityFriction):
-    """Friction that grows with a power of the speed: coefficient sign(v) abs(v)^exponent.
-
-    Source    Our own choice: lubricated gears have exponents from one half to two.
-
-    Attributes:
-        coefficient: At 1 rad/s or 1 m/s [N m or N].
-        exponent: Of the speed.
-    """
-
-    kind: ClassVar[str] = "power_friction"
-    coefficient: PerJoint = key(2.0, "joints", least=0)
-    exponent: float = key(0.5, positive=True, most=4)
-
-    def torque(self, qd: Array) -> Array:
-        """The more the faster."""
-        return each_joint(self.coefficient) * np.abs(qd) ** self.exponent * smooth_sign(qd)
-
-
-@dataclass(frozen=True, eq=False)
-class AsymmetricFriction(VelocityFriction):
-    """Friction that is higher in one direction: by so much more where the joint moves forwards.
-
-    Source    Our own choice: directions differ by 15 % on a PUMA's joints.
-
-    Attributes:
-        coulomb: Dry friction that forward motion has more [N m or N].
-        viscous: Viscous friction that it has more [N m s/rad or N s/m].
-    """
-
-    kind: ClassVar[str] = "asymmetric_friction"
-    coulomb: PerJoint = key(1.0, "joints", least=0)
-    viscous: PerJoint = key(1.0, "joints", least=0)
-
-    def torque(self, qd: Array) -> Array:
-        """Of forward motion."""
-        forward = np.maximum(qd, 0.0)
-        return each_joint(self.coulomb) * smooth_sign(forward) + each_joint(self.viscous) * forward
+        return push
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,10 +178,6 @@ class LuGreFriction(Effect):
 
 def _bent(before: Array, velocity: Array, slip: Array, stiff: Array, step: float) -> Array:
     """Deflection after a step of constant velocity: exact, so that it never overshoots."""
-    there = slip > 0
-    decay = stiff * np.abs(velocity) / np.where(there, slip, 1.0)
-    small = decay * step < 1e-8
-    kept = np.exp(-decay * step)
-    steady = np.sign(velocity) * slip / stiff
-    after = np.where(small, before + velocity * step, steady + (before - steady) * kept)
-    return np.where(there, after, 0.0)
+    tiny = np.finfo(float).tiny
+    decay = np.maximum(step * stiff * np.abs(velocity) / np.maximum(slip, 1e-99), tiny)
+    return np.asarray(before * np.exp(-decay) - velocity * step * np.expm1(-decay) / decay)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import ModelError, UnknownName
+from testbed.core.base.errors import ModelError, UnknownName, few
 from testbed.core.dynamics.newton_euler import Motion, base_wrench, joint_forces
 from testbed.core.robot.force_sensor import ForceSensor
 from testbed.core.robot.formats.mjcf import repaired_spec
@@ -22,7 +22,7 @@ from testbed.core.robot.formats.urdf import repaired_xml
 from testbed.core.robot.friction import ROTOR, friction_torque
 from testbed.core.robot.model_file import ModelFile, model_format
 from testbed.core.robot.tree import Tree
-from testbed.lab.simulation.effect import PLATE_FREEDOM, Effect
+from testbed.lab.simulation.effect import Effect
 from testbed.motion.limits import limits_of
 
 SAME = 1e-9
@@ -30,8 +30,6 @@ SAME = 1e-9
 
 _OWN = 1e-6
 """The same of what acts on a joint, in parts of the greatest that this joint has."""
-
-_NAMED = 3  # joints in one line
 
 _SPEED = 0.5  # of the joints in the self-check: well outside the band where friction is soft
 
@@ -58,9 +56,9 @@ class Plant:
     model: mujoco.MjModel
     order: NDArray[np.int64]
     dofs: Array
-    positions: Array
-    velocities: Array
-    plate: Array
+    positions: NDArray[np.int64]
+    velocities: NDArray[np.int64]
+    plate: NDArray[np.int64]
     plate_turn: Array
     plate_origin: Array
     tare: Array
@@ -89,114 +87,73 @@ def check_plant(plant: Plant, tree: Tree, path: Path) -> None:
     Raises:
         ModelError: Says what differs.
     """
-    states = [_state(plant, tree, path, moving) for moving in _moving(tree.n)]
+    even = np.arange(tree.n) % 2 == 0
+    states = [_driven(plant, tree, path, moving) for moving in (np.ones(tree.n), even, ~even)]
     own = np.max([np.abs(state.motor) + np.abs(state.friction) for state in states], axis=0)
     for state in states:
-        _check_forces(state, tree, own, path)
+        scale = max(np.abs(state.need).max(), np.abs(state.motor).max())
+        scale += np.abs(state.wrench).max()
+        allowed = np.minimum(SAME * scale, _OWN * own)  # a light joint's are small beside others'
+        wrong = np.flatnonzero(np.abs(state.other + state.friction) > allowed)
+        said = [
+            f"'{tree.names[k]}' ({state.other[k]:.4g} found, {-state.friction[k]:.4g} of friction "
+            "expected)"
+            for k in wrong
+        ]
+        if said:
+            raise ModelError(
+                f"{path}: besides motor and friction something else acts on {few(said)} [N m or "
+                "N], which the robot that was read does not have"
+            )
         felt = np.abs(state.expected_wrench - state.wrench).max()
-        if max(felt, np.abs(state.need - state.motor - state.other).max()) > SAME * state.scale:
+        if max(felt, np.abs(state.need - state.motor - state.other).max()) > SAME * scale:
             raise ModelError(
                 f"{path}: the plate or the joints do not feel the robot that was read (off by "
                 f"{felt:.3g} N or N m); does every arm stand on the sensor, is it unfiltered?"
             )
 
 
-@dataclass(frozen=True, eq=False)
-class _State:
-    """What acts in the plant, and what the tree expects, by joint [N m or N].
-
-    Attributes:
-        motor: What the motors do, (n,).
-        friction: What friction takes, (n,).
-        other: What acts besides the motors, (n,).
-        need: What the joints need for the acceleration that the plant has, (n,).
-        wrench: What the plate feels, bedplate axes, about O^0, (6,) [N, N m].
-        expected_wrench: What it should, (6,).
-    """
+class _State(NamedTuple):
+    """What acts in the plant, and what the tree expects, (n,) each [N m or N]."""
 
     motor: Array
-    friction: Array
-    other: Array
-    need: Array
-    wrench: Array
+    friction: Array  # what friction should take
+    other: Array  # what acts besides the motors
+    need: Array  # what the joints need for the acceleration that the plant has
+    wrench: Array  # what the plate feels, bedplate axes, about O^0, (6,) [N, N m]
     expected_wrench: Array
 
-    @property
-    def scale(self) -> float:
-        """The greatest of all that acts."""
-        return float(
-            np.abs(np.concatenate([self.need, self.motor])).max() + np.abs(self.wrench).max()
-        )
 
-
-def _moving(n: int) -> tuple[Array, ...]:
-    """Which joints move, state by state: all, and every other one, (n,) each."""
-    even = np.arange(n) % 2 == 0
-    return np.ones(n, dtype=bool), even, ~even
-
-
-def _state(plant: Plant, tree: Tree, path: Path, moving: Array) -> _State:
+def _driven(plant: Plant, tree: Tree, path: Path, moving: Array) -> _State:
     """Drive the plant through a state near the middle of all ranges."""
     rng, limits = np.random.default_rng(0), limits_of(tree)
     q = limits.middle + rng.uniform(-0.1, 0.1, tree.n) * (limits.high - limits.low)
     qd = moving * _SPEED * rng.choice([-1.0, 1.0], tree.n) * rng.uniform(0.5, 1.0, tree.n)
     qdd = moving * rng.uniform(-1.0, 1.0, tree.n)
-    friction = friction_torque(tree, qd)
-
-    def need(acceleration: Array) -> tuple[Array, Motion]:
-        motion = Motion(np.zeros(1), q[None], qd[None], acceleration[None])
-        return joint_forces(tree, motion)[0] + ROTOR.coefficients(tree) * acceleration, motion
-
-    motor = need(qdd)[0] + friction
+    friction, rotor = friction_torque(tree, qd), ROTOR.coefficients(tree)
+    wanted = Motion(np.zeros(1), q[None], qd[None], qdd[None])
+    motor = joint_forces(tree, wanted)[0] + rotor * qdd + friction
     data = mujoco.MjData(plant.model)
     data.qpos[plant.order], data.qvel[plant.order], data.ctrl[:] = q, qd, motor
     mujoco.mj_forward(plant.model, data)
     found = data.qacc[plant.order]
     if not (np.abs(found) < 1e12).all():
         raise ModelError(f"{path}: MuJoCo finds no finite acceleration; a body may lack inertia")
-    needed, motion = need(found)
+    motion = replace(wanted, qdd=found[None])
     return _State(
         motor=motor,
         friction=friction,
         other=(data.qfrc_passive + data.qfrc_constraint)[plant.order],
-        need=needed,
+        need=joint_forces(tree, motion)[0] + rotor * found,
         wrench=plant.bedplate_wrench(data.sensordata[plant.plate]),
         expected_wrench=base_wrench(tree, motion)[0] + plant.tare,
     )
 
 
-def _check_forces(state: _State, tree: Tree, own: Array, path: Path) -> None:
-    """Whether friction is all that acts besides the motors.
-
-    Args:
-        state: Of the plant.
-        tree: The robot.
-        own: The greatest forces of each joint, (n,): a light one's are small beside others'.
-        path: The file, for the message.
-
-    Raises:
-        ModelError: Names the joints, and how much acts there.
-    """
-    allowed = np.minimum(SAME * state.scale, _OWN * own)
-    wrong = np.flatnonzero(np.abs(state.other + state.friction) > allowed)
-    if not wrong.size:
-        return
-    said = [
-        f"'{tree.names[k]}' ({state.other[k]:.4g} {_unit(tree, int(k))} found, "
-        f"{-state.friction[k]:.4g} of friction expected)"
-        for k in wrong[:_NAMED]
-    ]
-    more = f" and {wrong.size - _NAMED} more" if wrong.size > _NAMED else ""
-    raise ModelError(
-        f"{path}: besides motor and friction something else acts on {', '.join(said)}{more}, "
-        "which the robot that was read does not have"
-    )
-
-
-def _unit(tree: Tree, joint: int) -> str:
-    return "N m" if tree.joints[joint].revolute else "N"
-
-
+_OF_JOINTS = {
+    "position": mujoco.mjtSensor.mjSENS_JOINTPOS,
+    "velocity": mujoco.mjtSensor.mjSENS_JOINTVEL,
+}
 _PLATE = "testbed/bedplate"
 _SENSOR = "testbed/sensor/"
 _WORLD = "testbed/world"  # of a link called "world", which MuJoCo would take for its own world
@@ -226,13 +183,12 @@ def build_plant(
         sensors: In the robot, besides the bedplate's.
 
     Raises:
-        ModelError: MuJoCo refuses the model, or an effect departs from its law.
+        ModelError: MuJoCo refuses the model, or it is not the robot that was read.
         UnknownName: A sensor is at a link that is not there.
     """
     if not friction or any(effect.owns_friction for effect in effects):
         tree = tree.without_friction()
-    path, spec = model.path, robot_spec(model)
-    prefix = ""
+    path, spec, prefix = model.path, robot_spec(model), ""
     with no_mujoco_warnings():  # attaching overrides timestep and camera, and says so
         if _plate_of(compile_spec(spec, path)) is None:
             spec, prefix = _on_plate(spec), _PREFIX
@@ -241,18 +197,15 @@ def build_plant(
             effect.equip(spec, tree, prefix)
         for sensor in sensors:
             _add_sensor(spec, sensor, prefix)
-        plant = _plant_of(compile_spec(spec, path), tree, path, prefix)
+        compiled = compile_spec(spec, path)
+        plate = _plate_of(compiled)
+        if plate is None:
+            raise ModelError(f"{path}: the sensing bedplate was lost when MuJoCo compiled it")
+        plant = _plant_of(compiled, tree, plate, prefix, sensors)
         check_plant(plant, tree, path)
         for effect in effects:
             effect.disturb(spec, tree, prefix)
-        if effects:
-            plant = _plant_of(compile_spec(spec, path), tree, path, prefix)
-        plant = replace(plant, sensors=_addresses(plant.model, sensors))
-    for effect in effects:
-        flaw = effect.flaw(plant, tree)
-        if flaw:
-            raise ModelError(f"{path}: {effect.kind}: {flaw}")
-    return plant
+        return _plant_of(compile_spec(spec, path), tree, plate, prefix, sensors)
 
 
 def robot_spec(model: ModelFile) -> mujoco.MjSpec:
@@ -320,9 +273,9 @@ def _equip(
     for name in (prefix + name for name in tree.names):
         motor = spec.add_actuator(name=f"testbed/{name}", target=name)
         motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        for kind in (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL):
-            label = f"testbed/{kind.name}/{name}"
-            spec.add_sensor(name=label, type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=name)
+        for signal, kind in _OF_JOINTS.items():
+            at = {"objtype": mujoco.mjtObj.mjOBJ_JOINT, "objname": name}
+            spec.add_sensor(name=_label(signal, name), type=kind, **at)
 
 
 def _add_sensor(spec: mujoco.MjSpec, sensor: ForceSensor, prefix: str) -> None:
@@ -346,39 +299,50 @@ def _add_sensors(spec: mujoco.MjSpec, site: str) -> None:
         spec.add_sensor(name=f"{site}/{name}", type=kind, **at)
 
 
-def _addresses(model: mujoco.MjModel, sensors: Sequence[ForceSensor]) -> NDArray[np.int64]:
-    """Where the force and moment of each stand among the sensor data, (6 S,)."""
-    parts = [f"{_SENSOR}{each.name}/{what}" for each in sensors for what in ("force", "torque")]
-    first = np.array([model.sensor(name).adr[0] for name in parts], dtype=np.int64)
-    return (first[:, None] + np.arange(3)).ravel()
+def _plant_of(
+    model: mujoco.MjModel,
+    tree: Tree,
+    plate: tuple[int, int],
+    prefix: str,
+    sensors: Sequence[ForceSensor],
+) -> Plant:
+    """The plant of a compiled model.
 
-
-def _plant_of(model: mujoco.MjModel, tree: Tree, path: Path, prefix: str) -> Plant:
-    plate = _plate_of(model)
-    if plate is None:
-        raise ModelError(f"{path}: the sensing bedplate was lost when MuJoCo compiled the model")
-    force, torque = plate
+    Args:
+        model: The robot on its plate.
+        tree: The robot.
+        plate: Numbers of the plate's force and torque sensor.
+        prefix: Of the joints' names in `model`.
+        sensors: In the robot, besides the bedplate's.
+    """
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    site = int(model.sensor_objid[force])
+    site = int(model.sensor_objid[plate[0]])
 
-    def sensors(kind: mujoco.mjtSensor) -> Array:
-        found = [model.sensor(f"testbed/{kind.name}/{prefix}{n}").adr[0] for n in tree.names]
-        return np.array(found)
+    def addresses(names: Iterable[str], size: int) -> NDArray[np.int64]:
+        """Where sensors stand among the sensor data, all their components one after the other."""
+        first = np.array([model.sensor(name).adr[0] for name in names], dtype=np.int64)
+        return (first[:, None] + np.arange(size)).ravel()
 
     order = np.array([model.joint(prefix + name).dofadr[0] for name in tree.names])
+    wrists = [f"{_SENSOR}{each.name}/{what}" for each in sensors for what in ("force", "torque")]
     return Plant(
         model=model,
         order=order,
         dofs=_dofs(model, order),
-        positions=sensors(mujoco.mjtSensor.mjSENS_JOINTPOS),
-        velocities=sensors(mujoco.mjtSensor.mjSENS_JOINTVEL),
-        plate=np.concatenate([model.sensor_adr[s] + np.arange(3) for s in (force, torque)]),
+        positions=addresses((_label("position", prefix + name) for name in tree.names), 1),
+        velocities=addresses((_label("velocity", prefix + name) for name in tree.names), 1),
+        plate=np.concatenate([model.sensor_adr[s] + np.arange(3) for s in plate]),
         plate_turn=data.site_xmat[site].reshape(3, 3).copy(),
         plate_origin=data.site_xpos[site].copy(),
-        tare=_tare(model, data, int(model.site_bodyid[site]), model.opt.gravity),
-        sensors=np.zeros(0, dtype=np.int64),
+        tare=_tare(model, data, int(model.site_bodyid[site])),
+        sensors=addresses(wrists, 3),
     )
+
+
+def _label(signal: str, joint: str) -> str:
+    """Name of a sensor of a joint."""
+    return f"testbed/{signal}/{joint}"
 
 
 def _dofs(model: mujoco.MjModel, order: Array) -> Array:
@@ -394,34 +358,21 @@ def _dofs(model: mujoco.MjModel, order: Array) -> Array:
 
 
 def _plate_of(model: mujoco.MjModel) -> tuple[int, int] | None:
-    """A force and a torque sensor at one site that is welded to the world."""
-    found: dict[tuple[int, int], int] = {}
-    for s in range(model.nsensor):
-        found[(int(model.sensor_type[s]), int(model.sensor_objid[s]))] = s
-    for site in range(model.nsite):
-        force = found.get((int(mujoco.mjtSensor.mjSENS_FORCE), site))
-        torque = found.get((int(mujoco.mjtSensor.mjSENS_TORQUE), site))
-        if force is not None and torque is not None and _stands(model, model.site_bodyid[site]):
-            return force, torque
+    """Numbers of a force and a torque sensor at one site that is welded to the world."""
+    sites = list(zip(model.sensor_type.tolist(), model.sensor_objid.tolist(), strict=True))
+    kinds = mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE
+    for site in np.flatnonzero(model.body_weldid[model.site_bodyid] == 0).tolist():
+        force, torque = ((int(kind), site) for kind in kinds)
+        if force in sites and torque in sites:
+            return sites.index(force), sites.index(torque)
     return None
 
 
-def _stands(model: mujoco.MjModel, body: int) -> bool:
-    """Whether a body is the world's, or moves with the plate alone."""
-    first = int(model.body_weldid[body])
-    joints = range(model.body_jntadr[first], model.body_jntadr[first] + model.body_jntnum[first])
-    ours = all(model.joint(k).name.startswith(PLATE_FREEDOM) for k in joints)
-    return first == 0 or (ours and model.body_weldid[model.body_parentid[first]] == 0)
-
-
-def _tare(model: mujoco.MjModel, data: mujoco.MjData, body: int, gravity: Array) -> Array:
-    """Static wrench of the bodies above the sensor that do not move."""
-    mass, moment = 0.0, np.zeros(3)
-    for b in range(body, model.nbody):
-        chain = b
-        while chain > body:
-            chain = model.body_parentid[chain]
-        if chain == body and model.body_weldid[b] == model.body_weldid[body]:
-            mass += model.body_mass[b]
-            moment += model.body_mass[b] * data.xipos[b]
-    return np.concatenate([-mass * gravity, -np.cross(moment, gravity)])
+def _tare(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> Array:
+    """Static wrench of the bodies above the sensor that do not move, (6,) [N, N m]."""
+    still = [body]
+    for other in range(body + 1, model.nbody):
+        if model.body_parentid[other] in still and not model.body_dofnum[other]:
+            still.append(other)
+    mass, gravity = model.body_mass[still], model.opt.gravity
+    return np.concatenate([-mass.sum() * gravity, -np.cross(mass @ data.xipos[still], gravity)])

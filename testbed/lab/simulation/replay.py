@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
@@ -45,39 +47,38 @@ def replay(model: ModelFile, recording: Recording, seconds: float = 2.0) -> Arra
         raise RecordingError(f"a recording that is replayed lasts more than {2 * START:g} s")
     period = float((time[last] - time[first]) / (last - first))
     steps = int(np.ceil(period / STEP))
-    spec, motors = robot_spec(model), _motors(model)
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    spec.option.timestep = period / steps
-    for name in tree.names:
-        motor = spec.add_actuator(target=name)
-        motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        gear, delay = motors.get(name, (1.0, 0.0))
-        motor.gear = [gear, 0, 0, 0, 0, 0]
-        motor.delay, motor.interp = delay, LINEAR
-        motor.nsample = commands_kept(delay, spec.option.timestep)
-    plant = spec.compile()
+    plant = _plant(model, tree.names, period / steps)
     data = mujoco.MjData(plant)
     for late in np.flatnonzero(plant.actuator_delay).tolist():
         before = plant.opt.timestep * np.arange(-plant.actuator_history[late, 0], 0.0)
         known = np.interp(time[first] + before, time, torque[:, late])
         mujoco.mj_initCtrlHistory(plant, data, late, before[:, None], known[:, None])
-    places = [plant.joint(name) for name in tree.names]
-    order = [place.qposadr[0] for place in places]
+    joints = [plant.joint(name) for name in tree.names]
+    order = [joint.qposadr[0] for joint in joints]
     fit = np.polynomial.polynomial.polyfit(time[:fitted] - time[first], recorded[:fitted], 3)
-    data.qpos[order], data.qvel[[place.dofadr[0] for place in places]] = fit[0], fit[1]
+    data.qpos[order], data.qvel[[joint.dofadr[0] for joint in joints]] = fit[0], fit[1]
     found = np.empty((last - first, tree.n))
     for k in range(first, last):
         found[k - first] = data.qpos[order]
-        for step in range(steps):
-            data.ctrl[:] = torque[k] + (step + 0.5) / steps * (torque[k + 1] - torque[k])
+        for share in (np.arange(steps) + 0.5) / steps:
+            data.ctrl[:] = torque[k] + share * (torque[k + 1] - torque[k])
             mujoco.mj_step(plant, data)
     return found - recorded[first:last]
 
 
-def _motors(model: ModelFile) -> dict[str, tuple[float, float]]:
-    """Gears and delays [s] of the file's actuators, by joint."""
-    if model_format(model.path) == "urdf":
-        return {}
-    spec = parse(model.path)
-    return {each.target: (float(each.gear[0]), float(each.delay)) for each in spec.actuators}
+def _plant(model: ModelFile, names: Sequence[str], step: float) -> mujoco.MjModel:
+    """The robot with a motor at each joint, with gear and delay of the file's own."""
+    spec = robot_spec(model)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    spec.option.timestep = step
+    own = [] if model_format(model.path) == "urdf" else parse(model.path).actuators
+    known = {each.target: (float(each.gear[0]), float(each.delay)) for each in own}
+    for name in names:
+        gear, delay = known.get(name, (1.0, 0.0))
+        motor = spec.add_actuator(target=name)
+        motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        motor.gear = [gear, 0, 0, 0, 0, 0]
+        motor.delay, motor.interp = delay, LINEAR
+        motor.nsample = commands_kept(delay, step)
+    return spec.compile()
