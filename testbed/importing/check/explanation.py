@@ -15,7 +15,7 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.newton_euler import Motion, linear
 from testbed.importing.check.instants import Instants
-from testbed.importing.check.plate import WEIGHT, Frame, PlateEvidence, PlateExplanation
+from testbed.importing.check.plate import WEIGHT, Frame, PlateEvidence, PlateExplanation, WrenchFit
 from testbed.importing.check.prior import Prior
 from testbed.importing.check.remedies import Hypothesis, merge, own_joints
 from testbed.importing.check.torques import NO_TORQUES, TorqueAssignment, TorqueEvidence, assign
@@ -134,6 +134,11 @@ class Explanation:
         changed = {k for each in self.hypotheses if each.kind in kinds for k in each.joints}
         return self.odd_torques() | changed
 
+    @property
+    def wrench_fit(self) -> WrenchFit | None:
+        """The plate beside what explains it; None where there is none."""
+        return self.fit.plate.wrench_fit(self.plate) if self.has_plate else None
+
     def after_plate(self) -> Explanation:
         """The same with torques judged by the plate's estimate of the parameters."""
         if not self.has_plate or self.fit.torques is None:
@@ -243,7 +248,7 @@ class HypothesisFit:
     @property
     def fine(self) -> bool:
         """Whether nothing is odd as it was read, neither about the plate nor about the torques."""
-        if self.plate.shift_cost > 0.5 or not self.as_read.explained:
+        if not self.as_read.explained:
             return False
         after = self.as_read.after_plate()
         return not after.hypotheses and not (self.plate.measured and after.odd_torques())

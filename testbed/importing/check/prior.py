@@ -26,13 +26,13 @@ class Prior:
         mean: Barycentric parameters by the model file, (10 n,).
         root: Of their covariance, (10 n, 10 n): masses within a half, centres within some
             centimetres.
-        lift: From a wrench's minimal parameters to these, (10 n, N).
+        parameters: How many a wrench determines.
     """
 
     tree: Tree
     mean: Array
     root: Array
-    lift: Array
+    parameters: int
 
     @property
     def weight(self) -> float:
@@ -55,8 +55,8 @@ def prior_of(tree: Tree) -> Prior:
     Args:
         tree: The robot.
     """
-    lift = minimal_set(tree, "reaction").lift
-    return Prior(tree, barycentric(tree).ravel(), _root(tree), lift)
+    parameters = minimal_set(tree, "reaction").count
+    return Prior(tree, barycentric(tree).ravel(), _root(tree), parameters)
 
 
 def _root(tree: Tree) -> Array:
