@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.regression.windows import motion_taps
 from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.source import Source
 
 CUTOFF, SLOW = 8.0, 2.0
 """Of the low-pass [Hz], a sixth of the rate where the recording is slower; of another one, for
 signals that are noise above it."""
 
-MOST, A_SECOND = 400, 16.0
+MOST, A_SECOND = 320, 16.0
 """Instants that are kept, in all and a second: no more than the low-pass lets be independent."""
 
 LEAST = 20
@@ -66,30 +67,6 @@ class Instants:
     wrench_noise: Array
     spacing: float
 
-    def transform(self, scale: Array, offset: Array) -> Instants:
-        """The same with positions scale @ q + offset.
-
-        Args:
-            scale: (n, n).
-            offset: (n,) [rad or m].
-        """
-        return replace(
-            self,
-            position=self.position @ scale.T + offset,
-            velocity=self.velocity @ scale.T,
-            acceleration=self.acceleration @ scale.T,
-        )
-
-    def every(self, step: int) -> Instants:
-        """Every n-th instant.
-
-        Args:
-            step: Instants from one to the next.
-        """
-        names = ("position", "velocity", "acceleration", "torque", "wrench", "wrench_rate")
-        fewer = {name: getattr(self, name)[::step] for name in names}
-        return replace(self, spacing=step * self.spacing, **fewer)
-
 
 def sample(recording: Recording, late: float = 0.0, cutoff: float = CUTOFF) -> Instants | None:
     """Signals of a recording at a few hundred instants; None where it is too short.
@@ -112,8 +89,11 @@ def sample(recording: Recording, late: float = 0.0, cutoff: float = CUTOFF) -> I
     torque = none if recording.torque is None else recording.torque
     wrench = none if recording.wrench is None else recording.wrench
     smoothing = float((taps[0] ** 2).sum())
+    position, velocity, acceleration = (decimate(recording.position, each, at) for each in taps)
     return Instants(
-        *(decimate(recording.position, each, at) for each in taps),
+        position,
+        velocity,
+        acceleration,
         torque=decimate(torque, taps[0], at),
         wrench=decimate(wrench, taps[0], at + later),
         wrench_rate=decimate(wrench, taps[1], at + later),
@@ -121,6 +101,17 @@ def sample(recording: Recording, late: float = 0.0, cutoff: float = CUTOFF) -> I
         wrench_noise=_noise_above(wrench, taps[0], motion_taps(rate, 2 * passed)[0]),
         spacing=(inside - abs(later)) / rate / count,
     )
+
+
+def middle(source: Source, samples: int) -> Recording:
+    """The middle of a recording.
+
+    Args:
+        source: The recording.
+        samples: Most that are taken.
+    """
+    first = max(0, (source.samples - samples) // 2)
+    return source.part(first, min(source.samples, first + samples))
 
 
 def decimate(signal: Array, weights: Array, at: slice | NDArray[np.intp]) -> Array:
@@ -203,4 +194,4 @@ def _noise_above(signal: Array, low_pass: Array, wider: Array) -> Array:
     spare = (len(low_pass) - len(wider)) // 2
     band[spare : spare + len(wider)] += wider
     every = slice(None, None, max(1, len(signal) // SPREAD))
-    return decimate(signal, band, every).var(axis=0)
+    return np.asarray(decimate(signal, band, every).var(axis=0))

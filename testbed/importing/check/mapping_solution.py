@@ -48,7 +48,7 @@ from testbed.importing.check.search import Progress
 from testbed.importing.check.time_offset import TimeOffset, alignment, time_offsets
 from testbed.importing.convert import clock_ranges
 from testbed.importing.derivative import DerivativeError
-from testbed.importing.foreign_table import FORCES, MOMENTS
+from testbed.importing.foreign_table import FORCES, MOMENTS, TURNING
 from testbed.importing.import_report import Draft, in_toml
 from testbed.importing.mapping import Mapping as MappingFile
 from testbed.importing.mapping import empty_keys
@@ -77,7 +77,7 @@ THOUSAND = 1000.0
 COMMON = 0.9
 """Part of the shorter of two files that they must have in common by their clocks."""
 
-STEP = np.deg2rad(15)
+STEPS = np.deg2rad([90, 45, 30, 15])
 """Of angles that a person writes [rad]."""
 
 CLEAR = 4.0
@@ -156,8 +156,13 @@ def solve_mapping(
     last = prepared if refined is draft else None
     if any(each.code in ("plate.foreign", "recording.short") for each in said):
         refined = _doubted(refined)
-    before, after = (each.as_read and each.as_read.wrench_fit for each in (first, assessment))
-    return MappingSolution(refined, said, before, after, prepared=last)
+    return MappingSolution(
+        refined,
+        said,
+        first.wrench_fit,
+        assessment.wrench_fit,
+        prepared=last,
+    )
 
 
 def missing(draft: Draft) -> list[str]:
@@ -196,30 +201,31 @@ def _assessed(
     draft: Draft, out: Path, tree: Tree, progress: Progress | None
 ) -> tuple[Draft, Prepared, Assessment]:
     """Mapping corrected by derivatives, its recordings, and the longest of them assessed."""
-    for _ in range(ROUNDS):
-        try:
-            prepared = Prepared(*pieces(out, _mapping(draft, out)))
-        except DerivativeError as error:
-            if not error.lines:
-                raise
-            for line in error.lines:
-                draft = draft.saying(*line, "solved: a signal and its derivative")
-        else:
-            break
-    else:
+    try:
         prepared = Prepared(*pieces(out, _mapping(draft, out)))
+    except DerivativeError as error:
+        better = draft
+        for line in error.lines:
+            better = better.saying(*line, "solved: a signal and its derivative")
+        if better == draft:
+            raise
+        return _assessed(better, out, tree, progress)
     assessment = assess(tree, on_its_base(prepared.longest, tree), progress)
     return draft, replace(prepared, assessment=assessment), assessment
 
 
 def _assume(draft: Draft, tree: Tree) -> Draft:
     """What is open is what is usual."""
-    turning = {joint.name: joint.revolute for joint in tree.joints}
+    sliding = {joint.name for joint in tree.joints if not joint.revolute}
     joints, tables = draft.tables[""]["joints"], draft.tables
     for kind, (turns, slides) in USUAL.items():
-        if tables.get(kind, {}).get("unit") == "":
-            units = [turns if turning.get(name, True) else slides for name in joints]
-            draft = draft.saying(kind, "unit", units[0] if len({*units}) == 1 else units, ASSUMED)
+        unit = tables.get(kind, {}).get("unit")
+        angles = isinstance(unit, str) and unit in TURNING.get(kind, ())
+        if unit == "" or (angles and sliding.intersection(joints)):
+            length = f"m{slides}" if str(unit).startswith("deg") else slides
+            units = [length if name in sliding else unit or turns for name in joints]
+            note = f"{ASSUMED}: lengths of joints that slide" if unit else ASSUMED
+            draft = draft.saying(kind, "unit", units[0] if len({*units}) == 1 else units, note)
     if tables.get("torque", {}).get("gain") == "":
         draft = draft.saying("torque", "gain", 1.0, f"{ASSUMED}: torque of one unit [N m]")
     for name in [each for each in tables if each == "wrench" or each.startswith("plates.")]:
@@ -249,13 +255,12 @@ def _with_starts(draft: Draft, out: Path) -> Draft:
 def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
     """What the assessment says instead; the same where it finds nothing wrong."""
     codes, best = {each.code for each in assessment.certain}, assessment.best
-    foreign = bool(codes & {"plate.foreign", "plate.crosstalk"})
-    zero_open = "wrench" in draft.tables and "tare" not in draft.tables["wrench"]
-    if best is not None and codes == {"plate.weight"} and zero_open:
-        return _with_zero(draft, best)  # the plate's zero is not the model's pedestal
-    if best is not None and zero_open and "pedestal" not in draft.tables["wrench"]:
-        weighed = weights(best)
-        if weighed is not None and not foreign:
+    plate = draft.tables.get("wrench", {"tare": None})
+    if best is not None and "tare" not in plate:
+        if codes == {"plate.weight"}:
+            return _with_zero(draft, best)  # the plate's zero is not the model's pedestal
+        weighed = None if "pedestal" in plate else weights(best)
+        if weighed is not None and not codes & {"plate.foreign", "plate.crosstalk"}:
             draft = _with_pedestal(draft, weighed)
             rest = tuple(each for each in assessment.remedies if each.kind != "tare")
             return _with_remedies(draft, replace(assessment, remedies=rest))
@@ -383,15 +388,14 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     turn, xyz = moved @ frame.turn, moved @ frame.place + moves[list(SHIFT)]
     rpy = _plain_angles(turn, covariance[np.ix_(TURN, TURN)])
     draft = _with_place(draft, (turn, xyz), rpy, sigma)
-    force, moment = frame.units
-    ratio = FORCES[force] / MOMENTS[moment] / (1 + moves[RATIO])
-    origin = draft.notes.get(("wrench", "units"), "by the file")
-    note = f"{origin}; ratio {ratio:.6g} +- {ratio * sigma[RATIO]:.2g}"
+    ratio = FORCES[frame.units[0]] / MOMENTS[frame.units[1]] / (1 + moves[RATIO])
+    note = draft.notes.get(("wrench", "units"), "by the file")
+    note += f"; ratio {ratio:.6g} +- {ratio * sigma[RATIO]:.2g}"
     draft = draft.saying("wrench", "units", table["units"], note)
+    late, late_sigma = float(moves[LATE]), float(sigma[LATE])
     own_clock = table["source"] != draft.tables["position"]["source"]
-    if own_clock or "delay" in table or abs(moves[LATE]) > CLEAR * sigma[LATE]:
-        delay = table.get("delay", 0.0) + float(moves[LATE])
-        draft = _delayed(draft, "wrench", delay, float(sigma[LATE]))
+    if own_clock or "delay" in table or abs(late) > CLEAR * late_sigma:
+        draft = _delayed(draft, "wrench", table.get("delay", 0.0) + late, late_sigma)
     placed = transform(from_rpy(rpy), xyz) @ frame.map_inverse @ best.plate.map
     return _with_zero(draft, replace(best, plate=replace(best.plate, map=placed)))
 
@@ -432,9 +436,12 @@ def _with_tare(draft: Draft, tare: list[float], note: str) -> Draft:
 def _plain_angles(turn: Array, covariance: Array) -> Sequence[float]:
     """Angles that a person writes, if they are as near as the data determine it; else its own."""
     rpy = to_rpy(turn)
-    plain = [round(angle / STEP) * STEP for angle in rpy]
-    apart = rotation_vector(from_rpy(plain) @ turn.T)
-    return plain if apart @ np.linalg.solve(covariance, apart) < NEAR else rpy
+    for step in STEPS:
+        plain = [round(angle / step) * step for angle in rpy]
+        apart = rotation_vector(from_rpy(plain) @ turn.T)
+        if apart @ np.linalg.solve(covariance, apart) < NEAR:
+            return plain
+    return rpy
 
 
 def _list(values: Array, digits: int) -> str:

@@ -27,6 +27,7 @@ from testbed.importing.check.plate_map import (
     SHIFT,
     SLOPES,
     TURN,
+    WIDE,
     MapFit,
     PlateRows,
     ridge_regression,
@@ -83,10 +84,6 @@ SHIFTED, CLEAR = 5e-3, 5.0
 
 MOST_MAPS = 40
 """Maps that are judged together with the torques, the best first."""
-
-WIDE = np.repeat([0.2, 1.0, 0.02], [3, 4, 1])
-"""Standard deviations of a correction before the data: of the place [m], of the delay [s], of the
-turn [rad] and of the ratio."""
 
 CORRECTIONS, AROUND = 4, 0.15
 """Steps of Gauss and Newton to a correction; part of the frequencies over which what is left is
@@ -241,12 +238,6 @@ class PlateExplanation:
         """
         return bool((self.unexplained < share + 3 * self.noise).all())
 
-    @property
-    def shown(self) -> bool:
-        """Whether it explains the plate, two channels or more of which are no noise."""
-        heard = self.noise < UNEXPLAINED
-        return bool(heard.sum() >= 2 and self.explained(UNEXPLAINED))
-
 
 NO_PLATE = PlateExplanation((), np.eye(6), 0.0, np.zeros(0), np.zeros(0), 0.0)
 
@@ -333,7 +324,7 @@ class PlateEvidence:
         for known, each in hypotheses:
             fit, about = self._products.fit(each), list(known)
             shift = fit.extras[list(SHIFT)]
-            sigma = np.linalg.norm(fit.sigma[list(SHIFT)])
+            sigma = float(np.linalg.norm(fit.sigma[list(SHIFT)]))
             if np.linalg.norm(shift) > max(SHIFTED, CLEAR * sigma):
                 place = np.round(self._frame.place + shift, 4)
                 about.append(Hypothesis("shift", (), tuple(place.tolist())))
@@ -350,8 +341,8 @@ class PlateEvidence:
         """Explanation by a map and what it leaves."""
         size = min((np.log(max(abs(fit.size), 1e-9)) / ROUGH) ** 2, MOST_SIZE)
         cost = WEIGHT * float(np.log(fit.unexplained + TINY).sum() + size)
-        late, noise = float(fit.extras[LATE]), self._products.noise_share(each)
-        return PlateExplanation(tuple(hypotheses), each, late, fit.unexplained, noise, cost)
+        late = float(fit.extras[LATE])
+        return PlateExplanation(tuple(hypotheses), each, late, fit.unexplained, fit.noise, cost)
 
     @cached_property
     def as_read(self) -> PlateExplanation:
@@ -414,37 +405,33 @@ class PlateEvidence:
             bedplate's frame, the turn first, (8,). Their covariance, (8, 8).
         """
         from scipy.fft import dct
-        from scipy.ndimage import uniform_filter1d
 
         data, prior, count = self._instants, self._prior, len(self._instants.wrench)
         constants = np.broadcast_to(np.eye(6), (count, 6, 6))
-        signals = (data.wrench, data.wrench_rate, self.rows @ prior.mean)
-        wrench, rate, expected = (dct(x, axis=0, norm="ortho") for x in signals)
         model = np.concatenate([self.rows @ prior.root, constants], axis=2)
         model = dct(model, axis=0, norm="ortho")
-        parameters, own = prior.root.shape[1], slice(model.shape[2], None)
-        precision = np.concatenate([np.ones(parameters), np.zeros(6), 1 / WIDE**2])
-        before = np.zeros(len(precision))
-        before[own][list(SHIFT)] = -self._frame.place  # where the prior has its mean
+        wrench, rate = (dct(x, axis=0, norm="ortho") for x in (data.wrench, data.wrench_rate))
+        target = wrench - dct(self.rows @ prior.mean, axis=0, norm="ortho")
+        parameters, moves = slice(prior.root.shape[1]), slice(model.shape[2], None)
+        precision = np.concatenate([np.ones(parameters.stop), np.zeros(6), 1 / WIDE**2])
+        mean = np.zeros(len(precision))
+        mean[moves][list(SHIFT)] = -self._frame.place
         left = np.maximum(each.unexplained * data.wrench.var(axis=0), 1e-30)
-        around = 1 + int(AROUND * count)
         weight, predicted = np.tile(1 / np.sqrt(left), (count, 1)), wrench
         for _ in range(CORRECTIONS):
             slopes = -np.einsum("ecd,td->tce", SLOPES, predicted)
             slopes[:, :, LATE] = -rate
-            columns = np.concatenate([model, slopes], axis=2) * weight[..., None]
-            columns = columns.reshape(6 * count, -1)
-            target = ((wrench - expected) * weight).ravel()
-            covariance = np.linalg.inv(columns.T @ columns + np.diag(precision))
-            values = covariance @ (columns.T @ target + precision * before)
-            residual = (target - columns @ values).reshape(count, 6) / weight
+            columns = np.concatenate([model, slopes], axis=2)
+            scaled = (columns * weight[..., None]).reshape(6 * count, -1)
+            covariance = np.linalg.inv(scaled.T @ scaled + np.diag(precision))
+            values = covariance @ (scaled.T @ (target * weight).ravel() + precision * mean)
+            residual = target - columns @ values
             predicted = wrench - residual
-            free = 1 - np.einsum("ti,ti->t", columns @ covariance, columns).reshape(count, 6)
-            free, square = (uniform_filter1d(x, around, axis=0) for x in (free, residual**2))
-            weight = np.sqrt(np.maximum(free, 1e-9) / np.maximum(square, 1e-24))
-            odd = float(np.abs(values[:parameters]).max())
-            precision[:parameters] = 1 / np.clip(odd, 1.0, LOOSEST) ** 2
-        return values[own], covariance[own, own]
+            leverage = ((scaled @ covariance) * scaled).sum(axis=1).reshape(count, 6)
+            weight = _spectral_weights(residual, leverage)
+            odd = np.abs(values[parameters]).max()
+            precision[parameters] = 1 / np.clip(odd, 1.0, LOOSEST) ** 2
+        return values[moves], covariance[moves, moves]
 
     def wrench_fit(self, each: PlateExplanation) -> WrenchFit:
         """The channels by an explanation, and what parameters and constants make of them.
@@ -457,3 +444,13 @@ class PlateEvidence:
         fit = fit - fit.mean(axis=0) + wrench.mean(axis=0)
         time = self._instants.spacing * np.arange(len(wrench), dtype=np.float64)
         return WrenchFit(time, wrench, fit, each.unexplained)
+
+
+def _spectral_weights(residual: Array, leverage: Array) -> Array:
+    """One over the sigma of what is left around each frequency of a channel, (T, 6)."""
+    from scipy.ndimage import uniform_filter1d
+
+    around = 1 + int(AROUND * len(residual))
+    free = uniform_filter1d(1 - leverage, around, axis=0)
+    square = uniform_filter1d(residual**2, around, axis=0)
+    return np.asarray(np.sqrt(np.maximum(free, 1e-9) / np.maximum(square, 1e-24)))

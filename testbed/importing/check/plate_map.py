@@ -40,8 +40,12 @@ what is left that leaves parameters free."""
 SILENT = 0.02
 """Part of the mean variance of forces, or of moments, that a channel counts with at least."""
 
-LATEST = 0.08
-"""Delays beyond this are not small [s]."""
+WIDE = np.repeat([0.2, 1.0, 0.02], [3, 4, 1])
+"""Standard deviations of what is fitted before the data: of the place [m], of the delay [s], of the
+turn [rad] and of the ratio."""
+
+LOOSE = 1e-7
+"""Weight of these beside the data where maps are compared."""
 
 SHIFT, LATE, TURN, RATIO = (0, 1, 2), 3, (4, 5, 6), 7
 """Places of what may be fitted beside a map: [m], [s], [rad], moments over forces."""
@@ -110,6 +114,7 @@ class MapFit(NamedTuple):
 
     Attributes:
         unexplained: Part of each channel's variance that no parameters explain, (6,).
+        noise: Part of it that is the channels' own noise, (6,).
         extras: What was fitted beside the map, zero for the others, (8,).
         sigma: Of them, if what is left is white, (8,).
         size: Times what the model file's masses make, by the variance; negative for the other
@@ -117,6 +122,7 @@ class MapFit(NamedTuple):
     """
 
     unexplained: Array
+    noise: Array
     extras: Array
     sigma: Array
     size: float
@@ -164,31 +170,26 @@ class PlateRows:
             each: From what was recorded to the bedplate's wrench, (6, 6).
             free: Places of what may be fitted.
         """
-        free = list(free)
-        terms = np.zeros((1 + len(free), 6, 12))
-        terms[0, :, :6] = each
-        terms[1:, :, :6] = SLOPES[free] @ each
-        if LATE in free:
-            terms[1 + free.index(LATE)] = np.hstack([np.zeros((6, 6)), each])
-        flat = terms.reshape(len(terms), 72)
+        places = list(free)
+        terms = np.zeros((1 + len(places), 6, 12))
+        terms[:, :, :6] = [each, *(SLOPES[places] @ each)]
+        if LATE in places:  # it is the wrench's derivative that is multiplied
+            terms[1 + places.index(LATE)] = np.hstack([np.zeros((6, 6)), each])
+        flat = terms.reshape(-1, 72)
         residual = flat @ self._residual @ flat.T  # (6, 1 + k, 1 + k)
-        whole = _at_least(self._variance(each))
-        weight = QUIET / (QUIET * whole + self._noise_variance(each))
+        whole, noise = _at_least(self._variance(each)), self.weight**2 * (each**2 @ self._noise)
+        weight = QUIET / (QUIET * whole + noise)
         total = np.tensordot(weight, residual, 1)
         total += QUIET / whole.mean() * (flat @ self._departure @ flat.T)
-        size = np.sqrt(np.diagonal(total)[1:]) + 1e-300
-        normal = total[1:, 1:] / np.outer(size, size) + 1e-9 * np.eye(len(free))
-        inverse = np.linalg.inv(normal) / np.outer(size, size)
-        best = -inverse @ total[1:, 0]
-        if LATE in free and abs(best[free.index(LATE)]) > LATEST:
-            best[free.index(LATE)] = 0.0
-        values = np.array([1.0, *best])
-        left = residual @ values @ values
+        inverse = np.linalg.inv(total[1:, 1:] + np.diag(LOOSE / WIDE[places] ** 2))
+        best = np.array([1.0, *(-inverse @ total[1:, 0])])
+        left = residual @ best @ best
         extras, sigma = np.zeros((2, len(SLOPES)))
-        extras[free] = best
-        sigma[free] = np.sqrt(np.diagonal(inverse) * (weight @ left) / (6 * len(self.expected)))
-        along = float(values @ flat @ self._model)
-        return MapFit(np.maximum(left / whole, 0.0), extras, sigma, along)
+        extras[places] = best[1:]
+        variance = np.diagonal(inverse) * (weight @ left) / (6 * len(self.expected))
+        sigma[places] = np.sqrt(variance)
+        size = float(best @ flat @ self._model)
+        return MapFit(np.maximum(left / whole, 0.0), noise / whole, extras, sigma, size)
 
     def gain_ratio(self, each: Array) -> float:
         """Times that moments must grow to be as large beside the forces as the model file's.
@@ -201,19 +202,7 @@ class PlateRows:
 
     def _variance(self, each: Array) -> Array:
         """Of each channel after a map, in parts of the model's, (6,)."""
-        return self.weight**2 * ((each @ self._covariance[:6, :6]) * each).sum(axis=1)
-
-    def noise_share(self, each: Array) -> Array:
-        """Part of each channel's variance that is the plate's own noise after a map, (6,).
-
-        Args:
-            each: The map, (6, 6).
-        """
-        return self._noise_variance(each) / _at_least(self._variance(each))
-
-    def _noise_variance(self, each: Array) -> Array:
-        """Of the plate's own noise after a map, in parts of the model's, (6,)."""
-        return self.weight**2 * (each**2 @ self._noise)
+        return np.asarray(self.weight**2 * ((each @ self._covariance[:6, :6]) * each).sum(axis=1))
 
     @cached_property
     def least_share(self) -> float:

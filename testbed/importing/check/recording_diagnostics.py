@@ -17,7 +17,7 @@ from testbed.core.recordings.source import Source
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.explanation import Explanation
 from testbed.importing.check.instants import Instants
-from testbed.importing.check.plate import MIXED, UNEXPLAINED, WrenchFit
+from testbed.importing.check.plate import MIXED, UNEXPLAINED
 from testbed.importing.check.remedies import KINDS, Hypothesis, Remedy, own_joints
 from testbed.importing.import_report import in_mapping
 
@@ -168,7 +168,7 @@ def unexplained_plate(best: Explanation) -> Iterator[Diagnostic]:
         return
     shares, noise = plate.unexplained, plate.noise
     channel = int(np.argmax(shares - NOISY * noise))
-    certain = not plate.explained(UNEXPLAINED) and not _noisy(evidence.wrench_fit(plate))
+    certain = not plate.explained(UNEXPLAINED)
     mixed = evidence.mixed(shares)
     yield diagnose(
         "plate.crosstalk" if mixed else "plate.foreign",
@@ -179,14 +179,6 @@ def unexplained_plate(best: Explanation) -> Iterator[Diagnostic]:
         share=share(shares[channel]),
         mixed=share(evidence.least) if mixed else "",
     )
-
-
-def _noisy(fit: WrenchFit) -> bool:
-    """Whether what is left is noise: it changes from instant to instant, as no motion does."""
-    left = fit.wrench - fit.fit
-    noise = (np.diff(left, 2, axis=0) ** 2).mean(axis=0) / 6
-    slow = (left**2).mean(axis=0) - NOISY * noise
-    return bool((slow < UNEXPLAINED * fit.wrench.var(axis=0)).all())
 
 
 def negative_weight(best: Explanation, tare: Array | None) -> Iterator[Diagnostic]:
@@ -325,10 +317,9 @@ def odd_sizes(
     small = bool((sizes[odd] < 1).all())
     unit = str((mapping.get("torque") or {}).get("unit"))
     units = {large: little for little, large in SMALLER.items()} if small else SMALLER
-    times = np.median(known) * (1e3 if small else 1e-3)
     causes: tuple[str, ...] = ("tool", "other-masses", "unit-n-mm")
     lines = "[torque] unit; or add the tool to the model file"
-    if 0.5 < times < 2.0 and unit in units:
+    if unit in units and 0.5 < np.median(known) * (1e3 if small else 1e-3) < 2.0:
         causes, lines = ("unit-n-mm",), f'[torque] unit = "{units[unit]}"'
     elif small:
         causes = ("motor-side", "currents")

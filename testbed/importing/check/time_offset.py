@@ -27,7 +27,14 @@ from testbed.core.recordings.geometry import check_robot, in_its_gravity
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
 from testbed.core.robot.tree import Tree
-from testbed.importing.check.instants import ENOUGH, LATE, decimate, delay, orthonormal_basis
+from testbed.importing.check.instants import (
+    ENOUGH,
+    LATE,
+    decimate,
+    delay,
+    middle,
+    orthonormal_basis,
+)
 from testbed.importing.check.remedies import wrench_tables
 from testbed.importing.import_report import ImportReport, Line
 
@@ -143,8 +150,7 @@ def time_offsets(
     if source.samples < SHORTEST * source.rate:
         return []
     most = int(MOST_INSTANTS * max(1, source.rate / FINE))
-    first = max(0, (source.samples - most) // 2)
-    part = source.part(first, min(source.samples, first + most)).ordered(tree)
+    part = middle(source, most).ordered(tree)
     offsets = (
         _offset(kind, tree, part, source.rate, bodies)
         for kind in kinds

@@ -182,7 +182,8 @@ class TorqueEvidence:
             times: What is left that bodies must explain.
         """
         rows, torque = self._rows[joint], self._white_torque[:, column]
-        triangle = np.linalg.qr(np.column_stack([rows.friction, rows.bodies, torque]), mode="r")
+        columns = np.column_stack([rows.friction, rows.bodies, torque])
+        triangle = np.asarray(np.linalg.qr(columns, mode="r"))
         own = np.abs(np.diagonal(triangle))
         explained, left = triangle[-2:, -1] ** 2
         whole = len(torque) * torque.var()
@@ -241,21 +242,20 @@ def assign(torques: TorqueEvidence) -> TorqueAssignment:
     if costs[joints, order].sum() >= np.trace(costs) - ORDER:
         order = joints
     places = list(enumerate(order.tolist()))
-    best = [fits[place] for place in places]
-    odd = [j for j, fit in enumerate(best) if fit.gain != 1.0]
+    cost, sense, gain = np.array([fits[place] for place in places]).T
+    odd, opposite = np.flatnonzero(gain != 1), np.flatnonzero(sense < 0)
     hypotheses = (
-        Hypothesis("torque_order", tuple(j for j, k in places if j != k), tuple(order.tolist())),
-        Hypothesis("torque_sign", tuple(j for j, fit in enumerate(best) if fit.sense < 0)),
-        Hypothesis("torque_size", tuple(odd), tuple(best[j].gain for j in odd)),
+        Hypothesis("torque_order", tuple(joints[order != joints].tolist()), tuple(order.tolist())),
+        Hypothesis("torque_sign", tuple(opposite.tolist())),
+        Hypothesis("torque_size", tuple(odd.tolist()), tuple(gain[odd].tolist())),
     )
-    sizes = np.array([torques.size(*place, TIMES) for place in places])
-    sizes = np.where(np.isin(joints, odd), [fit.gain for fit in best],
-                     sizes * [fit.sense for fit in best])  # fmt: skip
+    sizes = sense * [torques.size(*place, TIMES) for place in places]
+    sizes[odd] = gain[odd]
     return TorqueAssignment(
         tuple(each for each in hypotheses if each.joints),
-        sum(fit.cost for fit in best),
+        float(cost.sum()),
         -sum(float(torques.log(k, k)[0]) for k in range(n)),
-        np.array([torques.unexplained(j, k, *best[j][1:]) for j, k in places]),
+        np.array([torques.unexplained(*place, *fits[place][1:]) for place in places]),
         np.array([torques.unexplained(k, k) for k in range(n)]),
         np.array([torques.spread(*place) for place in places]),
         np.where(sizes > 0, sizes, np.nan),
