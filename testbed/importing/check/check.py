@@ -199,7 +199,8 @@ def _judge(
         doubted = [replace(each, level="error" if foreign else "warning") for each in still]
         return Assessment(tuple(doubted), best.torques.sizes)
     wrong = gain > LIKELY and not foreign
-    hypotheses = [each for each in best.hypotheses if wrong and each.kind != "torque_size"]
+    hypotheses = [_timed(each, best) for each in best.hypotheses if wrong]
+    hypotheses = [each for each in hypotheses if each.kind != "torque_size"]
     wrong = bool(hypotheses)
     zero = None if foreign or not best.has_plate else zero_hypothesis(best, part.tare)
     hypotheses += [] if zero is None else [zero]
@@ -227,6 +228,13 @@ def _judge(
     if not (wrong or foreign):
         said += undecided(tree, search.undecided())
     return Assessment(tuple(said), best.torques.sizes, remedies, equals, as_read, best)
+
+
+def _timed(hypothesis: Hypothesis, best: Explanation) -> Hypothesis:
+    """The same; that a plate is late, by what was fitted beside, too."""
+    if hypothesis.kind != "late":
+        return hypothesis
+    return replace(hypothesis, values=(hypothesis.values[0] + best.plate.late,))
 
 
 def _shares(as_read: Explanation, best: Explanation) -> tuple[Array, Array]:

@@ -29,7 +29,7 @@ from testbed.core.robot.inertia import from_rpy, from_vector, to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.check import Assessment, Prepared, assess, zero_hypothesis
 from testbed.importing.check.explanation import Explanation
-from testbed.importing.check.plate import WrenchFit, frame_of
+from testbed.importing.check.plate import FAR, WrenchFit, frame_of
 from testbed.importing.check.plate_map import (
     LATE,
     RATIO,
@@ -59,6 +59,8 @@ ASSUMED = "ASSUMED"
 KNOWN = (ASSUMED, "solved", "by the data")
 """Beginnings of what is said beside a value that no name states."""
 
+SLIDING = ": lengths of joints that slide"
+
 USUAL = {
     "position": ("rad", "m"), "velocity": ("rad/s", "m/s"), "acceleration": ("rad/s^2", "m/s^2"),
     "torque": ("N m", "N"), "base": ("m", "m"),
@@ -82,9 +84,6 @@ STEPS = np.deg2rad([90, 45, 30, 15])
 
 CLEAR = 4.0
 """Standard deviations from which a plate is late by a clock that it shares with the positions."""
-
-FAR = 0.02
-"""Standard deviation from which a place is not known [m]."""
 
 NEAR = 14.2
 """Squared distance, in standard deviations, below which a turn is one that a person writes: one of
@@ -217,15 +216,15 @@ def _assessed(
 def _assume(draft: Draft, tree: Tree) -> Draft:
     """What is open is what is usual."""
     sliding = {joint.name for joint in tree.joints if not joint.revolute}
-    joints, tables = draft.tables[""]["joints"], draft.tables
+    tables = draft.tables
+    joints = tables[""]["joints"]
     for kind, (turns, slides) in USUAL.items():
         unit = tables.get(kind, {}).get("unit")
-        angles = isinstance(unit, str) and unit in TURNING.get(kind, ())
-        if unit == "" or (angles and sliding.intersection(joints)):
+        if unit == "" or (unit in [*TURNING.get(kind, ())] and sliding.intersection(joints)):
             length = f"m{slides}" if str(unit).startswith("deg") else slides
             units = [length if name in sliding else unit or turns for name in joints]
-            note = f"{ASSUMED}: lengths of joints that slide" if unit else ASSUMED
-            draft = draft.saying(kind, "unit", units[0] if len({*units}) == 1 else units, note)
+            note = ASSUMED + SLIDING * bool(unit)
+            draft = draft.saying(kind, "unit", units if len({*units}) > 1 else units[0], note)
     if tables.get("torque", {}).get("gain") == "":
         draft = draft.saying("torque", "gain", 1.0, f"{ASSUMED}: torque of one unit [N m]")
     for name in [each for each in tables if each == "wrench" or each.startswith("plates.")]:
@@ -392,10 +391,10 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     note = draft.notes.get(("wrench", "units"), "by the file")
     note += f"; ratio {ratio:.6g} +- {ratio * sigma[RATIO]:.2g}"
     draft = draft.saying("wrench", "units", table["units"], note)
-    late, late_sigma = float(moves[LATE]), float(sigma[LATE])
-    own_clock = table["source"] != draft.tables["position"]["source"]
-    if own_clock or "delay" in table or abs(late) > CLEAR * late_sigma:
-        draft = _delayed(draft, "wrench", table.get("delay", 0.0) + late, late_sigma)
+    late = float(moves[LATE])
+    shared = table["source"] == draft.tables["position"]["source"] and "delay" not in table
+    if not shared or abs(late) > CLEAR * sigma[LATE]:
+        draft = _delayed(draft, "wrench", table.get("delay", 0.0) + late, float(sigma[LATE]))
     placed = transform(from_rpy(rpy), xyz) @ frame.map_inverse @ best.plate.map
     return _with_zero(draft, replace(best, plate=replace(best.plate, map=placed)))
 

@@ -89,6 +89,9 @@ CORRECTIONS, AROUND = 4, 0.15
 """Steps of Gauss and Newton to a correction; part of the frequencies over which what is left is
 averaged."""
 
+FAR = 0.02
+"""Standard deviation from which a place is not known [m]."""
+
 LOOSEST = 10.0
 """Times that a prior's sigmas are wider at most, where data depart from it by as many sigmas."""
 
@@ -431,7 +434,13 @@ class PlateEvidence:
             weight = _spectral_weights(residual, leverage)
             odd = np.abs(values[parameters]).max()
             precision[parameters] = 1 / np.clip(odd, 1.0, LOOSEST) ** 2
-        return values[moves], covariance[moves, moves]
+        return self._with_loose_place(values[moves], covariance[moves, moves])
+
+    def _with_loose_place(self, moves: Array, covariance: Array) -> tuple[Array, Array]:
+        """Correction with an unknown place at zero, and the others as they are then."""
+        loose = [k for k in SHIFT if covariance[k, k] > FAR**2]
+        gain = np.linalg.solve(covariance[np.ix_(loose, loose)], covariance[loose])
+        return moves - (moves[loose] + self._frame.place[loose]) @ gain, covariance
 
     def wrench_fit(self, each: PlateExplanation) -> WrenchFit:
         """The channels by an explanation, and what parameters and constants make of them.

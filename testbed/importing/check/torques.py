@@ -10,8 +10,10 @@ posterior is the prior here.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -234,25 +236,19 @@ def assign(torques: TorqueEvidence) -> TorqueAssignment:
     from scipy.optimize import linear_sum_assignment
 
     n = torques.joints
-    pairs = [(j, k) for j in range(n) for k in range(n) if j == k or n <= MOST_JOINTS]
-    fits = {pair: torques.fit(*pair) for pair in pairs}
+    pairs = product(range(n), repeat=2)
+    fits = {pair: torques.fit(*pair) for pair in pairs if n <= MOST_JOINTS or pair[0] == pair[1]}
     costs = np.full((n, n), np.inf)
-    costs[tuple(np.transpose(pairs))] = [fit.cost for fit in fits.values()]
+    costs[tuple(np.transpose([*fits]))] = [fit.cost for fit in fits.values()]
     joints, order = linear_sum_assignment(costs)
     if costs[joints, order].sum() >= np.trace(costs) - ORDER:
         order = joints
     places = list(enumerate(order.tolist()))
     cost, sense, gain = np.array([fits[place] for place in places]).T
-    odd, opposite = np.flatnonzero(gain != 1), np.flatnonzero(sense < 0)
-    hypotheses = (
-        Hypothesis("torque_order", tuple(joints[order != joints].tolist()), tuple(order.tolist())),
-        Hypothesis("torque_sign", tuple(opposite.tolist())),
-        Hypothesis("torque_size", tuple(odd.tolist()), tuple(gain[odd].tolist())),
-    )
     sizes = sense * [torques.size(*place, TIMES) for place in places]
-    sizes[odd] = gain[odd]
+    sizes = np.where(gain != 1, gain, sizes)
     return TorqueAssignment(
-        tuple(each for each in hypotheses if each.joints),
+        tuple(_hypotheses(order, sense, gain)),
         float(cost.sum()),
         -sum(float(torques.log(k, k)[0]) for k in range(n)),
         np.array([torques.unexplained(*place, *fits[place][1:]) for place in places]),
@@ -260,6 +256,19 @@ def assign(torques: TorqueEvidence) -> TorqueAssignment:
         np.array([torques.spread(*place) for place in places]),
         np.where(sizes > 0, sizes, np.nan),
     )
+
+
+def _hypotheses(order: Array, sense: Array, gain: Array) -> Iterator[Hypothesis]:
+    """What columns, senses and gains of the joints' torques (n,) mean for a mapping."""
+    moved = np.flatnonzero(order != np.arange(len(order)))
+    odd = np.flatnonzero(gain != 1)
+    for kind, joints, values in (
+        ("torque_order", moved, order),
+        ("torque_sign", np.flatnonzero(sense < 0), np.zeros(0)),
+        ("torque_size", odd, gain[odd]),
+    ):
+        if joints.size:
+            yield Hypothesis(kind, tuple(joints.tolist()), tuple(values.tolist()))
 
 
 @cache
