@@ -347,43 +347,17 @@ def detection(
     seed: Annotated[int, typer.Option(min=0, help="The first seed.")] = 7000,
     seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 20.0,
     only: Annotated[str, typer.Option(help="Only trials whose words hold this.")] = "",
-    table: Annotated[bool, typer.Option("--table", help="As a table, at the end.")] = False,
 ) -> None:
     """False alarms and power of the tests for the instrument's faults; exit code 1 below a goal."""
     from benchmarks.detection import detection as measured
-    from benchmarks.detection import in_columns, total, trials
+    from benchmarks.detection import total, trials
 
-    lines = []
-    for trial in trials():
-        if only in trial.words:
-            lines.append(measured(trial, seed, runs, seconds))
-            if not table:
-                _print(lines[-1])
+    asked = [trial for trial in trials() if only in trial.words]
+    lines = list(_printed(measured(trial, seed, runs, seconds) for trial in asked))
     if any(line["fault"] == "none" for line in lines):
         lines.append(total(lines))
-        if not table:
-            _print(lines[-1])
-    if table:
-        print(in_columns(lines))
+        _print(lines[-1])
     raise typer.Exit(int(not all(line["held"] for line in lines)))
-
-
-@app.command()
-def mistakes(
-    count: Annotated[int, typer.Option(min=2, help="Mistakes planted on each of 4 robots.")] = 30,
-    seed: Annotated[int, typer.Option(min=0, help="Of robots, motions and mistakes.")] = 20,
-    only: Annotated[str, typer.Option(help="Only robots whose names hold this.")] = "",
-) -> None:
-    """Mistakes of mappings, found and cured; exit code 1 where the goal is missed."""
-    from benchmarks.mistakes import reached, study, total
-
-    lines = []
-    for line in study(count, seed, only):
-        lines.append(line)
-        _print(line)
-    found = total(lines)
-    _print(found)
-    raise typer.Exit(int(not reached(found)))
 
 
 @app.command()

@@ -6,7 +6,7 @@ Columns are exact, and made here from what the faults do: nothing of the product
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,22 +42,12 @@ class Told:
 
 
 def least(
-    tree: tb.Tree,
-    minimal: MinimalSet,
-    motion: str,
-    seconds: float,
-    seed: int,
+    tree: tb.Tree, minimal: MinimalSet, motion: str, seconds: float, seed: int,
     nuisances: Sequence[str] = (),
-) -> Array:
+) -> Array:  # fmt: skip
     """Standard deviations that no unbiased estimate of the parameters falls below, (N,).
 
-    Args:
-        tree: The robot.
-        minimal: Its parameters.
-        motion: One of MOTIONS.
-        seconds: Duration.
-        seed: Of the motion.
-        nuisances: Kinds that are unknown beside the parameters.
+    `nuisances` are unknown beside the parameters.
     """
     time, truth, _ = happened(tree, motion, seconds, seed)
     part = slice(None, None, EVERY)
@@ -82,14 +72,6 @@ def least(
     return np.asarray(spread[: minimal.count] / np.sqrt(EVERY))
 
 
-def _bias(told: Told) -> Array:
-    return np.broadcast_to(np.eye(6), (len(told.wrench), 6, 6))
-
-
-def _slope(told: Told) -> Array:
-    return np.asarray(told.motion.t[:, None, None] * np.eye(6))
-
-
 def _pose(told: Told) -> Array:
     force, moment = told.wrench[:, :3], told.wrench[:, 3:]
     turned = [np.hstack([np.cross(force, axis), np.cross(moment, axis)]) for axis in np.eye(3)]
@@ -98,34 +80,21 @@ def _pose(told: Told) -> Array:
     return np.stack([*turned, *shifted], axis=2)
 
 
-def _height(told: Told) -> Array:
-    return _pose(told)[..., 5:]
-
-
-def _skew(told: Told) -> Array:
-    return -np.gradient(told.wrench, told.motion.t, axis=0)[..., None]
-
-
 def _joint_zeros(told: Told) -> Array:
     slopes = []
     for joint in np.eye(told.tree.n):
-        ahead, behind = (
-            tb.base_wrench(told.tree, _moved(told.motion, sign * TURN * joint)) for sign in (1, -1)
-        )
+        moved = (replace(told.motion, q=told.motion.q + x * TURN * joint) for x in (1, -1))
+        ahead, behind = (tb.base_wrench(told.tree, each) for each in moved)
         slopes.append((ahead - behind) / (2 * TURN))
     return np.stack(slopes, axis=2)
 
 
-def _moved(motion: Motion, by: Array) -> Motion:
-    return Motion(motion.t, motion.q + by, motion.qd, motion.qdd)
-
-
 COLUMNS: dict[str, Callable[[Told], Array]] = {
-    "bias": _bias,
-    "slope": _slope,
+    "bias": lambda told: np.broadcast_to(np.eye(6), (len(told.wrench), 6, 6)),
+    "slope": lambda told: told.motion.t[:, None, None] * np.eye(6),
     "pose": _pose,
-    "height": _height,
-    "skew": _skew,
+    "height": lambda told: _pose(told)[..., 5:],
+    "skew": lambda told: -np.gradient(told.wrench, told.motion.t, axis=0)[..., None],
     "joint_zeros": _joint_zeros,
 }
 """What each kind adds to the wrench per unit, (M, 6, k)."""

@@ -7,8 +7,9 @@ residuals' tests notice it, and how often they name it first.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 from scipy import stats
@@ -29,6 +30,9 @@ FALSE_ALARMS = 0.01
 
 Of one kind 20 runs tell no share of 1 %: it fails where its interval of 95 % leaves the goal out.
 """
+
+NOISES = ("white", "ar .3 s", "ar 3 s", "pink")
+"""Of `random_recordings`."""
 
 POWER = 0.99
 """Least share of faulty recordings about which something is said, judged likewise."""
@@ -64,36 +68,25 @@ class Trial:
 
 def trials() -> Iterator[Trial]:
     """Clean ones, then faulty ones."""
-    for robot in SHOWN:
-        for motion in ("default", "slow"):
-            for noise in ("white", "ar .3 s", "ar 3 s", "pink"):
-                yield Trial(robot, motion, noise)
+    for robot, motion, noise in product(SHOWN, ("default", "slow"), NOISES):
+        yield Trial(robot, motion, noise)
     for robot in SHOWN:
         second = tb.load_tree(ROBOTS[robot]).names[1]
-        for fault, what, right, goal in _faults(second):
+        for fault, what, right, goal in (
+            ("skew 1 ms", PlateDelay(delay=1e-3), "skew", POWER),
+            ("skew .2 ms", PlateDelay(delay=2e-4), "skew", 0.95),
+            ("crosstalk 1 %", PlateCrosstalk(size=0.01), "crosstalk", POWER),
+            ("pose .2 deg, 1 mm", PlatePose(rotation=3.5e-3, translation=1e-3), "pose", POWER),
+            ("Fz x 1.05", PlateGain(error=(0.0, 0.0, 0.05, 0.0, 0.0, 0.0)), "gains", POWER),
+            ("encoder 2 x 1.01", EncoderGain(error={second: 0.01}), "encoder_gains", POWER),
+            ("lag 5 ms", PlateDelay(delay=5e-3), "skew", POWER),
+            ("filter 45 Hz, 5 ms", PlateAntiAliasFilter(cutoff=45.0), "skew", POWER),
+        ):
             yield Trial(robot, fault=fault, faults=(what,), right=right, goal=goal)
 
 
-def _faults(joint: str) -> Iterator[tuple[str, Fault, str, float]]:
-    yield "skew 1 ms", PlateDelay(delay=1e-3), "skew", POWER
-    yield "skew .2 ms", PlateDelay(delay=2e-4), "skew", 0.95
-    yield "crosstalk 1 %", PlateCrosstalk(size=0.01), "crosstalk", POWER
-    yield "pose .2 deg, 1 mm", PlatePose(rotation=3.5e-3, translation=1e-3), "pose", POWER
-    yield "Fz x 1.05", PlateGain(error=(0.0, 0.0, 0.05, 0.0, 0.0, 0.0)), "gains", POWER
-    yield "encoder 2 x 1.01", EncoderGain(error={joint: 0.01}), "encoder_gains", POWER
-    yield "lag 5 ms", PlateDelay(delay=5e-3), "skew", POWER
-    yield "filter 45 Hz, 5 ms", PlateAntiAliasFilter(cutoff=45.0), "skew", POWER
-
-
 def detection(trial: Trial, first: int, runs: int, seconds: float) -> dict[str, Any]:
-    """How often something is said about recordings of one kind, and what first.
-
-    Args:
-        trial: What is repeated.
-        first: The first seed.
-        runs: How many.
-        seconds: Duration of every recording.
-    """
+    """How often something is said about recordings of one kind, and what first."""
     tree = tb.load_tree(ROBOTS[trial.robot])
     settings = tb.Settings(zeros=trial.robot == "puma")
     ranks: list[int | None] = []
@@ -135,11 +128,7 @@ def detection(trial: Trial, first: int, runs: int, seconds: float) -> dict[str, 
 
 
 def total(lines: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """All clean recordings together.
-
-    Args:
-        lines: What `detection` gave.
-    """
+    """All clean recordings together."""
     clean = [line for line in lines if line["fault"] == "none"]
     runs = sum(line["runs"] for line in clean)
     words = ("alarms", "coarse_encoders", "other_findings")
@@ -147,38 +136,14 @@ def total(lines: Iterable[dict[str, Any]]) -> dict[str, Any]:
     alarms = counts["alarms"]
     interval = stats.binomtest(alarms, runs).proportion_ci(method="exact")
     return {
+        **dict.fromkeys(("robot", "motion", "noise"), "all"),
         "fault": "none",
-        "robot": "all",
-        "motion": "all",
-        "noise": "all",
         "runs": runs,
         **{word: _share(count / runs) for word, count in counts.items()},
         "interval": [_share(interval.low), _share(interval.high)],
         "goal": FALSE_ALARMS,
         "held": alarms <= FALSE_ALARMS * runs,
     }
-
-
-COLUMNS = ("fault", "robot", "motion", "noise", "runs", "alarms", "interval", "named_first", "held")
-
-
-def in_columns(lines: Sequence[dict[str, Any]]) -> str:
-    """Lines as a table in Markdown.
-
-    Args:
-        lines: What `detection` gave.
-    """
-    rows = [COLUMNS, ("---",) * len(COLUMNS)]
-    rows += [tuple(_cell(line.get(column)) for column in COLUMNS) for line in lines]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "NO"
-    if isinstance(value, list):
-        return " to ".join(map(str, value))
-    return "-" if value is None else str(value)
 
 
 def _share(value: float) -> float:

@@ -83,7 +83,7 @@ def truth(
     """
     rng = np.random.default_rng(seed)
     tree = tree_of(name)
-    model = real_model(name, rng, ROUGH, OFF, payload)
+    model = on_a_free_base(real_robot(name, rng, ROUGH, OFF, payload))
     motion = _motion(model, tree.names, rng)
     if moving is not None:
         motion[1][[k for k in range(tree.n) if k not in moving]] = 0
@@ -105,10 +105,10 @@ def truth(
     )
 
 
-def real_model(
+def real_robot(
     name: str, rng: np.random.Generator, rough: float, off: float, payload: float = 0.0
-) -> mujoco.MjModel:
-    """A robot's URDF on a free base, read by MuJoCo, its masses and centres changed.
+) -> ElementTree.Element:
+    """A robot's URDF, its masses and centres changed: bodies without shapes, a base without mass.
 
     What is welded to the base weighs nothing: it is the pedestal's. About the centre, inertias
     keep their shape.
@@ -120,21 +120,6 @@ def real_model(
         off: Of centres, along each axis [m].
         payload: Mass at the last link, besides [kg].
     """
-    return on_a_free_base(real_robot(name, rng, rough, off, payload))
-
-
-def real_robot(
-    name: str, rng: np.random.Generator, rough: float, off: float, payload: float = 0.0
-) -> ElementTree.Element:
-    """The URDF of `real_model`: bodies alone, without shapes, on a base without mass.
-
-    Args:
-        name: One of `ROBOTS`.
-        rng: As `real_model`.
-        rough: As `real_model`.
-        off: As `real_model`.
-        payload: As `real_model`.
-    """
     path, held = ROBOTS[name]
     robot = ElementTree.parse(path).getroot()
     links = {str(link.get("name")): link for link in robot.findall("link")}
@@ -143,7 +128,10 @@ def real_robot(
     for joint in joints:
         if joint.get("name") in held:
             joint.set("type", "fixed")
-    base = _welded(_root(robot), joints, ends)
+    base = {_root(robot)}
+    for _ in joints:
+        fixed = (ends[joint] for joint in joints if joint.get("type") == "fixed")
+        base |= {child for parent, child in fixed if parent in base}
     for link in links.values():
         for shown in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shown)
@@ -189,22 +177,7 @@ def _root(robot: ElementTree.Element) -> str:
 
 
 def _link(joint: ElementTree.Element, end: str) -> str:
-    found = joint.find(end)
-    return "" if found is None else str(found.get("link"))
-
-
-def _welded(
-    root: str,
-    joints: list[ElementTree.Element],
-    ends: Mapping[ElementTree.Element, tuple[str, str]],
-) -> set[str]:
-    """Links that do not move."""
-    found, before = {root}, 0
-    while len(found) > before:
-        before = len(found)
-        fixed = (ends[j] for j in joints if j.get("type") == "fixed")
-        found |= {child for parent, child in fixed if parent in found}
-    return found
+    return str(joint.findall(end)[0].get("link"))
 
 
 def _change(

@@ -67,7 +67,7 @@ def guess(robot: str, files: Files) -> Guess:
 def accepted(made: Truth, path: Path) -> str:
     """What the check says against a mapping; empty if it takes the recording."""
     try:
-        import_and_check(path, made.tree)
+        import_and_check(path, lambda each: (made.tree, each))
     except TestbedError as error:
         return str(error)[:300]
     return ""

@@ -21,13 +21,14 @@ from benchmarks.foreign_recordings import LAYOUTS, Planted, planted, raw_signals
 from benchmarks.inverse_recordings import RATE, Truth, tree_of, truth
 from benchmarks.judged_mappings import MARKS, right_mapping
 from benchmarks.mappings import asked
-from benchmarks.mistakes import recorded
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import RecordingError
 from testbed.importing.check.check import assess, import_and_check
 from testbed.importing.check.remedies import with_lines
 from testbed.importing.convert import pieces
+from testbed.importing.mapping import SignalTable
+from testbed.importing.signal_maps import joint_signal
 from tests.helpers.paths import ROOT
 
 ROBOT = "ur5"
@@ -108,7 +109,8 @@ def _scenario(name: str, made: Truth, told: Planted, seed: int) -> dict[str, Any
         path = Path(folder) / "right.toml"
         path.write_text(right_mapping(made, files, told))
         try:
-            says, refused = sentences(import_and_check(path, made.tree)[2].diagnostics), False
+            report = import_and_check(path, lambda each: (made.tree, each))[2]
+            says, refused = sentences(report.diagnostics), False
         except RecordingError as error:
             says, refused = (str(error),), True
         line, text = asked(ROBOT, files, made, told)
@@ -190,6 +192,16 @@ def _held_against(
         "undecided": [d.text for d in found.diagnostics if d.level == "info"],
         "held": result != "wrong",
     }  # fmt: skip
+
+
+def recorded(made: Truth, columns: dict[str, Array], mapping: dict[str, Any]) -> tb.Recording:
+    """The recording that a mapping makes of a file's columns."""
+    time = np.arange(len(made.position)) / RATE
+    signals: dict[str, Any] = {}
+    for kind in ("position", "torque"):
+        values = np.column_stack([columns[name] for name in mapping[kind]["columns"]])
+        signals[kind] = joint_signal(kind, SignalTable(**mapping[kind]), None, values)
+    return tb.Recording(made.tree.names, time, **signals, facts={"mapping": mapping})
 
 
 def total(lines: list[dict[str, Any]]) -> dict[str, Any]:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import platform
 import shlex
 import sys
-import tempfile
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, metadata, requires, version
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Annotated
 
@@ -21,8 +20,8 @@ from testbed.cli.reading import Force, Json, Lock, LockMimic, Reading, app, chec
 from testbed.core.base.installation import DISTRIBUTION, own_or_shipped
 from testbed.core.base.installation import version as own_version
 
-NOT_FOR_USERS = ("dev",)
-"""Extras for those who work on the program itself."""
+NOT_FOR_USERS = "dev"
+"""Extra for those who work on the program itself."""
 
 
 @dataclass(frozen=True)
@@ -40,74 +39,36 @@ class Check:
     name: str
     found: str
     fine: bool = True
-    needed: bool = False
+    needed: bool = True
     remedy: str = ""
 
     @property
     def line(self) -> str:
         """For people."""
         mark = "ok" if self.fine else ("MISSING" if self.needed else "-")
-        remedy = "" if self.fine or not self.remedy else f": {self.remedy}"
+        remedy = "" if self.fine else f": {self.remedy}"
         return f"{mark:8s}{self.name:22s}{self.found}{remedy}"
 
 
-def checkup() -> list[Check]:
-    """Version and Python, packages, extras, the kernel's cache, the viewer."""
-    found = f"{own_version()}, in {Path(__file__).parent.parent}"
-    python = f"{platform.python_version()}, {sys.executable}"
-    return [Check("testbed", found), Check("Python", python), *_packages(), _kernel(), _viewer()]
+def checkup() -> Iterator[Check]:
+    """Version, Python and packages: those that all needs, and those that some commands need."""
+    yield Check("testbed", f"{own_version()}, in {Path(__file__).parent.parent}")
+    yield Check("Python", f"{platform.python_version()}, {sys.executable}")
+    for each in map(Requirement, requires(DISTRIBUTION) or ()):
+        needed = each.marker is None or each.marker.evaluate({"extra": ""})
+        if needed or not (each.marker and each.marker.evaluate({"extra": NOT_FOR_USERS})):
+            found = _installed(each.name)
+            fine = each.specifier.contains(found, prereleases=True) if found else False
+            remedy = f"pip install '{each.name}{each.specifier}'"
+            yield Check(each.name, found or "not installed", fine, needed, remedy)
 
 
-def _packages() -> Iterator[Check]:
-    """Packages that nothing works without; then those that only some commands need, by extra."""
-    wanted = [Requirement(text) for text in requires(DISTRIBUTION) or ()]
-    needed = [each for each in wanted if each.marker is None or each.marker.evaluate({"extra": ""})]
-    for each in needed:
-        fine, found = _installed(each)
-        yield Check(each.name, found, fine, True, f"pip install '{each.name}{each.specifier}'")
-    for extra in metadata(DISTRIBUTION).get_all("Provides-Extra") or ():
-        own = {
-            each.name: _installed(each)
-            for each in wanted
-            if each not in needed and each.marker and each.marker.evaluate({"extra": extra})
-        }
-        if extra not in NOT_FOR_USERS:
-            fine = all(there for there, _ in own.values())
-            found = ", ".join(f"{name} {state}" for name, (_, state) in own.items())
-            remedy = f"from the project's folder, pip install -e '.[{extra}]'"
-            yield Check(f"extra [{extra}]", found, fine, False, remedy)
-
-
-def _installed(wanted: Requirement) -> tuple[bool, str]:
-    """Whether a package is there in a version that will do, and which."""
+def _installed(name: str) -> str:
+    """The version of a package; empty where it is not installed."""
     try:
-        found = version(wanted.name)
+        return version(name)
     except PackageNotFoundError:
-        return False, "not installed"
-    fine = wanted.specifier.contains(found, prereleases=True)
-    return fine, found if fine else f"{found}, needed is {wanted.specifier}"
-
-
-def _kernel() -> Check:
-    """The compiled kernel's cache."""
-    from testbed.core.kernel.compiler import compiled_folder
-
-    folder = compiled_folder()
-    if folder.is_relative_to(tempfile.gettempdir()):
-        remedy = "make ~/.cache/testbed writable, and by you alone; else it is compiled every time"
-        return Check("compiled kernel", f"kept in {folder}, for now", False, False, remedy)
-    state = "ready" if any(folder.glob("**/*.nbi")) else "the first run or estimate compiles it"
-    return Check("compiled kernel", f"{state}, in {folder}")
-
-
-def _viewer() -> Check:
-    """Rerun's viewer, and a screen for it."""
-    from testbed.view.viewer.live import has_screen, viewer_program
-
-    program = viewer_program()
-    screen = "" if has_screen() else "; no screen here: testbed view with --save or --serve"
-    found = f"{program}{screen}" if program else "no command 'rerun'"
-    return Check("viewer", found, bool(program), False, "pip install rerun-sdk")
+        return ""
 
 
 @app.command()
@@ -157,9 +118,17 @@ def new(
         _recorded(recording, out or Path(f"{stem}.toml"), robot, reading, force=force)
         return
     assert robot is not None
-    folder = out.parent if out else Path()
+    from testbed.lab.experiment.new_experiment import new_experiment
+
     with output.Progress("reading"):
-        text = _experiment(robot, folder, strict, exact_torque_constants, reading)
+        text = new_experiment(
+            robot,
+            out.parent if out else Path(),
+            strict=strict,
+            exact_torque_constants=exact_torque_constants,
+            lock=reading.model_file(robot).lock,
+            say=typer.echo,
+        )
     path = out or Path(f"{tomllib.loads(text)['name']}.toml")
     check_outputs(path, force=force, read=(robot,))
     with replacing(path) as fresh:
@@ -188,7 +157,7 @@ def _recorded(
             mapping,
             lambda one: reading.robot_of(one, robot)[1:],
             progress=bar,
-            assessment=found.assessment,
+            prepared=found.prepared,
         )
     paths = save_pieces(several, made, force=force)
     listed, taken = (made, made) if len(paths) == 1 else (f"{paths[0]} to {paths[-1]}", mapping)
@@ -201,26 +170,13 @@ def _recorded(
     output.print_lines([last], [each for each in said if each not in found.diagnostics])
 
 
-def _experiment(model: Path, folder: Path, strict: bool, exact: bool, reading: Reading) -> str:
-    from testbed.lab.experiment.new_experiment import new_experiment
-
-    return new_experiment(
-        model,
-        folder,
-        strict=strict,
-        exact_torque_constants=exact,
-        lock=reading.model_file(model).lock,
-        say=typer.echo,
-    )
-
-
 @app.command()
 def doctor(as_json: Json = False) -> None:
     """Say what is installed, what is missing and how to get it.
 
     Example: testbed doctor
     """
-    found = checkup()
+    found = list(checkup())
     if as_json:
         from testbed.view import output
 

@@ -64,7 +64,6 @@ class HeatTable:
     rows: Sequence[tuple[str, Sequence[Mapping[str, Any]]]]
 
 
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Section:
     """A part of a result: what it says, drawn and as a table.

@@ -109,6 +109,19 @@ def written(path: Path, log: dict[str, Array], names: tuple[str, ...], rng: Any)
     return {"style": style, "clock": clock, "degrees": degrees, "speeds": speeds}
 
 
+NAMES = tb.load_tree(GOLDEN / "robots/ur5.urdf").names
+
+
+def new(folder: Path, log: dict[str, Array], units: tuple[str, str] = ("", "")) -> Any:
+    """What `new` says of a log with names of joints as headers."""
+    robot = arm_with_fingers(folder)
+    rows = np.column_stack([log["t"], log["position"], log["torque"]])
+    heads = [f"{kind}_{name}{unit}" for kind, unit in zip(("q", "tau"), units, strict=True)
+             for name in NAMES]  # fmt: skip
+    np.savetxt(folder / "log.csv", rows, delimiter=",", header=",".join(["t", *heads]), comments="")
+    return command_line("new", robot.name, "--recording", "log.csv", cwd=folder)
+
+
 @few(6)
 @example(seed=0)
 @given(seed=seeds)
@@ -136,15 +149,11 @@ def test_an_ordinary_log_is_taken_without_a_line_by_hand(
 
 def test_a_mapping_is_written_whatever_is_found(tmp_path: Path) -> None:
     """Positions that no joint has, in a unit that the log states: refused, with the line."""
-    robot = arm_with_fingers(tmp_path)
-    names = tb.load_tree(GOLDEN / "robots/ur5.urdf").names
-    log = moved(robot, 1)
-    rows = np.column_stack([log["t"], log["position"] + 200.0, log["torque"]])
-    heads = ["t", *(f"q_{name} [rad]" for name in names), *(f"tau_{name} [Nm]" for name in names)]
-    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=",".join(heads), comments="")
-    done = command_line("new", "robot.urdf", "--recording", "log.csv", cwd=tmp_path)
+    log = moved(arm_with_fingers(tmp_path), 1)
+    log["position"] += 200.0
+    done = new(tmp_path, log, (" [rad]", " [Nm]"))
     lines = (tmp_path / "log.toml").read_text().splitlines()
-    assert len(tomllib.loads("\n".join(lines))["position"]["columns"]) == len(names)
+    assert len(tomllib.loads("\n".join(lines))["position"]["columns"]) == len(NAMES)
     assert done.returncode == 2
     found = re.search(r"log.toml:([0-9]+): ", done.stderr)
     assert found is not None
@@ -154,36 +163,30 @@ def test_a_mapping_is_written_whatever_is_found(tmp_path: Path) -> None:
 
 def test_encoders_that_wrap_are_unwrapped_and_a_step_is_named(tmp_path: Path) -> None:
     """One counts from 0 to 360 degrees, one is re-homed by three degrees at 7 s."""
-    robot = arm_with_fingers(tmp_path)
-    names = tb.load_tree(GOLDEN / "robots/ur5.urdf").names
-    log = moved(robot, 2)
+    log = moved(arm_with_fingers(tmp_path), 2)
     true = log["position"].copy()
     log["position"][:, 5] = np.mod(log["position"][:, 5], 2 * np.pi)
     log["position"][700:, 4] += np.deg2rad(3)
-    rows = np.column_stack([log["t"], log["position"], log["torque"]])
-    heads = ["t", *(f"q_{name}" for name in names), *(f"tau_{name}" for name in names)]
-    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=",".join(heads), comments="")
-    done = command_line("new", "robot.urdf", "--recording", "log.csv", cwd=tmp_path)
+    done = new(tmp_path, log)
     recording = tb.Recording.load(tmp_path / "log.parquet")
     apart = recording.position[:, 5] - true[: recording.samples, 5]
     np.testing.assert_allclose(apart, apart[0], atol=1e-9)
     said = {each["code"]: each for each in recording.facts["diagnostics"]}
-    assert said["position.step"]["subject"] == names[4]
+    assert said["position.step"]["subject"] == NAMES[4]
     assert said["position.step"]["value"] == pytest.approx(np.deg2rad(3), rel=0.02)
     assert "position.unwrapped" in said
     first = next(line for line in (done.stdout + done.stderr).splitlines() if "warning" in line)
-    assert names[4] in first
+    assert NAMES[4] in first
 
 
 def test_logs_of_any_length_and_ending_end_in_words(tmp_path: Path) -> None:
     """Parquet is not replaced by the recording that is made of it; half a second says little."""
     robot = arm_with_fingers(tmp_path)
-    names = tb.load_tree(GOLDEN / "robots/ur5.urdf").names
     log = moved(robot, 3)
     for samples in (60, 120, 240):
         columns = {"t": log["t"][:samples]}
         for kind, head in (("position", "q"), ("torque", "tau")):
-            columns |= {f"{head}_{n}": x[:samples] for n, x in zip(names, log[kind].T, strict=True)}
+            columns |= {f"{head}_{n}": x[:samples] for n, x in zip(NAMES, log[kind].T, strict=True)}
         pq.write_table(pa.table(columns), tmp_path / f"log{samples}.parquet")
         before = (tmp_path / f"log{samples}.parquet").read_bytes()
         new = command_line(
@@ -199,14 +202,9 @@ def test_logs_of_any_length_and_ending_end_in_words(tmp_path: Path) -> None:
 
 def test_torques_that_no_robot_makes_are_not_explained(tmp_path: Path) -> None:
     """External torques in place of the drives': said first, and nothing is solved from them."""
-    robot = arm_with_fingers(tmp_path)
-    names = tb.load_tree(GOLDEN / "robots/ur5.urdf").names
-    log = moved(robot, 4)
-    noise = np.random.default_rng(5).normal(size=log["torque"].shape)
-    rows = np.column_stack([log["t"], log["position"], 0.1 * noise])
-    heads = ["t", *(f"q_{name} [rad]" for name in names), *(f"tau_{name} [Nm]" for name in names)]
-    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=",".join(heads), comments="")
-    done = command_line("new", "robot.urdf", "--recording", "log.csv", cwd=tmp_path)
+    log = moved(arm_with_fingers(tmp_path), 4)
+    log["torque"] = 0.1 * np.random.default_rng(5).normal(size=log["torque"].shape)
+    done = new(tmp_path, log, (" [rad]", " [Nm]"))
     mapping = tomllib.loads((tmp_path / "log.toml").read_text())
     assert not {"offset", "sign"} & {*mapping["position"], *mapping["torque"]}
     assert done.returncode == 2 or "unexplained" in done.stdout + done.stderr

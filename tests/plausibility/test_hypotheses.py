@@ -12,16 +12,17 @@ from typing import Any
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.robot.free_base import on_free_base
 from testbed.core.robot.inertia import to_rpy
-from testbed.importing.check.plate import AS_READ, PLATE_ORDERS, frame_of, quarter_turns
+from testbed.importing.check.plate import AS_READ, PLATE_ORDERS, frame_of
 from testbed.importing.check.recording_diagnostics import odd_sizes, out_of_range
 from testbed.importing.check.remedies import (
     Hypothesis,
-    joint_map,
+    corrected,
     merge,
     position_hypotheses,
     rarer_hypotheses,
@@ -73,8 +74,7 @@ def test_a_mapping_with_its_cures_makes_the_positions_right(
         del mapping["position"]["sign"]
     wanted = mapped(raw, mapping["position"])
     for each in mistakes:
-        scale, added = joint_map(each, 3, np.zeros(3))
-        wanted = wanted @ scale.T + added
+        wanted = corrected(each, wanted, np.zeros(3))
     together = merge(mistakes)
     assert len({each.kind for each in together}) == len(together)
     for said in (mistakes, together):
@@ -101,7 +101,7 @@ def test_a_plates_lines_are_the_map_that_was_judged(rng: np.random.Generator, tu
 
     frame, orders = frame_of(mapping), (AS_READ, *PLATE_ORDERS)
     for _ in range(10):
-        turn = quarter_turns()[rng.integers(24)] @ frame.turn
+        turn = Rotation.random(rng=rng).as_matrix() @ frame.turn
         units = (rng.choice([*FORCES]), rng.choice([*MOMENTS]))
         order = orders[rng.integers(len(orders))]
         hypotheses = (
@@ -114,14 +114,6 @@ def test_a_plates_lines_are_the_map_that_was_judged(rng: np.random.Generator, tu
         wanted = made(given) @ frame.map(turn, units, order).T
         scale = np.abs(wanted).max()
         np.testing.assert_allclose(made(said["wrench"]), wanted, rtol=1e-4, atol=1e-4 * scale)
-
-
-def test_quarter_turns_are_the_group_of_proper_ones() -> None:
-    """24, each a rotation, closed under products: no reflection is among them."""
-    turns = quarter_turns()
-    names = {tuple(turn.ravel().tolist()) for turn in turns}
-    assert ({round(float(np.linalg.det(turn))) for turn in turns}, len(names)) == ({1}, 24)
-    assert {tuple((a @ b).ravel().tolist()) for a in turns for b in turns} == names
 
 
 @given(tree=trees((2, 6)), size=st.sampled_from([0.05, 2.0, 300.0]), rng=rngs)

@@ -136,7 +136,7 @@ def test_two_clocks_are_as_good_as_one(tmp_path: Path) -> None:
     perfect = error(tree, tb.import_recording(two_sources(tmp_path, tree, 0, 0)))
     path = two_sources(tmp_path, tree, LATE, SKEW)
     wrong = error(tree, tb.import_recording(path))
-    (recording,), cuts, found = import_and_check(path, tree, align=True)
+    (recording,), cuts, found = import_and_check(path, lambda each: (tree, each), align=True)
     (clock,) = found.offsets
     assert (cuts, clock.drifts) == ([], True)
     assert clock.skew == pytest.approx(-SKEW, abs=5 * clock.skew_sigma)

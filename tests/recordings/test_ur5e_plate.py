@@ -21,7 +21,6 @@ from testbed.core.base.errors import RecordingError
 from testbed.core.recordings.recording import Recording
 from testbed.importing.check.check import assess
 from testbed.importing.check.mapping_solution import solve_mapping
-from testbed.importing.check.time_offset import moving_average
 from testbed.importing.convert import pieces
 from testbed.importing.guess import guessed
 from testbed.importing.import_report import Draft
@@ -61,18 +60,6 @@ def test_the_log_alone_gives_frame_sense_clock_and_pedestal() -> None:
     sigma = [1e-3 * float(word) for word in said[1].split(", ")]
     assert (np.abs(np.subtract(table["place"]["xyz"], PLACE)) < np.multiply(3, sigma)).all()
     assert abs(table["delay"] - LATE) < 0.01
-    window = re.search(r"averages over about (\d+) ms", draft().notes["wrench", "delay"])
-    assert window is not None
-    assert abs(float(window[1]) / 2e3 - LATE) < 0.01
-
-
-def test_a_recorders_moving_average_is_seen_in_a_spectrum_and_nothing_else_is() -> None:
-    """Witness: an average of 86 samples of coloured noise, and the noise."""
-    rng = np.random.default_rng(1)
-    noise = np.cumsum(rng.normal(size=(20_000, 6)), axis=0) + 5 * rng.normal(size=(20_000, 6))
-    made = np.apply_along_axis(np.convolve, 0, noise, np.ones(86) / 86, "same")
-    assert abs(moving_average(made, 1000.0) - 0.086) < 0.004
-    assert moving_average(noise, 1000.0) == 0.0
 
 
 def test_its_weight_is_what_the_plate_carries_and_joints_at_rest_are_held() -> None:

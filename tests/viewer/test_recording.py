@@ -200,5 +200,3 @@ def test_means_keep_every_sample(samples: int, size: int, rng: np.random.Generat
     signal = rng.normal(size=(samples, 2))
     wanted = [signal[k : k + size].mean(axis=0) for k in range(0, samples, size)]
     np.testing.assert_allclose(means(signal, size), wanted, atol=1e-12)
-
-

@@ -134,5 +134,3 @@ def bounds(shape: Shape) -> tuple[Array, Array]:
         ends = np.sqrt(np.maximum(1 - turn[:, 2] ** 2, 0)) if shape.kind == "cylinder" else 1.0
         half = length * np.abs(turn[:, 2]) + radius * ends
     return shape.position - half, shape.position + half
-
-

@@ -11,7 +11,6 @@ from testbed.core.robot.locks import Travel
 from testbed.core.robot.model_file import ModelFile, expressible
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.remedies import own_joints
-from testbed.importing.foreign_table import TURNING
 from testbed.importing.guess import guessed
 from testbed.importing.import_report import Draft
 
@@ -44,19 +43,5 @@ def draft_mapping(
         draft = draft.saying(
             "lock", name, float(place), "held: no column of it, or by --lock [rad or m]"
         )
-    draft = _with_slides(draft, tree)
     file = replace(file, lock={**file.lock, **places})
     return draft, file, file.tree() if lacking else tree
-
-
-def _with_slides(draft: Draft, tree: Tree) -> Draft:
-    """Mapping with lengths for joints that slide, where one unit of angles was read for all."""
-    kinds = {joint.name: joint.kind for joint in tree.joints}
-    slides = [kinds[name] == "prismatic" for name in draft.tables[""]["joints"]]
-    for kind in ("position", "velocity"):
-        unit = draft.tables.get(kind, {}).get("unit")
-        if any(slides) and isinstance(unit, str) and unit in TURNING[kind]:
-            length = ("mm" if unit.startswith("deg") else "m") + "/s" * (kind == "velocity")
-            units = [length if slide else unit for slide in slides]
-            draft = draft.saying(kind, "unit", units, "ASSUMED: lengths of joints that slide")
-    return draft

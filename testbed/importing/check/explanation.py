@@ -24,9 +24,8 @@ BRAKED = 0.1
 """Share of a torque that the plate's parameters and friction that brakes leave at most."""
 
 APART, ROUGHLY_APART, ANY_APART = 5.0, 12.0, 8.0
-"""Explanations within this of the best are equal, and the one with the fewest hypotheses
-is taken; the same without a plate, where masses are rough and models of friction are; the same of
-none at all [nats]."""
+"""What each hypothesis must explain, and costs within this are equal; costs that are equal without
+a plate, where masses are rough and models of friction are; what each must explain there [nats]."""
 
 ENOUGH = 0.02
 """Share of a torque above which an explanation without a plate is not good enough to stop at."""
@@ -74,7 +73,9 @@ class Explanation:
     @property
     def price(self) -> float:
         """Its cost, and what its hypotheses must explain besides [nats]."""
-        return self.cost + sum(each.penalty for each in self.hypotheses)
+        apart = APART if self.has_plate else ANY_APART
+        penalties = sum(each.penalty for each in self.hypotheses)
+        return self.cost + penalties + apart * self.count
 
     @property
     def count(self) -> int:
@@ -84,18 +85,6 @@ class Explanation:
         return sum(
             len(h.joints) if h.kind in each and len(h.joints) < own else 1 for h in self.hypotheses
         )
-
-    @property
-    def tolerance(self) -> float:
-        """A cost that is higher by this is not distinguished from the least [nats]."""
-        if self.has_plate:
-            return APART
-        return ROUGHLY_APART if self.hypotheses else ANY_APART
-
-    @property
-    def rank(self) -> float:
-        """What decides among those that explain as much."""
-        return self.count * (APART if self.has_plate else ANY_APART) + self.price
 
     @property
     def explained(self) -> bool:
@@ -147,19 +136,12 @@ class Explanation:
 
 
 def ranked(explanations: Iterable[Explanation]) -> list[Explanation]:
-    """Explanations, the best first: of those that explain about as much the simplest.
+    """Explanations, the best first.
 
     Args:
-        explanations: At least one.
+        explanations: In any order.
     """
-    several = list(explanations)
-    least = min(each.price for each in several)
-
-    def order(each: Explanation) -> tuple[bool, float]:
-        worse = each.price >= least + each.tolerance
-        return worse, each.price if worse else each.rank
-
-    return sorted(several, key=order)
+    return sorted(explanations, key=lambda each: each.price)
 
 
 class HypothesisFit:
@@ -220,11 +202,6 @@ class HypothesisFit:
             )
         return cost
 
-    @property
-    def bound(self) -> float:
-        """The same with what its hypotheses must explain."""
-        return self.misfit + 2 * sum(each.penalty for each in self.hypotheses)
-
     @cached_property
     def assignment(self) -> TorqueAssignment:
         """Order, senses and sizes of the torques by the model file's masses."""
@@ -243,7 +220,7 @@ class HypothesisFit:
     @property
     def fine(self) -> bool:
         """Whether nothing is odd as it was read, neither about the plate nor about the torques."""
-        if self.plate.shift_cost > 0.5 or not self.as_read.explained:
+        if not self.as_read.explained:
             return False
         after = self.as_read.after_plate()
         return not after.hypotheses and not (self.plate.measured and after.odd_torques())

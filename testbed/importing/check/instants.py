@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.regression.windows import motion_taps
 from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.source import Source
 
 CUTOFF, SLOW = 8.0, 2.0
 """Of the low-pass [Hz], a sixth of the rate where the recording is slower; of another one, for
 signals that are noise above it."""
 
-MOST, A_SECOND = 400, 16.0
+MOST, A_SECOND = 320, 16.0
 """Instants that are kept, in all and a second: no more than the low-pass lets be independent."""
 
 LEAST = 20
@@ -66,30 +67,6 @@ class Instants:
     wrench_noise: Array
     spacing: float
 
-    def transform(self, scale: Array, offset: Array) -> Instants:
-        """The same with positions scale @ q + offset.
-
-        Args:
-            scale: (n, n).
-            offset: (n,) [rad or m].
-        """
-        return replace(
-            self,
-            position=self.position @ scale.T + offset,
-            velocity=self.velocity @ scale.T,
-            acceleration=self.acceleration @ scale.T,
-        )
-
-    def every(self, step: int) -> Instants:
-        """Every n-th instant.
-
-        Args:
-            step: Instants from one to the next.
-        """
-        names = ("position", "velocity", "acceleration", "torque", "wrench", "wrench_rate")
-        fewer = {name: getattr(self, name)[::step] for name in names}
-        return replace(self, spacing=step * self.spacing, **fewer)
-
 
 def sample(recording: Recording, late: float = 0.0, cutoff: float = CUTOFF) -> Instants | None:
     """Signals of a recording at a few hundred instants; None where it is too short.
@@ -99,73 +76,71 @@ def sample(recording: Recording, late: float = 0.0, cutoff: float = CUTOFF) -> I
         late: How late the wrench is [s].
         cutoff: Of the low-pass [Hz].
     """
-    rate, torque, wrench = recording.rate, recording.torque, recording.wrench
+    rate = recording.rate
     passed = min(cutoff, rate / 6)
-    taps, octave = motion_taps(rate, passed), motion_taps(rate, 2 * passed)[0]
-    lost = taps.shape[1] // 2
-    inside = recording.samples - 2 * lost
+    taps = motion_taps(rate, passed)
+    inside = recording.samples - taps.shape[1] + 1
     count = min(MOST, int(inside / rate * A_SECOND * cutoff / CUTOFF))
     if count < LEAST:
         return None
     later = round(late * rate)
     at = np.linspace(0, inside - 1 - abs(later), count).astype(int) + max(0, -later)
-
-    def filtered(signal: Array | None, derivative: int, later: int = 0) -> Array:
-        if signal is None:
-            return np.zeros((count, 0))
-        return decimate(signal, taps[derivative, ::-1], lost, at + later)
-
+    none = np.zeros((recording.samples, 0))
+    torque = none if recording.torque is None else recording.torque
+    wrench = none if recording.wrench is None else recording.wrench
     smoothing = float((taps[0] ** 2).sum())
-    above = np.zeros(0)  # what lies in the octave above the low-pass no smooth motion makes
-    if wrench is not None:
-        every = slice(None, None, max(1, inside // SPREAD))
-        low, high = (decimate(wrench, each[::-1], lost, every) for each in (taps[0], octave))
-        above = (high - low).var(axis=0)
+    position, velocity, acceleration = (decimate(recording.position, each, at) for each in taps)
     return Instants(
-        position=filtered(recording.position, 0),
-        velocity=filtered(recording.position, 1),
-        acceleration=filtered(recording.position, 2),
-        torque=filtered(torque, 0),
-        wrench=filtered(wrench, 0, later),
-        wrench_rate=filtered(wrench, 1, later),
-        torque_noise=_noise(torque) * smoothing,
-        wrench_noise=above,
+        position,
+        velocity,
+        acceleration,
+        torque=decimate(torque, taps[0], at),
+        wrench=decimate(wrench, taps[0], at + later),
+        wrench_rate=decimate(wrench, taps[1], at + later),
+        torque_noise=_white_noise(torque) * smoothing,
+        wrench_noise=_noise_above(wrench, taps[0], motion_taps(rate, 2 * passed)[0]),
         spacing=(inside - abs(later)) / rate / count,
     )
 
 
-def decimate(signal: Array, weights: Array, reach: int, at: slice | NDArray[np.intp]) -> Array:
-    """Filter and downsample a signal; `reach` samples at either end are cut.
+def middle(source: Source, samples: int) -> Recording:
+    """The middle of a recording.
+
+    Args:
+        source: The recording.
+        samples: Most that are taken.
+    """
+    first = max(0, (source.samples - samples) // 2)
+    return source.part(first, min(source.samples, first + samples))
+
+
+def decimate(signal: Array, weights: Array, at: slice | NDArray[np.intp]) -> Array:
+    """Filter and downsample a signal; samples that the filter reaches beyond the ends are lost.
 
     Args:
         signal: (M, k).
-        weights: Of the filter, reversed in time, (2 L + 1,), L at most `reach`.
-        reach: Samples lost at either end.
-        at: Which of the others are kept.
+        weights: Of the filter, in the order of time, (2 L + 1,).
+        at: Which of the M - 2 L others are kept.
     """
-    spare = reach - len(weights) // 2
-    within = signal[spare : len(signal) - spare]
-    windows = np.lib.stride_tricks.sliding_window_view(within, len(weights), axis=0)[at]
-    found: Array = np.einsum("mkl,l->mk", windows, weights[::-1])
-    return found
+    windows = np.lib.stride_tricks.sliding_window_view(signal, len(weights), axis=0)[at]
+    filtered: Array = np.einsum("mkl,l->mk", windows, weights)
+    return filtered
 
 
-def directions(columns: Array, dependent: float = DEPENDENT) -> Array:
-    """Orthonormal directions of all that columns, (k, N), can make.
+def orthonormal_basis(columns: Array, dependent: float = DEPENDENT) -> Array:
+    """Orthonormal basis of the space that columns, (k, N), span.
 
-    A column that others imitate, as a first rotor's, has none of its own: rounding would make one.
+    A column that others imitate, as a first rotor's, has no direction of its own: rounding would
+    make one.
 
     Args:
         columns: Of any sizes.
         dependent: Share of the largest singular value, of columns of unit length, of none.
     """
+    from scipy.linalg import orth
+
     size = np.linalg.norm(columns, axis=0)
-    kept = size > dependent**1.5 * size.max(initial=0.0)
-    if not kept.any():
-        return columns[:, :0]
-    wide, small = np.linalg.qr(columns[:, kept] / size[kept])
-    axes, spread, _ = np.linalg.svd(small)
-    basis: Array = wide @ axes[:, spread > dependent * spread[0]]
+    basis: Array = orth(columns / np.maximum(size, dependent * size.max() + 1e-300), dependent)
     return basis
 
 
@@ -180,35 +155,43 @@ def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
         signal: (T, C).
         spacing: From one row to the next [s].
     """
+    from scipy.signal import fftconvolve
+
     most = int(min(LATEST / spacing, SPARE * len(signal)))
     rows = columns[most : len(columns) - most]
-    basis = directions(rows.reshape(-1, rows.shape[2]))
+    basis = orthonormal_basis(rows.reshape(-1, rows.shape[2]))
     if not 0 < ENOUGH * basis.shape[1] < len(basis):
         return 0.0, 1.0  # nothing moves, or columns explain whatever is measured
     basis = basis.reshape(*rows.shape[:2], -1)
-    explained = _correlated(signal[..., None], basis).sum(axis=1)
-    counted: Array = np.any(rows, axis=2) * np.ones(rows.shape[:2])
-    whole = _correlated(signal**2, counted)
-    share = (explained**2).sum(axis=1) / np.maximum(whole.sum(axis=1), 1e-300)
+    counted = np.any(rows, axis=2) * np.ones(rows.shape[:2])
+    explained = fftconvolve(signal[..., None], basis[::-1], "valid", axes=0).sum(axis=1)
+    whole = fftconvolve(signal**2, counted[::-1], "valid", axes=0).sum(axis=1)
+    share = (explained**2).sum(axis=1) / np.maximum(whole, 1e-300)
     best = int(np.argmax(share))
     if best in (0, 2 * most):  # no delay is best, the farther the better
         return 0.0, 1.0
     return spacing * (best - most), float((1 - share[best]) / max(1 - share[most], 1e-300))
 
 
-def _correlated(signal: Array, rows: Array) -> Array:
-    """Correlation of rows with a longer signal at all delays, along axis 0."""
-    size = len(signal) + len(rows)
-    product = np.fft.rfft(signal, size, axis=0) * np.fft.rfft(rows, size, axis=0).conj()
-    return np.fft.irfft(product, size, axis=0)[: len(signal) - len(rows) + 1]
-
-
-def _noise(signal: Array | None) -> Array:
+def _white_noise(signal: Array) -> Array:
     """Variance of white noise, by the differences from sample to sample that motion does not make.
 
     Args:
-        signal: (M, C); None for no channels.
+        signal: (M, C).
     """
-    if signal is None:
-        return np.zeros(0)
-    return np.median(np.diff(signal, 2, axis=0) ** 2, axis=0) / (6 * MEDIAN)
+    return np.asarray(np.median(np.diff(signal, 2, axis=0) ** 2, axis=0) / (6 * MEDIAN))
+
+
+def _noise_above(signal: Array, low_pass: Array, wider: Array) -> Array:
+    """Variance in the octave above a low-pass, where no smooth motion is, (C,).
+
+    Args:
+        signal: (M, C).
+        low_pass: Weights of the filter, (2 L + 1,).
+        wider: Of that of twice the cutoff; not longer.
+    """
+    band = -low_pass
+    spare = (len(low_pass) - len(wider)) // 2
+    band[spare : spare + len(wider)] += wider
+    every = slice(None, None, max(1, len(signal) // SPREAD))
+    return np.asarray(decimate(signal, band, every).var(axis=0))

@@ -7,7 +7,7 @@ frame is refined (`correction`). Beside each value stands what it is known by.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,9 +26,9 @@ from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.inertia import from_rpy, from_vector, to_rpy
 from testbed.core.robot.tree import Tree
-from testbed.importing.check.check import Assessment, assess, zero_hypothesis
+from testbed.importing.check.check import Assessment, Prepared, assess, zero_hypothesis
 from testbed.importing.check.explanation import Explanation
-from testbed.importing.check.plate import WrenchFit, frame_of
+from testbed.importing.check.plate import FAR, WrenchFit, frame_of
 from testbed.importing.check.plate_map import (
     LATE,
     RATIO,
@@ -38,17 +38,16 @@ from testbed.importing.check.plate_map import (
     transform,
 )
 from testbed.importing.check.recording_diagnostics import (
-    CLEARLY,
     encoder_steps,
     removed,
     share,
     weights,
 )
 from testbed.importing.check.search import Progress
-from testbed.importing.check.time_offset import alignment, moving_average, time_offsets
+from testbed.importing.check.time_offset import TimeOffset, alignment, time_offsets
 from testbed.importing.convert import clock_ranges, pieces
 from testbed.importing.derivative import DerivativeError
-from testbed.importing.foreign_table import FORCES, MOMENTS
+from testbed.importing.foreign_table import FORCES, MOMENTS, TURNING
 from testbed.importing.import_report import Draft, in_toml
 from testbed.importing.mapping import Mapping as MappingFile
 from testbed.importing.mapping import empty_keys
@@ -58,6 +57,8 @@ ASSUMED = "ASSUMED"
 
 KNOWN = (ASSUMED, "solved", "by the data")
 """Beginnings of what is said beside a value that no name states."""
+
+SLIDING = ": lengths of joints that slide"
 
 USUAL = {
     "position": ("rad", "m"), "velocity": ("rad/s", "m/s"), "acceleration": ("rad/s^2", "m/s^2"),
@@ -77,14 +78,11 @@ THOUSAND = 1000.0
 COMMON = 0.9
 """Part of the shorter of two files that they must have in common by their clocks."""
 
-STEPS = tuple(np.deg2rad(step) for step in (90, 45, 30, 15))
+STEPS = np.deg2rad([90, 45, 30, 15])
 """Of angles that a person writes [rad]."""
 
 CLEAR = 4.0
 """Standard deviations from which a plate is late by a clock that it shares with the positions."""
-
-FAR, LOOSE = 0.02, 1.5e-3
-"""Standard deviations from which a place is not known, and may well be some millimetres off [m]."""
 
 NEAR = 14.2
 """Squared distance, in standard deviations, below which a turn is one that a person writes: one of
@@ -101,7 +99,7 @@ class MappingSolution(Diagnosed):
         before: The plate by the columns' names alone, if there is one.
         after: The same by the mapping.
         refusal: What contradicts the mapping, as far as it was solved; None if nothing does.
-        assessment: Of the recording that this very mapping makes; None where it was refined since.
+        prepared: Recordings that this very mapping makes; None where it was refined since.
     """
 
     draft: Draft
@@ -109,7 +107,7 @@ class MappingSolution(Diagnosed):
     before: WrenchFit | None = None
     after: WrenchFit | None = None
     refusal: TestbedError | None = None
-    assessment: Assessment | None = None
+    prepared: Prepared | None = None
 
 
 def solve_mapping(
@@ -123,45 +121,46 @@ def solve_mapping(
         tree: The robot, its masses right within a factor of a few.
         progress: Called with how much of a search is done.
     """
-    open_keys = {
-        (table, key)
-        for table, keys in draft.tables.items()
-        for key, value in keys.items()
-        if [*empty_keys({key: value})]
-    }
     draft = _assume(draft, tree)
     if missing(draft):
         return MappingSolution(draft)
     try:
         draft = _with_starts(draft, out)
-        draft, source = _recording(draft, out, tree)
-        first = assessment = assess(tree, source, progress)
+        draft, prepared, assessment = _assessed(draft, out, tree, progress)
+        first = assessment
         for _ in range(ROUNDS):
             better = _better(draft, assessment, tree)
             if better is draft:
                 break
-            draft, source = _recording(better, out, tree)
-            assessment = assess(tree, source, progress)
+            draft, prepared, assessment = _assessed(better, out, tree, progress)
         assessment.require()
+        source = on_its_base(prepared.longest, tree)
+        said = (*encoder_steps(source), *assessment.likely)
         if assessment.best is None:
-            said = (*encoder_steps(source), *assessment.likely)
             return MappingSolution(draft, said)
-        draft = _by_the_data(draft, assessment, assessment.best, open_keys)
-        in_time = _with_clocks(draft, source, tree)
+        draft = _by_the_data(draft, assessment.best, said)
+        offsets = time_offsets(tree, source)
+        in_time = _with_clocks(draft, source, offsets)
+        prepared = replace(prepared, offsets=offsets)
         if in_time is not draft:
-            draft, aligned = _recording(in_time, out, tree)
-            assessment = assess(tree, aligned, progress)
+            draft, prepared, assessment = _assessed(in_time, out, tree, progress)
     except (RecordingError, ExperimentError) as error:
         return MappingSolution(draft, refusal=error)
-    solved = draft
-    if assessment.best is not None:
-        draft = _with_average(_with_plate(draft, assessment.best), source)
-    last = assessment if draft is solved else None
-    said = (*encoder_steps(source), *assessment.likely, *_too_short(assessment.best))
+    best = assessment.best
+    if best is None:
+        return MappingSolution(draft, assessment.likely, prepared=prepared)
+    refined = _with_plate(draft, best)
+    said = (*encoder_steps(source), *assessment.likely, *_too_short(best))
+    last = prepared if refined is draft else None
     if any(each.code in ("plate.foreign", "recording.short") for each in said):
-        draft = _doubted(draft)
-    before, after = first.wrench_fit, assessment.wrench_fit
-    return MappingSolution(draft, said, before, after, assessment=last)
+        refined = _doubted(refined)
+    return MappingSolution(
+        refined,
+        said,
+        first.wrench_fit,
+        assessment.wrench_fit,
+        prepared=last,
+    )
 
 
 def missing(draft: Draft) -> list[str]:
@@ -196,31 +195,35 @@ def _mapping(draft: Draft, out: Path) -> MappingFile:
     return checked(MappingFile, draft.content, str(out))
 
 
-def _recording(draft: Draft, out: Path, tree: Tree) -> tuple[Draft, Source]:
-    """Mapping corrected by derivatives, and the longest recording imported by it."""
-    for _ in range(ROUNDS):
-        try:
-            recordings, _ = pieces(out, _mapping(draft, out))
-        except DerivativeError as error:
-            if not error.lines:
-                raise
-            for table, key, value in error.lines:
-                draft = draft.saying(table, key, value, "solved: a signal and its derivative")
-        else:
-            break
-    else:
-        recordings, _ = pieces(out, _mapping(draft, out))
-    return draft, on_its_base(max(recordings, key=lambda each: each.samples), tree)
+def _assessed(
+    draft: Draft, out: Path, tree: Tree, progress: Progress | None
+) -> tuple[Draft, Prepared, Assessment]:
+    """Mapping corrected by derivatives, its recordings, and the longest of them assessed."""
+    try:
+        prepared = Prepared(*pieces(out, _mapping(draft, out)))
+    except DerivativeError as error:
+        better = draft
+        for line in error.lines:
+            better = better.saying(*line, "solved: a signal and its derivative")
+        if better == draft:
+            raise
+        return _assessed(better, out, tree, progress)
+    assessment = assess(tree, on_its_base(prepared.longest, tree), progress)
+    return draft, replace(prepared, assessment=assessment), assessment
 
 
 def _assume(draft: Draft, tree: Tree) -> Draft:
     """What is open is what is usual."""
-    turning = {joint.name: joint.revolute for joint in tree.joints}
-    joints, tables = draft.tables[""]["joints"], draft.tables
+    sliding = {joint.name for joint in tree.joints if not joint.revolute}
+    tables = draft.tables
+    joints = tables[""]["joints"]
     for kind, (turns, slides) in USUAL.items():
-        if tables.get(kind, {}).get("unit") == "":
-            units = [turns if turning.get(name, True) else slides for name in joints]
-            draft = draft.saying(kind, "unit", units[0] if len({*units}) == 1 else units, ASSUMED)
+        unit = tables.get(kind, {}).get("unit")
+        if unit == "" or (unit in [*TURNING.get(kind, ())] and sliding.intersection(joints)):
+            length = f"m{slides}" if str(unit).startswith("deg") else slides
+            units = [length if name in sliding else unit or turns for name in joints]
+            note = ASSUMED + SLIDING * bool(unit)
+            draft = draft.saying(kind, "unit", units if len({*units}) > 1 else units[0], note)
     if tables.get("torque", {}).get("gain") == "":
         draft = draft.saying("torque", "gain", 1.0, f"{ASSUMED}: torque of one unit [N m]")
     for name in [each for each in tables if each == "wrench" or each.startswith("plates.")]:
@@ -250,13 +253,12 @@ def _with_starts(draft: Draft, out: Path) -> Draft:
 def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
     """What the assessment says instead; the same where it finds nothing wrong."""
     codes, best = {each.code for each in assessment.certain}, assessment.best
-    foreign = bool(codes & {"plate.foreign", "plate.crosstalk"})
-    zero_open = "wrench" in draft.tables and "tare" not in draft.tables["wrench"]
-    if best is not None and codes == {"plate.weight"} and zero_open:
-        return _with_zero(draft, best)  # the plate's zero is not the model's pedestal
-    if best is not None and zero_open and "pedestal" not in draft.tables["wrench"]:
-        weighed = weights(best)
-        if weighed is not None and not foreign:
+    plate = draft.tables.get("wrench", {"tare": None})
+    if best is not None and "tare" not in plate:
+        if codes == {"plate.weight"}:
+            return _with_zero(draft, best)  # the plate's zero is not the model's pedestal
+        weighed = None if "pedestal" in plate else weights(best)
+        if weighed is not None and not codes & {"plate.foreign", "plate.crosstalk"}:
             draft = _with_pedestal(draft, weighed)
             rest = tuple(each for each in assessment.remedies if each.kind != "tare")
             return _with_remedies(draft, replace(assessment, remedies=rest))
@@ -312,15 +314,13 @@ def _with_pedestal(draft: Draft, weighed: tuple[float, float, float]) -> Draft:
 
 def _with_remedies(draft: Draft, assessment: Assessment) -> Draft:
     """What the assessment says, and what for."""
-    others = assessment.alternatives
     for each in assessment.remedies:
         note = f"solved: {share(each.after)} of {each.channel} is unexplained"
-        note += f", {share(each.before)} without" if each.before > each.after else ""
-        if others.runner_up and others.times > CLEARLY:
-            note += f"; the runner-up leaves {others.times:.3g} times more"
-        note += f"; equally explained by {', '.join(others.equals)}" if others.equals else ""
+        note += f", {share(each.before)} without" * (each.before > each.after)
+        if assessment.equals:
+            note += f"; equally explained by {', '.join(assessment.equals)}"
         for table, key, value in each.lines:
-            if (table, key) == ("wrench", "tare"):
+            if key == "tare":
                 draft = _with_tare(draft, value, note)
                 continue
             draft = draft.saying(table, key, value, note)
@@ -339,25 +339,22 @@ def _with_rates(draft: Draft, unit: str | list[str]) -> Draft:
     return draft
 
 
-def _by_the_data(
-    draft: Draft, assessment: Assessment, best: Explanation, keys: set[tuple[str, str]]
-) -> Draft:
-    """Keys that were assumed and that the data bear out."""
-    if not best.has_plate or assessment.likely:
+def _by_the_data(draft: Draft, best: Explanation, said: Sequence[Diagnostic]) -> Draft:
+    """Mapping with notes on keys that were assumed and that a plate's data bear out."""
+    if not best.has_plate or any(each.level == "warning" for each in said):
         return draft
-    note = f"by the data: {share(best.plate.unexplained.max())} of the plate's channels is "
-    note += "unexplained"
-    for table, key in keys - {("torque", "gain")}:
-        if draft.notes.get((table, key)) == ASSUMED:
-            draft = draft.saying(table, key, draft.tables[table][key], note)
-    return draft
+    unexplained = share(best.plate.unexplained.max())
+    note = f"by the data: {unexplained} of the plate's channels is unexplained"
+    assumed = [place for place, each in draft.notes.items() if each == ASSUMED]
+    notes = {place: note for place in assumed if place != ("torque", "gain")}
+    return replace(draft, notes={**draft.notes, **notes})
 
 
-def _with_clocks(draft: Draft, source: Source, tree: Tree) -> Draft:
+def _with_clocks(draft: Draft, source: Source, offsets: Sequence[TimeOffset]) -> Draft:
     """Delays and drifts that are clear."""
     content = draft.content
-    for each in (each for each in time_offsets(tree, source) if each.matters):
-        for table, key, value in alignment(each, content, source.facts):
+    for each in offsets:
+        for table, key, value in alignment(each, content, source.facts) if each.matters else ():
             if key == "delay":
                 draft = _delayed(draft, table, value, each.sigma)
             else:
@@ -377,19 +374,6 @@ def _delayed(draft: Draft, signal: str, delay: float, sigma: float) -> Draft:
     return draft.saying(table, key, value, f"solved: {1e3 * value:.3f} +- {1e3 * sigma:.3f} ms")
 
 
-def _with_average(draft: Draft, source: Source) -> Draft:
-    """Of what a plate's delay is half, where its spectra show a moving average of about that."""
-    delay = draft.tables.get("wrench", {}).get("delay")
-    if delay is None:
-        return draft
-    window = moving_average(source.part(0, source.samples).measured("wrench"), source.rate)
-    if not 0.5 * delay < window / 2 < 1.5 * delay:
-        return draft
-    note = f"{draft.notes['wrench', 'delay']}; the recorder averages over about "
-    note += f"{1e3 * window:.0f} ms (minima of all spectra at multiples of {1 / window:.3g} Hz)"
-    return draft.saying("wrench", "delay", delay, note)
-
-
 def _with_plate(draft: Draft, best: Explanation) -> Draft:
     """Frame, clock and zero of a plate as the data determine them."""
     table = draft.tables.get("wrench")
@@ -398,41 +382,36 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     frame = frame_of(draft.content)
     moves, covariance = best.fit.plate.correction(best.plate)
     sigma = np.sqrt(np.diagonal(covariance))
-    loose = [k for k in SHIFT if sigma[k] > FAR]  # at zero, and the others as they are then
-    gain = np.linalg.solve(covariance[np.ix_(loose, loose)], covariance[loose])
-    moves = moves - (moves[loose] + frame.place[loose]) @ gain
-    shift, spread = moves[list(SHIFT)], sigma[list(SHIFT)]
     moved = from_vector(moves[list(TURN)])
-    turn, xyz = moved @ frame.turn, moved @ frame.place + shift
-    rpy, plain = to_rpy(turn), _plain_angles(turn, covariance[np.ix_(TURN, TURN)])
-    note = (
-        f"{draft.notes.get(('wrench', 'place'), 'solved')}; "
-        f"rpy {_list(np.rad2deg(rpy), 3)} +- {_list(np.rad2deg(sigma[list(TURN)]), 3)} deg; "
-        f"xyz {_list(1e3 * xyz, 2)} +- {_list(1e3 * spread, 2)} mm"
-    )
-    axes = ", ".join(axis for axis, wide in zip("xyz", spread, strict=True) if wide > FAR)
-    note += f"; {axes} not determined by these data" * bool(axes)
-    precise = np.array(SHIFT)[spread <= FAR]
-    widest = np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(precise, precise)]).max(initial=0.0))
-    if widest > LOOSE:
-        note += f"; the place is determined to +- {1e3 * widest:.1f} mm only"
-        note += "; a faster motion determines it better"
-    value = {"xyz": np.round(xyz, 4).tolist(), "rpy": [round(a, 6) + 0.0 for a in plain or rpy]}
-    draft = draft.saying("wrench", "# place", None).saying("wrench", "place", value, note)
-    force, moment = frame.units
-    ratio = FORCES[force] / MOMENTS[moment] / (1 + moves[RATIO])
-    origin = draft.notes.get(("wrench", "units"), "by the file")
-    note = f"{origin}; ratio {ratio:.6g} +- {ratio * sigma[RATIO]:.2g}"
+    turn, xyz = moved @ frame.turn, moved @ frame.place + moves[list(SHIFT)]
+    rpy = _plain_angles(turn, covariance[np.ix_(TURN, TURN)])
+    draft = _with_place(draft, (turn, xyz), rpy, sigma)
+    ratio = FORCES[frame.units[0]] / MOMENTS[frame.units[1]] / (1 + moves[RATIO])
+    note = draft.notes.get(("wrench", "units"), "by the file")
+    note += f"; ratio {ratio:.6g} +- {ratio * sigma[RATIO]:.2g}"
     draft = draft.saying("wrench", "units", table["units"], note)
-    own_clock = table["source"] != draft.tables["position"]["source"]
-    late, late_sigma = float(moves[LATE]), float(sigma[LATE])
-    if own_clock or "delay" in table or abs(late) > CLEAR * late_sigma:
-        draft = _delayed(draft, "wrench", table.get("delay", 0.0) + late, late_sigma)
-    placed = transform(from_rpy(plain or rpy), xyz) @ np.linalg.inv(
-        transform(frame.turn, frame.place)
-    )
-    plate = replace(best.plate, map=placed @ best.plate.map)
-    return _with_zero(draft, replace(best, plate=plate))
+    late = float(moves[LATE])
+    shared = table["source"] == draft.tables["position"]["source"] and "delay" not in table
+    if not shared or abs(late) > CLEAR * sigma[LATE]:
+        draft = _delayed(draft, "wrench", table.get("delay", 0.0) + late, float(sigma[LATE]))
+    placed = transform(from_rpy(rpy), xyz) @ frame.map_inverse @ best.plate.map
+    return _with_zero(draft, replace(best, plate=replace(best.plate, map=placed)))
+
+
+def _with_place(
+    draft: Draft, place: tuple[Array, Array], rpy: Sequence[float], sigma: Array
+) -> Draft:
+    """Mapping with a plate's place, its rounded angles `rpy`, and how well it is known."""
+    turn, xyz = place
+    angles, wide = np.rad2deg(to_rpy(turn)), np.rad2deg(sigma[list(TURN)])
+    spread = sigma[list(SHIFT)]
+    origin = draft.notes.get(("wrench", "place"), "solved")
+    note = f"{origin}; rpy {_list(angles, 3)} +- {_list(wide, 3)} deg"
+    note += f"; xyz {_list(1e3 * xyz, 2)} +- {_list(1e3 * spread, 2)} mm"
+    axes = [axis for axis, each in zip("xyz", spread, strict=True) if each > FAR]
+    note += f"; {', '.join(axes)} not determined by these data" * bool(axes)
+    value = {"xyz": np.round(xyz, 4).tolist(), "rpy": [round(a, 6) + 0.0 for a in rpy]}
+    return draft.saying("wrench", "# place", None).saying("wrench", "place", value, note)
 
 
 def _with_zero(draft: Draft, best: Explanation) -> Draft:
@@ -452,25 +431,24 @@ def _with_tare(draft: Draft, tare: list[float], note: str) -> Draft:
     return draft.saying("wrench", "tare", tare, note)
 
 
-def _plain_angles(turn: Array, covariance: Array) -> tuple[float, float, float] | None:
-    """Angles that a person writes, if one of them is as near as the data determine it."""
+def _plain_angles(turn: Array, covariance: Array) -> Sequence[float]:
+    """Angles that a person writes, if they are as near as the data determine it; else its own."""
+    rpy = to_rpy(turn)
     for step in STEPS:
-        roll, pitch, yaw = (round(angle / step) * step for angle in to_rpy(turn))
-        apart = rotation_vector(from_rpy((roll, pitch, yaw)) @ turn.T)
+        plain = [round(angle / step) * step for angle in rpy]
+        apart = rotation_vector(from_rpy(plain) @ turn.T)
         if apart @ np.linalg.solve(covariance, apart) < NEAR:
-            return roll, pitch, yaw
-    return None
+            return plain
+    return rpy
 
 
 def _list(values: Array, digits: int) -> str:
     return ", ".join(f"{value:.{digits}f}" for value in values)
 
 
-def _too_short(best: Explanation | None) -> Iterator[Diagnostic]:
+def _too_short(best: Explanation) -> Iterator[Diagnostic]:
     """Whether another mapping may fit a recording as well."""
-    if best is None:
-        return
-    instants, parameters = best.fit.instants, best.fit.prior.lift.shape[1]
+    instants, parameters = best.fit.instants, best.fit.prior.parameters
     count, joints = instants.position.shape
     if count * (6 if best.has_plate else joints) <= SHORT * parameters:
         yield diagnose("recording.short", value=count * instants.spacing, parameters=parameters)

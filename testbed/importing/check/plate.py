@@ -11,26 +11,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
-from itertools import chain, permutations, product
+from functools import cached_property
+from itertools import chain, product
 from typing import Any
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.blas import eigh
 from testbed.core.robot.inertia import from_rpy, from_vector, to_rpy
 from testbed.importing.check.instants import Instants, delay
 from testbed.importing.check.plate_map import (
     LASTS,
     LATE,
-    QUIET,
     RATIO,
     SHIFT,
     SLOPES,
     TURN,
+    WIDE,
+    MapFit,
     PlateRows,
-    near_file,
+    ridge_regression,
     transform,
 )
 from testbed.importing.check.prior import Prior
@@ -45,8 +45,8 @@ PLATE_ORDERS = (
 )  # fmt: skip
 """Moments before forces, and two channels exchanged; axes in another order are a turn."""
 
-ROUNDS, LARGEST_TURN, LARGEST_RATIO = 7, 0.5, 0.7
-"""Of Gauss and Newton; their largest steps of a turn [rad] and of the ratio's logarithm."""
+ROUNDS, LARGEST = 7, 0.6
+"""Of Gauss and Newton; their largest step of a turn [rad] and of the ratio's logarithm."""
 
 SNAP = 0.02
 """Distance of a turn's matrix to one that is plainer from which that is tried."""
@@ -66,8 +66,8 @@ LEAST_LEFT = 1e-4
 TINY = 1e-5
 """Share below which what is left says nothing more."""
 
-ROUGH = 0.35
-"""Sigma of the logarithm of a model file's masses."""
+ROUGH, MOST_SIZE = 0.35, 1e3
+"""Sigma of the logarithm of a model file's masses; most that their size counts [nats]."""
 
 EXPLAINED = 1e-3
 """Share below which, noise aside, nothing is odd about a channel."""
@@ -79,19 +79,18 @@ MIXED, GAP = 3e-3, 10.0
 """Share that a matrix leaves at most where a plate mixes its channels, and times less than others.
 """
 
-SHIFTED, CLEAR, MOST_SHIFT = 5e-3, 5.0, 50.0
-"""Least shift of a plate's frame that is one [m], its sigmas, and its most cost [nats]."""
+SHIFTED, CLEAR = 5e-3, 5.0
+"""Least shift of a plate's frame that is one [m], and its sigmas."""
 
 MOST_MAPS = 40
 """Maps that are judged together with the torques, the best first."""
 
-WIDE = np.repeat([0.2, 1.0, 0.02], [3, 4, 1])
-"""Standard deviations of a correction before the data: of the place [m], of the delay [s], of the
-turn [rad] and of the ratio."""
-
 CORRECTIONS, AROUND = 4, 0.15
 """Steps of Gauss and Newton to a correction; part of the frequencies over which what is left is
 averaged."""
+
+FAR = 0.02
+"""Standard deviation from which a place is not known [m]."""
 
 LOOSEST = 10.0
 """Times that a prior's sigmas are wider at most, where data depart from it by as many sigmas."""
@@ -115,7 +114,7 @@ class Frame:
     units: tuple[str, str]
 
     @cached_property
-    def _inverse(self) -> Array:
+    def map_inverse(self) -> Array:
         """The wrench in the sensor's frame of one in the bedplate's, (6, 6)."""
         return np.asarray(np.linalg.inv(transform(self.turn, self.place)))
 
@@ -133,7 +132,7 @@ class Frame:
         size = np.repeat([FORCES[units[0]], ratio * MOMENTS[units[1]]], 3)
         own_size = np.repeat([FORCES[self.units[0]], MOMENTS[self.units[1]]], 3)
         columns = np.diag(size) @ np.eye(6)[list(order)] @ np.diag(1 / own_size)
-        return transform(turn, self.place) @ columns @ self._inverse
+        return transform(turn, self.place) @ columns @ self.map_inverse
 
 
 def frame_of(mapping: Mapping[str, Any]) -> Frame:
@@ -149,17 +148,6 @@ def frame_of(mapping: Mapping[str, Any]) -> Frame:
     return Frame(from_rpy(place["rpy"]), np.array(place["xyz"], float), (force, moment))
 
 
-@cache
-def quarter_turns() -> tuple[Array, ...]:
-    """The 24 turns that take axes to axes, (3, 3), the identity first."""
-    turns = [
-        np.array(signs)[:, None] * np.eye(3)[list(places)] + 0.0  # no negative zeros
-        for places, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3))
-    ]
-    proper = [turn for turn in turns if np.linalg.det(turn) > 0]
-    return tuple(sorted(proper, key=lambda turn: -float(np.trace(turn))))
-
-
 def best_hypotheses(
     plate: PlateRows, frame: Frame, order: Sequence[int]
 ) -> Iterator[MapHypothesis]:
@@ -172,55 +160,57 @@ def best_hypotheses(
         frame: How the mapping has read it.
         order: In which column each channel is.
     """
-    turn, ratio = _best_turn(plate, frame, order)
+    starts = [*_aligned(plate, frame, order), frame.turn]
+    turn, ratio, sigma, _ = min(
+        (_descend(plate, frame, order, start) for start in starts), key=lambda each: each[-1]
+    )
+    angles = [round(angle / STEPS[-1]) * STEPS[-1] for angle in to_rpy(turn)]
+    near = [from_rpy(angles), frame.turn]
+    near = [each for each in near if np.linalg.norm(turn - each) < max(SNAP, SIGMAS * sigma)]
     own = MOMENTS[frame.units[1]] / FORCES[frame.units[0]]
     for units in product(FORCES, MOMENTS):
         apart = abs(MOMENTS[units[1]] / FORCES[units[0]] / (ratio * own) - 1)
         if apart > NEAR and units != frame.units:  # as read always: forces may be noise
             continue
-        exact, sigma = _refine(plate, frame, turn, units, order)
-        angles = [round(angle / STEPS[-1]) * STEPS[-1] for angle in to_rpy(exact)]
-        plainer, most = (from_rpy(angles), frame.turn), max(SNAP, SIGMAS * sigma)
-        near = [each for each in plainer if np.linalg.norm(exact - each) < most]
-        for each in (exact, *near):
+        for each in (turn, *near):
             hypotheses = [Hypothesis("plate_order", (), tuple(order))] * (tuple(order) != AS_READ)
             hypotheses += [Hypothesis("units", (), units)] * (units != frame.units)
-            hypotheses += [_turn_hypothesis(each)] * bool(np.linalg.norm(each - frame.turn) > 1e-6)
+            if np.linalg.norm(each - frame.turn) > 1e-6:
+                angles = np.round(to_rpy(each), 6).tolist()
+                hypotheses.append(Hypothesis("turn", (), tuple(angles)))
             yield tuple(hypotheses), frame.map(each, units, order)
 
 
-def _turn_hypothesis(turn: Array) -> Hypothesis:
-    """A frame that is turned so, (3, 3)."""
-    return Hypothesis("turn", (), tuple(np.round(to_rpy(turn), 6).tolist()))
+def _aligned(plate: PlateRows, frame: Frame, order: Sequence[int]) -> Iterator[Array]:
+    """Turns that bring the channels nearest to what the model file predicts, in either sense.
+
+    Wahba's problem by Kabsch's algorithm.
+    """
+    channels = plate.channels[:, :6] @ frame.map(np.eye(3), frame.units, order).T * plate.weight
+    correlation = plate.expected.reshape(-1, 3).T @ channels.reshape(-1, 3)
+    for sense in (1.0, -1.0):
+        left, _, right = np.linalg.svd(sense * correlation)
+        yield left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
 
 
-def _best_turn(plate: PlateRows, frame: Frame, order: Sequence[int]) -> tuple[Array, float]:
-    """The best turn of the frame, (3, 3), and how many times too small its moments are."""
-    turns = [turn @ frame.turn for turn in quarter_turns()]
-    ratios = np.full(len(turns), plate.gain_ratio(frame.map(frame.turn, frame.units, order)))
+def _descend(
+    plate: PlateRows, frame: Frame, order: Sequence[int], turn: Array
+) -> tuple[Array, float, float, float]:
+    """The best turn of the frame from a start, (3, 3), by Gauss's and Newton's steps.
+
+    Beside it how many times too small its moments are, the turn's largest sigma [rad], and the
+    cost.
+    """
+    ratio = plate.gain_ratio(frame.map(frame.turn, frame.units, order))
+    moves = [*TURN, RATIO]
     for _ in range(ROUNDS):
-        pairs = zip(turns, ratios, strict=True)
-        maps = [frame.map(turn, frame.units, order, ratio) for turn, ratio in pairs]
-        fits = plate.fit(maps, (*SHIFT, LATE, *TURN, RATIO), likely=True)
-        best = int(np.argmin(np.log(fits.unexplained + TINY).sum(axis=1)))
-        steps = fits.extras[:, list(TURN)]
-        size = np.linalg.norm(steps, axis=1, keepdims=True)
-        steps = steps * np.minimum(1, LARGEST_TURN / np.maximum(size, LARGEST_TURN))
-        turns = [from_vector(step) @ turn for step, turn in zip(steps, turns, strict=True)]
-        change = np.clip(fits.extras[:, RATIO], -LARGEST_RATIO, LARGEST_RATIO)
-        ratios = ratios * np.exp(change)
-    return turns[best], float(ratios[best])
-
-
-def _refine(
-    plate: PlateRows, frame: Frame, turn: Array, units: tuple[str, str], order: Sequence[int]
-) -> tuple[Array, float]:
-    """The turn with gains of these units, (3, 3), and its largest sigma [rad]."""
-    for _ in range(3):
-        maps = [frame.map(turn, units, order)]
-        fits = plate.fit(maps, (*SHIFT, LATE, *TURN), likely=True)
-        turn = from_vector(fits.extras[0, list(TURN)]) @ turn
-    return turn, float(fits.sigma[0, list(TURN)].max())
+        fit = plate.fit(frame.map(turn, frame.units, order, ratio), (*SHIFT, LATE, *moves))
+        step = fit.extras[moves]
+        step = step * min(1.0, LARGEST / max(float(np.linalg.norm(step)), LARGEST))
+        turn = from_vector(step[:3]) @ turn
+        ratio *= float(np.exp(step[3]))
+    cost = float(np.log(fit.unexplained + TINY).sum())
+    return turn, ratio, float(fit.sigma[list(TURN)].max()), cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,12 +240,6 @@ class PlateExplanation:
             share: Part of a channel's variance that may be left.
         """
         return bool((self.unexplained < share + 3 * self.noise).all())
-
-    @property
-    def shown(self) -> bool:
-        """Whether it explains the plate, two channels or more of which are no noise."""
-        heard = self.noise < UNEXPLAINED
-        return bool(heard.sum() >= 2 and self.explained(UNEXPLAINED))
 
 
 NO_PLATE = PlateExplanation((), np.eye(6), 0.0, np.zeros(0), np.zeros(0), 0.0)
@@ -300,15 +284,10 @@ class PlateEvidence:
         if self.measured:
             self._products = PlateRows(rows @ prior.root, rows @ prior.mean, instants)
 
-    @cached_property
+    @property
     def least(self) -> float:
         """Share that no map can mend."""
-        return self._products.least_share(late=True) if self.measured else 0.0
-
-    @cached_property
-    def least_in_time(self) -> float:
-        """The same for a plate that is not late."""
-        return self._products.least_share()
+        return self._products.least_share if self.measured else 0.0
 
     def mixed(self, unexplained: Array) -> bool:
         """Whether a matrix of all six channels explains the plate far better than what leaves this.
@@ -316,7 +295,7 @@ class PlateEvidence:
         Args:
             unexplained: Part of each channel's variance, (6,).
         """
-        return self.least_in_time < min(MIXED, float(unexplained.mean()) / GAP)
+        return self.least < min(MIXED, float(unexplained.mean()) / GAP)
 
     @cached_property
     def delay(self) -> tuple[float, float]:
@@ -344,49 +323,39 @@ class PlateEvidence:
 
     def _judge(self, hypotheses: Sequence[MapHypothesis]) -> list[PlateExplanation]:
         """Explanations by maps, a shift and lateness fitted."""
-        if not hypotheses:
-            return []
-        fits = self._products.fit([each for _, each in hypotheses])
-        size = np.log(np.maximum(np.abs(fits.size), 1e-9)) / ROUGH
-        costs = WEIGHT * (np.log(fits.unexplained + TINY).sum(axis=1) + size**2)
         several = []
-        for k in np.argsort(costs, kind="stable")[:MOST_MAPS]:
-            about, each, shift = list(hypotheses[k][0]), hypotheses[k][1], fits.extras[k, SHIFT]
-            distance, sigma = (float(np.linalg.norm(x)) for x in (shift, fits.sigma[k, SHIFT]))
-            if distance > max(SHIFTED, CLEAR * sigma):
+        for known, each in hypotheses:
+            fit, about = self._products.fit(each), list(known)
+            shift = fit.extras[list(SHIFT)]
+            sigma = float(np.linalg.norm(fit.sigma[list(SHIFT)]))
+            if np.linalg.norm(shift) > max(SHIFTED, CLEAR * sigma):
                 place = np.round(self._frame.place + shift, 4)
                 about.append(Hypothesis("shift", (), tuple(place.tolist())))
-            each = each + np.einsum("e,ecd->cd", shift, SLOPES[:3]) @ each
-            if fits.size[k] < 0:
+            moved = transform(np.eye(3), shift) @ each
+            if fit.size < 0:
                 about.append(Hypothesis("sense"))
-                each = -each
-            late, noise = float(fits.extras[k, LATE]), self._products.noise_share(each)
-            shares, cost = fits.unexplained[k], float(costs[k])
-            several.append(PlateExplanation(tuple(about), each, late, shares, noise, cost))
-        return several
+                moved = -moved
+            several.append(self._explanation(about, moved, fit))
+        return sorted(several, key=lambda each: each.cost)[:MOST_MAPS]
+
+    def _explanation(
+        self, hypotheses: Sequence[Hypothesis], each: Array, fit: MapFit
+    ) -> PlateExplanation:
+        """Explanation by a map and what it leaves."""
+        size = min((np.log(max(abs(fit.size), 1e-9)) / ROUGH) ** 2, MOST_SIZE)
+        cost = WEIGHT * float(np.log(fit.unexplained + TINY).sum() + size)
+        late = float(fit.extras[LATE])
+        return PlateExplanation(tuple(hypotheses), each, late, fit.unexplained, fit.noise, cost)
 
     @cached_property
     def as_read(self) -> PlateExplanation:
         """The plate as it was read; lateness is nobody's mistake."""
         if not self.measured:
             return NO_PLATE
-        same = np.eye(6)
-        fits = self._products.fit([same], [LATE])
-        size = np.log(max(fits.size[0], 1e-9)) / ROUGH
-        unexplained = fits.unexplained[0] if fits.size[0] > 0 else np.ones(6)  # of negative masses
-        cost = WEIGHT * (np.log(unexplained + TINY).sum() + min(size**2, 1e3)) + self.shift_cost
-        late, noise = float(fits.extras[0, LATE]), self._products.noise_share(same)
-        return PlateExplanation((), same, late, unexplained, noise, float(cost))
-
-    @cached_property
-    def shift_cost(self) -> float:
-        """What the frame where it was read costs beside one that is fitted [nats]."""
-        if not self.measured:
-            return 0.0
-        fits = self._products.fit([np.eye(6)])
-        distance, sigma = (float(np.linalg.norm(x[0, SHIFT])) for x in (fits.extras, fits.sigma))
-        beyond = max(0.0, distance - SHIFTED) / (CLEAR * sigma + 1e-9)
-        return min(0.5 * beyond**2, MOST_SHIFT)
+        fit = self._products.fit(np.eye(6), [LATE])
+        if fit.size < 0:  # of negative masses
+            fit = fit._replace(unexplained=np.ones(6), size=0.0)
+        return self._explanation((), np.eye(6), fit)
 
     def wrench(self, each: PlateExplanation) -> Array:
         """The bedplate's wrench by an explanation, in time, (T, 6) [N, N m]."""
@@ -400,15 +369,11 @@ class PlateEvidence:
             each: Of the plate.
         """
         prior, wrench = self._prior, self.wrench(each)
-        rest, moved = wrench - self.rows @ prior.mean, self.rows @ prior.root
         share = np.maximum(each.unexplained, LEAST_LEFT) * LASTS
         sigma = np.sqrt(share * np.maximum(wrench.var(axis=0), 1e-12))
-        columns = ((moved - moved.mean(axis=0)) / sigma[:, None]).reshape(-1, moved.shape[2])
-        target = ((rest - rest.mean(axis=0)) / sigma).ravel()
-        spread, axes = eigh(columns.T @ columns + np.eye(columns.shape[1]))
-        scaled = axes / np.sqrt(np.maximum(spread, 1.0))
-        root = prior.root @ scaled
-        return prior.mean + root @ (scaled.T @ (columns.T @ target)), root
+        rest = wrench - self.rows @ prior.mean
+        departure, root, _ = ridge_regression(self.rows @ prior.root, rest[..., None], sigma)
+        return prior.mean + prior.root @ departure[:, 0], prior.root @ root
 
     def zero(self, each: PlateExplanation) -> tuple[Array, Array]:
         """What the plate shows without the robot, and its sigma, (6,) [N, N m].
@@ -443,37 +408,39 @@ class PlateEvidence:
             bedplate's frame, the turn first, (8,). Their covariance, (8, 8).
         """
         from scipy.fft import dct
-        from scipy.ndimage import uniform_filter1d
 
         data, prior, count = self._instants, self._prior, len(self._instants.wrench)
         constants = np.broadcast_to(np.eye(6), (count, 6, 6))
-        signals = (data.wrench, data.wrench_rate, self.rows @ prior.mean)
-        wrench, rate, expected = (dct(x, axis=0, norm="ortho") for x in signals)
         model = np.concatenate([self.rows @ prior.root, constants], axis=2)
         model = dct(model, axis=0, norm="ortho")
-        parameters, own = prior.root.shape[1], slice(model.shape[2], None)
-        precision = np.concatenate([np.ones(parameters), np.zeros(6), 1 / WIDE**2])
-        before = np.zeros(len(precision))
-        before[own][list(SHIFT)] = -self._frame.place  # where the prior has its mean
+        wrench, rate = (dct(x, axis=0, norm="ortho") for x in (data.wrench, data.wrench_rate))
+        target = wrench - dct(self.rows @ prior.mean, axis=0, norm="ortho")
+        parameters, moves = slice(prior.root.shape[1]), slice(model.shape[2], None)
+        precision = np.concatenate([np.ones(parameters.stop), np.zeros(6), 1 / WIDE**2])
+        mean = np.zeros(len(precision))
+        mean[moves][list(SHIFT)] = -self._frame.place
         left = np.maximum(each.unexplained * data.wrench.var(axis=0), 1e-30)
-        around = 1 + int(AROUND * count)
         weight, predicted = np.tile(1 / np.sqrt(left), (count, 1)), wrench
         for _ in range(CORRECTIONS):
             slopes = -np.einsum("ecd,td->tce", SLOPES, predicted)
             slopes[:, :, LATE] = -rate
-            columns = np.concatenate([model, slopes], axis=2) * weight[..., None]
-            columns = columns.reshape(6 * count, -1)
-            target = ((wrench - expected) * weight).ravel()
-            covariance = np.linalg.inv(columns.T @ columns + np.diag(precision))
-            values = covariance @ (columns.T @ target + precision * before)
-            residual = (target - columns @ values).reshape(count, 6) / weight
+            columns = np.concatenate([model, slopes], axis=2)
+            scaled = (columns * weight[..., None]).reshape(6 * count, -1)
+            covariance = np.linalg.inv(scaled.T @ scaled + np.diag(precision))
+            values = covariance @ (scaled.T @ (target * weight).ravel() + precision * mean)
+            residual = target - columns @ values
             predicted = wrench - residual
-            free = 1 - np.einsum("ti,ti->t", columns @ covariance, columns).reshape(count, 6)
-            free, square = (uniform_filter1d(x, around, axis=0) for x in (free, residual**2))
-            weight = np.sqrt(np.maximum(free, 1e-9) / np.maximum(square, 1e-24))
-            odd = float(np.abs(values[:parameters]).max())
-            precision[:parameters] = 1 / np.clip(odd, 1.0, LOOSEST) ** 2
-        return values[own], covariance[own, own]
+            leverage = ((scaled @ covariance) * scaled).sum(axis=1).reshape(count, 6)
+            weight = _spectral_weights(residual, leverage)
+            odd = np.abs(values[parameters]).max()
+            precision[parameters] = 1 / np.clip(odd, 1.0, LOOSEST) ** 2
+        return self._with_loose_place(values[moves], covariance[moves, moves])
+
+    def _with_loose_place(self, moves: Array, covariance: Array) -> tuple[Array, Array]:
+        """Correction with an unknown place at zero, and the others as they are then."""
+        loose = [k for k in SHIFT if covariance[k, k] > FAR**2]
+        gain = np.linalg.solve(covariance[np.ix_(loose, loose)], covariance[loose])
+        return moves - (moves[loose] + self._frame.place[loose]) @ gain, covariance
 
     def wrench_fit(self, each: PlateExplanation) -> WrenchFit:
         """The channels by an explanation, and what parameters and constants make of them.
@@ -482,10 +449,17 @@ class PlateEvidence:
             each: Of the plate.
         """
         wrench = self.wrench(each)
-        variance = np.maximum(wrench.var(axis=0), 1e-24)
-        sigma = np.sqrt(variance * (QUIET + LASTS * each.noise))
-        target = (wrench - self.rows @ self._prior.mean)[..., None]
-        left = near_file(self.rows @ self._prior.root, target, sigma)[1][..., 0]
-        unexplained = (left**2).mean(axis=0) / variance
+        fit = self.rows @ self.posterior(each)[0]
+        fit = fit - fit.mean(axis=0) + wrench.mean(axis=0)
         time = self._instants.spacing * np.arange(len(wrench), dtype=np.float64)
-        return WrenchFit(time, wrench, wrench - left, unexplained)
+        return WrenchFit(time, wrench, fit, each.unexplained)
+
+
+def _spectral_weights(residual: Array, leverage: Array) -> Array:
+    """One over the sigma of what is left around each frequency of a channel, (T, 6)."""
+    from scipy.ndimage import uniform_filter1d
+
+    around = 1 + int(AROUND * len(residual))
+    free = uniform_filter1d(1 - leverage, around, axis=0)
+    square = uniform_filter1d(residual**2, around, axis=0)
+    return np.asarray(np.sqrt(np.maximum(free, 1e-9) / np.maximum(square, 1e-24)))

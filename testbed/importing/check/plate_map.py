@@ -15,11 +15,13 @@ of a plate can mend.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from testbed.core.base.arrays import Array, skew
+from testbed.core.base.blas import eigh
 from testbed.importing.check.instants import Instants
 
 HALVES = (slice(0, 3), slice(3, 6))
@@ -38,13 +40,15 @@ what is left that leaves parameters free."""
 SILENT = 0.02
 """Part of the mean variance of forces, or of moments, that a channel counts with at least."""
 
-LATEST = 0.08
-"""Delays beyond this are not small [s]."""
+WIDE = np.repeat([0.2, 1.0, 0.02], [3, 4, 1])
+"""Standard deviations of what is fitted before the data: of the place [m], of the delay [s], of the
+turn [rad] and of the ratio."""
+
+LOOSE = 1e-7
+"""Weight of these beside the data where maps are compared."""
 
 SHIFT, LATE, TURN, RATIO = (0, 1, 2), 3, (4, 5, 6), 7
 """Places of what may be fitted beside a map: [m], [s], [rad], moments over forces."""
-
-EXTRAS = 8
 
 
 def transform(turn: Array, place: Array) -> Array:
@@ -68,11 +72,12 @@ def rotation_vector(turn: Array) -> Array:
 
 
 def _slopes() -> Array:
-    """How a map changes with what is fitted beside it, but for lateness, (8, 6, 6)."""
-    slopes = np.zeros((EXTRAS, 6, 6))
-    for axis, unit in enumerate(np.eye(3)):
-        slopes[SHIFT[axis], 3:, :3] = skew(unit)
-        slopes[TURN[axis]] = transform(skew(unit), np.zeros(3))
+    """Derivatives of a map, to be multiplied by it, by what is fitted beside it, (8, 6, 6)."""
+    slopes = np.zeros((8, 6, 6))
+    slopes[list(SHIFT), 3:, :3] = skew(np.eye(3))
+    for half in HALVES:
+        slopes[list(TURN), half, half] = skew(np.eye(3))
+    slopes[LATE] = np.eye(6)  # of the wrench's derivative
     slopes[RATIO, 3:, 3:] = np.eye(3)
     return slopes
 
@@ -80,10 +85,10 @@ def _slopes() -> Array:
 SLOPES = _slopes()
 
 
-def near_file(rows: Array, target: Array, sigma: Array) -> tuple[Array, Array]:
+def ridge_regression(rows: Array, target: Array, sigma: Array) -> tuple[Array, Array, Array]:
     """Parameters that explain signals, with any constants, and what they leave.
 
-    Ridge regression: where the plate is noise, parameters remain near the model file's.
+    Where the plate is noise, parameters remain near the model file's.
 
     Args:
         rows: On the parameters in sigmas of the prior, (T, 6, N).
@@ -91,36 +96,45 @@ def near_file(rows: Array, target: Array, sigma: Array) -> tuple[Array, Array]:
         sigma: Of what is left of the channels, (6,).
 
     Returns:
-        Departures in sigmas of the prior, (N, k); what is left, (T, 6, k).
+        Departures in sigmas of the prior, (N, k); a root of their covariance, (N, N); what is
+        left, (T, 6, k).
     """
     columns = ((rows - rows.mean(axis=0)) / sigma[:, None]).reshape(-1, rows.shape[2])
     varied = target - target.mean(axis=0)
     scaled = (varied / sigma[:, None]).reshape(len(columns), -1)
-    normal = columns.T @ columns + np.eye(columns.shape[1])
-    departure = np.linalg.solve(normal, columns.T @ scaled)
-    return departure, varied - (columns @ departure).reshape(varied.shape) * sigma[:, None]
+    spread, axes = eigh(columns.T @ columns + np.eye(columns.shape[1]))
+    root = axes / np.sqrt(np.maximum(spread, 1.0))
+    departure = root @ (root.T @ (columns.T @ scaled))
+    left = varied - (columns @ departure).reshape(varied.shape) * sigma[:, None]
+    return departure, root, left
 
 
-@dataclass(frozen=True, eq=False)
-class MapFits:
-    """What M maps leave.
+class MapFit(NamedTuple):
+    """What a map leaves.
 
     Attributes:
-        unexplained: Part of each channel's variance that no parameters explain, (M, 6).
-        extras: What was fitted beside the maps, zero for the others, (M, 8).
-        sigma: Of them, if what is left is white, (M, 8).
+        unexplained: Part of each channel's variance that no parameters explain, (6,).
+        noise: Part of it that is the channels' own noise, (6,).
+        extras: What was fitted beside the map, zero for the others, (8,).
+        sigma: Of them, if what is left is white, (8,).
         size: Times what the model file's masses make, by the variance; negative for the other
-            sense, (M,).
+            sense.
     """
 
     unexplained: Array
+    noise: Array
     extras: Array
     sigma: Array
-    size: Array
+    size: float
 
 
 class PlateRows:
-    """Products of the plate's channels that are left when the rows are projected out."""
+    """Products of the plate's channels that are left when the rows are projected out.
+
+    Attributes:
+        expected: The varying wrench by the model file's masses, of size one, (T, 6).
+        weight: What forces and moments are multiplied by for that, (6,).
+    """
 
     def __init__(self, rows: Array, expected: Array, instants: Instants) -> None:
         """The products.
@@ -131,79 +145,51 @@ class PlateRows:
             instants: With a wrench.
         """
         varied = expected - expected.mean(axis=0)
-        size = np.sqrt([(varied[:, part] ** 2).mean() for part in HALVES])
-        weight = np.repeat(1 / np.where(size > 0, size, 1.0), 3)
-        channels = np.hstack([instants.wrench, instants.wrench_rate])  # (T, 12)
-        count = len(channels)
-        centred = channels - channels.mean(axis=0)
-        self.expected = varied * weight
+        size = np.sqrt((varied.reshape(-1, 2, 3) ** 2).mean(axis=(0, 2)))
+        self.weight = np.repeat(1 / np.where(size > 0, size, 1.0), 3)
+        self.expected = varied * self.weight
+        self.channels = np.hstack([instants.wrench, instants.wrench_rate])
+        self.channels -= self.channels.mean(axis=0)
+        self._noise = instants.wrench_noise * len(varied)
+        self._covariance = self.channels.T @ self.channels
         sigma = _sigma(instants)
         certain = self.expected / sigma**2
-        self._model = np.einsum("tc,tk,c->ck", certain, centred, weight).ravel()
-        self._model_size = float((self.expected * certain).sum())
-        signals = np.einsum("tk,cd->tcdk", channels, np.diag(weight)).reshape(count, 6, 72)
-        # of each map's size, in which the file predicts
-        signals -= self.expected[..., None] * (self._model / self._model_size)
-        departure, signals = near_file(rows * weight[:, None], signals, sigma)
+        model = (certain.T @ self.channels * self.weight[:, None]).ravel()
+        self._model = model / (certain * self.expected).sum()
+        signals = np.einsum("tk,cd->tcdk", self.channels, np.diag(self.weight))
+        signals = signals.reshape(len(varied), 6, 72)
+        signals -= self.expected[..., None] * self._model  # of each map's size
+        departure, _, signals = ridge_regression(rows * self.weight[:, None], signals, sigma)
         self._departure = departure.T @ departure
         self._residual = np.einsum("tcx,tcy->cxy", signals, signals, optimize=True)
-        self._whole = np.zeros((6, 72, 72))
-        for channel in range(6):
-            own = slice(12 * channel, 12 * channel + 12)
-            self._whole[channel][own, own] = weight[channel] ** 2 * centred.T @ centred
-        self.weight, self._count = weight, count
-        self._noise = instants.wrench_noise * count
 
-    def fit(
-        self, maps: Sequence[Array], free: Sequence[int] = (*SHIFT, LATE), *, likely: bool = False
-    ) -> MapFits:
-        """What each map leaves, with what is free fitted beside it.
+    def fit(self, each: Array, free: Sequence[int] = (*SHIFT, LATE)) -> MapFit:
+        """What a map leaves, with what is free fitted beside it.
 
         Args:
-            maps: From what was recorded to the bedplate's wrench, (6, 6) each.
+            each: From what was recorded to the bedplate's wrench, (6, 6).
             free: Places of what may be fitted.
-            likely: Whether parameters far from the model file's count against what is fitted.
         """
-        stacked = np.stack(maps)
-        count, free = len(stacked), list(free)
-        terms = np.zeros((count, 1 + len(free), 6, 12))
-        terms[:, 0, :, :6] = stacked
-        for place, extra in enumerate(free, 1):
-            if extra == LATE:
-                terms[:, place, :, 6:] = stacked
-            else:
-                terms[:, place, :, :6] = SLOPES[extra] @ stacked
-        flat = terms.reshape(count, -1, 72)
-        whole = _at_least(np.einsum("mx,cxy,my->mc", flat[:, 0], self._whole, flat[:, 0],
-                                   optimize=True))  # fmt: skip
-        residual = np.stack(
-            [
-                (flat.reshape(-1, 72) @ each).reshape(flat.shape) @ flat.transpose(0, 2, 1)
-                for each in self._residual
-            ],
-            axis=1,
-        )  # (M, 6, 1 + k, 1 + k)
-        weight = QUIET / (QUIET + self._noise_variance(stacked) / whole)
-        total = (residual * (weight / whole)[:, :, None, None]).sum(axis=1)
-        if likely:
-            departure = (flat.reshape(-1, 72) @ self._departure).reshape(flat.shape)
-            part = QUIET / whole.mean(axis=1)
-            total += part[:, None, None] * (departure @ flat.transpose(0, 2, 1))
-        size = np.sqrt(np.einsum("maa->ma", total)[:, 1:]) + 1e-300
-        normal = total[:, 1:, 1:] / size[:, :, None] / size[:, None, :] + 1e-9 * np.eye(len(free))
-        best = -np.linalg.solve(normal, (total[:, 1:, 0] / size)[..., None])[..., 0] / size
-        spread = np.sqrt(np.einsum("maa->ma", np.linalg.inv(normal))) / size
-        if LATE in free:
-            late = best[:, free.index(LATE)]
-            late[np.abs(late) > LATEST] = 0.0
-        weights = np.hstack([np.ones((count, 1)), best])
-        shares = np.einsum("ma,mcab,mb->mc", weights, residual, weights, optimize=True) / whole
-        along = np.einsum("ma,max->mx", weights, flat) @ self._model / self._model_size
-        extras, sigma = np.zeros((count, EXTRAS)), np.zeros((count, EXTRAS))
-        extras[:, free] = best
-        left = (weight * shares).sum(axis=1, keepdims=True)
-        sigma[:, free] = spread * np.sqrt(left / (6 * self._count))
-        return MapFits(np.maximum(shares, 0.0), extras, sigma, along)
+        places = list(free)
+        terms = np.zeros((1 + len(places), 6, 12))
+        terms[:, :, :6] = [each, *(SLOPES[places] @ each)]
+        if LATE in places:  # it is the wrench's derivative that is multiplied
+            terms[1 + places.index(LATE)] = np.hstack([np.zeros((6, 6)), each])
+        flat = terms.reshape(-1, 72)
+        residual = flat @ self._residual @ flat.T  # (6, 1 + k, 1 + k)
+        whole, noise = _at_least(self._variance(each)), self.weight**2 * (each**2 @ self._noise)
+        weight = QUIET / (QUIET * whole + noise)
+        total = np.tensordot(weight, residual, 1)
+        total += QUIET / whole.mean() * (flat @ self._departure @ flat.T)
+        inverse = np.linalg.inv(total[1:, 1:] + np.diag(LOOSE / WIDE[places] ** 2))
+        best = np.array([1.0, *(-inverse @ total[1:, 0])])
+        left = residual @ best @ best
+        extras, sigma = np.zeros((2, len(SLOPES)))
+        extras[places] = best[1:]
+        variance = np.diagonal(inverse) * (weight @ left) / (6 * len(self.expected))
+        sigma[places] = np.sqrt(variance)
+        size = float(best @ flat @ self._model)
+        return MapFit(np.maximum(left / whole, 0.0), noise / whole, extras, sigma, size)
 
     def gain_ratio(self, each: Array) -> float:
         """Times that moments must grow to be as large beside the forces as the model file's.
@@ -216,51 +202,32 @@ class PlateRows:
 
     def _variance(self, each: Array) -> Array:
         """Of each channel after a map, in parts of the model's, (6,)."""
-        flat = np.hstack([each, np.zeros((6, 6))]).ravel()
-        variance: Array = np.einsum("x,cxy,y->c", flat, self._whole, flat)
-        return variance
+        return np.asarray(self.weight**2 * ((each @ self._covariance[:6, :6]) * each).sum(axis=1))
 
-    def noise_share(self, each: Array) -> Array:
-        """Part of each channel's variance that is the plate's own noise after a map, (6,).
+    @cached_property
+    def least_share(self) -> float:
+        """What the best of all maps leaves, crosstalk, derivatives of the channels and all."""
+        from scipy.linalg import eigh as generalized
 
-        Args:
-            each: The map, (6, 6).
-        """
-        return self._noise_variance(each) / _at_least(self._variance(each))
-
-    def _noise_variance(self, maps: Array) -> Array:
-        """Of the plate's own noise after maps, (..., 6, 6), in parts of the model's, (..., 6)."""
-        return self.weight**2 * (maps**2 @ self._noise)
-
-    def least_share(self, *, late: bool = False) -> float:
-        """What the best of all maps leaves, crosstalk and all.
-
-        Args:
-            late: Whether derivatives of the channels may be mixed in, as a late plate needs.
-        """
-        from scipy.linalg import eigh
-
-        residual, whole = self._residual.sum(axis=0), self._whole.sum(axis=0)
-        used = np.arange(72).reshape(6, 12)[:, : 12 if late else 6].ravel()
-        used = used[np.diagonal(whole)[used] > 0]
-        residual, whole = residual[np.ix_(used, used)], whole[np.ix_(used, used)]
-        size = np.sqrt(np.diagonal(whole))
+        whole = np.kron(np.diag(self.weight**2), self._covariance)
+        size = np.sqrt(np.diagonal(whole)) + 1e-300
         size = np.outer(size, size)
-        scaled = whole / size + 1e-10 * np.eye(len(size))
-        least = eigh(residual / size, scaled, eigvals_only=True, subset_by_index=[0, 0])
+        scaled = whole / size + 1e-10 * np.eye(len(whole))
+        residual = self._residual.sum(axis=0) / size
+        least = generalized(residual, scaled, eigvals_only=True, subset_by_index=[0, 0])
         return max(float(least[0]), 1e-12)
 
 
 def _sigma(instants: Instants) -> Array:
     """Of what is left of the channels, in parts of forces or moments, (6,)."""
-    variance = instants.wrench.var(axis=0)
-    noise = [instants.wrench_noise[k].sum() / max(variance[k].sum(), 1e-30) for k in HALVES]
-    if max(noise) < NOISY:
+    variance = instants.wrench.var(axis=0).reshape(2, 3).sum(axis=1)
+    noise = instants.wrench_noise.reshape(2, 3).sum(axis=1) / np.maximum(variance, 1e-30)
+    if noise.max() < NOISY:
         return np.full(6, FREE)
-    return np.repeat(np.sqrt(QUIET + LASTS * np.array(noise)), 3)
+    return np.repeat(np.sqrt(QUIET + LASTS * noise), 3)
 
 
 def _at_least(variance: Array) -> Array:
-    """Variances of channels, (..., 6), each at least a part of its neighbours' mean."""
-    mean = variance.reshape(*variance.shape[:-1], 2, 3).mean(axis=-1)
-    return np.maximum(variance, np.maximum(SILENT * np.repeat(mean, 3, axis=-1), 1e-300))
+    """Variances of channels, (6,), each at least a part of its neighbours' mean."""
+    mean = np.repeat(variance.reshape(2, 3).mean(axis=1), 3)
+    return np.maximum(variance, np.maximum(SILENT * mean, 1e-300))

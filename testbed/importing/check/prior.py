@@ -26,13 +26,13 @@ class Prior:
         mean: Barycentric parameters by the model file, (10 n,).
         root: Of their covariance, (10 n, 10 n): masses within a half, centres within some
             centimetres.
-        lift: From a wrench's minimal parameters to these, (10 n, N).
+        parameters: How many a wrench determines.
     """
 
     tree: Tree
     mean: Array
     root: Array
-    lift: Array
+    parameters: int
 
     @property
     def weight(self) -> float:
@@ -55,20 +55,19 @@ def prior_of(tree: Tree) -> Prior:
     Args:
         tree: The robot.
     """
-    lift = minimal_set(tree, "reaction").lift
-    return Prior(tree, barycentric(tree).ravel(), _root(tree), lift)
+    parameters = minimal_set(tree, "reaction").count
+    return Prior(tree, barycentric(tree).ravel(), _root(tree), parameters)
 
 
 def _root(tree: Tree) -> Array:
     """Sigmas of the standard parameters, on the barycentric ones, (10 n, 10 n)."""
     own = standard(tree)
-    mass = np.maximum(own[:, 0], LIGHT * own[:, 0].sum())
-    centre = np.linalg.norm(own[:, 1:4], axis=1) / np.where(own[:, 0] > 0, own[:, 0], 1.0)
+    file, moments, tensor = own[:, :1], own[:, 1:4], own[:, 4:]
+    mass = np.maximum(file, LIGHT * file.sum())
+    centre = np.linalg.norm(moments, axis=1, keepdims=True) / np.where(file > 0, file, 1.0)
     reach = REACH + MASS * centre
-    sigma = np.empty((tree.n, 10))
-    sigma[:, 0] = MASS * mass
-    sigma[:, 1:4] = (mass * reach)[:, None]
-    sigma[:, 4:] = MASS * np.abs(own[:, 4:]) + (mass * reach**2)[:, None]
+    lever = np.repeat(mass * reach, 3, axis=1)
+    sigma = np.hstack([MASS * mass, lever, MASS * np.abs(tensor) + mass * reach**2])
     sigma[: tree.massless] = 0.0
-    spread = np.diag(sigma.ravel()).reshape(tree.n, 10, 10 * tree.n)
-    return to_barycentric(tree, spread).reshape(10 * tree.n, 10 * tree.n)
+    spread = np.diag(sigma.ravel()).reshape(tree.n, 10, -1)
+    return to_barycentric(tree, spread).reshape(10 * tree.n, -1)

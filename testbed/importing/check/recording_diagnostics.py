@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from testbed.core.recordings.source import Source
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.explanation import Explanation
 from testbed.importing.check.instants import Instants
-from testbed.importing.check.plate import MIXED, UNEXPLAINED, WrenchFit
+from testbed.importing.check.plate import MIXED, UNEXPLAINED
 from testbed.importing.check.remedies import KINDS, Hypothesis, Remedy, own_joints
 from testbed.importing.import_report import in_mapping
 
@@ -32,6 +31,9 @@ RARE, FEWEST, APART = 1e-3, 5, 3
 FAR, LITTLE = 2.0, 1e-2
 """Ranges of all other samples by which a spike lies outside; part of the largest range of its
 signal's channels that each has at least."""
+
+SHOWN, WIDE = 60, 110
+"""Characters that spikes, and ranges, may take."""
 
 OUTSIDE = 1.0
 """Ranges of a joint by which its positions must leave it to be certainly wrong."""
@@ -54,26 +56,8 @@ LEAST, MOST = 0.25, 4.0
 SMALLER = {"N m": "N mm", "A": "mA", "V": "mV", "kN m": "N m", "N": "mN"}
 """Units a thousand times smaller."""
 
-RIVAL = 60
-"""Characters about another explanation."""
-
 CLEARLY = 1.2
-"""Times as much as the best leaves from which another explanation leaves more."""
-
-
-@dataclass(frozen=True)
-class Alternatives:
-    """What else explains a recording.
-
-    Attributes:
-        runner_up: What the next best explanation has besides, in words; empty if there is none.
-        times: So many times more is left by that.
-        equals: What explains the same, in words.
-    """
-
-    runner_up: tuple[str, ...] = ()
-    times: float = 1.0
-    equals: tuple[str, ...] = ()
+"""Times as much as with the remedies that a channel leaves without, for its share to be said."""
 
 
 def share(part: float) -> str:
@@ -93,21 +77,18 @@ def spikes(recording: Recording) -> Iterator[Diagnostic]:
     """
     for signal in (name for name in ("position", "torque", "wrench") if name in recording.signals):
         values = recording.measured(signal)
-        edge = min(max(FEWEST, int(RARE * len(values))), len(values) // 4)
-        ordered = np.partition(values, (edge, len(values) - 1 - edge), axis=0)
-        low, high = ordered[edge], ordered[-1 - edge]
+        rare = min(max(FEWEST / len(values), RARE), 0.25)
+        low, high = np.quantile(values, [rare, 1 - rare], axis=0)
         room = FAR * np.maximum(high - low, LITTLE * (high - low).max())
         outside = (values < low - room) | (values > high + room)
         lasting = outside[APART:] & outside[:-APART]
         for k in np.flatnonzero(outside.any(axis=0) & ~lasting.any(axis=0)):
+            name = f"the {signal} of '{recording.names[k]}'"
+            if signal == "wrench":
+                name = f"the plate's {AXES[k]}"
             at = np.flatnonzero(outside[:, k])
-            name = f"the plate's {AXES[k]}"
-            if signal != "wrench":
-                name = f"the {signal} of '{recording.names[k]}'"
-            first = ", ".join(f"{values[i, k]:.4g} at {recording.time[i]:.6g} s" for i in at[:3])
-            more = f" and {len(at) - 3} more" if len(at) > 3 else ""
-            ends = {"low": low[k], "high": high[k]}
-            yield diagnose("channel.spikes", name, len(at), spikes=first + more, **ends)
+            said = few([f"{values[i, k]:.4g} at {recording.time[i]:.6g} s" for i in at], SHOWN)
+            yield diagnose("channel.spikes", name, len(at), spikes=said, low=low[k], high=high[k])
 
 
 def out_of_range(tree: Tree, position: Array, outside: float = OUTSIDE) -> Iterator[Diagnostic]:
@@ -118,27 +99,27 @@ def out_of_range(tree: Tree, position: Array, outside: float = OUTSIDE) -> Itera
         position: (M, n) [rad or m].
         outside: Ranges by which they leave the joint's range.
     """
-    lines, turning = [], False
-    for joint, q in zip(tree.joints, position.T, strict=True):
-        low, high = joint.position_range
-        room = outside * (high - low)
-        if q.min() < low - room or q.max() > high + room:
-            turning |= joint.revolute
-            lines.append(
-                f"'{joint.name}' {q.min():.4g} to {q.max():.4g} (its range is {low:.4g} to "
-                f"{high:.4g} {'rad' if joint.revolute else 'm'})"
-            )
-    if lines:
-        more = f" and {len(lines) - 2} more" if len(lines) > 2 else ""
-        unit = "deg" if turning else "mm"
-        yield diagnose(
-            "position.range",
-            "positions",
-            len(lines),
-            causes=("degrees" if turning else "millimetres", "motor-side"),
-            ranges=", ".join(lines[:2]) + more,
-            unit=unit,
-        )
+    low, high = np.array([joint.position_range for joint in tree.joints]).T
+    least, most = position.min(axis=0), position.max(axis=0)
+    room = outside * (high - low)
+    beyond = np.flatnonzero((least < low - room) | (most > high + room))
+    if not beyond.size:
+        return
+    lines = [
+        f"'{tree.names[k]}' {least[k]:.4g} to {most[k]:.4g} (its range is {low[k]:.4g} to "
+        f"{high[k]:.4g} {'rad' if tree.joints[k].revolute else 'm'})"
+        for k in beyond
+    ]
+    turning = any(tree.joints[k].revolute for k in beyond)
+    cause, unit = ("degrees", "deg") if turning else ("millimetres", "mm")
+    yield diagnose(
+        "position.range",
+        "positions",
+        len(lines),
+        causes=(cause, "motor-side"),
+        ranges=few(lines, WIDE),
+        unit=unit,
+    )
 
 
 def at_rest(tree: Tree, instants: Instants) -> Iterator[Diagnostic]:
@@ -187,7 +168,7 @@ def unexplained_plate(best: Explanation) -> Iterator[Diagnostic]:
         return
     shares, noise = plate.unexplained, plate.noise
     channel = int(np.argmax(shares - NOISY * noise))
-    certain = not plate.explained(UNEXPLAINED) and not _noisy(evidence.wrench_fit(plate))
+    certain = not plate.explained(UNEXPLAINED)
     mixed = evidence.mixed(shares)
     yield diagnose(
         "plate.crosstalk" if mixed else "plate.foreign",
@@ -196,16 +177,8 @@ def unexplained_plate(best: Explanation) -> Iterator[Diagnostic]:
         level="error" if certain else "warning",
         channel=AXES[channel],
         share=share(shares[channel]),
-        mixed=share(evidence.least_in_time) if mixed else "",
+        mixed=share(evidence.least) if mixed else "",
     )
-
-
-def _noisy(fit: WrenchFit) -> bool:
-    """Whether what is left is noise: it changes from instant to instant, as no motion does."""
-    left = fit.wrench - fit.fit
-    noise = (np.diff(left, 2, axis=0) ** 2).mean(axis=0) / 6
-    slow = (left**2).mean(axis=0) - NOISY * noise
-    return bool((slow < UNEXPLAINED * fit.wrench.var(axis=0)).all())
 
 
 def negative_weight(best: Explanation, tare: Array | None) -> Iterator[Diagnostic]:
@@ -290,14 +263,14 @@ def other_zero(remedy: Remedy) -> Diagnostic:
 
 
 def wrong_mapping(
-    tree: Tree, remedies: Sequence[Remedy], others: Alternatives, gain: float, *, certain: bool
+    tree: Tree, remedies: Sequence[Remedy], equals: Sequence[str], gain: float, *, certain: bool
 ) -> Diagnostic:
     """A mapping that hypotheses contradict, and what would make it right.
 
     Args:
         tree: The robot.
         remedies: To be applied together.
-        others: What else explains the recording.
+        equals: What else explains the recording, in words.
         gain: How much likelier the data are with the remedies [nats].
         certain: Whether the data leave no doubt.
     """
@@ -305,17 +278,13 @@ def wrong_mapping(
     joints = f"joint '{names[0]}'" if len(names) == 1 else f"joints {few(names)}"
     if len(names) == len(own_joints(tree)) > 1:
         joints = "all joints"
-    tables = {KINDS[each.kind].table for each in remedies}
-    subjects = [f"the {'plate' if name == 'wrench' else name}" for name in ("wrench", "base")
-                if name in tables]  # fmt: skip
+    tables = [KINDS[each.kind].table for each in remedies]
+    subjects = ["the plate"] * ("wrench" in tables) + ["the base"] * ("base" in tables)
     worst = max(remedies, key=lambda each: each.before - each.after)
-    more = "as much, with masses less likely"
-    if others.times > CLEARLY:
-        more = f"{others.times:.2g} times as much"
     clear = worst.before > CLEARLY * worst.after
     return diagnose(
         "mapping.wrong" if clear else "mapping.unlikely",
-        " and ".join([*subjects, *([joints] if names else [])]),
+        " and ".join([*subjects, *[joints][: len(names)]]),
         worst.before,
         level="error" if certain else "warning",
         causes=[" and ".join(dict.fromkeys(KINDS[each.kind].words for each in remedies))],
@@ -323,9 +292,7 @@ def wrong_mapping(
         after=share(worst.after),
         channel=worst.channel,
         gain=gain,
-        runner_up=few(list(others.runner_up), RIVAL),
-        more=more,
-        equals=", or ".join(others.equals),
+        equals=", or ".join(equals),
         lines=in_mapping(line for each in remedies for line in each.lines),
     )
 
@@ -341,38 +308,33 @@ def odd_sizes(
         mapping: What the recording's mapping file says; empty if it has none.
         certain: Whether other sizes explain the torques far better.
     """
-    finite = sizes[np.isfinite(sizes)]
-    certain = certain and not ((finite > LEAST) & (finite < MOST)).all()
+    known = sizes[np.isfinite(sizes)]
+    certain = certain and bool(((known <= LEAST) | (known >= MOST)).any())
     least, most = (LEAST, MOST) if certain else (SMALL, LARGE)
-    odd = [k for k, size in enumerate(sizes) if size <= least or size >= most]
-    if not odd:
+    odd = np.flatnonzero((sizes <= least) | (sizes >= most))
+    if not odd.size:
         return
-    unit, small = str((mapping.get("torque") or {}).get("unit")), all(sizes[k] < 1 for k in odd)
+    small = bool((sizes[odd] < 1).all())
+    unit = str((mapping.get("torque") or {}).get("unit"))
     units = {large: little for little, large in SMALLER.items()} if small else SMALLER
-    times = np.median(finite) * (1e3 if small else 1e-3)
-    thousand = 0.5 < times < 2.0 and unit in units
-    size = "small" if small else "large"
-    causes: tuple[str, ...]
-    causes = ("motor-side", "currents") if small else ("tool", "other-masses", "unit-n-mm")
-    causes = ("unit-n-mm",) if thousand else causes
-    if thousand:
-        lines = f'[torque] unit = "{units[unit]}"'
+    causes: tuple[str, ...] = ("tool", "other-masses", "unit-n-mm")
+    lines = "[torque] unit; or add the tool to the model file"
+    if unit in units and 0.5 < np.median(known) * (1e3 if small else 1e-3) < 2.0:
+        causes, lines = ("unit-n-mm",), f'[torque] unit = "{units[unit]}"'
     elif small:
+        causes = ("motor-side", "currents")
         gains = [f"{round_significant(float(1 / x), 5):g}" if x > 0 else "?" for x in sizes]
-        needed = f"[{', '.join(gains)}]"
         lines = (
-            f'[torque] side = "motor" with a table [gear] (ratio about {needed}), or unit = "A" '
-            f"with gain about {needed}"
+            f'[torque] side = "motor" with a table [gear] (ratio about [{", ".join(gains)}]), or '
+            f'unit = "A" with gain about [{", ".join(gains)}]'
         )
-    else:
-        lines = "[torque] unit; or add the tool to the model file"
     yield diagnose(
         "torque.size",
         "the torque",
         sizes[odd[0]],
         level="error" if certain else "warning",
         causes=causes,
-        size=size,
+        size="small" if small else "large",
         sizes=", ".join(f"{tree.names[k]} {sizes[k]:.2g}" for k in odd[:6]),
         lines=lines,
     )
@@ -386,7 +348,7 @@ def undecided(tree: Tree, hypotheses: Sequence[Hypothesis]) -> Iterator[Diagnost
         hypotheses: That explain a recording about as well as none.
     """
     parts = []
-    for kind, what in (("zero", "zero"), ("position_sign", "sign"), ("position_order", "order")):
+    for what, kind in (("zero", "zero"), ("sign", "position_sign"), ("order", "position_order")):
         joints = {k for each in hypotheses if each.kind == kind for k in each.joints}
         if joints:
             parts.append(f"the {what} of {few([tree.names[k] for k in sorted(joints)])}")

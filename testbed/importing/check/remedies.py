@@ -12,7 +12,7 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import few
 from testbed.core.recordings.columns import AXES
-from testbed.core.robot.free_base import FREE
+from testbed.core.robot.free_base import FREE, coordinates, poses
 from testbed.core.robot.inertia import from_rpy, to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.foreign_table import LENGTHS, factor
@@ -157,7 +157,7 @@ def position_hypotheses(
         return
     for joint, angle in product(_inner_joints(tree), QUARTERS):
         yield Hypothesis("zero", (joint,), (angle,))
-    for order in _orders(tree, own):
+    for order in _orders(own):
         moved = tuple(k for k in own if order[k] != k)
         if all(tree.joints[k].kind == tree.joints[order[k]].kind for k in moved):
             yield Hypothesis("position_order", moved, order)
@@ -183,43 +183,49 @@ def _inner_joints(tree: Tree) -> list[int]:
     return [k for k in own_joints(tree) if tree.joints[k].revolute and tree.children(k)]
 
 
-def _orders(tree: Tree, own: range) -> Iterator[tuple[int, ...]]:
+def _orders(own: range) -> Iterator[tuple[int, ...]]:
     """Two joints exchanged; all of them rolled or in reverse."""
-    same = list(range(tree.n))
+    base, rest = [*range(own.start)], [*own]
     for one, other in combinations(own, 2):
-        order = list(same)
+        order = [*base, *rest]
         order[one], order[other] = other, one
         yield tuple(order)
-    if len(own) > 2:
-        base, rest = same[: own.start], np.array(own)
-        yield from ((*base, *np.roll(rest, k).tolist()) for k in range(1, len(own)))
-        if len(own) > 3:
-            yield (*base, *rest[::-1].tolist())
+    if len(rest) > 2:
+        for k in range(1, len(rest)):
+            yield (*base, *rest[-k:], *rest[:-k])
+        yield (*base, *rest[::-1])
 
 
-def joint_map(hypothesis: Hypothesis, n: int, offset: Array) -> tuple[Array, Array]:
-    """Positions by a hypothesis are scale @ position + added: (n, n) and (n,).
+def corrected(hypothesis: Hypothesis, position: Array, offset: Array) -> Array:
+    """Positions by a hypothesis about them, (M, n).
 
     Args:
-        hypothesis: About positions, but for the order of a quaternion.
-        n: Joints.
-        offset: What the mapping has added to the positions, (n,).
+        hypothesis: What the mapping may say wrongly.
+        position: As it was read, (M, n).
+        offset: What the mapping has added to it, (n,).
+
+    Raises:
+        RecordingError: A base would stand on its head.
     """
-    scale, added, here = np.ones(n), np.zeros(n), list(hypothesis.joints)
-    if hypothesis.kind == "position_order":
-        return np.eye(n)[list(hypothesis.values)], added
-    if hypothesis.kind == "position_sign":
-        scale[here] = -1.0
-    if hypothesis.kind == "degrees":
-        scale[here] = np.pi / 180
-    if hypothesis.kind == "radians":
-        scale[here] = 180 / np.pi
-        added[here] = ((1 - 180 / np.pi) * offset)[here]
-    if hypothesis.kind == "zero":
-        added[here] = hypothesis.values
-    if hypothesis.kind == "base_unit":
-        scale[:3] = 1 / hypothesis.values[0]
-    return np.diag(scale), added
+    kind, values, here = hypothesis.kind, hypothesis.values, list(hypothesis.joints)
+    if kind == "position_order":
+        return position[:, list(values)]
+    if kind == "quaternion_order":
+        pose = poses(position[:, :FREE])
+        pose[:, 3:] = pose[:, 3:][:, list(values)]
+        return np.hstack([coordinates(pose), position[:, FREE:]])
+    fixed = position.copy()
+    if kind == "position_sign":
+        fixed[:, here] *= -1
+    if kind == "degrees":
+        fixed[:, here] *= np.pi / 180
+    if kind == "radians":
+        fixed[:, here] = offset[here] + 180 / np.pi * (position - offset)[:, here]
+    if kind == "zero":
+        fixed[:, here] += values
+    if kind == "base_unit":
+        fixed[:, :3] /= values[0]
+    return fixed
 
 
 def position_offset(tree: Tree, mapping: Mapping[str, Any]) -> Array:
@@ -396,25 +402,22 @@ def _joint_lines(
     kind, matrix, offset = hypothesis.kind, table.get("matrix"), table.get("offset") or ()
     here = [k in hypothesis.joints for k in order]
     if kind.endswith("sign"):
+        factors = np.where(here, -1, 1)
         if matrix:
-            rows = zip(matrix, here, strict=True)
-            yield "matrix", [[-x for x in row] if turn else row for row, turn in rows]
+            yield "matrix", (factors[:, None] * matrix).tolist()
         else:
-            yield "sign", _opposite(table.get("sign") or [1] * len(order), here)
+            yield "sign", (factors * (table.get("sign") or 1)).tolist()
         if any(offset):
-            yield "offset", _opposite(offset, here)
-    if kind in ("degrees", "radians"):
-        right, other = ("deg", "rad") if kind == "degrees" else ("rad", "deg")
-        unit = table.get("unit")
-        if not isinstance(unit, list):
-            unit = [other if tree.joints[k].revolute else "m" for k in order]
-        units = [right if turn else each for each, turn in zip(unit, here, strict=True)]
-        yield "unit", right if set(units) == {right} else units
-    if kind == "zero":
-        angles = dict(zip(hypothesis.joints, hypothesis.values, strict=True))
-        before = zip(order, offset or [0.0] * len(order), strict=True)
-        yield "offset", [round(x + angles[k], 5) if k in angles else x for k, x in before]
-    if kind.endswith("order"):
+            yield "offset", (factors * offset + 0.0).tolist()
+    elif kind in ("degrees", "radians"):
+        yield "unit", _angle_units(tree, kind, table.get("unit"), order)
+    elif kind == "zero":
+        angles = np.zeros(tree.n)
+        angles[list(hypothesis.joints)] = hypothesis.values
+        before = offset or [0.0] * len(order)
+        after = zip(before, angles[list(order)].tolist(), strict=True)
+        yield "offset", [round(x + angle, 5) if angle else x for x, angle in after]
+    else:
         columns = table.get("columns", ())
         if matrix or len(columns) != len(order):
             columns = [tree.names[k] for k in order]
@@ -422,6 +425,11 @@ def _joint_lines(
         yield "columns", [by_joint[hypothesis.values[k]] for k in order]
 
 
-def _opposite(values: Sequence[float], here: Sequence[bool]) -> list[float]:
-    """Numbers, some of them with the other sign; zero has none."""
-    return [-x if turn and x else x for x, turn in zip(values, here, strict=True)]
+def _angle_units(tree: Tree, kind: str, unit: Any, order: Sequence[int]) -> str | list[str]:
+    """Units of positions, those of joints that turn in the right one."""
+    right, other = ("deg", "rad") if kind == "degrees" else ("rad", "deg")
+    turning = [tree.joints[k].revolute for k in order]
+    if not isinstance(unit, list):
+        unit = [other if each else "m" for each in turning]
+    units = [right if turns else each for each, turns in zip(unit, turning, strict=True)]
+    return right if {*units} == {right} else units

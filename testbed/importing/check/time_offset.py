@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,14 @@ from testbed.core.recordings.geometry import check_robot, in_its_gravity
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
 from testbed.core.robot.tree import Tree
-from testbed.importing.check.instants import ENOUGH, LATE, decimate, delay, directions
+from testbed.importing.check.instants import (
+    ENOUGH,
+    LATE,
+    decimate,
+    delay,
+    middle,
+    orthonormal_basis,
+)
 from testbed.importing.check.remedies import wrench_tables
 from testbed.importing.import_report import ImportReport, Line
 
@@ -55,13 +62,6 @@ MOST_SKEW = 5e-4
 
 CLEAR = 5.0
 """Sigmas from which a delay or a drift of clocks is no noise."""
-
-SEGMENT, DEEP, MINIMA = 2.56, 1.0, 3
-"""Length of a spectrum's segments [s]; depth of minima that are a moving average's, logarithm, and
-how many are looked at."""
-
-Remainder = Callable[[Array], Array]
-"""What of a signal, (T, C), no unknowns of the rows explain, weighed."""
 
 
 @dataclass(frozen=True)
@@ -150,10 +150,9 @@ def time_offsets(
     if source.samples < SHORTEST * source.rate:
         return []
     most = int(MOST_INSTANTS * max(1, source.rate / FINE))
-    first = max(0, (source.samples - most) // 2)
-    part = source.part(first, min(source.samples, first + most)).ordered(tree)
+    part = middle(source, most).ordered(tree)
     offsets = (
-        _offset(kind, tree, part.position, part.measured(kind), part.time, source.rate, bodies)
+        _offset(kind, tree, part, source.rate, bodies)
         for kind in kinds
         if kind in part.signals and np.ptp(part.measured(kind), axis=0).any()
     )
@@ -210,146 +209,121 @@ def alignment(
         yield name, "delay", round(delay, 8)
 
 
-def moving_average(signal: Array, rate: float) -> float:
-    """The window of a moving average through which a recorder passed a signal [s]; 0 for none.
+class _Regression(NamedTuple):
+    """Rows of a signal and the signal itself.
 
-    All its channels' spectra have minima at the multiples of its inverse, two at least.
-
-    Args:
-        signal: (M, C).
-        rate: Samples a second [Hz].
+    Attributes:
+        rows: On all unknowns, (T, C, N).
+        counted: Which of them count, 1 or 0, (T, C): none of a joint near a reversal, where its
+            dry friction has no sign.
+        time: (T,) [s].
+        measured: The signal at T times, (T, C).
     """
-    from scipy.signal import welch
 
-    frequency, power = welch(signal, rate, nperseg=min(int(SEGMENT * rate), len(signal)), axis=0)
-    frequency, level = frequency[1:], np.log(power[1:] + 1e-300).mean(axis=1)
-    step = frequency[0]
-    for first in frequency[(frequency > 4 * step) & (frequency < rate / 5)]:  # longest first
-        depths = []
-        for centre in np.arange(first, rate / 2 - first / 2, first)[:MINIMA]:
-            away = np.abs(frequency - centre)
-            beside = level[(away < first / 2) & (away > first / 4)].mean()
-            depths.append(beside - level[away <= max(first / 20, step)].min())
-        if len(depths) > 1 and min(depths) > DEEP:
-            return float(1 / first)
-    return 0.0
+    rows: Array
+    counted: Array
+    time: Array
+    measured: Callable[[Array], Array]
 
 
 def _offset(
-    kind: str,
-    tree: Tree,
-    position: Array,
-    measured: Array,
-    time: Array,
-    rate: float,
-    bodies: Estimate | None,
+    kind: str, tree: Tree, recording: Recording, rate: float, bodies: Estimate | None
 ) -> TimeOffset | None:
     """The delay of one signal, with a drift only if it is one that clocks have.
 
     None where the robot hardly moves, or so shortly that rows explain whatever is measured.
     """
-    rows, counted, smooth = _rows(kind, tree, position, rate, bodies)
+    rows, counted, time, measured = _regression(kind, tree, recording, rate, bodies)
     if counted.sum() < ENOUGH * rows.shape[2]:
         return None
-    signal = _Signal(measured, time, smooth)
-    start = _start(rows, counted, signal)
-    read = signal.time + start
-    counted = counted * ((read >= signal.time[0]) & (read <= signal.time[-1]))[:, None]
-    offset = _fit(kind, rows, counted, signal, start, drifting=True)
+    values = measured(time)
+    weights = 1 / np.maximum(values.std(axis=0), 1e-12)
+    columns = rows * (counted * weights)[..., None]
+    spacing = float(np.diff(time).mean())
+    late, times = delay(columns, (values - values.mean(axis=0)) * weights, spacing)
+    start = late if times < LATE else 0.0
+    counted = counted * ((time >= time[0] - start) & (time <= time[-1] - start))[:, None]
+    regression = _Regression(rows, counted, time, measured)
+    offset = _fit(kind, regression, [start, 0.0])
     if offset.drifts and abs(offset.skew) < MOST_SKEW:
         return offset
-    return _fit(kind, rows, counted, signal, start, drifting=False)
+    return _fit(kind, regression, [start])
 
 
-class _Signal:
-    """A measured signal that can be read late, filtered as rows are."""
-
-    def __init__(self, measured: Array, time: Array, smooth: Callable[[Array], Array]) -> None:
-        from scipy.interpolate import make_interp_spline
-
-        spline = make_interp_spline(time, measured, k=min(5, len(time) - 1))
-        self._all, self._smooth, self._splines = time, smooth, (spline, spline.derivative())
-        self.time = smooth(time[:, None])[:, 0]
-
-    def at(self, late: Array, derivative: int = 0) -> Array:
-        """The signal so much later, or its derivative there, (T, C)."""
-        shift = np.interp(self._all, self.time, late)
-        at = np.clip(self._all + shift, self._all[0], self._all[-1])
-        return self._smooth(self._splines[derivative](at))
-
-
-def _rows(
-    kind: str, tree: Tree, position: Array, rate: float, bodies: Estimate | None
-) -> tuple[Array, Array, Callable[[Array], Array]]:
-    """Rows of all unknowns (T, C, N), which count (T, C), and how a signal is treated as they are.
-
-    Those of a joint that is near a reversal do not: its dry friction has no sign there.
-    """
+def _regression(
+    kind: str, tree: Tree, recording: Recording, rate: float, bodies: Estimate | None
+) -> _Regression:
+    """Rows of the torques or the wrench, filtered as the signal is."""
     slow = min(1.0, rate / (6 * POSITION_CUTOFF))
+    step = max(1, int(rate / FINE))
+    fine = slice(None, None, step)
     taps = motion_taps(rate, slow * POSITION_CUTOFF)
-    weights = row_weights(rate, slow * POSITION_CUTOFF)
-    lost, step = max(taps.shape[1], len(weights)) // 2, max(1, int(rate / FINE))
-    q, qd, qdd = (decimate(position, tap[::-1], lost, slice(None, None, step)) for tap in taps)
+    weights = row_weights(rate / step, slow * ROW_CUTOFF)
+    coarse = slice(None, None, max(1, int(rate / step / ROWS_A_SECOND)))
+    time, measured = _filtered(recording, kind, fine, taps[0], weights)
+    q, qd, qdd = (decimate(recording.position, each, fine) for each in taps)
     motion = Motion(np.arange(len(q)) * step / rate, q, qd, qdd)
-    minimal = minimal_set(tree, "dynamic" if kind == "torque" else "reaction")
-    columns = [regressor(tree, motion, minimal)]
-    n = columns[0].shape[1]
-    if bodies is not None and kind == "torque":
-        theta = bodies.minimal.lift @ bodies.values[: bodies.minimal.count]
-        columns = [(columns[0] @ (minimal.matrix @ theta))[:, :, None] * np.eye(n)]
-    own = (np.ones_like(q), np.sign(qd), qd, qdd) if kind == "torque" else (np.ones((len(q), n)),)
-    columns += [signal[:, :, None] * np.eye(n) for signal in own]
-    row_filter = row_weights(rate / step, slow * ROW_CUTOFF)
-    every = max(1, int(rate / step / ROWS_A_SECOND))
-
-    def coarse(signal: Array) -> Array:
-        flat = decimate(
-            signal.reshape(len(signal), -1),
-            row_filter,
-            len(row_filter) // 2,
-            slice(None, None, every),
-        )
-        return flat.reshape(-1, *signal.shape[1:])
-
-    def smooth(signal: Array) -> Array:
-        return coarse(decimate(signal, weights, lost, slice(None, None, step)))
-
-    rows = coarse(np.concatenate(columns, axis=2))
+    columns = _columns(kind, tree, motion, bodies)
+    rows = decimate(columns.reshape(len(q), -1), weights, coarse)
+    rows = rows.reshape(len(rows), *columns.shape[1:])
     counted = np.ones(rows.shape[:2])
     if kind == "torque":
-        moving = coarse((np.abs(qd) > DEADBAND).astype(np.float64))
+        moving = decimate((np.abs(qd) > DEADBAND).astype(np.float64), weights, coarse)
         counted = (np.abs(moving - 1) < NEARLY).astype(np.float64)
     size = np.sqrt((rows**2).sum(axis=(0, 1)))
-    return rows[:, :, size > 1e-9 * size.max()], counted, smooth
+    return _Regression(rows[:, :, size > 1e-9 * size.max()], counted, time[coarse], measured)
 
 
-def _start(rows: Array, counted: Array, signal: _Signal) -> float:
-    """Where to begin: at the whole number of rows that leaves far less than none [s]."""
-    values = signal.at(np.zeros(len(rows)))
-    weights = 1 / np.maximum(values.std(axis=0), 1e-12)
-    values = (values - values.mean(axis=0)) * weights
-    spacing = float(np.diff(signal.time).mean())
-    late, times = delay(rows * (counted * weights)[..., None], values, spacing)
-    return late if times < LATE else 0.0
+def _columns(kind: str, tree: Tree, motion: Motion, bodies: Estimate | None) -> Array:
+    """Columns of bodies, constants and friction before the filter, (M, C, N)."""
+    minimal = minimal_set(tree, "dynamic" if kind == "torque" else "reaction")
+    columns = regressor(tree, motion, minimal)
+    constant = np.ones(columns.shape[:2])
+    channels = np.eye(columns.shape[1])
+    if kind != "torque":
+        return np.concatenate([columns, constant[:, :, None] * channels], axis=2)
+    if bodies is not None:
+        theta = bodies.minimal.lift @ bodies.values[: bodies.minimal.count]
+        columns = (columns @ (minimal.matrix @ theta))[:, :, None] * channels
+    friction = np.stack([constant, np.sign(motion.qd), motion.qd, motion.qdd])
+    return np.concatenate([columns, *(friction[..., None] * channels)], axis=2)
 
 
-def _fit(
-    kind: str, rows: Array, counted: Array, signal: _Signal, start: float, *, drifting: bool
-) -> TimeOffset:
-    """Delay and drift, channels weighed by what is left in them."""
-    middle = float(signal.time.mean())
-    powers = np.stack([np.ones_like(signal.time), signal.time - middle][: 1 + drifting], axis=1)
-    unknowns, weights = start * np.eye(1 + drifting)[0], counted
+def _filtered(
+    recording: Recording, kind: str, fine: slice, low_pass: Array, weights: Array
+) -> tuple[Array, Callable[[Array], Array]]:
+    """Times (M,) after two filters, and a signal by a spline, the nearest beyond its ends."""
+    from scipy.interpolate import make_interp_spline
+
+    signal = np.column_stack([recording.time, recording.measured(kind)])
+    signal = decimate(decimate(signal, low_pass, fine), weights, slice(None))
+    time = signal[:, 0]
+    spline = make_interp_spline(time, signal[:, 1:], k=min(5, len(time) - 1))
+    return time, lambda at: np.asarray(spline(np.clip(at, time[0], time[-1])))
+
+
+def _fit(kind: str, regression: _Regression, start: Sequence[float]) -> TimeOffset:
+    """Delay, and drift if `start` has two values, channels weighed by what is left in them."""
+    from scipy.optimize import least_squares
+
+    rows, counted, time, measured = regression
+    middle = float(time.mean())
+    powers = np.vander(time - middle, len(start), increasing=True)
+    unknowns, weights = np.array(start), counted
     for _ in range(2):  # the second time by what is left in each channel
         rest = _remainder(rows, weights)
-        best = _search(signal, rest, powers, unknowns)
+
+        def residuals(late: Array, rest: Callable[[Array], Array] = rest) -> Array:
+            return rest(measured(time + powers @ late)).ravel()
+
+        best = least_squares(residuals, unknowns, method="lm")
         unknowns, residual = best.x, best.fun.reshape(counted.shape)
-        size = residual / np.maximum(weights, 1e-30)
-        size = np.sqrt((counted * size**2).sum(axis=0) / counted.sum(axis=0).clip(1))
+        square = counted * (residual / np.maximum(weights, 1e-30)) ** 2
+        size = np.sqrt(square.sum(axis=0) / counted.sum(axis=0).clip(1))
         weights = counted / np.maximum(size, 1e-12)
-    values = signal.at(powers @ unknowns)
+    values = measured(time + powers @ unknowns)
     alone = float(np.linalg.norm(weights * (values - values.mean(axis=0))))
-    before = float(np.linalg.norm(rest(signal.at(0 * signal.time)))) / alone
+    before = float(np.linalg.norm(rest(measured(time)))) / alone
     after = float(np.linalg.norm(residual)) / alone
     sigma = _sigma(residual, best.jac.reshape(*residual.shape, -1))
     late, skew = np.append(unknowns, 0.0)[:2].tolist()
@@ -357,39 +331,23 @@ def _fit(
     return TimeOffset(kind, late, late_sigma, skew, skew_sigma, middle, before, after)
 
 
-def _remainder(rows: Array, weights: Array) -> Remainder:
+def _remainder(rows: Array, weights: Array) -> Callable[[Array], Array]:
     """What of a signal, weighed, no unknowns of the rows explain, (T, C) of (T, C)."""
-    basis = directions((rows * weights[..., None]).reshape(-1, rows.shape[2]), DEPENDENT)
+    columns = (rows * weights[..., None]).reshape(-1, rows.shape[2])
+    basis = orthonormal_basis(columns, DEPENDENT)
 
     def rest(signal: Array) -> Array:
-        flat = (signal * weights).reshape(-1)
+        flat = (signal * weights).ravel()
         return (flat - basis @ (basis.T @ flat)).reshape(signal.shape)
 
     return rest
 
 
-def _search(signal: _Signal, rest: Remainder, powers: Array, start: Array) -> Any:
-    """Delay and drift that leave the least; SciPy's result."""
-    from scipy.optimize import least_squares
-
-    def residuals(unknowns: Array) -> Array:
-        return rest(signal.at(powers @ unknowns)).ravel()
-
-    def slopes(unknowns: Array) -> Array:
-        rates = signal.at(powers @ unknowns, 1)
-        return np.stack([rest(rates * power[:, None]).ravel() for power in powers.T], axis=1)
-
-    return least_squares(residuals, start, slopes, method="lm")
-
-
 def _sigma(residual: Array, columns: Array) -> Array:
     """Sigmas of delay and drift, residuals correlated over some rows [NW87]."""
-    normal = np.einsum("tci,tcj->ij", columns, columns)
+    from scipy.linalg import toeplitz
+
+    inverse = np.linalg.inv(np.einsum("tci,tcj->ij", columns, columns))
     scores = np.einsum("tci,tc->ti", columns, residual)
-    spread = scores.T @ scores
-    for lag in range(1, min(LAGS, len(scores) - 1)):
-        product = scores[lag:].T @ scores[:-lag]
-        spread = spread + (1 - lag / LAGS) * (product + product.T)
-    inverse = np.linalg.inv(normal)
-    sigma: Array = standard_deviations(inverse @ spread @ inverse)
-    return sigma
+    window = toeplitz(np.maximum(0.0, 1 - np.arange(len(scores)) / LAGS))
+    return standard_deviations(inverse @ scores.T @ window @ scores @ inverse)

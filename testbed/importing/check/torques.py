@@ -3,16 +3,17 @@
 A joint's torques are t = Y theta + F f + e. Parameters theta lie about the model file's (`Prior`),
 friction brakes (F: viscous, dry, a constant, the
 rotor), and what is left, e, lasts: model errors are no white noise. Then t is normal, and log N(t)
-says how well one recorded column, in one sense, can be a joint's torques; to it comes how much
-likelier the data make it that friction takes power, and gives none. A free set of parameters
+says how well one recorded column, in one sense, can be a joint's torques. A free set of parameters
 would explain anything that is short; this does not. Where a plate determines parameters, their
 posterior is the prior here.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -37,8 +38,8 @@ FAINT = 0.005
 NOTHING = 1e-4
 """Part of the most by which parameters move torques below which they do not."""
 
-SURELY_NOT = -12.0
-"""Log probability at least of friction that drives: what a model lacks may look like it."""
+DEPENDENT = 1e-9
+"""Part of the most that a column must have of its own for a size to be known."""
 
 CLEAR, TIMES = 0.01, 5.0
 """Part of a torque's variance that bodies must explain for its size to be known, and times what is
@@ -59,6 +60,24 @@ class ColumnFit(NamedTuple):
     gain: float
 
 
+class _Rows(NamedTuple):
+    """One joint's torques, white where what models leave is.
+
+    Attributes:
+        bodies: By the mean of the parameters, (T,).
+        friction: Of size one, (T, 4).
+        spread: By which parameters move them, along directions of their own, (T, k).
+        raw: The first two before they are white, (T, 5).
+        moved: Variance of the last.
+    """
+
+    bodies: Array
+    friction: Array
+    spread: Array
+    raw: Array
+    moved: float
+
+
 class TorqueEvidence:
     """How well each recorded column can be each joint's torques."""
 
@@ -71,25 +90,24 @@ class TorqueEvidence:
             root: Root of their covariance, (10 n, k).
             instants: With torques, as recorded.
         """
-        torque = self._torque = instants.torque
-        self._count, self.joints = torque.shape
-        every = float(np.sqrt((torque**2).mean())) + 1e-12
-        self._rms = np.maximum(np.sqrt((torque**2).mean(axis=0)), FAINT * every)
-        self._constant = torque.std(axis=0) < 1e-3 * self._rms
-        white = _whitening(len(torque), round(instants.spacing, 6))
-        self._white_torque = white @ torque
-        self._raw, self._columns, self._power, self._moved = [], [], [], []
+        self._torque = instants.torque
+        count, self.joints = self._torque.shape
+        rms = np.sqrt((self._torque**2).mean(axis=0))
+        self._rms = np.maximum(rms, FAINT * np.sqrt((rms**2).mean()) + 1e-12)
+        self._constant = self._torque.std(axis=0) < 1e-3 * self._rms
+        white = _whitening(count, round(instants.spacing, 6))
+        self._white_torque = white @ self._torque
+        self._rows = []
         for joint in range(self.joints):
             moved = rows[:, joint] @ root
-            moved = moved[:, np.abs(moved).max(axis=0) > 0]
-            self._moved.append(float(moved.var(axis=0).sum()))
-            friction = _friction(instants.velocity[:, joint], instants.acceleration[:, joint])
-            raw = np.column_stack([rows[:, joint] @ mean, friction])
-            self._raw.append(raw)
             wide, spread, _ = np.linalg.svd(white @ moved, full_matrices=False)
             moves = spread > NOTHING * spread[:1]
-            self._columns.append(np.hstack([white @ raw, (wide * spread)[:, moves]]))
-            self._power.append(friction.T @ instants.velocity[:, joint] * [1, 1, 0, 0])
+            friction = _friction(instants.velocity[:, joint], instants.acceleration[:, joint])
+            raw = np.column_stack([rows[:, joint] @ mean, friction])
+            whitened = white @ raw
+            variance = float(moved.var(axis=0).sum())
+            spread = (wide * spread)[:, moves]
+            self._rows.append(_Rows(whitened[:, 0], whitened[:, 1:], spread, raw, variance))
 
     def log(self, joint: int, column: int, gain: float = 1.0) -> Array:
         """Log evidence that a column is a joint's torques, in its sense and in the other, (2,).
@@ -101,28 +119,19 @@ class TorqueEvidence:
         """
         if self._constant[column]:
             return np.zeros(2)
-        columns = self._columns[joint].copy()
-        columns[:, [0, *range(5, columns.shape[1])]] *= gain / self._rms[column]
-        expected = columns[:, 0] + columns[:, 1:5] @ FRICTION
-        moved = np.hstack([columns[:, 1:5] * SPREAD, columns[:, 5:]])
+        rows, size = self._rows[joint], gain / self._rms[column]
+        expected = size * rows.bodies + rows.friction @ FRICTION
+        moved = np.hstack([rows.friction * SPREAD, size * rows.spread])
+        rest = np.outer([1.0, -1.0], self._white_torque[:, column] / self._rms[column]) - expected
         spread, axes = eigh(moved.T @ moved)
-        spread = np.maximum(spread, 0.0)
-        target = self._white_torque[:, column] / self._rms[column]
-        variance = LEFT**2
-        within = spread[:, None] + variance
-        size = np.log(within).sum(axis=0) + (self._count - len(spread)) * np.log(variance)
-        power = SPREAD * (self._power[joint] @ axes[:4])  # of friction, along the axes
-        logs = []
-        for sense in (1.0, -1.0):
-            rest = sense * target - expected
-            along = axes.T @ (moved.T @ rest)
-            square = (rest @ rest - (along[:, None] ** 2 / within).sum(axis=0)) / variance
-            by_variance = -0.5 * (square + size)
-            best = int(np.argmax(by_variance))
-            mean = self._power[joint] @ FRICTION + power @ (along / within[:, best])
-            sigma = np.sqrt(power**2 @ (variance[best] / within[:, best]))
-            logs.append(float(by_variance[best]) + _log_positive(mean, sigma))
-        return np.array(logs)
+        along = rest @ moved @ axes
+        variance = LEFT[:, None] ** 2
+        within = np.maximum(spread, 0.0) + variance  # (12, k)
+        determinant = np.log(within / variance).sum(axis=1) + rest.shape[1] * np.log(variance[:, 0])
+        square = (rest**2).sum(axis=1) / variance - (along[:, None] ** 2 / (within * variance)).sum(
+            axis=2
+        ).T
+        return np.asarray(-0.5 * (square + determinant[:, None]).min(axis=0))
 
     def fit(self, joint: int, column: int) -> ColumnFit:
         """A column as a joint's torques, in the likeliest sense and size.
@@ -131,13 +140,13 @@ class TorqueEvidence:
             joint: Of the robot.
             column: Of the recording.
         """
-        same, opposite = -self.log(joint, column)
-        fits = [ColumnFit(same, 1.0, 1.0), ColumnFit(SIGN + opposite, -1.0, 1.0)]
         size = abs(self.size(joint, column))
-        if size > LARGE or size < 1 / LARGE:
-            same, opposite = GAIN - self.log(joint, column, size)
-            fits += [ColumnFit(same, 1.0, size), ColumnFit(SIGN + opposite, -1.0, size)]
-        return min(fits)
+        gains = [1.0, size] if size > LARGE or size < 1 / LARGE else [1.0]
+        return min(
+            ColumnFit(SIGN * (sense < 0) + GAIN * (gain != 1.0) - log, sense, gain)
+            for gain in gains
+            for sense, log in zip((1.0, -1.0), self.log(joint, column, gain).tolist(), strict=True)
+        )
 
     def unexplained(self, joint: int, column: int, sense: float = 1.0, gain: float = 1.0) -> float:
         """Part of a torque's variance that the mean's masses and friction that brakes leave.
@@ -152,10 +161,10 @@ class TorqueEvidence:
 
         if self._constant[column]:
             return 0.0
-        columns = self._raw[joint] - self._raw[joint].mean(axis=0)
-        true = sense * (self._torque[:, column] - self._torque[:, column].mean()) / gain
-        _, rest = nnls(columns[:, [1, 2, 4]], true - columns[:, 0])
-        return float(rest**2 / (true @ true))
+        raw, torque = self._rows[joint].raw, sense * self._torque[:, column] / gain
+        columns, torque = raw - raw.mean(axis=0), torque - torque.mean()
+        rest = nnls(columns[:, [1, 2, 4]], torque - columns[:, 0])[1]
+        return float(rest**2 / (torque @ torque))
 
     def spread(self, joint: int, column: int) -> float:
         """Part of a torque's variance by which parameters may move what is expected.
@@ -164,7 +173,7 @@ class TorqueEvidence:
             joint: Of the robot.
             column: Of the recording.
         """
-        return self._moved[joint] / max(float(self._torque[:, column].var()), 1e-30)
+        return self._rows[joint].moved / max(float(self._torque[:, column].var()), 1e-30)
 
     def size(self, joint: int, column: int, times: float = 1.0) -> float:
         """Times what the mean's masses make that a column is; nan where they do not determine it.
@@ -174,14 +183,15 @@ class TorqueEvidence:
             column: Of the recording.
             times: What is left that bodies must explain.
         """
-        columns, target = self._columns[joint][:, :5], self._white_torque[:, column]
-        values, rest = np.linalg.lstsq(columns, target, rcond=1e-9)[:2]
-        others = np.linalg.lstsq(columns[:, 1:], target, rcond=1e-9)[1]
-        if not (len(rest) and len(others)):
-            return float("nan")
-        whole = float(((target - target.mean()) ** 2).sum())
-        clear = float(others[0] - rest[0]) > max(CLEAR * whole, times * float(rest[0]))
-        return float(values[0]) if clear else float("nan")
+        rows, torque = self._rows[joint], self._white_torque[:, column]
+        columns = np.column_stack([rows.friction, rows.bodies, torque])
+        triangle = np.asarray(np.linalg.qr(columns, mode="r"))
+        own = np.abs(np.diagonal(triangle))
+        explained, left = triangle[-2:, -1] ** 2
+        whole = len(torque) * torque.var()
+        known = own[:-1].min() > DEPENDENT * own[:-1].max()
+        clear = explained > max(CLEAR * whole, times * left)
+        return float(triangle[-2, -1] / triangle[-2, -2]) if known and clear else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,54 +235,51 @@ def assign(torques: TorqueEvidence) -> TorqueAssignment:
     """
     from scipy.optimize import linear_sum_assignment
 
-    joints = list(range(torques.joints))
-    pairs = [(j, k) for j in joints for k in joints if j == k or len(joints) <= MOST_JOINTS]
-    fits = {pair: torques.fit(*pair) for pair in pairs}
-    order = joints
-    if len(pairs) == len(joints) ** 2:
-        costs = np.reshape([fits[pair].cost for pair in pairs], (len(joints), -1))
-        better = linear_sum_assignment(costs)[1]
-        if costs[joints, better].sum() < np.trace(costs) - ORDER:
-            order = better.tolist()
-    pairs = list(enumerate(order))
-    best = [fits[pair] for pair in pairs]
-    moved = tuple(j for j, k in pairs if j != k)
-    opposite = tuple(j for j in joints if best[j].sense < 0)
-    odd = tuple(j for j in joints if best[j].gain != 1.0)
-    hypotheses = [Hypothesis("torque_order", moved, tuple(order))] * bool(moved)
-    hypotheses += [Hypothesis("torque_sign", opposite)] * bool(opposite)
-    hypotheses += [Hypothesis("torque_size", odd, tuple(best[j].gain for j in odd))] * bool(odd)
-    sizes = np.array([
-        fit.gain if fit.gain != 1.0 else torques.size(*pair, TIMES) * fit.sense
-        for pair, fit in zip(pairs, best, strict=True)
-    ])  # fmt: skip
+    n = torques.joints
+    pairs = product(range(n), repeat=2)
+    fits = {pair: torques.fit(*pair) for pair in pairs if n <= MOST_JOINTS or pair[0] == pair[1]}
+    costs = np.full((n, n), np.inf)
+    costs[tuple(np.transpose([*fits]))] = [fit.cost for fit in fits.values()]
+    joints, order = linear_sum_assignment(costs)
+    if costs[joints, order].sum() >= np.trace(costs) - ORDER:
+        order = joints
+    places = list(enumerate(order.tolist()))
+    cost, sense, gain = np.array([fits[place] for place in places]).T
+    sizes = sense * [torques.size(*place, TIMES) for place in places]
+    sizes = np.where(gain != 1, gain, sizes)
     return TorqueAssignment(
-        tuple(hypotheses),
-        sum(fit.cost for fit in best),
-        -sum(float(torques.log(k, k)[0]) for k in joints),
-        np.array([torques.unexplained(j, k, *best[j][1:]) for j, k in pairs]),
-        np.array([torques.unexplained(k, k) for k in joints]),
-        np.array([torques.spread(j, k) for j, k in pairs]),
+        tuple(_hypotheses(order, sense, gain)),
+        float(cost.sum()),
+        -sum(float(torques.log(k, k)[0]) for k in range(n)),
+        np.array([torques.unexplained(*place, *fits[place][1:]) for place in places]),
+        np.array([torques.unexplained(k, k) for k in range(n)]),
+        np.array([torques.spread(*place) for place in places]),
         np.where(sizes > 0, sizes, np.nan),
     )
+
+
+def _hypotheses(order: Array, sense: Array, gain: Array) -> Iterator[Hypothesis]:
+    """What columns, senses and gains of the joints' torques (n,) mean for a mapping."""
+    moved = np.flatnonzero(order != np.arange(len(order)))
+    odd = np.flatnonzero(gain != 1)
+    for kind, joints, values in (
+        ("torque_order", moved, order),
+        ("torque_sign", np.flatnonzero(sense < 0), np.zeros(0)),
+        ("torque_size", odd, gain[odd]),
+    ):
+        if joints.size:
+            yield Hypothesis(kind, tuple(joints.tolist()), tuple(values.tolist()))
 
 
 @cache
 def _whitening(count: int, spacing: float) -> Array:
     """The matrix that makes what is left white, (T, T)."""
-    from scipy.linalg import solve_triangular
+    from scipy.linalg import solve_triangular, toeplitz
 
-    apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
-    covariance = LASTING * np.exp(-apart * spacing / MEMORY) + (1 - LASTING) * np.eye(count)
+    correlation = LASTING * np.exp(-np.arange(count) * spacing / MEMORY)
+    covariance = toeplitz(correlation) + (1 - LASTING) * np.eye(count)
     white: Array = solve_triangular(np.linalg.cholesky(covariance), np.eye(count), lower=True)
     return white
-
-
-def _log_positive(mean: float, sigma: float) -> float:
-    """Log probability that a normal number is positive, down to `SURELY_NOT`."""
-    from scipy.special import log_ndtr
-
-    return max(float(log_ndtr(mean / sigma)), SURELY_NOT) if sigma > 0 else 0.0
 
 
 def _friction(velocity: Array, acceleration: Array) -> Array:
