@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import round_significant
 from testbed.view.figures import Panel
 
 DARKEST = 48
@@ -62,6 +67,28 @@ class HeatTable:
     caption: str
     names: Sequence[str]
     rows: Sequence[tuple[str, Sequence[Mapping[str, Any]]]]
+
+    @classmethod
+    def of_shares(
+        cls, caption: str, rows: Sequence[str], columns: Sequence[str], values: Array, shares: Array
+    ) -> HeatTable:
+        """Values on a colour scale.
+
+        Args:
+            caption: What is shown.
+            rows: Their names, (m,).
+            columns: Their names, (n,).
+            values: (m, n); not a number where there is none.
+            shares: Darkness of the cells from 0 to 1, (m, n).
+        """
+        percents = np.rint(DARKEST * np.clip(np.nan_to_num(shares), 0.0, 1.0)).astype(int)
+        shown = []
+        for name, row, dark in zip(rows, values.tolist(), percents.tolist(), strict=True):
+            texts = ("" if math.isnan(x) else f"{round_significant(x, 2):g}" for x in row)
+            shown.append(
+                (name, [{"text": t, "share": s} for t, s in zip(texts, dark, strict=True)])
+            )
+        return cls(caption, columns, shown)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
