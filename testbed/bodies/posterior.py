@@ -382,5 +382,5 @@ def _plain(rows: RowProducts) -> Array:
     """Least squares, (p,)."""
     p = len(rows.unknowns)
     equations = rows.equations(np.eye(p), np.zeros(p))
-    weights = noise_weights(equations, None)
+    weights = noise_weights(equations)
     return scaled_solve(equations.matrix(weights), equations.vector(weights))

@@ -18,6 +18,7 @@ from testbed.applications.payload.payload import SEEN, SMALLEST, seen_of_payload
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.errors import SettingsError, UnknownName
+from testbed.core.estimation.noise.score_squares import ScoreSquares, bin_size, hidden, sandwich
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import (
     TINY,
@@ -27,7 +28,7 @@ from testbed.core.estimation.regression.normal_equations import (
     standard_deviations,
 )
 from testbed.core.estimation.regression.passes import Passes, Progress
-from testbed.core.estimation.regression.solvers import ScoreSquares, bin_size, hidden, sandwich
+from testbed.core.estimation.regression.windows import DENSE
 from testbed.core.estimation.selection.term_choice import with_all_terms
 from testbed.core.estimation.settings import DEFAULTS, Settings, with_sigmas
 from testbed.core.recordings.source import RecordingLike
@@ -168,7 +169,7 @@ def torque_scales(
     """
     facts = with_sigmas(known)
     payload = known_payload(tree, joint, facts)
-    settings = replace(settings, noise="white", weights="channels", nuisances=(), known={})
+    settings = replace(settings, weights="channels", nuisances=(), known={})
     if settings.zeros:
         raise SettingsError("a payload breaks the symmetry of links: calibrate without known zeros")
     halves = []
@@ -203,7 +204,7 @@ def _half(problem: Problem, payload: KnownPayload, number: int) -> _Half:
             "what is known of the payload does not change the torques beside what is not: "
             "state its centre, or let joints turn it against gravity"
         )
-    passes = problem.passes(2)
+    passes = problem.passes(2, per_cutoff=DENSE)
     equations = problem.equations(passes)
     count, own = minimal.count, len(equations.unknowns) - minimal.count
     lead = np.zeros((count + own, count + 2 * own + free.shape[1]))

@@ -7,7 +7,7 @@ Unknowns of the instrument, and columns whose traces are looked for, stand besid
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg, special
@@ -191,26 +191,22 @@ class GlsFit:
     """A solution after the passes that look at the residuals themselves.
 
     Attributes:
-        fit: The solution before.
         values: Of the unknowns, (p,).
         covariance: (p, p).
         squares: Sums of the squares of each channel's residuals, (C,).
-        noise: What they are like; None where they are taken as white.
+        noise: What they are like.
         further: Values of the instrument's unknowns, (s,).
         further_covariance: Theirs, (s, s).
-        across: Covariance of the unknowns with them, (p, s).
         traces: Of each kind of fault that was looked for, and its chance in mere noise.
     """
 
-    fit: solvers.Fit
     values: Array
     covariance: Array
     squares: Array
-    noise: NoiseModel | None = None
-    further: Array = field(default_factory=lambda: np.zeros(0))
-    further_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    across: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    traces: tuple[tuple[Trace, float], ...] = ()
+    noise: NoiseModel
+    further: Array
+    further_covariance: Array
+    traces: tuple[tuple[Trace, float], ...]
 
 
 @stage("residuals and replicas of noise")
@@ -269,8 +265,8 @@ def generalized_least_squares(
         lateness=_lateness(units, given, answer, start.values, factor, passes.plan),
     )
     tests = clues.found(units.lead[:p])
-    own, others, across = covariance[:p, :p], covariance[p:, p:], covariance[:p, p:]
-    return GlsFit(start, values, own, left.squares, noise, further, others, across, tests)
+    own, others = covariance[:p, :p], covariance[p:, p:]
+    return GlsFit(values, own, left.squares, noise, further, others, tests)
 
 
 def sensor_step(
