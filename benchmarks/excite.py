@@ -16,7 +16,7 @@ import numpy as np
 import testbed as tb
 from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.kernel.numba_engine import warm_up
-from testbed.lab.experiment.evaluate import model_of, robot_of
+from testbed.lab.experiment.experiment_robot import model_of, robot_of
 from testbed.lab.simulation.plant import build_plant
 from testbed.lab.simulation.rollout import Sampling, simulate_motion
 from testbed.motion.clearance import DistanceMeter

@@ -31,7 +31,7 @@ from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import scaled_inverse
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.friction import COULOMB, LOADED, ROTOR, VISCOUS, JointLaw, stribeck
-from testbed.lab.experiment.evaluate import robot_of
+from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.instruments.chain import measured_again
 from testbed.lab.instruments.joints import TorqueNoise
 from tests.helpers.measured import measured

@@ -25,10 +25,10 @@ from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import ExperimentError, TestbedError, printable
 from testbed.core.base.files import fingerprint
+from testbed.core.base.installation import versions
 from testbed.core.estimation.estimate import Method
 from testbed.core.robot.model_file import model_format, references
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.results import versions
 
 LENGTH = 32
 """Hexadecimal digits of a hash."""

@@ -135,7 +135,7 @@ def _unwatched(time: Array, truth: Truth) -> None:
 def _watcher(experiment: Experiment) -> Watch:
     """A view of the run in an open viewer."""
     from testbed.bodies.shapes.appearance import load_appearance
-    from testbed.lab.experiment.evaluate import model_of, robot_of
+    from testbed.lab.experiment.experiment_robot import model_of, robot_of
     from testbed.view.viewer.live import Live
 
     look = load_appearance(robot_of(experiment), model_of(experiment))

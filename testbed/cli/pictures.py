@@ -124,7 +124,7 @@ def _show(path: Path, said: list[Diagnostic], serve: bool, opened: bool, port: i
 def _write_motion(file: Path, settings: list[str], path: Path) -> list[Diagnostic]:
     """Write what there is to see of a file's motion; what to know of it."""
     from testbed.bodies.shapes.appearance import load_appearance
-    from testbed.lab.experiment.evaluate import model_of
+    from testbed.lab.experiment.experiment_robot import model_of
     from testbed.lab.experiment.motions import checked_motion, obstacles_of
     from testbed.view.viewer.log import write_motion_rrd
 

@@ -18,6 +18,7 @@ from testbed.core.base.codec import encode
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.core.base.errors import ExperimentError, TestbedError, few
 from testbed.core.base.files import fingerprint, replacing
+from testbed.core.base.installation import versions
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.regression.windows import (
     drive_filter,
@@ -31,10 +32,9 @@ from testbed.core.recordings.columns import UNITS
 from testbed.core.recordings.formats.parquet import write_table
 from testbed.core.robot.friction import BY_LOAD, LOAD, JointLaw
 from testbed.core.robot.tree import Tree
-from testbed.lab.experiment.evaluate import model_of, robot_of
 from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.experiment_robot import model_of, robot_of
 from testbed.lab.experiment.motions import motion_of, plate_noise_of, rules_of
-from testbed.lab.experiment.results import versions
 from testbed.motion.design import Design, Watch, Wish, design
 from testbed.motion.fourier import Fourier
 from testbed.motion.information import Pipeline, Prediction, information_of, models_of, predict

@@ -14,6 +14,7 @@ from testbed.bodies.shapes.appearance import Appearance, load_appearance
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import plural
 from testbed.core.base.files import replacing, together
+from testbed.core.base.installation import versions
 from testbed.core.dynamics.newton_euler import sensor_poses
 from testbed.core.estimation.estimate import OPEN_ZERO, Estimate, by_influence
 from testbed.core.parameters.identifiability import identifiability
@@ -24,7 +25,7 @@ from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_tables import MotionTable
 from testbed.lab.experiment.predict import predict
-from testbed.lab.experiment.results import read_run, versions
+from testbed.lab.experiment.results import read_run
 from testbed.lab.experiment.run import Run
 from testbed.lab.experiment.summary import obtained, summary, verdict
 from testbed.view.estimates import choice_lines, instrument_tables, matrix_maps, with_sigma

@@ -12,8 +12,8 @@ from pydantic import BaseModel
 import testbed as tb
 from testbed.core.base.errors import ExperimentError
 from testbed.core.base.toml_text import LARGEST_FILE, override
-from testbed.lab.experiment.evaluate import robot_of
 from testbed.lab.experiment.experiment import ExperimentTables
+from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.experiment.experiment_tables import Bound
 from testbed.lab.experiment.results import default_folder
 from testbed.lab.experiment.robot_tables import JointTable

@@ -24,7 +24,7 @@ from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.estimation.estimate_summary import EstimateSummary
 from testbed.core.estimation.validate import validate
 from testbed.core.robot.model_file import ModelFile
-from testbed.lab.experiment.evaluate import model_of, robot_of
+from testbed.lab.experiment.experiment_robot import model_of, robot_of
 from testbed.lab.experiment.motions import motion_of, read_motion, rules_of
 from testbed.lab.experiment.read_result import (
     LARGEST_RESULT,

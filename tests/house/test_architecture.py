@@ -45,8 +45,8 @@ PLAN = {
         "plausibility": f"{ROBOT} toml_text recordings identification",
         "experiment": f"{ROBOT} kind_table installation toml_text excitation recordings "
         "instruments simulation identification",
-        "campaign": f"{BASE} toml_text robot recordings identification experiment",
-        "reporting": f"{DATA} plausibility stages",
+        "campaign": f"{BASE} installation toml_text robot recordings identification experiment",
+        "reporting": f"{DATA} installation plausibility stages",
         "viewer": f"{DATA} stages reporting",
     }.items()
 }

@@ -25,8 +25,9 @@ from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.force_sensor import ForceSensor, before_sensors, beyond_sensor
 from testbed.core.robot.free_base import FREE, on_free_base
 from testbed.core.robot.model_file import ModelFile
-from testbed.lab.experiment.evaluate import evaluate, sensed_robot
+from testbed.lab.experiment.evaluate import evaluate
 from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.experiment_robot import sensed_robot
 from testbed.lab.experiment.simulate import simulate
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses

@@ -19,8 +19,8 @@ from testbed.core.base.errors import (
 from testbed.core.dynamics.newton_euler import Motion, base_wrench, joint_forces
 from testbed.core.robot.friction import COULOMB, ROTOR, VISCOUS
 from testbed.core.robot.tree import Tree
-from testbed.lab.experiment.evaluate import robot_of
 from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.experiment.experiment_tables import ExcitationTable, SimulationTable
 from testbed.lab.experiment.motions import rules_of
 from testbed.lab.experiment.simulate import simulate

@@ -19,8 +19,9 @@ from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.validate import validate
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.views import on_its_base
-from testbed.lab.experiment.evaluate import evaluate, robot_of
+from testbed.lab.experiment.evaluate import evaluate
 from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.experiment.motions import another_motion
 from testbed.lab.experiment.results import write_recorded, write_run
 from testbed.lab.experiment.run import Run, shown_motion

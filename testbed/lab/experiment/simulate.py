@@ -13,15 +13,14 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import diagnose
 from testbed.core.base.errors import ExperimentError
 from testbed.core.base.files import fingerprint
-from testbed.core.estimation.regression.passes import Progress
+from testbed.core.base.installation import versions
 from testbed.core.recordings.columns import COUNTED
 from testbed.core.recordings.geometry import geometry
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.tree import Tree
-from testbed.lab.experiment.evaluate import effects_of, model_of, robot_of
 from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.experiment_robot import effects_of, model_of, robot_of
 from testbed.lab.experiment.motions import FAST, motion_of, rules_of
-from testbed.lab.experiment.results import versions
 from testbed.lab.instruments.chain import measure, with_sensors
 from testbed.lab.instruments.fault import stream
 from testbed.lab.simulation.controller import Reference, believed
@@ -291,7 +290,7 @@ def _check_rates(experiment: Experiment) -> None:
 
 def simulate(
     experiment: Experiment,
-    progress: Progress = lambda done, total: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
     watch: Watch = lambda time, truth: None,
     forces: StepForces | None = None,
     installed: int | None = None,
