@@ -122,7 +122,7 @@ def promises(seeds: int, seconds: float) -> dict[str, Any]:
         for seed in range(seeds):
             run = tb.Experiment.of_model(PUMA, [*settings, f'motion.file="{file}"', f"seed={seed}"])
             estimate = tb.identify(
-                found.tree, tb.simulate(run), "external", settings=run.identification
+                found.tree, tb.record(run), "external", settings=run.identification
             )
             errors.append(estimate.values - truth)
     ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / found.predicted.sigma

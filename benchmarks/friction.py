@@ -126,7 +126,7 @@ def happened(name: str, loss: float, seconds: float) -> tuple[tb.Experiment, Rec
     """What is true of a robot's motion, and of another one."""
     asked = experiment_of(name, loss, seconds)
     unseen = experiment_of(name, loss, SECONDS, 'motion.file=""', "motion.candidates=1", "seed=7")
-    return asked, tb.simulate(asked), tb.simulate(unseen)
+    return asked, tb.record(asked), tb.record(unseen)
 
 
 def trial(name: str, loss: float, seconds: float, seed: int) -> dict[str, Any]:
@@ -347,7 +347,7 @@ def _noisy(
 ) -> Iterator[tuple[Recording, tb.Experiment]]:
     """Recordings of one motion with other noise, 0.5 N m of it in torques."""
     asked = experiment_of(name, 0.0, seconds, *words)
-    happened_once = tb.simulate(asked)
+    happened_once = tb.record(asked)
     for seed in range(first, first + seeds):
         yield measured_again(happened_once, asked.measurement, seed), asked
 

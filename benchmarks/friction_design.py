@@ -112,7 +112,7 @@ def trials(found: Excitation, first: int, seeds: int, seconds: float) -> Iterato
         write_motion(file, found)
         table = found.experiment.motion.model_copy(update={"file": str(file)})
         asked = found.experiment.model_copy(update={"motion": table})
-        recording = tb.simulate(asked)
+        recording = tb.record(asked)
     settings = tb.Settings(zeros=True, terms=("coulomb", "viscous", "load"))
     for seed in range(first, first + seeds):
         seen = measured_again(recording, asked.measurement, seed)

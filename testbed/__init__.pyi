@@ -88,6 +88,19 @@ from .equations.languages import write_equations as write_equations
 from .lab.experiment.carry_out import carry_out as carry_out
 from .lab.experiment.experiment import Experiment as Experiment
 from .lab.experiment.predict import predict as predict
+from .lab.experiment.record import record as record
+from .lab.experiment.rig import (
+    Encoders as Encoders,
+)
+from .lab.experiment.rig import (
+    ForcePlate as ForcePlate,
+)
+from .lab.experiment.rig import (
+    JointTorques as JointTorques,
+)
+from .lab.experiment.rig import (
+    Rig as Rig,
+)
 from .lab.experiment.run import (
     Run as Run,
 )

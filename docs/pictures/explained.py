@@ -297,7 +297,7 @@ def save_sigma() -> None:
     experiment = short(["motion.duration=10"])
     clean = replace(experiment.measurement, encoder_noise=0.0, encoder_resolution=0.0,
                     force_noise=0.0, moment_noise=0.0, torque_noise=0.0)  # fmt: skip
-    perfect = tb.simulate(experiment.model_copy(update={"measurement": clean}))
+    perfect = tb.record(experiment.model_copy(update={"measurement": clean}))
     tree = tb.load_tree(experiment.model)
     name = "K3yy"
     minimal = tb.minimal_set(tree, "reaction", zeros=True)

@@ -43,5 +43,5 @@ def test_any_robot_runs_as_new_writes_it(robot: str, tmp_path: Path) -> None:
     if seconds == period:  # coloured noise of hundreds of unknowns takes a minute
         words.append("identification.noise=white")
     experiment = tb.Experiment.load(tmp_path / "r.toml", words)
-    run = evaluate(experiment, tb.simulate(experiment))
+    run = evaluate(experiment, tb.record(experiment))
     assert 0 < run.metrics["external_max_z"] < MOST_SIGMAS

@@ -247,4 +247,4 @@ def test_an_experiment_file_says_effects_and_what_it_cannot_mean_is_refused() ->
     ):
         words = [f"simulation.effect={text}", "motion.duration=1", "motion.candidates=1"]
         with refuses(tb.TestbedError, culprit):
-            tb.simulate(tb.Experiment.load(file, words))
+            tb.record(tb.Experiment.load(file, words))

@@ -178,7 +178,7 @@ def test_an_experiment_states_friction_and_a_drives_beliefs_and_repeats_to_the_b
              "robot.joint.waist.viscous=0.0", 'simulation.effect=[{kind="payload",mass=2.0}]',
              ]  # fmt: skip
     right, wrong, again = (
-        tb.simulate(tb.Experiment.load(PUMA_FILE, [*words, f"simulation.drive_model_error={e}"]))
+        tb.record(tb.Experiment.load(PUMA_FILE, [*words, f"simulation.drive_model_error={e}"]))
         for e in (0.0, 0.1, 0.1)
     )
     truth = wrong.truth

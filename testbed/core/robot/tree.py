@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -181,6 +182,24 @@ class Placement:
         freeze(self, position=(3,), rotation=(3, 3))
 
 
+@dataclass(frozen=True)
+class ModelSource:
+    """A model file, and how it was read.
+
+    Attributes:
+        path: The MJCF or URDF file.
+        weld_root: Weld a floating root to the bedplate.
+        repair: Bodies in place of those that cannot be, by the link that carries them; {} refuses
+            such a file, None takes the nearest bodies.
+        lock: Joints that are held, and where [rad or m]; None: where the joint rests.
+    """
+
+    path: Path
+    weld_root: bool = False
+    repair: Mapping[str, Inertia] | None = None
+    lock: Mapping[str, float | None] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Tree(Diagnosed):
     """An open tree of bodies on a bedplate.
@@ -200,6 +219,7 @@ class Tree(Diagnosed):
         cuts: The next force sensors: what hangs beyond them is no part of the tree, its wrench
             is measured.
         bare: Bodies without matter of their own: all of it lies beyond such a sensor.
+        file: The model file that it was read from; None for none.
     """
 
     name: str
@@ -214,6 +234,7 @@ class Tree(Diagnosed):
     sensor: Placement | None = None
     cuts: tuple[Placement, ...] = ()
     bare: tuple[int, ...] = ()
+    file: ModelSource | None = None
 
     def __post_init__(self) -> None:
         freeze(self, gravity=(3,))
