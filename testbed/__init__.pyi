@@ -85,6 +85,9 @@ from .equations.equations import (
     equations as equations,
 )
 from .equations.languages import write_equations as write_equations
+from .importing.convert import (
+    import_recording as import_recording,
+)
 from .lab.experiment.carry_out import carry_out as carry_out
 from .lab.experiment.experiment import Experiment as Experiment
 from .lab.experiment.predict import predict as predict

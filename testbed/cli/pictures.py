@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.identifications import ConsistentBodies
-from testbed.cli.opening import corrected_source
+from testbed.cli.opening import corrected_source, opened
 from testbed.cli.reading import (
     Force,
     Lock,
@@ -271,7 +271,7 @@ def _loaded(
     """A recording in memory, the plate's faults taken back, and what to doubt of it."""
     from testbed.core.recordings.recording import Recording
 
-    whole = Recording.from_mapping(path) if path.suffix == ".toml" else Recording.load(path)
+    whole = opened(path) if path.suffix == ".toml" else Recording.load(path)
     reading, tree, source = reading.robot_of(whole, model)
     accepted = reading.accepted(source, tree, unchecked=unchecked)
     return reading, _in_memory(corrected_source(source, tree, reading.plate)), accepted

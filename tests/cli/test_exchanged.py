@@ -47,7 +47,7 @@ ASKED = {
 READERS: dict[str, Callable[[Path], object]] = {
     "experiment": tb.Experiment.load,
     "campaign": Campaign.load,
-    "mapping": tb.Recording.from_mapping,
+    "mapping": tb.import_recording,
     "result": read_result,
     "motion": read_motion,
     "recording": tb.Recording.load,

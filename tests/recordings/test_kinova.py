@@ -14,8 +14,8 @@ import testbed as tb
 from testbed.bodies.posterior import Posterior, errors_of_another, posteriors
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
-from testbed.core.recordings.joined import pieces
 from testbed.core.recordings.recording import Recording
+from testbed.importing.convert import pieces
 from testbed.importing.guess import guessed
 from tests.helpers.paths import ROOT
 
