@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from testbed.bodies.posterior import Posterior, errors_of_another, posterior
+from testbed.bodies.posterior import Posterior, posterior
 from testbed.bodies.prior import prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import UnseenParameters
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.selection.prediction_errors import errors_of_another
 from testbed.core.recordings.recording import Recording
 from testbed.lab.experiment.evaluate import wrong_bodies
 from tests.helpers.measured import measured

@@ -384,26 +384,3 @@ def _plain(rows: RowProducts) -> Array:
     equations = rows.equations(np.eye(p), np.zeros(p))
     weights = noise_weights(equations, None)
     return scaled_solve(equations.matrix(weights), equations.vector(weights))
-
-
-def errors_of_another(
-    problem: Problem, source: Source, models: Mapping[str, Array]
-) -> PredictionErrors:
-    """What a model file and estimates leave of another recording.
-
-    All but the file as it is stand about the mean of what they leave of the plate: its zero
-    belongs to a recording.
-
-    Args:
-        problem: The other recording.
-        source: The same, faults of the instrument taken back.
-        models: Values of the unknowns by what says them.
-    """
-    parts = products_of(problem, source, problem.method == "external", whole=True)
-    unseen = parts.whole
-    none = np.zeros(len(problem.channels))
-    said = {
-        name: (values, none if name == FILE else unseen.constants(values))
-        for name, values in models.items()
-    }
-    return prediction_errors(problem, "another", [(said, parts.each)])

@@ -58,7 +58,7 @@ GUESTS = {
     "pinocchio": "robot/formats/urdf.py robot/visuals/urdf_shapes.py",
     "coal": "robot/visuals/urdf_shapes.py",
     "rerun": "viewer/ recordings/importing/readers/rerun_log.py",
-    "clarabel": "identification/consistency/likelihood.py",
+    "clarabel": "identification/diagnostics/rigid_bodies.py",
     "numba": "kernel/",
     "llvmlite": "kernel/compiler.py",
     "threadpoolctl": "blas.py",

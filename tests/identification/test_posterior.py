@@ -19,13 +19,13 @@ from testbed.bodies.linear_prior import (
     alone_determined,
     with_prior,
 )
-from testbed.bodies.posterior import Posterior, errors_of_another, posterior, posteriors
+from testbed.bodies.posterior import Posterior, posterior, posteriors
 from testbed.bodies.prior import coordinates, prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import decode, encode
 from testbed.core.estimation.estimate import Method
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.selection.prediction_errors import PredictionErrors
+from testbed.core.estimation.selection.prediction_errors import PredictionErrors, errors_of_another
 from testbed.core.estimation.selection.row_products import FREEDOM, RowProducts, products_of
 from testbed.core.estimation.verdict import WELL, verdict_of
 from testbed.core.recordings.recording import Recording

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.bodies.posterior import Posterior, errors_of_another, posteriors
+from testbed.bodies.posterior import Posterior, posteriors
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.selection.prediction_errors import errors_of_another
 from testbed.core.recordings.recording import Recording
 from testbed.importing.convert import pieces
 from testbed.importing.guess import guessed

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.linalg import null_space
 
-from testbed.bodies.consistency.likelihood import Cone, Likelihood, minimise
+from testbed.bodies.consistency.likelihood import Likelihood
 from testbed.bodies.consistency.options import Conditions, Metric
 from testbed.bodies.prior import (
     OF_COORDINATES,
@@ -22,6 +22,7 @@ from testbed.bodies.prior import (
 )
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import WIDTH, SettingsError, few
+from testbed.core.estimation.diagnostics.rigid_bodies import Cone, minimise
 from testbed.core.estimation.regression.normal_equations import TINY
 from testbed.core.robot.friction import ROTOR, JointTerm
 from testbed.core.robot.tree import Tree

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.bodies.posterior import errors_of_another
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
@@ -42,6 +41,7 @@ from testbed.core.estimation.selection.prediction_errors import (
     PLAIN,
     REFITTED,
     PredictionErrors,
+    errors_of_another,
 )
 from testbed.core.estimation.selection.term_choice import with_chosen_settings
 from testbed.core.estimation.settings import DEFAULTS, Settings

@@ -1,0 +1,207 @@
+"""Whether rigid bodies have an estimate's parameters: the conic program of the nearest robot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import clarabel
+import numpy as np
+from scipy import sparse, special
+
+from testbed.bodies.prior import standard_of_coordinates
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.estimate import Estimate
+from testbed.core.estimation.regression.normal_equations import TINY, square_root
+
+SIGMAS = 5.0
+"""A distance that noise exceeds as rarely as this is no noise, unless it is said otherwise."""
+
+MODEL_ERROR = 0.01
+"""Models are never quite right by this part of each parameter, unless it is said otherwise."""
+
+SMALL = 0.1
+"""Parameters below this share of the largest of their unit are taken to be that large."""
+
+LENGTH = 0.3
+"""Unit of length in which a robot's masses and moments are of one order [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBodyTest:
+    """How far an estimate is from those of possible robots.
+
+    Attributes:
+        distance: At least this far, in sigmas, model errors counted.
+        limit: Distance beyond which it is no noise.
+        nearest: Minimal parameters of the nearest possible robot, (N,).
+        gap: How far each is from them, in parts of itself, (N,).
+    """
+
+    distance: float
+    limit: float
+    nearest: Array
+    gap: Array
+
+    @property
+    def impossible(self) -> bool:
+        """Whether no rigid bodies have the parameters, noise and model errors allowed."""
+        return self.distance > self.limit
+
+
+def rigid_body_test(
+    estimate: Estimate, sigmas: float = SIGMAS, model_error: float = MODEL_ERROR
+) -> RigidBodyTest:
+    """Whether an estimate's minimal parameters can be those of rigid bodies.
+
+    Args:
+        estimate: Of either method. Rotors that are identifiable together with a body's inertia may
+            have any inertia that is not negative.
+        sigmas: An estimate is called impossible beyond a distance that noise exceeds as rarely
+            as this.
+        model_error: Part of each parameter, taken as an error besides sigma.
+    """
+    base = estimate.base
+    scale = sizes(base.values, base.units)
+    covariance = base.covariance + np.diag((model_error * scale) ** 2)
+    unit = 1 / np.sqrt(np.maximum(np.diagonal(covariance), TINY))
+    limit = float(np.sqrt(special.chdtri(len(scale), 2 * special.ndtr(-sigmas))))
+    forms, rotors = _of_bodies(estimate.minimal.standard_matrix), _rotors(estimate)
+    root = square_root(covariance * np.outer(unit, unit))
+    normal = _separating(unit[:, None] * forms, unit[:, None] * rotors, unit * base.values, root)
+    distance = max(0.0, float(normal @ (unit * base.values)))
+    gap = -distance * (covariance @ (unit * normal))
+    relative = np.abs(gap) / np.where(scale > 0, scale, 1.0)
+    return RigidBodyTest(distance, limit, base.values + gap, relative)
+
+
+def sizes(values: Array, units: Sequence[str]) -> Array:
+    """How large parameters are, small ones counted as a share of the largest of their unit.
+
+    Args:
+        values: (p,).
+        units: One each.
+    """
+    found = np.abs(values)
+    for unit in set(units):
+        same = np.array([each == unit for each in units])
+        found[same] = np.maximum(found[same], SMALL * found[same].max())
+    return found
+
+
+def _rotors(estimate: Estimate) -> Array:
+    """What a unit of each rotor identified with a body adds to the parameters, (N, rotors)."""
+    regrouped = {} if estimate.drives is None else estimate.drives.regrouped
+    columns = [column[: estimate.minimal.count] for column in regrouped.values()]
+    return np.array(columns).reshape(len(columns), estimate.minimal.count).T
+
+
+def _of_bodies(standard: Array) -> Array:
+    """Forms of standard parameters as forms of every body's J, (N, 10 n), scaled for the solver.
+
+    Args:
+        standard: (N, 10 n), of (m, h, Ixx, Ixy, Iyy, Ixz, Iyz, Izz) body by body.
+    """
+    scaled = standard_of_coordinates(np.diag([LENGTH, LENGTH, LENGTH, 1.0]))
+    by_body = standard.reshape(len(standard), -1, 10) @ scaled
+    return by_body.reshape(len(standard), -1)
+
+
+def _separating(forms: Array, rotors: Array, wanted: Array, root: Array) -> Array:
+    """The normal of the furthest plane between parameters and all robots, one sigma long, (N,).
+
+    Args:
+        forms: Of the coordinates of every body's J, (N, 10 n).
+        rotors: Of every rotor's inertia, (N, m).
+        wanted: The parameters, (N,).
+        root: R, (N, N), their covariance R R'.
+    """
+    size = float(np.linalg.norm(np.linalg.solve(root, wanted))) or 1.0  # for the solver: near one
+    length = np.vstack([np.zeros(len(wanted)), -root.T])
+    return minimise(
+        -wanted / size,
+        [
+            Cone("norm", length, np.eye(1, len(length))[0]),
+            Cone("matrices", forms.T, np.zeros(forms.shape[1])),
+            Cone("positive", rotors.T, np.zeros(rotors.shape[1])),
+        ],
+    ).x
+
+
+Kind = Literal["zero", "positive", "norm", "matrices"]
+
+
+@dataclass(frozen=True, eq=False)
+class Cone:
+    """Rows of a program: right - rows x lies in a cone.
+
+    Attributes:
+        kind: "zero", numbers that are zero; "positive", that are not negative; "norm", the first
+            is at least the norm of the others; "matrices", coordinates of positive semidefinite
+            4 x 4 matrices one after the other (`pseudo_inertia.coordinates`).
+        rows: (k, m), dense or sparse.
+        right: (k,).
+    """
+
+    kind: Kind
+    rows: Array | sparse.sparray
+    right: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Of a program.
+
+    Attributes:
+        solved: Whether there is one.
+        x: Where, (m,).
+        value: There.
+        bound: A value that no other point goes below: of the dual program.
+        prices: How much the value gains when a row's right side does, or, where there is no
+            solution, the combination of rows that proves it, cone by cone.
+    """
+
+    solved: bool
+    x: Array
+    value: float
+    bound: float
+    prices: tuple[Array, ...]
+
+
+def minimise(costs: Array, cones: Sequence[Cone]) -> Solution:
+    """The least costs' x with all rows in their cones.
+
+    Args:
+        costs: (m,).
+        cones: At least one.
+    """
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.max_threads = False, 1
+    found = clarabel.DefaultSolver(
+        sparse.csc_matrix((len(costs), len(costs))),  # no quadratic part
+        costs,
+        sparse.csc_matrix(sparse.vstack([sparse.csc_matrix(cone.rows) for cone in cones])),
+        np.concatenate([cone.right for cone in cones]),
+        [part for cone in cones for part in _parts(cone)],
+        settings,
+    ).solve()
+    ends = np.cumsum([len(cone.right) for cone in cones])[:-1]
+    solved = str(found.status) in ("Solved", "AlmostSolved")
+    prices = tuple(np.split(np.array(found.z), ends))
+    return Solution(
+        solved, np.array(found.x), float(found.obj_val), float(found.obj_val_dual), prices
+    )
+
+
+def _parts(cone: Cone) -> list[object]:
+    """A cone as the solver has it."""
+    count = len(cone.right)
+    if cone.kind == "matrices":
+        return [clarabel.PSDTriangleConeT(4)] * (count // 10)
+    kinds = {
+        "zero": clarabel.ZeroConeT,
+        "positive": clarabel.NonnegativeConeT,
+        "norm": clarabel.SecondOrderConeT,
+    }
+    return [kinds[cone.kind](count)] if count else []
