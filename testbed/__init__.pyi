@@ -111,6 +111,10 @@ from .lab.experiment.run import (
     assemble_run as assemble_run,
 )
 from .lab.experiment.simulate import simulate as simulate
+from .lab.instruments.plate import PlateBias as PlateBias
+from .lab.instruments.plate import PlatePose as PlatePose
+from .lab.simulation.bodies import Payload as Payload
+from .lab.simulation.joint_friction import Stribeck as Stribeck
 from .motion.random_motion import random_motion as random_motion
 from .view.plot import plot as plot
 from .view.run_page import report as report

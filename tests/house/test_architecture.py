@@ -19,23 +19,28 @@ from tests.helpers.paths import ROOT
 HOUSE = ROOT / "testbed"
 MODULES = sorted(HOUSE.rglob("*.py"))
 
-BASE = "errors codec arrays files blas diagnostics child_process file_kinds"
+BASE = (
+    "errors codec arrays files blas diagnostics child_process file_kinds frames installation "
+    "summary_table"
+)
 ROBOT = f"{BASE} robot parameters dynamics"
 DATA = f"{ROBOT} excitation recordings identification experiment campaign"
 PLAN = {
     name: set(needs.split())
     for name, needs in {
-        **dict.fromkeys([*BASE.split(), "codec", "installation", "stages"], ""),
+        **dict.fromkeys([*BASE.split(), "codec", "stages"], ""),
         **dict.fromkeys(["arrays", "diagnostics"], "codec"),
         "blas": "arrays",
         "child_process": "errors",
+        "frames": "errors",
+        "summary_table": "arrays codec",
         "kind_table": "errors arrays",
         "file_kinds": "errors",
         "toml_text": "errors file_kinds",
         "robot": BASE,
         "parameters": f"{BASE} robot",
         "dynamics": f"{BASE} robot parameters",
-        "kernel": f"{ROBOT} installation",
+        "kernel": ROBOT,
         "symbolic": ROBOT,
         "excitation": f"{ROBOT} kernel",
         "recordings": f"{ROBOT} toml_text",
@@ -43,10 +48,10 @@ PLAN = {
         "simulation": f"{BASE} kind_table robot dynamics kernel excitation recordings",
         "identification": f"{ROBOT} kernel recordings stages",
         "plausibility": f"{ROBOT} toml_text recordings identification",
-        "experiment": f"{ROBOT} kind_table installation toml_text excitation recordings "
+        "experiment": f"{ROBOT} kind_table toml_text excitation recordings "
         "instruments simulation identification",
-        "campaign": f"{BASE} installation toml_text robot recordings identification experiment",
-        "reporting": f"{DATA} installation plausibility stages",
+        "campaign": f"{BASE} toml_text robot recordings identification experiment",
+        "reporting": f"{DATA} plausibility stages",
         "viewer": f"{DATA} stages reporting",
     }.items()
 }

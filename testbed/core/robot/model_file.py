@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -28,6 +28,7 @@ MOST_JOINTS = 1_000
 """Matrices of a robot grow with the square of its joints."""
 
 
+@dataclass(frozen=True)
 class ModelFile(ModelSource):
     """An MJCF or URDF file, and how to read it."""
 

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import Array, freeze, readonly
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic
-from testbed.core.base.errors import ModelError, UnknownName, plural
+from testbed.core.base.errors import ModelError, SettingsError, UnknownName, plural
 from testbed.core.robot.inertia import NOTHING, Inertia
 
 Kind = Literal["revolute", "prismatic"]
@@ -385,6 +385,25 @@ class Tree(Diagnosed):
             replace(joint, rotor_inertia=0.0) for joint in self.without_friction().joints
         )
         return replace(self, inertias=(NOTHING,) * self.n, joints=joints)
+
+
+def require_tree(value: object, call: str) -> None:
+    """Refuse a first argument that is no robot.
+
+    Args:
+        value: The argument.
+        call: The call, as "identify(robot, data)".
+
+    Raises:
+        SettingsError: Says what it is instead.
+    """
+    if not isinstance(value, Tree):
+        kind = type(value).__name__
+        what = f"'{value}'" if isinstance(value, str | Path) else f"a {kind}"
+        raise SettingsError(
+            f"{call}: the robot is a Tree, as load_tree(path) reads it; {what} was given in its "
+            "place"
+        )
 
 
 def _numbers(value: object, shape: tuple[int, ...]) -> Array | None:

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 from testbed.core.base.errors import ModelError, SettingsError
 from testbed.core.robot.force_sensor import ForceSensor
 from testbed.core.robot.model_file import ModelFile
-from testbed.core.robot.tree import Tree
+from testbed.core.robot.tree import Tree, require_tree
 from testbed.lab.instruments.chain import Instrument
 from testbed.lab.instruments.fault import FULL_SCALE, Fault
 from testbed.lab.simulation.effect import Effect
@@ -137,10 +137,7 @@ class Rig:
     warm_up: float = 2.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.robot, Tree):
-            raise SettingsError(
-                f"Rig: robot is a Tree, as tb.load_tree(path) reads it, found {self.robot!r:.60}"
-            )
+        require_tree(self.robot, "Rig(robot, plant, sensors)")
         names = self.robot.names
         object.__setattr__(self, "plant", tuple(effect.on(names) for effect in self.plant))
         object.__setattr__(self, "sensors", tuple(self.sensors))
