@@ -5,6 +5,7 @@ from .bodies.consistency.consistent import (
 from .bodies.consistency.consistent import (
     robot_of as robot_of,
 )
+from .bodies.consistency.robot_posterior import prior as prior
 from .bodies.consistency.robots import robots as robots
 from .bodies.prior import prior_of as prior_of
 from .bodies.write_model import write_model as write_model

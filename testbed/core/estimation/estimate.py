@@ -296,7 +296,7 @@ class Estimate(Diagnosed, Summarized):
 
     def __add__(self, other: Information | Estimate) -> Information:
         """Sum of what both say; independent data of one robot (`Information`)."""
-        return Information((self,)) + other
+        return Information((self,)).__add__(other)
 
     @property
     def summary(self) -> SummaryTable:

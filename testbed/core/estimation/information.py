@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -27,6 +27,7 @@ UNDETERMINED = 1e-4
 """Part of an unknown in such directions from which it is not determined itself."""
 
 
+@runtime_checkable
 class Evidence(Protocol):
     """An estimate, as a sum takes it."""
 
@@ -81,7 +82,9 @@ class Information(Summarized):
     def __add__(self, other: Information | Evidence) -> Information:
         if isinstance(other, Information):
             return Information((*self.estimates, *other.estimates))
-        return Information((*self.estimates, other))
+        if isinstance(other, Evidence):
+            return Information((*self.estimates, other))
+        return NotImplemented
 
     @property
     def robot(self) -> Tree:

@@ -16,6 +16,7 @@ from typing import Literal
 from testbed.core.base.diagnostics import diagnose
 from testbed.core.base.errors import WIDTH, FreeRootError, LoopError, MimicError, ModelError, few
 from testbed.core.base.file_kinds import expecting
+from testbed.core.base.installation import own_or_shipped
 from testbed.core.robot.asset_files import asset_fault, mjcf_files
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.core.robot.inertia import HEAVIEST
@@ -85,7 +86,7 @@ def load_tree(
     an MJCF body takes its inertia from one.
 
     Args:
-        path: The model file.
+        path: The model file; or the name of one that testbed ships, as "puma562.xml".
         weld_root: Weld a floating root to the bedplate instead of refusing it.
         repair: Bodies in place of those that no matter can make (links that are fixed to
             each other are one body): what `nearest_bodies` finds, say; {} refuses such a file.
@@ -103,7 +104,7 @@ def load_tree(
             FreeRootError, InertiaError, MimicError.
         UnknownName: A joint to be held, or the sensor's link, is not in the file.
     """
-    path = Path(path)
+    path = own_or_shipped(path)
     if model_format(path) == "mjcf":
         from testbed.core.robot.formats.mjcf import read_mjcf as read
     else:
