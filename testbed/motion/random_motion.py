@@ -13,12 +13,13 @@ from testbed.core.dynamics.newton_euler import Motion, regressor
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.symbols import barycentric
 from testbed.core.robot.tree import Tree, require_tree
-from testbed.motion.clearance import POSTURES, ClearanceTerm
+from testbed.motion.clearance import ClearanceTerm
 from testbed.motion.fourier import Fourier
 from testbed.motion.joint_unknowns import scale_of
-from testbed.motion.limits import Limits, LimitTerm, limits_of, motor_efforts
+from testbed.motion.limits import Limits, limits_of, motor_efforts
 from testbed.motion.proof import Proof, Rules, prove, seems_to_hold
 from testbed.motion.samples import Computed
+from testbed.motion.terms import LimitTerm
 
 
 def rest_posture(rules: Rules) -> Array:
@@ -42,7 +43,7 @@ def rest_posture(rules: Rules) -> Array:
     home = rules.limits.home
     if not terms or excess(home[None])[0] < 0:
         return home
-    postures = tried_postures(rules.limits)
+    postures = rules.limits.postures
     return np.asarray(postures[excess(postures).argmin()])
 
 
@@ -53,19 +54,9 @@ def easiest_posture(tree: Tree, limits: Limits) -> Array:
         tree: The robot.
         limits: Of its joints.
     """
-    postures = tried_postures(limits)
+    postures = limits.postures
     share = np.abs(motor_efforts(tree, Motion.at_rest(postures))) / limits.effort
     return np.asarray(postures[share.max(axis=1).argmin()])
-
-
-def tried_postures(limits: Limits) -> Array:
-    """The posture of zeros and random ones, the same every time, (POSTURES + 1, n) [rad or m].
-
-    Args:
-        limits: Of the joints.
-    """
-    random = np.random.default_rng(0).uniform(limits.low, limits.high, (POSTURES, len(limits.low)))
-    return np.vstack([limits.home, random])
 
 
 MARGIN = 0.95
@@ -240,6 +231,34 @@ def best_motion(
         f"of what stands around it, however small{said}: give limits of the joints, or leave it "
         'out with excitation.clearance = "off"'
     )
+
+
+NEARLY_AS_FAST = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
+"""Of the speed of a motion, tried one after the other for another one."""
+
+OTHERS = 20
+"""Motions tried at each of them."""
+
+
+def as_fast(motion: Fourier, rules: Rules, rng: np.random.Generator) -> Fourier:
+    """A motion with the amplitudes of another one and other phases, proven.
+
+    Over a period rms velocities and accelerations of every joint are those of that one, or a share
+    of them, at least a half, where limits ask for it.
+
+    Args:
+        motion: The other motion.
+        rules: What both respect.
+        rng: Source of phases.
+
+    Raises:
+        InfeasibleMotion: None that is half as fast respects all limits.
+    """
+    for share, _ in product(NEARLY_AS_FAST, range(OTHERS)):
+        other = motion.rephased(rng).scaled(share, motion.offset)
+        if seems_to_hold(other, rules) and prove(other, rules).holds:
+            return other
+    raise InfeasibleMotion("no other motion that is half as fast as it respects all limits")
 
 
 def relative_sigma(tree: Tree, motion: Fourier, minimal: MinimalSet, noise: Array) -> float:

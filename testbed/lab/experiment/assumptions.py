@@ -28,7 +28,7 @@ from testbed.lab.simulation.controller import mass_matrices
 from testbed.lab.simulation.rollout import SimulationDiverged
 from testbed.motion.clearance import DistanceMeter
 from testbed.motion.limits import CALM, limits_of
-from testbed.motion.random_motion import easiest_posture, tried_postures
+from testbed.motion.random_motion import easiest_posture
 
 POSTURES = 200
 """Random states in which joints and plate are loaded."""
@@ -293,7 +293,7 @@ def _touching(experiment: Experiment) -> tuple[tuple[str, str], ...]:
     if rules.collision is None:
         return ()
     meter = DistanceMeter(rules.collision, float(rules.clearance.max(initial=0)) * 2)
-    near = meter.measure(tried_postures(rules.limits)).values <= rules.clearance
+    near = meter.measure(rules.limits.postures).values <= rules.clearance
     fewest = near[near.sum(axis=1).argmin()]
     return tuple(
         pair for pair, is_near in zip(rules.collision.bodies, fewest, strict=True) if is_near

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -29,8 +29,19 @@ from testbed.lab.simulation.effect import StepForces
 from testbed.lab.simulation.gear_friction import Gears
 from testbed.lab.simulation.plant import build_plant
 from testbed.lab.simulation.rollout import Rollout, Sampling, Watch, simulate_motion
-from testbed.motion.fourier import Fourier
-from testbed.motion.rest_to_rest import RestToRest
+
+
+@runtime_checkable
+class FromRest(Reference, Protocol):
+    """A motion from rest to rest, its periodic part from zero."""
+
+    @property
+    def lead(self) -> float:
+        """Duration of the start before zero, and of the way to rest after the end [s]."""
+
+    @property
+    def end(self) -> float:
+        """End of the periodic part [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +76,7 @@ class SampledMotion:
 
 def simulate(
     rig: Rig,
-    motion: Fourier | RestToRest | Motion,
+    motion: Reference | Motion,
     seconds: float = 60.0,
     seed: int = 0,
     *,
@@ -122,18 +133,15 @@ def simulate(
         gears,
     )
     facts = _metadata(rig, tree, happened, seed)
-    if isinstance(motion, RestToRest):
+    if isinstance(motion, FromRest):
         facts[COUNTED] = [0.0, motion.end]
     return _measured(rig, happened, plant.tare, facts, seed, installed)
 
 
-def _course(
-    rig: Rig, motion: Fourier | RestToRest | Motion, seconds: float
-) -> tuple[Reference, float, float]:
+def _course(rig: Rig, motion: Reference | Motion, seconds: float) -> tuple[Reference, float, float]:
     """What the controller follows, when the recording begins and ends [s]."""
-    if isinstance(motion, RestToRest):
-        lead = motion.start.duration
-        return motion, -lead, motion.end + lead
+    if isinstance(motion, FromRest):
+        return motion, -motion.lead, motion.end + motion.lead
     found: Reference = SampledMotion(motion) if isinstance(motion, Motion) else motion
     joints = found.at(np.zeros(1)).q.shape[1]
     if joints != rig.robot.n:
