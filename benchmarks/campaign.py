@@ -111,7 +111,6 @@ def run_cost(seconds: float, together: int) -> dict[str, Any]:
     import testbed as tb
     from testbed.core.base.blas import one_blas_thread
     from testbed.lab.experiment.evaluate import evaluate
-    from testbed.lab.experiment.simulate import simulate_together
 
     words = [
         f"motion.duration={seconds}", "motion.candidates=5", "simulation.step=1e-3",
@@ -121,9 +120,9 @@ def run_cost(seconds: float, together: int) -> dict[str, Any]:
     runs = [tb.Experiment.load(files, [*words, f"seed={k}"]) for k in range(together)]
     short = tb.Experiment.load(files, [*words, "motion.duration=2.0"])
     with one_blas_thread():
-        evaluate(short, tb.simulate(short), threads=1)  # a worker that has lived a while
+        evaluate(short, tb.record(short), threads=1)  # a worker that has lived a while
         start = time.process_time()
-        recordings = list(simulate_together(runs))
+        recordings = [tb.record(run) for run in runs]
         middle = time.process_time()
         done = [
             evaluate(e, r, threads=1)

@@ -40,7 +40,7 @@ def accuracy(durations: tuple[float, ...], seeds: range) -> Iterator[dict[str, A
         for seed in seeds:
             overrides = [f"motion.duration={seconds}", f"seed={seed}"]
             experiment = tb.Experiment.load(ROOT / "experiments/table6.toml", overrides)
-            tree, recording = tb.load_tree(experiment.model), tb.simulate(experiment)
+            tree, recording = tb.load_tree(experiment.model), tb.record(experiment)
             estimates = [
                 tb.identify(tree, recording, m, settings=experiment.identification) for m in METHODS
             ]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,12 @@ import numpy as np
 import testbed as tb
 from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.kernel.numba_engine import warm_up
-from testbed.lab.experiment.evaluate import model_of, robot_of
+from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.simulation.plant import build_plant
 from testbed.lab.simulation.rollout import Sampling, simulate_motion
 from testbed.motion.clearance import DistanceMeter
-from testbed.motion.design import Wish, criterion, design
-from testbed.motion.excite import excite, wish_of
+from testbed.motion.design import DesignProblem, criterion, design
+from testbed.motion.excite import design_problem, excite
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import motor_efforts
 from testbed.motion.proof import Rules, prove, seems_to_hold
@@ -69,16 +69,16 @@ def gain(case: Case, seeds: int, baseline: int) -> dict[str, Any]:
     warm_up()
     gains, seconds = [], []
     experiment = tb.Experiment.of_model(case.model, [*PLATE, *case.settings])
-    wish = wish_of(experiment, robot_of(experiment))
-    random = float(np.median([criterion(wish, motion) for motion in allowed(wish, baseline)]))
+    problem = design_problem(experiment)
+    random = float(np.median([criterion(problem, motion) for motion in allowed(problem, baseline)]))
     for seed in range(seeds):
         start = time.process_time()
-        found = design(wish_of(experiment.model_copy(update={"seed": seed}), wish.rules.tree))
+        found = design(replace(problem, seed=seed))
         seconds.append(time.process_time() - start)
         gains.append(float(np.exp((random - found.value) / 2)))
     return {
         "robot": case.name,
-        "joints": wish.rules.tree.n,
+        "joints": problem.rules.tree.n,
         "seeds": seeds,
         "random": baseline,
         "gain": round(float(np.median(gains)), 2),
@@ -87,9 +87,9 @@ def gain(case: Case, seeds: int, baseline: int) -> dict[str, Any]:
     }
 
 
-def allowed(wish: Wish, count: int) -> list[Fourier]:
+def allowed(problem: DesignProblem, count: int) -> list[Fourier]:
     """Random motions of 5 harmonics of 0.1 Hz that are proven."""
-    rules, rng = wish.rules, np.random.default_rng(1996)
+    rules, rng = problem.rules, np.random.default_rng(1996)
     found: list[Fourier] = []
     while len(found) < count:
         motion = random_motion(rules.tree, rules.limits, 0.1, 5, rng)
@@ -109,7 +109,7 @@ def promises(seeds: int, seconds: float) -> dict[str, Any]:
     """
     from tempfile import TemporaryDirectory
 
-    from testbed.motion.excite import write_motion
+    from testbed.motion.motion_file import write_motion
 
     settings = [*PLATE, "identification.zeros=true", "excitation.starts=2"]
     settings += [f"motion.duration={seconds}", "excitation.clearance=off"]
@@ -118,11 +118,11 @@ def promises(seeds: int, seconds: float) -> dict[str, Any]:
     errors = []
     with TemporaryDirectory() as folder:
         file = Path(folder) / "motion.toml"
-        write_motion(file, found)
+        write_motion(file, found, PUMA)
         for seed in range(seeds):
             run = tb.Experiment.of_model(PUMA, [*settings, f'motion.file="{file}"', f"seed={seed}"])
             estimate = tb.identify(
-                found.tree, tb.simulate(run), "external", settings=run.identification
+                found.tree, tb.record(run), "external", settings=run.identification
             )
             errors.append(estimate.values - truth)
     ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / found.predicted.sigma
@@ -160,15 +160,15 @@ def limit_sets(model: Path, count: int) -> dict[str, Any]:
             settings += [f"robot.joint.{name}.max_effort={size}" for name in tree.names]
         experiment = tb.Experiment.of_model(model, settings)
         try:
-            wish = wish_of(experiment, robot_of(experiment))
-            found = design(wish)
+            problem = design_problem(experiment)
+            found = design(problem)
         except InfeasibleMotion:
             refused += 1
             continue
         done += 1
         unproven += not found.proof.holds
-        violated += not _respected(found.motion, wish.rules)
-        kept, faster = _in_the_loop(found.motion, wish.rules, experiment)
+        violated += not _respected(found.motion, problem.rules)
+        kept, faster = _in_the_loop(found.motion, problem.rules, experiment)
         in_the_loop, overspeed = in_the_loop + (not kept), max(overspeed, faster)
     return {
         "robot": model.stem,

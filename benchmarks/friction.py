@@ -31,7 +31,7 @@ from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import scaled_inverse
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.friction import COULOMB, LOADED, ROTOR, VISCOUS, JointLaw, stribeck
-from testbed.lab.experiment.evaluate import robot_of
+from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.instruments.chain import measured_again
 from testbed.lab.instruments.joints import TorqueNoise
 from tests.helpers.measured import measured
@@ -126,7 +126,7 @@ def happened(name: str, loss: float, seconds: float) -> tuple[tb.Experiment, Rec
     """What is true of a robot's motion, and of another one."""
     asked = experiment_of(name, loss, seconds)
     unseen = experiment_of(name, loss, SECONDS, 'motion.file=""', "motion.candidates=1", "seed=7")
-    return asked, tb.simulate(asked), tb.simulate(unseen)
+    return asked, tb.record(asked), tb.record(unseen)
 
 
 def trial(name: str, loss: float, seconds: float, seed: int) -> dict[str, Any]:
@@ -347,7 +347,7 @@ def _noisy(
 ) -> Iterator[tuple[Recording, tb.Experiment]]:
     """Recordings of one motion with other noise, 0.5 N m of it in torques."""
     asked = experiment_of(name, 0.0, seconds, *words)
-    happened_once = tb.simulate(asked)
+    happened_once = tb.record(asked)
     for seed in range(first, first + seeds):
         yield measured_again(happened_once, asked.measurement, seed), asked
 

@@ -21,9 +21,12 @@ from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.problem import Problem
 from testbed.core.recordings.recording import Recording
-from testbed.lab.experiment.evaluate import robot_of
+from testbed.lab.experiment.experiment_robot import robot_of
+from testbed.lab.experiment.motions import motion_of
 from testbed.lab.instruments.chain import measured_again
-from testbed.motion.excite import Excitation, excite, forecaster, wish_of, write_motion
+from testbed.motion.excite import Excitation, excite
+from testbed.motion.information import predict
+from testbed.motion.motion_file import write_motion
 from tests.helpers.paths import GOLDEN, REAL, ROOT
 
 CASES: Mapping[str, Case] = {
@@ -81,7 +84,9 @@ def experiment_of(name: str, seconds: float, *words: str) -> tb.Experiment:
     return tb.Experiment.load(base, given)
 
 
-def designs(name: str, seconds: float, seed: int) -> tuple[Excitation, dict[str, Array]]:
+def designs(
+    name: str, seconds: float, seed: int
+) -> tuple[tb.Experiment, Excitation, dict[str, Array]]:
     """A motion for friction, and what it and others promise: sigma of every coefficient.
 
     Args:
@@ -92,27 +97,30 @@ def designs(name: str, seconds: float, seed: int) -> tuple[Excitation, dict[str,
     experiment = experiment_of(name, seconds, "excitation.aim=friction", f"seed={seed}")
     found = excite(experiment)
     bodies = excite(experiment_of(name, seconds, f"seed={seed}")).design.motion
-    forecast = forecaster(experiment, wish_of(experiment, found.tree))
-    assert found.random is not None
-    motions = {"friction": found.design.motion, "bodies": bodies, "random": found.random}
-    return found, {kind: forecast(motion).sigma for kind, motion in motions.items()}
+    random, asked = motion_of(experiment, found.tree, found.rules), found.problem
+    motions = {"friction": found.design.motion, "bodies": bodies, "random": random}
+    sigma = {
+        kind: predict(asked.information, asked.rows, motion, asked.pipeline).sigma
+        for kind, motion in motions.items()
+    }
+    return experiment, found, sigma
 
 
-def trials(found: Excitation, first: int, seeds: int, seconds: float) -> Iterator[Array]:
+def trials(experiment: tb.Experiment, found: Excitation, first: int, seeds: int) -> Iterator[Array]:
     """What drives find of a simulated motion: values and sigmas as the prediction has them, (2, N).
 
     Args:
+        experiment: What it is made for.
         found: The motion.
         first: The first seed.
         seeds: How many.
-        seconds: Duration.
     """
     with TemporaryDirectory() as folder:
         file = Path(folder) / "motion.toml"
-        write_motion(file, found)
-        table = found.experiment.motion.model_copy(update={"file": str(file)})
-        asked = found.experiment.model_copy(update={"motion": table})
-        recording = tb.simulate(asked)
+        write_motion(file, found, Path(experiment.model))
+        table = experiment.motion.model_copy(update={"file": str(file)})
+        asked = experiment.model_copy(update={"motion": table})
+        recording = tb.record(asked)
     settings = tb.Settings(zeros=True, terms=("coulomb", "viscous", "load"))
     for seed in range(first, first + seeds):
         seen = measured_again(recording, asked.measurement, seed)
@@ -132,10 +140,10 @@ def line(name: str, first: int, seeds: int, seconds: float) -> dict[str, Any]:
         seeds: How many.
         seconds: Duration.
     """
-    found, promised = designs(name, seconds, first)
+    experiment, found, promised = designs(name, seconds, first)
     ours = promised["friction"]
     loads = np.array([label.startswith("load/") for label in found.predicted.names])
-    drawn = np.array(list(trials(found, first, seeds, seconds)))
+    drawn = np.array(list(trials(experiment, found, first, seeds)))
     scatter = drawn[:, 0].std(axis=0, ddof=1) / ours
     said = np.sqrt(np.mean(drawn[:, 1] ** 2, axis=0)) / ours
     kinds = np.array([label.partition("/")[0] for label in found.predicted.names])

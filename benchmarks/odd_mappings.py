@@ -25,9 +25,9 @@ from benchmarks.mistakes import recorded
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import RecordingError
-from testbed.core.recordings.joined import pieces
 from testbed.importing.check.check import assess, import_and_check
 from testbed.importing.check.remedies import with_lines
+from testbed.importing.convert import pieces
 from tests.helpers.paths import ROOT
 
 ROBOT = "ur5"

@@ -12,12 +12,13 @@ import numpy as np
 import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.recordings.recording import Recording, Truth
-from testbed.lab.experiment.motions import motion_of, read_motion
+from testbed.lab.experiment.motions import motion_of
 from testbed.lab.instruments.chain import Instrument, measure
 from testbed.lab.instruments.fault import Fault
 from testbed.lab.instruments.plate import PlateColouredNoise, PlatePinkNoise
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import limits_of
+from testbed.motion.motion_file import read_motion
 from testbed.motion.random_motion import random_motion
 
 ROOT = Path(__file__).parent.parent

@@ -7,7 +7,7 @@ import testbed as tb
 
 model = tb.ModelFile(tb.shipped("puma562.urdf"))
 believed = model.tree()  # the file's values stay where the data do not determine them
-measured = tb.simulate(tb.Experiment.load(tb.shipped("table6"), ["motion.duration=10"]))
+measured = tb.record(tb.Experiment.load(tb.shipped("table6"), ["motion.duration=10"]))
 
 estimates = [tb.identify(believed, measured, method) for method in ("external", "internal")]
 found = tb.consistent(believed, estimates, tb.prior_of(believed))

@@ -8,7 +8,7 @@ tree = tb.load_tree(tb.shipped("puma562.xml"))
 def recorded(seed: int) -> tb.Recording:
     """What a logger has written, another motion for each seed."""
     words = ["motion.duration=10", "motion.candidates=1", f"seed={seed}"]
-    measured = tb.simulate(tb.Experiment.load(tb.shipped("table6"), words))
+    measured = tb.record(tb.Experiment.load(tb.shipped("table6"), words))
     return tb.Recording(
         names=("waist", "shoulder", "elbow"),  # the order of the columns below
         time=measured.time,  # (M,) [s], at a constant rate

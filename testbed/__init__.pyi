@@ -5,6 +5,7 @@ from .bodies.consistency.consistent import (
 from .bodies.consistency.consistent import (
     robot_of as robot_of,
 )
+from .bodies.consistency.robot_posterior import prior as prior
 from .bodies.consistency.robots import robots as robots
 from .bodies.prior import prior_of as prior_of
 from .bodies.write_model import write_model as write_model
@@ -85,9 +86,25 @@ from .equations.equations import (
     equations as equations,
 )
 from .equations.languages import write_equations as write_equations
+from .importing.convert import (
+    import_recording as import_recording,
+)
 from .lab.experiment.carry_out import carry_out as carry_out
 from .lab.experiment.experiment import Experiment as Experiment
 from .lab.experiment.predict import predict as predict
+from .lab.experiment.record import record as record
+from .lab.experiment.rig import (
+    Encoders as Encoders,
+)
+from .lab.experiment.rig import (
+    ForcePlate as ForcePlate,
+)
+from .lab.experiment.rig import (
+    JointTorques as JointTorques,
+)
+from .lab.experiment.rig import (
+    Rig as Rig,
+)
 from .lab.experiment.run import (
     Run as Run,
 )
@@ -95,6 +112,10 @@ from .lab.experiment.run import (
     assemble_run as assemble_run,
 )
 from .lab.experiment.simulate import simulate as simulate
+from .lab.instruments.plate import PlateBias as PlateBias
+from .lab.instruments.plate import PlatePose as PlatePose
+from .lab.simulation.bodies import Payload as Payload
+from .lab.simulation.joint_friction import Stribeck as Stribeck
 from .motion.random_motion import random_motion as random_motion
 from .view.plot import plot as plot
 from .view.run_page import report as report

@@ -297,7 +297,7 @@ def save_sigma() -> None:
     experiment = short(["motion.duration=10"])
     clean = replace(experiment.measurement, encoder_noise=0.0, encoder_resolution=0.0,
                     force_noise=0.0, moment_noise=0.0, torque_noise=0.0)  # fmt: skip
-    perfect = tb.simulate(experiment.model_copy(update={"measurement": clean}))
+    perfect = tb.record(experiment.model_copy(update={"measurement": clean}))
     tree = tb.load_tree(experiment.model)
     name = "K3yy"
     minimal = tb.minimal_set(tree, "reaction", zeros=True)
@@ -337,7 +337,7 @@ if __name__ == "__main__":
 def save_real_arm() -> None:
     """The wrench of a real arm below 2 Hz: measured, by the model file, with the file as prior."""
     folder = HERE.parent.parent / "examples/ur5e_plate"
-    recording = tb.Recording.from_mapping(folder / "ur5e.toml")
+    recording = tb.import_recording(folder / "ur5e.toml")
     file, source, _ = tb.hold_still(tb.ModelFile(folder / "ur5e_arm.urdf"), recording)
     tree, settings = file.tree(), tb.Settings(cutoff=2.0)
     found = posterior(tree, source, prior_of(tree), settings=settings)

@@ -25,10 +25,10 @@ from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import ExperimentError, TestbedError, printable
 from testbed.core.base.files import fingerprint
+from testbed.core.base.installation import versions
 from testbed.core.estimation.estimate import Method
 from testbed.core.robot.model_file import model_format, references
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.results import versions
 
 LENGTH = 32
 """Hexadecimal digits of a hash."""
@@ -168,7 +168,7 @@ def carry_out_bundle(bundle: Bundle) -> tuple[list[Outcome], float]:
 
 
 def _outcomes(bundle: Bundle) -> list[Outcome]:
-    from testbed.lab.experiment.simulate import simulate_together
+    from testbed.lab.experiment.record import record
 
     found: dict[str, Outcome] = {}
     asked: dict[str, Experiment] = {}
@@ -180,8 +180,12 @@ def _outcomes(bundle: Bundle) -> list[Outcome]:
             asked[run] = experiment
         except TestbedError as error:
             found[run] = _failed(run, error)
-    recordings = simulate_together(tuple(asked.values()))
-    for (run, experiment), recording in zip(asked.items(), recordings, strict=True):
+    for run, experiment in asked.items():
+        recording: Recording | Exception
+        try:
+            recording = record(experiment)
+        except Exception as error:
+            recording = error
         found[run] = _outcome(run, experiment, recording, bundle)
     return [found[run] for run, _ in bundle.runs]
 

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from testbed.lab.experiment.experiment import Experiment
     from testbed.view.output import Progress
 
-TIMED, LONG = 3, 10.0
-"""Steps by which the time that all would take is known, and how long it is if it is shown [s]."""
+TIMED = 3
+"""Steps by which the time that all would take is known."""
 
 
 @app.command()
@@ -57,8 +57,8 @@ def excite(
     trajectory: Annotated[
         Path | None,
         typer.Option(
-            callback=ending(".csv", ".parquet"),
-            help="Samples for a controller (.csv, .parquet), from rest to rest.",
+            callback=ending(".csv"),
+            help="Samples for a controller (.csv), from rest to rest.",
         ),
     ] = None,
     rate: Annotated[float, typer.Option(min=1e-3, help="Sampling rate of those [Hz].")] = 1000.0,
@@ -86,7 +86,7 @@ def excite(
     """
     from testbed.core.base.files import together
     from testbed.motion.excite import excite as excited
-    from testbed.motion.excite import write_motion, write_trajectory
+    from testbed.motion.motion_file import write_motion, write_trajectory
     from testbed.view import output
     from testbed.view.motion import print_excitation
 
@@ -98,11 +98,11 @@ def excite(
     experiment = _experiment(file, settings)
     known = None if prior is None else _covariance(prior, experiment)
     with output.Progress("searching") as progress, _interrupt() as interrupted:
-        found = excited(experiment, _Searching(progress, _budget(experiment)), known, interrupted)
+        found = excited(experiment, _Searching(progress), known, interrupted)
     with output.Progress("writing"), together():
         if trajectory is not None:
-            write_trajectory(trajectory, found, rate)
-        write_motion(out, found)
+            write_trajectory(trajectory, found, rate, experiment.motion.duration)
+        write_motion(out, found, Path(experiment.model))
         if page is not None:
             from testbed.view.motion import write_motion_page
 
@@ -115,28 +115,11 @@ def excite(
         print_excitation(output.console(), found, out, everything=everything)
 
 
-def _budget(experiment: Experiment) -> Callable[[float], str]:
-    """What the search may take, in words, given how long all its steps would take [s]."""
-    from testbed.motion.problem import STEPS
-
-    table = experiment.excitation
-    searches = f"{table.starts} search{'es' * (table.starts != 1)} of at most {STEPS} steps"
-    if table.seconds is None:
-        return lambda most: (
-            searches
-            + (f", at most {most:.0f} s" if most > LONG else "")
-            + "; Ctrl-C stops and keeps the best motion so far, "
-            "excitation.seconds or fewer excitation.starts stop earlier"
-        )
-    ends = f"{searches}, ended after {table.seconds:g} s: the result depends on this machine then"
-    return lambda _: ends
-
-
 class _Searching:
-    """Says the budget, then the best so far and how long all steps of all searches would take."""
+    """Report how long all steps of all searches would take, and the best so far."""
 
-    def __init__(self, progress: Progress, budget: Callable[[float], str]) -> None:
-        self._progress, self._budget = progress, budget
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
         self._steps, self._began = -1, 0.0
 
     def __call__(self, done: int, total: int, best: float) -> None:
@@ -149,12 +132,13 @@ class _Searching:
             return
         most = (now - self._began) / self._steps * STEPS * total
         if self._steps == TIMED and not sys.stderr.isatty():  # a terminal has the bar
-            note([self._budget(most)])
-        self._progress.say(
-            done,
-            total,
-            f"searching, at most {most:.0f} s, best standard deviation so far {best:.3g}",
-        )
+            searches = f"{total} search{'es' * (total != 1)} of at most {STEPS} steps"
+            said = "Ctrl-C keeps the best motion so far"
+            note(
+                [f"{searches}, at most {most:.0f} s; {said}, fewer excitation.starts stop earlier"]
+            )
+        said = f"searching, at most {most:.0f} s, best standard deviation so far {best:.3g}"
+        self._progress.say(done, total, said)
 
 
 @contextmanager
@@ -176,8 +160,8 @@ def _interrupt() -> Iterator[Callable[[], bool]]:
 
 def _experiment(file: Path, settings: list[str]) -> Experiment:
     """An experiment file, or one that says only which model."""
-    from testbed.lab.experiment.evaluate import with_nearest_bodies
     from testbed.lab.experiment.experiment import Experiment
+    from testbed.lab.experiment.experiment_robot import with_nearest_bodies
 
     if file.suffix.lower() == ".toml":
         return Experiment.load(file, settings)

@@ -96,13 +96,13 @@ def simulate(
     Example: testbed simulate experiments/table6.toml --out recording.parquet
     """
     from testbed.lab.experiment.experiment import Experiment
-    from testbed.lab.experiment.simulate import simulate as simulated
+    from testbed.lab.experiment.record import record
     from testbed.view import output
 
     check_outputs(out, force=force, read=(file,))
     experiment = Experiment.load(file, settings or ())
     with output.Progress("simulating") as progress:
-        recording = simulated(experiment, progress)
+        recording = record(experiment, progress)
     recording.save(out)
     output.console().print(
         f"{plural(recording.samples, 'sample')} at {recording.rate:g} Hz in {out}"
@@ -119,12 +119,12 @@ def warmup() -> None:
     from testbed.core.kernel.numba_engine import warm_up
     from testbed.lab.experiment.assumptions import SECOND
     from testbed.lab.experiment.experiment import Experiment
-    from testbed.lab.experiment.simulate import simulate as simulated
+    from testbed.lab.experiment.record import record
     from testbed.view import output
 
     with output.Progress("compiling"):
         folder = warm_up()
-        simulated(Experiment.of_model(shipped("models/puma562.xml"), SECOND))
+        record(Experiment.of_model(shipped("models/puma562.xml"), SECOND))
     output.console().print(f"compiled; kept in {folder}", soft_wrap=True)
 
 
@@ -135,7 +135,7 @@ def _unwatched(time: Array, truth: Truth) -> None:
 def _watcher(experiment: Experiment) -> Watch:
     """A view of the run in an open viewer."""
     from testbed.bodies.shapes.appearance import load_appearance
-    from testbed.lab.experiment.evaluate import model_of, robot_of
+    from testbed.lab.experiment.experiment_robot import model_of, robot_of
     from testbed.view.viewer.live import Live
 
     look = load_appearance(robot_of(experiment), model_of(experiment))

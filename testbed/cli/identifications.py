@@ -429,9 +429,9 @@ def sample(
     from testbed.bodies.write_model import ARCHIVE, write_models
     from testbed.core.base.codec import encode
     from testbed.core.base.errors import SettingsError
+    from testbed.core.base.installation import versions
     from testbed.lab.experiment.evaluate import prior_from
     from testbed.lab.experiment.read_result import read_result
-    from testbed.lab.experiment.results import versions
     from testbed.view import bodies as shown
     from testbed.view import output
 

@@ -160,8 +160,8 @@ def import_(
 
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
-    from testbed.core.recordings.joined import pieces
     from testbed.importing.check.check import import_and_check
+    from testbed.importing.convert import pieces
     from testbed.importing.import_report import ImportReport
     from testbed.importing.mapping import sources
     from testbed.view import output

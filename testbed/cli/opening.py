@@ -43,10 +43,13 @@ def opened(path: Path) -> Source:
         RecordingError: It is no recording.
         ExperimentError: The mapping is not understood.
     """
-    from testbed.core.recordings.recording import Recording
+    if path.suffix == ".toml":
+        from testbed.importing.convert import import_recording
+
+        return import_recording(path)
     from testbed.core.recordings.source import open_source
 
-    return Recording.from_mapping(path) if path.suffix == ".toml" else open_source(path)
+    return open_source(path)
 
 
 def opened_pieces(path: Path) -> tuple[Sequence[Source], list[Diagnostic]]:
@@ -61,7 +64,7 @@ def opened_pieces(path: Path) -> tuple[Sequence[Source], list[Diagnostic]]:
         for each in parts:
             typer.echo(printable(f"note: '{each}' is a part of '{path}'"), err=True)
         return [opened(each) for each in parts or [path]], []
-    from testbed.core.recordings.joined import pieces
+    from testbed.importing.convert import pieces
 
     return pieces(path)
 

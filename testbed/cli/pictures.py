@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.identifications import ConsistentBodies
-from testbed.cli.opening import corrected_source
+from testbed.cli.opening import corrected_source, opened
 from testbed.cli.reading import (
     Force,
     Lock,
@@ -124,7 +124,7 @@ def _show(path: Path, said: list[Diagnostic], serve: bool, opened: bool, port: i
 def _write_motion(file: Path, settings: list[str], path: Path) -> list[Diagnostic]:
     """Write what there is to see of a file's motion; what to know of it."""
     from testbed.bodies.shapes.appearance import load_appearance
-    from testbed.lab.experiment.evaluate import model_of
+    from testbed.lab.experiment.experiment_robot import model_of
     from testbed.lab.experiment.motions import checked_motion, obstacles_of
     from testbed.view.viewer.log import write_motion_rrd
 
@@ -271,7 +271,7 @@ def _loaded(
     """A recording in memory, the plate's faults taken back, and what to doubt of it."""
     from testbed.core.recordings.recording import Recording
 
-    whole = Recording.from_mapping(path) if path.suffix == ".toml" else Recording.load(path)
+    whole = opened(path) if path.suffix == ".toml" else Recording.load(path)
     reading, tree, source = reading.robot_of(whole, model)
     accepted = reading.accepted(source, tree, unchecked=unchecked)
     return reading, _in_memory(corrected_source(source, tree, reading.plate)), accepted

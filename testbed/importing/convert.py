@@ -1,4 +1,4 @@
-"""From a mapping file to a recording's columns on a uniform grid: the room's front door."""
+"""From a mapping file to recordings on a uniform grid."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import WIDTH, RecordingError, UnknownName, few, plural
-from testbed.core.recordings.columns import members_of
+from testbed.core.recordings.columns import check_columns, members_of
+from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.repeats import held_share, slow_device
 from testbed.importing.derivative import derivatives
 from testbed.importing.encoder_steps import without_turns
 from testbed.importing.foreign_table import MOST_NUMBERS, ForeignTable
@@ -28,6 +30,7 @@ from testbed.importing.mapping import (
     Mapping,
     SixAxisTable,
     WrenchTable,
+    read_mapping,
 )
 from testbed.importing.readers import open_foreign
 from testbed.importing.resampling import (
@@ -54,29 +57,12 @@ from testbed.importing.source_clock import (
     by_one_clock,
     clock_report,
     cut,
-    held_share,
     longest_bridged,
     sample_times,
-    slow_device,
     steady_times,
     without_gaps,
     without_repeats,
 )
-
-
-@dataclass(frozen=True, eq=False)
-class Imported:
-    """A recording's columns, made of other programs' files.
-
-    Attributes:
-        columns: By name, (M,) each.
-        metadata: `tare` and `facts`, as a recording's file keeps them.
-        report: What was found on the way.
-    """
-
-    columns: Table[str, Array]
-    metadata: Table[str, Any]
-    report: ImportReport
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +100,7 @@ class _Samples:
 
 
 @contextmanager
-def naming(path: Path, mapping: Mapping) -> Iterator[None]:
+def _naming(path: Path, mapping: Mapping) -> Iterator[None]:
     """Reword errors of data so that they name the mapping file and the data file.
 
     Args:
@@ -133,40 +119,55 @@ def naming(path: Path, mapping: Mapping) -> Iterator[None]:
         raise
 
 
-def converted(mapping: Mapping, folder: Path) -> Imported:
-    """What the files that a mapping names say.
+def pieces(
+    path: Path, mapping: Mapping | None = None
+) -> tuple[tuple[Recording, ...], list[Diagnostic]]:
+    """Recordings that a mapping file makes, in the order of time, and where it was cut.
+
+    What was found on the way is in `facts["import"]`, what to doubt in `facts["diagnostics"]`.
 
     Args:
-        mapping: What their columns mean.
-        folder: To which the files are relative.
+        path: The mapping file, TOML; the files it names are relative to it.
+        mapping: What it says; default what is in it.
 
     Raises:
-        RecordingError: A file is missing or damaged, has no such columns, or its clock is none.
+        ExperimentError: The mapping is not understood.
+        RecordingError: A file is missing or damaged, or does not hold what the mapping says.
     """
-    streams = _streams(mapping, folder)
-    return _converted(mapping, streams, _window(mapping, streams))
+    mapping = mapping or read_mapping(path)
+    with _naming(path, mapping):
+        streams = _streams(mapping, path.parent)
+        clocks = [
+            (each.table.source, mapping.sources[each.table.source], each.time, each.rows)
+            for each in streams.values()
+        ]
+        windows, cuts = cut(_window(mapping, streams), clocks)
+        recordings = []
+        for window in windows:
+            columns, metadata = _converted(mapping, streams, window)
+            recording = Recording.from_columns(columns, metadata, str(path))
+            check_columns(recording.columns(), str(path))
+            recordings.append(recording)
+    return tuple(recordings), cuts
 
 
-def converted_pieces(mapping: Mapping, folder: Path) -> tuple[list[Imported], list[Diagnostic]]:
-    """The same, cut wherever a source was silent for too long.
+def import_recording(path: str | Path) -> Recording:
+    """Recording that a mapping file makes (docs/your-recording.md).
 
     Args:
-        mapping: What the files' columns mean.
-        folder: To which the files are relative.
-
-    Returns:
-        One or more, in the order of time; and where they were cut.
+        path: The mapping file, TOML; the files it names are relative to it.
 
     Raises:
-        RecordingError: As `converted`; of a gap where no piece is long enough.
+        ExperimentError: The mapping is not understood.
+        RecordingError: As `pieces`, or a source was silent for too long.
     """
-    streams = _streams(mapping, folder)
-    clocks = [
-        (each.table.source, mapping.sources[each.table.source], each.time, each.rows)
-        for each in streams.values()
-    ]
-    windows, said = cut(_window(mapping, streams), clocks)
-    return [_converted(mapping, streams, each) for each in windows], said
+    (recording, *_), cuts = pieces(Path(path))
+    if cuts:
+        raise RecordingError(
+            f"{path}: {cuts[0].text} by `testbed import`; `start` and `stop` take one part, "
+            "`max_gap` bridges it"
+        )
+    return recording
 
 
 def clock_ranges(mapping: Mapping, folder: Path) -> dict[str, tuple[float, float]]:
@@ -185,8 +186,10 @@ def clock_ranges(mapping: Mapping, folder: Path) -> dict[str, tuple[float, float
     }
 
 
-def _converted(mapping: Mapping, streams: Table[str, _Stream], window: Window) -> Imported:
-    """What the files say of a part of the time."""
+def _converted(
+    mapping: Mapping, streams: Table[str, _Stream], window: Window
+) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Columns and metadata of a recording of a part of the time."""
     samples = {label: _samples(mapping, label, each, window) for label, each in streams.items()}
     samples["position"] = _without_turns(mapping, samples["position"])
     grid = _grid(mapping, samples.values(), window)
@@ -203,7 +206,7 @@ def _converted(mapping: Mapping, streams: Table[str, _Stream], window: Window) -
     reports = {label: got.report for label, got in samples.items()}
     reports |= derivatives(mapping, columns, reports)
     report = ImportReport(mapping.rate, len(grid), clocks, reports)
-    return Imported(columns, _metadata(mapping, report), report)
+    return columns, _metadata(mapping, report)
 
 
 def _used(mapping: Mapping) -> dict[str, list[str]]:

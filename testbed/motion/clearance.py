@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import few
-from testbed.motion.collision_model import CELL, CollisionModel, levers
+from testbed.motion.collision_model import CollisionModel, levers
 from testbed.motion.limits import Limits
 from testbed.motion.samples import Instants, Samples
 
@@ -20,12 +18,6 @@ FAR = 0.3
 
 NEAR = 0.1
 """In a search, distances count only so far beyond the one to be kept [m]."""
-
-POSTURES = 200
-"""Random postures in which pairs of bodies are tried."""
-
-ALWAYS = 0.9
-"""A pair that touches in this share of them always does: its shapes say nothing."""
 
 _UNIT = 0.1  # distance that counts as a share of one [m]
 
@@ -300,58 +292,3 @@ class ClearanceTerm:
             return np.full((len(postures), len(self._collision.pairs)), -np.inf)
         before, least = self._seen
         return least - np.abs(postures - before) @ self._levers.T
-
-
-NARROW = 1.5
-"""Pairs that have so much of the clearance, or less, keep half of what they have."""
-
-
-@dataclass(frozen=True, eq=False)
-class Watched:
-    """Pairs of bodies whose shapes say something.
-
-    Attributes:
-        collision: The pairs.
-        clearance: Distance that each has to keep, (k,) [m].
-        diagnostics: What is not watched, or kept less.
-    """
-
-    collision: CollisionModel
-    clearance: Array
-    diagnostics: tuple[Diagnostic, ...]
-
-
-def watched(
-    collision: CollisionModel, limits: Limits, clearance: float, rng: np.random.Generator
-) -> Watched:
-    """What a motion can be asked to keep clear.
-
-    Pairs that touch in nearly every posture are left out: their shapes are too coarse. Pairs that
-    are about as near to each other as the clearance in the posture of zeros, or in nearly all,
-    keep half of what they have there. Obstacles are watched in any case.
-
-    Args:
-        collision: All pairs.
-        limits: Of the joints' positions.
-        clearance: Distance to be kept [m].
-        rng: Source of random postures.
-    """
-    meter = DistanceMeter(collision, clearance + FAR)
-    postures = rng.uniform(limits.low, limits.high, (POSTURES, len(limits.low)))
-    found = meter.measure(postures).values
-    home = meter.measure(limits.home).values
-    around = np.array([a == CELL for a, _ in collision.pairs], dtype=bool)
-    free = around | ((found <= 0).mean(axis=0) < ALWAYS)
-    always = (found < NARROW * clearance).mean(axis=0) >= ALWAYS
-    built = np.where(always, np.median(found, axis=0), np.inf)
-    usual = np.minimum(built, np.where(home > 0, home, np.inf))
-    kept = np.where(~around & (usual < NARROW * clearance), usual / 2, clearance)
-    said = [
-        diagnose("motion.touching", name)
-        for name, watch in zip(collision.names, free, strict=True)
-        if not watch
-    ]
-    nearer = [k for k in np.flatnonzero(free) if kept[k] < clearance]
-    if nearer:
-        said.append(diagnose("motion.near", few([collision.names[k] for k in nearer])))
-    return Watched(collision.only(free.tolist()), kept[free], tuple(said))

@@ -1,4 +1,4 @@
-"""The most informative motion within the limits, proven; the room's front door.
+"""Design of an excitation trajectory: several searches within the limits, the best one proven.
 
 Several searches from random motions inside all limits, each with one of the frequencies that are
 allowed; the best result that can be proven. A proof that fails by a little between the samples of
@@ -8,8 +8,7 @@ room, which goes on from there.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -20,12 +19,12 @@ from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.parameters.rules import Model
 from testbed.motion.clearance import ClearanceTerm
 from testbed.motion.fourier import Fourier
-from testbed.motion.information import Information
-from testbed.motion.limits import LimitTerm
+from testbed.motion.information import Information, Pipeline
 from testbed.motion.problem import Problem, Series, minimise
 from testbed.motion.proof import Proof, Rules, prove
 from testbed.motion.random_motion import rest_posture, sample
 from testbed.motion.samples import SampledRows, stencil
+from testbed.motion.terms import LimitTerm
 
 DRAWS = 60
 """Random motions tried for a start inside the limits."""
@@ -49,27 +48,26 @@ Watch = Callable[[int, int, float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Wish:
-    """What motion is wanted.
+class DesignProblem:
+    """Limits of a motion, parameters to be identified, instruments and searches.
 
     Attributes:
-        rules: What it must respect.
-        information: What it should identify; its prior is a share of one sample.
-        rows: Of the models that rules and information look at, by the kernel.
+        rules: Limits that the motion respects.
+        information: Unknowns and criterion; the prior is a share of one sample.
+        rows: Sampled rows of the models that rules and information need.
+        pipeline: Filters and duration of the recording to be made.
         frequencies: Fundamental [Hz] and number of harmonics of the series allowed.
-        starts: Searches.
-        seconds: After which no search goes on [s]; infinite for no limit. Where it ends them,
-            the result depends on the machine.
-        seed: Of the random motions that searches start from.
+        starts: Number of searches.
+        seed: Seed of the random motions that searches start from.
     """
 
     rules: Rules
     information: Information
     rows: Mapping[Model, SampledRows]
+    pipeline: Pipeline
     frequencies: tuple[tuple[float, int], ...]
-    starts: int
-    seconds: float
-    seed: int
+    starts: int = 6
+    seed: int = 0
 
     @cached_property
     def rest(self) -> Array:
@@ -103,7 +101,7 @@ class Design:
         value: Its criterion for one sample: exp(value / 2) is a relative sigma.
         proof: What it leaves of every limit.
         searches: All that were made.
-        complete: Whether all searches that were wished for were made, none cut short by time.
+        complete: Whether all searches were made, none interrupted.
     """
 
     motion: Fourier
@@ -114,132 +112,113 @@ class Design:
 
 
 def design(
-    wish: Wish,
+    problem: DesignProblem,
     watch: Watch = lambda done, total, best: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Design:
-    """The best motion of several searches that is proven to respect all limits.
+    """Find the best motion of several searches that is proven to respect all limits.
 
     Args:
-        wish: What is wanted.
+        problem: Limits, unknowns and searches.
         watch: Called after every step of a search.
-        interrupted: Asked after every step whether to go on with what there is.
+        interrupted: Asked after every step whether to go on with the best so far.
 
     Raises:
         InfeasibleMotion: No motion inside the limits was found; says which is in the way.
     """
-    clock = _Clock(wish, watch, interrupted)
+    progress = _Progress(problem.starts, watch, interrupted)
     found: list[tuple[float, Fourier]] = []
     records: list[SearchRecord] = []
-    while len(records) < wish.starts and not clock.late:
-        problem, x = _start(wish, len(records))
-        level = float(np.log(problem.series.instants))  # a criterion is one sample's
-        start = problem.inside(x).value + level
-        reached = minimise(problem, x, stop=partial(clock.step, level))
-        value, series = reached.value + level, problem.series
+    while len(records) < problem.starts and not progress.stopped:
+        search, x = _start(problem, len(records))
+        level = float(np.log(search.series.instants))  # a criterion is one sample's
+        start = search.inside(x).value + level
+        reached = minimise(search, x, stop=partial(progress.step, level))
+        value, series = reached.value + level, search.series
         found.append((value, series.motion(reached.x)))
         records.append(SearchRecord(series.fundamental, series.harmonics, start, value))
-        clock.finish(value)
-    best_first = [each for _, each in sorted(found, key=lambda pair: pair[0])]
-    motion, proof = _proven(wish, best_first, lambda value: clock.over)
-    return Design(motion, criterion(wish, motion), proof, tuple(records), not clock.late)
+        progress.finish(value)
+    best_first = [motion for _, motion in sorted(found, key=lambda pair: pair[0])]
+    motion, proof = _proven(problem, best_first, lambda value: interrupted())
+    value = criterion(problem, motion)
+    return Design(motion, value, proof, tuple(records), not progress.stopped)
 
 
-def criterion(wish: Wish, motion: Fourier) -> float:
+def criterion(problem: DesignProblem, motion: Fourier) -> float:
     """The criterion of any motion for one sample, as `Design.value`."""
-    problem = _problem(wish, motion.fundamental, motion.harmonics)
-    value = problem.inside(problem.series.unknowns(motion)).value
-    return value + float(np.log(problem.series.instants))
+    search = _search(problem, motion.fundamental, motion.harmonics)
+    value = search.inside(search.series.unknowns(motion)).value
+    return value + float(np.log(search.series.instants))
 
 
-class _Clock:
-    """When to stop, and what to report meanwhile."""
+class _Progress:
+    """Values that searches reached step by step, and whether to stop one."""
 
-    def __init__(self, wish: Wish, watch: Watch, interrupted: Callable[[], bool]) -> None:
-        self._end, self._starts, self._watch = time.monotonic() + wish.seconds, wish.starts, watch
-        self._interrupted = interrupted
-        self._best, self._done = np.inf, 0
+    def __init__(self, starts: int, watch: Watch, interrupted: Callable[[], bool]) -> None:
+        self._starts, self._watch, self._interrupted = starts, watch, interrupted
+        self._done = 0
         self._steps: list[float] = []  # of the search that is made, then of the best so far
-        self._best_steps: list[float] = []
-        self.late = False
-
-    @property
-    def over(self) -> bool:
-        """Whether the time is up, or somebody has interrupted."""
-        return self._interrupted() or time.monotonic() > self._end
+        self._best: list[float] = [np.inf]
+        self.stopped = False
 
     def step(self, level: float, value: float) -> bool:
         """Whether a search that has reached a value, above a level, must stop."""
-        self._steps.append(level + value)
-        self._watch(self._done, self._starts, min(self._best, level + value))
-        self.late = self.over
-        return self.late or self._behind
-
-    @property
-    def _behind(self) -> bool:
-        """Whether the search will hardly become the best."""
-        same = self._best_steps[: len(self._steps)]
-        return len(self._steps) >= FAIR and bool(same) and self._steps[-1] > same[-1] + BEHIND
+        steps = self._steps
+        steps.append(level + value)
+        self._watch(self._done, self._starts, min(self._best[-1], steps[-1]))
+        self.stopped = self._interrupted()
+        same = self._best[: len(steps)][-1]  # of the best search at that step
+        return self.stopped or (len(steps) >= FAIR and steps[-1] > same + BEHIND)
 
     def finish(self, value: float) -> None:
         """A search has ended with a value."""
-        if value < self._best:
-            self._best, self._best_steps = value, self._steps
+        self._best = min(self._best, [*self._steps, value], key=lambda steps: steps[-1])
         self._steps, self._done = [], self._done + 1
-        self._watch(self._done, self._starts, self._best)
+        self._watch(self._done, self._starts, self._best[-1])
 
 
-def _problem(wish: Wish, fundamental: float, harmonics: int, finer: int = 1) -> Problem:
+def _search(problem: DesignProblem, fundamental: float, harmonics: int, finer: int = 1) -> Problem:
     """The search with these frequencies, with so many times the usual samples and room."""
-    rules = wish.rules
+    rules, information = problem.rules, problem.information
     terms: list[LimitTerm] = list(rules.terms)
     if rules.collision is not None and rules.collision.pairs:
         room = finer * np.maximum(ROOM * rules.clearance, LEAST_ROOM)
         terms.append(ClearanceTerm(rules.collision, rules.limits, rules.clearance + room))
     instants = finer * max(INSTANTS, DENSITY * harmonics)
-    asked = wish.information
     return Problem(
         series=Series(rules.limits, fundamental, harmonics, instants, rules.margin),
-        information=replace(asked, prior=asked.prior * instants),
+        information=replace(information, prior=information.prior * instants),
         terms=terms,
-        rows=wish.rows,
+        rows=problem.rows,
         stencil=stencil(rules.tree),
         names=rules.tree.names,
     )
 
 
-def _start(wish: Wish, number: int) -> tuple[Problem, Array]:
+def _start(problem: DesignProblem, number: int) -> tuple[Problem, Array]:
     """A search, and a random motion strictly inside its limits.
 
     Raises:
         InfeasibleMotion: None was found; says what the nearest one exceeds.
     """
-    problem = _problem(wish, *wish.frequencies[number % len(wish.frequencies)])
-    series, rng = problem.series, np.random.default_rng([wish.seed, number])
-    nearest: tuple[str, float, float] | None = None
-    limits = wish.rules.limits
-    for draws in range(DRAWS):
-        draw = sample(limits, series.fundamental, series.harmonics, rng)
-        at_home = 2 * draws >= DRAWS
-        motions = [draw.sized(float(share)) for share in SHARES]
-        if at_home:  # few postures are free: begin about one that is
-            motions = [m.scaled(float(s), wish.rest) for m, s in zip(motions, SHARES, strict=True)]
-        slow = series.unknowns(motions[-1])
-        if (problem.inside(slow).limits < 0).all():
-            larger = (series.unknowns(motion) for motion in motions)
-            found = next((x for x in larger if problem.inside(x).holds), None)
-            if found is not None:
-                return problem, found
-            continue  # so slow a motion does not identify all parameters
-        worst = problem.worst(slow)
-        if nearest is None or worst[2] < nearest[2]:
-            nearest = worst
-    if nearest is None:
+    search = _search(problem, *problem.frequencies[number % len(problem.frequencies)])
+    rng = np.random.default_rng([problem.seed, number])
+    exceeded = []
+    for draw in range(DRAWS):
+        about = problem.rest if 2 * draw >= DRAWS else None  # few postures are free: about one
+        motions = list(_drawn(search.series, rng, about))
+        label, instant, over = search.worst(search.series.unknowns(motions[-1]))
+        exceeded.append((over, label, instant))
+        if over < 0:  # else even the slowest motion is outside
+            start = _first_inside(search, motions)
+            if start is not None:
+                return search, start
+    over, label, instant = min(exceeded)
+    if over < 0:
         raise InfeasibleMotion(
             f"none of {DRAWS} random motions inside the limits excites all parameters: some joint "
             "has too little room or is too slow; allow more, or lock it"
         )
-    label, instant, over = nearest
     raise InfeasibleMotion(
         f"no motion inside all limits was found in {DRAWS} random postures: even one that hardly "
         f"moves exceeds the limit on {label} by {over:.2g} of it at t = {instant:.3g} s; correct "
@@ -247,48 +226,60 @@ def _start(wish: Wish, number: int) -> tuple[Problem, Array]:
     )
 
 
+def _drawn(series: Series, rng: np.random.Generator, about: Array | None) -> Iterator[Fourier]:
+    """A random motion, smaller and smaller; about a posture, (n,), if one is given."""
+    draw = sample(series.limits, series.fundamental, series.harmonics, rng)
+    for share in SHARES:
+        motion = draw.sized(float(share))
+        yield motion if about is None else motion.scaled(float(share), about)
+
+
+def _first_inside(search: Problem, motions: Iterable[Fourier]) -> Array | None:
+    """Unknowns of the first motion that is strictly inside all limits; None for none."""
+    unknowns = (search.series.unknowns(motion) for motion in motions)
+    return next((x for x in unknowns if search.inside(x).holds), None)
+
+
 def _proven(
-    wish: Wish, motions: Sequence[Fourier], stop: Callable[[float], bool]
+    problem: DesignProblem, motions: Sequence[Fourier], stop: Callable[[float], bool]
 ) -> tuple[Fourier, Proof]:
     """The first motion that can be proven: refined if need be, or a little smaller.
 
     Raises:
         InfeasibleMotion: None can be.
     """
-    proof: Proof | None = None
     for motion in motions:
-        tried = motion
-        for finer in (*FINER, 0):
-            smaller, proof = _smaller(wish, tried, SMALLER)
+        for finer in (*FINER, None):
+            smaller, proof = _smaller(problem.rules, motion, SMALLER)
             if proof.holds:
                 return smaller, proof
-            if finer:
-                tried = _refined(wish, tried, finer, stop)
-        smaller, proof = _smaller(wish, tried, MUCH_SMALLER)
+            if finer is not None:
+                motion = _refined(problem, motion, finer, stop)
+        smaller, proof = _smaller(problem.rules, motion, MUCH_SMALLER)
         if proof.holds:
             return smaller, proof
-    assert proof is not None
     raise InfeasibleMotion(
         f"a motion was found, but not proven between its samples: {proof.worst.words}"
     )
 
 
-def _smaller(wish: Wish, motion: Fourier, shares: Sequence[float]) -> tuple[Fourier, Proof]:
+def _smaller(rules: Rules, motion: Fourier, shares: Sequence[float]) -> tuple[Fourier, Proof]:
     """The motion with the largest of some shares of its swing that is proven, else the least."""
     for share in shares:
         smaller = motion.scaled(share, motion.offset)
-        proof = prove(smaller, wish.rules)
+        proof = prove(smaller, rules)
         if proof.holds:
             break
     return smaller, proof
 
 
-def _refined(wish: Wish, motion: Fourier, finer: int, stop: Callable[[float], bool]) -> Fourier:
+def _refined(
+    problem: DesignProblem, motion: Fourier, finer: int, stop: Callable[[float], bool]
+) -> Fourier:
     """What a finer search makes of a motion; the motion where that has no start inside limits."""
-    problem = _problem(wish, motion.fundamental, motion.harmonics, finer)
+    search = _search(problem, motion.fundamental, motion.harmonics, finer)
     shrunk = (motion.scaled(share, motion.offset) for share in (*SMALLER, *MUCH_SMALLER))
-    starts = (problem.series.unknowns(each) for each in shrunk)
-    inside = next((x for x in starts if problem.inside(x).holds), None)
-    if inside is None:
+    start = _first_inside(search, shrunk)
+    if start is None:
         return motion
-    return problem.series.motion(minimise(problem, inside, stop=stop).x)
+    return search.series.motion(minimise(search, start, stop=stop).x)

@@ -85,6 +85,7 @@ class Information:
     """What is asked of a motion.
 
     Attributes:
+        names: Names of the unknowns that count.
         counted: Those of the unknowns that count; the others are nuisances.
         scale: What their relative errors are relative to, (counted,).
         parts: Rows that identify them.
@@ -95,12 +96,18 @@ class Information:
             [rad/s or m/s, s]; in a search they count the less, the nearer.
     """
 
+    names: tuple[str, ...]
     counted: slice
     scale: Array
     parts: tuple[Part, ...]
     prior: Array
     criterion: CriterionName = "a"
     reversal: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def of_friction(self) -> bool:
+        """Whether joint friction and torque constants count, the bodies being nuisances."""
+        return self.counted.start is not None
 
     def matrix(
         self,
@@ -222,7 +229,10 @@ def information_of(
     main = rows["dynamic" if instrument == "joints" else "reaction"]
     bodies = scale_of(main.delta, main.minimal.units)
     count = len(bodies)
+    names = main.minimal.names
     if friction:
+        kinds = ("constant", *(law.kind for law in friction))
+        names = tuple(f"{kind}/{joint}" for kind in kinds for joint in tree.names)
         own = JointUnknowns.relative(tree, tuple(friction), count)
         counted = slice(count, own.first + own.scale.size)
         scale = np.concatenate([np.ones(tree.n), own.scale.ravel()])
@@ -258,7 +268,7 @@ def information_of(
     before = np.zeros((unknowns, unknowns))
     if prior is not None:
         before[:count, :count] = np.linalg.inv(prior) * np.outer(bodies, bodies)
-    return Information(counted, scale, tuple(parts), before, criterion, reversal)
+    return Information(names, counted, scale, tuple(parts), before, criterion, reversal)
 
 
 def models_of(instrument: Instrument) -> tuple[Model, ...]:
@@ -305,6 +315,11 @@ class Pipeline:
     resting: float
     reach: float
 
+    @property
+    def samples(self) -> float:
+        """Number of samples that the filters leave."""
+        return self.rate * self.span
+
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
@@ -335,16 +350,14 @@ def predict(
     rows: Mapping[Model, SampledRows],
     motion: Fourier,
     pipeline: Pipeline,
-    names: tuple[str, ...],
 ) -> Prediction:
-    """The sigma of white noise alone.
+    """Predict standard deviations, those of white noise alone.
 
     Args:
         information: What is asked; its prior is a share of one sample.
         rows: Of the models that it looks at.
         motion: The motion, repeated.
         pipeline: What an estimate makes of it.
-        names: Of the minimal parameters.
     """
     count = max(DENSITY * motion.harmonics, 200)
     times = np.arange(count) * motion.period / count
@@ -353,15 +366,14 @@ def predict(
     counted = moving(motion, count, pipeline)
     keep = int(pipeline.band * motion.period) if np.isfinite(pipeline.band) else count
     matrix = information.matrix(samples, counted=counted, harmonics=keep)
-    matrix = (matrix / count + information.prior) * pipeline.rate * pipeline.span
+    matrix = (matrix / count + information.prior) * pipeline.samples
     covariance = information.covariance(matrix)
     if covariance is None:
-        relative = np.full(len(information.scale), np.inf)
-        return Prediction(names, relative * information.scale, relative, np.inf)
-    relative = np.sqrt(np.diag(covariance))
-    spread = np.linalg.eigvalsh(covariance)
-    condition = float(np.sqrt(spread[-1] / spread[0]))
-    return Prediction(names, relative * information.scale, relative, condition)
+        relative, condition = np.full(len(information.scale), np.inf), np.inf
+    else:
+        relative = np.sqrt(np.diag(covariance))
+        condition = float(np.sqrt(np.linalg.cond(covariance)))
+    return Prediction(information.names, relative * information.scale, relative, condition)
 
 
 def moving(motion: Fourier, count: int, pipeline: Pipeline) -> NDArray[np.bool_]:

@@ -14,8 +14,9 @@ from testbed.core.base.arrays import Array
 from testbed.core.parameters.rules import Model
 from testbed.motion.fourier import Fourier, terms
 from testbed.motion.information import Information
-from testbed.motion.limits import Limits, LimitTerm
+from testbed.motion.limits import Limits
 from testbed.motion.samples import SampledRows, Samples, Stencil
+from testbed.motion.terms import LimitTerm
 
 WEIGHT = 20.0
 """Of the barrier at first, in all: its share of each limit is this over their number."""

@@ -16,8 +16,9 @@ from testbed.core.robot.tree import Tree
 from testbed.motion.clearance import FAR, DistanceMeter
 from testbed.motion.collision_model import CollisionModel, levers
 from testbed.motion.fourier import Fourier
-from testbed.motion.limits import Limits, SmoothTerm, force_bounds
+from testbed.motion.limits import Limits
 from testbed.motion.samples import Computed
+from testbed.motion.terms import SmoothTerm, force_bounds
 
 RATE = 1000.0
 """Samples a second at which forces are looked at first [Hz]."""

@@ -12,13 +12,14 @@ from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.dynamics.newton_euler import Motion, regressor
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.symbols import barycentric
-from testbed.core.robot.tree import Tree
-from testbed.motion.clearance import POSTURES, ClearanceTerm
+from testbed.core.robot.tree import Tree, require_tree
+from testbed.motion.clearance import ClearanceTerm
 from testbed.motion.fourier import Fourier
 from testbed.motion.joint_unknowns import scale_of
-from testbed.motion.limits import Limits, LimitTerm, limits_of, motor_efforts
+from testbed.motion.limits import Limits, limits_of, motor_efforts
 from testbed.motion.proof import Proof, Rules, prove, seems_to_hold
 from testbed.motion.samples import Computed
+from testbed.motion.terms import LimitTerm
 
 
 def rest_posture(rules: Rules) -> Array:
@@ -42,7 +43,7 @@ def rest_posture(rules: Rules) -> Array:
     home = rules.limits.home
     if not terms or excess(home[None])[0] < 0:
         return home
-    postures = tried_postures(rules.limits)
+    postures = rules.limits.postures
     return np.asarray(postures[excess(postures).argmin()])
 
 
@@ -53,19 +54,9 @@ def easiest_posture(tree: Tree, limits: Limits) -> Array:
         tree: The robot.
         limits: Of its joints.
     """
-    postures = tried_postures(limits)
+    postures = limits.postures
     share = np.abs(motor_efforts(tree, Motion.at_rest(postures))) / limits.effort
     return np.asarray(postures[share.max(axis=1).argmin()])
-
-
-def tried_postures(limits: Limits) -> Array:
-    """The posture of zeros and random ones, the same every time, (POSTURES + 1, n) [rad or m].
-
-    Args:
-        limits: Of the joints.
-    """
-    random = np.random.default_rng(0).uniform(limits.low, limits.high, (POSTURES, len(limits.low)))
-    return np.vstack([limits.home, random])
 
 
 MARGIN = 0.95
@@ -135,7 +126,7 @@ def random_motion(
     limits: Limits | None = None,
     fundamental: float = 0.1,
     harmonics: int = 5,
-    rng: np.random.Generator | int = 0,
+    seed: np.random.Generator | int = 0,
 ) -> Fourier:
     """One random Fourier motion, each joint scaled until its nearest limit.
 
@@ -147,7 +138,7 @@ def random_motion(
         limits: What may be asked of it; default the model file's, completed by calm ones.
         fundamental: Frequency at which the motion repeats [Hz].
         harmonics: Number of harmonics.
-        rng: Source of randomness, or its seed.
+        seed: Of the random numbers, or their source.
 
     Returns:
         The motion; `motion.at(times)` are its samples.
@@ -155,7 +146,8 @@ def random_motion(
     Raises:
         InfeasibleMotion: Even slow motions exceed the efforts.
     """
-    limits, rng = limits or limits_of(tree), np.random.default_rng(rng)
+    require_tree(tree, "random_motion(robot)")
+    limits, rng = limits or limits_of(tree), np.random.default_rng(seed)
     draw = sample(limits, fundamental, harmonics, rng)
     motion, effort = _within_efforts(tree, draw)
     if motion is None:
@@ -239,6 +231,34 @@ def best_motion(
         f"of what stands around it, however small{said}: give limits of the joints, or leave it "
         'out with excitation.clearance = "off"'
     )
+
+
+NEARLY_AS_FAST = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
+"""Of the speed of a motion, tried one after the other for another one."""
+
+OTHERS = 20
+"""Motions tried at each of them."""
+
+
+def as_fast(motion: Fourier, rules: Rules, rng: np.random.Generator) -> Fourier:
+    """A motion with the amplitudes of another one and other phases, proven.
+
+    Over a period rms velocities and accelerations of every joint are those of that one, or a share
+    of them, at least a half, where limits ask for it.
+
+    Args:
+        motion: The other motion.
+        rules: What both respect.
+        rng: Source of phases.
+
+    Raises:
+        InfeasibleMotion: None that is half as fast respects all limits.
+    """
+    for share, _ in product(NEARLY_AS_FAST, range(OTHERS)):
+        other = motion.rephased(rng).scaled(share, motion.offset)
+        if seems_to_hold(other, rules) and prove(other, rules).holds:
+            return other
+    raise InfeasibleMotion("no other motion that is half as fast as it respects all limits")
 
 
 def relative_sigma(tree: Tree, motion: Fourier, minimal: MinimalSet, noise: Array) -> float:

@@ -77,7 +77,7 @@ def sigma_table(found: Excitation, rows: Iterable[int]) -> Table:
         found: The motion.
         rows: Places of the parameters.
     """
-    random = None if found.random_predicted is None else found.random_predicted.relative
+    random = None if found.random is None else found.random.relative
 
     def row(k: int) -> list[str]:
         predicted = found.predicted
@@ -162,7 +162,7 @@ def motion_contents(found: Excitation) -> dict[str, Any]:
 
 def _sigma_figure(found: Excitation) -> Section:
     names, promised = found.predicted.names, found.predicted.relative
-    random = None if found.gain is None else found.random_predicted
+    random = None if found.gain is None else found.random
     values = {} if random is None else {"measured": 100 * random.relative}
     values["external"] = 100 * promised
     return Section(
@@ -177,7 +177,7 @@ def _sigma_figure(found: Excitation) -> Section:
         else {"external": "this motion"},
         panels=named_panels("", names, values, "relative standard deviation [%]", log=True),
         caption=(
-            f"A recording of {found.experiment.motion.duration:g} s, without filter transients. "
+            f"For {found.problem.pipeline.span:.4g} s of a recording, without filter transients. "
             "Logarithmic scale."
         ),
         table=sigma_table(found, range(len(names))),

@@ -14,8 +14,9 @@ from testbed.bodies.shapes.appearance import Appearance, load_appearance
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import plural
 from testbed.core.base.files import replacing, together
+from testbed.core.base.installation import versions
 from testbed.core.dynamics.newton_euler import sensor_poses
-from testbed.core.estimation.estimate import OPEN_ZERO, Estimate, by_influence
+from testbed.core.estimation.estimate import Estimate, by_influence
 from testbed.core.parameters.identifiability import identifiability
 from testbed.core.parameters.symbols import STANDARD
 from testbed.core.recordings.recording import Recording
@@ -24,9 +25,10 @@ from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_tables import MotionTable
 from testbed.lab.experiment.predict import predict
-from testbed.lab.experiment.results import read_run, versions
+from testbed.lab.experiment.results import read_run
 from testbed.lab.experiment.run import Run
 from testbed.lab.experiment.summary import obtained, summary, verdict
+from testbed.summary_table import OPEN_ZERO
 from testbed.view.estimates import choice_lines, instrument_tables, matrix_maps, with_sigma
 from testbed.view.figures import Panel
 from testbed.view.output import rendered

@@ -12,8 +12,8 @@ import testbed as tb
 from testbed.campaigns.campaign import Campaign
 from testbed.core.base.errors import TestbedError, UnknownName
 from testbed.core.base.file_kinds import BELONGS, kind_of
-from testbed.lab.experiment.motions import read_motion
 from testbed.lab.experiment.read_result import read_result
+from testbed.motion.motion_file import read_motion
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 
@@ -47,7 +47,7 @@ ASKED = {
 READERS: dict[str, Callable[[Path], object]] = {
     "experiment": tb.Experiment.load,
     "campaign": Campaign.load,
-    "mapping": tb.Recording.from_mapping,
+    "mapping": tb.import_recording,
     "result": read_result,
     "motion": read_motion,
     "recording": tb.Recording.load,

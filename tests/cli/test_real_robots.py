@@ -41,5 +41,5 @@ def test_any_robot_runs_as_new_writes_it(robot: str, tmp_path: Path) -> None:
     # distances to meshes take most of the time, and `new` has looked at them
     words = [f"motion.duration={seconds}", "motion.candidates=1", "excitation.clearance=off"]
     experiment = tb.Experiment.load(tmp_path / "r.toml", words)
-    run = evaluate(experiment, tb.simulate(experiment))
+    run = evaluate(experiment, tb.record(experiment))
     assert 0 < run.metrics["external_max_z"] < MOST_SIGMAS

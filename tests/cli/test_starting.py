@@ -18,8 +18,8 @@ from tests.helpers.command import command_line
 
 PUMA = "one.parquet --model puma562.xml"
 LONG = {
-    "experiment.simulate:simulate": ("simulate table.toml --out x.parquet",),
-    "experiment.carry_out:simulate": ("run table.toml",),
+    "experiment.record:record": ("simulate table.toml --out x.parquet",),
+    "experiment.carry_out:record": ("run table.toml",),
     "experiment.carry_out:evaluate": ("run table.toml --set motion.duration=2",),
     "experiment.new_experiment:new_experiment": ("new two.urdf",),
     "experiment.run:assemble_run": (f"report {PUMA}",),

@@ -15,7 +15,7 @@ from testbed.bodies.shapes.shapes import Kind, Shape
 from testbed.core.base.diagnostics import sentences
 from testbed.core.dynamics.newton_euler import poses
 from testbed.core.robot.inertia import about
-from testbed.motion.clearance import FAR, ClearanceTerm, DistanceMeter, watched
+from testbed.motion.clearance import FAR, ClearanceTerm, DistanceMeter
 from testbed.motion.collision_model import (
     CELL,
     FLOOR,
@@ -26,6 +26,7 @@ from testbed.motion.collision_model import (
 )
 from testbed.motion.limits import limits_of
 from testbed.motion.samples import Samples
+from testbed.motion.surroundings import watched
 from tests.helpers.shapes import GREY, ball
 from tests.helpers.strategies import few, rngs, trees
 
@@ -119,7 +120,7 @@ def test_pairs_that_always_touch_are_left_out_and_near_ones_keep_half(puma: tb.T
     touching = ball(0, 0.6, np.zeros(3)), ball(2, 0.9, np.zeros(3))
     for shapes, clearance, kept in ((near, 1.01 * far, [far / 2]), (touching, 0.02, [])):
         collision = collision_model(puma, list(shapes))
-        found = watched(collision, limits_of(puma), clearance, np.random.default_rng(0))
+        found = watched(collision, limits_of(puma), clearance)
         np.testing.assert_allclose(found.clearance, kept, rtol=0.2)
         (note,) = sentences(found.diagnostics)
         assert [link for link in ("'link1'", "'link3'") if link not in note] == []

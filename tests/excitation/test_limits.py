@@ -16,22 +16,20 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import InfeasibleMotion, UnknownName
 from testbed.motion.collision_model import collision_model
 from testbed.motion.fourier import Fourier
-from testbed.motion.limits import (
-    PRESSURE,
-    EffortTerm,
-    ForceBounds,
-    Limits,
-    PlateRange,
-    PlateTerm,
-    force_bounds,
-    limits_of,
-    motor_efforts,
-)
+from testbed.motion.limits import Limits, limits_of, motor_efforts
 from testbed.motion.proof import SPANS, Rules, prove, seems_to_hold, slack, spans_of, suprema
 from testbed.motion.random_motion import MARGIN, best_motion, random_motion, relative_sigma
 from testbed.motion.rest_to_rest import RestToRest, Start, start_of
 from testbed.motion.samples import Computed, Samples, stencil
-from testbed.motion.sensor_range import SensorTerm
+from testbed.motion.terms import (
+    PRESSURE,
+    EffortTerm,
+    ForceBounds,
+    PlateRange,
+    PlateTerm,
+    SensorTerm,
+    force_bounds,
+)
 from tests.helpers.chains import Z, chain
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot

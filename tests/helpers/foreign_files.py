@@ -198,7 +198,7 @@ def write_c3d(path: Path, channels: Array, points: Array, **words: Mapping[str, 
 def imported(folder: Path, text: str) -> tb.Recording:
     """What a mapping of the files in a folder makes."""
     (folder / "map.toml").write_text(text)
-    return tb.Recording.from_mapping(folder / "map.toml")
+    return tb.import_recording(folder / "map.toml")
 
 
 def mcap_json(folder: Path, log: Log) -> str:

@@ -27,7 +27,7 @@ from testbed.importing.import_report import Draft
 from testbed.lab.experiment.motions import CheckedMotion, checked_motion
 from testbed.lab.experiment.run import Run
 from testbed.motion.design import Design
-from testbed.motion.excite import Excitation
+from testbed.motion.excite import Excitation, design_problem
 from testbed.motion.information import Prediction
 from testbed.view.mapping import write_mapping_page
 from testbed.view.motion import write_motion_page
@@ -112,9 +112,9 @@ def excitation() -> Excitation:
     size = 10 ** rng.uniform(-5, 1, (2, len(names)))
     promise = Prediction(names, size[0], 0.1 * size[1], 30.0)
     design = Design(found.motion, -9.0, found.proof, (), True)
-    tree, rules = found.rules.tree, found.rules
+    problem = replace(design_problem(found.experiment), rules=found.rules)
     random = replace(promise, relative=size[1])
-    return Excitation(found.experiment, tree, rules, design, promise, found.motion, random)
+    return Excitation(problem, design, promise, random, found.experiment.motion.candidates)
 
 
 def with_failures(bundle: Bundle) -> tuple[list[Outcome], float]:

@@ -19,31 +19,36 @@ from tests.helpers.paths import ROOT
 HOUSE = ROOT / "testbed"
 MODULES = sorted(HOUSE.rglob("*.py"))
 
-BASE = "errors codec arrays files blas diagnostics child_process file_kinds"
+BASE = (
+    "errors codec arrays files blas diagnostics child_process file_kinds frames installation "
+    "summary_table"
+)
 ROBOT = f"{BASE} robot parameters dynamics"
 DATA = f"{ROBOT} excitation recordings identification experiment campaign"
 PLAN = {
     name: set(needs.split())
     for name, needs in {
-        **dict.fromkeys([*BASE.split(), "codec", "installation", "stages"], ""),
+        **dict.fromkeys([*BASE.split(), "codec", "stages"], ""),
         **dict.fromkeys(["arrays", "diagnostics"], "codec"),
         "blas": "arrays",
         "child_process": "errors",
+        "frames": "errors",
+        "summary_table": "arrays codec",
         "kind_table": "errors arrays",
         "file_kinds": "errors",
         "toml_text": "errors file_kinds",
         "robot": BASE,
         "parameters": f"{BASE} robot",
         "dynamics": f"{BASE} robot parameters",
-        "kernel": f"{ROBOT} installation",
+        "kernel": ROBOT,
         "symbolic": ROBOT,
-        "excitation": f"{ROBOT} kernel",
+        "excitation": f"{ROBOT} kernel installation toml_text",
         "recordings": f"{ROBOT} toml_text",
         "instruments": f"{BASE} kind_table robot recordings",
         "simulation": f"{BASE} kind_table robot dynamics kernel excitation recordings",
         "identification": f"{ROBOT} kernel recordings stages",
         "plausibility": f"{ROBOT} toml_text recordings identification",
-        "experiment": f"{ROBOT} kind_table installation toml_text excitation recordings "
+        "experiment": f"{ROBOT} kind_table toml_text excitation recordings "
         "instruments simulation identification",
         "campaign": f"{BASE} toml_text robot recordings identification experiment",
         "reporting": f"{DATA} plausibility stages",
@@ -71,9 +76,10 @@ GUESTS = {
     "rosbags": "recordings/importing/readers/ros_bag.py",
     **dict.fromkeys(("mcap", "google", "lz4"), "recordings/importing/readers/mcap.py"),
     "zstandard": "recordings/importing/readers/mcap.py recordings/importing/readers/ros_bag.py",
-    "pydantic": "codec.py experiment/ campaign/ recordings/importing/mapping.py toml_text.py",
+    "pydantic": "codec.py excitation/motion_file.py experiment/ campaign/ toml_text.py "
+    "recordings/importing/mapping.py",
     "pydantic_core": "codec.py",
-    "tomli_w": "experiment/ campaign/results.py",
+    "tomli_w": "excitation/motion_file.py experiment/ campaign/results.py",
     "typer": "cli/",
     "rich": "reporting/",
     "matplotlib": "reporting/plot.py reporting/portrait.py",

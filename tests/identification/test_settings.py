@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import FrozenInstanceError, replace
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -15,11 +13,12 @@ from hypothesis import given
 import testbed as tb
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import RecordingError, SettingsError, TestbedError, UnknownName
-from testbed.core.estimation.estimate import number_with_sigma
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.selection.term_choice import choose_terms
 from testbed.core.estimation.settings import Settings
 from testbed.core.robot.friction import JointLaw
+from testbed.frames import frame_of
+from testbed.summary_table import number_with_sigma
 from tests.helpers.ideal import EXACT, ideal, true_values
 from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses
@@ -123,7 +122,7 @@ def test_what_does_not_fit_the_robot_or_the_recording_is_refused_by_name() -> No
             asked()
 
 
-def test_every_form_holds_every_parameter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_form_holds_every_parameter() -> None:
     """Warnings too, and safely; data frames by whichever package is there."""
     found = replace(
         result("gantry").estimates["internal"],
@@ -139,14 +138,9 @@ def test_every_form_holds_every_parameter(monkeypatch: pytest.MonkeyPatch) -> No
     page = found._repr_html_()
     assert page.count("<tr>") == len(found.names)
     assert "&lt;b&gt;mind" in page
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    monkeypatch.setitem(sys.modules, "polars", None)
-    with refuses(TestbedError, "pandas"):
-        found.to_frame()
-    polars = ModuleType("polars")
-    polars.DataFrame = dict  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "polars", polars)
-    np.testing.assert_array_equal(found.to_frame()["sigma"], found.sigma)
+    np.testing.assert_array_equal(np.asarray(found.to_frame()["sigma"]), found.sigma)
+    with refuses(TestbedError, "sparrow"):
+        frame_of({"sigma": found.sigma}, "sparrow")
 
 
 def test_a_number_has_the_digits_that_its_sigma_has_to_say() -> None:

@@ -131,7 +131,7 @@ def test_the_published_parameters_are_reproduced() -> None:
 def test_a_quarter_turn_is_of_its_joint_and_the_runner_up_of_another() -> None:
     """Zeros of shoulder and elbow, each taken for the other if the masses were far off."""
     tree = tb.load_tree(TX40 / "tx40.urdf")
-    recording = tb.Recording.from_mapping(TX40 / "tx40.toml")
+    recording = tb.import_recording(TX40 / "tx40.toml")
     turned = recording.position + np.eye(6)[1] * np.pi / 2
     (said,) = assess(tree, replace(recording, position=turned)).diagnostics
     assert said.subject == "joint 'joint_2'"
@@ -143,7 +143,7 @@ def test_unseen_sixths_are_foretold_better_with_the_coupled_wrist() -> None:
     """And with terms that are chosen by data that a fit has not seen."""
     tree, recording = (
         tb.load_tree(TX40 / "tx40.urdf"),
-        tb.Recording.from_mapping(TX40 / "tx40.toml"),
+        tb.import_recording(TX40 / "tx40.toml"),
     )
     geared = Problem.of(tree, recording, "internal")
     alone, coupled = (held_out(each) for each in (replace(geared, tree=tree), geared))

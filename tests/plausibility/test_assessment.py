@@ -37,7 +37,7 @@ def right(name: str, lacks: str = "") -> tuple[tb.Tree, tb.Recording]:
     """A robot and a recording that is true of it."""
     if name == "tx40":
         folder = ROOT / "examples/tx40"
-        return tb.load_tree(folder / "tx40.urdf"), tb.Recording.from_mapping(folder / "tx40.toml")
+        return tb.load_tree(folder / "tx40.urdf"), tb.import_recording(folder / "tx40.toml")
     recording = measured(robot(name), 2, duration=12.0 if name == "puma" else 8.0)
     return robot(name), without(recording, lacks) if lacks else recording
 

@@ -133,9 +133,9 @@ def error(tree: tb.Tree, recording: tb.Recording) -> float:
 def test_two_clocks_are_as_good_as_one(tmp_path: Path) -> None:
     """500 Hz and 1 kHz, 2 ms and 100 ppm apart: said in the mapping, or found by --align."""
     tree = robot("puma")
-    perfect = error(tree, tb.Recording.from_mapping(two_sources(tmp_path, tree, 0, 0)))
+    perfect = error(tree, tb.import_recording(two_sources(tmp_path, tree, 0, 0)))
     path = two_sources(tmp_path, tree, LATE, SKEW)
-    wrong = error(tree, tb.Recording.from_mapping(path))
+    wrong = error(tree, tb.import_recording(path))
     (recording,), cuts, found = import_and_check(path, tree, align=True)
     (clock,) = found.offsets
     assert (cuts, clock.drifts) == ([], True)
@@ -143,7 +143,7 @@ def test_two_clocks_are_as_good_as_one(tmp_path: Path) -> None:
     said = path.read_text().replace('"s"', f'"s"\noffset = {-LATE}\nskew = {SKEW}', 1)
     path.write_text(said)
     assert wrong > 3 * perfect
-    assert error(tree, tb.Recording.from_mapping(path)) < 1.2 * perfect
+    assert error(tree, tb.import_recording(path)) < 1.2 * perfect
     assert error(tree, recording) < 1.2 * perfect
     (left,) = time_offsets(tree, recording)
     assert (left.late, left.drifts) == (False, False)

@@ -18,11 +18,12 @@ import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import of_recording
 from testbed.core.base.errors import RecordingError
-from testbed.core.recordings.joined import pieces
+from testbed.core.recordings.repeats import held_share, slow_device
+from testbed.importing.convert import pieces
 from testbed.importing.foreign_table import TIMES
 from testbed.importing.mapping import SourceTable
 from testbed.importing.resampling import low_pass_reach, onto_grid
-from testbed.importing.source_clock import held_share, sample_times, slow_device
+from testbed.importing.source_clock import sample_times
 from tests.helpers.foreign_files import imported, mapping
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import rngs

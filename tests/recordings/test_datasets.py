@@ -21,7 +21,7 @@ from mcap.writer import Writer
 from benchmarks.hostile.datasets import TRAPS, trap
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, UnknownName
-from testbed.core.recordings.joined import pieces
+from testbed.importing.convert import pieces
 from testbed.importing.foreign_table import ForeignTable
 from testbed.importing.guess import guessed
 from testbed.importing.known_layouts import LAYOUTS

@@ -55,7 +55,7 @@ def test_a_format_is_read_back_guessed_and_refused_where_it_is_damaged(
     file = max(tmp_path.glob("log*"), key=lambda path: (path.is_file(), path.name))
     (tmp_path / "guess.toml").write_text(filled(guessed([file], tmp_path, JOINTS).text))
     for mapping in ("map", "guess")[: 1 if name in ("csv", "c3d") else 2]:  # of columns a, b, c
-        found = tb.Recording.from_mapping(tmp_path / f"{mapping}.toml")
+        found = tb.import_recording(tmp_path / f"{mapping}.toml")
         np.testing.assert_allclose(found.time, log.t, rtol=0, atol=STAMPS)
         for signal, wanted in (("position", log.q), ("torque", log.tau), ("wrench", log.w)):
             exact = wanted.astype(np.float32) if name == "c3d" else wanted
@@ -64,12 +64,12 @@ def test_a_format_is_read_back_guessed_and_refused_where_it_is_damaged(
     data = file.read_bytes()
     file.write_bytes(data[: len(data) // 3])
     if name == "csv":  # a logger that was stopped
-        short = tb.Recording.from_mapping(tmp_path / "map.toml")
+        short = tb.import_recording(tmp_path / "map.toml")
         assert [d["code"] for d in short.facts["diagnostics"]] == ["import.incomplete"]
         np.testing.assert_array_equal(short.position, log.q[: short.samples])
         file.write_bytes(data[: len(data) // 3] + b",\n" + data[len(data) // 3 :])
     with refuses(RecordingError, "log."):
-        tb.Recording.from_mapping(tmp_path / "map.toml")
+        tb.import_recording(tmp_path / "map.toml")
 
 
 def test_tables_of_text_are_read_as_loggers_write_them(tmp_path: Path) -> None:

@@ -138,7 +138,7 @@ def test_a_guess_converts_the_log_back(
     empty = [line for line in lines if '""' in line or line.startswith("rate = 0")]
     assert [line[:10] for line in empty] == ['sense = ""'], text
     (folder / "map.toml").write_text(text.replace('sense = ""', 'sense = "on_robot"'))
-    made = tb.Recording.from_mapping(folder / "map.toml")
+    made = tb.import_recording(folder / "map.toml")
     assert made.rate == pytest.approx(rate, rel=1e-9), text
     assert sorted(made.names) == sorted(names), text
     order = [made.names.index(name) for name in names]
@@ -187,7 +187,7 @@ def test_files_names_other_words_and_what_does_not_grow_are_understood(tmp_path:
     assert found["base"]["position"] == ["base_x", "base_y", "base_z"]
     assert found["base"]["unit"] == ""  # to be filled in
     with pytest.raises(ExperimentError):
-        tb.Recording.from_mapping(tmp_path / "map.toml")
+        tb.import_recording(tmp_path / "map.toml")
 
 
 def test_a_column_that_is_missing_is_said_by_its_number(tmp_path: Path) -> None:

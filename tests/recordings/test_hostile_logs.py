@@ -109,7 +109,7 @@ def test_errors_of_data_name_the_mapping_and_the_data(old: str, new: str, tmp_pa
     write_log(tmp_path, old, new)
     data = "none.csv" if "none" in new else "log.csv"
     with refuses((RecordingError, UnknownName), "map.toml", data):  # type: ignore[arg-type]
-        tb.Recording.from_mapping(tmp_path / "map.toml")
+        tb.import_recording(tmp_path / "map.toml")
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e13])
@@ -119,7 +119,7 @@ def test_a_value_that_is_no_measurement_is_refused_wherever_a_part_is_read(
 ) -> None:
     write_log(tmp_path)
     path = tmp_path / "log.parquet"
-    tb.Recording.from_mapping(tmp_path / "map.toml").save(path)
+    tb.import_recording(tmp_path / "map.toml").save(path)
     table = pq.read_table(path)
     name = next(c for c in table.column_names if c.startswith(signal))
     values = table[name].to_numpy().copy()

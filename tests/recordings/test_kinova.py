@@ -15,8 +15,8 @@ from testbed.bodies.posterior import Posterior, posteriors
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.selection.prediction_errors import errors_of_another
-from testbed.core.recordings.joined import pieces
 from testbed.core.recordings.recording import Recording
+from testbed.importing.convert import pieces
 from testbed.importing.guess import guessed
 from tests.helpers.paths import ROOT
 

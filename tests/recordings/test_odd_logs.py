@@ -21,7 +21,7 @@ import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import of_recording
 from testbed.core.base.errors import RecordingError
-from testbed.core.recordings.joined import pieces
+from testbed.importing.convert import pieces
 from testbed.importing.guess import guessed
 from testbed.importing.import_report import Draft
 from testbed.importing.readers import open_foreign
@@ -71,7 +71,7 @@ def draft_of(*paths: Path) -> Draft:
 
 def recorded(*paths: Path) -> tb.Recording:
     draft_of(*paths)
-    return tb.Recording.from_mapping(paths[0].parent / "map.toml")
+    return tb.import_recording(paths[0].parent / "map.toml")
 
 
 def is_right(found: tb.Recording, begin: float = 0.0, atol: float = 1e-4) -> None:
@@ -184,12 +184,12 @@ def test_a_clock_that_is_coarser_than_the_samples_is_made_steady(
     draft = draft_of(path)
     assert draft.tables["sources.log"]["steady"] is True
     assert draft.tables[""]["rate"] == rate
-    found = tb.Recording.from_mapping(tmp_path / "map.toml")
+    found = tb.import_recording(tmp_path / "map.toml")
     assert found.samples == pytest.approx(len(time), abs=2 + tick * rate)
     is_right(found, atol=5e-3)
     (tmp_path / "map.toml").write_text(draft.saying("sources.log", "steady", None).text)
     with refuses(RecordingError, "sources.log"):
-        tb.Recording.from_mapping(tmp_path / "map.toml")
+        tb.import_recording(tmp_path / "map.toml")
     gone = np.delete(np.arange(len(time)), slice(len(time) // 2, len(time) // 2 + rate))
     written(path, [stamps[k] for k in gone], table(time)[gone])
     assert (
@@ -238,10 +238,10 @@ def test_loads_with_a_sign_bit_are_decoded_or_refused_with_the_key(tmp_path: Pat
         draft = draft_of(path).saying("torque", "gain", 12 / bit)
         (tmp_path / "map.toml").write_text(draft.text)
         assert draft.tables["torque"]["sign_bit"] == bit
-        is_right(tb.Recording.from_mapping(tmp_path / "map.toml"), atol=1e-3)
+        is_right(tb.import_recording(tmp_path / "map.toml"), atol=1e-3)
         (tmp_path / "map.toml").write_text(draft.saying("torque", "sign_bit", None).text)
         with refuses(RecordingError, "torque", f"sign_bit = {bit}"):
-            tb.Recording.from_mapping(tmp_path / "map.toml")
+            tb.import_recording(tmp_path / "map.toml")
     plain = np.hstack([motion(TIME), np.round(100 * load(TIME)) + 1024])
     assert "sign_bit" not in draft_of(written(path, stamps, plain)).tables["torque"]
 
@@ -305,7 +305,7 @@ def test_plates_that_a_c3d_file_describes_act_where_it_says(
     robot = written(tmp_path / "robot.csv", [f"{t:.3f}" for t in time], table(time))
     draft = draft_of(robot, tmp_path / "plate.c3d")
     assert draft.tables["sources.plate"]["time"] == "analog/time"
-    found = tb.Recording.from_mapping(tmp_path / "map.toml").measured("wrench")
+    found = tb.import_recording(tmp_path / "map.toml").measured("wrench")
     wanted = -np.hstack([force, np.cross(turn.apply(at) + CENTRE, force)])
     np.testing.assert_allclose(found, wanted[: len(found)], atol=2e-3)
 
@@ -324,7 +324,7 @@ def test_a_plate_in_millivolts_is_taken_for_none_in_newtons(tmp_path: Path) -> N
     assert "mV" in draft.notes["wrench", "matrix"]
     (tmp_path / "map.toml").write_text(draft.saying("wrench", "matrix", None).text)
     with refuses(RecordingError, "wrench", "mV", "matrix"):
-        tb.Recording.from_mapping(tmp_path / "map.toml")
+        tb.import_recording(tmp_path / "map.toml")
 
 
 def test_joints_of_two_nodes_are_one_signal_and_rows_without_times_are_none(

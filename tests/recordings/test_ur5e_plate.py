@@ -18,11 +18,11 @@ from scipy.spatial.transform import Rotation
 import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
-from testbed.core.recordings.joined import pieces
 from testbed.core.recordings.recording import Recording
 from testbed.importing.check.check import assess
 from testbed.importing.check.mapping_solution import solve_mapping
 from testbed.importing.check.time_offset import moving_average
+from testbed.importing.convert import pieces
 from testbed.importing.guess import guessed
 from testbed.importing.import_report import Draft
 from tests.helpers.paths import ROOT

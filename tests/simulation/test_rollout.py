@@ -15,8 +15,7 @@ import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.recordings.recording import Truth
 from testbed.core.robot.model_file import ModelFile
-from testbed.lab.simulation.compiled_loop import motor_torque
-from testbed.lab.simulation.controller import Controller, believed, computed_torque, mass_matrices
+from testbed.lab.simulation.controller import believed, computed_torque, mass_matrices
 from testbed.lab.simulation.plant import build_plant
 from testbed.lab.simulation.rollout import Sampling, SimulationDiverged, simulate_motion
 from testbed.motion.fourier import Fourier
@@ -36,13 +35,6 @@ def with_all(tree: tb.Tree, **changes: object) -> tb.Tree:
     return replace(tree, joints=tuple(replace(j, **changes) for j in tree.joints))  # type: ignore[arg-type]
 
 
-def torque_of(drive: Controller, k: int, position: Array, velocity: Array) -> Array:
-    """What the compiled law asks of the motors."""
-    found = np.zeros(len(position))
-    motor_torque(drive, k, position, velocity, np.arange(len(position)), found)
-    return found
-
-
 @few(6)
 @given(robot=robots((2, 6)), rng=rngs)
 def test_a_drive_asks_for_the_models_torque_and_pulls_all_joints_back_alike(
@@ -59,16 +51,16 @@ def test_a_drive_asks_for_the_models_torque_and_pulls_all_joints_back_alike(
     mass = mass_matrices(tree, there.q)
     np.testing.assert_allclose(mass, witness.mass, atol=1e-12 * np.abs(witness.mass).max())
     for k in range(6):
-        alone = torque_of(drive, k, there.q[k], there.qd[k])
+        alone = drive.torque(k, there.q[k], there.qd[k])
         dry = alone - witness.forces[k] - 0.3 * there.qd[k] - 0.7 * there.qdd[k]
         np.testing.assert_allclose(dry, 2 * np.tanh(there.qd[k] / 0.05), rtol=1e-6, atol=1e-9)
         late, slow = 0.01 * rng.normal(size=(2, n))
-        added = torque_of(drive, k, there.q[k] - late, there.qd[k] - slow) - alone
+        added = drive.torque(k, there.q[k] - late, there.qd[k] - slow) - alone
         wanted = (witness.mass[k] + 0.7 * np.eye(n)) @ (w**2 * late + 2 * 0.9 * w * slow)
         np.testing.assert_allclose(added, wanted, atol=1e-4 * np.abs(wanted).max())
     weak = computed_torque(with_all(tree, max_effort=0.5), motion, there.t[:1], w)
-    free = torque_of(drive, 0, there.q[0] - 1, there.qd[0])
-    limited = torque_of(weak, 0, there.q[0] - 1, there.qd[0])
+    free = drive.torque(0, there.q[0] - 1, there.qd[0])
+    limited = weak.torque(0, there.q[0] - 1, there.qd[0])
     np.testing.assert_array_equal(limited, np.clip(free, -0.5, 0.5))
 
 
@@ -178,7 +170,7 @@ def test_an_experiment_states_friction_and_a_drives_beliefs_and_repeats_to_the_b
              "robot.joint.waist.viscous=0.0", 'simulation.effect=[{kind="payload",mass=2.0}]',
              ]  # fmt: skip
     right, wrong, again = (
-        tb.simulate(tb.Experiment.load(PUMA_FILE, [*words, f"simulation.drive_model_error={e}"]))
+        tb.record(tb.Experiment.load(PUMA_FILE, [*words, f"simulation.drive_model_error={e}"]))
         for e in (0.0, 0.1, 0.1)
     )
     truth = wrong.truth

@@ -37,17 +37,19 @@ from testbed.core.estimation.selection.term_choice import with_all_terms, with_f
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.sensor.sensor_model import LinearFit, SensorModel, gauss_newton
 from testbed.core.estimation.settings import DEFAULTS, Settings
+from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.source import RecordingLike, Source, segments_of
 from testbed.core.recordings.views import is_imported, pedestal_said
 from testbed.core.robot.friction import BACKWARD, FORWARD, LAWS, ROTOR
-from testbed.core.robot.tree import Tree
+from testbed.core.robot.tree import Tree, require_tree
 
 
 def identify(
     tree: Tree,
     recording: RecordingLike,
-    method: Method = "external",
+    method: Method | Signal = "wrench",
     *,
+    terms: Sequence[str] = (),
     zeros: bool | Sequence[str] | None = None,
     gravity: ArrayLike | None = None,
     settings: Settings = DEFAULTS,
@@ -64,8 +66,10 @@ def identify(
         tree: The robot; its inertias are not used, except for `zeros`.
         recording: In memory, or a Parquet file's path, or parts in the order of time.
             Columns are matched by joint name; its truth is not read.
-        method: "external": six reaction rows a sample, no columns of the joints' own.
-            "internal": a row a joint, with columns for `settings.terms`.
+        method: "wrench": the plate's, six rows a sample. "torque": the joints', a row a joint.
+        terms: Unknowns besides the bodies' parameters: errors of the plate by the names that a rig
+            has for them, as "plate_bias", "plate_pose"; or laws of the joints' torques, as
+            "coulomb", "viscous" (docs/identification.md). Default those of `settings`.
         zeros: In place of `settings.zeros`.
         gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else
             the model file's.
@@ -79,8 +83,10 @@ def identify(
             needs, or holds what is no measurement.
         UnseenParameters: The data cannot distinguish some parameters; names them.
     """
+    require_tree(tree, "identify(robot, data)")
     if zeros is not None:
         settings = replace(settings, zeros=zeros)
+    settings = settings.with_unknowns(terms)
     problem = Problem.of(
         tree,
         recording,

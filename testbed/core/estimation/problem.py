@@ -32,6 +32,7 @@ from testbed.core.estimation.settings import DEFAULTS, FIT, Settings
 from testbed.core.kernel.layout import Layout, layout
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
+from testbed.core.parameters.rules import OF_SIGNAL, Signal, translated
 from testbed.core.recordings.columns import check_samples
 from testbed.core.recordings.geometry import check_robot, in_its_gravity
 from testbed.core.recordings.repeats import without_repeated_poses
@@ -73,7 +74,7 @@ class Problem:
         cls,
         tree: Tree,
         recording: RecordingLike,
-        method: Method,
+        method: Method | Signal,
         settings: Settings = DEFAULTS,
         *,
         gravity: ArrayLike | None = None,
@@ -98,8 +99,10 @@ class Problem:
             RecordingError: The recording is of another robot, or lacks what the method needs.
             SettingsError: A span of time is said of several recordings.
         """
-        if method not in METHODS:
-            raise UnknownName("method", method, METHODS)
+        _, said = translated(method)
+        if said not in METHODS:
+            raise UnknownName("signal", method, OF_SIGNAL)
+        method = said
         source, repeated = without_repeated_poses(
             on_its_base(samples_of(recording, settings), tree)
         )

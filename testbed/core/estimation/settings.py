@@ -68,6 +68,18 @@ def with_sigmas(stated: Mapping[str, float | Sequence[float]]) -> dict[str, tupl
 KINDS = ("bias", "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare")
 """Nuisances that can be estimated."""
 
+FAULTS = {
+    "plate_bias": "bias",
+    "plate_drift": "slope",
+    "plate_gain": "matrix",
+    "plate_crosstalk": "matrix",
+    "plate_pose": "pose",
+    "plate_origin_height": "height",
+    "plate_delay": "skew",
+    "encoder_zero_error": "joint_zeros",
+}
+"""Nuisances by the fault that makes them."""
+
 USUAL = ("coulomb", "viscous")
 """Terms of which nothing else is said."""
 
@@ -212,6 +224,21 @@ class Settings:
         if positions == FIT:
             positions = POSITION_CUTOFF if rate / 2 > POSITION_CUTOFF else "off"
         return replace(self, cutoff=rows, position_cutoff=positions)
+
+    def with_unknowns(self, names: Sequence[str]) -> Settings:
+        """The same with other unknowns besides the bodies' parameters.
+
+        Args:
+            names: Errors of the plate, by the names of faults or nuisances; laws of the joints'
+                torques. Of a kind that is not named, those of the settings stay.
+        """
+        errors = [FAULTS.get(name, name) for name in names if name in (*FAULTS, *KINDS)]
+        laws = [name for name in names if name not in (*FAULTS, *KINDS)]
+        return replace(
+            self,
+            nuisances=tuple(dict.fromkeys(errors)) or self.nuisances,
+            terms=tuple(laws) or self.terms,
+        )
 
     @property
     def laws(self) -> tuple[JointLaw, ...]:

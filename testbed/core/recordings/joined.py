@@ -1,21 +1,18 @@
-"""Several recordings of one robot as one source, with gaps between them; those of a mapping."""
+"""Several recordings of one robot as one source, with gaps between them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from testbed.core.base.diagnostics import Diagnostic, of_recording
+from testbed.core.base.diagnostics import of_recording
 from testbed.core.base.errors import RecordingError
-from testbed.core.recordings.columns import COUNTED, check_columns
+from testbed.core.recordings.columns import COUNTED
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source, counted
-from testbed.importing.convert import converted_pieces, naming
-from testbed.importing.mapping import Mapping, read_mapping
 
 SAME_RATE = 1e-3
 """Relative difference of sampling rates that are one."""
@@ -109,24 +106,3 @@ def _check_alike(parts: Sequence[Source]) -> None:
             raise RecordingError(
                 f"recording {k} and the first do not both say what of the wrench is the pedestal's"
             )
-
-
-def pieces(
-    path: Path, mapping: Mapping | None = None
-) -> tuple[tuple[Recording, ...], list[Diagnostic]]:
-    """The recordings that a mapping file makes, in the order of time, and where it was cut.
-
-    Args:
-        path: The mapping file.
-        mapping: What it says; default what is in it.
-
-    Raises:
-        ExperimentError: The mapping is not understood.
-        RecordingError: A file is missing or damaged, or does not hold what the mapping says.
-    """
-    with naming(path, mapping := mapping or read_mapping(path)):
-        found, said = converted_pieces(mapping, path.parent)
-        made = [Recording.from_columns(each.columns, each.metadata, str(path)) for each in found]
-        for recording in made:
-            check_columns(recording.columns(), str(path))
-    return tuple(made), said

@@ -294,28 +294,6 @@ class Recording:
         check_columns(recording.columns(), str(path))
         return recording
 
-    @staticmethod
-    def from_mapping(path: str | Path) -> Recording:
-        """Made of other programs' files, as a mapping file says (docs/your-recording.md).
-
-        What was found on the way is in `facts["import"]`, what to doubt in `facts["diagnostics"]`.
-
-        Args:
-            path: The mapping file, TOML; the files it names are relative to it.
-
-        Raises:
-            ExperimentError: The mapping is not understood.
-            RecordingError: A file is missing or damaged, or does not hold what the mapping says.
-        """
-        from testbed.importing.convert import converted, naming
-        from testbed.importing.mapping import read_mapping
-
-        with naming(path := Path(path), mapping := read_mapping(path)):
-            found = converted(mapping, path.parent)
-            recording = Recording.from_columns(found.columns, found.metadata, str(path))
-            check_columns(recording.columns(), str(path))
-        return recording
-
 
 def _split(
     signal: str, values: Array, joints: tuple[str, ...], sensors: tuple[str, ...]

@@ -1,13 +1,14 @@
-"""Poses that a slow device repeats until its next one: interpolated between the new ones."""
+"""Samples that a slow device repeats until its next one: found, and poses interpolated."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from testbed.core.base.arrays import Array
 from testbed.core.recordings.source import Source, segments_of
-from testbed.importing.source_clock import slow_device
 
 MOST = 200_000
 """Samples of a recording that is read at once."""
@@ -43,3 +44,49 @@ def without_repeated_poses(source: Source) -> tuple[Source, float]:
     curve = make_interp_spline(news, kept.position[news], k=DEGREE)
     found = replace(kept, position=curve(np.arange(kept.samples)))
     return found, float(1 - changed.mean())
+
+
+REST = 4
+"""Times the typical run of equal samples from which a run is a rest of the robot."""
+
+
+def slow_device(values: Array) -> NDArray[np.bool_]:
+    """Which samples are news from a device that is read more often than it measures.
+
+    Of a run of equal samples the first is news; of longer runs than most, every so many. Where
+    most samples are news, the others were filled in, but for rests of the robot.
+
+    Args:
+        values: Of all channels, (M, k).
+
+    Returns:
+        (M,) of bool.
+    """
+    starts, lengths = _runs(values)
+    typical, since = _typical(lengths), np.arange(len(values)) - np.repeat(starts, lengths)
+    filled = (typical == 1) & (np.repeat(lengths, lengths) <= REST)
+    found: NDArray[np.bool_] = since % np.where(filled, REST, typical) == 0
+    return found
+
+
+def held_share(values: Array) -> float:
+    """Part of the samples that are what the ones before were, rests of the robot aside.
+
+    Args:
+        values: Of all channels, (M, k).
+    """
+    _, lengths = _runs(values)
+    moving = lengths <= REST * _typical(lengths)
+    return float((lengths[moving] - 1).sum() / len(values))
+
+
+def _runs(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First samples of runs of equal ones, and their lengths."""
+    changes = np.append(True, (np.diff(values, axis=0) != 0).any(axis=1))
+    starts = np.flatnonzero(changes)
+    return starts, np.diff(np.append(starts, len(values)))
+
+
+def _typical(lengths: NDArray[np.intp]) -> int:
+    """Length of a run that is hardly ever exceeded but at rest."""
+    return max(1, int(np.percentile(lengths, 90, method="lower")))

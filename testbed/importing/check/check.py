@@ -28,7 +28,6 @@ from testbed.core.base.toml_text import checked
 from testbed.core.estimation.estimate import sensor_of
 from testbed.core.parameters.symbols import standard
 from testbed.core.recordings.geometry import check_robot, geometry, in_its_gravity
-from testbed.core.recordings.joined import pieces
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import on_its_base
@@ -63,6 +62,7 @@ from testbed.importing.check.remedies import (
 )
 from testbed.importing.check.search import Progress, Search
 from testbed.importing.check.time_offset import TimeOffset, alignment, time_offsets
+from testbed.importing.convert import pieces
 from testbed.importing.import_report import Line, in_mapping
 from testbed.importing.mapping import Mapping
 

@@ -22,7 +22,6 @@ from testbed.core.base.errors import (
     round_significant,
 )
 from testbed.core.base.toml_text import checked
-from testbed.core.recordings.joined import pieces
 from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.inertia import from_rpy, from_vector, to_rpy
@@ -47,7 +46,7 @@ from testbed.importing.check.recording_diagnostics import (
 )
 from testbed.importing.check.search import Progress
 from testbed.importing.check.time_offset import alignment, moving_average, time_offsets
-from testbed.importing.convert import clock_ranges
+from testbed.importing.convert import clock_ranges, pieces
 from testbed.importing.derivative import DerivativeError
 from testbed.importing.foreign_table import FORCES, MOMENTS
 from testbed.importing.import_report import Draft, in_toml

@@ -19,16 +19,16 @@ from testbed.core.base.errors import (
 from testbed.core.dynamics.newton_euler import Motion, base_wrench, joint_forces
 from testbed.core.robot.friction import COULOMB, ROTOR, VISCOUS
 from testbed.core.robot.tree import Tree
-from testbed.lab.experiment.evaluate import robot_of
 from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.experiment.experiment_tables import ExcitationTable, SimulationTable
 from testbed.lab.experiment.motions import rules_of
-from testbed.lab.experiment.simulate import simulate
+from testbed.lab.experiment.record import record
 from testbed.lab.simulation.controller import mass_matrices
 from testbed.lab.simulation.rollout import SimulationDiverged
 from testbed.motion.clearance import DistanceMeter
 from testbed.motion.limits import CALM, limits_of
-from testbed.motion.random_motion import easiest_posture, tried_postures
+from testbed.motion.random_motion import easiest_posture
 
 POSTURES = 200
 """Random states in which joints and plate are loaded."""
@@ -251,7 +251,7 @@ def tried_text(
             tomllib.loads(written), folder / "new.toml", settings=SECOND
         )
         try:
-            simulate(experiment)
+            record(experiment)
             break
         except TestbedError as error:
             more = _needs_after(error, experiment, needs)
@@ -293,7 +293,7 @@ def _touching(experiment: Experiment) -> tuple[tuple[str, str], ...]:
     if rules.collision is None:
         return ()
     meter = DistanceMeter(rules.collision, float(rules.clearance.max(initial=0)) * 2)
-    near = meter.measure(tried_postures(rules.limits)).values <= rules.clearance
+    near = meter.measure(rules.limits.postures).values <= rules.clearance
     fewest = near[near.sum(axis=1).argmin()]
     return tuple(
         pair for pair, is_near in zip(rules.collision.bodies, fewest, strict=True) if is_near

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -21,8 +20,8 @@ from testbed.bodies.prior import Prior, prior_of
 from testbed.bodies.shapes.appearance import load_shapes
 from testbed.bodies.shapes.shapes import extents
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import ExperimentError, TestbedError, UnknownName
+from testbed.core.base.diagnostics import diagnose
+from testbed.core.base.errors import TestbedError
 from testbed.core.estimation.estimate import METHODS, Method
 from testbed.core.estimation.identify import identify
 from testbed.core.estimation.problem import samples_of
@@ -33,16 +32,15 @@ from testbed.core.parameters.symbols import standard
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.inertia import Inertia, upper_root
 from testbed.core.robot.locks import with_rotor_spin
-from testbed.core.robot.model_file import ModelFile, mimic_joints, nearest_bodies
+from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.experiment_robot import model_of, sensed_robot
 from testbed.lab.experiment.experiment_tables import SimulationTable
-from testbed.lab.experiment.robot_tables import BodyTable
 from testbed.lab.experiment.run import Run, assemble_run
 from testbed.lab.experiment.score import relative_errors, root_mean_square, shared_errors
 from testbed.lab.instruments.chain import Instrument, measured_again
 from testbed.lab.instruments.fault import stream
-from testbed.lab.simulation.effect import Effect
 
 FINE = SimulationTable().step
 """Step up to which the floor is not looked for [s]: it is below what instruments leave."""
@@ -104,70 +102,6 @@ def evaluate(
         progress=progress,
     )
     return with_floor(with_consistent(run))
-
-
-def robot_of(experiment: Experiment) -> Tree:
-    """The robot of an experiment, under its gravity.
-
-    Args:
-        experiment: Names the model file.
-
-    Raises:
-        ExperimentError: A table names a joint that the robot has not.
-    """
-    tree = model_of(experiment).tree()
-    for table, entries in experiment.joint_tables.items():
-        for name in entries:
-            if name not in tree.names:
-                raise ExperimentError(str(UnknownName(f"joint of {table}", name, tree.names)))
-    if experiment.robot.base == "measured":
-        raise ExperimentError(
-            'robot.base = "measured" is for recordings: experiments have a bedplate'
-        )
-    tree = experiment.robot.on(tree).with_gravity(experiment.gravity)
-    for effect in effects_of(experiment, tree):
-        tree = effect.robot(tree)
-    return tree
-
-
-def sensed_robot(experiment: Experiment) -> Tree:
-    """What an experiment's wrench is of: its robot, or what lies beyond its force sensor."""
-    return experiment.sensed(robot_of(experiment), model_of(experiment))
-
-
-def effects_of(experiment: Experiment, tree: Tree) -> list[Effect]:
-    """What else is in the plant, on the robot.
-
-    Args:
-        experiment: Says so in `simulation.effect`.
-        tree: The robot.
-    """
-    return [effect.on(tree.names) for effect in experiment.simulation.effect]
-
-
-def model_of(experiment: Experiment) -> ModelFile:
-    """The model file of an experiment, and how it is read.
-
-    Args:
-        experiment: Says so in `model`, `weld_root` and its table `robot`.
-    """
-    mimic = mimic_joints(experiment.model) if experiment.robot.lock_mimic else ()
-    held = dict.fromkeys(mimic) | experiment.robot.lock
-    welded, bodies = experiment.weld_root, experiment.robot.bodies
-    return ModelFile(Path(experiment.model), weld_root=welded, repair=bodies, lock=held)
-
-
-def with_nearest_bodies(experiment: Experiment) -> tuple[Experiment, tuple[Diagnostic, ...]]:
-    """The same with the nearest bodies in place of those that cannot be, and what to say of it.
-
-    Args:
-        experiment: Of a model file and nothing else.
-    """
-    model = model_of(experiment)
-    found = nearest_bodies(model.path, weld_root=model.weld_root, lock=model.lock)
-    tables = {name: BodyTable.of(body) for name, body in found.bodies.items()}
-    robot = experiment.robot.model_copy(update={"repair": tables | experiment.robot.repair})
-    return experiment.model_copy(update={"robot": robot}), found.diagnostics
 
 
 def wrong_bodies(tree: Tree, error: float, rng: np.random.Generator) -> Tree:

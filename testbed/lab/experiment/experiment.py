@@ -18,7 +18,6 @@ from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.core.base.errors import ExperimentError
 from testbed.core.base.toml_text import Finite, checked, complaints, override, read_toml
 from testbed.core.estimation.settings import Settings
-from testbed.core.robot.inertia import to_rpy
 from testbed.lab.experiment.experiment_tables import (
     ExcitationTable,
     Expectations,
@@ -27,6 +26,7 @@ from testbed.lab.experiment.experiment_tables import (
     RunName,
     SimulationTable,
 )
+from testbed.lab.experiment.rig import ForcePlate
 from testbed.lab.experiment.robot_tables import RobotTables, SensorTable
 from testbed.lab.instruments.chain import Instrument
 from testbed.lab.kind_table import KindTable
@@ -130,33 +130,20 @@ class Experiment(ExperimentTables):
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
 
     @property
-    def sensor_instruments(self) -> dict[str, Instrument]:
-        """How well each of the robot's force sensors measures, with the plate's clock."""
-        how, found = self.measurement, {}
-        for name in self.force_sensors:
+    def mounted_sensors(self) -> list[ForcePlate]:
+        """The robot's force sensors, each with its errors."""
+        found = []
+        for name, mounting in self.force_sensors.items():
             table = self.sensors.get(name, SensorTable())
-            found[name] = Instrument(
-                rate=how.rate,
-                averaged=how.averaged,
-                plate=table.plate,
-                force_noise=table.force_noise,
-                moment_noise=table.moment_noise,
-                full_scale=table.full_scale,
-                fault=table.fault,
-            )
+            noise = table.force_noise, table.moment_noise
+            found.append(ForcePlate(noise, table.fault, table.full_scale, table.plate, mounting))
         return found
 
     @property
-    def sensor_places(self) -> dict[str, dict[str, Any]]:
-        """Where they are, as a recording keeps it."""
-        return {
-            name: {
-                "link": each.link,
-                "position": each.position.tolist(),
-                "rpy": list(to_rpy(each.rotation)),
-            }
-            for name, each in self.force_sensors.items()
-        }
+    def sensor_instruments(self) -> dict[str, Instrument]:
+        """Noise and range of the robot's force sensors by name."""
+        named = zip(self.force_sensors, self.mounted_sensors, strict=True)
+        return {name: Instrument(**plate.settings) for name, plate in named}
 
     @property
     def joint_tables(self) -> Mapping[str, Iterable[str]]:

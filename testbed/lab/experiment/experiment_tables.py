@@ -104,8 +104,6 @@ class ExcitationTable(Table):
     """Most that are used."""
     starts: Annotated[int, Field(ge=1, le=10_000)] = 6
     """Searches, each from another random motion; the best result is taken."""
-    seconds: Positive | None = None
-    """Time after which searches end, whatever they have reached [s]; default none."""
     margin: Annotated[float, Field(gt=0, le=1)] = 0.95
     """Share of every limit that a designed motion may use; random ones are proven for all of it."""
     clearance: NotNegative | Literal["off"] = 0.02

@@ -19,6 +19,7 @@ from testbed.core.base.codec import decode, from_json
 from testbed.core.base.errors import ExperimentError, plural
 from testbed.core.base.file_kinds import expecting
 from testbed.core.base.files import fingerprint, read_text, replacing
+from testbed.core.base.installation import versions
 from testbed.core.base.toml_text import Finite, checked, override, read_toml
 from testbed.core.estimation.estimate import METHODS, Estimate, Method, channels_of
 from testbed.core.estimation.estimate_summary import EstimateSummary, estimate_of_summary
@@ -31,9 +32,10 @@ from testbed.core.recordings.held import hold_still
 from testbed.core.recordings.source import Source
 from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.tree import Tree
-from testbed.lab.experiment.evaluate import model_of, robot_of, wrong_prior
+from testbed.lab.experiment.evaluate import wrong_prior
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.results import EXPERIMENT, RESULT, versions
+from testbed.lab.experiment.experiment_robot import model_of, robot_of
+from testbed.lab.experiment.results import EXPERIMENT, RESULT
 from testbed.lab.experiment.robot_tables import RecordingTables, Table
 
 LARGEST_RESULT = 50_000_000

@@ -13,12 +13,12 @@ from testbed.lab.simulation.joint_friction import (
     LoadFriction,
     LuGreFriction,
     PowerFriction,
-    StribeckFriction,
+    Stribeck,
     WarmingDrives,
 )
 
 EFFECTS: tuple[type[Effect], ...] = (
-    StribeckFriction,
+    Stribeck,
     PowerFriction,
     AsymmetricFriction,
     LoadFriction,

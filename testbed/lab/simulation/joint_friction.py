@@ -51,7 +51,7 @@ class VelocityFriction(Effect):
 
 
 @dataclass(frozen=True, eq=False)
-class StribeckFriction(VelocityFriction):
+class Stribeck(VelocityFriction):
     """Friction that is higher at low speed: coefficient sign(v) exp(-(v / speed)^2).
 
     It comes on top of the joints' own dry and viscous friction.

@@ -1,0 +1,319 @@
+"""Limits of forces as functions of a motion: plate, force sensors, motors; with their bounds."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.errors import InfeasibleMotion
+from testbed.core.dynamics.newton_euler import Motion, base_wrench, pedestal_wrench
+from testbed.core.parameters.minimal_set import minimal_set
+from testbed.core.robot.friction import COULOMB, ROTOR, VISCOUS
+from testbed.core.robot.tree import Joint, Tree
+from testbed.motion.limits import Limits
+from testbed.motion.samples import Instants, SampledRows, Samples
+
+
+@dataclass(frozen=True, eq=False)
+class ForceBounds:
+    """Bounds of the magnitudes of second derivatives, in W spans of time.
+
+    Attributes:
+        joints: Of the joints' forces, drives and friction aside, (n, W) [N m/s^2 or N/s^2].
+        force: Of the bedplate's force, or of a force sensor's, (W,) [N/s^2].
+        moment: Of its moment about O^0, or about the sensor's origin, (W,) [N m/s^2].
+        motion: Of the joints' derivatives of order 0 to 4 themselves, (5, n, W).
+    """
+
+    joints: Array
+    force: Array
+    moment: Array
+    motion: Array
+
+
+def force_bounds(tree: Tree, motion: Array) -> ForceBounds:
+    """Bounds of how fast forces change.
+
+    Args:
+        tree: The robot, its inertias an a-priori model.
+        motion: Bounds of |q|, |qd|, |qdd| and of the next two derivatives, (5, n, W).
+    """
+    still = np.zeros((3, motion.shape[2]))
+    falling = still.copy()
+    falling[0] = np.linalg.norm(tree.gravity)
+    ground = _Moving(still, still, falling, still, still)
+    moving: list[_Moving] = []
+    for joint, own in zip(tree.joints, motion.transpose(1, 0, 2), strict=True):
+        carrier = ground if joint.parent < 0 else moving[joint.parent]
+        moving.append(_carried(joint, carrier, own))
+    force, moment = np.zeros((2, tree.n + 1, *still.shape))  # the last one is the bedplate's
+    joints = np.empty((tree.n, motion.shape[2]))
+    for j in reversed(range(tree.n)):
+        joint, body, here = tree.joints[j], tree.inertias[j], moving[j]
+        first = float(np.linalg.norm(body.first_moment))
+        second = float(np.linalg.norm(body.tensor, 2))
+        force[j] += abs(body.mass) * here.linear + first * here.turning
+        moment[j] += first * here.linear + second * (here.angular + _times(here.speed, here.speed))
+        joints[j] = (moment if joint.revolute else force)[j, 2]
+        passed = _times(here.rotation, force[j])
+        force[joint.parent] += passed
+        moment[joint.parent] += _times(here.rotation, moment[j]) + _times(here.lever, passed)
+    felt, turned = force[tree.sensor_body, 2], moment[tree.sensor_body, 2]
+    if tree.sensor is not None:
+        turned = turned + float(np.linalg.norm(tree.sensor.position)) * felt
+    return ForceBounds(joints, felt, turned, motion)
+
+
+@dataclass(frozen=True, eq=False)
+class _Moving:
+    """Jets of a body's motion, (3, W) each, in its own axes."""
+
+    speed: Array  # angular velocity
+    angular: Array  # angular acceleration
+    linear: Array  # acceleration of its origin less gravity
+    rotation: Array  # from its axes to its carrier's
+    lever: Array  # from its carrier's origin to its own
+
+    @property
+    def turning(self) -> Array:
+        """What a point a metre away has more of acceleration."""
+        return self.angular + _times(self.speed, self.speed)
+
+
+def _carried(joint: Joint, carrier: _Moving, own: Array) -> _Moving:
+    """The jets of a body on its carrier; `own` are bounds of its joint's derivatives, (5, W)."""
+    position, speed, acceleration = own[:3], own[1:4], own[2:5]
+    lever = np.zeros_like(position)
+    lever[0] = np.linalg.norm(joint.offset)
+    rotation = np.zeros_like(position)
+    rotation[0] = 1.0
+    if joint.revolute:
+        rotation[1], rotation[2] = own[1], own[2] + own[1] ** 2
+        turned = _times(rotation, carrier.speed)
+        angular = _times(rotation, carrier.angular) + _times(turned, speed) + acceleration
+        linear = _times(rotation, carrier.linear + _times(carrier.turning, lever))
+        return _Moving(turned + speed, angular, linear, rotation, lever)
+    lever = lever + position
+    linear = carrier.linear + _times(carrier.turning, lever) + acceleration
+    linear = linear + 2 * _times(carrier.speed, speed)
+    return _Moving(carrier.speed, carrier.angular, linear, rotation, lever)
+
+
+def _times(a: Array, b: Array) -> Array:
+    """The jet of a product."""
+    second = a[2] * b[0] + 2 * a[1] * b[1] + a[0] * b[2]
+    return np.stack([a[0] * b[0], a[1] * b[0] + a[0] * b[1], second])
+
+
+class LimitTerm(Protocol):
+    """Some limits at every instant."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What each is a limit of, (k,)."""
+
+    def values(self, samples: Instants) -> Array:
+        """Shares less what is allowed, (k, G); below zero inside."""
+
+    def slopes(self, samples: Samples) -> Array:
+        """Their derivatives by q, then qd, then qdd, (k, 3 n, G)."""
+
+
+class SmoothTerm(LimitTerm, Protocol):
+    """Limits whose second derivative by time has a bound: they can be proven between samples."""
+
+    def curvatures(self, bounds: ForceBounds) -> Array:
+        """Bounds of the second derivatives of `values` by time, (k, W) [1/s^2]."""
+
+
+CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+PRESSURE = 100.0
+"""Force at which a centre of pressure at the edge counts as a share of one [N]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlateRange:
+    """Measuring range of a plate, and the area on which it stands.
+
+    Attributes:
+        wrench: Largest magnitude of each channel, pedestal included, (6,) [N, N m]; infinite
+            for no limit.
+        half: Half lengths along x and y of the area in which the centre of pressure stays, (2,)
+            [m]; None for a plate that is bolted down.
+    """
+
+    wrench: Array
+    half: Array | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, wrench=(6,))
+        if self.half is not None:
+            freeze(self, half=(2,))
+        if not (self.wrench > 0).all() or (self.half is not None and not (self.half > 0).all()):
+            raise InfeasibleMotion("the plate's ranges and half lengths must be positive")
+
+    def rows(self, margin: float) -> tuple[tuple[str, ...], Array, Array]:
+        """Labels, combinations of the wrench as shares of limits, (k, 6), and their bounds, (k,).
+
+        Args:
+            margin: Share of each range that may be used.
+        """
+        known = np.flatnonzero(np.isfinite(self.wrench))
+        labels = [f"plate {CHANNELS[c]}" for c in known]
+        rows = _both_signs(np.eye(6)[known] / self.wrench[known, None])
+        most = np.full(len(rows), margin)
+        if self.half is not None:  # |My| <= x Fz, |Mx| <= y Fz
+            labels += [f"centre of pressure along {axis}" for axis in "xy"]
+            half = np.repeat(self.half, 2)
+            pressed = _both_signs(np.eye(6)[[4, 3]])
+            pressed[:, 2] = -margin * half
+            rows = np.concatenate([rows, pressed / (PRESSURE * half[:, None])])
+            most = np.append(most, np.zeros(4))
+        return tuple(np.repeat(labels, 2).tolist()), rows, most
+
+
+def _both_signs(rows: Array) -> Array:
+    """Each row and its negative, (2 k, c), of (k, c)."""
+    return np.stack([rows, -rows], axis=1).reshape(-1, rows.shape[1])
+
+
+class ForceTerm(ABC):
+    """Combinations of forces that stay below bounds.
+
+    Attributes:
+        labels: What each is a limit of, (k,).
+        rows: Combinations of the forces, (k, c).
+        most: Their bounds, (k,).
+    """
+
+    def __init__(self, labels: tuple[str, ...], rows: Array, most: Array) -> None:
+        self.labels, self.rows, self.most = labels, rows, most
+
+    @abstractmethod
+    def forces(self, samples: Instants) -> Array:
+        """The forces, (c, G)."""
+
+    @abstractmethod
+    def force_slopes(self, samples: Samples) -> Array:
+        """Their derivatives by q, then qd, then qdd, (c, 3 n, G)."""
+
+    def values(self, samples: Instants) -> Array:
+        """Shares less what is allowed, (k, G)."""
+        return self.rows @ self.forces(samples) - self.most[:, None]
+
+    def slopes(self, samples: Samples) -> Array:
+        """Derivatives, (k, 3 n, G)."""
+        return np.tensordot(self.rows, self.force_slopes(samples), 1)
+
+
+class PlateTerm(ForceTerm):
+    """Measuring range of the bedplate, and the centre of pressure on it."""
+
+    def __init__(self, plate: PlateRange, pedestal: Array, margin: float) -> None:
+        """Set up the limits.
+
+        Args:
+            plate: The ranges.
+            pedestal: Wrench on what stands on the plate without moving, (6,) [N, N m].
+            margin: Share of each range that may be used.
+        """
+        labels, rows, most = plate.rows(margin)
+        super().__init__(labels, rows, most - rows @ pedestal)
+
+    def forces(self, samples: Instants) -> Array:
+        """The bedplate's wrench, the pedestal's aside, (6, G)."""
+        return samples.forces("reaction")
+
+    def force_slopes(self, samples: Samples) -> Array:
+        """Its derivatives, (6, 3 n, G)."""
+        return samples.force_slopes("reaction")
+
+    def curvatures(self, bounds: ForceBounds) -> Array:
+        """Bounds of second derivatives by time, (k, W)."""
+        force, moment = (np.linalg.norm(part, axis=1) for part in np.hsplit(self.rows, 2))
+        return np.outer(force, bounds.force) + np.outer(moment, bounds.moment)
+
+
+class SensorTerm(PlateTerm):
+    """Measuring range of a force sensor in the robot, a plate that moves."""
+
+    def __init__(
+        self, tree: Tree, beyond: Tree, ranges: PlateRange, margin: float, name: str = "plate"
+    ) -> None:
+        """Set up the limits.
+
+        Args:
+            tree: The robot that moves.
+            beyond: What the sensor feels, its inertias an a-priori model.
+            ranges: Of its channels.
+            margin: Share of each that may be used.
+            name: Of the sensor.
+        """
+        super().__init__(ranges, pedestal_wrench(beyond), margin)
+        self.labels = tuple(label.replace("plate", name) for label in self.labels)
+        self._beyond, self._joints = beyond, [tree.index(joint) for joint in beyond.names]
+        self._sampled = SampledRows(beyond, minimal_set(beyond, "reaction"), self._joints)
+
+    def forces(self, samples: Instants) -> Array:
+        """The sensor's wrench, (6, G)."""
+        own = (each[:, self._joints] for each in (samples.q, samples.qd, samples.qdd))
+        return base_wrench(self._beyond, Motion(np.arange(float(len(samples.q))), *own)).T
+
+    def force_slopes(self, samples: Samples) -> Array:
+        """Its derivatives, (6, 3 n, G)."""
+        assert samples.stencil is not None, "derivatives were not asked for"
+        looks = samples.stencil.around(samples.q, samples.qd, samples.qdd)
+        wrench = self._sampled.model @ self._sampled.slots(*looks)
+        return samples.stencil.weights @ wrench.reshape(6, -1, len(samples.q))
+
+    def curvatures(self, bounds: ForceBounds) -> Array:
+        """Bounds of second derivatives by time, (k, W)."""
+        return super().curvatures(force_bounds(self._beyond, bounds.motion[:, self._joints]))
+
+
+class EffortTerm(ForceTerm):
+    """Motor efforts, with friction of either sign: a joint that rests may stick either way."""
+
+    def __init__(self, tree: Tree, limits: Limits, margin: float) -> None:
+        """Set up the limits.
+
+        Args:
+            tree: The robot, its inertias and friction an a-priori model.
+            limits: Of the motors.
+            margin: Share of each that may be used.
+
+        Raises:
+            InfeasibleMotion: A motor cannot overcome its joint's dry friction.
+        """
+        limited = np.flatnonzero(np.isfinite(limits.effort))
+        names = np.repeat(np.array(tree.names)[limited], 2).tolist()
+        self._viscous, self._rotor = VISCOUS.coefficients(tree), ROTOR.coefficients(tree)
+        most = np.repeat(margin - (COULOMB.coefficients(tree) / limits.effort)[limited], 2)
+        for name, left in zip(names, most, strict=True):
+            if left <= 0:
+                raise InfeasibleMotion(
+                    f"the motor of joint '{name}' is too weak for its dry friction: nothing of its "
+                    "effort limit is left for a motion; correct max_effort or coulomb"
+                )
+        rows = _both_signs(np.eye(tree.n)[limited] / limits.effort[limited, None])
+        super().__init__(tuple(f"effort of '{name}'" for name in names), rows, most)
+
+    def forces(self, samples: Instants) -> Array:
+        """Torques of the motors, dry friction aside, (n, G)."""
+        lost = self._viscous * samples.qd + self._rotor * samples.qdd
+        return samples.forces("dynamic") + lost.T
+
+    def force_slopes(self, samples: Samples) -> Array:
+        """Their derivatives, (n, 3 n, G)."""
+        nothing = np.zeros_like(self._viscous)
+        own = np.hstack([np.diag(each) for each in (nothing, self._viscous, self._rotor)])
+        return samples.force_slopes("dynamic") + own[:, :, None]
+
+    def curvatures(self, bounds: ForceBounds) -> Array:
+        """Bounds of second derivatives by time, (k, W)."""
+        lost = self._viscous[:, None] * bounds.motion[3] + self._rotor[:, None] * bounds.motion[4]
+        return np.asarray(np.abs(self.rows) @ (bounds.joints + lost))
