@@ -41,9 +41,7 @@ if TYPE_CHECKING:
 
 Vendor = Annotated[
     str | None,
-    typer.Option(
-        "--as", metavar="VENDOR", help="Print it for a controller: ur, franka, kuka or ros."
-    ),
+    typer.Option("--as", metavar="VENDOR", help="Print it for a controller: ur, franka or kuka."),
 ]
 Flange = Annotated[
     str | None,
