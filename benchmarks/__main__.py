@@ -98,15 +98,12 @@ def consistency(
     seeds: Annotated[int, typer.Option(help="Simulated recordings of each length.")] = 10,
     trees: Annotated[int, typer.Option(help="Random trees.")] = 100,
 ) -> None:
-    """Consistent bodies: accuracy beside plain estimates, round trips of files, times."""
+    """Consistent bodies: accuracy beside plain estimates, times."""
     from benchmarks import consistency as made
-    from testbed.bodies.consistency.options import METRICS
 
     _print(made.trees(trees, 1000))
-    for metric in METRICS:
-        for line in made.times((6, 12, 30), metric):
-            _print(line)
-    _print(made.prediction(1))
+    for line in made.times((6, 12, 30)):
+        _print(line)
     for speed in (0.3, 0.1):
         _print(made.poor(range(500, 500 + seeds), speed))
     for line in made.accuracy((60.0, 5.0), range(500, 500 + seeds)):

@@ -8,7 +8,7 @@ all parameters the prior is left out, and the estimate is that of least squares.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -47,6 +47,7 @@ from testbed.core.estimation.selection.prediction_errors import (
     REFITTED,
     PredictionErrors,
     prediction_errors,
+    predictions_of,
 )
 from testbed.core.estimation.selection.row_products import Parts, RowProducts, products_of
 from testbed.core.estimation.selection.term_choice import with_chosen_settings
@@ -235,6 +236,12 @@ def posterior(
         else:
             values, covariance = made[0].values, np.array(made[0].covariance)
             alone = (True,) * len(values)
+        fits: dict[str, Callable[[RowProducts], Array]] = {
+            REFITTED: lambda rows: refitted(rows, before),
+            POSTERIOR: (lambda rows: with_prior(rows, before)[0]) if used else _plain,
+        }
+        if made:
+            fits[PLAIN] = _plain
         count, constants = problem.minimal.count, parts.whole.constants(values)
         variance = np.maximum(before.variance, TINY)
         return Posterior(
@@ -256,7 +263,7 @@ def posterior(
             by_part=np.array([part.residual(values, constants) for part in parts.each]),
             duration=problem.source.samples / problem.source.rate,
             gravity=problem.tree.gravity,
-            errors=_held_out(problem, before, parts, used=used, plain=bool(made)),
+            errors=held_out_errors(problem, parts, fits, before.mean),
         )
 
 
@@ -289,37 +296,6 @@ def posteriors(
         method: posterior(tree, source, prior, method, each, prior_error=prior_error, **how)
         for method, each in estimates.items()
     }
-
-
-def chosen_prior_error(
-    tree: Tree,
-    recording: RecordingLike,
-    prior: Prior,
-    estimates: Sequence[Estimate],
-    offered: Sequence[float],
-    settings: Settings = DEFAULTS,
-) -> dict[float, float]:
-    """By error of the bodies, rms of what it leaves of held-out parts over what the file leaves.
-
-    Args:
-        tree: The robot.
-        recording: That of the estimates.
-        prior: The bodies of the model file.
-        estimates: By least squares, one a method, with the same settings.
-        offered: Errors, in parts of the bodies.
-        settings: As for `identify`.
-    """
-    squares = dict.fromkeys(offered, 0.0)
-    for each in estimates:
-        problem, parts = parts_of(
-            tree, recording, each.method, [each], each.gravity, settings, None
-        )
-        with one_blas_thread():
-            for error in offered:
-                before = linear_prior(problem, prior, error, parts.whole)
-                left = _held_out(problem, before, parts)[-1].over_file(POSTERIOR)
-                squares[error] += left**2 / len(estimates)
-    return {error: float(np.sqrt(square)) for error, square in squares.items()}
 
 
 def parts_of(
@@ -362,18 +338,28 @@ def determines(estimate: Estimate, prior: LinearPrior) -> bool:
     return bool((estimate.sigma**2 < most).all())
 
 
-def _held_out(
-    problem: Problem, prior: LinearPrior, parts: Parts, *, used: bool = True, plain: bool = True
+def held_out_errors(
+    problem: Problem,
+    parts: Parts,
+    fits: Mapping[str, Callable[[RowProducts], Array]],
+    file: Array | None = None,
 ) -> tuple[PredictionErrors, ...]:
-    """What the model file and fits of some parts leave of others, split by split."""
-    none, found = np.zeros(len(problem.channels)), []
+    """What fits of some parts leave of others, split by split.
+
+    Args:
+        problem: Whose rows.
+        parts: Of its rows.
+        fits: By name, what finds values of the unknowns by rows.
+        file: The model file's values, (p,), to be beside them.
+    """
+    found = []
     for kind, split in parts.splits.items():
         pairs = []
         for seen, rest in split:
-            fits = {REFITTED: refitted(seen, prior)} | ({PLAIN: _plain(seen)} if plain else {})
-            fits[POSTERIOR] = with_prior(seen, prior)[0] if used else fits[PLAIN]
-            said = {name: (values, seen.constants(values)) for name, values in fits.items()}
-            pairs.append(({FILE: (prior.mean, none), **said}, rest))
+            models = {name: fit(seen) for name, fit in fits.items()}
+            if file is not None:
+                models[FILE] = file
+            pairs.append((predictions_of(seen, models), rest))
         found.append(prediction_errors(problem, kind, pairs))
     return tuple(found)
 

@@ -149,7 +149,7 @@ class Writing:
         Raises:
             SettingsError: No bodies are as is wished.
         """
-        from testbed.bodies.consistency.consistent import consistent_by_held_out
+        from testbed.bodies.consistency.consistent import consistent
         from testbed.bodies.consistency.held_out import (
             beside_consistent,
             with_likely_error,
@@ -166,7 +166,7 @@ class Writing:
         table = reading.tables().identification
         part = samples_of(source, table)
         with output.Progress("computing consistent bodies"):
-            found = consistent_by_held_out(tree, estimates, prior, options, part, table)
+            found = consistent(tree, estimates, prior, options)
             return found, beside_consistent(
                 posteriors, found, tree, part, prior, estimates, options, table
             )

@@ -15,17 +15,14 @@ from testbed.bodies.linear_prior import (
     refitted,
     with_prior,
 )
-from testbed.bodies.posterior import Posterior, parts_of
+from testbed.bodies.posterior import Posterior, held_out_errors, parts_of
 from testbed.bodies.prior import Prior
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import TestbedError
 from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.selection.prediction_errors import (
-    CONSISTENT,
-    REFITTED,
-    prediction_errors,
-)
+from testbed.core.estimation.selection.prediction_errors import CONSISTENT, REFITTED
+from testbed.core.estimation.selection.row_products import RowProducts
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.source import RecordingLike
 from testbed.core.robot.tree import Tree
@@ -37,13 +34,11 @@ def with_likely_error(
     """Conditions with the least error of the model file that its posteriors have.
 
     Args:
-        options: What is asked; an error that held-out parts choose stays so.
+        options: What is asked.
         posteriors: Of one recording.
     """
     used = [each.prior_error for each in posteriors if each.used]
-    if not used or options.prior_error == "chosen":
-        return options
-    return replace(options, prior_error=min(used))
+    return replace(options, prior_error=min(used, default=options.prior_error))
 
 
 def beside_consistent(
@@ -70,29 +65,35 @@ def beside_consistent(
         options: What was asked of the bodies.
         settings: As for `identify`.
     """
-    options = replace(options, prior_error=bodies.prior_error)
-    made = dict(posteriors)
-    for estimate in (each for each in estimates if each.method in posteriors):
-        method, gravity, found = estimate.method, estimate.gravity, made[estimate.method]
+
+    def beside(found: Posterior, estimate: Estimate) -> Posterior:
+        method, gravity = estimate.method, estimate.gravity
         problem, parts = parts_of(tree, recording, method, [estimate], gravity, settings, None)
         before = linear_prior(problem, prior, found.prior_error, parts.whole)
-        errors = []
-        for split, known in zip(parts.splits.values(), found.errors, strict=True):
-            pairs = []
-            for seen, rest in split:
-                values, covariance = with_prior(seen, before.times(WIDE))
-                sigma = np.sqrt(np.diagonal(covariance))
-                own = replace(estimate, values=values, sigma=sigma, covariance=covariance)
-                try:
-                    unknowns = unknowns_of(consistent(tree, [own], prior, options), problem)
-                except TestbedError:  # too few rows: those of the file
-                    unknowns = found.file
-                fits = {REFITTED: refitted(seen, before), CONSISTENT: unknowns}
-                pairs.append(({name: (x, seen.constants(x)) for name, x in fits.items()}, rest))
-            errors.append(known.beside(prediction_errors(problem, known.of, pairs)))
-        own_bodies = unknowns_of(bodies, problem)
-        made[method] = replace(found, consistent=own_bodies, errors=tuple(errors))
-    return made
+
+        def of_rows(rows: RowProducts) -> Array:
+            values, covariance = with_prior(rows, before.times(WIDE))
+            sigma = np.sqrt(np.diagonal(covariance))
+            own = replace(estimate, values=values, sigma=sigma, covariance=covariance)
+            try:
+                return unknowns_of(consistent(tree, [own], prior, options), problem)
+            except TestbedError:  # too few rows: those of the file
+                return found.file
+
+        fits = {REFITTED: lambda rows: refitted(rows, before), CONSISTENT: of_rows}
+        errors = held_out_errors(problem, parts, fits)
+        pairs = zip(errors, found.errors, strict=True)
+        return replace(
+            found,
+            consistent=unknowns_of(bodies, problem),
+            errors=tuple(known.beside(own) for own, known in pairs),
+        )
+
+    made = {each.method: each for each in estimates}
+    return {
+        method: beside(found, made[method]) if method in made else found
+        for method, found in posteriors.items()
+    }
 
 
 def unknowns_of(bodies: Consistent, problem: Problem) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.bodies.consistency.consistent import (
     Consistent,
-    consistent_by_held_out,
+    consistent,
 )
 from testbed.bodies.consistency.held_out import (
     beside_consistent,
@@ -179,7 +179,7 @@ def _with_bodies(run: Run, believed: Tree, options: ConsistencyOptions) -> Run:
     estimates = list(run.estimates.values())
     blind = samples_of(run.recording.blind(), run.settings)
     try:
-        found = consistent_by_held_out(run.tree, estimates, prior, options, blind, run.settings)
+        found = consistent(run.tree, estimates, prior, options)
     except TestbedError as error:
         return run.with_diagnostics([diagnose("bodies.missing", reason=error)])
     beside = beside_consistent(
