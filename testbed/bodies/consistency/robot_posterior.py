@@ -12,11 +12,11 @@ from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.consistency.robots import Robots, robots
 from testbed.bodies.prior import prior_of
 from testbed.core.base.errors import SettingsError
+from testbed.core.base.summary_table import Summarized, SummaryTable, number_with_sigma
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.information import Information
 from testbed.core.parameters.symbols import STANDARD
 from testbed.core.robot.tree import Tree, require_tree
-from testbed.summary_table import Summarized, SummaryTable, number_with_sigma
 
 
 @dataclass(frozen=True, eq=False)

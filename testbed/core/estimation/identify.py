@@ -96,11 +96,13 @@ def identify(
         threads=threads,
         progress=progress,
     )
-    return estimate_of(problem, doubt)
+    return estimate_of(problem, doubt)[1]
 
 
-def estimate_of(problem: Problem, doubt: CalibrationCovariance | None = None) -> Estimate:
-    """The estimate of a recording that is made ready.
+def estimate_of(
+    problem: Problem, doubt: CalibrationCovariance | None = None
+) -> tuple[Problem, Estimate]:
+    """Estimate of a problem, and the problem with the terms and the filter that data chose.
 
     Args:
         problem: Robot, recording and method.
@@ -121,7 +123,7 @@ def estimate_of(problem: Problem, doubt: CalibrationCovariance | None = None) ->
         problem, estimate = fewer, _least_squares(fewer, doubt)
     said = [_cause_of_lead(each, problem, estimate) for each in estimate.diagnostics]
     diagnostics = of_instrument([*said, *filtered], sensor_of(problem.tree))
-    return replace(estimate, choice=choice, diagnostics=diagnostics)
+    return problem, replace(estimate, choice=choice, diagnostics=diagnostics)
 
 
 def _least_squares(problem: Problem, doubt: CalibrationCovariance | None) -> Estimate:

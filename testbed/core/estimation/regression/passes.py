@@ -307,8 +307,13 @@ class Passes:
             try:
                 for window in self.plan.windows():
                     part = self.plan.source.part(window.first, window.last)
-                    pending.append((window, pool.submit(ask, part, window)))
-                    if len(pending) > self.threads:
+                    answer: Future[Answer] = Future()
+                    if self.threads > 1:
+                        answer = pool.submit(ask, part, window)
+                    else:
+                        answer.set_result(ask(part, window))
+                    pending.append((window, answer))
+                    if len(pending) > self.threads or self.threads == 1:
                         yield self._next(pending)
                 while pending:
                     yield self._next(pending)
