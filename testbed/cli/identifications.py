@@ -38,6 +38,8 @@ from testbed.core.base.diagnostics import diagnose
 if TYPE_CHECKING:
     from testbed.applications.drives.identify_drives import DriveFindings
     from testbed.bodies.consistency.consistent import Consistent
+    from testbed.bodies.consistency.options import ConsistencyOptions
+    from testbed.bodies.prior import Prior
     from testbed.cli.reading import Reading
     from testbed.core.base.diagnostics import Diagnostic
     from testbed.core.estimation.estimate import Estimate
@@ -75,6 +77,24 @@ Plain = Annotated[
 InPlace = Annotated[
     bool, typer.Option("--in-place", help="Allow --write to replace the model file.")
 ]
+
+
+def prior_of_bodies(
+    reading: Reading, model: Path, source: Source
+) -> tuple[Prior, ConsistencyOptions]:
+    """Prior and conditions of consistent bodies for a recording.
+
+    Args:
+        reading: How the model file is read, and what is wished.
+        model: The model file.
+        source: The recording.
+    """
+    from testbed.core.recordings.views import with_gear
+    from testbed.lab.experiment.evaluate import prior_from
+
+    options, file = reading.tables().consistent, reading.model_file(model)
+    tree = with_gear(reading.tree(model), source)
+    return prior_from(tree, file, shapes=options.centres_in_shapes), options
 
 
 @dataclass(frozen=True)
@@ -143,7 +163,7 @@ class Writing:
         from testbed.core.recordings.views import with_gear
 
         tree = with_gear(reading.tree(model), source)
-        return consistent(tree, estimates, *reading.bodies(model, source))
+        return consistent(tree, estimates, *prior_of_bodies(reading, model, source))
 
     def written(
         self,
@@ -269,7 +289,7 @@ def identify(
             gravity=gravity,
             doubt=reading.doubt(tree),
             prior_error=reading.prior_error,
-            bodies=reading.bodies(model, source) if writing.wanted else None,
+            bodies=prior_of_bodies(reading, model, source) if writing.wanted else None,
             threads=threads,
             progress=progress,
         )

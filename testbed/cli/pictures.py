@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.identifications import ConsistentBodies
+from testbed.cli.identifications import ConsistentBodies, prior_of_bodies
 from testbed.cli.opening import corrected_source, opened
 from testbed.cli.reading import (
     Force,
@@ -254,7 +254,7 @@ def _run_at(
         model=reading.model_file(model),
         doubt=reading.doubt(tree),
         prior_error=reading.prior_error,
-        bodies=reading.bodies(model, source) if consistent else None,
+        bodies=prior_of_bodies(reading, model, source) if consistent else None,
     )
     return replace(run, diagnostics=ordered([*accepted, *run.diagnostics]))
 

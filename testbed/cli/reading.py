@@ -17,8 +17,6 @@ from testbed.core.base.installation import own_or_shipped
 from testbed.core.base.stages import stage
 
 if TYPE_CHECKING:
-    from testbed.bodies.consistency.options import ConsistencyOptions
-    from testbed.bodies.prior import Prior
     from testbed.core.estimation.sensor.correction import CalibrationCovariance
     from testbed.core.recordings.source import Source
     from testbed.core.robot.model_file import ModelFile
@@ -319,15 +317,6 @@ class Reading:
         """Of the model file's bodies, where it is given."""
         said = any(word.startswith("consistent.prior_error") for word in self.settings or ())
         return self.tables().consistent.prior_error if said else None
-
-    def bodies(self, model: Path, source: Source) -> tuple[Prior, ConsistencyOptions]:
-        """Prior and conditions of consistent bodies for a recording."""
-        from testbed.core.recordings.views import with_gear
-        from testbed.lab.experiment.evaluate import prior_from
-
-        options, file = self.tables().consistent, self.model_file(model)
-        tree = with_gear(self.tree(model), source)
-        return prior_from(tree, file, shapes=options.centres_in_shapes), options
 
     def model_file(self, path: Path) -> ModelFile:
         """A model file, and how to read it."""
