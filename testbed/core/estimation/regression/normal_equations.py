@@ -237,25 +237,32 @@ def gather(
     for sums in found:
         used += sums.used
         raw = sums.products if raw.size == 0 else raw + sums.products
-    rows, basis = layout.rows, layout.basis
-    joined = len(rows.group_slot) < len(channels)
     blocks = []
-    for width, at in zip(rows.group_width, rows.group_gram, strict=True):
-        block = np.tril(raw[at : at + width**2].reshape(width, width))
-        blocks.append(block + np.tril(block, -1).T)
-
-    def cut(c: int, d: int) -> tuple[Array, Array, float]:
-        """The block of two channels, on the unknowns."""
-        block = blocks[0 if joined else c]
-        origin = 0 if joined else rows.start[c]
-        lines, ranks = (rows.start[k] - origin + np.arange(len(layout.channels[k])) for k in (c, d))
-        y, x = rows.measured[c] - origin, rows.measured[d] - origin
-        left, right = basis[layout.channels[c]], basis[layout.channels[d]]
-        inner = left.T @ block[np.ix_(lines, ranks)] @ right
-        return inner, left.T @ block[lines, x], float(block[y, x])
-
-    size = range(len(channels))
-    parts = [[cut(c, d) for d in (size if joined else (c,))] for c in size]
-    arrays = [np.array([[part[k] for part in line] for line in parts]) for k in range(3)]
-    normal, right, square = arrays if joined else [array[:, 0] for array in arrays]
+    for width, at in zip(layout.rows.group_width, layout.rows.group_gram, strict=True):
+        lower = np.tril(raw[at : at + width**2].reshape(width, width))
+        blocks.append(lower + np.tril(lower, -1).T)
+    joined = len(blocks) < len(channels)
+    leads = [_lead(layout, c, len(blocks[0]) if joined else 0) for c in range(len(channels))]
+    if joined:
+        (block,) = blocks
+        products = np.array([[one.T @ block @ other for other in leads] for one in leads])
+    else:
+        products = np.array([lead.T @ own @ lead for lead, own in zip(leads, blocks, strict=True)])
+    normal, right, square = products[..., :-1, :-1], products[..., :-1, -1], products[..., -1, -1]
     return NormalEquations(unknowns, channels, used, normal, right, square)
+
+
+def _lead(layout: Layout, c: int, slots: int) -> Array:
+    """How a channel's slots make up the unknowns' columns and the measurement, (slots, p + 1).
+
+    Args:
+        layout: The rows.
+        c: The channel.
+        slots: Of all channels together; 0 for the channel's own alone.
+    """
+    rows, columns = layout.rows, layout.channels[c]
+    first = rows.start[c] if slots else 0
+    found = np.zeros((slots or rows.width[c], layout.basis.shape[1] + 1))
+    found[first : first + len(columns), :-1] = layout.basis[columns]
+    found[first + rows.measured[c] - rows.start[c], -1] = 1.0
+    return found

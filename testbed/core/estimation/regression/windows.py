@@ -359,31 +359,32 @@ def make_plan(
         raise RecordingError(
             f"the recording has {rate:g} samples a second, too few for a filter at {fast[0]:g} Hz"
         )
-    far = low_pass_reach(rate, slow, ROW_ATTENUATION)
-    far += low_pass_reach(rate, position, POSITION_ATTENUATION)
-    segments = segments_of(source)
-    lengths = [last - first for first, last in segments]
-    if 2 * far >= max(lengths):  # before weights are made: they could be endless
-        raise _too_short(source, int(np.argmax(lengths)), far)
-    unit = np.array([[1.0], [0.0], [0.0]])
-    taps = unit if sensed else motion_taps(rate, position)
-    weights = row_weights(rate, slow)
-    reach = taps.shape[1] // 2 + len(weights) // 2
+    reach = low_pass_reach(rate, slow, ROW_ATTENUATION) + (0 if sensed else STENCIL)
+    reach += low_pass_reach(rate, position, POSITION_ATTENUATION)
     step = 1 if slow is None else max(1, int((1 + 1e-9) * rate / (per_cutoff * slow)))
-    spans = tuple(_rows_in(segment, reach, step) for segment in segments)
-    short = [k for k, (_, rows) in enumerate(spans) if rows < 2]
-    if short:
-        raise _too_short(source, short[0], reach)
-    deadband = settings.deadband if layout.model == "dynamic" else 0.0
-    nearby = reversal_samples(weights, settings.reversal_reach, rate)
-    engine = settings.engine
-    return Plan(source, layout, tare, taps, weights, deadband, nearby, step, spans, engine)
+    spans = tuple(_rows_in(segment, reach, step) for segment in segments_of(source))
+    for k, (_, rows) in enumerate(spans):
+        if rows < 2:  # before weights are made: they could be endless
+            raise _too_short(source, k, reach)
+    weights = row_weights(rate, slow)
+    return Plan(
+        source=source,
+        layout=layout,
+        tare=tare,
+        taps=np.array([[1.0], [0.0], [0.0]]) if sensed else motion_taps(rate, position),
+        weights=weights,
+        deadband=settings.deadband if layout.model == "dynamic" else 0.0,
+        rest_reach=reversal_samples(weights, settings.reversal_reach, rate),
+        step=step,
+        spans=spans,
+        engine=settings.engine,
+    )
 
 
-def _rows_in(segment: tuple[int, int], reach: int, step: int) -> tuple[int, int]:
+def _rows_in(segment: tuple[int, int], reach: float, step: int) -> tuple[int, int]:
     """The first row whose samples are all of one segment, and how many there are."""
-    first = -(-segment[0] // step)
-    return first, len(range(first * step + 2 * reach, segment[1], step))
+    first, last = -(-segment[0] // step), segment[1]
+    return first, len(range(first * step + int(min(2 * reach, last)), last, step))
 
 
 def _too_short(source: Source, number: int, reach: float) -> RecordingError:
