@@ -272,7 +272,7 @@ def recordings(draw: DrawFn) -> Case:
             [
                 ("identify", "--zeros"), ("identify", "--json"),
                 ("identify", "--method", "external", "--gravity", "0,0,-1"),
-                ("identify", "--set", "identification.weights=full"),
+                ("identify", "--set", "identification.cutoff=4"),
                 ("view", "--save", "out.rrd"), ("report", "--out", "out.html"),
             ]
         )

@@ -27,7 +27,7 @@ from tests.helpers.strategies import wrong_numbers
 from tests.scenarios.scenarios import result
 
 NUMBERS = ("position_cutoff", "cutoff", "deadband", "reversal_reach")
-NAMED = ("weights", "tare", "drives", "engine")
+NAMED = ("tare", "drives", "engine")
 TWIN = JointLaw("viscous", "N m s/rad", "N s/m", lambda qd, qdd: qd)
 MEANINGLESS: tuple[tuple[dict[str, Any], str], ...] = (
     ({"cutoff": 0.0}, "cutoff"),
@@ -37,7 +37,6 @@ MEANINGLESS: tuple[tuple[dict[str, Any], str], ...] = (
     ({"terms": ("viscous", TWIN)}, "terms"),
     ({"terms": "rotor"}, "terms"),
     ({"terms": (3,)}, "3"),
-    ({"weights": [[1.0]]}, "weights"),
     ({"zeros": 1}, "zeros"),
     ({"zeros": [1, 2]}, "zeros"),
     ({"nuisances": ("skw",)}, "'skew'"),

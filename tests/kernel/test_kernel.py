@@ -58,24 +58,24 @@ def close(a: Array, b: Array, tolerance: float = 1e-12) -> None:
 
 def lower(found: Layout, sums: Sums) -> Array:
     """The lower triangles of the products."""
-    sizes = zip(found.rows.group_width, found.rows.group_gram, strict=True)
+    sizes = zip(found.rows.width, found.rows.group_gram, strict=True)
     squares = (sums.products[at : at + width**2].reshape(width, width) for width, at in sizes)
     return np.concatenate([np.tril(square).ravel() for square in squares])
 
 
 @few(40)
-@given(any_trees, models, rngs, st.tuples(*[st.booleans()] * 4))
+@given(any_trees, models, rngs, st.tuples(*[st.booleans()] * 3))
 def test_compiled_and_plain_engine_say_the_same(
     tree: tb.Tree, model: Model, rng: np.random.Generator, how: tuple[bool, ...]
 ) -> None:
-    """Encoders or sensed kinematics, filtered or not, channels joined; a base that moves, a cut."""
-    encoders, filtered, joined, free = how
+    """Encoders or sensed kinematics, filtered or not; a base that moves, a cut."""
+    encoders, filtered, free = how
     if model == "reaction" and rng.random() < 0.5:
         tree = random_cut(tree, rng)
     elif free:
         tree = on_free_base(tree)
     terms = joint_terms(tree, LAWS) if model == "dynamic" else ()
-    found = layout(tree, tb.minimal_set(tree, model), terms, joined=joined)
+    found = layout(tree, tb.minimal_set(tree, model), terms)
     signals = some_signals(found, rng, encoders, filtered)
     fast = numba_engine.sweep(found, signals, numba_engine.workspace(found, signals))
     made = numpy_engine.rows(found, signals)

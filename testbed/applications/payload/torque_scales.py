@@ -118,7 +118,7 @@ def torque_scales(
     mass, doubt = facts.get(MASS, (0.0, 0.0))
     if mass <= 0:
         raise SettingsError(f"of the payload its mass has to be known, in kg: --known {MASS}=1.5")
-    settings = replace(settings, weights="channels", nuisances=(), known={})
+    settings = replace(settings, nuisances=(), known={})
     if settings.zeros:
         raise SettingsError("a payload breaks the symmetry of links: calibrate without known zeros")
     halves = []

@@ -135,7 +135,7 @@ def _least_squares(problem: Problem, doubt: CalibrationCovariance | None) -> Est
     def weighted_solution(source: Source) -> LinearFit:
         passes = problem.passes(3, source, whole=True)
         equations = problem.equations(passes)
-        weights = noise_weights(equations, problem.settings.joined)
+        weights = noise_weights(equations)
         return LinearFit(passes, equations, solve(equations, weights, passes.rows))
 
     with one_blas_thread():
@@ -164,11 +164,10 @@ def _cause_of_lead(given: Diagnostic, problem: Problem, estimate: Estimate) -> D
     with suppress(UnseenParameters):
         beside = problem.with_settings(terms=(*problem.settings.words, ROTOR.kind))
         equations = beside.equations(beside.passes(1, whole=True))
-        weights = np.diag(estimate.residual**-2.0)
+        weights = estimate.residual**-2.0
         found = by_normal_equations(equations, weights)
-        left = np.diagonal(equations.residual(found.values))
-        explained = equations.rows - float(np.diagonal(weights) @ left)
-        if explained > (given.significance or 0.0) ** 2:
+        left = float(weights @ equations.residual(found.values))
+        if equations.rows - left > (given.significance or 0.0) ** 2:
             causes = dict.fromkeys((ROTOR.kind, *given.causes))
             remedy = f"add '{ROTOR.kind}' to identification.terms"
             return replace(given, causes=tuple(causes), remedy=remedy)
@@ -233,7 +232,7 @@ def _estimate(
     numbers: Array,
 ) -> Estimate:
     """The fit as an estimate, with the instrument's numbers and what was tested of it."""
-    square = equations.squares
+    signal = equations.squares
     return Estimate(
         method=problem.method,
         names=equations.unknowns,
@@ -245,7 +244,7 @@ def _estimate(
         channels=equations.channels,
         channel_units=channel_units(problem.tree, problem.method),
         residual=np.sqrt(fit.squares / np.maximum(equations.used, 1.0)),
-        relative_residual=np.sqrt(fit.squares / np.where(square > 0, square, 1.0)),
+        relative_residual=np.sqrt(fit.squares / np.where(signal > 0, signal, 1.0)),
         samples=tuple(int(n) for n in equations.used),
         condition=linear.condition,
         normal_equations=equations,

@@ -163,7 +163,7 @@ class Problem:
     def layout(self) -> Layout:
         """The robot's rows."""
         terms = () if self.drives is None else self.drives.terms
-        return layout(self.tree.without_inertias(), self.minimal, terms, self.settings.joined)
+        return layout(self.tree.without_inertias(), self.minimal, terms)
 
     def passes(
         self,

@@ -137,10 +137,6 @@ class Settings:
     held-out data choose. Default: "coulomb" and "viscous", "offset" of imported recordings, and
     "rotor" of torques from motors, else of joints whose rotor the model file states."""
 
-    weights: Literal["channels", "full"] = "channels"
-    """Weights of the channels: "channels", by each one's own noise; "full", by the covariance
-    of all channels' residuals."""
-
     nuisances: Sequence[str] = ()
     """What of the instrument is unknown beside the parameters, for the external method: "bias",
     "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare" (docs/uncertainty.md)."""
@@ -177,7 +173,6 @@ class Settings:
             "cutoff": _cutoff("cutoff", self.cutoff),
             "deadband": _not_negative("deadband is a speed [rad/s or m/s]", self.deadband),
             "terms": _terms(self.terms),
-            "weights": _one_of("weights", self.weights, ("channels", "full")),
             "drives": _one_of("drives", self.drives, ("off", "given", "chosen")),
             "span": _span(self.span),
             "engine": _one_of("engine", self.engine, ("by size", "compiled", "numpy")),
@@ -261,11 +256,6 @@ class Settings:
     def facts(self) -> dict[str, tuple[float, float]]:
         """Value and sigma of what is known, by name."""
         return with_sigmas(self.known)
-
-    @property
-    def joined(self) -> bool:
-        """Whether noise of different channels is taken as correlated."""
-        return self.weights != "channels"
 
 
 def _hertz(cutoff: Cutoff | None, fit: float) -> float | None:

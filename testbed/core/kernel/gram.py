@@ -217,10 +217,10 @@ def rest_joints(rows, signals, work, count, sums):
 
 @plain
 def gram(rows, work, count, sums):
-    """Add the products of all pairs of slots, group by group of rows; lower triangles."""
+    """Add the products of all pairs of slots, channel by channel; lower triangles."""
     n, G = -(-count // 8) * 8, sums.products
-    for g in range(len(rows.group_slot)):
-        p, ld, slot = rows.group_size[g], rows.group_width[g], rows.group_slot[g]
+    for g in range(len(rows.start)):
+        p, ld, slot = rows.group_size[g], rows.width[g], rows.start[g]
         X = work.Z[slot * D : (slot + ld) * D]
         for a in range(0, p, 4):
             at = rows.group_gram[g] + a * ld

@@ -181,6 +181,6 @@ def _varying(
 
 
 def _products(rows: Rows, z: Array, sums: Sums) -> None:
-    for slot, width, at in zip(rows.group_slot, rows.group_width, rows.group_gram, strict=True):
+    for slot, width, at in zip(rows.start, rows.width, rows.group_gram, strict=True):
         group = z[slot : slot + width]
         sums.products[at : at + width**2] += (group @ group.T).ravel()

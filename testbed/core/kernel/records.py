@@ -130,10 +130,8 @@ class Rows(NamedTuple):
     width: Ints  # of a channel, measurement and padding included
     measured: Ints  # slot of a channel's measurement
     link: Ints  # of a channel's joint
-    group_slot: Ints  # slots whose products are wanted
-    group_size: Ints  # how many they are
-    group_width: Ints  # and with the padding
-    group_gram: Ints  # where these go
+    group_size: Ints  # slots of a channel without the padding
+    group_gram: Ints  # where their products go
     slots: int
     block: int  # rows taken at once
 
@@ -238,7 +236,7 @@ class Sums(NamedTuple):
 
     Attributes:
         used: Rows of each channel that count.
-        products: Of all pairs of a group's slots, lower triangles, group by group; or empty.
+        products: Of all pairs of a channel's slots, lower triangles, channel by channel; or empty.
         squares: Sum of the squares of all that was read, (1,): small only if all are numbers.
     """
 
@@ -249,5 +247,5 @@ class Sums(NamedTuple):
 
 def sums_for(rows: Rows) -> Sums:
     """Room for the sums of a window, zero."""
-    products = int((rows.group_width**2).sum())
+    products = int((rows.width**2).sum())
     return Sums(np.zeros(len(rows.measured)), np.zeros(products), np.zeros(1))

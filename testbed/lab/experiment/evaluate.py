@@ -51,7 +51,7 @@ def with_floor(run: Run) -> Run:
     asked = experiment.measurement
     perfect = Instrument(rate=asked.rate, averaged=asked.averaged)
     seen = replace(measured_again(run.recording, perfect, experiment.seed).blind(), tare=None)
-    plain = replace(run.settings, nuisances=(), known={}, weights="channels")
+    plain = replace(run.settings, nuisances=(), known={})
     try:
         estimate = identify(run.tree, seen, "external", settings=plain, threads=1)
     except TestbedError:

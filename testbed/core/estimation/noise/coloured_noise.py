@@ -238,7 +238,7 @@ class _Solution:
     @cached_property
     def constants(self) -> Array:
         """Directions of the constants in the channels as measured, (C, k) [N, N m]."""
-        found = np.linalg.inv(self.units.root.T) @ self.answer.directions
+        found = self.answer.directions / self.units.root[:, None]
         found[np.abs(found) < ROUNDING * np.abs(found).max(initial=0.0)] = 0.0
         return found
 
@@ -281,7 +281,7 @@ class _SecondPass:
         self.quantization.add(own, rows.made)
         self._sums += [part.sum(axis=1) for part in (ones, residual * ones, residual**2 * ones)]
         if self.repetition:
-            self.repetition.add(solution.units.root.T @ residual)
+            self.repetition.add(solution.units.root[:, None] * residual)
 
     @property
     def squares(self) -> Array:

@@ -131,16 +131,15 @@ def _inverse_root(matrix: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Sums over rows, for channels c and d; X are columns, y measurements.
+    """Sums over rows of each channel; X are its columns, y its measurements.
 
     Attributes:
         unknowns: Names, (p,).
         channels: Names, (C,).
         used: Rows of each channel that count, (C,).
-        normal: X_c' X_d, (C, C, p, p); or, where sums across channels were not taken,
-            X_c' X_c, (C, p, p).
-        right: X_c' y_d, (C, C, p); or X_c' y_c, (C, p).
-        square: y_c' y_d, (C, C); or y_c' y_c, (C,).
+        normal: X' X, (C, p, p).
+        right: X' y, (C, p).
+        squares: y' y, (C,).
     """
 
     unknowns: tuple[str, ...]
@@ -148,22 +147,12 @@ class NormalEquations:
     used: Array
     normal: Array
     right: Array
-    square: Array
-
-    @property
-    def joined(self) -> bool:
-        """Whether sums across channels are there."""
-        return self.square.ndim == 2
+    squares: Array
 
     @property
     def rows(self) -> int:
         """Rows of all channels that count."""
         return int(self.used.sum())
-
-    @property
-    def squares(self) -> Array:
-        """Sum of the squares of each channel's measurements, (C,)."""
-        return np.diagonal(self.square) if self.joined else self.square
 
     @property
     def rms(self) -> Array:
@@ -172,8 +161,7 @@ class NormalEquations:
 
     def of_channel(self, c: int) -> tuple[Array, Array, float]:
         """Of one channel alone: X' X, (p, p), X' y, (p,), and y' y."""
-        at = (c, c) if self.joined else (c,)
-        return self.normal[at], self.right[at], float(self.square[at])
+        return self.normal[c], self.right[c], float(self.squares[c])
 
     def of_unknowns(self, kept: Sequence[int]) -> NormalEquations:
         """The same without the other unknowns.
@@ -190,36 +178,21 @@ class NormalEquations:
         )
 
     def matrix(self, weights: Array) -> Array:
-        """X' W X, (p, p).
-
-        Args:
-            weights: W, (C, C); diagonal unless the equations are joined.
-        """
-        if self.joined:
-            return np.asarray(np.einsum("cd,cdij->ij", weights, self.normal))
-        return np.tensordot(np.diagonal(weights), self.normal, 1)
+        """X' X of all channels, (p, p), by weights (C,)."""
+        return np.tensordot(weights, self.normal, 1)
 
     def vector(self, weights: Array) -> Array:
-        """X' W y, (p,).
-
-        Args:
-            weights: W, (C, C); diagonal unless the equations are joined.
-        """
-        if self.joined:
-            return np.asarray(np.einsum("cd,cdi->i", weights, self.right))
-        return np.diagonal(weights) @ self.right
+        """X' y of all channels, (p,), by weights (C,)."""
+        return np.asarray(weights @ self.right)
 
     def residual(self, values: Array) -> Array:
-        """Products of the channels' residuals, (C, C), to 1e-8 of the measurement's square.
+        """Squares of the channels' residuals, (C,), to 1e-8 of the measurement's square.
 
         Args:
             values: Of the unknowns, (p,).
         """
-        if not self.joined:
-            found = self.square - 2 * self.right @ values + self.normal @ values @ values
-            return np.diag(np.maximum(found, 0.0))
-        mixed = self.right @ values
-        return self.square - mixed - mixed.T + self.normal @ values @ values
+        found = self.squares - 2 * self.right @ values + self.normal @ values @ values
+        return np.maximum(found, 0.0)
 
 
 def gather(
@@ -237,32 +210,14 @@ def gather(
     for sums in found:
         used += sums.used
         raw = sums.products if raw.size == 0 else raw + sums.products
-    blocks = []
-    for width, at in zip(layout.rows.group_width, layout.rows.group_gram, strict=True):
+    rows, p = layout.rows, len(unknowns)
+    products = np.empty((len(channels), p + 1, p + 1))
+    for c, columns in enumerate(layout.channels):
+        width, at = rows.width[c], rows.group_gram[c]
         lower = np.tril(raw[at : at + width**2].reshape(width, width))
-        blocks.append(lower + np.tril(lower, -1).T)
-    joined = len(blocks) < len(channels)
-    leads = [_lead(layout, c, len(blocks[0]) if joined else 0) for c in range(len(channels))]
-    if joined:
-        (block,) = blocks
-        products = np.array([[one.T @ block @ other for other in leads] for one in leads])
-    else:
-        products = np.array([lead.T @ own @ lead for lead, own in zip(leads, blocks, strict=True)])
-    normal, right, square = products[..., :-1, :-1], products[..., :-1, -1], products[..., -1, -1]
-    return NormalEquations(unknowns, channels, used, normal, right, square)
-
-
-def _lead(layout: Layout, c: int, slots: int) -> Array:
-    """How a channel's slots make up the unknowns' columns and the measurement, (slots, p + 1).
-
-    Args:
-        layout: The rows.
-        c: The channel.
-        slots: Of all channels together; 0 for the channel's own alone.
-    """
-    rows, columns = layout.rows, layout.channels[c]
-    first = rows.start[c] if slots else 0
-    found = np.zeros((slots or rows.width[c], layout.basis.shape[1] + 1))
-    found[first : first + len(columns), :-1] = layout.basis[columns]
-    found[first + rows.measured[c] - rows.start[c], -1] = 1.0
-    return found
+        lead = np.zeros((width, p + 1))
+        lead[: len(columns), :-1] = layout.basis[columns]
+        lead[rows.measured[c] - rows.start[c], -1] = 1.0
+        products[c] = lead.T @ (lower + np.tril(lower, -1).T) @ lead
+    normal, right, squares = products[:, :-1, :-1], products[:, :-1, -1], products[:, -1, -1]
+    return NormalEquations(unknowns, channels, used, normal, right, squares)

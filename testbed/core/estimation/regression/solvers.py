@@ -26,32 +26,20 @@ PRECISION = 1e-7
 """Least noise of a channel relative to its measurement: what sums of products can resolve."""
 
 
-def noise_weights(equations: NormalEquations, full: bool = False) -> Array:
-    """W, (C, C): the inverse of the noise's covariance.
+def noise_weights(equations: NormalEquations) -> Array:
+    """Weights of the channels, (C,): one over the variance of each one's own noise.
 
     Args:
         equations: Of all rows.
-        full: Whether channels are taken as correlated.
     """
-    rms = np.sqrt(equations.squares) / np.sqrt(np.maximum(equations.used, 1.0))
+    rms = equations.rms
     floor = np.maximum(PRECISION * rms, PRECISION**2 * (rms.max() or 1.0))
-    weights = np.eye(len(equations.channels))
+    share = len(equations.unknowns) / len(rms)
+    free, weights = np.maximum(equations.used - share, 1.0), np.ones(len(rms))
     for _ in range(REWEIGHTINGS):
-        values = _rough(equations, weights)
-        weights = _from_residuals(equations, equations.residual(values), floor, full)
+        squares = equations.residual(_rough(equations, weights))
+        weights = 1 / np.maximum(squares / free, floor**2)
     return weights
-
-
-def _from_residuals(equations: NormalEquations, squares: Array, floor: Array, full: bool) -> Array:
-    share = len(equations.unknowns) / len(equations.channels)
-    free = np.maximum(equations.used - share, 1.0)
-    spread = squares / np.sqrt(np.outer(free, free))
-    variance = np.maximum(np.diagonal(spread), floor**2)
-    if not full:
-        return np.diag(1 / variance)
-    correlation = spread / np.sqrt(np.outer(variance, variance))
-    np.fill_diagonal(correlation, 1 + PRECISION)
-    return np.linalg.inv(correlation) / np.sqrt(np.outer(variance, variance))
 
 
 def _rough(equations: NormalEquations, weights: Array) -> Array:
@@ -77,7 +65,7 @@ class Fit:
     Attributes:
         values: (p,); nan for what no weighted channel sees.
         inverse: Inverse of X' W X, (p, p); nan likewise.
-        weights: W, (C, C).
+        weights: Of the channels, (C,).
         condition: Of the weighted equations with columns of unit length.
     """
 
@@ -99,7 +87,7 @@ def by_normal_equations(equations: NormalEquations, weights: Array) -> Fit:
 
     Args:
         equations: Of all rows.
-        weights: W, (C, C).
+        weights: Of the channels, (C,).
 
     Raises:
         UnseenParameters: The equations do not determine all they see; names them.
@@ -127,19 +115,18 @@ def by_orthogonal_columns(equations: NormalEquations, weights: Array, rows: Rows
 
     Args:
         equations: Of all rows.
-        weights: W, (C, C).
+        weights: Of the channels, (C,).
         rows: Passed over once, block after block onto one triangle.
 
     Raises:
         UnseenParameters: The equations do not determine all unknowns; names them.
     """
-    root = np.linalg.cholesky(weights)
     _, scale = unit_diagonal(equations.matrix(weights))
     p = len(scale)
     triangle = np.zeros((p + 1, p + 1))
     for columns, measured in rows(np.diag(1 / scale)):
         stack = np.concatenate([columns, measured[..., None]], axis=2)
-        white = np.tensordot(root.T, stack, 1).reshape(-1, p + 1)
+        white = (np.sqrt(weights)[:, None, None] * stack).reshape(-1, p + 1)
         (triangle,) = linalg.qr(np.vstack([triangle, white]), mode="r", check_finite=False)
     _, spread, directions = np.linalg.svd(triangle[:p, :p])
     lost = spread <= RANK_TOLERANCE * spread[0]
@@ -158,7 +145,7 @@ def solve(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
 
     Args:
         equations: Of all rows.
-        weights: W, (C, C).
+        weights: Of the channels, (C,).
         rows: Starts a pass over all rows.
 
     Raises:
@@ -191,5 +178,5 @@ def fit(equations: NormalEquations, weights: Mapping[str, float] | None = None) 
         for name in weights:
             if name not in equations.channels:
                 raise UnknownName("channel", name, equations.channels)
-        chosen = np.diag([float(weights.get(c, 0.0)) for c in equations.channels])
+        chosen = np.array([float(weights.get(c, 0.0)) for c in equations.channels])
     return by_normal_equations(equations, chosen)

@@ -361,7 +361,9 @@ def make_plan(
         )
     reach = low_pass_reach(rate, slow, ROW_ATTENUATION) + (0 if sensed else STENCIL)
     reach += low_pass_reach(rate, position, POSITION_ATTENUATION)
-    step = 1 if slow is None else max(1, int((1 + 1e-9) * rate / (per_cutoff * slow)))
+    step = 1
+    if slow is not None:
+        step = max(1, int(min((1 + 1e-9) * rate / (per_cutoff * slow), source.samples)))
     spans = tuple(_rows_in(segment, reach, step) for segment in segments_of(source))
     for k, (_, rows) in enumerate(spans):
         if rows < 2:  # before weights are made: they could be endless

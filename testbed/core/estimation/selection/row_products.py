@@ -195,7 +195,7 @@ def products_of(problem: Problem, source: Source, offset: bool, whole: bool = Fa
         whole: As for `Problem.passes`.
     """
     p, width = len(problem.names), len(problem.channels)
-    passes = problem.with_settings(weights="channels").passes(1, source, whole)
+    passes = problem.passes(1, source, whole)
     ends = np.linspace(0, passes.plan.rows, PARTS + 1).round().astype(int)
     sums = np.zeros((2, PARTS, width, p + 2, p + 2))
     speed, last = np.zeros((PARTS, problem.tree.n)), np.zeros((width, 1, p + 2))

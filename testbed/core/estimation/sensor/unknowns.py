@@ -227,6 +227,8 @@ def identifiable_subset(
         stated: What is known of parameters and of all numbers of the nuisances.
     """
     names, wanted = problem.names, unknowns_of(problem.layout.tree, nuisances)
+    if not nuisances:
+        return wanted, ()
     count, rng = len(wanted.parts), np.random.default_rng(SEED)
     own, theirs = _generic_columns(problem, nuisances, 40 + (len(names) + count) // 2, rng)
     labels, sure = list(names), [False] * count
