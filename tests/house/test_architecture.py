@@ -76,8 +76,8 @@ GUESTS = {
     "rosbags": "recordings/importing/readers/ros_bag.py",
     **dict.fromkeys(("mcap", "google", "lz4"), "recordings/importing/readers/mcap.py"),
     "zstandard": "recordings/importing/readers/mcap.py recordings/importing/readers/ros_bag.py",
-    "pydantic": "codec.py excitation/motion_file.py experiment/ campaign/ toml_text.py "
-    "recordings/importing/mapping.py",
+    "pydantic": "codec.py identification/settings.py excitation/motion_file.py experiment/ "
+    "campaign/ toml_text.py recordings/importing/mapping.py",
     "pydantic_core": "codec.py",
     "tomli_w": "excitation/motion_file.py experiment/ campaign/results.py",
     "typer": "cli/",
