@@ -6,9 +6,9 @@ from .bodies.consistency.consistent import (
     robot_of as robot_of,
 )
 from .bodies.consistency.robot_posterior import prior as prior
+from .bodies.consistency.robot_posterior import write_model as write_model
 from .bodies.consistency.robots import robots as robots
 from .bodies.prior import prior_of as prior_of
-from .bodies.write_model import write_model as write_model
 from .core.base.diagnostics import (
     Diagnostic as Diagnostic,
 )
@@ -35,7 +35,6 @@ from .core.estimation.identify import identify as identify
 from .core.estimation.regression.normal_equations import NormalEquations as NormalEquations
 from .core.estimation.regression.solvers import fit as fit
 from .core.estimation.settings import Settings as Settings
-from .core.estimation.validate import validate as validate
 from .core.parameters.joint_terms import (
     DriveSet as DriveSet,
 )
@@ -86,10 +85,12 @@ from .equations.equations import (
     equations as equations,
 )
 from .equations.languages import write_equations as write_equations
+from .importing.check.read import read as read
 from .importing.convert import (
     import_recording as import_recording,
 )
 from .lab.experiment.carry_out import carry_out as carry_out
+from .lab.experiment.design import design as design
 from .lab.experiment.experiment import Experiment as Experiment
 from .lab.experiment.predict import predict as predict
 from .lab.experiment.record import record as record
@@ -112,6 +113,7 @@ from .lab.experiment.run import (
     assemble_run as assemble_run,
 )
 from .lab.experiment.simulate import simulate as simulate
+from .lab.experiment.validate import validate as validate
 from .lab.instruments.plate import PlateBias as PlateBias
 from .lab.instruments.plate import PlatePose as PlatePose
 from .lab.simulation.bodies import Payload as Payload

@@ -10,13 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-from testbed.core.base.errors import ModelError, SettingsError
+from testbed.core.base.errors import SettingsError
 from testbed.core.robot.force_sensor import ForceSensor
-from testbed.core.robot.model_file import ModelFile
+from testbed.core.robot.model_file import ModelFile, file_of
 from testbed.core.robot.tree import Tree, require_tree
 from testbed.lab.instruments.chain import Instrument
 from testbed.lab.instruments.fault import FULL_SCALE, Fault
 from testbed.lab.simulation.effect import Effect
+from testbed.summary_table import Summarized, SummaryTable
 
 MOST_STEPS = 10_000
 """Most simulation steps a sample: a thousand samples are held in full."""
@@ -108,8 +109,8 @@ class Encoders:
 Sensor: TypeAlias = ForcePlate | JointTorques | Encoders
 
 
-@dataclass(frozen=True, eq=False)
-class Rig:
+@dataclass(frozen=True, eq=False, repr=False)
+class Rig(Summarized):
     """A robot on its bedplate with all that determines what its sensors show along a motion.
 
     Attributes:
@@ -147,16 +148,21 @@ class Rig:
         self.instrument.stages(names)  # refuses errors of joints that are not there
 
     @property
+    def summary(self) -> SummaryTable:
+        """Robot, plant and sensors, a line each."""
+        rows = [("robot", repr(self.robot))]
+        rows += [("plant", repr(each)) for each in self.plant]
+        rows += [("sensor", repr(each)) for each in self.sensors]
+        return SummaryTable(f"rig at {self.rate:g} Hz", tuple(rows))
+
+    @property
     def file(self) -> ModelFile:
         """Model file of the robot.
 
         Raises:
             ModelError: The robot was not read from one.
         """
-        file = self.robot.file
-        if not isinstance(file, ModelFile):
-            raise ModelError(f"robot '{self.robot.name}' has no model file: tb.load_tree reads one")
-        return file
+        return file_of(self.robot)
 
     @property
     def true_robot(self) -> Tree:

@@ -18,6 +18,7 @@ from testbed.core.base.diagnostics import (
     of_instrument,
     of_recording,
     ordered,
+    sentences,
 )
 from testbed.core.base.errors import RecordingError, TestbedError, UnseenParameters, plural
 from testbed.core.dynamics.newton_euler import Motion
@@ -45,6 +46,7 @@ from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.score import Errors, Score, drive_metrics, score
+from testbed.summary_table import Summarized, SummaryTable
 
 
 def shown_motion(recording: Recording, settings: Settings) -> tuple[Motion, slice]:
@@ -165,8 +167,8 @@ def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[Diagnostic
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Run(Diagnosed):
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(Diagnosed, Summarized):
     """One recording and what came of it.
 
     Attributes:
@@ -203,6 +205,14 @@ class Run(Diagnosed):
     drives: DriveFindings | None = None
     consistent: Consistent | None = None
     posterior: Mapping[Method, Posterior] = field(default_factory=dict)
+
+    @property
+    def summary(self) -> SummaryTable:
+        """Figures of merit, or how many parameters each estimate has."""
+        counts = {self.instruments[m]: str(len(e.names)) for m, e in self.estimates.items()}
+        figures = {name: f"{value:.4g}" for name, value in self.metrics.items()}
+        warnings = tuple(f"warning: {line}" for line in sentences(self.diagnostics))
+        return SummaryTable(f"run '{self.name}'", tuple((counts | figures).items()), warnings)
 
     def with_diagnostics(self, more: Iterable[Diagnostic]) -> Run:
         """The same with more diagnostics, put in order anew.
