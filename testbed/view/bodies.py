@@ -11,12 +11,12 @@ from testbed.bodies.consistency.robots import Robots
 from testbed.bodies.linear_prior import DETERMINED
 from testbed.bodies.shapes.shapes import Shape, equivalent_ellipsoids
 from testbed.core.base.arrays import Array
+from testbed.core.base.summary_table import number_with_sigma
 from testbed.core.dynamics.newton_euler import poses
 from testbed.core.estimation.estimate import NAMES
 from testbed.core.parameters.symbols import STANDARD, with_standard
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.run import Run
-from testbed.summary_table import number_with_sigma
 from testbed.view.portrait import view
 from testbed.view.section import Drawing, Section, Table
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.applications.drives.friction_map import LOADS, SPEEDS, FrictionMap
 from testbed.core.base.arrays import Array
-from testbed.summary_table import number_with_sigma
+from testbed.core.base.summary_table import number_with_sigma
 from testbed.view.drives import BAND
 from testbed.view.figures import (
     BOTTOM,

@@ -13,13 +13,13 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from testbed.core.base.arrays import Array
+from testbed.core.base.summary_table import ROUNDING
 from testbed.core.estimation.estimate import METHODS, Estimate, Method, by_influence
 from testbed.core.estimation.information import Information
 from testbed.core.recordings.recording import Recording
 from testbed.lab.experiment.predict import Predictions, predict
 from testbed.lab.experiment.run import Run
 from testbed.lab.experiment.score import Errors
-from testbed.summary_table import ROUNDING
 from testbed.view.figures import APART, Panel, named_panels, power_of_ten
 from testbed.view.section import Section, Table
 

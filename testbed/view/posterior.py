@@ -9,6 +9,7 @@ import numpy as np
 from testbed.bodies.posterior import Posterior
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import phrase
+from testbed.core.base.summary_table import number_with_sigma
 from testbed.core.estimation.estimate import NAMES
 from testbed.core.estimation.selection.prediction_errors import (
     CONSISTENT,
@@ -19,7 +20,6 @@ from testbed.core.estimation.selection.prediction_errors import (
     PredictionErrors,
 )
 from testbed.core.estimation.validate import Validation
-from testbed.summary_table import number_with_sigma
 from testbed.view.section import Table
 
 HEADS = {

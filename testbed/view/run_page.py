@@ -15,6 +15,7 @@ from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import plural
 from testbed.core.base.files import replacing, together
 from testbed.core.base.installation import versions
+from testbed.core.base.summary_table import OPEN_ZERO
 from testbed.core.dynamics.newton_euler import sensor_poses
 from testbed.core.estimation.estimate import Estimate, by_influence
 from testbed.core.parameters.identifiability import identifiability
@@ -28,7 +29,6 @@ from testbed.lab.experiment.predict import predict
 from testbed.lab.experiment.results import read_run
 from testbed.lab.experiment.run import Run
 from testbed.lab.experiment.summary import obtained, summary, verdict
-from testbed.summary_table import OPEN_ZERO
 from testbed.view.estimates import choice_lines, instrument_tables, matrix_maps, with_sigma
 from testbed.view.figures import Panel
 from testbed.view.output import rendered

@@ -12,6 +12,7 @@ from rich.panel import Panel
 
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import printable
+from testbed.core.base.summary_table import OPEN_ZERO
 from testbed.core.estimation.diagnostics.residuals import diagnostics_of
 from testbed.core.estimation.selection.prediction_errors import PLAIN, POSTERIOR
 from testbed.core.estimation.verdict import WELL, verdict_of
@@ -20,7 +21,6 @@ from testbed.lab.experiment.summary import (
     data_lines,
     headline,
 )
-from testbed.summary_table import OPEN_ZERO
 from testbed.view.bodies import consistent_lines, consistent_tables
 from testbed.view.drives import drive_lines, drive_table
 from testbed.view.estimates import (

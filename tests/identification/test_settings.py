@@ -13,12 +13,12 @@ from hypothesis import given
 import testbed as tb
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import RecordingError, SettingsError, TestbedError, UnknownName
+from testbed.core.base.frames import frame_of
+from testbed.core.base.summary_table import number_with_sigma
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.selection.term_choice import choose_terms
 from testbed.core.estimation.settings import Settings
 from testbed.core.robot.friction import JointLaw
-from testbed.frames import frame_of
-from testbed.summary_table import number_with_sigma
 from tests.helpers.ideal import EXACT, ideal, true_values
 from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses

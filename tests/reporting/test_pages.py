@@ -14,6 +14,7 @@ import pytest
 import testbed as tb
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.core.base.diagnostics import phrase
+from testbed.core.base.summary_table import number_with_sigma
 from testbed.core.estimation.estimate import METHODS, NAMES, by_influence
 from testbed.core.estimation.verdict import verdict_of
 from testbed.lab.experiment.carry_out import validated
@@ -22,7 +23,6 @@ from testbed.lab.experiment.experiment_tables import Bound
 from testbed.lab.experiment.predict import predict
 from testbed.lab.experiment.run import assemble_run
 from testbed.lab.experiment.summary import summary, verdict
-from testbed.summary_table import number_with_sigma
 from testbed.view.estimates import CLEAR, instrument_tables, matrix_maps
 from testbed.view.figures import Panel
 from testbed.view.run_page import LONGEST, contents, parameter_rows, write_report

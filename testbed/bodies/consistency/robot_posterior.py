@@ -17,12 +17,12 @@ from testbed.bodies.write_model import Fixed
 from testbed.bodies.write_model import write_model as write_tree
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import SettingsError
+from testbed.core.base.summary_table import Summarized, SummaryTable, number_with_sigma
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.information import Information
 from testbed.core.parameters.symbols import STANDARD
 from testbed.core.robot.model_file import file_of
 from testbed.core.robot.tree import Tree, require_tree
-from testbed.summary_table import Summarized, SummaryTable, number_with_sigma
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,8 @@ from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.codec import TableSchema
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, sentences
 from testbed.core.base.errors import plural
+from testbed.core.base.frames import frame_of
+from testbed.core.base.summary_table import Summarized, SummaryTable, parameter_rows
 from testbed.core.estimation.information import Information
 from testbed.core.estimation.noise.noise_model import NoiseModel
 from testbed.core.estimation.regression.normal_equations import TINY, NormalEquations
@@ -26,8 +28,6 @@ from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.robot.friction import JointLaw
 from testbed.core.robot.locks import places
 from testbed.core.robot.tree import Tree
-from testbed.frames import frame_of
-from testbed.summary_table import Summarized, SummaryTable, parameter_rows
 
 Method = Literal["external", "internal"]
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError
+from testbed.core.base.summary_table import Summarized, SummaryTable, parameter_rows
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.robot.tree import Tree
-from testbed.summary_table import Summarized, SummaryTable, parameter_rows
 
 SINGULAR = 1e-12
 """Eigenvalue of the scaled information matrix below which a direction is not determined."""

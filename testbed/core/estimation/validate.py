@@ -18,6 +18,7 @@ from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose, sentences
 from testbed.core.base.errors import RecordingError, SettingsError, plural
+from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion, linear
 from testbed.core.estimation.estimate import (
     METHODS,
@@ -50,7 +51,6 @@ from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import RecordingLike
 from testbed.core.robot.friction import ROOM, SLOPE, term_torque
 from testbed.core.robot.tree import Tree
-from testbed.summary_table import Summarized, SummaryTable
 
 
 def motion_in(recording: Recording, settings: Settings = DEFAULTS) -> tuple[Motion, slice]:

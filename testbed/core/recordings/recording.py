@@ -16,6 +16,8 @@ import numpy as np
 from testbed.core.base.arrays import Array, readonly
 from testbed.core.base.errors import RecordingError
 from testbed.core.base.files import replacing
+from testbed.core.base.frames import columns_of, frame_of
+from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.recordings.columns import (
     JOINT_SIGNALS,
     SIGNALS,
@@ -32,8 +34,6 @@ from testbed.core.recordings.columns import (
 )
 from testbed.core.recordings.geometry import check_robot
 from testbed.core.robot.tree import Tree, require_tree
-from testbed.frames import columns_of, frame_of
-from testbed.summary_table import Summarized, SummaryTable
 
 READ = {*SIGNALS, *(f"truth/{signal}" for signal in TRUE_SIGNALS)}
 """Signals that are read from a file; its other columns are left alone."""

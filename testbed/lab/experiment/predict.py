@@ -11,6 +11,8 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError
+from testbed.core.base.frames import frame_of
+from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.estimate_summary import corrected_by, summary_of
@@ -20,9 +22,7 @@ from testbed.core.estimation.validate import friction, predictions
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.model_file import ModelFile
-from testbed.frames import frame_of
 from testbed.lab.experiment.run import Run, shown_motion
-from testbed.summary_table import Summarized, SummaryTable
 
 
 @dataclass(frozen=True, eq=False)

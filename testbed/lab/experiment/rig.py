@@ -6,18 +6,19 @@ or anything is simulated.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any
 
 from testbed.core.base.errors import SettingsError
+from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.robot.force_sensor import ForceSensor
 from testbed.core.robot.model_file import ModelFile, file_of
 from testbed.core.robot.tree import Tree, require_tree
 from testbed.lab.instruments.chain import Instrument
 from testbed.lab.instruments.fault import FULL_SCALE, Fault
 from testbed.lab.simulation.effect import Effect
-from testbed.summary_table import Summarized, SummaryTable
 
 MOST_STEPS = 10_000
 """Most simulation steps a sample: a thousand samples are held in full."""
@@ -26,8 +27,19 @@ MOST_SAMPLES = 2e6
 """Most samples of one run: they are held in memory."""
 
 
+class Sensor:
+    """One of the sensors of a rig."""
+
+    errors: Sequence[Fault]
+
+    @property
+    @abstractmethod
+    def settings(self) -> dict[str, Any]:
+        """Keys of `Instrument` that it sets, but for errors."""
+
+
 @dataclass(frozen=True)
-class ForcePlate:
+class ForcePlate(Sensor):
     """Six-axis force plate under the robot, or force sensor in it; perfect by default.
 
     It measures the wrench of the bedplate on the robot, (M, 6) [N, N m]: force first, bedplate
@@ -60,7 +72,7 @@ class ForcePlate:
 
 
 @dataclass(frozen=True)
-class JointTorques:
+class JointTorques(Sensor):
     """Motor torques as the drives report them, (M, n) [N m or N]; perfect by default.
 
     Attributes:
@@ -81,7 +93,7 @@ class JointTorques:
 
 
 @dataclass(frozen=True)
-class Encoders:
+class Encoders(Sensor):
     """Joint positions, (M, n) [rad or m]; perfect by default.
 
     Attributes:
@@ -104,9 +116,6 @@ class Encoders:
             "encoder_noise": self.noise,
             "senses_kinematics": self.kinematics,
         }
-
-
-Sensor: TypeAlias = ForcePlate | JointTorques | Encoders
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -145,6 +154,8 @@ class Rig(Summarized):
         kinds = [type(sensor) for sensor in self.outer]
         if len(set(kinds)) < len(kinds):
             raise SettingsError("Rig: sensors has two of one kind: those in the robot are mounted")
+        for joint in self.instrument.torque_constant_error:
+            self.robot.index(joint)  # refuses joints that are not there
         self.instrument.stages(names)  # refuses errors of joints that are not there
 
     @property

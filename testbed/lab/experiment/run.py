@@ -21,6 +21,7 @@ from testbed.core.base.diagnostics import (
     sentences,
 )
 from testbed.core.base.errors import RecordingError, TestbedError, UnseenParameters, plural
+from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.diagnostics.residuals import diagnostics_of
 from testbed.core.estimation.estimate import (
@@ -46,7 +47,6 @@ from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.score import Errors, Score, drive_metrics, score
-from testbed.summary_table import Summarized, SummaryTable
 
 
 def shown_motion(recording: Recording, settings: Settings) -> tuple[Motion, slice]:
