@@ -98,15 +98,12 @@ def consistency(
     seeds: Annotated[int, typer.Option(help="Simulated recordings of each length.")] = 10,
     trees: Annotated[int, typer.Option(help="Random trees.")] = 100,
 ) -> None:
-    """Consistent bodies: accuracy beside plain estimates, round trips of files, times."""
+    """Consistent bodies: accuracy beside plain estimates, times."""
     from benchmarks import consistency as made
-    from testbed.bodies.consistency.options import METRICS
 
     _print(made.trees(trees, 1000))
-    for metric in METRICS:
-        for line in made.times((6, 12, 30), metric):
-            _print(line)
-    _print(made.prediction(1))
+    for line in made.times((6, 12, 30)):
+        _print(line)
     for speed in (0.3, 0.1):
         _print(made.poor(range(500, 500 + seeds), speed))
     for line in made.accuracy((60.0, 5.0), range(500, 500 + seeds)):
@@ -142,13 +139,12 @@ def identify(
     gigabytes: Annotated[float, typer.Option(help="Size of a recording to identify.")] = 0.0,
 ) -> None:
     """The complete answer against Pinocchio in a loop and lstsq; threads; memory."""
-    from benchmarks.identify import answer, default, memory, stored
+    from benchmarks.identify import answer, memory, stored
     from benchmarks.regressor import cases
 
     known = {case.name: case for case in cases()}
     if gigabytes:  # first: what a process once held stays in its peak
         _print(stored(known["puma6"], gigabytes))
-    _print(default(rounds))
     _print(memory(known["puma6"]))
     for case in known.values():
         for model in ("dynamic", "reaction"):
@@ -266,7 +262,6 @@ def coverage(
     runs: Annotated[int, typer.Option(min=2, help="Recordings of each kind.")] = 200,
     first: Annotated[int, typer.Option(help="The first seed.")] = 5000,
     seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 20.0,
-    noise: Annotated[str, typer.Option(help="Setting of the identification.")] = "ar",
     only: Annotated[str, typer.Option(help="Only studies whose words hold this.")] = "",
 ) -> None:
     """How often intervals of 95 % hold the truth: docs/uncertainty.md; exit code 1 if too few."""
@@ -274,8 +269,7 @@ def coverage(
     from benchmarks.coverage import coverage as measured
     from benchmarks.coverage import studies
 
-    settings = tb.Settings(noise="white" if noise == "white" else "ar")
-    asked = (study for study in studies(settings, seconds) if only in study.words)
+    asked = (study for study in studies(tb.Settings(), seconds) if only in study.words)
     lines = list(_printed(measured(study, first, runs) for study in asked))
     raise typer.Exit(int(not all(line["held"] for line in lines)))
 

@@ -1,12 +1,10 @@
 """Friction under load by the plate: coefficients, intervals, false terms, unseen motions.
 
-What happens is simulated once for each robot and loss; every seed measures it with other noise. The
-same is done without the plate: each joint's torque alone, its bodies unknown.
+What happens is simulated once for each robot and loss; every seed measures it with other noise.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
@@ -18,23 +16,20 @@ import numpy as np
 import testbed as tb
 from testbed.applications.drives.friction_curves import (
     Choice,
-    ChosenTerms,
     DriveEstimate,
     chosen_terms,
+    drive_of,
     offered,
+    picked_terms,
 )
-from testbed.applications.drives.friction_map import friction_maps
-from testbed.applications.drives.identify_drives import identify_drives
-from testbed.applications.drives.joint_regression import Torques, regressions, torques_beside
+from testbed.applications.drives.joint_regression import regressions, torques_beside
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.normal_equations import scaled_inverse
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.friction import COULOMB, LOADED, ROTOR, VISCOUS, JointLaw, stribeck
 from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.instruments.chain import measured_again
 from testbed.lab.instruments.joints import TorqueNoise
-from tests.helpers.measured import measured
 from tests.helpers.paths import REAL, ROOT
 
 LOSSES = (0.0, 0.05, 0.1, 0.2)
@@ -55,9 +50,6 @@ NOISE = 0.005
 
 CLEAR = 0.03, 1e-3
 """Asked of a load coefficient (relative) and of a constant."""
-
-UNSEEN = 0.4
-"""Asked: residual on an unseen motion over what dry and viscous friction leave."""
 
 SECONDS = 20.0
 """Of an unseen motion."""
@@ -155,13 +147,14 @@ def trial(name: str, loss: float, seconds: float, seed: int) -> dict[str, Any]:
     problem = Problem.of(tree, seen, "internal", plain, threads=1, knows_load=True)
     torques = torques_beside(problem, bodies, offered(plain.laws, seen.signals))
 
-    def drives_of(terms: ChosenTerms) -> tuple[DriveEstimate, ...]:
-        return terms.estimates(tree, torques, regressions(torques, bodies, terms.pick))
+    def drives_of(choices: Mapping[int, Choice]) -> list[DriveEstimate]:
+        found = regressions(torques, bodies, picked_terms(torques, choices))
+        return [drive_of(tree, torques, each) for each in found]
 
-    def alike(laws: Sequence[JointLaw]) -> ChosenTerms:
-        return ChosenTerms((Choice(tuple(laws), (), None),) * tree.n)
-
-    given, simple = drives_of(alike(GIVEN)), drives_of(alike(GIVEN[:2]))
+    given, simple = (
+        drives_of(dict.fromkeys(torques.joints, Choice(laws, (), None)))
+        for laws in (GIVEN, GIVEN[:2])
+    )
     chosen = drives_of(chosen_terms(tree, torques, bodies))
     truth = [
         np.array([k, dry, wet, (STATIC - 1) * dry, loss])
@@ -177,15 +170,8 @@ def trial(name: str, loss: float, seconds: float, seed: int) -> dict[str, Any]:
         "found": np.array(found),
         "sigma": np.array(sigma),
         "chosen": [[t.law.kind for t in e.terms] for e in chosen],
-        "loads": np.array([_of(e, "load") for e in chosen]),
-        "constants": np.array([(e.constant, e.sigma) for e in chosen]),
         "unseen": left[0] / left[1],
-        "alone": without_plate(torques, problem.minimal.count, constants),
     }
-
-
-def _of(drive: DriveEstimate, kind: str) -> tuple[float, float]:
-    return next(((t.value, t.sigma) for t in drive.terms if t.law.kind == kind), (0.0, np.nan))
 
 
 def unseen_residual(
@@ -202,28 +188,6 @@ def unseen_residual(
         off = constants[j] * truth.torque[:, j] - drive.constant * (load[:, j] + friction)
         left.append(np.sqrt(np.mean(off[moving] ** 2)))
     return np.array(left)
-
-
-def without_plate(torques: Torques, bodies: int, constants: Array) -> Array:
-    """Load coefficients of every joint by its torque alone, and their sigmas, (n, 2).
-
-    Each joint has bodies of its own, in which its torque constant is contained. The load in the
-    column of the load term is the plate's; its own would be that, times the constant.
-    """
-    asked, found = torques.drives.asked, []
-    for joint in torques.joints:
-        normal, right, square = torques.equations.of_channel(joint)
-        own = [k for k, t in enumerate(asked) if t.joint == joint and t.law in GIVEN]
-        unknowns = torques.drives.columns[:, own]
-        lead = np.column_stack([np.eye(len(normal))[:, :bodies], unknowns])
-        there = np.einsum("ij,ik,kj->j", lead, normal, lead) > 0
-        lead = lead[:, there]
-        inverse = scaled_inverse(lead.T @ normal @ lead)
-        values = inverse @ (lead.T @ right)
-        left = max(square - values @ (lead.T @ right), 0.0)
-        sigma = np.sqrt(inverse[-1, -1] * left / max(torques.equations.used[joint], 1.0))
-        found.append(np.array([values[-1], sigma]) / constants[joint])
-    return np.array(found)
 
 
 def line(name: str, loss: float, seconds: float, first: int, seeds: int) -> dict[str, Any]:
@@ -243,10 +207,8 @@ def line(name: str, loss: float, seconds: float, first: int, seeds: int) -> dict
         sigma[..., 4].mean(axis=0) < CLEAR[0] * max(loss, min(LOSSES[1:])) / 3
     )  # joints whose torques show what is asked by three sigmas
     false = [any(set(kinds) & {law.kind for law in LOADED} for kinds in r["chosen"]) for r in runs]
-    loads = np.array([r["loads"][:, 0] for r in runs])
     unseen = np.array([r["unseen"] for r in runs])
-    alone = np.array([r["alone"] for r in runs])
-    off = (alone[..., 0] - loss) / max(loss, 1e-9)
+    inside = np.abs(z) < 1.96
     return {
         "robot": name,
         "loss": loss,
@@ -258,117 +220,21 @@ def line(name: str, loss: float, seconds: float, first: int, seeds: int) -> dict
         "constant_error": _rounded(
             np.abs(found[..., 0] / truth[..., 0] - 1)[:, clear].max(initial=0)
         ),
-        "max_z": _rounded(np.abs(z).max()),
-        "rms_z": _rounded(np.sqrt(np.mean(z**2))),
-        "coverage": _rounded(np.mean(np.abs(z) < 1.96)),
-        "coverage_by_term": {
-            kind: _rounded(share)
-            for kind, share in zip(
+        "coverage": _rounded(np.mean(inside)),
+        "coverage_by_term": dict(
+            zip(
                 ("constant", *(law.kind for law in GIVEN)),
-                np.mean(np.abs(z) < 1.96, axis=(0, 1)).tolist(),
+                [_rounded(share) for share in inside.mean(axis=(0, 1))],
                 strict=True,
             )
-        },
-        "max_z_by_term": [_rounded(m) for m in np.abs(z).max(axis=(0, 1))],
+        ),
         "any_load_term": _rounded(np.mean(false)),
-        "load_chosen": _rounded(np.mean(loads != 0)),
-        "unseen_ratio": _rounded(np.median(unseen)),
         "unseen_ratio_clear": _rounded(unseen[:, clear].max(initial=0.0)),
-        "sigma_load_by_joint": [_rounded(s) for s in sigma[..., 4].mean(axis=0)],
-        "alone_sigma_by_joint": [_rounded(s) for s in alone[..., 1].mean(axis=0)],
-        "alone_error": [_rounded(s) for s in np.abs(off).max(axis=0)],
     }
 
 
 def _rounded(value: Any) -> float:
     return float(f"{value:.3g}")
-
-
-def apart(first: int, seeds: int, seconds: float) -> dict[str, Any]:
-    """A PUMA's gears that lose a tenth when driving and half of that when driven; constants known.
-
-    Args:
-        first: The first seed.
-        seeds: How many.
-        seconds: Duration.
-    """
-    share, back = 0.1, 0.05
-    effect = f"simulation.effect=[{{kind='load_friction',share={share},driven={back / share}}}]"
-    terms = 'identification.terms=["coulomb","viscous","load"]'
-    found = []
-    for recording, asked in _noisy("puma", seconds, first, seeds, effect, terms):
-        tree, settings = robot_of(asked), asked.identification
-        bodies = tb.identify(tree, recording, settings=settings, threads=1)
-        problem = Problem.of(tree, recording, "internal", settings, threads=1, knows_load=True)
-        torques = torques_beside(problem, bodies)
-        drives = ChosenTerms(None).estimates(tree, torques, regressions(torques, bodies))
-        found.append([e.shares(1.0) for e in drives])
-    mean, spread = np.mean(found, axis=0), np.std(found, axis=0, ddof=1)
-    return {
-        "apart": list(tree.names),
-        "true": [share, back],
-        "found": np.round(mean, 5).tolist(),
-        "spread": np.round(spread, 5).tolist(),
-    }
-
-
-def warm(first: int, seeds: int, seconds: float, change: float) -> dict[str, Any]:
-    """A PUMA's drives that warm up by 20 K: by how many kelvins' worth viscosity is wrong.
-
-    Args:
-        first: The first seed.
-        seeds: How many.
-        seconds: Duration.
-        change: Of viscous friction a kelvin; 0 for none.
-    """
-    warmth = f"rise=20,time_constant={seconds / 3},viscous={change}"
-    effect = f"simulation.effect=[{{kind='warming_drives',{warmth}}}]"
-    chosen, off = [], []
-    for recording, asked in _noisy("puma", seconds, first, seeds, effect):
-        tree, settings = robot_of(asked), replace(asked.identification, terms=None)
-        bodies = tb.identify(tree, recording, settings=settings, threads=1)
-        drives = identify_drives(
-            tree, recording, bodies, settings=settings, choose=True, threads=1
-        ).estimates
-        warmed = [_of(drive, "warm_viscous")[0] for drive in drives]
-        chosen.append([any("warm" in t.law.kind for t in drive.terms) for drive in drives])
-        if change:
-            off.append(20 * (np.array(warmed) / VISCOUS.coefficients(tree) / change - 1))
-    return {
-        "warming": change,
-        "terms_chosen": _rounded(np.mean(chosen)),
-        "runs_with_terms": _rounded(np.mean(np.any(chosen, axis=1))),
-        "kelvins_off": _rounded(np.abs(off).max()) if off else None,
-    }
-
-
-def _noisy(
-    name: str, seconds: float, first: int, seeds: int, *words: str
-) -> Iterator[tuple[Recording, tb.Experiment]]:
-    """Recordings of one motion with other noise, 0.5 N m of it in torques."""
-    asked = experiment_of(name, 0.0, seconds, *words)
-    happened_once = tb.record(asked)
-    for seed in range(first, first + seeds):
-        yield measured_again(happened_once, asked.measurement, seed), asked
-
-
-def map_cost(seconds: float) -> dict[str, Any]:
-    """CPU time of the maps of seven joints, the plate's estimate and the regressions given.
-
-    Args:
-        seconds: Duration of the recording.
-    """
-    tree = robot_of(experiment_of("panda", 0.0, seconds))
-    recording = measured(tree, duration=seconds, rate=1000.0)
-    bodies = tb.identify(tree, recording, threads=1)
-    problem = Problem.of(tree, recording, "internal", threads=1, knows_load=True)
-    found = regressions(torques_beside(problem, bodies), bodies)
-    taken = []
-    for _ in range(3):
-        start = time.process_time()
-        friction_maps(problem, bodies, found)
-        taken.append(time.process_time() - start)
-    return {"map_seconds": seconds, "joints": tree.n, "cpu_seconds": round(min(taken), 3)}
 
 
 def study(seeds: int, first: int, seconds: float, only: str, jobs: int) -> Iterator[dict[str, Any]]:
@@ -382,13 +248,6 @@ def study(seeds: int, first: int, seconds: float, only: str, jobs: int) -> Itera
         jobs: Processes.
     """
     asked = [(name, loss) for name in CASES for loss in LOSSES if only in f"{name} {loss}"]
-    if only in "cost":
-        yield map_cost(60.0)
-    if only in "apart":
-        yield apart(first, seeds, seconds)
-    if only in "warm":
-        yield warm(first, seeds, seconds, -0.02)
-        yield warm(first, seeds, seconds, 0.0)
     with ProcessPoolExecutor(jobs) as pool:
         waiting = [pool.submit(line, *each, seconds, first, seeds) for each in asked]
         for each in waiting:

@@ -15,7 +15,7 @@ import numpy as np
 
 import testbed as tb
 from benchmarks.friction import Case
-from testbed.applications.drives.friction_curves import ChosenTerms, DriveEstimate
+from testbed.applications.drives.friction_curves import DriveEstimate, drive_of
 from testbed.applications.drives.joint_regression import regressions, torques_beside
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import Estimate
@@ -56,7 +56,7 @@ def drives_of(
     """
     problem = Problem.of(tree, seen, "internal", settings, threads=1, knows_load=True)
     torques = torques_beside(problem, bodies)
-    return ChosenTerms(None).estimates(tree, torques, regressions(torques, bodies))
+    return tuple(drive_of(tree, torques, each) for each in regressions(torques, bodies))
 
 
 def experiment_of(name: str, seconds: float, *words: str) -> tb.Experiment:

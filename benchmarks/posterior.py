@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from testbed.bodies.posterior import Posterior, posterior
+from testbed.bodies.posterior import Posterior, posterior, rows_of
 from testbed.bodies.prior import prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import UnseenParameters
@@ -87,8 +87,8 @@ def _found(tree: tb.Tree, recording: Recording) -> tuple[Estimate | None, Poster
         estimate = tb.identify(tree, recording, "internal", settings=SETTINGS)
     except UnseenParameters:
         estimate = None
-    prior = prior_of(tree)
-    return estimate, posterior(tree, recording, prior, "internal", estimate, settings=SETTINGS)
+    rows = rows_of(Problem.of(tree, recording, "internal", SETTINGS), estimate)
+    return estimate, posterior(rows, prior_of(tree), estimate)
 
 
 def _apart(one: Estimate | Posterior | None, other: Estimate | Posterior | None) -> list[float]:

@@ -8,12 +8,10 @@ all parameters the prior is left out, and the estimate is that of least squares.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from testbed.bodies.linear_prior import (
     DETERMINED,
@@ -25,7 +23,7 @@ from testbed.bodies.linear_prior import (
     refitted,
     with_prior,
 )
-from testbed.bodies.prior import Prior, prior_of
+from testbed.bodies.prior import Prior
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
@@ -47,13 +45,9 @@ from testbed.core.estimation.selection.prediction_errors import (
     REFITTED,
     PredictionErrors,
     prediction_errors,
+    predictions_of,
 )
-from testbed.core.estimation.selection.row_products import Parts, RowProducts, products_of
-from testbed.core.estimation.selection.term_choice import with_chosen_settings
-from testbed.core.estimation.settings import DEFAULTS, Settings
-from testbed.core.recordings.source import RecordingLike, Source
-from testbed.core.recordings.views import is_imported, with_gear
-from testbed.core.robot.tree import Tree
+from testbed.core.estimation.selection.row_products import RowParts, RowProducts, products_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,50 +186,43 @@ def reported_estimate(
 
 
 def posterior(
-    tree: Tree,
-    recording: RecordingLike,
+    rows: RowParts,
     prior: Prior,
-    method: Method = "external",
     estimate: Estimate | None = None,
     *,
     prior_error: float | None = None,
-    gravity: ArrayLike | None = None,
-    settings: Settings = DEFAULTS,
-    threads: int | None = None,
 ) -> Posterior:
     """What a recording adds to a model file.
 
     Args:
-        tree: The robot; friction that its joints state is the file's.
-        recording: As for `identify`.
+        rows: Of the recording; friction that the joints of its robot state is the file's.
         prior: The bodies of the model file (`prior_of`).
-        method: As for `identify`.
-        estimate: By least squares, with the same settings; None where the data determine none.
+        estimate: By least squares, of the same rows; None where the data determine none.
         prior_error: Of the file's bodies, in parts of themselves; None for the likeliest.
-        gravity: As for `identify`.
-        settings: As for `identify`.
-        threads: How many to use; default one a processor.
-
-    Raises:
-        RecordingError: As `identify`.
     """
     made = [] if estimate is None else [estimate]
-    problem, parts = parts_of(tree, recording, method, made, gravity, settings, threads)
+    problem, method, whole = rows.problem, rows.problem.method, rows.whole
     with one_blas_thread():
         error = prior_error or PRIOR_ERROR
-        before = linear_prior(problem, prior, error, parts.whole)
-        enough = bool(parts.whole.enough.all())
+        before = linear_prior(problem, prior, error, whole)
+        enough = bool(whole.enough.all())
         used = not (enough and any(determines(each, before) for each in made))
         if used and prior_error is None:
-            error = likeliest(parts.whole, before)
+            error = likeliest(whole, before)
             before = before.times(error / PRIOR_ERROR)
-        values, covariance = with_prior(parts.whole, before)
+        values, covariance = with_prior(whole, before)
         if used:
-            alone = tuple(alone_determined(parts.whole, before).tolist())
+            alone = tuple(alone_determined(whole, before).tolist())
         else:
             values, covariance = made[0].values, np.array(made[0].covariance)
             alone = (True,) * len(values)
-        count, constants = problem.minimal.count, parts.whole.constants(values)
+        fits: dict[str, Callable[[RowProducts], Array]] = {
+            REFITTED: lambda rows: refitted(rows, before),
+            POSTERIOR: (lambda rows: with_prior(rows, before)[0]) if used else _plain,
+        }
+        if made:
+            fits[PLAIN] = _plain
+        count, constants = problem.minimal.count, whole.constants(values)
         variance = np.maximum(before.variance, TINY)
         return Posterior(
             method=method,
@@ -244,7 +231,7 @@ def posterior(
             units=problem.units,
             count=count,
             file=before.mean,
-            refitted=refitted(parts.whole, before),
+            refitted=refitted(whole, before),
             prior_sigma=np.sqrt(before.variance),
             values=values,
             covariance=covariance,
@@ -252,103 +239,26 @@ def posterior(
             alone=alone,
             prior_error=error,
             used=used,
-            residual=parts.whole.residual(values),
-            by_part=np.array([part.residual(values, constants) for part in parts.each]),
+            residual=whole.residual(values),
+            by_part=np.array([part.residual(values, constants) for part in rows.each]),
             duration=problem.source.samples / problem.source.rate,
             gravity=problem.tree.gravity,
-            errors=_held_out(problem, before, parts, used=used, plain=bool(made)),
+            errors=held_out_errors(rows, fits, before.mean),
         )
 
 
-def posteriors(
-    tree: Tree,
-    source: Source,
-    estimates: Mapping[Method, Estimate | None],
-    settings: Settings,
-    *,
-    prior_error: float | None = None,
-    gravity: ArrayLike | None = None,
-    threads: int | None = None,
-) -> dict[Method, Posterior]:
-    """What an imported recording adds to its model file, by method.
+def rows_of(problem: Problem, estimate: Estimate | None) -> RowParts:
+    """Rows of a problem, faults of the instrument that an estimate found taken back.
 
     Args:
-        tree: The robot as the model file has it.
-        source: The recording; of one that a simulation made the model file is the truth.
-        estimates: By least squares; None where the data do not determine all parameters.
-        settings: How the signals are treated.
-        prior_error: As for `posterior`.
-        gravity: As for `identify`.
-        threads: How many to use; default one a processor.
+        problem: With the terms and the filter of the estimate.
+        estimate: By least squares; None where the data determine none.
     """
-    if not is_imported(source):
-        return {}
-    prior = prior_of(with_gear(tree, source))
-    how: dict[str, Any] = {"gravity": gravity, "settings": settings, "threads": threads}
-    return {
-        method: posterior(tree, source, prior, method, each, prior_error=prior_error, **how)
-        for method, each in estimates.items()
-    }
-
-
-def chosen_prior_error(
-    tree: Tree,
-    recording: RecordingLike,
-    prior: Prior,
-    estimates: Sequence[Estimate],
-    offered: Sequence[float],
-    settings: Settings = DEFAULTS,
-) -> dict[float, float]:
-    """By error of the bodies, rms of what it leaves of held-out parts over what the file leaves.
-
-    Args:
-        tree: The robot.
-        recording: That of the estimates.
-        prior: The bodies of the model file.
-        estimates: By least squares, one a method, with the same settings.
-        offered: Errors, in parts of the bodies.
-        settings: As for `identify`.
-    """
-    squares = dict.fromkeys(offered, 0.0)
-    for each in estimates:
-        problem, parts = parts_of(
-            tree, recording, each.method, [each], each.gravity, settings, None
-        )
-        with one_blas_thread():
-            for error in offered:
-                before = linear_prior(problem, prior, error, parts.whole)
-                left = _held_out(problem, before, parts)[-1].over_file(POSTERIOR)
-                squares[error] += left**2 / len(estimates)
-    return {error: float(np.sqrt(square)) for error, square in squares.items()}
-
-
-def parts_of(
-    tree: Tree,
-    recording: RecordingLike,
-    method: Method,
-    made: Sequence[Estimate],
-    gravity: ArrayLike | None,
-    settings: Settings,
-    threads: int | None,
-) -> tuple[Problem, Parts]:
-    """A problem, and its rows, faults of the instrument that an estimate found taken back.
-
-    Args:
-        tree: The robot.
-        recording: As for `identify`.
-        method: By plate or by torques.
-        made: The estimate by least squares, if there is one.
-        gravity: As for `identify`.
-        settings: As for `identify`.
-        threads: How many to use; default one a processor.
-    """
-    settings = with_chosen_settings(settings, made)
-    problem = Problem.of(tree, recording, method, settings, gravity=gravity, threads=threads)
-    source, free = problem.source, "bias" in problem.settings.nuisances or not made
-    for each in made:
-        source = corrected_by(source, problem.tree, summary_of(each))
-        free = free or bool(each.unidentifiable)
-    return problem, products_of(problem, source, free and method == "external")
+    source, free = problem.source, True
+    if estimate is not None:
+        source = corrected_by(source, problem.tree, summary_of(estimate))
+        free = "bias" in problem.settings.nuisances or bool(estimate.unidentifiable)
+    return products_of(problem, source, free and problem.method == "external")
 
 
 def determines(estimate: Estimate, prior: LinearPrior) -> bool:
@@ -362,19 +272,27 @@ def determines(estimate: Estimate, prior: LinearPrior) -> bool:
     return bool((estimate.sigma**2 < most).all())
 
 
-def _held_out(
-    problem: Problem, prior: LinearPrior, parts: Parts, *, used: bool = True, plain: bool = True
+def held_out_errors(
+    parts: RowParts,
+    fits: Mapping[str, Callable[[RowProducts], Array]],
+    file: Array | None = None,
 ) -> tuple[PredictionErrors, ...]:
-    """What the model file and fits of some parts leave of others, split by split."""
-    none, found = np.zeros(len(problem.channels)), []
+    """What fits of some parts leave of others, split by split.
+
+    Args:
+        parts: Of the rows.
+        fits: By name, what finds values of the unknowns by rows.
+        file: The model file's values, (p,), to be beside them.
+    """
+    found = []
     for kind, split in parts.splits.items():
         pairs = []
         for seen, rest in split:
-            fits = {REFITTED: refitted(seen, prior)} | ({PLAIN: _plain(seen)} if plain else {})
-            fits[POSTERIOR] = with_prior(seen, prior)[0] if used else fits[PLAIN]
-            said = {name: (values, seen.constants(values)) for name, values in fits.items()}
-            pairs.append(({FILE: (prior.mean, none), **said}, rest))
-        found.append(prediction_errors(problem, kind, pairs))
+            models = {name: fit(seen) for name, fit in fits.items()}
+            if file is not None:
+                models[FILE] = file
+            pairs.append((predictions_of(seen, models), rest))
+        found.append(prediction_errors(parts.problem, kind, pairs))
     return tuple(found)
 
 
@@ -382,5 +300,5 @@ def _plain(rows: RowProducts) -> Array:
     """Least squares, (p,)."""
     p = len(rows.unknowns)
     equations = rows.equations(np.eye(p), np.zeros(p))
-    weights = noise_weights(equations, None)
+    weights = noise_weights(equations)
     return scaled_solve(equations.matrix(weights), equations.vector(weights))

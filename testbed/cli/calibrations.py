@@ -41,9 +41,7 @@ if TYPE_CHECKING:
 
 Vendor = Annotated[
     str | None,
-    typer.Option(
-        "--as", metavar="VENDOR", help="Print it for a controller: ur, franka, kuka or ros."
-    ),
+    typer.Option("--as", metavar="VENDOR", help="Print it for a controller: ur, franka or kuka."),
 ]
 Flange = Annotated[
     str | None,
@@ -278,7 +276,7 @@ def drives(
         if friction is not None:
             write_friction(found, friction)
         if write is not None:
-            links, _ = writing.bodies(reading, model, source, [bodies], {})
+            links = writing.bodies(reading, model, source, [bodies])
             said += writing.written(links, reading, model, [recording], found, late)
             lines.append(f"model file: {write}")
     if write is not None and unseen is not None:

@@ -314,10 +314,9 @@ class Reading:
 
     @property
     def prior_error(self) -> float | None:
-        """Of the model file's bodies, where it is given as a number."""
+        """Of the model file's bodies, where it is given."""
         said = any(word.startswith("consistent.prior_error") for word in self.settings or ())
-        given = self.tables().consistent.prior_error if said else "chosen"
-        return None if isinstance(given, str) else given
+        return self.tables().consistent.prior_error if said else None
 
     def model_file(self, path: Path) -> ModelFile:
         """A model file, and how to read it."""

@@ -68,11 +68,13 @@ def tool(
 
     Example: testbed tool poses.csv --at-rest --degrees --model robot.urdf --sensor tool0
     """
-    from testbed.applications.payload.tool import read_static_poses, tool_at_rest, tool_of
+    from testbed.applications.payload.static_fit import StaticPoses
+    from testbed.applications.payload.tool import tool_at_rest, tool_of
     from testbed.core.base.codec import encode
     from testbed.core.base.diagnostics import ordered
     from testbed.core.base.errors import SettingsError, printable
     from testbed.core.estimation.identify import identify
+    from testbed.importing.static_poses import read_static_poses
     from testbed.view import estimates as shown
     from testbed.view import output, terminal
 
@@ -81,9 +83,9 @@ def tool(
     reading = Reading(settings, False, weld_root, lock, lock_mimic, sensor=sensor)
     if at_rest:
         tree = reading.tree(model).with_gravity(gravity)
-        table = read_static_poses(recording, tree, degrees=degrees)
+        poses = StaticPoses(*read_static_poses(recording, tree, degrees=degrees))
         link = flange_link(vendor, flange, reading.model_file(model), tree)
-        still = tool_at_rest(tree, table, reading.tables().force_sensors[sensor])
+        still = tool_at_rest(tree, poses, reading.tables().force_sensors[sensor])
         known = [*tree.diagnostics, *still.diagnostics]
         if as_json:
             output.print_json(encode(still))

@@ -129,9 +129,6 @@ def consistent_lines(found: Consistent) -> list[str]:
     if found.binding:
         more = f" and {len(found.binding) - LISTED} more" if len(found.binding) > LISTED else ""
         lines.append(f"At their limits: {'; '.join(found.binding[:LISTED])}{more}.")
-    if found.tried:
-        tried = ", ".join(f"{error:g}: {left:.4g}" for error, left in found.tried.items())
-        lines.append(f"Error on held-out parts over the model file's, by prior error: {tried}.")
     lines.append(
         f"Prior: the model file's bodies, with a relative standard deviation of "
         f"{found.prior_error:.2g}; data is the share of that variance which the data remove."

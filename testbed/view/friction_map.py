@@ -39,7 +39,7 @@ def map_section(maps: Sequence[FrictionMap]) -> Section:
         maps: One a joint.
     """
     panels: list[Panel | Drawing] = []
-    for each in (part for cells in maps for part in cells.by_temperature()):
+    for each in maps:
         panels += [_heat(each), _section(each)]
     return Section(
         id="friction-map",
@@ -57,25 +57,18 @@ def map_section(maps: Sequence[FrictionMap]) -> Section:
             f"Sections: at the speeds with most data, with {BAND:g} standard deviations."
         ),
         table=Table(
-            ["joint", "velocity", "load", "temperature", "friction", "rows"],
+            ["joint", "velocity", "load", "friction", "rows"],
             [line for each in maps for line in _lines(each)],
         ),
     )
 
 
 def _lines(cells: FrictionMap) -> Iterator[list[str]]:
-    columns = cells.speed, cells.load, cells.temperature, cells.friction, cells.sigma, cells.rows
-    for speed, load, warm, *value, rows in zip(*(c.tolist() for c in columns), strict=True):
-        place = [f"{speed:.3g}", f"{load:.3g}", f"{warm:.1f}" if np.isfinite(warm) else "-"]
+    columns = cells.speed, cells.load, cells.friction, cells.sigma, cells.rows
+    for speed, load, *value, rows in zip(*(c.tolist() for c in columns), strict=True):
+        place = [f"{speed:.3g}", f"{load:.3g}"]
         said = number_with_sigma(value[0], value[1], short=True)
         yield [cells.joint, *place, f"{said} {cells.unit}", f"{rows:g}"]
-
-
-def _name(cells: FrictionMap) -> str:
-    """The joint, and the mean temperature where there are maps of several."""
-    warm = np.isfinite(cells.temperatures).any()
-    mean = np.average(cells.temperature, weights=cells.rows)
-    return f"{cells.joint} at {mean:.0f} °C" if warm else cells.joint
 
 
 def resisting(cells: FrictionMap) -> Array:
@@ -103,7 +96,7 @@ def _heat(cells: FrictionMap) -> Drawing:
     tall = (HEIGHT - TOP - BOTTOM) / len(up)
     x = LEFT + wide * np.searchsorted(across, cells.speeds[:, 0] - STILL)
     y = HEIGHT - BOTTOM - tall * (1 + np.searchsorted(up, cells.loads[:, 0] - STILL * step))
-    title = f"{_name(cells)}: friction, {least:.3g} to {most:.3g} {cells.unit}"
+    title = f"{cells.joint}: friction, {least:.3g} to {most:.3g} {cells.unit}"
     parts = [text(title, LEFT, TOP - 3.5, "start")]
     for k, opacity in enumerate(shade.tolist()):
         said = f"{cells.friction[k]:.3g} ± {cells.sigma[k]:.2g} {cells.unit}"
@@ -155,6 +148,6 @@ def _section(cells: FrictionMap) -> Panel:
         own &= cells.speeds[:, 0] == most
         curves[kind] = cells.load[own], resisting(cells)[own]
         bands[kind] = BAND * cells.sigma[own]
-    title = f"{_name(cells)}: against the motion [{cells.unit}]"
+    title = f"{cells.joint}: against the motion [{cells.unit}]"
     alone = tuple(kind for kind, (load, _) in curves.items() if len(load) == 1)
     return Panel(title, curves, f"load [{cells.unit}]", points=alone, bands=bands)

@@ -346,15 +346,14 @@ def _treatment(run: Run) -> str:
     ]
     zeros = {True: "those that are zero in the model file", False: "none"}
     known = zeros[settings.zeros] if isinstance(settings.zeros, bool) else ", ".join(settings.zeros)
-    taken = {"ar": "an autoregression", "white": "white"}[settings.noise]
     unknown = f"; calibration parameters: {', '.join(settings.nuisances)}" * bool(
         settings.nuisances
     )
     dropped = f"joint rows below {settings.deadband:g} rad/s or m/s dropped; "
     return (
         f"low-pass on positions {cutoffs[0]}, on rows {cutoffs[1]}; "
-        f"{'' if run.tree.floating else dropped}noise model: {taken}; parameters "
-        f"fixed to zero: {known}{unknown}"
+        f"{'' if run.tree.floating else dropped}noise model: an autoregression; "
+        f"parameters fixed to zero: {known}{unknown}"
     )
 
 

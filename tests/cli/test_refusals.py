@@ -57,7 +57,7 @@ identification.span=[3,1] | span 3 1
 robot.lock.hip=0 | 'hip' waist
 robot.joint.hip.coulomb=1 | 'hip' elbow
 expect.speed.at_most=1 | 'speed'
-consistent.metric=3 | consistent.metric 'log-det'
+consistent.prior_error=0 | prior_error
 """
 """Settings of `run table.toml`, and what a refusal names."""
 

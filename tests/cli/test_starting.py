@@ -29,9 +29,7 @@ LONG = {
     "identification.identify:identify": (
         f"identify {PUMA}", f"drives {PUMA}", "payload one.parquet " + PUMA,
     ),
-    "identification.consistency.consistent:consistent_by_held_out": (
-        f"identify {PUMA} --consistent",
-    ),
+    "identification.consistency.consistent:consistent": (f"identify {PUMA} --consistent",),
     "identification.calibration:calibrate": (f"calibrate {PUMA} --known mass=20",),
     "viewer.log:write_rrd": (f"view {PUMA} --save x.rrd",),
     "campaign.conduct:conduct": ("campaign quick.toml --workers 0",),

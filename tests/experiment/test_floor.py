@@ -20,9 +20,9 @@ def test_the_floor_of_a_coarse_step_is_the_error_of_perfect_instruments() -> Non
     def load(name: str, *more: str) -> tb.Experiment:
         return tb.Experiment.load(ROOT / f"experiments/{name}.toml", [*words, *more])
 
-    coarse, white = "simulation.step=1e-3", "identification.noise=white"
+    coarse = "simulation.step=1e-3"
     fine, noisy = load("table6"), load("table6", coarse)
-    perfect = load("encoder_floor", coarse, white)
+    perfect = load("encoder_floor", coarse)
     assert "external_floor" not in evaluate(fine, tb.record(fine), methods=["external"]).metrics
     tree = tb.load_tree(MODELS["puma"])
     estimate = tb.identify(tree, tb.record(perfect), settings=perfect.identification)

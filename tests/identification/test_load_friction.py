@@ -107,53 +107,6 @@ def test_a_load_term_is_chosen_where_there_is_one_and_only_there() -> None:
     assert len(every) < 3 * 4 * len(SPEEDS) * LOADS  # the others are empty, and stay so
 
 
-def with_temperatures(recording: Recording, rise: float) -> Recording:
-    """Drives that warm up evenly."""
-    warmth = 25.0 + rise * recording.time / recording.time[-1]
-    return replace(recording, temperature=np.outer(warmth, np.ones(3)))
-
-
-@pytest.mark.slow
-def test_a_map_has_cells_of_temperature_where_it_varies() -> None:
-    """Friction of a drive that warms up, cell by cell, by its true law; and one more number."""
-    tree, share = puma(), 0.01
-    plain = with_temperatures(rubbing(tree, 20.0, np.zeros_like(LOSS)), 20.0)
-    warmth, v = plain.measured("temperature") - 25.0, plain.measured("velocity")
-    wet = np.array([joint.viscous for joint in tree.joints])
-    warm = plus(plain, torque=-share * wet * warmth * v * CONSTANTS)
-    settings = replace(EXACT, terms=("coulomb", "viscous", "warm_viscous"))
-    for j, cells in enumerate(findings(tree, warm, settings=settings).maps):
-        assert len(np.unique(cells.temperatures, axis=0)) == 3
-        inside = cells.temperatures[:, 0] <= cells.temperature
-        assert (inside & (cells.temperature <= cells.temperatures[:, 1])).all()
-        law = tree.joints[j].coulomb * np.sign(cells.speed)
-        law += wet[j] * cells.speed * (1 - share * (cells.temperature - 25.0))
-        np.testing.assert_allclose(cells.friction, law, rtol=0.02)
-    (cells, *_) = findings(tree, with_temperatures(plain, 1.0)).maps
-    assert np.isinf(cells.temperatures).all()
-    assert ((cells.temperature >= 25.0) & (cells.temperature <= 26.0)).all()
-
-
-@pytest.mark.slow
-def test_friction_that_lags_behind_the_motion_is_seen_and_a_rotor_is_not_taken_for_it() -> None:
-    """Added to the torque by its definition: so much more while the speed increases."""
-    tree = puma()
-    plain = rubbing(tree, 40.0, np.zeros_like(LOSS), 0.5)
-    true = plain.truth
-    assert true is not None
-    more = np.array([0.6, 0.0, -0.4])
-    faster = np.sign(true.velocity * true.acceleration)
-    rotor = 0.2 * true.acceleration
-    lagging = plus(plain, torque=(more / 2 * faster * np.sign(true.velocity) + rotor) * CONSTANTS)
-    found = findings(tree, lagging)
-    for curve, asked in zip(found.curves, more.tolist(), strict=True):
-        assert curve.hysteresis is not None
-        value, sigma = curve.hysteresis
-        assert abs(value - asked) < 4 * sigma < 0.3
-    said = [each.subject for each in found.diagnostics if each.code == "drives.hysteresis"]
-    assert said == ["waist", "elbow"]
-
-
 def test_no_row_of_drives_holds_a_reversal() -> None:
     """Hann's window ends half a period of the cutoff from its middle, where its gain is a half."""
     weights, nearby = drive_filter(tb.Settings(cutoff=5.0), 1000.0)
@@ -165,30 +118,22 @@ def test_no_row_of_drives_holds_a_reversal() -> None:
 
 
 def bam_torque(values: dict[str, Any], load: float, speed: float) -> float:
-    """What a BAM drive reports that moves a load slowly: its six formulas, by hand.
+    """What a BAM drive reports that moves a load slowly: its formulas, by hand.
 
     Friction depends on the motor's torque, which it is part of: a fixed point.
     """
-    number, way, friction = int(values["model"][1]), float(np.sign(speed)), 0.0
-    fade = 0.0
-    if number not in (1, 3):
+    way, friction, fade = float(np.sign(speed)), 0.0, 0.0
+    if "dtheta_stribeck" in values:
         fade = np.exp(-(abs(speed / values["dtheta_stribeck"]) ** values["alpha"]))
     for _ in range(100):
         motor, external = load + friction, -load
         dry = values["friction_base"] + fade * values.get("friction_stribeck", 0.0)
-        if number in (3, 4):
-            share = values["load_friction_base"] + fade * values.get("load_friction_stribeck", 0.0)
-            dry += share * abs(external - motor)
-        for kind, weight in (("", 1.0), ("_stribeck", fade)) if number > 4 else ():
-            of_external, of_motor = (
-                values[f"load_friction_{side}{kind}"] * torque
-                for side, torque in (("external", external), ("motor", motor))
-            )
-            dry += weight * abs(of_external - of_motor)
-        if number == 6 and motor * external < 0:
-            driving = abs(motor) > abs(external)
-            side, torque = ("external", external) if driving else ("motor", motor)
-            dry += fade * values[f"load_friction_{side}_quad"] * torque**2
+        sides = {"external": external, "motor": motor} if values["model"] in ("m5", "m6") else {}
+        of_load = [values[f"load_friction_{side}"] * torque for side, torque in sides.items()]
+        dry += abs(of_load[0] - of_load[1]) if of_load else 0.0
+        if values["model"] == "m6" and motor * external < 0:
+            side = "external" if abs(motor) > abs(external) else "motor"
+            dry += fade * values[f"load_friction_{side}_quad"] * sides[side] ** 2
         friction = way * dry + values["friction_viscous"] * speed
     return float(values["constant"] * (load + friction))
 
@@ -200,30 +145,29 @@ def test_friction_in_files_is_what_was_found(tmp_path: Path) -> None:
     loss[0] = 0.1
     settings = replace(EXACT, terms=("coulomb", "viscous", "stribeck@0.1", "load"))
     found = findings(tree, rubbing(tree, 20.0, loss), settings=settings)
-    for ending in ("csv", "json"):
-        write_friction(found, tmp_path / f"friction.{ending}")
+    evil = tuple(replace(cells, joint=f"={cells.joint}") for cells in found.maps)
+    for name, each in (
+        ("friction.csv", found), ("friction.json", found), ("evil.csv", replace(found, maps=evil))
+    ):  # fmt: skip
+        write_friction(each, tmp_path / name)
     bam = json.loads((tmp_path / "friction.json").read_text())
+    quadratic = replace(found.estimates[0].terms[0], law=joint_law("quadratic_load"), value=2e-3)
     for drive in found.estimates:
-        models = bam[drive.joint]
-        assert [len(models[f"m{k}"]["left_out"]) for k in range(1, 7)] == [2, 1, 1, 0, 0, 0]
-        for load, speed in ((12.0, 0.05), (-7.0, 1.0), (60.0, -0.2), (40.0, 0.3)):
-            friction = drive.friction(np.array([speed]), np.array([load]))[0]
-            want = drive.constant * (load + friction)
-            for model in ("m5", "m6"):
-                assert bam_torque(models[model], load, speed) == pytest.approx(want, rel=1e-9)
-            loss = models["m5"]["load_friction_external"]
-            spread = drive.constant * abs(friction - loss * abs(load) * np.sign(speed)) * loss / 2
-            off = bam_torque(models["m4"], load, speed) - want
-            assert off == pytest.approx(np.sign(load) * spread, rel=1e-2)  # one efficiency
-    squares = replace(found.estimates[0].terms[0], law=joint_law("quadratic_load"), value=2e-3)
-    plain = replace(found.estimates[0], terms=(*found.estimates[0].terms[:2], squares))
-    for load, speed in ((40.0, 0.3), (-40.0, -1.0)):  # the gear drives
-        want = plain.constant * (load + plain.friction(np.array([speed]), np.array([load]))[0])
-        values = bam_parameters(plain, "m6")
-        assert bam_torque(values, load, speed) == pytest.approx(want, rel=1e-9)
-    assert bam_parameters(plain, "m5")["left_out"] == ["quadratic_load"]
-    maps = [replace(cells, joint=f"={cells.joint}") for cells in found.maps]
-    write_friction(replace(found, maps=tuple(maps)), tmp_path / "evil.csv")
+        dry = drive.terms[:2]
+        for terms, model in (
+            (drive.terms, "m5"),
+            (drive.terms[:3], "m2"),
+            (dry, "m1"),
+            ((*dry, quadratic), "m6"),
+        ):
+            own = replace(drive, terms=terms)
+            values = bam[drive.joint] if model == "m5" else bam_parameters(own)
+            assert values["model"] == model
+            assert values["left_out"] == []
+            for load, speed in ((12.0, 0.05), (60.0, 0.2), (-7.0, -1.0), (40.0, 0.3)):
+                friction = own.friction(np.array([speed]), np.array([load]))[0]
+                want = own.constant * (load + friction)
+                assert bam_torque(values, load, speed) == pytest.approx(want, rel=1e-9)
     names = [line.split(",")[0] for line in (tmp_path / "evil.csv").read_text().splitlines()[1:]]
     assert {*names} == {f"'={name}" for name in tree.names}  # no formula of a spreadsheet
     with (tmp_path / "friction.csv").open() as file:

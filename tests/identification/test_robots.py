@@ -86,8 +86,6 @@ def test_draws_can_exist_agree_with_the_data_and_are_the_files_elsewhere() -> No
     again = tb.robots(file, [estimate], prior, 3, np.random.default_rng(4))
     same = tb.robots(file, [estimate], prior, 3, np.random.default_rng(4))
     np.testing.assert_array_equal(again.values, same.values)
-    with refuses(SettingsError, "prior"):
-        tb.robots(file, [estimate], prior, 3, rng, ConsistencyOptions(prior_error="chosen"))
 
 
 @pytest.mark.slow

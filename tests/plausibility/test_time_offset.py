@@ -122,7 +122,7 @@ def two_sources(folder: Path, tree: tb.Tree, late: float, skew: float) -> Path:
 
 def error(tree: tb.Tree, recording: tb.Recording) -> float:
     """Rms of the external estimate's errors, each in parts of its unit's largest parameters."""
-    estimate = tb.identify(tree, recording, "external", settings=tb.Settings(noise="white"))
+    estimate = tb.identify(tree, recording, "external")
     true = estimate.minimal.values(tb.barycentric(tree))
     units = np.array(estimate.units)
     largest = np.array([np.abs(true[units == unit]).max() for unit in units])

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
-from scipy.linalg import block_diag
+from scipy.optimize import least_squares
 
 from testbed.applications.drives.friction_curves import (
-    CLEAR,
-    ChosenTerms,
     DriveEstimate,
     FrictionCurve,
     chosen_terms,
+    drive_of,
     friction_curves,
     offered,
+    picked_terms,
 )
 from testbed.applications.drives.friction_map import FrictionMap, friction_maps
 from testbed.applications.drives.joint_regression import (
@@ -43,11 +44,8 @@ from testbed.core.recordings.source import Source
 from testbed.core.robot.friction import LAWS
 from testbed.core.robot.tree import Tree
 
-ROUNDS = 20
-"""Most rounds of Gauss and Newton's method."""
-
-DONE = 1e-10
-"""A step that is smaller than this, in sigmas, is the last."""
+DONE = 1e-12
+"""Relative size of the last step."""
 
 EXACT = 1e-14
 """Part of its variance that is left of a combination which is known exactly, by rounding."""
@@ -138,40 +136,45 @@ def combined(
     before[unknown, unknown] = size[unknown] ** 2
     root = _root(before)
     count = root.shape[1]
-    inputs = [_Joint.of(torques, found) for found in regressions]
-    state = np.concatenate([np.zeros(count), *(found.values for found in regressions)])
-    for _ in range(ROUNDS):
-        normal = block_diag(np.eye(count), np.zeros((len(state) - count,) * 2))
-        slope = np.zeros(len(state))
-        slope[:count] = -state[:count]
-        values, at = bodies.values + root @ state[:count], count
-        for joint in inputs:
-            own = slice(at, at + joint.width)
-            at += joint.width
-            columns = joint.columns(values, state[own])
-            full = np.zeros((columns.shape[0], len(state)))
-            full[:, :count] = columns[:, : len(values)] @ root
-            full[:, own] = columns[:, len(values) :]
-            left = joint.right - joint.normal @ joint.made(values, state[own])
-            normal += full.T @ joint.normal @ full
-            slope += full.T @ left
-        covariance = scaled_inverse(normal)
-        step = covariance @ slope
-        state = state + step
-        if np.abs(step / np.sqrt(np.diagonal(covariance))).max() <= DONE:
-            break
-    values, spread = bodies.values + root @ state[:count], covariance[:count, :count]
-    spread = root @ spread @ root.T
+    state, covariance = _joint_fit(torques, bodies.values, root, regressions)
+    widths = [len(each.values) for each in regressions[:-1]]
+    places = count + np.cumsum([0, *widths])
+    values = bodies.values + root @ state[:count]
+    spread = root @ covariance[:count, :count] @ root.T
     sigma = standard_deviations(spread)
-    places = count + np.cumsum([0, *(joint.width for joint in inputs[:-1])])
     return Combined(
         names=bodies.names,
         values=values,
         sigma=np.where(unknown & (sigma > size / OPEN), np.inf, sigma),
         constants=state[places],
-        constant_sigma=np.sqrt(np.diagonal(covariance)[places]),
+        constant_sigma=standard_deviations(covariance)[places],
         disagreement=_disagreement(bodies, before, values, spread),
     )
+
+
+def _joint_fit(
+    torques: Torques, plate: Array, root: Array, regressions: Sequence[JointRegression]
+) -> tuple[Array, Array]:
+    """Coordinates of the bodies and every joint's values, (m,), and their covariance, (m, m).
+
+    Bodies are plate + root @ coordinates, those being independent with sigma one by the plate.
+    """
+    ends = np.cumsum([root.shape[1], *(len(each.values) for each in regressions[:-1])])
+    joints = [_rows(torques, each) for each in regressions]
+
+    def residuals(state: Array) -> Array:
+        """Of the plate's estimate and of every joint's rows, in standard deviations."""
+        start, *own = np.split(state, ends)
+        torque = torques.lift @ (plate + root @ start)
+        left = [
+            rows @ (each[0] * torque + terms @ each[1:]) - right
+            for each, (rows, right, terms) in zip(own, joints, strict=True)
+        ]
+        return np.concatenate([start, *left])
+
+    begin = np.concatenate([np.zeros(root.shape[1]), *(each.values for each in regressions)])
+    fit = least_squares(residuals, begin, "3-point", x_scale="jac", ftol=None, gtol=None, xtol=DONE)
+    return fit.x, scaled_inverse(fit.jac.T @ fit.jac)
 
 
 def _root(covariance: Array) -> Array:
@@ -182,42 +185,15 @@ def _root(covariance: Array) -> Array:
     return scale[:, None] * axes[:, kept] * np.sqrt(spread[kept])
 
 
-@dataclass(frozen=True, eq=False)
-class _Joint:
-    """What one joint's rows say, in units of their noise.
+def _rows(torques: Torques, found: JointRegression) -> tuple[Array, Array, Array]:
+    """What one joint's rows say of its unknowns, in units of their noise: R x - y, and its terms.
 
-    Attributes:
-        normal: Products of the unknowns' columns, (p, p).
-        right: And of these with the torque, (p,).
-        lift: How the plate's parameters make the unknowns, (p, N_r).
-        terms: How the joint's own coefficients do, (p, q).
+    R, (r, p), and y, (r,), have the products of all rows; the terms' columns are (p, q).
     """
-
-    normal: Array
-    right: Array
-    lift: Array
-    terms: Array
-
-    @staticmethod
-    def of(torques: Torques, found: JointRegression) -> _Joint:
-        normal, right, _ = torques.equations.of_channel(found.joint)
-        scale = found.noise**2
-        terms = torques.drives.columns @ found.terms
-        return _Joint(normal / scale, right / scale, torques.lift, terms)
-
-    @property
-    def width(self) -> int:
-        """How many unknowns of its own."""
-        return 1 + int(self.terms.shape[1])
-
-    def made(self, bodies: Array, own: Array) -> Array:
-        """The unknowns as the joint reports them, (p,)."""
-        found: Array = own[0] * (self.lift @ bodies) + self.terms @ own[1:]
-        return found
-
-    def columns(self, bodies: Array, own: Array) -> Array:
-        """How these move with the plate's parameters and the joint's own, (p, N_r + 1 + q)."""
-        return np.column_stack([own[0] * self.lift, self.lift @ bodies, self.terms])
+    normal, right, _ = torques.equations.of_channel(found.joint)
+    root = _root(normal)
+    rows = root.T / found.noise
+    return rows, np.linalg.pinv(root) @ right / found.noise, torques.drives.columns @ found.terms
 
 
 def _disagreement(
@@ -265,17 +241,7 @@ class DriveFindings(Diagnosed):
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What a careful reader should know."""
-        return (
-            *self.combined.disagreement.diagnostics,
-            *(
-                diagnose(
-                    "drives.hysteresis", each.joint, each.hysteresis[0], unit=each.unit,
-                    sigma=each.hysteresis[1],
-                )
-                for each in self.curves
-                if each.hysteresis and abs(each.hysteresis[0]) > CLEAR * each.hysteresis[1]
-            ),
-        )  # fmt: skip
+        return self.combined.disagreement.diagnostics
 
 
 def with_drives(tree: Tree, found: DriveFindings) -> Tree:
@@ -339,9 +305,9 @@ def identify_drives(
     choose = choose or settings.open_speed  # which is chosen with the terms
     laws = offered(settings.laws, problem.source.signals) if choose else None
     torques = torques_beside(problem, bodies, laws)
-    chosen = chosen_terms(problem.tree, torques, bodies) if choose else ChosenTerms(None)
-    found = regressions(torques, bodies, chosen.pick)
-    drives = chosen.estimates(problem.tree, torques, found)
+    choices = chosen_terms(problem.tree, torques, bodies) if choose else {}
+    found = regressions(torques, bodies, picked_terms(torques, choices) if choose else None)
+    drives = tuple(drive_of(problem.tree, torques, each, choices.get(each.joint)) for each in found)
     curves = friction_curves(problem, bodies, drives)
     maps = friction_maps(problem, bodies, found)
     return DriveFindings(drives, curves, combined(torques, bodies, found), maps)

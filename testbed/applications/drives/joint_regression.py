@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -43,53 +43,40 @@ class AttenuationCorrection(NamedTuple):
     """A regression as it would be, were the bodies known exactly.
 
     Attributes:
-        values: (1 + q,).
-        covariance: Without what the bodies' own adds to first order, (1 + q, 1 + q).
         slope: How the values move with those before, (1 + q, 1 + q).
+        covariance: Without what the bodies' own adds to first order, (1 + q, 1 + q).
         reliability: Share of the constant that was left.
     """
 
-    values: Array
-    covariance: Array
     slope: Array
+    covariance: Array
     reliability: float
 
 
-def correct_attenuation(
-    fit: NoiseFit, square: Array, doubt: tuple[float, float]
-) -> AttenuationCorrection:
+def correct_attenuation(fit: NoiseFit, square: Array, spread: Array) -> AttenuationCorrection:
     """What errors of the bodies take of a constant is put back ([Ful87] section 1.2).
 
-    A column with errors has more square than what it stands for, by `doubt` on average, and the
-    coefficient is too small in proportion. What the doubt itself may be off counts in sigma.
+    A column with errors has more square than what it stands for, and the coefficient is too small
+    in proportion. What that square itself may be off counts in sigma.
 
     Args:
         fit: Of the columns as they are.
         square: Products of the columns, (1 + q, 1 + q).
-        doubt: Mean and standard deviation of what errors add to the first column's square.
+        spread: Products of the first column's parts times their covariance: its trace is what
+            errors add to the column's square on average.
     """
     size = len(fit.values)
     alone = 1.0 / max(float(scaled_inverse(square)[0, 0]), TINY)  # square that terms do not show
-    share, loose = doubt[0] / alone, doubt[1] / alone
-    reliability = 1.0 - share
+    reliability = 1.0 - float(np.trace(spread)) / alone
     kept = max(reliability, LEAST)
     toward = fit.covariance[:, 0] / max(float(fit.covariance[0, 0]), TINY)
     slope = np.eye(size) + np.outer(toward, np.eye(size)[0]) * (1 / kept - 1)
-    values = slope @ fit.values
-    unsure = loose / kept if reliability > LEAST else 1.0
-    unsure *= abs(float(values[0])) if reliability > LEAST else max(1.0, abs(float(values[0])))
-    return AttenuationCorrection(
-        values,
-        slope @ fit.covariance @ slope.T + unsure**2 * np.outer(toward, toward),
-        slope,
-        reliability,
-    )
-
-
-def doubt_about(normal: Array, lift: Array, bodies: Estimate) -> tuple[float, float]:
-    """Mean and standard deviation of the square of what the bodies' errors make of a column."""
-    spread = lift.T @ normal @ lift @ bodies.covariance
-    return float(np.trace(spread)), float(np.sqrt(max(2 * np.trace(spread @ spread), 0.0)))
+    constant = abs(float(slope[0] @ fit.values))
+    unsure = max(1.0, constant)
+    if reliability > LEAST:
+        unsure = constant * np.sqrt(max(2 * np.trace(spread @ spread), 0.0)) / alone / kept
+    covariance = slope @ fit.covariance @ slope.T + unsure**2 * np.outer(toward, toward)
+    return AttenuationCorrection(slope, covariance, reliability)
 
 
 ROUNDING = 1e-20
@@ -112,7 +99,7 @@ class JointRegression:
         rows: How many counted.
         by_bodies: How the values move with the plate's parameters, (1 + q, N_r).
         reliability: Share of the constant that is left where what the bodies need is not known
-            exactly: it is put back, and below `bodies_doubt.LEAST` there is nothing to put back.
+            exactly: it is put back, and below `LEAST` there is nothing to put back.
     """
 
     joint: int
@@ -131,24 +118,6 @@ class JointRegression:
         constant, terms = float(self.values[0]), self.values[1:] / self.values[0]
         slope = np.column_stack([-terms / constant, np.eye(len(terms)) / constant])
         return terms, slope @ self.covariance @ slope.T
-
-
-Pick = Callable[[int, DriveSet, NormalEquations], Array]
-"""How the coefficients of a joint's regression make those of the asked terms, (asked, q): of its
-index, the set and the equations."""
-
-
-def all_terms(joint: int, drives: DriveSet, equations: NormalEquations) -> Array:
-    """Every term of the joint has a coefficient.
-
-    Args:
-        joint: Its index.
-        drives: The terms.
-        equations: Of all rows.
-    """
-    del equations
-    own = [k for k, term in enumerate(drives.asked) if term.joint == joint]
-    return np.eye(len(drives.asked))[:, own]
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,6 +140,36 @@ class Torques:
     lift: Array
     joints: tuple[int, ...]
     combined: Array
+
+    def columns(self, terms: Array) -> Array:
+        """How the unknowns combine to the columns of a regression, (p, 1 + q).
+
+        Args:
+            terms: How its coefficients make those of the asked terms, (asked, q).
+        """
+        return np.asarray(self.combined @ block_diag(1.0, terms))
+
+    def products(self, joint: int, terms: Array) -> Array:
+        """Products of the columns of a joint's regression, (1 + q, 1 + q).
+
+        Args:
+            joint: Its index.
+            terms: As for `columns`.
+        """
+        normal, _, _ = self.equations.of_channel(joint)
+        columns = self.columns(terms)
+        return columns.T @ normal @ columns
+
+    def terms(self, joint: int, laws: Iterable[JointLaw] | None = None) -> Array:
+        """Which of the asked terms are a joint's, one column a law, (asked, q).
+
+        Args:
+            joint: Its index.
+            laws: In this order; default all that the joint has.
+        """
+        place = {t.law: k for k, t in enumerate(self.drives.asked) if t.joint == joint}
+        own = place.values() if laws is None else [place[law] for law in laws]
+        return np.eye(len(self.drives.asked))[:, list(own)]
 
 
 def torques_beside(
@@ -213,77 +212,75 @@ SILENT = 1e-12
 
 
 def regressions(
-    torques: Torques, bodies: Estimate, pick: Pick = all_terms
+    torques: Torques, bodies: Estimate, picked: Mapping[int, Array] | None = None
 ) -> tuple[JointRegression, ...]:
     """Every joint's regression, with a calibrated covariance.
 
     Args:
         torques: And what the bodies need.
         bodies: The external estimate.
-        pick: Which terms each joint has.
+        picked: By joint, how the coefficients of its regression make those of the asked terms,
+            (asked, q); default all terms of the joint.
 
     Raises:
         RecordingError: The rows of a joint do not distinguish its coefficients.
     """
-    drives, equations = torques.drives, torques.equations
-    picked = {joint: pick(joint, drives, equations) for joint in torques.joints}
-    own = {joint: block_diag(1.0, terms) for joint, terms in picked.items()}
-    for joint, each in own.items():
-        _, _, squares = equations.of_channel(joint)
-        if not squares > SILENT**2 * equations.used[joint]:
-            raise RecordingError(
-                f"the torque of joint '{equations.channels[joint]}' is zero throughout, which says "
-                "nothing of its drive: record it, or hold the joint (--lock)"
-            )
-        if dependent(equations, joint, torques.combined @ each):
-            raise RecordingError(
-                f"{int(equations.used[joint])} rows of joint '{equations.channels[joint]}' do not "
-                f"identify its torque constant beside {each.shape[1] - 1} coefficients of friction "
-                "and rotor: record longer, or a richer motion of it"
-            )
+    if picked is None:
+        picked = {joint: torques.terms(joint) for joint in torques.joints}
+    for joint, terms in picked.items():
+        _check_rows(torques, joint, terms)
     with one_blas_thread():
-        fits = _fits(torques.passes, torques.combined, own)
-    found = []
-    for joint, (fit, squares) in fits.items():
-        lead = torques.combined @ own[joint]
-        used = int(equations.used[joint])
-        residual = float(np.sqrt(squares / max(used, 1)))
-        normal, _, _ = equations.of_channel(joint)
-        plain = np.diagonal(scaled_inverse(lead.T @ normal @ lead))
-        noise = float(np.sqrt(np.mean(np.diagonal(fit.covariance) / plain)))
-        undone = correct_attenuation(
-            fit, lead.T @ normal @ lead, doubt_about(normal, torques.lift, bodies)
+        fits = _fits(torques, {joint: block_diag(1.0, terms) for joint, terms in picked.items()})
+    return tuple(
+        _with_bodies(torques, bodies, joint, picked[joint], *fit) for joint, fit in fits.items()
+    )
+
+
+def _check_rows(torques: Torques, joint: int, terms: Array) -> None:
+    """Raise RecordingError where a joint's rows do not distinguish its coefficients."""
+    equations = torques.equations
+    name, used = equations.channels[joint], equations.used[joint]
+    if not equations.squares[joint] > SILENT**2 * used:
+        raise RecordingError(
+            f"the torque of joint '{name}' is zero throughout, which says nothing of its drive: "
+            "record it, or hold the joint (--lock)"
         )
-        moved = undone.slope @ _by_bodies(equations, joint, lead, torques.lift, undone.values)
-        found.append(
-            JointRegression(
-                joint=joint,
-                terms=picked[joint],
-                values=undone.values,
-                covariance=undone.covariance + moved @ bodies.covariance @ moved.T,
-                residual=residual,
-                noise=max(noise, residual),
-                rows=used,
-                by_bodies=moved,
-                reliability=undone.reliability,
-            )
-        )
-    return tuple(found)
-
-
-def dependent(equations: NormalEquations, joint: int, lead: Array) -> bool:
-    """Whether columns of a joint's regression hang together.
-
-    Args:
-        equations: Of all rows.
-        joint: Its index.
-        lead: How the unknowns combine to the columns, (p, q).
-    """
-    normal, _, _ = equations.of_channel(joint)
-    products = lead.T @ normal @ lead
+    products = torques.products(joint, terms)
     size = np.sqrt(np.diagonal(products))
     spread = np.linalg.eigvalsh(products / np.outer(size, size)) if size.all() else np.zeros(1)
-    return bool(spread[0] <= len(size) * np.finfo(float).eps * spread[-1])
+    if spread[0] <= len(size) * np.finfo(float).eps * spread[-1]:
+        raise RecordingError(
+            f"{int(used)} rows of joint '{name}' do not identify its torque constant beside "
+            f"{terms.shape[1]} coefficients of friction and rotor: record longer, or a richer "
+            "motion of it"
+        )
+
+
+def _with_bodies(
+    torques: Torques, bodies: Estimate, joint: int, terms: Array, fit: NoiseFit, squares: float
+) -> JointRegression:
+    """A joint's regression, errors of the bodies counted."""
+    normal, _, _ = torques.equations.of_channel(joint)
+    products, used = torques.products(joint, terms), int(torques.equations.used[joint])
+    spread = torques.lift.T @ normal @ torques.lift @ bodies.covariance
+    corrected = correct_attenuation(fit, products, spread)
+    values = corrected.slope @ fit.values
+    across = torques.columns(terms).T @ normal @ torques.lift
+    moved = -values[0] * corrected.slope @ scaled_solve(products, across)
+    residual = float(np.sqrt(squares / max(used, 1)))
+    plain = np.diagonal(scaled_inverse(products))
+    noise = float(np.sqrt(np.mean(np.diagonal(fit.covariance) / plain)))
+    return JointRegression(
+        joint=joint,
+        terms=terms,
+        values=values,
+        covariance=corrected.covariance + moved @ bodies.covariance @ moved.T,
+        residual=residual,
+        noise=max(noise, residual),
+        rows=used,
+        by_bodies=moved,
+        reliability=corrected.reliability,
+    )
 
 
 def _lift(tree: Tree, bodies: Estimate, drives: DriveSet, settings: Settings) -> Array:
@@ -311,42 +308,34 @@ def _lift(tree: Tree, bodies: Estimate, drives: DriveSet, settings: Settings) ->
     return found
 
 
-def _fits(
-    passes: Passes, combined: Array, own: Mapping[int, Array]
-) -> dict[int, tuple[NoiseFit, float]]:
+def _fits(torques: Torques, own: Mapping[int, Array]) -> dict[int, tuple[NoiseFit, float]]:
     """The regression of every joint, sigma corrected by bootstrap, and the squares it leaves."""
     sums = {joint: LaggedSums(HIGHEST) for joint in own}
-    for joint, part in _parts(passes, combined, own):
+    for joint, part in _parts(torques, own):
         sums[joint].add(part)
-    given = {joint: each.finish() for joint, each in sums.items()}
-    sizes = {joint: _left(each.products[0, 0]) for joint, each in given.items()}
-    scaled = {joint: _in_units(each, sizes[joint]) for joint, each in given.items()}
-    found = {joint: weighted_fits(each)[0] for joint, each in scaled.items()}
+    plain = {joint: _in_units(each.finish()) for joint, each in sums.items()}
     replicas = {
         joint: [
-            Replicas(fit.noise, scaled[joint], SEED + k)
+            Replicas(fit.noise, given, SEED + k)
             for k in range(math.ceil(POOLED / REPLICAS / len(fit.values)))
         ]
-        for joint, fit in found.items()
+        for joint, (fit, given, _) in plain.items()
     }
-    for joint, part in _parts(passes, combined, own):
+    for joint, part in _parts(torques, own):
         for each in replicas[joint]:
-            each.add(part[..., :-2] / sizes[joint], part[..., -1])
-    corrected = {}
-    for joint, fit in found.items():
-        lead = np.eye(len(fit.values))
-        made = [each.squares(weighted_fits, lead) for each in replicas[joint]]
-        factor = max(1.0, float(np.sqrt(np.mean(made))))
-        squares = _square(scaled[joint].products[0, 0], fit.values) * sizes[joint] ** 2
-        corrected[joint] = replace(fit, covariance=factor**2 * fit.covariance), squares
-    return corrected
+            each.add(part[..., :-2] / plain[joint][2], part[..., -1])
+    found = {}
+    for joint, (fit, given, size) in plain.items():
+        unit = np.eye(len(fit.values))
+        factor = float(np.mean([each.squares(weighted_fits, unit) for each in replicas[joint]]))
+        squares = _square(given.products[0, 0], fit.values) * size**2
+        found[joint] = replace(fit, covariance=max(1.0, factor) * fit.covariance), squares
+    return found
 
 
-def _parts(
-    passes: Passes, combined: Array, own: Mapping[int, Array]
-) -> Iterator[tuple[int, Array]]:
+def _parts(torques: Torques, own: Mapping[int, Array]) -> Iterator[tuple[int, Array]]:
     """Blocks of a joint's rows: its columns, the torque, and ones where a row counts, (1, k, q)."""
-    for columns, measured in passes.rows(combined):
+    for columns, measured in torques.passes.rows(torques.combined):
         ones = counted(columns, measured)
         for joint, which in own.items():
             last = np.stack([measured[joint], ones[joint]], axis=1)
@@ -354,28 +343,16 @@ def _parts(
             yield joint, np.concatenate(part, axis=1)[None]
 
 
-def _left(squares: Array) -> float:
-    """Rms of what plain least squares leaves, and next to nothing at least."""
+def _in_units(given: LaggedProducts) -> tuple[NoiseFit, LaggedProducts, float]:
+    """Fit and products of rows in units of the rms that plain least squares leaves, and that."""
+    squares = given.products[0, 0]
     m = len(squares) - 2
     values = scaled_solve(squares[:m, :m], squares[:m, m])
     count, whole = max(float(squares[m + 1, m + 1]), 1.0), float(squares[m, m])
-    return float(np.sqrt(max(_square(squares, values), ROUNDING * whole, TINY) / count))
+    size = float(np.sqrt(max(_square(squares, values), ROUNDING * whole, TINY) / count))
+    scaled = given.combined(np.diag([*np.full(m + 1, 1 / size), 1.0]))
+    return weighted_fits(scaled)[0], scaled, size
 
 
 def _square(squares: Array, values: Array) -> float:
     return max(float(of_residuals(squares, values)), 0.0)  # but for rounding
-
-
-def _in_units(given: LaggedProducts, size: float) -> LaggedProducts:
-    """Columns and torques in units of what is left."""
-    columns = given.products.shape[2]
-    return given.combined(np.diag([*np.full(columns - 1, 1 / size), 1.0]))
-
-
-def _by_bodies(
-    equations: NormalEquations, joint: int, lead: Array, lift: Array, values: Array
-) -> Array:
-    """How a joint's numbers move with the plate's parameters, (q, N_r)."""
-    normal, _, _ = equations.of_channel(joint)
-    across = lead.T @ normal
-    return np.asarray(-values[0] * scaled_solve(across @ lead, across @ lift))

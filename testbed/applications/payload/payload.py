@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
+from scipy.linalg import orth
 
+from testbed.applications.payload.static_fit import StaticPoses
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.codec import with_properties
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
@@ -20,6 +22,7 @@ from testbed.core.estimation.regression.normal_equations import (
     TINY,
     scaled_inverse,
     standard_deviations,
+    unit_diagonal,
 )
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.core.parameters.symbols import STANDARD, to_barycentric
@@ -46,26 +49,26 @@ class PayloadEstimate(Diagnosed):
 
     Attributes:
         joint: The link is the one that this joint moves.
-        names: Of the ten: m, mx, ..., Izz.
-        units: (10,).
         identifiable: Which of them are identifiable alone, (10,).
         values: (10,); nothing but a choice where not identifiable.
         sigma: Standard deviations, (10,); infinite where not identifiable.
         covariance: (10, 10), of what is identifiable.
         rank: How many combinations are identifiable.
         chance: That noise alone leaves so much of the difference as no payload explains.
+        names: Of the ten: m, mx, ..., Izz.
+        units: (10,).
         diagnostics: What a careful reader should know.
     """
 
     joint: str
-    names: tuple[str, ...]
-    units: tuple[str, ...]
     identifiable: tuple[bool, ...]
     values: Array
     sigma: Array
     covariance: Array
     rank: int
     chance: float
+    names: tuple[str, ...] = STANDARD
+    units: tuple[str, ...] = UNITS
     diagnostics: tuple[Diagnostic, ...] = ()
 
     __get_pydantic_core_schema__ = with_properties("centre")
@@ -159,41 +162,38 @@ def payload_from(
         noise: Their covariance, (p, p).
         what: "payload", of two recordings, or "tool", of one.
     """
-    scale = np.sqrt(np.diagonal(noise))
-    _, sizes, directions = np.linalg.svd(adds)
-    rank = int((sizes > SMALLEST * sizes[0]).sum())
-    seen = directions[:rank].T
-    white = np.linalg.cholesky(noise / np.outer(scale, scale))
-    columns = np.linalg.solve(white, (adds @ seen) / scale[:, None])
-    right = np.linalg.solve(white, difference / scale)
+    unit, scale = unit_diagonal(noise)
+    white = np.linalg.inv(np.linalg.cholesky(unit)) / scale
+    seen = orth(adds.T, rcond=SMALLEST)
+    columns = white @ adds @ seen
     inverse = scaled_inverse(columns.T @ columns)
-    found = inverse @ columns.T @ right
-    identifiable = np.abs(np.linalg.norm(seen, axis=1) - 1) < SEEN
+    found = inverse @ columns.T @ white @ difference
+    rest = white @ difference - columns @ found
+    freedom = max(len(adds) - len(found), 1)
+    chance = float(special.chdtrc(freedom, rest @ rest))
     covariance = seen @ inverse @ seen.T
-    left = float(np.sum((right - columns @ found) ** 2))
-    chance = float(special.chdtrc(max(len(adds) - rank, 1), left))
-    sigma = standard_deviations(covariance)
+    identifiable = np.abs(np.linalg.norm(seen, axis=1) - 1) < SEEN
+    sigma = np.where(identifiable, standard_deviations(covariance), np.inf)
+    values = seen @ found
     return PayloadEstimate(
         joint=joint,
-        names=STANDARD,
-        units=UNITS,
-        identifiable=tuple(bool(each) for each in identifiable),
-        values=seen @ found,
-        sigma=np.where(identifiable, sigma, np.inf),
+        identifiable=tuple(identifiable.tolist()),
+        values=values,
+        sigma=sigma,
         covariance=covariance,
-        rank=rank,
+        rank=len(found),
         chance=chance,
-        diagnostics=tuple(_diagnostics(joint, chance, seen @ found, sigma, identifiable, what)),
+        diagnostics=tuple(_diagnostics(joint, chance, values[0], sigma[0], what)),
     )
 
 
 def _diagnostics(
-    joint: str, chance: float, values: Array, sigma: Array, identifiable: Array, what: str
+    joint: str, chance: float, mass: float, sigma: float, what: str
 ) -> Iterator[Diagnostic]:
     if chance < IMPOSSIBLE:
         yield diagnose("payload.unexplained", joint, chance)
-    if identifiable[0] and values[0] < -5 * sigma[0]:
-        yield diagnose(f"{what}.negative-mass", joint, values[0], sigma=sigma[0])
+    if mass < -5 * sigma:
+        yield diagnose(f"{what}.negative-mass", joint, mass, sigma=sigma)
 
 
 SPAN = 0.5
@@ -207,22 +207,6 @@ APART = 5e-3
 
 LEAST = 3
 """Poses that are needed."""
-
-
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """One pose at rest.
-
-    Attributes:
-        position: Of the joints, (n,) [rad or m].
-        wrench: Mean, without the tare, (6,) [N, N m].
-    """
-
-    position: Array
-    wrench: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, position=(len(self.position),), wrench=(6,))
 
 
 @dataclass(frozen=True)
@@ -244,8 +228,8 @@ class MassEstimate:
     poses: int
 
 
-def poses_at_rest(tree: Tree, recording: Recording | Source | str) -> tuple[Pose, ...]:
-    """The poses in which a robot stood still.
+def poses_at_rest(tree: Tree, recording: Recording | Source | str) -> StaticPoses:
+    """The poses in which a robot stood still, the tare taken off the wrench.
 
     Args:
         tree: The robot.
@@ -256,33 +240,27 @@ def poses_at_rest(tree: Tree, recording: Recording | Source | str) -> tuple[Pose
     """
     source = open_source(recording)
     check_source(source, tree, "external")
-    tare = tare_of(tree, source)
-    groups: list[list[tuple[Array, Array]]] = []
-    for position, wrench in _spans(source, tree):
-        if np.ptp(position, axis=0).max() > STILL:
+    count = max(2, round(SPAN * source.rate))
+    groups: list[list[Array]] = []
+    for first in range(0, source.samples - count + 1, count):
+        part = source.part(first, first + count).ordered(tree)
+        if np.ptp(part.position, axis=0).max() > STILL:
             continue
-        here = position.mean(axis=0), wrench.mean(axis=0) - tare
-        if groups and np.abs(groups[-1][0][0] - here[0]).max() < APART:
-            groups[-1].append(here)
+        mean = np.hstack([part.position, part.measured("wrench")]).mean(axis=0)
+        if groups and np.abs(groups[-1][0] - mean)[: tree.n].max() < APART:
+            groups[-1].append(mean)
         else:
-            groups.append([here])
+            groups.append([mean])
     if len(groups) < LEAST:
         raise RecordingError(
             f"the recording shows {len(groups)} poses at rest; a pose is {SPAN:g} s in which no "
             f"joint moves more than {STILL:g} rad or m, and {LEAST} are needed"
         )
-    return tuple(Pose(*(np.mean(each, axis=0) for each in zip(*g, strict=True))) for g in groups)
+    means = np.array([np.mean(each, axis=0) for each in groups])
+    return StaticPoses(means[:, : tree.n], means[:, tree.n :] - tare_of(tree, source))
 
 
-def _spans(source: Source, tree: Tree) -> Iterator[tuple[Array, Array]]:
-    """Positions and wrench, half a second at a time."""
-    count = max(2, round(SPAN * source.rate))
-    for first in range(0, source.samples - count + 1, count):
-        part = source.part(first, first + count).ordered(tree)
-        yield part.position, part.measured("wrench")
-
-
-def estimate_mass(tree: Tree, poses: Sequence[Pose]) -> MassEstimate:
+def estimate_mass(tree: Tree, poses: StaticPoses) -> MassEstimate:
     """The mass of all that moves, by its weight in a few poses.
 
     Args:
@@ -292,16 +270,16 @@ def estimate_mass(tree: Tree, poses: Sequence[Pose]) -> MassEstimate:
     Raises:
         RecordingError: There is no gravity to weigh by.
     """
-    columns = _weights(tree, poses)
     total = np.tile([1.0, 0.0, 0.0, 0.0], tree.n)
-    values, covariance, identifiable = _solved(columns, _stacked(poses), total[None])
+    values, covariance, identifiable = _solved(_weights(tree, poses), poses.wrench, total[None])
     if not identifiable[0]:
         raise RecordingError("the moving mass is not identifiable from these poses")
-    return MassEstimate(float(values[0]), float(np.sqrt(covariance[0, 0])), (), (), len(poses))
+    sigma = float(np.sqrt(covariance[0, 0]))
+    return MassEstimate(float(values[0]), sigma, (), (), len(poses.wrench))
 
 
 def estimate_payload_mass(
-    tree: Tree, without: Sequence[Pose], loaded: Sequence[Pose], joint: str | None = None
+    tree: Tree, without: StaticPoses, loaded: StaticPoses, joint: str | None = None
 ) -> MassEstimate:
     """A payload's mass and centre by what it adds to the weight; the poses need not be the same.
 
@@ -316,56 +294,47 @@ def estimate_payload_mass(
         UnknownName: There is no such joint.
     """
     link = tree.index(tree.names[-1] if joint is None else joint)
-    robot = _weights(tree, [*without, *loaded])
-    load = _weights(tree, loaded)[:, 4 * link : 4 * link + 4]
-    beside = np.concatenate([np.zeros((6 * len(without), 4)), load])
-    asked = np.eye(4, robot.shape[1] + 4, robot.shape[1])
-    columns, measured = np.hstack([robot, beside]), _stacked([*without, *loaded])
-    values, covariance, identifiable = _solved(columns, measured, asked)
+    robot = [_weights(tree, poses) for poses in (without, loaded)]
+    load = robot[1][:, 4 * link : 4 * link + 4]
+    columns = np.block([[robot[0], np.zeros((len(robot[0]), 4))], [robot[1], load]])
+    wrench = np.concatenate([without.wrench, loaded.wrench])
+    values, covariance, identifiable = _solved(columns, wrench, np.eye(columns.shape[1])[-4:])
     if not identifiable[0]:
         raise RecordingError(
             "the payload's mass is not identifiable beside the robot's: repeat some poses with and "
             "without the payload, or measure more different ones"
         )
-    place, doubt = (tuple(x.tolist()) for x in _centre(values, covariance, identifiable))
-    poses = len(without) + len(loaded)
-    return MassEstimate(float(values[0]), float(np.sqrt(covariance[0, 0])), place, doubt, poses)
+    centre, sigma = (tuple(x.tolist()) for x in _centre(values, covariance, identifiable))
+    return MassEstimate(
+        float(values[0]), float(np.sqrt(covariance[0, 0])), centre, sigma, len(wrench)
+    )
 
 
-def _weights(tree: Tree, poses: Sequence[Pose]) -> Array:
+def _weights(tree: Tree, poses: StaticPoses) -> Array:
     """Wrench of a unit of every link's mass and first moment, (6 P, 4 n)."""
     standard = np.zeros((tree.n, 10, 4 * tree.n))
     standard[:, :4] = np.eye(4 * tree.n).reshape(tree.n, 4, -1)
-    theta = to_barycentric(tree, standard)
-    q = np.array([pose.position for pose in poses])
-    still = np.zeros_like(q)
-    motion = Motion(np.arange(len(q), dtype=float), q, still, still)
-    wrench = linear(tree, motion, theta)[1]
-    return wrench.reshape(6 * len(q), -1)
+    still = np.zeros_like(poses.position)
+    motion = Motion(np.arange(float(len(still))), poses.position, still, still)
+    return linear(tree, motion, to_barycentric(tree, standard))[1].reshape(poses.wrench.size, -1)
 
 
-def _stacked(poses: Sequence[Pose]) -> Array:
-    return np.concatenate([pose.wrench for pose in poses])
-
-
-def _solved(columns: Array, measured: Array, asked: Array) -> tuple[Array, Array, Array]:
+def _solved(columns: Array, wrench: Array, asked: Array) -> tuple[Array, Array, Array]:
     """Values, covariance and which are identifiable of sums of unknowns, (q,), (q, q), (q,).
 
-    Forces and moments are weighted by what a first fit leaves of each.
+    Forces and moments are weighted by the residuals of a first fit of each.
     """
-    force = np.arange(len(measured)) % 6 < 3
-    scale = np.ones(len(measured))
+    scale = np.ones(2)
     for _ in range(2):
-        left, sizes, directions = np.linalg.svd(columns / scale[:, None], full_matrices=False)
+        weights = np.tile(np.repeat(scale, 3), len(wrench))
+        left, sizes, directions = np.linalg.svd(columns / weights[:, None], full_matrices=False)
         rank = int((sizes > SMALLEST * sizes[0]).sum()) if sizes[0] > 0 else 0
-        seen, kept = directions[:rank].T, left[:, :rank]
-        found = seen @ (kept.T @ (measured / scale) / sizes[:rank])
-        rest = measured - columns @ found
-        variance = float(np.sum((rest / scale) ** 2)) / max(len(measured) - rank, 1)
-        half = (asked @ seen) / sizes[:rank]
-        covariance = variance * half @ half.T
-        rms = [np.sqrt(np.mean(rest[part] ** 2)) for part in (force, ~force)]
-        least = max(1e-6 * max(rms), TINY)
-        scale = np.where(force, max(rms[0], least), max(rms[1], least))
+        seen = directions[:rank].T
+        found = seen @ (left[:, :rank].T @ (wrench.ravel() / weights) / sizes[:rank])
+        rest = wrench.ravel() - columns @ found
+        variance = float(np.sum((rest / weights) ** 2)) / max(wrench.size - rank, 1)
+        rms = np.sqrt((rest.reshape(-1, 2, 3) ** 2).mean(axis=(0, 2)))
+        scale = np.maximum(rms, max(1e-6 * rms.max(), TINY))
+    half = (asked @ seen) / sizes[:rank]
     identifiable = np.linalg.norm(asked - (asked @ seen) @ seen.T, axis=1) < SEEN
-    return asked @ found, covariance, identifiable
+    return asked @ found, variance * half @ half.T, identifiable

@@ -1,9 +1,8 @@
 """A tool's weight by readings of a force sensor at rest.
 
-The sensor shows F = F0 - R' G and M = M0 - c x R' G, with R from the sensor's axes to the ground's,
-G the tool's weight on the ground, c its centre, and a zero F0, M0. All twelve unknowns are found
-together by Gauss-Newton, whose first step finds the weight and whose second the centre; with them,
-if that is asked for, a turn T of the sensor's axes: R T stands for R then.
+The sensor shows F = F0 - R' G and M = M0 - c x R' G, with R from the sensor's axes to the base's,
+G the tool's weight along the base's axes, c its centre, and a zero F0, M0. All twelve unknowns are
+found together by Gauss-Newton, whose first step finds the weight and whose second the centre.
 """
 
 from __future__ import annotations
@@ -13,8 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from testbed.core.base.arrays import Array, skew
-from testbed.core.robot.inertia import from_vector
+from testbed.core.base.arrays import Array, freeze, skew
+from testbed.core.base.diagnostics import Diagnostic
+from testbed.core.dynamics.newton_euler import sensor_poses
+from testbed.core.robot.tree import Tree
 
 UNKNOWNS = 12
 """Zero of force and moment, weight, centre: three each."""
@@ -22,7 +23,7 @@ UNKNOWNS = 12
 SMALLEST = 1e-6
 """Singular values below this share of the largest are rounding, or poses that are all alike."""
 
-NAMES = ("force zero", "mass and gravity", "moment zero", "centre", "axes")
+NAMES = ("force zero", "mass and gravity", "moment zero", "centre")
 """Of the unknowns, three by three."""
 
 OPEN = 1e-6
@@ -34,21 +35,40 @@ STEPS = 20
 LEVER = 0.1
 """Least lever by which residuals of moments count as forces [m]."""
 
+BASES = {"base-axes": (1, 1, 1), "turned-base": (-1, -1, 1)}
+"""By code: signs of a base's axes; UR's `base` is turned against the model's about the vertical."""
+
+
+@dataclass(frozen=True, eq=False)
+class StaticPoses:
+    """Poses at rest: joint positions, and the wrench in each.
+
+    Attributes:
+        position: Of the joints, (P, n) [rad or m].
+        wrench: (P, 6) [N, N m].
+        diagnostics: What was repaired in reading.
+    """
+
+    position: Array
+    wrench: Array
+    diagnostics: tuple[Diagnostic, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze(self, wrench=(None, 6), position=(len(self.wrench), None))
+
 
 @dataclass(frozen=True, eq=False)
 class RestFit:
-    """What explains the readings at rest best.
+    """Least-squares fit of a tool's weight and moments to poses at rest.
 
     Attributes:
         found: Zero of force, weight, zero of moment, centre, (12,).
-        turn: From the sensor's axes to those that were said, (3, 3).
-        covariance: Of `found` and, where it is free, of the turn [rad], (12 or 15, 12 or 15).
-        open_part: Part of each of them that no combination of the readings holds.
-        scale: Rms of what is left of forces [N] and of moments [N m], (2,).
+        covariance: (12, 12).
+        open_part: Part of each unknown that no combination of the readings holds, (12,).
+        scale: Rms residual of forces [N] and of moments [N m], (2,).
     """
 
     found: Array
-    turn: Array
     covariance: Array
     open_part: Array
     scale: Array
@@ -56,7 +76,7 @@ class RestFit:
     @property
     def open(self) -> tuple[str, ...]:
         """Unknowns that the poses do not identify, by name."""
-        parts = zip(NAMES, self.open_part.reshape(-1, 3), strict=False)
+        parts = zip(NAMES, self.open_part.reshape(4, 3), strict=True)
         return tuple(name for name, part in parts if part.max() > OPEN)
 
     @property
@@ -65,9 +85,14 @@ class RestFit:
         return self.found[3:6]
 
     @property
+    def centre(self) -> Array:
+        """Centre of mass along the sensor's axes, (3,) [m]."""
+        return self.found[9:]
+
+    @property
     def share(self) -> float:
         """Rms residual, moments by the centre's lever, over the tool's weight."""
-        lever = max(float(np.linalg.norm(self.found[9:])), LEVER)
+        lever = max(float(np.linalg.norm(self.centre)), LEVER)
         return float(max(self.scale[0], self.scale[1] / lever) / np.linalg.norm(self.weight))
 
     def tilt(self, gravity: Array) -> tuple[float, float]:
@@ -82,69 +107,62 @@ class RestFit:
         across = np.trace(doubt) - along @ doubt @ along
         return float(angle), float(np.sqrt(max(across, 0.0) / 2) / length)
 
-    def errors(self, back: Array, wrench: Array) -> Array:
-        """What it leaves of readings, (P, 6) [N, N m].
 
-        Args:
-            back: From the base's axes to those that were said, (P, 3, 3).
-            wrench: The readings, (P, 6) [N, N m].
-        """
-        rest = _linearised(self.turn.T @ back, wrench, self.found, turns=False)[1]
-        return rest.reshape(-1, 6)
+def fit_tool(tree: Tree, poses: StaticPoses, code: str = "") -> RestFit:
+    """Fit a tool's weight to a table of poses, as it is stated or with one of its usual faults.
+
+    Args:
+        tree: The robot from its base to the sensor.
+        poses: The table.
+        code: "degrees" for angles in degrees, a key of `BASES` for wrenches along those axes.
+    """
+    position = np.deg2rad(poses.position) if code == "degrees" else poses.position
+    back = np.swapaxes(sensor_poses(tree, position)[0], 1, 2)
+    wrench = poses.wrench.reshape(-1, 2, 3)
+    if code in BASES:
+        wrench = np.einsum("pij,pkj->pki", back, wrench * BASES[code])
+    return rest_fit(back, wrench.reshape(-1, 6))
 
 
-def rest_fit(back: Array, wrench: Array, turn: Array | None = None) -> RestFit:
+def rest_fit(back: Array, wrench: Array) -> RestFit:
     """Gauss-Newton on all unknowns together.
 
     Args:
-        back: From the base's axes to the sensor's as they were said, (P, 3, 3).
+        back: From the base's axes to the sensor's, (P, 3, 3).
         wrench: The readings, (P, 6) [N, N m].
-        turn: Where a search for the sensor's axes begins, (3, 3); None takes them as said.
     """
-    turns = turn is not None
-    turn = np.eye(3) if turn is None else turn
     found, scale = np.zeros(UNKNOWNS), np.ones(2)
     for number in range(STEPS):
-        rows, rest = _linearised(turn.T @ back, wrench, found, turns=turns)
-        scale = _scale(rest, rows.shape[1]) if number > 1 else scale
+        rows, rest = _linearised(back, wrench, found)
+        scale = _scale(rest) if number > 1 else scale
         weights = np.tile(np.repeat(scale, 3), len(back))
-        left, sizes, right = _svd(rows / weights[:, None])
-        step = right.T @ (left.T @ (rest / weights) / sizes)
-        found = found + step[:UNKNOWNS]
-        turn = turn @ from_vector(step[UNKNOWNS:]) if turns else turn
+        left, sizes, right = np.linalg.svd(rows / weights[:, None], full_matrices=False)
+        rank = int((sizes > SMALLEST * sizes[0]).sum())
+        root = right[:rank].T / sizes[:rank]
+        step = root @ (left[:, :rank].T @ (rest / weights))
+        found = found + step
         if number > 1 and np.abs(step).max() < 1e-12 * np.abs(found).max():
             break
-    freedom = len(rest) - len(sizes)
-    widened = float(stats.t.ppf(0.975, max(freedom, 1)) / stats.norm.ppf(0.975))
-    covariance = widened**2 * (right.T / sizes**2) @ right
-    return RestFit(found, turn, covariance, 1 - np.sum(right**2, axis=0), scale)
+    inflation = stats.t.ppf(0.975, max(len(rest) - rank, 1)) / stats.norm.ppf(0.975)
+    open_part = 1 - np.sum(right[:rank] ** 2, axis=0)
+    return RestFit(found, inflation**2 * root @ root.T, open_part, scale)
 
 
-def _linearised(back: Array, wrench: Array, found: Array, *, turns: bool) -> tuple[Array, Array]:
-    """Derivatives of all that is shown by the unknowns, (6 P, 12 or 15), and what is left, (6 P,).
-
-    The last three are by a turn of the sensor's axes.
-    """
+def _linearised(back: Array, wrench: Array, found: Array) -> tuple[Array, Array]:
+    """Derivatives of all readings by the unknowns, (6 P, 12), and their residuals, (6 P,)."""
     zero, weight, zero_moment, centre = found.reshape(4, 3)
     pull = back @ weight
     eye, none = np.broadcast_to(np.eye(3), back.shape), np.zeros_like(back)
-    arm, lever = skew(centre), skew(pull)
-    by_force, by_moment = [eye, -back, none, none, -lever], [none, -arm @ back, eye, lever]
-    rows = np.block([by_force, [*by_moment, -arm @ lever]]).reshape(6 * len(back), -1)
+    by_force = [eye, -back, none, none]
+    by_moment = [none, -skew(centre) @ back, eye, skew(pull)]
+    rows = np.block([by_force, by_moment]).reshape(6 * len(back), UNKNOWNS)
     shown = np.hstack([zero - pull, zero_moment - np.cross(centre, pull)])
-    return rows[:, : UNKNOWNS + 3 * turns], (wrench - shown).ravel()
+    return rows, (wrench - shown).ravel()
 
 
-def _scale(rest: Array, unknowns: int) -> Array:
-    """Noise of forces and of moments by what is left, each with half the unknowns, (2,)."""
+def _scale(rest: Array) -> Array:
+    """Noise of forces and of moments by their residuals, each with half the unknowns, (2,)."""
     parts = rest.reshape(-1, 2, 3)
-    count = max(3 * len(parts) - unknowns // 2, 1)
+    count = max(3 * len(parts) - UNKNOWNS // 2, 1)
     sizes = np.sqrt((parts**2).sum(axis=(0, 2)) / count)
     return np.asarray(np.maximum(sizes, 1e-9 * max(sizes.max(), 1e-9)))
-
-
-def _svd(rows: Array) -> tuple[Array, Array, Array]:
-    """Of what is seen only: singular values, and vectors to either side."""
-    left, sizes, right = np.linalg.svd(rows, full_matrices=False)
-    rank = int((sizes > SMALLEST * sizes[0]).sum())
-    return left[:, :rank], sizes[:rank], right[:rank]

@@ -2,42 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
 from testbed.applications.payload.payload import PayloadEstimate, payload_from, seen_of_payload
-from testbed.applications.payload.pose_readings import (
-    ALIKE,
-    StaticPoses,
-    other_readings,
-    reading_of,
-    with_zero,
-)
-from testbed.applications.payload.sensor_axes import AxesTurn, axes_turn, turned
-from testbed.applications.payload.tool_check import diagnose_tool, explains
+from testbed.applications.payload.static_fit import RestFit, StaticPoses, fit_tool
+from testbed.applications.payload.tool_check import diagnose_tool
 from testbed.bodies.prior import matrices, parameters
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
-from testbed.core.base.errors import RecordingError, SettingsError, UnknownName, few
+from testbed.core.base.diagnostics import Diagnosed, Diagnostic
+from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.estimation.estimate import Estimate
-from testbed.core.recordings.columns import AXES
 from testbed.core.robot.force_sensor import ForceSensor
 from testbed.core.robot.tree import Placement, Tree
-from testbed.importing.column_names import Group, read_name
-from testbed.importing.foreign_table import FORCES, MOMENTS, SLIDING, TURNING
-from testbed.importing.likely_clock import clock_of
-from testbed.importing.likely_signals import (
-    BY_SIZE,
-    LikelySource,
-    likely_plates,
-    likely_signals,
-)
-from testbed.importing.readers import open_foreign
-
-LEAST = 4
-"""Poses that leave more numbers than unknowns, in forces and in moments."""
 
 
 def tool_of(tree: Tree, estimate: Estimate) -> PayloadEstimate:
@@ -76,61 +54,6 @@ def _to_body(sensor: Placement) -> Array:
     return parameters(place @ matrices(np.eye(10)) @ place.T).T
 
 
-def read_static_poses(path: Path, tree: Tree, *, degrees: bool = False) -> StaticPoses:
-    """A table of poses: a row a pose, its heading read as the importer of recordings reads it.
-
-    Args:
-        path: Of any format that is imported.
-        tree: What the sensor feels.
-        degrees: Whether angles without a unit are in degrees.
-
-    Raises:
-        RecordingError: It is no such table.
-        UnknownName: A heading has a unit of something else.
-    """
-    table = open_foreign(path)
-    clock = clock_of(table)
-    names = [read_name(each, table.unit(each)) for each in table.columns if each != clock.column]
-    columns = [replace(x, kind="position") if x.kind is x.unit is None else x for x in names]
-    source = LikelySource("poses", path, None, table, tuple(columns), clock)
-    signal = likely_signals([source], tree.names).get("position")
-    wrench = next((each for _, _, each in likely_plates([source], {})), [])
-    group = signal.group if signal else Group((), ())
-    numbers = () if group.matched else group.numbers
-    counted = enumerate(tree.names, int(0 not in numbers))
-    missing = [name for k, name in counted if name not in group.names and k not in numbers]
-    if len(wrench) != len(AXES):
-        roles = {each.role for each in wrench}
-        missing += [axis for k, axis in enumerate(AXES) if divmod(k, 3) not in roles]
-    if missing or signal is None:
-        raise RecordingError(
-            f"'{path}' has no column of numbers for {few(missing, 90)}: a row has positions of the "
-            f"joints and {', '.join(AXES)}; found {few(table.columns, 90)}"
-        )
-    asked = [(each, each.unit, FORCES if k < 3 else MOMENTS) for k, each in enumerate(wrench)]
-    for k, joint in enumerate(tree.joints):
-        at = group.names.index(joint.name)
-        unit = signal.units[at] or ("deg" if degrees and joint.revolute else None)
-        units = (TURNING if joint.revolute else SLIDING)["position"]
-        asked.insert(k, (group.columns[at], unit, units))
-    read, values = table.read(each.name for each, _, _ in asked), []
-    for each, unit, units in asked:
-        if unit and unit not in units:
-            raise UnknownName(f"unit of column '{each.name}'", unit, units)
-        values.append(read[each.name] * (units[unit] if unit else 1.0))
-    rows = np.column_stack(values)
-    whole = rows[np.isfinite(rows).all(axis=1)]
-    if len(whole) < LEAST:
-        raise RecordingError(
-            f"'{path}' holds {len(whole)} whole rows of numbers, a row a pose; {LEAST} poses are "
-            "the least, a dozen are better"
-        )
-    lost = len(rows) - len(whole) + table.cut
-    repairs = [diagnose("tool.rows", value=lost)] * (lost > 0)
-    repairs += [diagnose("tool.by-size")] * (signal.because == BY_SIZE)
-    return StaticPoses(whole[:, : tree.n], whole[:, tree.n :], tuple(repairs))
-
-
 @dataclass(frozen=True, eq=False)
 class ToolEstimate(Diagnosed):
     """A tool by its weight.
@@ -147,7 +70,6 @@ class ToolEstimate(Diagnosed):
         unidentifiable: What these poses leave open; its numbers are one choice among many.
         share: Rms residual over the tool's weight, of moments by the centre's lever.
         payload: Mass and first moments, about the sensor and along its axes; None where open.
-        axes: Other axes of the sensor that explain the readings; None where those said will do.
         diagnostics: What a careful reader should know.
     """
 
@@ -162,76 +84,62 @@ class ToolEstimate(Diagnosed):
     unidentifiable: tuple[str, ...]
     share: float
     payload: PayloadEstimate | None
-    axes: AxesTurn | None = None
     diagnostics: tuple[Diagnostic, ...] = ()
 
-
-ENOUGH = 6
-"""Poses from which other readings can be tried on some of them."""
 
 NOTABLE = 0.005
 """Distance from the last joint from which a sensor's place shows where the tool is; else z [m]."""
 
 
-def tool_at_rest(tree: Tree, table: StaticPoses, sensor: ForceSensor | None = None) -> ToolEstimate:
+def tool_at_rest(tree: Tree, poses: StaticPoses, sensor: ForceSensor | None = None) -> ToolEstimate:
     """Mass, centre, the sensor's zero and the direction of gravity by poses at rest.
 
     Args:
         tree: What the sensor feels, under a gravity of known size.
-        table: The poses.
-        sensor: As it was said; default with the axes that it has in the tree.
+        poses: Positions of the joints that lead to the sensor, and its readings.
+        sensor: In its link's frame; default with the axes that it has in the tree.
 
     Raises:
         SettingsError: There is no force sensor in the robot, joints lie beyond it, or no gravity.
         RecordingError: The sensor shows no weight.
     """
     carrier = _sensor_of_tool(tree)
-    place, ahead = sensor or carrier, carrier.rotation.T @ carrier.position
+    ahead = carrier.rotation.T @ carrier.position
     if np.linalg.norm(ahead) < NOTABLE:
-        ahead = place.rotation[2]
+        ahead = (sensor or carrier).rotation[2]
     size = float(np.linalg.norm(tree.gravity))
     if not size:
         raise SettingsError("without gravity there is nothing to weigh a tool by")
-    said, zero = reading_of(tree, table.position, table.wrench), None
-    best, fit = said, said.fit
+    fit = fit_tool(tree, poses)
     if not fit.weight.any():
         raise RecordingError("the force sensor shows no weight in these poses")
-    if len(table.wrench) >= ENOUGH:
-        zero = with_zero(tree, table)
-        others = (*other_readings(tree, table), turned(said), zero)
-        tried = [each for each in others if explains(each, said)]
-        least = min((x.held_out for x in tried), default=0.0)
-        best = next((x for x in tried if x.held_out < ALIKE * least), said)
-    axes = axes_turn(best.fit, place.rotation) if best.code == "axes" else None
-    pull = fit.weight / np.linalg.norm(fit.weight)
-    mass = float(pull @ fit.weight) / size
-    moments = np.array([1, *fit.found[9:12]])
-    slope = np.zeros((4, 12))
-    slope[:, 3:6] = np.outer(moments, pull / size)
-    slope[1:, 9:] = mass * np.eye(3)
-    noise = slope @ fit.covariance @ slope.T
-    sigma = np.sqrt(np.diagonal(fit.covariance))
-    force_zero, _, moment_zero, centre = (
-        tuple(zip(values.tolist(), sigmas.tolist(), strict=True))
-        for values, sigmas in zip(fit.found.reshape(4, 3), sigma.reshape(4, 3), strict=True)
-    )
+    moments, noise = _moments(fit, size)
+    body = None
+    if not fit.open:
+        body = payload_from(tree.names[-1], np.eye(4, 10), moments, noise)
+    pairs = np.column_stack([fit.found, np.sqrt(np.diagonal(fit.covariance))]).reshape(4, 3, 2)
+    force_zero, _, moment_zero, centre = (tuple(map(tuple, each)) for each in pairs.tolist())
     return ToolEstimate(
-        mass=(mass, float(np.sqrt(noise[0, 0]))),
+        mass=(float(moments[0]), float(np.sqrt(noise[0, 0]))),
         centre=centre,
         force_zero=force_zero,
         moment_zero=moment_zero,
-        gravity=(float(pull[0]), float(pull[1]), float(pull[2])),
+        gravity=tuple((fit.weight / np.linalg.norm(fit.weight)).tolist()),
         tilt=fit.tilt(tree.gravity),
-        residual=(float(fit.scale[0]), float(fit.scale[1])),
-        poses=len(table.wrench),
+        residual=tuple(fit.scale.tolist()),
+        poses=len(poses.wrench),
         unidentifiable=fit.open,
         share=fit.share,
-        payload=None
-        if fit.open
-        else payload_from(tree.names[-1], np.eye(4, 10), mass * moments, noise),
-        axes=axes,
-        diagnostics=(
-            *table.diagnostics,
-            *diagnose_tool(said, best, zero, tree.gravity, axes, ahead, place.name),
-        ),
+        payload=body,
+        diagnostics=(*poses.diagnostics, *diagnose_tool(tree, poses, fit, ahead)),
     )
+
+
+def _moments(fit: RestFit, gravity: float) -> tuple[Array, Array]:
+    """Mass and first moments about the sensor, (4,) [kg, kg m], and their covariance, (4, 4)."""
+    length = np.linalg.norm(fit.weight)
+    values = length / gravity * np.array([1, *fit.centre])
+    slope = np.zeros((4, 12))
+    slope[:, 3:6] = np.outer(values, fit.weight / length**2)
+    slope[1:, 9:] = values[0] * np.eye(3)
+    return values, slope @ fit.covariance @ slope.T

@@ -13,11 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 
 from testbed.applications.payload.payload import SEEN, SMALLEST, seen_of_payload
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.errors import SettingsError, UnknownName
+from testbed.core.estimation.noise.score_squares import ScoreSquares, bin_size, hidden, sandwich
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import (
     TINY,
@@ -27,7 +29,7 @@ from testbed.core.estimation.regression.normal_equations import (
     standard_deviations,
 )
 from testbed.core.estimation.regression.passes import Passes, Progress
-from testbed.core.estimation.regression.solvers import ScoreSquares, bin_size, hidden, sandwich
+from testbed.core.estimation.regression.windows import DENSE
 from testbed.core.estimation.selection.term_choice import with_all_terms
 from testbed.core.estimation.settings import DEFAULTS, Settings, with_sigmas
 from testbed.core.recordings.source import RecordingLike
@@ -37,62 +39,6 @@ STEPS = 10
 """Of Gauss and Newton, from scales of one."""
 
 MASS = "payload/mass"
-
-CENTRE = ("payload/x", "payload/y", "payload/z")
-
-
-@dataclass(frozen=True, eq=False)
-class KnownPayload:
-    """Ten parameters m, mx, ..., Izz about and along the frame of the link that carries it.
-
-    Attributes:
-        joint: The link is the one that this joint moves.
-        values: (10,); zero where nothing is known.
-        root: R with R R' their covariance, (10, 4).
-        unknown: Places of those that nothing is known of.
-    """
-
-    joint: str
-    values: Array
-    root: Array
-    unknown: tuple[int, ...]
-
-    def __post_init__(self) -> None:
-        freeze(self, values=(10,), root=(10, 4))
-
-
-def known_payload(
-    tree: Tree, joint: str | None, given: Mapping[str, tuple[float, float]]
-) -> KnownPayload:
-    """A payload of what is known of it: its mass, and coordinates of its centre.
-
-    Args:
-        tree: The robot.
-        joint: Of the link that carries it; default the last.
-        given: Value and sigma by name: "payload/mass" [kg], "payload/x", y, z [m], along and from
-            the link's frame.
-
-    Raises:
-        UnknownName: There is no such fact, or joint.
-        SettingsError: The mass is not among them, or not positive.
-    """
-    for name in given:
-        if name not in (MASS, *CENTRE):
-            raise UnknownName("known fact", name, (MASS, *CENTRE))
-    if MASS not in given or given[MASS][0] <= 0:
-        raise SettingsError(
-            f"of the payload its mass has to be known, in kg: --known {MASS}=1.5; "
-            "coordinates of its centre help where they are known"
-        )
-    mass, sigma = given[MASS]
-    values, root = np.zeros(10), np.zeros((10, 4))
-    values[0], root[0, 0] = mass, sigma
-    for k, name in enumerate(CENTRE, start=1):
-        place, spread = given.get(name, (0.0, 0.0))
-        values[k], root[k, 0], root[k, k] = mass * place, sigma * place, mass * spread
-    unknown = [k for k, name in enumerate(CENTRE, start=1) if name not in given]
-    carrier = tree.names[tree.index(joint or tree.names[-1])]
-    return KnownPayload(carrier, values, root, (*unknown, *range(4, 10)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,12 +65,12 @@ class TorqueScales:
 
 
 class _Half(NamedTuple):
-    """One recording: its unknowns are lead @ v + payload @ (what is known of the ten)."""
+    """One recording: its unknowns are lead @ v + fixed."""
 
     passes: Passes
     equations: NormalEquations
     lead: Array
-    payload: Array
+    fixed: Array
 
     def weights(self, x: Array, scales: Array) -> Array:
         """Of the channels, one over the mean square that unknowns, (p,), leave, (n,)."""
@@ -148,14 +94,13 @@ def torque_scales(
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
 ) -> TorqueScales:
-    """Scales of joint torques, from a recording without a known payload and one with it.
+    """Scales of joint torques, from a recording without a payload of known mass and one with it.
 
     Args:
         tree: The robot without the payload; its inertias are not used.
         without: The recording without it, as for `identify`; with torques.
         loaded: The one with it, along any other motion.
-        known: A value, or value and sigma, by name: "payload/mass" [kg], coordinates of its
-            centre "payload/x", y, z [m].
+        known: "payload/mass": a value, or value and sigma [kg].
         joint: The payload is on the link that this one moves; default the last.
         gravity: (3,) [m/s^2], bedplate frame; default as for `identify`.
         settings: How the signals are treated, and the terms, which each recording has of its own.
@@ -164,11 +109,16 @@ def torque_scales(
 
     Raises:
         RecordingError: A recording cannot be used.
-        SettingsError: What is known of the payload does not fix the scale.
+        SettingsError: The mass is not known, or does not fix the scale.
+        UnknownName: Something else is known, or there is no such joint.
     """
     facts = with_sigmas(known)
-    payload = known_payload(tree, joint, facts)
-    settings = replace(settings, noise="white", weights="channels", nuisances=(), known={})
+    for name in facts.keys() - {MASS}:
+        raise UnknownName("known fact", name, (MASS,))
+    mass, doubt = facts.get(MASS, (0.0, 0.0))
+    if mass <= 0:
+        raise SettingsError(f"of the payload its mass has to be known, in kg: --known {MASS}=1.5")
+    settings = replace(settings, weights="channels", nuisances=(), known={})
     if settings.zeros:
         raise SettingsError("a payload breaks the symmetry of links: calibrate without known zeros")
     halves = []
@@ -181,57 +131,54 @@ def torque_scales(
                 )
             )  # fmt: skip
             settings = replace(settings, terms=problem.settings.terms)
-            halves.append(_half(problem, payload, number))
-        values, v = _solved(halves, payload.values)
-        covariance = _covariance(halves, payload.values, values, v)
-        for column in payload.root.T[payload.root.any(axis=0)]:
-            moved = _solved(halves, payload.values + column)[0] - values
-            covariance = covariance + np.outer(moved, moved)
+            halves.append(_half(problem, joint or tree.names[-1], mass, number))
+        values, v = _solved(halves)
+        covariance = _covariance(halves, values, v)
+    covariance += (doubt / mass) ** 2 * np.outer(values, values)  # all else scales with the mass
     sigma = standard_deviations(covariance)
     return TorqueScales(tree.names, facts, values, sigma, covariance)
 
 
-def _half(problem: Problem, payload: KnownPayload, number: int) -> _Half:
-    """A recording's products; v are bodies, own terms of both, and what is not known of it."""
-    tree, minimal = problem.tree, problem.minimal
-    adds = seen_of_payload(tree, minimal, payload.joint)
-    wide, sizes, _ = np.linalg.svd(adds[:, list(payload.unknown)], full_matrices=False)
+def _half(problem: Problem, joint: str, mass: float, number: int) -> _Half:
+    """A recording's products; v are bodies, own terms of both, and the rest of the payload."""
+    minimal = problem.minimal
+    adds = seen_of_payload(problem.tree, minimal, joint)
+    wide, sizes, _ = np.linalg.svd(adds[:, 1:], full_matrices=False)
     free = wide[:, sizes > SMALLEST * sizes[0]]
-    fixed = adds @ payload.values
+    fixed = mass * adds[:, 0]
     if np.linalg.norm(fixed - free @ (free.T @ fixed)) <= SEEN * np.linalg.norm(fixed):
         raise SettingsError(
-            "what is known of the payload does not change the torques beside what is not: "
-            "state its centre, or let joints turn it against gravity"
+            "the mass of the payload does not change the torques beside its unknown centre: let "
+            "joints turn it against gravity"
         )
-    passes = problem.passes(2)
+    passes = problem.passes(2, per_cutoff=DENSE)
     equations = problem.equations(passes)
-    count, own = minimal.count, len(equations.unknowns) - minimal.count
-    lead = np.zeros((count + own, count + 2 * own + free.shape[1]))
-    lead[:count, :count] = np.eye(count)
-    lead[count:, count + number * own : count + (number + 1) * own] = np.eye(own)
-    if number:
-        lead[:count, count + 2 * own :] = free
-    root = number * np.vstack([adds, np.zeros((own, 10))])
-    return _Half(passes, equations, lead, root)
+    own = np.zeros((2, len(equations.unknowns) - minimal.count))
+    own[number] = 1.0
+    of_terms = np.hstack([np.diag(each) for each in own])
+    lead = block_diag(np.eye(minimal.count), of_terms)
+    rest = number * np.column_stack([fixed, free])
+    rest = np.pad(rest, ((0, len(of_terms)), (0, 0)))
+    return _Half(passes, equations, np.hstack([lead, rest[:, 1:]]), rest[:, 0])
 
 
-def _solved(halves: Sequence[_Half], known: Array) -> tuple[Array, Array]:
+def _solved(halves: Sequence[_Half]) -> tuple[Array, Array]:
     """Scales and v, by Gauss-Newton."""
     n, m = len(halves[0].equations.channels), halves[0].lead.shape[1]
     found = np.append(np.ones(n), np.zeros(m))
     for step in range(STEPS):
         at = slice(n if step == 0 else 0, None)  # the first finds v of scales of one
-        matrix, vector = _normal(halves, known, found[:n], found[n:])
+        matrix, vector = _normal(halves, found[:n], found[n:])
         found[at] += inverse_and_solution(matrix[at, at], vector[at])[1]
     return found[:n], found[n:]
 
 
-def _normal(halves: Sequence[_Half], known: Array, scales: Array, v: Array) -> tuple[Array, Array]:
+def _normal(halves: Sequence[_Half], scales: Array, v: Array) -> tuple[Array, Array]:
     """J' W J and J' W r of what scales and v leave, each channel weighed by its own rest."""
     size = len(scales) + len(v)
     matrix, vector = np.zeros((size, size)), np.zeros(size)
     for half in halves:
-        x = half.lead @ v + half.payload @ known
+        x = half.lead @ v + half.fixed
         for j, (k, weight) in enumerate(zip(scales, half.weights(x, scales), strict=True)):
             normal, right, _ = half.equations.of_channel(j)
             rows = np.hstack([np.outer(x, np.eye(len(scales))[j]), k * half.lead])
@@ -240,20 +187,19 @@ def _normal(halves: Sequence[_Half], known: Array, scales: Array, v: Array) -> t
     return matrix, vector
 
 
-def _covariance(halves: Sequence[_Half], known: Array, scales: Array, v: Array) -> Array:
+def _covariance(halves: Sequence[_Half], scales: Array, v: Array) -> Array:
     """Of the scales, (n, n), from the scores of all rows."""
-    inverse = scaled_inverse(_normal(halves, known, scales, v)[0])
+    inverse = scaled_inverse(_normal(halves, scales, v)[0])
     total = np.zeros_like(inverse)
     for half in halves:
-        x, plan = half.lead @ v + half.payload @ known, half.passes.plan
+        x, plan = half.lead @ v + half.fixed, half.passes.plan
         squares, weights = ScoreSquares(len(inverse), plan.rate), half.weights(x, scales)
         for columns, measured in half.passes.rows(np.eye(len(x))):
             torque = columns @ x
             left = weights[:, None] * (measured - scales[:, None] * torque)
             by_rest = np.einsum("ct,ctp->tp", left * scales[:, None], columns) @ half.lead
             scores = np.hstack([(left * torque).T, by_rest])
-            bins = np.arange(0, len(scores), bin_size(plan.rate))
-            squares.add(np.add.reduceat(scores, bins, axis=0))
+            squares.add(np.add.reduceat(scores, range(0, len(scores), bin_size(plan.rate))))
         lost = len(inverse) / len(scales) / 2  # rows' worth of freedom, a channel and recording
         factor = hidden(plan.weights, plan.step, plan.rate) / max(1 - lost / plan.rows, 0.1)
         total += factor * squares.finish()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
@@ -15,21 +15,18 @@ from testbed.bodies.consistency.likelihood import (
     precise,
     terms_of,
 )
-from testbed.bodies.consistency.options import ConsistencyOptions, Metric, conditions
-from testbed.bodies.consistency.program import Scaled, scaled, solve
-from testbed.bodies.posterior import chosen_prior_error
+from testbed.bodies.consistency.options import ConsistencyOptions, conditions
+from testbed.bodies.consistency.program import Program, program_of, solve
 from testbed.bodies.prior import Prior, matrices
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
-from testbed.core.base.errors import RecordingError, SettingsError, few
+from testbed.core.base.errors import RecordingError, few
 from testbed.core.estimation.diagnostics.rigid_bodies import rigid_body_test
 from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.regression.normal_equations import TINY, standard_deviations
-from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.parameters.symbols import with_standard
-from testbed.core.recordings.source import Source
 from testbed.core.robot.friction import LAWS, ROTOR, JointTerm
 from testbed.core.robot.locks import places
 from testbed.core.robot.tree import Tree
@@ -114,12 +111,9 @@ class Consistent(Diagnosed):
         bent: How far each estimate had to give way.
         eigenvalues: Of every J, ascending, lengths in radii of gyration of the body, masses in
             its own, (n, 4); zero for bodies without matter.
-        margin: Least eigenvalue of every J beside the prior's, (n,): 1 for the prior itself.
         binding: Conditions at their limits, in words.
         unsettled: Sigmas that the program could still gain: far below one where it has ended.
         prior_error: That was used, in parts of the prior's bodies.
-        tried: By prior error, rms of what it leaves of held-out parts over what the file with its
-            friction fitted leaves; {} where it was given.
         diagnostics: What a careful reader should know.
     """
 
@@ -135,17 +129,15 @@ class Consistent(Diagnosed):
     coefficient_sigma: Array
     bent: tuple[Reconciliation, ...]
     eigenvalues: Array
-    margin: Array
     binding: tuple[str, ...]
     unsettled: float
     prior_error: float
-    tried: Mapping[float, float]
     diagnostics: tuple[Diagnostic, ...]
 
     def __post_init__(self) -> None:
         n, t = len(self.joints), len(self.terms)
         shapes = dict.fromkeys(("standard", "sigma", "data_share", "prior"), (n, 10))
-        freeze(self, **shapes, eigenvalues=(n, 4), margin=(n,))
+        freeze(self, **shapes, eigenvalues=(n, 4))
         freeze(self, coefficients=(t,), coefficient_sigma=(t,))
 
 
@@ -154,8 +146,6 @@ def consistent(
     estimates: Sequence[Estimate],
     prior: Prior,
     options: ConsistencyOptions | None = None,
-    *,
-    tried: Mapping[float, float] | None = None,
 ) -> Consistent:
     """Bodies that could exist, fit what was measured, and are near the model file's otherwise.
 
@@ -163,41 +153,22 @@ def consistent(
         tree: The robot; its inertias do not matter.
         estimates: Of one recording, one a method; what each says of x counts by itself.
         prior: The bodies before the data.
-        options: What is asked besides, the prior error a number; default `ConsistencyOptions()`.
-        tried: How it was chosen, if it was (`prior_weight`).
+        options: What is asked besides; default `ConsistencyOptions()`.
 
     Raises:
-        SettingsError: No bodies obey all that is asked; or the prior error is yet to be chosen.
+        SettingsError: No bodies obey all that is asked.
         RecordingError: There is no estimate whose covariance is one.
         UnknownName: A wish is about a link that is not there.
     """
     options = options or ConsistencyOptions()
-    error = options.prior_error
-    if isinstance(error, str):
-        raise SettingsError("consistent bodies need a prior error that is a number")
     with one_blas_thread():
-        return _consistent(tree, estimates, prior, options, error, tried or {})
-
-
-def _consistent(
-    tree: Tree,
-    estimates: Sequence[Estimate],
-    prior: Prior,
-    options: ConsistencyOptions,
-    error: float,
-    tried: Mapping[float, float],
-) -> Consistent:
-    """The same, the prior error a number."""
-    used, likelihoods, problem = problem_of(tree, estimates, prior, options)
-    terms, weight = terms_of(used), 1 / error**2
-    z, left = solve(problem, options.metric, weight)
-    x = problem.lead @ z
+        used, likelihoods, program = problem_of(tree, estimates, prior, options)
+        weight = 1 / options.prior_error**2
+        z, left = solve(program, weight)
+        spread, shares = spread_at(program, z, weight)
+    x, sigma = program.lead @ z, standard_deviations(spread)
     bodies = x[: 10 * tree.n].reshape(-1, 10)
-    spread, shares = spread_at(problem, z, options.metric, weight)
     bent = tuple(_bent(each, x, spread) for each in likelihoods)
-    eigenvalues, margin = _certificates(problem, z, bodies)
-    sigma = standard_deviations(spread)
-    edge = [j.body for j, own in zip(tree.joints, margin, strict=True) if own < THIN]
     return Consistent(
         joints=tree.names,
         places=places(tree),
@@ -206,23 +177,21 @@ def _consistent(
         sigma=sigma[: 10 * tree.n].reshape(-1, 10),
         data_share=shares[: 10 * tree.n].reshape(-1, 10),
         prior=prior.standard,
-        terms=terms,
+        terms=terms_of(used),
         coefficients=x[10 * tree.n :],
         coefficient_sigma=sigma[10 * tree.n :],
         bent=bent,
-        eigenvalues=eigenvalues,
-        margin=margin,
-        binding=(*(f"'{name}' a possible body" for name in edge), *_at_limits(problem, z)),
+        eigenvalues=np.array([_eigenvalues(each) for each in bodies]),
+        binding=tuple(_at_limits(tree, program, z)),
         unsettled=left,
-        prior_error=error,
-        tried=tried,
+        prior_error=options.prior_error,
         diagnostics=tuple(_diagnostics(prior, estimates, used, bent, left)),
     )
 
 
 def problem_of(
     tree: Tree, estimates: Sequence[Estimate], prior: Prior, options: ConsistencyOptions
-) -> tuple[list[Estimate], list[Likelihood], Scaled]:
+) -> tuple[list[Estimate], list[Likelihood], Program]:
     """Data, prior and conditions in numbers near one, and the estimates that count.
 
     Arguments and errors are those of `consistent`.
@@ -231,7 +200,7 @@ def problem_of(
     terms = terms_of(used)
     likelihoods = agreeing([evidence(blind, each, terms) for each in used])
     asked = conditions(tree, prior, options, terms)
-    return used, likelihoods, scaled(blind, prior, likelihoods, asked, terms)
+    return used, likelihoods, program_of(blind, prior, likelihoods, asked, terms)
 
 
 def _usable(estimates: Sequence[Estimate]) -> list[Estimate]:
@@ -261,27 +230,26 @@ def robot_of(found: Consistent, tree: Tree) -> Tree:
     return with_standard(tree, np.array(found.standard)).with_joints(settings)
 
 
-def spread_at(problem: Scaled, z: Array, metric: Metric, weight: float) -> tuple[Array, Array]:
+def spread_at(program: Program, z: Array, weight: float) -> tuple[Array, Array]:
     """Covariance of x, (m, m), and the part of each variance that the data took away, (m,).
 
     Args:
-        problem: In numbers near one.
+        program: In numbers near one.
         z: The unknowns, (m,).
-        metric: Of the distance to the prior.
-        weight: Of that distance.
+        weight: Of the prior.
     """
-    program = problem.program(metric, weight)
-    before = program.prior_hessian(z) + problem.facts.T @ problem.facts
-    rest = np.arange(10 * problem.bodies, len(z))
+    besides = program.rows[program.measured :]
+    before = weight * program.prior_hessian(z) + besides.T @ besides
+    rest = np.arange(10 * program.bodies, len(z))
     before[rest, rest] += FAINT
-    after = before + problem.data.T @ problem.data
-    lead = problem.lead @ program.free
+    data = program.rows[: program.measured]
+    lead = program.lead @ program.free
 
     def covariance(hessian: Array) -> Array:
         return lead @ np.linalg.inv(program.free.T @ hessian @ program.free) @ lead.T
 
-    prior, found = np.diagonal(covariance(before)), covariance(after)
-    open_before = prior > FAINT * (problem.lead**2).sum(axis=1)  # else what is known settles it
+    prior, found = np.diagonal(covariance(before)), covariance(before + data.T @ data)
+    open_before = prior > FAINT * (program.lead**2).sum(axis=1)  # else what is known settles it
     share = 1 - np.divide(np.diagonal(found), prior, out=np.ones_like(prior), where=open_before)
     return found * np.outer(open_before, open_before), np.clip(share, 0.0, 1.0)
 
@@ -302,25 +270,24 @@ def _bent(likelihoods: Likelihood, x: Array, spread: Array) -> Reconciliation:
     )
 
 
-def _certificates(problem: Scaled, z: Array, bodies: Array) -> tuple[Array, Array]:
-    """Eigenvalues of every J without units, (n, 4), and of Y, the least, (n,)."""
-    eigenvalues, margin = np.zeros((len(bodies), 4)), np.ones(len(bodies))
-    found = problem.matrices(z)
-    for body, own in zip(problem.prior.massive, found, strict=True):
-        whole = matrices(bodies[body])
-        centre = whole[:3, 3] / whole[3, 3]
-        square = np.trace(whole[:3, :3]) / whole[3, 3] - centre @ centre
-        size = np.append(np.full(3, 1 / np.sqrt(max(square, TINY))), 1.0)
-        eigenvalues[body] = np.linalg.eigvalsh(whole * np.outer(size, size) / whole[3, 3])
-        margin[body] = np.linalg.eigvalsh(own)[0]
-    return eigenvalues, margin
+def _eigenvalues(body: Array) -> Array:
+    """Of J without units, ascending, (4,); zero without matter."""
+    if not body[0]:
+        return np.zeros(4)
+    whole = matrices(body) / body[0]
+    radius = np.sqrt(max(np.trace(whole[:3, :3]) - whole[:3, 3] @ whole[:3, 3], TINY))
+    size = np.array([radius, radius, radius, 1.0])
+    return np.linalg.eigvalsh(whole / np.outer(size, size))
 
 
-def _at_limits(problem: Scaled, z: Array) -> tuple[str, ...]:
-    """Conditions that bind."""
-    bounds = problem.conditions.bounds
+def _at_limits(tree: Tree, program: Program, z: Array) -> Iterator[str]:
+    """Bodies at the edge of what can be, and conditions that bind."""
+    for body, own in zip(program.prior.massive, program.matrices(z), strict=True):
+        if np.linalg.eigvalsh(own)[0] < THIN:
+            yield f"'{tree.joints[body].body}' a possible body"
+    bounds = program.bounds
     slack = bounds.rows @ z - bounds.values
-    return tuple(n for n, left in zip(bounds.names, slack, strict=True) if left < CLOSE)
+    yield from (n for n, left in zip(bounds.names, slack, strict=True) if left < CLOSE)
 
 
 def _diagnostics(
@@ -386,35 +353,3 @@ def _negative(estimate: Estimate) -> Iterator[Diagnostic]:
                 method=estimate.method,
                 unit=term.unit,
             )
-
-
-OFFERED = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
-"""Prior errors that are tried."""
-
-
-def consistent_by_held_out(
-    tree: Tree,
-    estimates: Sequence[Estimate],
-    prior: Prior,
-    options: ConsistencyOptions,
-    source: Source,
-    settings: Settings = DEFAULTS,
-) -> Consistent:
-    """Consistent bodies, the prior's error chosen by held-out parts where that is asked.
-
-    Args:
-        tree: The robot.
-        estimates: Of the whole recording.
-        prior: The bodies before the data.
-        options: What is asked besides.
-        source: The recording.
-        settings: Of the estimates.
-
-    Raises:
-        SettingsError: As `consistent`.
-    """
-    if options.prior_error != "chosen":
-        return consistent(tree, estimates, prior, options)
-    tried = chosen_prior_error(tree, source, prior, estimates, OFFERED, settings)
-    best = min(tried, key=lambda error: tried[error])
-    return consistent(tree, estimates, prior, replace(options, prior_error=best), tried=tried)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,20 +15,14 @@ from testbed.bodies.linear_prior import (
     refitted,
     with_prior,
 )
-from testbed.bodies.posterior import Posterior, parts_of
+from testbed.bodies.posterior import Posterior, held_out_errors
 from testbed.bodies.prior import Prior
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import TestbedError
 from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.selection.prediction_errors import (
-    CONSISTENT,
-    REFITTED,
-    prediction_errors,
-)
-from testbed.core.estimation.settings import DEFAULTS, Settings
-from testbed.core.recordings.source import RecordingLike
-from testbed.core.robot.tree import Tree
+from testbed.core.estimation.selection.prediction_errors import CONSISTENT, REFITTED
+from testbed.core.estimation.selection.row_products import RowParts, RowProducts
 
 
 def with_likely_error(
@@ -37,24 +31,20 @@ def with_likely_error(
     """Conditions with the least error of the model file that its posteriors have.
 
     Args:
-        options: What is asked; an error that held-out parts choose stays so.
+        options: What is asked.
         posteriors: Of one recording.
     """
     used = [each.prior_error for each in posteriors if each.used]
-    if not used or options.prior_error == "chosen":
-        return options
-    return replace(options, prior_error=min(used))
+    return replace(options, prior_error=min(used, default=options.prior_error))
 
 
 def beside_consistent(
     posteriors: Mapping[Method, Posterior],
     bodies: Consistent,
-    tree: Tree,
-    recording: RecordingLike,
+    rows: Mapping[Method, RowParts],
     prior: Prior,
-    estimates: Sequence[Estimate],
+    estimates: Mapping[Method, Estimate],
     options: ConsistencyOptions,
-    settings: Settings = DEFAULTS,
 ) -> dict[Method, Posterior]:
     """Posteriors with consistent bodies beside them: of the recording, and of held-out parts.
 
@@ -63,36 +53,38 @@ def beside_consistent(
     Args:
         posteriors: By method.
         bodies: Of the whole recording.
-        tree: The robot.
-        recording: As for `posterior`.
+        rows: Of the recording, by method.
         prior: The bodies of the model file.
         estimates: By least squares; a method without one stays as it is.
         options: What was asked of the bodies.
-        settings: As for `identify`.
     """
-    options = replace(options, prior_error=bodies.prior_error)
-    made = dict(posteriors)
-    for estimate in (each for each in estimates if each.method in posteriors):
-        method, gravity, found = estimate.method, estimate.gravity, made[estimate.method]
-        problem, parts = parts_of(tree, recording, method, [estimate], gravity, settings, None)
+
+    def beside(found: Posterior, estimate: Estimate) -> Posterior:
+        parts = rows[found.method]
+        problem = parts.problem
         before = linear_prior(problem, prior, found.prior_error, parts.whole)
-        errors = []
-        for split, known in zip(parts.splits.values(), found.errors, strict=True):
-            pairs = []
-            for seen, rest in split:
-                values, covariance = with_prior(seen, before.times(WIDE))
-                sigma = np.sqrt(np.diagonal(covariance))
-                own = replace(estimate, values=values, sigma=sigma, covariance=covariance)
-                try:
-                    unknowns = unknowns_of(consistent(tree, [own], prior, options), problem)
-                except TestbedError:  # too few rows: those of the file
-                    unknowns = found.file
-                fits = {REFITTED: refitted(seen, before), CONSISTENT: unknowns}
-                pairs.append(({name: (x, seen.constants(x)) for name, x in fits.items()}, rest))
-            errors.append(known.beside(prediction_errors(problem, known.of, pairs)))
-        own_bodies = unknowns_of(bodies, problem)
-        made[method] = replace(found, consistent=own_bodies, errors=tuple(errors))
-    return made
+
+        def of_rows(some: RowProducts) -> Array:
+            values, covariance = with_prior(some, before.times(WIDE))
+            sigma = np.sqrt(np.diagonal(covariance))
+            own = replace(estimate, values=values, sigma=sigma, covariance=covariance)
+            try:
+                return unknowns_of(consistent(problem.tree, [own], prior, options), problem)
+            except TestbedError:  # too few rows: those of the file
+                return found.file
+
+        fits = {REFITTED: lambda some: refitted(some, before), CONSISTENT: of_rows}
+        pairs = zip(held_out_errors(parts, fits), found.errors, strict=True)
+        return replace(
+            found,
+            consistent=unknowns_of(bodies, problem),
+            errors=tuple(known.beside(own) for own, known in pairs),
+        )
+
+    return {
+        method: beside(found, estimates[method]) if method in estimates else found
+        for method, found in posteriors.items()
+    }
 
 
 def unknowns_of(bodies: Consistent, problem: Problem) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,6 @@ from testbed.core.estimation.settings import finite_number, stated_values, with_
 from testbed.core.parameters.symbols import STANDARD
 from testbed.core.robot.friction import JointTerm
 from testbed.core.robot.tree import Tree
-
-Metric = Literal["log-det", "frobenius"]
-
-METRICS: tuple[Metric, ...] = ("log-det", "frobenius")
 
 PLANES = ("xy", "xz", "yz")
 """Planes of symmetry, through the origin of a body's frame."""
@@ -39,13 +35,8 @@ class ConsistencyOptions:
     Plain values only: an experiment file's table [consistent] holds the same keys.
     """
 
-    metric: Metric = "log-det"
-    """How far bodies are from the model file's: "log-det" keeps them away from what no body can
-    be, "frobenius" lets them come as near as the data push them."""
-
-    prior_error: float | Literal["chosen"] = 0.5
-    """How wrong the model file's bodies are taken to be, in parts of themselves; "chosen" takes
-    what predicts best the parts of the recording that were held out."""
+    prior_error: float = 0.5
+    """How wrong the model file's bodies are taken to be, in parts of themselves."""
 
     known: Mapping[str, float | Sequence[float]] = field(default_factory=dict, hash=False)
     """Masses, or mass and sigma, by name: "mass" is that of all moving bodies, "mass/LINK" of one
@@ -60,12 +51,8 @@ class ConsistencyOptions:
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
 
     def __post_init__(self) -> None:
-        if self.metric not in METRICS:
-            raise UnknownName("metric of bodies", str(self.metric), METRICS)
-        if self.prior_error != "chosen" and not (finite_number(self.prior_error) or 0) > 0:
-            raise SettingsError(
-                f'prior_error is a positive part of one, or "chosen", found {self.prior_error!r}'
-            )
+        if not (finite_number(self.prior_error) or 0) > 0:
+            raise SettingsError(f"prior_error is a positive part of one: {self.prior_error!r}")
         if not isinstance(self.centres_in_shapes, bool):
             raise SettingsError(f"centres_in_shapes is true or false: {self.centres_in_shapes!r}")
         object.__setattr__(self, "known", _masses(self.known))

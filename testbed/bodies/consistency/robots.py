@@ -21,7 +21,7 @@ from scipy import special
 from testbed.bodies.consistency.consistent import FAINT, problem_of, spread_at
 from testbed.bodies.consistency.likelihood import terms_of
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.bodies.consistency.program import Program, Scaled, solve
+from testbed.bodies.consistency.program import Program, solve
 from testbed.bodies.prior import Prior, of_coordinates
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
@@ -123,7 +123,7 @@ def robots(
         prior: Bodies and rotors before the data.
         count: How many.
         rng: Draws the numbers.
-        options: What is asked besides, the prior error a number; default `ConsistencyOptions()`.
+        options: What is asked besides; default `ConsistencyOptions()`.
 
     Raises:
         SettingsError: As `consistent`; or `count` is not positive.
@@ -131,15 +131,14 @@ def robots(
     """
     options = options or ConsistencyOptions()
     error = options.prior_error
-    if isinstance(error, str) or count < 1:
-        raise SettingsError("robots are drawn one or more, with a prior error that is a number")
+    if count < 1:
+        raise SettingsError("robots are drawn one or more")
     with one_blas_thread():
-        used, _, problem = problem_of(tree, estimates, prior, options)
-        weight, program = 1 / error**2, problem.program("log-det", 1 / error**2)
-        centre, _ = solve(problem, "log-det", weight)
-        z = _draws(problem, program, centre, error, count, rng)
-        _, share = spread_at(problem, centre, "log-det", weight)
-    x, one = z @ problem.lead.T, (tree.n, BODY)
+        used, _, program = problem_of(tree, estimates, prior, options)
+        centre, _ = solve(program, 1 / error**2)
+        z = _draws(program, centre, error, count, rng)
+        _, share = spread_at(program, centre, 1 / error**2)
+    x, one = z @ program.lead.T, (tree.n, BODY)
     losses = losses_of_file(tree, prior, error, count, rng)
     loss_share = np.zeros(losses.shape[1:])
     for k, term in enumerate(terms_of(used), start=BODY * tree.n):
@@ -190,7 +189,6 @@ def _log_prior(bodies: Array, error: float) -> Array:
 
 
 def _draws(
-    problem: Scaled,
     program: Program,
     centre: Array,
     error: float,
@@ -200,19 +198,21 @@ def _draws(
     """Unknowns z, (count, m), by data, prior and conditions together.
 
     Args:
-        problem: In numbers near one.
-        program: The same.
+        program: In numbers near one.
         centre: The consistent bodies, (m,).
         error: Of the file's bodies.
         count: How many.
         rng: Draws the numbers.
     """
-    hessian = program.square + program.prior_hessian(centre) + FAINT * np.eye(len(centre))
+    weight = 1 / error**2
+    hessian = program.square + weight * program.prior_hessian(centre) + FAINT * np.eye(len(centre))
     inner = np.linalg.cholesky(program.free.T @ hessian @ program.free)
     root = np.linalg.solve(inner, program.free.T).T  # root root' is the Gaussian's covariance
-    mean = centre + program.step(centre, 0.0)[0]  # where terms at their limits would be without
-    bodies, own = 10 * problem.bodies, 10 * problem.bodies + np.flatnonzero(problem.own)
-    size, most = np.linalg.norm(root, axis=1)[problem.positive], mean[problem.positive]
+    mean = (
+        centre + program.step(centre, weight, 0.0)[0]
+    )  # where terms at their limits would be without
+    bodies, own = 10 * program.bodies, 10 * program.bodies + np.flatnonzero(program.own)
+    size, most = np.linalg.norm(root, axis=1)[program.positive], mean[program.positive]
     above = special.log_ndtr(most / size)
 
     def unknowns(steps: Array) -> tuple[Array, Array]:
@@ -221,9 +221,9 @@ def _draws(
         To such a term alone the Gaussian becomes itself without its part below zero.
         """
         z = mean + steps @ root.T
-        plain = (z[:, problem.positive] - most) / size
+        plain = (z[:, program.positive] - most) / size
         kept = -special.ndtri_exp(special.log_ndtr(-plain) + above)
-        z[:, problem.positive] = np.maximum(most + size * kept, TINY * size)
+        z[:, program.positive] = np.maximum(most + size * kept, TINY * size)
         return z, ((kept**2 - plain**2) / 2 + above).sum(axis=1)
 
     def density(steps: Array) -> Array:
@@ -233,11 +233,11 @@ def _draws(
         found += _log_prior(of_coordinates(z[:, :bodies].reshape(len(z), -1, 10)), error)
         logs = np.log(z[:, own])  # of what the file states of the joints
         found -= (logs + 0.5 * (logs / error) ** 2).sum(axis=1)
-        possible = (z @ program.bound_rows.T > program.bounds).all(axis=1)
+        possible = (z @ program.bounds.rows.T > program.bounds.values).all(axis=1)
         return np.where(possible & np.isfinite(found), found, -np.inf)
 
     move = centre - mean
-    move[problem.positive] = 0.0
+    move[program.positive] = 0.0
     inside = np.linalg.lstsq(root, move, rcond=None)[0]
     chains = max(count, CHAINS * root.shape[1])
     away = rng.normal(size=(chains, root.shape[1]))

@@ -197,7 +197,6 @@ class Estimate(Diagnosed, Summarized):
         nuisances: Numbers of the instrument that were estimated with the parameters.
         trace_tests: Faults of the instrument whose traces were looked for in the residuals.
         nuisance_covariance: Of the instrument's numbers, (s, s).
-        nuisance_cross: Of the parameters with them, (p, s).
         choice: How held-out data chose the joints' terms, where they did.
         unidentifiable: Names of parameters that no motion separates from the plate's zero, which is
             not known here. Their values hold together with that zero only.
@@ -226,7 +225,6 @@ class Estimate(Diagnosed, Summarized):
     nuisances: tuple[NuisanceEstimate, ...] = ()
     trace_tests: tuple[TraceTest, ...] = ()
     nuisance_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    nuisance_cross: Array = field(default_factory=lambda: np.zeros((0, 0)))
     choice: TermChoice | None = None
     unidentifiable: tuple[str, ...] = ()
     settings: Annotated[Settings, TableSchema()] = DEFAULTS
@@ -236,7 +234,6 @@ class Estimate(Diagnosed, Summarized):
         s = len(self.nuisance_covariance)
         freeze(self, values=(p,), sigma=(p,), covariance=(p, p), gravity=(3,))
         freeze(self, residual=(c,), relative_residual=(c,), nuisance_covariance=(s, s))
-        freeze(self, nuisance_cross=(p if s else len(self.nuisance_cross), s))
 
     def without(self, unidentifiable: Sequence[str]) -> Estimate:
         """The same, some of the parameters said to be not identifiable.

@@ -9,9 +9,7 @@ from numbers import Real
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.core.robot.friction import STRIBECK, JointLaw, law_of
 
@@ -139,14 +137,9 @@ class Settings:
     held-out data choose. Default: "coulomb" and "viscous", "offset" of imported recordings, and
     "rotor" of torques from motors, else of joints whose rotor the model file states."""
 
-    weights: Literal["channels", "full"] | Sequence[Sequence[float]] = "channels"
+    weights: Literal["channels", "full"] = "channels"
     """Weights of the channels: "channels", by each one's own noise; "full", by the covariance
-    of all channels' residuals; or that covariance, if it is known, row by row: 6 x 6 for the
-    plate [N^2, N^2 m, N^2 m^2]."""
-
-    noise: Literal["ar", "white"] = "ar"
-    """What residuals are taken for: "ar", an autoregression in each channel, found with the
-    parameters; "white", noise of no memory before the filters."""
+    of all channels' residuals."""
 
     nuisances: Sequence[str] = ()
     """What of the instrument is unknown beside the parameters, for the external method: "bias",
@@ -184,8 +177,7 @@ class Settings:
             "cutoff": _cutoff("cutoff", self.cutoff),
             "deadband": _not_negative("deadband is a speed [rad/s or m/s]", self.deadband),
             "terms": _terms(self.terms),
-            "weights": _weights(self.weights),
-            "noise": _one_of("noise", self.noise, ("ar", "white")),
+            "weights": _one_of("weights", self.weights, ("channels", "full")),
             "drives": _one_of("drives", self.drives, ("off", "given", "chosen")),
             "span": _span(self.span),
             "engine": _one_of("engine", self.engine, ("by size", "compiled", "numpy")),
@@ -198,10 +190,8 @@ class Settings:
             checked["reversal_reach"] = reach
         for name, value in checked.items():
             object.__setattr__(self, name, value)
-        if self.nuisances and (self.noise != "ar" or self.row_low_pass is None):
-            raise SettingsError('nuisances need noise = "ar" and a cutoff: rows are filtered')
-        if self.known and self.noise != "ar":
-            raise SettingsError('known facts need noise = "ar"')
+        if self.nuisances and self.row_low_pass is None:
+            raise SettingsError("nuisances need a cutoff: rows are filtered")
         slow, fast = self.row_low_pass, self.position_low_pass
         if self.cutoff == FIT and slow is not None and fast is not None:
             slow = min(slow, fast / 2)
@@ -276,11 +266,6 @@ class Settings:
     def joined(self) -> bool:
         """Whether noise of different channels is taken as correlated."""
         return self.weights != "channels"
-
-    @property
-    def covariance(self) -> Array | None:
-        """The covariance that was given, if one was."""
-        return None if isinstance(self.weights, str) else np.array(self.weights, dtype=float)
 
 
 def _hertz(cutoff: Cutoff | None, fit: float) -> float | None:
@@ -362,24 +347,6 @@ def _nuisances(given: object) -> tuple[str, ...]:
     if len(set(names)) < len(names):
         raise SettingsError(f"nuisances names something twice: {', '.join(names)}")
     return names
-
-
-def _weights(given: ArrayLike) -> str | tuple[tuple[float, ...], ...]:
-    if isinstance(given, str):
-        if given not in ("channels", "full"):
-            raise UnknownName("weights", given, ("channels", "full", "a covariance"))
-        return given
-    try:
-        matrix = np.array(given, dtype=float)
-    except (TypeError, ValueError):
-        matrix = np.zeros(0)
-    square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] > 0
-    if not square or not np.isfinite(matrix).all():
-        raise SettingsError("weights is no covariance: it is not a square matrix of numbers")
-    symmetric = np.allclose(matrix, matrix.T, rtol=1e-9, atol=0)
-    if not symmetric or np.linalg.eigvalsh(matrix).min() <= 0:
-        raise SettingsError("weights is no covariance: it is not symmetric and positive definite")
-    return tuple(tuple(float(x) for x in row) for row in matrix)
 
 
 DEFAULTS = Settings()

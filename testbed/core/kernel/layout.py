@@ -278,9 +278,6 @@ class Draft:
     def rows(self, joined: bool) -> Rows:
         """All channels as arrays."""
         pairs, source, target = self._paths()
-        unknown = np.full(self.slots, -1)
-        for start, columns in zip(self.starts, self.columns, strict=True):
-            unknown[start : start + len(columns)] = columns
         widths = [self.slots] if joined else self.widths
         sizes = [m + 1 - s for m, s in zip(self.measured, self.starts, strict=True)]
         copies = [
@@ -305,7 +302,6 @@ class Draft:
             width=ints(self.widths),
             measured=ints(self.measured),
             link=ints(self.owners),
-            unknown=ints(unknown),
             group_slot=ints([0] if joined else self.starts),
             group_size=ints([self.slots] if joined else sizes),
             group_width=ints(widths),

@@ -7,24 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from testbed.bodies.consistency.consistent import (
-    Consistent,
-    consistent_by_held_out,
-)
-from testbed.bodies.consistency.held_out import (
-    beside_consistent,
-    with_likely_error,
-)
+from testbed.bodies.consistency.consistent import Consistent
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.prior import Prior, prior_of
 from testbed.bodies.shapes.appearance import load_shapes
 from testbed.bodies.shapes.shapes import extents
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import diagnose
 from testbed.core.base.errors import TestbedError
 from testbed.core.estimation.estimate import METHODS, Method
 from testbed.core.estimation.identify import identify
-from testbed.core.estimation.problem import samples_of
 from testbed.core.estimation.regression.normal_equations import TINY
 from testbed.core.estimation.regression.passes import Progress
 from testbed.core.parameters.minimal_set import minimal_set
@@ -60,7 +51,7 @@ def with_floor(run: Run) -> Run:
     asked = experiment.measurement
     perfect = Instrument(rate=asked.rate, averaged=asked.averaged)
     seen = replace(measured_again(run.recording, perfect, experiment.seed).blind(), tare=None)
-    plain = replace(run.settings, noise="white", nuisances=(), known={}, weights="channels")
+    plain = replace(run.settings, nuisances=(), known={}, weights="channels")
     try:
         estimate = identify(run.tree, seen, "external", settings=plain, threads=1)
     except TestbedError:
@@ -90,18 +81,36 @@ def evaluate(
         methods: Which estimates to make.
         threads: How many to use; default one a processor.
     """
+    tree = with_rotor_spin(sensed_robot(experiment), experiment.robot.spins)
     run = assemble_run(
-        with_rotor_spin(sensed_robot(experiment), experiment.robot.spins),
+        tree,
         recording,
         name=experiment.name,
         settings=experiment.identification,
         experiment=experiment,
         model=model_of(experiment),
         methods=methods,
+        bodies=bodies_asked(experiment, tree),
         threads=threads,
         progress=progress,
     )
-    return with_floor(with_consistent(run))
+    return with_floor(with_body_metrics(run))
+
+
+def bodies_asked(experiment: Experiment, tree: Tree) -> tuple[Prior, ConsistencyOptions] | None:
+    """Prior and conditions of consistent bodies, where an experiment asks for them.
+
+    The model file is the truth in an experiment, so the prior is a wrong one.
+
+    Args:
+        experiment: What was carried out.
+        tree: The robot with its true bodies.
+    """
+    options = experiment.consistent
+    if options is None:
+        return None
+    believed, model = wrong_prior(tree, experiment), model_of(experiment)
+    return prior_from(believed, model, shapes=options.centres_in_shapes), options
 
 
 def wrong_bodies(tree: Tree, error: float, rng: np.random.Generator) -> Tree:
@@ -142,50 +151,16 @@ def prior_from(tree: Tree, model: ModelFile | None, *, shapes: bool) -> Prior:
     return prior_of(tree, extents(seen.shapes, tree.n))
 
 
-def with_consistent(run: Run) -> Run:
-    """A run with its consistent bodies, where the experiment asks for them, and their figures.
-
-    The model file is the truth in an experiment, so the prior is a wrong one.
+def with_body_metrics(run: Run) -> Run:
+    """A run with figures of its consistent bodies, if it has them and the truth is known.
 
     Args:
         run: The run.
     """
-    experiment = run.experiment
-    if experiment is None or experiment.consistent is None or not run.estimates:
-        return run
-    run = _with_bodies(run, wrong_prior(run.tree, experiment), experiment.consistent)
     if run.score is None or run.consistent is None:
         return run
     metrics = {**run.score.metrics, **_metrics(run, run.consistent)}
     return replace(run, score=replace(run.score, metrics=metrics))
-
-
-def recorded_bodies(run: Run, options: ConsistencyOptions) -> Run:
-    """A recording's run with bodies that can exist, near those of the model file.
-
-    Args:
-        run: The run.
-        options: What is asked of the bodies.
-    """
-    if not run.estimates:
-        return run
-    return _with_bodies(run, run.tree, with_likely_error(options, run.posterior.values()))
-
-
-def _with_bodies(run: Run, believed: Tree, options: ConsistencyOptions) -> Run:
-    """A run with its consistent bodies, or with a warning that says why there are none."""
-    prior = prior_from(believed, run.model, shapes=options.centres_in_shapes)
-
-    estimates = list(run.estimates.values())
-    blind = samples_of(run.recording.blind(), run.settings)
-    try:
-        found = consistent_by_held_out(run.tree, estimates, prior, options, blind, run.settings)
-    except TestbedError as error:
-        return run.with_diagnostics([diagnose("bodies.missing", reason=error)])
-    beside = beside_consistent(
-        run.posterior, found, run.tree, blind, prior, estimates, options, run.settings
-    )
-    return replace(run, consistent=found, posterior=beside).with_diagnostics(found.diagnostics)
 
 
 def wrong_prior(tree: Tree, experiment: Experiment) -> Tree:

@@ -203,8 +203,8 @@ def _of_recording(
     file = ModelFile(place, kept.weld_root, tables.robot.bodies or None, held)
     tree, options = tables.sensed(tables.robot.on(file.tree()), file), tables.consistent
     if not any(word.startswith("consistent.prior_error") for word in words):
-        parts = [content.get("consistent") or {}, *(content.get("posterior") or {}).values()]
-        chosen = [part["prior_error"] for part in parts if part.get("used") or part.get("tried")]
+        parts = (content.get("posterior") or {}).values()
+        chosen = [part["prior_error"] for part in parts if part.get("used")]
         options = replace(options, prior_error=min(chosen, default=options.prior_error))
     return tree, tables.identification, file, tree, options
 

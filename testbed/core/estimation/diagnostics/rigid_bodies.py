@@ -119,14 +119,12 @@ def _separating(forms: Array, rotors: Array, wanted: Array, root: Array) -> Arra
     """
     size = float(np.linalg.norm(np.linalg.solve(root, wanted))) or 1.0  # for the solver: near one
     length = np.vstack([np.zeros(len(wanted)), -root.T])
-    return minimise(
-        -wanted / size,
-        [
-            Cone("norm", length, np.eye(1, len(length))[0]),
-            Cone("matrices", forms.T, np.zeros(forms.shape[1])),
-            Cone("positive", rotors.T, np.zeros(rotors.shape[1])),
-        ],
-    ).x
+    cones = [
+        Cone("norm", length, np.eye(1, len(length))[0]),
+        Cone("matrices", forms.T, np.zeros(forms.shape[1])),
+        Cone("positive", rotors.T, np.zeros(rotors.shape[1])),
+    ]
+    return minimise(-wanted / size, cones)[1]
 
 
 Kind = Literal["zero", "positive", "norm", "matrices"]
@@ -140,58 +138,39 @@ class Cone:
         kind: "zero", numbers that are zero; "positive", that are not negative; "norm", the first
             is at least the norm of the others; "matrices", coordinates of positive semidefinite
             4 x 4 matrices one after the other (`pseudo_inertia.coordinates`).
-        rows: (k, m), dense or sparse.
+        rows: (k, m).
         right: (k,).
     """
 
     kind: Kind
-    rows: Array | sparse.sparray
+    rows: Array
     right: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """Of a program.
-
-    Attributes:
-        solved: Whether there is one.
-        x: Where, (m,).
-        value: There.
-        bound: A value that no other point goes below: of the dual program.
-        prices: How much the value gains when a row's right side does, or, where there is no
-            solution, the combination of rows that proves it, cone by cone.
-    """
-
-    solved: bool
-    x: Array
-    value: float
-    bound: float
-    prices: tuple[Array, ...]
-
-
-def minimise(costs: Array, cones: Sequence[Cone]) -> Solution:
+def minimise(costs: Array, cones: Sequence[Cone]) -> tuple[bool, Array, list[Array]]:
     """The least costs' x with all rows in their cones.
 
     Args:
         costs: (m,).
         cones: At least one.
+
+    Returns:
+        Whether there is one; x, (m,); and how much the costs gain when a row's right side does, or,
+        where there is no x, the combination of rows that proves it, cone by cone.
     """
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
     found = clarabel.DefaultSolver(
         sparse.csc_matrix((len(costs), len(costs))),  # no quadratic part
         costs,
-        sparse.csc_matrix(sparse.vstack([sparse.csc_matrix(cone.rows) for cone in cones])),
+        sparse.csc_matrix(np.vstack([cone.rows for cone in cones])),
         np.concatenate([cone.right for cone in cones]),
         [part for cone in cones for part in _parts(cone)],
         settings,
     ).solve()
     ends = np.cumsum([len(cone.right) for cone in cones])[:-1]
     solved = str(found.status) in ("Solved", "AlmostSolved")
-    prices = tuple(np.split(np.array(found.z), ends))
-    return Solution(
-        solved, np.array(found.x), float(found.obj_val), float(found.obj_val_dual), prices
-    )
+    return solved, np.array(found.x), np.split(np.array(found.z), ends)
 
 
 def _parts(cone: Cone) -> list[object]:

@@ -156,6 +156,11 @@ class NormalEquations:
         return self.square.ndim == 2
 
     @property
+    def rows(self) -> int:
+        """Rows of all channels that count."""
+        return int(self.used.sum())
+
+    @property
     def squares(self) -> Array:
         """Sum of the squares of each channel's measurements, (C,)."""
         return np.diagonal(self.square) if self.joined else self.square

@@ -187,9 +187,9 @@ def reversal_samples(weights: Array, reach: float | None, rate: float) -> int:
     return half - int(np.count_nonzero(beyond < REVERSAL_WEIGHT))
 
 
-ROWS_PER_CUTOFF = {"white": 4.0, "ar": 2.0}
+ROWS_PER_CUTOFF, DENSE = 2.0, 4.0
 """Rows kept a second per Hz of the parallel filter's cutoff: for an autoregression as many as
-the filter leaves independent, or their spectrum would have an empty part."""
+the filter leaves independent, or their spectrum would have an empty part; and twice as many."""
 
 WINDOW = 32_768
 """Samples of a window, about."""
@@ -333,7 +333,13 @@ class Plan:
         return np.column_stack([time, warmth])
 
 
-def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -> Plan:
+def make_plan(
+    source: Source,
+    layout: Layout,
+    tare: Array,
+    settings: Settings,
+    per_cutoff: float = ROWS_PER_CUTOFF,
+) -> Plan:
     """How a source becomes rows.
 
     Args:
@@ -341,6 +347,7 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
         layout: The robot's rows.
         tare: What is taken off the plate's wrench, (6,) [N, N m].
         settings: How to treat the signals; filters fit the sampling rate (`Settings.fitted`).
+        per_cutoff: Rows a second per Hz of the filter on rows.
 
     Raises:
         RecordingError: The recording is too short, or sampled too slowly.
@@ -362,11 +369,7 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
     taps = unit if sensed else motion_taps(rate, position)
     weights = row_weights(rate, slow)
     reach = taps.shape[1] // 2 + len(weights) // 2
-    step = (
-        1
-        if slow is None
-        else int((1 + 1e-9) * rate / (ROWS_PER_CUTOFF[settings.noise] * slow)) or 1
-    )
+    step = 1 if slow is None else max(1, int((1 + 1e-9) * rate / (per_cutoff * slow)))
     spans = tuple(_rows_in(segment, reach, step) for segment in segments)
     short = [k for k, (_, rows) in enumerate(spans) if rows < 2]
     if short:

@@ -186,6 +186,15 @@ def _chance(squares: Sequence[Array], rival: Sequence[Array]) -> Array:
     return np.asarray(np.minimum(alone * ratio.shape[1], 1.0))
 
 
+def predictions_of(rows: RowProducts, models: Mapping[str, Array]) -> dict[str, Prediction]:
+    """Values and constants that suit the rows by what predicts; the file alone has none."""
+    none = np.zeros(len(rows.channels))
+    return {
+        name: (values, none if name == FILE else rows.constants(values))
+        for name, values in models.items()
+    }
+
+
 def errors_of_another(
     problem: Problem, source: Source, models: Mapping[str, Array]
 ) -> PredictionErrors:
@@ -200,10 +209,5 @@ def errors_of_another(
         models: Values of the unknowns by what says them.
     """
     parts = products_of(problem, source, problem.method == "external", whole=True)
-    unseen = parts.whole
-    none = np.zeros(len(problem.channels))
-    said = {
-        name: (values, none if name == FILE else unseen.constants(values))
-        for name, values in models.items()
-    }
-    return prediction_errors(problem, "another", [(said, parts.each)])
+    models_of_rows = predictions_of(parts.whole, models)
+    return prediction_errors(problem, "another", [(models_of_rows, parts.each)])

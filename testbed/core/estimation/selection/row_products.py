@@ -125,19 +125,17 @@ def _inner(products: Array, ends: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
+class RowParts:
     """Products of consecutive parts.
 
     Attributes:
-        unknowns: Names of the columns, (p,).
-        channels: Names, (C,).
+        problem: Whose rows.
         sums: Products and lagged products of every part, (2, parts, C, p + 2, p + 2).
         offset: As of `RowProducts`.
         speed: Mean square of each joint's speed in every part, (parts, n).
     """
 
-    unknowns: tuple[str, ...]
-    channels: tuple[str, ...]
+    problem: Problem
     sums: Array
     offset: bool
     speed: Array
@@ -146,7 +144,7 @@ class Parts:
     def each(self) -> list[RowProducts]:
         """One by one."""
         return [
-            RowProducts(self.unknowns, self.channels, products, lagged, self.offset)
+            RowProducts(self.problem.names, self.problem.channels, products, lagged, self.offset)
             for products, lagged in zip(*self.sums, strict=True)
         ]
 
@@ -186,7 +184,7 @@ def sum_of(parts: Sequence[RowProducts]) -> RowProducts:
     )
 
 
-def products_of(problem: Problem, source: Source, offset: bool, whole: bool = False) -> Parts:
+def products_of(problem: Problem, source: Source, offset: bool, whole: bool = False) -> RowParts:
     """Products of a recording's rows, by one pass.
 
     Args:
@@ -220,4 +218,4 @@ def products_of(problem: Problem, source: Source, offset: bool, whole: bool = Fa
             speed[k] += (moving[0, own] ** 2).sum(axis=0)
         last, first = block[:, -1:], first + block.shape[1]
     speed /= np.maximum(np.diff(ends), 1)[:, None]
-    return Parts(problem.names, channels, sums, offset, speed)
+    return RowParts(problem, sums, offset, speed)

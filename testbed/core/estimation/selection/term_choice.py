@@ -18,6 +18,7 @@ from testbed.core.estimation.regression.normal_equations import (
     scaled_solve,
 )
 from testbed.core.estimation.regression.solvers import noise_weights
+from testbed.core.estimation.regression.windows import DENSE
 from testbed.core.estimation.selection.held_out import (
     OFFERED,
     HeldOut,
@@ -84,7 +85,7 @@ def _with_one(equations: NormalEquations, problem: Problem, speed: float) -> Nor
 
 def _cost(equations: NormalEquations) -> float:
     """What likelihood says of the best fit: the less the better."""
-    weights: Array = noise_weights(equations, None, False)
+    weights: Array = noise_weights(equations)
     values = scaled_solve(equations.matrix(weights), equations.vector(weights))
     left = np.diagonal(equations.residual(values)) / np.maximum(equations.used, 1.0)
     tiny = TINY
@@ -144,10 +145,11 @@ def with_fewer_terms(problem: Problem) -> Problem:
     a joint without a row has no terms.
 
     Args:
-        problem: By joint torques, whose settings say all terms.
+        problem: Its settings say all terms; of the plate, there are none.
     """
     drives = problem.drives
-    assert drives is not None, "terms are those of joint torques"
+    if drives is None:
+        return problem
     equations = problem.equations(problem.passes(1))
     one_way = dict(_one_way(problem, equations))
     values = [word for word in problem.settings.words if isinstance(word, JointLaw)]
@@ -234,9 +236,9 @@ class _Look:
     """
 
     def __init__(self, problem: Problem) -> None:
-        problem = problem.with_settings(weights="channels", noise="white", nuisances=(), known={})
+        problem = problem.with_settings(weights="channels", nuisances=(), known={})
         self.count = len(problem.names)
-        self.passes = problem.passes(4)
+        self.passes = problem.passes(4, per_cutoff=DENSE)
         plan = self.passes.plan
         if plan.rows < FEWEST * PARTS:
             raise RecordingError(
@@ -251,7 +253,7 @@ class _Look:
 
     def parts(self, columns: Sequence[int]) -> Parts:
         """Products of rows by parts, in units of the noise that a fit of some columns leaves."""
-        weights = noise_weights(self.equations.of_unknowns(columns), None)
+        weights = noise_weights(self.equations.of_unknowns(columns))
         root = np.sqrt(np.diagonal(weights))
         size = self.count + 1
         unseen, near = np.zeros((2, PARTS, size, size))

@@ -139,7 +139,7 @@ class SensorModel:
         )
         _check_whole(every, nonidentifiable, settings)
         about = [*range(len(names)), *(len(names) + k for k in unknowns.kept)]
-        tests = plate and settings.noise == "ar" and settings.row_low_pass is not None
+        tests = plate and settings.row_low_pass is not None
         covered = {kind for n in asked for kind in (n.kind, *n.covers)}
         looked_for = [n for n in TESTED if n.kind not in covered]
         return cls(
@@ -215,16 +215,14 @@ class SensorModel:
             if name not in self.corrected
         )
 
-    def covariance(self, fit: GlsFit) -> tuple[Array, Array]:
-        """Covariance of the instrument's numbers, (s, s), and of the robot's with them, (p, s).
-
-        Both in the order of `estimates`.
+    def covariance(self, fit: GlsFit) -> Array:
+        """Covariance of the instrument's numbers, (s, s), in the order of `estimates`.
 
         Args:
             fit: The last fit.
         """
         kept = [k for k, name in enumerate(self.unknowns.names) if name not in self.corrected]
-        return fit.further_covariance[np.ix_(kept, kept)], fit.across[:, kept]
+        return fit.further_covariance[np.ix_(kept, kept)]
 
     def diagnostics(self, result: GaussNewtonResult) -> Iterator[Diagnostic]:
         """Calibration parameters that were asked for and are not identifiable.
