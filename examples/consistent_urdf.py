@@ -16,6 +16,6 @@ for link, (mass, *_), (sigma, *_) in zip(found.links, found.standard, found.sigm
     print(f"{link}: {mass:.3f} +- {sigma:.3f} kg")
 
 path = Path(sys.argv[1] if len(sys.argv) > 1 else "identified.urdf")
-for each in tb.write_model(model, tb.robot_of(found, believed), path):
+for each in tb.write_model(tb.robot_of(found, believed), path):
     print(each)
 print("written:", path)

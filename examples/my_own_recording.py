@@ -21,7 +21,7 @@ def recorded(seed: int) -> tb.Recording:
 estimate = tb.identify(tree, recorded(1), "external", zeros=True)
 print(estimate)  # values, sigmas, warnings
 
-other = tb.validate(tree, recorded(2), estimate)
+other = tb.validate(estimate, recorded(2))
 for channel, unit, left, spread in zip(
     other.channels, other.units, other.residual, other.signal, strict=True
 ):

@@ -140,7 +140,7 @@ def calibrate(
     from testbed.core.base.codec import encode
     from testbed.core.base.errors import SettingsError
     from testbed.core.estimation.regression.constraints import parse_known
-    from testbed.lab.experiment.read_result import write_plate
+    from testbed.lab.experiment.plate_file import write_plate
     from testbed.view import estimates as shown
     from testbed.view import output, terminal
 

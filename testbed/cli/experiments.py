@@ -51,7 +51,7 @@ def run(
 
     What may be wrong with the instruments is added by
     --set 'measurement.fault=[{kind="plate_bias"}, {kind="encoder_zero_error"}]'. Kinds, of which
-    `testbed faults KIND` has more: encoder_instant_sampling, encoder_zero_error, encoder_gain,
+    `testbed list KIND` has more: encoder_instant_sampling, encoder_zero_error, encoder_gain,
     encoder_eccentricity, encoder_noise, encoder_resolution, torque_constant_error, torque_ripple,
     torque_offset, torque_noise, plate_gain, plate_crosstalk, plate_pose, plate_origin_height,
     plate_saturation, plate_converter, plate_anti_alias_filter, plate_delay, plate_clock_rate,
@@ -107,25 +107,6 @@ def simulate(
     output.console().print(
         f"{plural(recording.samples, 'sample')} at {recording.rate:g} Hz in {out}"
     )
-
-
-@app.command()
-def warmup() -> None:
-    """Compile the fast kernel and the simulation's loop ahead of their first use.
-
-    Example: testbed warmup
-    """
-    from testbed.core.base.installation import shipped
-    from testbed.core.kernel.numba_engine import warm_up
-    from testbed.lab.experiment.assumptions import SECOND
-    from testbed.lab.experiment.experiment import Experiment
-    from testbed.lab.experiment.record import record
-    from testbed.view import output
-
-    with output.Progress("compiling"):
-        folder = warm_up()
-        record(Experiment.of_model(shipped("models/puma562.xml"), SECOND))
-    output.console().print(f"compiled; kept in {folder}", soft_wrap=True)
 
 
 def _unwatched(time: Array, truth: Truth) -> None:

@@ -15,6 +15,9 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from testbed.core.base.arrays import Array
 from testbed.core.base.summary_table import ROUNDING
 from testbed.core.estimation.estimate import METHODS, Estimate, Method, by_influence
+from testbed.core.estimation.information import Information
+from testbed.core.recordings.recording import Recording
+from testbed.lab.experiment.predict import Predictions, predict
 from testbed.lab.experiment.run import Run
 from testbed.lab.experiment.score import Errors
 from testbed.view.figures import APART, Panel, named_panels, power_of_ten
@@ -179,6 +182,9 @@ COLOURS = {"external": "#0072b2", "internal": "#c75000", "faint": "#6a7380"}
 
 FORMS = {"external": "o", "internal": "D"}
 
+PANEL = 0.9
+"""Height of a channel's axis [inches]."""
+
 WIDTH, ROW, FRAME = 6.4, 0.19, 1.12
 """Of the figure; height of a row, and of legend and axis [inches]."""
 
@@ -195,17 +201,20 @@ class Picture(Figure):
         return content.getvalue()
 
 
-def plot(what: Run | Estimate) -> Picture:
-    """How far off each parameter is, a dot a method; relative sigmas where no truth is known.
-
-    Bars end at one standard deviation, as the estimate itself states it.
+def plot(what: Recording | Run | Estimate, *estimates: Estimate | Information) -> Picture:
+    """Draw residuals of a recording over time, or errors of parameters.
 
     Args:
-        what: A run, or one estimate.
+        what: A recording: what estimates leave of each channel. A run or an estimate: errors of
+            the parameters, bars to one standard deviation; relative standard deviations where no
+            truth is known.
+        estimates: Of the recording's robot.
 
     Returns:
         A matplotlib figure of its own: a notebook shows it, `savefig` writes it.
     """
+    if isinstance(what, Recording):
+        return _residuals(predict(what, *estimates))
     dots = dots_of_run(what) if isinstance(what, Run) else error_dots({what.method: what})
     figure = Picture(figsize=(WIDTH, ROW * max(len(dots.names), 1) + FRAME), layout="tight")
     axis = figure.subplots()
@@ -219,6 +228,26 @@ def plot(what: Run | Estimate) -> Picture:
     axis.legend(
         lines, labels, loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False, borderpad=0
     )
+    return figure
+
+
+def _residuals(found: Predictions) -> Picture:
+    """Measured less predicted over time, an axis a channel, a line an estimate.
+
+    Args:
+        found: What estimates predict of a recording.
+    """
+    count = sum(len(signal.channels) for signal in found.signals)
+    figure = Picture(figsize=(WIDTH, PANEL * count + FRAME), layout="tight")
+    axes = iter(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+    for signal in found.signals:
+        for k, channel in enumerate(signal.channels):
+            axis = next(axes)
+            axis.set_ylabel(f"{channel} [{signal.units[k]}]")
+            for method in signal.predicted:
+                residual = signal.residual(method)[:, k]
+                axis.plot(found.time, residual, color=COLOURS[method], lw=0.6)
+    axis.set_xlabel("time [s]")
     return figure
 
 

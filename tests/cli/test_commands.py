@@ -87,9 +87,8 @@ COMMANDS = {
     "new": ("new two.urdf --out OUT/two.toml", ""),
     "new, recording": ("new --recording log.csv --out OUT/log.toml", ""),
     "doctor": ("doctor --json", "checks"),
-    "faults": ("faults", ""),
-    "effects": ("effects", ""),
-    "warmup": ("warmup", ""),
+    "doctor, compile": ("doctor --compile", ""),
+    "list": ("list", ""),
 }  # fmt: skip
 """Words of each, and the keys of its JSON, where it can speak to programs as well as to people."""
 FIRST = {

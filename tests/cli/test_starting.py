@@ -23,7 +23,7 @@ LONG = {
     "experiment.carry_out:evaluate": ("run table.toml --set motion.duration=2",),
     "experiment.new_experiment:new_experiment": ("new two.urdf",),
     "experiment.run:assemble_run": (f"report {PUMA}",),
-    "recordings.joined:pieces": ("import map.toml --out x.parquet",),
+    "recordings.importing.convert:pieces": ("import map.toml --out x.parquet",),
     "recordings.importing.guess:guessed": ("import --guess log.csv",),
     "plausibility.check:import_and_check": ("import map.toml --out x.parquet --model two.urdf",),
     "identification.identify:identify": (
@@ -33,7 +33,7 @@ LONG = {
     "identification.calibration:calibrate": (f"calibrate {PUMA} --known mass=20",),
     "viewer.log:write_rrd": (f"view {PUMA} --save x.rrd",),
     "campaign.conduct:conduct": ("campaign quick.toml --workers 0",),
-    "kernel.numba_engine:warm_up": ("warmup",),
+    "kernel.numba_engine:warm_up": ("doctor --compile",),
 }  # fmt: skip
 """What may take long, and the commands that do it."""
 

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 import testbed as tb
 from testbed.core.base.errors import ExperimentError, SettingsError
 from testbed.core.base.toml_text import LARGEST_FILE, override
-from testbed.lab.experiment.experiment import ExperimentTables
+from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.experiment.experiment_tables import Bound
 from testbed.lab.experiment.results import default_folder
@@ -86,7 +86,7 @@ def numbers_of(table: type[BaseModel], path: str = "") -> Iterator[str]:
 
 def test_no_number_is_infinite() -> None:
     """Whatever key is added: a motion without end, or noise without end, would be simulated."""
-    paths = [*numbers_of(ExperimentTables), *numbers_of(JointTable, "robot.joint.waist.")]
+    paths = [*numbers_of(Experiment), *numbers_of(JointTable, "robot.joint.waist.")]
     assert len(paths) > 10
     for k, path in enumerate(paths):
         with refuses(ExperimentError, path):

@@ -210,7 +210,7 @@ def test_one_joint_that_hardly_moves_refuses_nothing(puma: tb.Tree) -> None:
         if way:
             both = offset + way * tree.joints[2].coulomb
             assert way * values[f"{kind}/elbow"] == pytest.approx(way * both)
-            seen = tb.validate(tree, part, found)
+            seen = tb.validate(found, part)
             assert (seen.residual < 1e-8).all()
         assert [d.code for d in found.diagnostics].count("drives.one-way") == abs(way)
 

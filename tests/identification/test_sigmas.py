@@ -90,7 +90,7 @@ def test_what_a_plates_zero_hides_has_no_sigma() -> None:
     assert sure.unidentifiable == () == tb.identify(tree, clean).unidentifiable
     assert np.abs(scores(tree, sure)).max() < 5
     other = plus(measured(tree, 1), wrench=20 + zero)
-    held, false = (tb.validate(tree, other, each) for each in (found, tb.identify(tree, clean)))
+    held, false = (tb.validate(each, other) for each in (found, tb.identify(tree, clean)))
     assert [each.code for each in held.diagnostics] == []
     assert {each.code for each in false.diagnostics} == {"estimate.prediction-offset"}
 

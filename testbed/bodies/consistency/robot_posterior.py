@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -11,11 +13,15 @@ from testbed.bodies.consistency.consistent import Consistent, consistent, robot_
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.consistency.robots import Robots, robots
 from testbed.bodies.prior import prior_of
+from testbed.bodies.write_model import Fixed
+from testbed.bodies.write_model import write_model as write_tree
+from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import SettingsError
 from testbed.core.base.summary_table import Summarized, SummaryTable, number_with_sigma
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.information import Information
 from testbed.core.parameters.symbols import STANDARD
+from testbed.core.robot.model_file import file_of
 from testbed.core.robot.tree import Tree, require_tree
 
 
@@ -99,3 +105,29 @@ class RobotPosterior(Summarized):
             rows.append((link, *(number_with_sigma(*pair) for pair in [*numbers][:4])))
         head = f"{len(found.links)} bodies by {sources} + model file"
         return SummaryTable(head, tuple(rows))
+
+
+def write_model(
+    robot: RobotPosterior | Tree,
+    path: str | Path,
+    *,
+    fixed: Fixed = "lump",
+    note: Sequence[str] = (),
+) -> tuple[Diagnostic, ...]:
+    """Write a copy of a model file with a robot's masses, friction and rotors.
+
+    Args:
+        robot: A robot, or estimates and model file together (`plate + prior(robot)`).
+        path: URDF or MJCF, as the file that the robot was read from.
+        fixed: What of a body goes to links fixed to others: nothing ("lump"), or in proportion to
+            what they had ("share").
+        note: Lines of a comment.
+
+    Returns:
+        What the format has no place for.
+
+    Raises:
+        ModelError: The file cannot be edited, or is not to be overwritten.
+    """
+    tree = robot if isinstance(robot, Tree) else robot.robot
+    return write_tree(file_of(tree), tree, Path(path), fixed=fixed, note=note)

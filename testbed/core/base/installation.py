@@ -30,6 +30,9 @@ def version() -> str:
         return "not installed"
 
 
+__version__ = version()
+
+
 def versions() -> dict[str, str]:
     """Versions of Python, testbed and the packages that make the numbers."""
     found = {"python": platform.python_version(), "testbed": version()}

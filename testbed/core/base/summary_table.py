@@ -42,7 +42,8 @@ class SummaryTable:
         columns = []
         for k, column in enumerate(zip(*self._shown, strict=True)):
             width = max(map(len, column))
-            columns.append([f"{cell:>{width}}" if k == 1 else f"{cell:{width}}" for cell in column])
+            side = ">" if k == 1 < len(self.rows[0]) - 1 else "<"
+            columns.append([f"{cell:{side}{width}}" for cell in column])
         lines = ("  ".join(row).rstrip() for row in zip(*columns, strict=True))
         return "\n".join([self.head, *lines, *self._foot])
 

@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
-from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
+from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose, sentences
 from testbed.core.base.errors import RecordingError
+from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion, linear
 from testbed.core.estimation.estimate import (
     METHODS,
@@ -170,8 +171,8 @@ LIMIT = 2.0
 """Times what noise and covariance allow beyond which a residual is worth a warning."""
 
 
-@dataclass(frozen=True, eq=False)
-class Validation(Diagnosed):
+@dataclass(frozen=True, eq=False, repr=False)
+class Validation(Diagnosed, Summarized):
     """An estimate against another recording, channel by channel.
 
     Attributes:
@@ -208,6 +209,16 @@ class Validation(Diagnosed):
     def __post_init__(self) -> None:
         c = len(self.channels)
         freeze(self, signal=(c,), residual=(c,), mean=(c,), noise=(c,), spread=(c,))
+
+    @property
+    def summary(self) -> SummaryTable:
+        """Residual of each channel, as a part of the signal, over what noise and sigma allow."""
+        parts = zip(self.residual, self.units, self.relative_residual, self.ratio, strict=True)
+        cells = [(f"{r:.3g}", unit, f"{s:.2%}", f"{ratio:.2g}") for r, unit, s, ratio in parts]
+        rows = [(name, *cell) for name, cell in zip(self.channels, cells, strict=True)]
+        heads = ("channel", "rms residual", "unit", "of the signal", "over allowed")
+        warnings = tuple(f"warning: {line}" for line in sentences(self.diagnostics))
+        return SummaryTable("estimate on another recording", (heads, *rows), warnings)
 
     @property
     def relative_residual(self) -> Array:

@@ -54,6 +54,17 @@ class ModelFile(ModelSource):
         return load_tree(self.path, weld_root=self.weld_root, repair=self.repair, lock=self.lock)
 
 
+def file_of(tree: Tree) -> ModelFile:
+    """The model file of a robot.
+
+    Raises:
+        ModelError: It was not read from one.
+    """
+    if not isinstance(tree.file, ModelFile):
+        raise ModelError(f"robot '{tree.name}' has no model file: load_tree(path) reads one")
+    return tree.file
+
+
 def model_format(path: Path) -> Literal["mjcf", "urdf"]:
     """Which language the file is in, by its root element.
 

@@ -14,6 +14,7 @@ from testbed.core.estimation.regression.windows import (
     reversal_samples,
     row_weights,
 )
+from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.rules import Model
 from testbed.core.robot.friction import BY_LOAD, LOAD, JointLaw
@@ -110,11 +111,36 @@ def design_problem(experiment: Experiment, prior: Array | None = None) -> Design
 
 def pipeline_of(experiment: Experiment) -> Pipeline:
     """What the experiment's estimates make of its recording."""
-    rate = experiment.measurement.rate
-    settings = experiment.identification.fitted(rate)
-    sensed = experiment.measurement.senses_kinematics
+    how = experiment.measurement
+    return pipeline(
+        how.rate,
+        experiment.motion.duration,
+        experiment.identification,
+        sensed=how.senses_kinematics,
+        friction=experiment.excitation.aim == "friction",
+    )
+
+
+def pipeline(
+    rate: float,
+    seconds: float,
+    settings: Settings = DEFAULTS,
+    *,
+    sensed: bool = False,
+    friction: bool = False,
+) -> Pipeline:
+    """Filters of an estimate, and how much of a recording they leave.
+
+    Args:
+        rate: Samples a second [Hz].
+        seconds: Length of the recording [s].
+        settings: How the estimate is made.
+        sensed: Whether velocities and accelerations are measured.
+        friction: Whether joint torques are held against the plate.
+    """
+    settings = settings.fitted(rate)
     taps = 1 if sensed else motion_taps(rate, settings.position_low_pass).shape[1]
-    if experiment.excitation.aim == "friction":
+    if friction:
         weights, nearby = drive_filter(settings, rate)
     else:
         weights = row_weights(rate, settings.row_low_pass)
@@ -122,7 +148,7 @@ def pipeline_of(experiment: Experiment) -> Pipeline:
     lost = 2 * (taps // 2 + len(weights) // 2)
     return Pipeline(
         rate=rate,
-        span=max(experiment.motion.duration - lost / rate, 1 / rate),
+        span=max(seconds - lost / rate, 1 / rate),
         band=settings.row_low_pass or np.inf,
         resting=settings.deadband,
         reach=nearby / rate,

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tomli_w
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.core.base.errors import ExperimentError
-from testbed.core.base.toml_text import Finite, checked, complaints, override, read_toml
+from testbed.core.base.toml_text import Finite, checked, override, read_toml
 from testbed.core.estimation.settings import Settings
 from testbed.lab.experiment.experiment_tables import (
     ExcitationTable,
@@ -32,8 +32,8 @@ from testbed.lab.instruments.chain import Instrument
 from testbed.lab.kind_table import KindTable
 
 
-class ExperimentTables(RobotTables):
-    """What an experiment file says."""
+class Experiment(RobotTables):
+    """Everything that determines a run, as an experiment file says it."""
 
     name: RunName
     """Of the run folder: letters, digits, dot, dash, underscore."""
@@ -58,21 +58,6 @@ class ExperimentTables(RobotTables):
     expect: Expectations = Field(default_factory=dict)
     """Bounds on metrics: the claim."""
 
-
-class Experiment(ExperimentTables):
-    """Everything that determines a run."""
-
-    def __init__(self, **tables: Any) -> None:
-        """From tables and values by name, as in a file.
-
-        Raises:
-            ExperimentError: Says all that is wrong, in one line.
-        """
-        try:
-            super().__init__(**tables)
-        except ValidationError as error:
-            raise ExperimentError(complaints(error, ExperimentTables)) from None
-
     @staticmethod
     def load(path: str | Path, settings: Iterable[str] = ()) -> Experiment:
         """Read an experiment file.
@@ -88,6 +73,30 @@ class Experiment(ExperimentTables):
         return Experiment.of_content(read_toml(path), path, settings)
 
     @staticmethod
+    def from_toml(path: str | Path) -> Experiment:
+        """Read an experiment file.
+
+        Args:
+            path: The TOML file; `model` is taken relative to it.
+
+        Raises:
+            ExperimentError: The file cannot be read, or says what is not understood.
+        """
+        return Experiment.load(path)
+
+    def with_(self, **changes: Any) -> Experiment:
+        """The same with some values changed.
+
+        Args:
+            **changes: By table or key; of a table a dict of those of its keys that change.
+
+        Raises:
+            ExperimentError: Something is said that is not understood.
+        """
+        said = self.model_dump(mode="json", exclude_none=True)
+        return checked(Experiment, _merged(said, changes), "with_")
+
+    @staticmethod
     def of_content(content: dict[str, Any], path: Path, settings: Iterable[str] = ()) -> Experiment:
         """From the tables of an experiment file that has been read.
 
@@ -100,14 +109,14 @@ class Experiment(ExperimentTables):
             ExperimentError: Something is said that is not understood.
         """
         override(content, settings)
-        found = checked(ExperimentTables, content, str(path))
+        found = checked(Experiment, content, str(path))
         if "\0" in found.model + found.motion.file:
             raise ExperimentError(f"{path}: model or motion.file is not a file name")
         changed: dict[str, Any] = {"model": str((path.parent / found.model).resolve())}
         if found.motion.file:
             file = str((path.parent / found.motion.file).resolve())
             changed["motion"] = found.motion.model_copy(update={"file": file})
-        return Experiment.model_construct(**(dict(found) | changed))
+        return found.model_copy(update=changed)
 
     @staticmethod
     def of_model(path: Path, settings: Iterable[str] = ()) -> Experiment:
@@ -122,8 +131,7 @@ class Experiment(ExperimentTables):
         """
         content: dict[str, Any] = {"name": run_name(path), "model": str(path.resolve())}
         override(content, settings)
-        found = checked(ExperimentTables, content, "--set")
-        return Experiment.model_construct(**dict(found))
+        return checked(Experiment, content, "--set")
 
     def as_toml(self) -> str:
         """The experiment with every default written out."""
@@ -163,6 +171,16 @@ class Experiment(ExperimentTables):
             "motion.max_acceleration": self.motion.max_acceleration,
             "measurement.torque_constant_error": self.measurement.torque_constant_error,
         }
+
+
+def _merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A table with some keys changed, tables in it likewise."""
+    found = dict(table)
+    for key, value in changes.items():
+        old = found.get(key)
+        both = isinstance(value, Mapping) and isinstance(old, Mapping)
+        found[key] = _merged(found[key], value) if both else value
+    return found
 
 
 GENERIC = ("robot", "model", "scene", "main", "mjcf", "urdf")

@@ -6,13 +6,15 @@ or anything is simulated.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any
 
-from testbed.core.base.errors import ModelError, SettingsError
+from testbed.core.base.errors import SettingsError
+from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.robot.force_sensor import ForceSensor
-from testbed.core.robot.model_file import ModelFile
+from testbed.core.robot.model_file import ModelFile, file_of
 from testbed.core.robot.tree import Tree, require_tree
 from testbed.lab.instruments.chain import Instrument
 from testbed.lab.instruments.fault import FULL_SCALE, Fault
@@ -25,8 +27,19 @@ MOST_SAMPLES = 2e6
 """Most samples of one run: they are held in memory."""
 
 
+class Sensor:
+    """One of the sensors of a rig."""
+
+    errors: Sequence[Fault]
+
+    @property
+    @abstractmethod
+    def settings(self) -> dict[str, Any]:
+        """Keys of `Instrument` that it sets, but for errors."""
+
+
 @dataclass(frozen=True)
-class ForcePlate:
+class ForcePlate(Sensor):
     """Six-axis force plate under the robot, or force sensor in it; perfect by default.
 
     It measures the wrench of the bedplate on the robot, (M, 6) [N, N m]: force first, bedplate
@@ -59,7 +72,7 @@ class ForcePlate:
 
 
 @dataclass(frozen=True)
-class JointTorques:
+class JointTorques(Sensor):
     """Motor torques as the drives report them, (M, n) [N m or N]; perfect by default.
 
     Attributes:
@@ -80,7 +93,7 @@ class JointTorques:
 
 
 @dataclass(frozen=True)
-class Encoders:
+class Encoders(Sensor):
     """Joint positions, (M, n) [rad or m]; perfect by default.
 
     Attributes:
@@ -105,11 +118,8 @@ class Encoders:
         }
 
 
-Sensor: TypeAlias = ForcePlate | JointTorques | Encoders
-
-
-@dataclass(frozen=True, eq=False)
-class Rig:
+@dataclass(frozen=True, eq=False, repr=False)
+class Rig(Summarized):
     """A robot on its bedplate with all that determines what its sensors show along a motion.
 
     Attributes:
@@ -144,7 +154,17 @@ class Rig:
         kinds = [type(sensor) for sensor in self.outer]
         if len(set(kinds)) < len(kinds):
             raise SettingsError("Rig: sensors has two of one kind: those in the robot are mounted")
+        for joint in self.instrument.torque_constant_error:
+            self.robot.index(joint)  # refuses joints that are not there
         self.instrument.stages(names)  # refuses errors of joints that are not there
+
+    @property
+    def summary(self) -> SummaryTable:
+        """Robot, plant and sensors, a line each."""
+        rows = [("robot", repr(self.robot))]
+        rows += [("plant", repr(each)) for each in self.plant]
+        rows += [("sensor", repr(each)) for each in self.sensors]
+        return SummaryTable(f"rig at {self.rate:g} Hz", tuple(rows))
 
     @property
     def file(self) -> ModelFile:
@@ -153,10 +173,7 @@ class Rig:
         Raises:
             ModelError: The robot was not read from one.
         """
-        file = self.robot.file
-        if not isinstance(file, ModelFile):
-            raise ModelError(f"robot '{self.robot.name}' has no model file: tb.load_tree reads one")
-        return file
+        return file_of(self.robot)
 
     @property
     def true_robot(self) -> Tree:

@@ -20,8 +20,10 @@ from testbed.core.base.diagnostics import (
     of_instrument,
     of_recording,
     ordered,
+    sentences,
 )
 from testbed.core.base.errors import RecordingError, TestbedError, plural
+from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.analysis import analyse
 from testbed.core.estimation.diagnostics.residuals import diagnostics_of
@@ -167,8 +169,8 @@ def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[Diagnostic
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Run(Diagnosed):
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(Diagnosed, Summarized):
     """One recording and what came of it.
 
     Attributes:
@@ -205,6 +207,14 @@ class Run(Diagnosed):
     drives: DriveFindings | None = None
     consistent: Consistent | None = None
     posterior: Mapping[Method, Posterior] = field(default_factory=dict)
+
+    @property
+    def summary(self) -> SummaryTable:
+        """Figures of merit, or how many parameters each estimate has."""
+        counts = {self.instruments[m]: str(len(e.names)) for m, e in self.estimates.items()}
+        figures = {name: f"{value:.4g}" for name, value in self.metrics.items()}
+        warnings = tuple(f"warning: {line}" for line in sentences(self.diagnostics))
+        return SummaryTable(f"run '{self.name}'", tuple((counts | figures).items()), warnings)
 
     def with_diagnostics(self, more: Iterable[Diagnostic]) -> Run:
         """The same with more diagnostics, put in order anew.

@@ -38,5 +38,5 @@ def fault_named(kind: str) -> type[Fault]:
         SettingsError: There is none.
     """
     if kind not in KINDS:
-        raise SettingsError(f"{UnknownName('kind of fault', kind, KINDS)}; see `testbed faults`")
+        raise SettingsError(f"{UnknownName('kind of fault', kind, KINDS)}; see `testbed list`")
     return KINDS[kind]

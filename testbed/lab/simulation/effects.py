@@ -58,5 +58,5 @@ def effect_named(kind: str) -> type[Effect]:
         SettingsError: There is none.
     """
     if kind not in KINDS:
-        raise SettingsError(f"{UnknownName('kind of effect', kind, KINDS)}; see `testbed effects`")
+        raise SettingsError(f"{UnknownName('kind of effect', kind, KINDS)}; see `testbed list`")
     return KINDS[kind]
