@@ -98,12 +98,10 @@ def consistency(
     seeds: Annotated[int, typer.Option(help="Simulated recordings of each length.")] = 10,
     trees: Annotated[int, typer.Option(help="Random trees.")] = 100,
 ) -> None:
-    """Consistent bodies: accuracy beside plain estimates, times."""
+    """Consistent bodies: accuracy beside plain estimates."""
     from benchmarks import consistency as made
 
     _print(made.trees(trees, 1000))
-    for line in made.times((6, 12, 30)):
-        _print(line)
     for speed in (0.3, 0.1):
         _print(made.poor(range(500, 500 + seeds), speed))
     for line in made.accuracy((60.0, 5.0), range(500, 500 + seeds)):
@@ -280,18 +278,18 @@ def friction(
     first: Annotated[int, typer.Option(help="The first seed.")] = 100,
     seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 60.0,
     jobs: Annotated[int, typer.Option(help="Processes at a time.")] = 2,
-    only: Annotated[str, typer.Option(help="Only lines whose words hold this.")] = "",
+    only: Annotated[str, typer.Option(help="Of designed ones, only lines that hold this.")] = "",
     designed: Annotated[
         bool, typer.Option("--designed", help="Of motions designed for it, and their promises.")
     ] = False,
 ) -> None:
-    """Friction under load: three robots, gears that lose nothing to 20 %; and without the plate."""
+    """Friction under load: a PUMA, gears that lose nothing to 20 %; or motions designed for it."""
     from benchmarks import friction, friction_design
 
     lines = (
         friction_design.study(first, seeds, seconds, only)
         if designed
-        else friction.study(seeds, first, seconds, only, jobs)
+        else friction.study(seeds, first, seconds, jobs)
     )
     for line in lines:
         _print(line)

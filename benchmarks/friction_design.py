@@ -7,6 +7,7 @@ of many seeds; scatter and sigmas of what `drives` finds stand beside the predic
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -14,7 +15,6 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from benchmarks.friction import Case
 from testbed.applications.drives.friction_curves import DriveEstimate, drive_of
 from testbed.applications.drives.joint_regression import regressions, torques_beside
 from testbed.core.base.arrays import Array
@@ -29,6 +29,21 @@ from testbed.motion.excite import Excitation
 from testbed.motion.information import predict
 from testbed.motion.motion_file import write_motion
 from tests.helpers.paths import GOLDEN, REAL, ROOT
+
+
+@dataclass(frozen=True)
+class Case:
+    """A robot, and what is said of it.
+
+    Attributes:
+        words: Beside those of the experiment.
+        dry: Dry friction of every joint, viscous friction is as large at 1 rad/s; () for the
+            model file's.
+    """
+
+    words: tuple[str, ...] = ()
+    dry: tuple[float, ...] = ()
+
 
 CASES: Mapping[str, Case] = {
     "puma": Case(),

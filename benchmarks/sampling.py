@@ -1,4 +1,4 @@
-"""Are robots that are drawn as likely as the one that was measured, and how narrow are they?
+"""Are robots that are drawn as likely as the one that was measured?
 
 Truth is drawn from the prior around a model file; every seed is another one, another motion and
 other noise. If draws are right, truth's rank among them is uniform [TBM18].
@@ -33,7 +33,7 @@ FRICTION = {"coulomb": 2.0, "viscous": 1.0}
 
 
 def ranks(robot: str, seeds: range, seconds: float) -> dict[str, Any]:
-    """Truth's rank among draws, coverage of bands of torque, and their width.
+    """Truth's rank among draws, and coverage of bands of torque.
 
     Args:
         robot: One of ROBOTS.
@@ -43,7 +43,7 @@ def ranks(robot: str, seeds: range, seconds: float) -> dict[str, Any]:
     file = tb.load_tree(ROBOTS[robot])
     file = file.with_joints(dict.fromkeys(file.names, FRICTION))
     prior, options = prior_of(file), ConsistencyOptions(prior_error=ERROR)
-    of_one, of_each, inside, narrower = [], [], [], []
+    of_one, of_each, inside = [], [], []
     for seed in seeds:
         rng = np.random.default_rng([seed, 39])
         drawn = prior_robots(file, prior, ERROR, 1, rng)
@@ -60,12 +60,6 @@ def ranks(robot: str, seeds: range, seconds: float) -> dict[str, Any]:
         torque = torques(file, motion, found.values)
         rank = (torque < torques(file, motion, drawn.values)).sum(axis=-1)
         inside.append(((rank >= 2) & (rank <= 96)).mean())  # 95 of 100 ranks
-        alone = rng.permuted(found.values, axis=0)
-        widths = [
-            np.ptp(np.quantile(each, [0.025, 0.975], axis=-1), axis=0)
-            for each in (torque, torques(file, motion, alone))
-        ]
-        narrower.append(np.median(widths[1] / widths[0]))
     each = [uniform(ranks) for ranks in np.array(of_each).T]
     return {
         "robot": robot,
@@ -74,7 +68,6 @@ def ranks(robot: str, seeds: range, seconds: float) -> dict[str, Any]:
         "p of the worst parameter, times their number": float(f"{min(each) * len(each):.2g}"),
         "parameters": len(each),
         "coverage of 95 % torque bands": round(float(np.mean(inside)), 3),
-        "independent draws' bands are wider by": round(float(np.median(narrower)), 1),
     }
 
 

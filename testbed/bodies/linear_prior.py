@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from testbed.bodies.prior import Prior
 from testbed.core.base.arrays import Array
@@ -164,37 +165,18 @@ def _linear(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
     after: Array = np.eye(len(z))
     for _ in range(ROUNDS):
         weights = np.where(equations.used > 0, 1 / (variance * repeated), 0.0)
-        after = np.asarray(np.linalg.inv(equations.matrix(weights) + np.eye(len(z))))
+        normal = equations.matrix(weights) + np.eye(len(z))
+        after = np.asarray(np.linalg.inv(normal))
         z = after @ equations.vector(weights)
         if (z < prior.least).any():
-            z = _bounded(z, after, prior.least)
+            root = np.linalg.cholesky(normal).T
+            z = lsq_linear(root, root @ z, (prior.least, np.inf), method="bvls").x
         correlation = rows.correlation(prior.mean + prior.root @ z, prior.noise * used)
         repeated = (1 + correlation) / (1 - correlation)
         lost = np.einsum("cij,ji->c", equations.normal, after) / variance
         left = equations.residual(z) / np.maximum(used - lost, FEWEST * used)
         variance = np.maximum(left, floor)
     return z, after
-
-
-def _bounded(z: Array, after: Array, least: Array) -> Array:
-    """The likeliest z, (r,), that is nowhere below its least, by the primal-dual active set.
-
-    Args:
-        z: The likeliest without bounds, (r,).
-        after: Its covariance, (r, r).
-        least: (r,).
-    """
-    found, active = z, z < least
-    for _ in range(len(z)):
-        held = np.flatnonzero(active)
-        push = np.linalg.solve(after[np.ix_(held, held)], least[held] - z[held])
-        found = z + after[:, held] @ push
-        found[held] = least[held]
-        before, active = active, found < least
-        active[held] = push > 0
-        if (active == before).all():
-            break
-    return found
 
 
 def alone_determined(rows: RowProducts, prior: LinearPrior) -> NDArray[np.bool_]:

@@ -205,8 +205,7 @@ def posterior(
     with one_blas_thread():
         error = prior_error or PRIOR_ERROR
         before = linear_prior(problem, prior, error, whole)
-        enough = bool(whole.enough.all())
-        used = not (enough and any(determines(each, before) for each in made))
+        used = not whole.enough.all() or not any(determines(x, before) for x in made)
         if used and prior_error is None:
             error = likeliest(whole, before)
             before = before.times(error / PRIOR_ERROR)

@@ -103,19 +103,16 @@ class Prior(Diagnosed):
         standard: Standard parameters, (n, 10) [kg, kg m, kg m^2]; of bodies that can be, or zero
             for those without matter, which have none whatever the data say.
         rotors: Inertias of the drives at their joints, (n,) [kg m^2 or kg]; 0 where not known.
-        extent: Least and greatest coordinates of every body's shapes in its own frame,
-            (n, 2, 3) [m]; infinite where it has none.
         diagnostics: What was put right.
     """
 
     standard: Array
     rotors: Array
-    extent: Array
     diagnostics: tuple[Diagnostic, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.rotors)
-        freeze(self, standard=(n, 10), rotors=(n,), extent=(n, 2, 3))
+        freeze(self, standard=(n, 10), rotors=(n,))
 
     @property
     def massive(self) -> tuple[int, ...]:
@@ -135,12 +132,11 @@ class Prior(Diagnosed):
         return found.reshape(10 * n, 10 * n)
 
 
-def prior_of(tree: Tree, extent: Array | None = None) -> Prior:
+def prior_of(tree: Tree) -> Prior:
     """What a model file says of the bodies, put right where no body can be so.
 
     Args:
         tree: The robot as the file has it.
-        extent: As in Prior; by default no body has shapes.
     """
     found = np.array(standard(tree))
     reach = max(SMALL, *(float(np.linalg.norm(joint.offset)) for joint in tree.joints))
@@ -159,12 +155,10 @@ def prior_of(tree: Tree, extent: Array | None = None) -> Prior:
         found[body] = parameters(
             nearest_body(Inertia.of_pseudo(given), THINNEST, usual, reach).pseudo
         )
-    everywhere = np.tile([[-np.inf] * 3, [np.inf] * 3], (tree.n, 1, 1))
     rotors = np.array([joint.rotor_inertia for joint in tree.joints])
     return Prior(
         found,
         rotors,
-        everywhere if extent is None else extent,
         tuple(_diagnostics(without_masses, impossible, nothing)),
     )
 

@@ -9,6 +9,7 @@ on held joints keep their proportion, because in the file they move.
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -149,12 +150,9 @@ def changes_of(model: ModelFile, trees: Sequence[Tree], fixed: Fixed) -> list[Ed
     links = [replace(x, inertia=repair.get(x.name, x.inertia)) for x in model.links()]
     found = []
     for tree in trees:
-        bodies = {}
-        for k, (old, new) in enumerate(zip(file.inertias, tree.inertias, strict=True)):
-            same = old.mass == new.mass and np.array_equal(old.first_moment, new.first_moment)
-            if not (same and np.array_equal(old.tensor, new.tensor)):
-                bodies[k] = new
-        inertias, said = share_out(links, bodies, fixed)
+        pairs = zip(file.inertias, tree.inertias, strict=True)
+        changed = [k for k, (a, b) in enumerate(pairs) if not np.array_equal(a.pseudo, b.pseudo)]
+        inertias, said = share_out(links, {k: tree.inertias[k] for k in changed}, fixed)
         joints = {
             old.name: {k: getattr(new, k) for k in LOSSES if getattr(new, k) != getattr(old, k)}
             for old, new in zip(file.joints, tree.joints, strict=True)
@@ -171,8 +169,9 @@ def mujoco_fields(changes: Sequence[Edit], trees: Sequence[Tree]) -> dict[str, A
         trees: The robots.
     """
     bodies = list(changes[0].links)
-    central = np.array([[each.links[name].central for name in bodies] for each in changes])
-    moments, axes = np.linalg.eigh(central.reshape(len(changes), len(bodies), 3, 3))
+    links = [[each.links[name] for name in bodies] for each in changes]
+    central = np.array([[link.central for link in each] for each in links])
+    moments, axes = np.linalg.eigh(central.reshape(len(links), len(bodies), 3, 3))
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
     turns = Rotation.from_matrix(axes.reshape(-1, 3, 3)).as_quat(scalar_first=True)
     losses = np.array([[[getattr(j, k) for k in LOSSES] for j in tree.joints] for tree in trees])
@@ -180,10 +179,10 @@ def mujoco_fields(changes: Sequence[Edit], trees: Sequence[Tree]) -> dict[str, A
     return {
         "bodies": np.array(bodies),
         "joints": np.array(trees[0].names),
-        "body_mass": np.array([[each.links[name].mass for name in bodies] for each in changes]),
-        "body_ipos": np.array([[each.links[name].com for name in bodies] for each in changes]),
+        "body_mass": np.array([[link.mass for link in each] for each in links]),
+        "body_ipos": np.array([[link.com for link in each] for each in links]),
         "body_inertia": np.maximum(moments, 0.0),
-        "body_iquat": turns.reshape(len(changes), len(bodies), 4),
+        "body_iquat": turns.reshape(len(links), len(bodies), 4),
         **dict(zip(fields, np.moveaxis(losses, 2, 0), strict=True)),
     }
 
@@ -284,15 +283,11 @@ def _check(model: ModelFile, data: bytes, tree: Tree) -> tuple[Diagnostic, ...]:
     owners = [*(f"link '{joint.body}'" for joint in tree.joints), "the pedestal"]
     before, after = ((*each.inertias, each.pedestal) for each in (read, tree))
     for owner, old, new in zip(owners, before, after, strict=True):
-        size = np.abs(new.tensor).max()
-        gaps = (
-            abs(old.mass - new.mass) / max(new.mass, np.finfo(float).tiny),
-            np.abs(old.tensor - new.tensor).max() / max(size, np.finfo(float).tiny),
-        )
-        if not max(gaps) <= EXACT:
+        near = EXACT * np.abs(new.tensor).max()
+        same = np.allclose(old.tensor, new.tensor, rtol=0, atol=near)
+        if not (same and math.isclose(old.mass, new.mass, rel_tol=EXACT)):
             raise ModelError(
-                f"{model.path}: {owner} would not be read as it is written (by {max(gaps):.1g} of "
-                "itself); nothing was written"
+                f"{model.path}: {owner} would not be read as it is written; nothing was written"
             )
     unread = [
         new.name

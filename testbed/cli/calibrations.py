@@ -202,7 +202,7 @@ def drives(
         Path | None,
         typer.Option(
             callback=ending(".csv", ".json"),
-            help="File for friction: .csv (map and law) or .json (BAM).",
+            help="File for friction: .csv (curve and law) or .json (BAM).",
         ),
     ] = None,
     force: Force = False,
@@ -213,8 +213,8 @@ def drives(
 
     The bodies are known from the plate; what a drive reports is a constant times the torque that
     they need and its own terms: --set 'identification.terms=["coulomb","viscous","rotor"]'.
-    Friction over velocity, and over velocity and load, is in the JSON, and drawn by report
-    --set identification.drives=given. Laws of the load are load, viscous_load and others.
+    Friction over velocity is in the JSON, and drawn by report --set identification.drives=given.
+    Laws of the load are load, viscous_load and others.
 
     --write copies the model file with consistent bodies by the plate, friction, rotors, and (MJCF)
     motors whose gear makes true torque of what the drive reports, with the delay of --commands.
@@ -230,7 +230,6 @@ def drives(
     from testbed.core.base.errors import SettingsError
     from testbed.core.base.files import together
     from testbed.core.estimation.identify import identify
-    from testbed.core.recordings.recording import Recording
     from testbed.importing.check.time_offset import delivered
     from testbed.view import output, terminal
     from testbed.view.drives import delay_line
@@ -248,29 +247,14 @@ def drives(
         raise SettingsError("--write and --commands need bodies by the plate, not by a sensor")
     tree = replace(reading, sensor=None).tree(model)
     source = reading.source(source, tree)
+    how: dict[str, Any] = {"gravity": gravity, "settings": table, "threads": threads}
     with output.Progress("identifying by the wrench") as progress:
-        bodies = identify(
-            felt,
-            source,
-            gravity=gravity,
-            settings=table,
-            doubt=reading.doubt(tree),
-            threads=threads,
-            progress=progress,
-        )
+        bodies = identify(felt, source, doubt=reading.doubt(tree), progress=progress, **how)
     source, offset = delivered(tree, source, bodies) if commands else (source, None)
     late, lines = (0.0, []) if offset is None else (-offset.delay, [delay_line(offset)])
+    choose = choose_terms or table.drives == "chosen"
     with output.Progress("regressing torques") as progress:
-        found = identify_drives(
-            tree,
-            source,
-            bodies,
-            gravity=gravity,
-            settings=table,
-            choose=choose_terms or table.drives == "chosen",
-            threads=threads,
-            progress=progress,
-        )
+        found = identify_drives(tree, source, bodies, choose=choose, progress=progress, **how)
     said = [*tree.diagnostics, *held, *bodies.diagnostics, *found.diagnostics]
     with together():
         if friction is not None:
@@ -280,17 +264,23 @@ def drives(
             said += writing.written(links, reading, model, [recording], found, late)
             lines.append(f"model file: {write}")
     if write is not None and unseen is not None:
-        from testbed.lab.simulation.replay import replay
-        from testbed.view.drives import replay_lines
-
-        files = (reading.model_file(model), reading.model_file(write))
-        motion = Recording.load(unseen)
-        lines += replay_lines(tree.names, *(replay(each, motion) for each in files))
+        lines += _replayed(reading, unseen, model, write)
     if as_json:
         output.print_json({**encode(found), "delay": late})
     else:
         terminal.print_drives(found, said)
         output.print_lines(lines, ())
+
+
+def _replayed(reading: Reading, unseen: Path, model: Path, written: Path) -> list[str]:
+    """How far a model file, and what was written, are from an unseen motion by its torques."""
+    from testbed.core.recordings.recording import Recording
+    from testbed.lab.simulation.replay import replay
+    from testbed.view.drives import replay_lines
+
+    motion = Recording.load(unseen)
+    ends = [replay(reading.model_file(path), motion) for path in (model, written)]
+    return replay_lines(reading.tree(model).names, *ends)
 
 
 @app.command()
@@ -304,9 +294,6 @@ def payload(
         str | None,
         typer.Option(help="Joint that moves the link with the payload; default the last."),
     ] = None,
-    at_rest: Annotated[
-        bool, typer.Option("--at-rest", help="By the weight in static poses.")
-    ] = False,
     settings: RecordingSet = None,
     gravity: Gravity = None,
     weld_root: Weld = False,
@@ -321,55 +308,35 @@ def payload(
     """Find a payload's mass, centre and inertia by two recordings, without it and with it.
 
     Its parameters, as far as the plate identifies them, or the joint torques of recordings without
-    a plate; for a robot at rest in some poses, mass and centre by the weight alone.
+    a plate.
 
     Example: testbed payload empty.parquet loaded.parquet --model robot.urdf
 
     Example: testbed payload empty.parquet loaded.parquet --model ur5e.urdf --as ur --flange tool0
     """
-    from testbed.applications.payload.payload import (
-        estimate_mass,
-        estimate_payload_mass,
-        poses_at_rest,
-    )
     from testbed.applications.payload.payload import payload as payload_of
     from testbed.core.base.codec import encode
     from testbed.core.base.errors import SettingsError
     from testbed.core.estimation.identify import identify
-    from testbed.core.recordings.geometry import in_its_gravity
-    from testbed.view import estimates as shown
     from testbed.view import output, terminal
 
     reading = Reading(settings, False, weld_root, lock, lock_mimic, plate)
-    if vendor is not None and (at_rest or as_json):
-        raise SettingsError("--as goes neither with --json, nor with payload --at-rest")
+    if vendor is not None and as_json:
+        raise SettingsError("--as and --json are two forms of one answer: give one of them")
     tree, table = reading.tree(model), reading.tables().identification
     link = flange_link(vendor, flange, reading.model_file(model), tree)
     sources = [reading.source(opened(path), tree) for path in (without, loaded)]
-    if at_rest:
-        tree = in_its_gravity(tree, sources[0], gravity)
-        with output.Progress("weighing"):
-            alone, carrying = (poses_at_rest(tree, source) for source in sources)
-            weighed = estimate_payload_mass(tree, alone, carrying, joint)
-        whole = estimate_mass(tree, alone)
-        words = {"payload": encode(weighed), "robot": encode(whole)}
-        lines = shown.weighed_lines(weighed, whole)
-        output.print_json(words) if as_json else output.print_lines(lines, tree.diagnostics)
-        return
     plates = all("wrench" in source.signals for source in sources)
     method: Method = "external" if plates else "internal"
-    estimates = []
+    how: dict[str, Any] = {"gravity": gravity, "settings": table, "threads": threads}
+    doubt, estimates = reading.doubt(tree), []
     for source, name in zip(sources, ("without", "with"), strict=True):
         with output.Progress(f"identifying, {name}") as progress:
-            estimates.append(
-                identify(
-                    tree, source, method, gravity=gravity, settings=table,
-                    doubt=reading.doubt(tree), threads=threads, progress=progress,
-                )
-            )  # fmt: skip
+            made = identify(tree, source, method, doubt=doubt, progress=progress, **how)
+            estimates.append(made)
     found = payload_of(tree, estimates[0], estimates[1], joint)
-    every = [each for estimate in estimates for each in estimate.diagnostics]
-    known = [each for each in every if each.code != "plate.no-tare"]  # the difference has none
+    known = [each for estimate in estimates for each in estimate.diagnostics]
+    known = [each for each in known if each.code != "plate.no-tare"]  # the difference has none
     said = [*tree.diagnostics, *known, *found.diagnostics]
     if as_json:
         output.print_json(encode(found))

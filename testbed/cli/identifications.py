@@ -89,12 +89,11 @@ def prior_of_bodies(
         model: The model file.
         source: The recording.
     """
+    from testbed.bodies.prior import prior_of
     from testbed.core.recordings.views import with_gear
-    from testbed.lab.experiment.evaluate import prior_from
 
-    options, file = reading.tables().consistent, reading.model_file(model)
     tree = with_gear(reading.tree(model), source)
-    return prior_from(tree, file, shapes=options.centres_in_shapes), options
+    return prior_of(tree), reading.tables().consistent
 
 
 @dataclass(frozen=True)
@@ -412,11 +411,11 @@ def sample(
     import numpy as np
 
     from testbed.bodies.consistency.robots import robots
+    from testbed.bodies.prior import prior_of
     from testbed.bodies.write_model import ARCHIVE, write_models
     from testbed.core.base.codec import encode
     from testbed.core.base.errors import SettingsError
     from testbed.core.base.installation import versions
-    from testbed.lab.experiment.evaluate import prior_from
     from testbed.lab.experiment.read_result import read_result
     from testbed.view import bodies as shown
     from testbed.view import output
@@ -432,7 +431,7 @@ def sample(
             f"'{out}' holds {others[0]}, not robots alone: --out names a new folder"
         )
     check_outputs(out, force=force, folder=True)
-    prior = prior_from(kept.prior, kept.file, shapes=kept.options.centres_in_shapes)
+    prior = prior_of(kept.prior)
     rng = np.random.default_rng(seed)
     with output.Progress("drawing robots"):
         found = robots(kept.tree, kept.whole_estimates, prior, count, rng, kept.options)

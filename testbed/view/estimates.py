@@ -22,7 +22,7 @@ from testbed.lab.experiment.run import SAID, Run, matrix_errors
 from testbed.view.section import DARKEST, HeatTable, Table
 
 if TYPE_CHECKING:
-    from testbed.applications.payload.payload import MassEstimate, PayloadEstimate
+    from testbed.applications.payload.payload import PayloadEstimate
     from testbed.applications.payload.tool import ToolEstimate
     from testbed.applications.payload.torque_scales import TorqueScales
 
@@ -222,21 +222,6 @@ def payload_lines(found: PayloadEstimate) -> list[str]:
     if centre is not None:
         lines.append(f"Centre of mass: {_place(*centre)}.")
     return lines
-
-
-def weighed_lines(payload: MassEstimate, robot: MassEstimate) -> list[str]:
-    """A payload and a robot by their weight, a sentence each.
-
-    Args:
-        payload: The payload.
-        robot: The robot alone.
-    """
-    place = _place(np.array(payload.centre), np.array(payload.centre_sigma))
-    return [
-        f"Payload: {number_with_sigma(payload.mass, payload.sigma, short=False)} kg, centre of "
-        f"mass {place}, by {payload.poses} poses.",
-        f"Moving mass of the robot: {number_with_sigma(robot.mass, robot.sigma, short=False)} kg.",
-    ]
 
 
 def tool_lines(found: ToolEstimate) -> list[str]:

@@ -15,7 +15,6 @@ from testbed.lab.experiment.summary import percent
 from testbed.view.bodies import bodies_section
 from testbed.view.drives import BAND, curve_lines, drive_section
 from testbed.view.figures import Panel, thinned
-from testbed.view.friction_map import map_section
 from testbed.view.section import Section, Table
 
 SEGMENT = 2048
@@ -45,8 +44,6 @@ def sections(found: Predictions) -> list[Section]:
         if found.run.drives is not None:
             seconds = seconds_shown(found.motion.t)
             shown.append(drive_section(smooth, found.run.drives, CUTOFF, seconds))
-            if any(len(each.rows) for each in found.run.drives.maps):
-                shown.append(map_section(found.run.drives.maps))
     if found.run.consistent is not None:
         shown.append(bodies_section(found.run, found.run.consistent))
     return shown

@@ -17,7 +17,6 @@ from tests.helpers.command import command_line
 from tests.helpers.foreign_files import csv, some_log
 from tests.helpers.measured import measured
 from tests.helpers.paths import GOLDEN, ROOT
-from tests.helpers.plates import resting
 from tests.helpers.runs import MODELS, robot, without
 from tests.scenarios.scenarios import result
 
@@ -57,7 +56,6 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     measured(robot("puma"), 2, duration=8.0).save(folder / "other.parquet")
     for signal in ("torque", "wrench"):
         without(found, signal).save(folder / f"no_{signal}.parquet")
-    resting(robot("puma"), 0).save(folder / "rest.parquet")
     words = ("identify", "one.parquet", "--model", PUMA, "--zeros", "--json")
     (folder / "result.json").write_text(command_line(*words, cwd=folder).stdout)
     return folder

@@ -53,18 +53,16 @@ COMMANDS = {
                   "--out OUT/plate.toml --json",
                   "correlation estimate known matrix matrix_sigma numbers robot"),
     "drives": (f"drives one.parquet {ROBOT} --zeros --json",
-               "combined curves delay diagnostics estimates maps"),
+               "combined curves delay diagnostics estimates"),
     "drives, write": (f"drives ahead.parquet {ROBOT} --zeros --commands --write OUT/driven.xml "
                       "--unseen other.parquet --json",
-                      "combined curves delay diagnostics estimates maps"),
+                      "combined curves delay diagnostics estimates"),
     "sample": ("sample result.json -n 3 --out OUT/robots --json",
                "joints links mean names prior_error share sigma"),
     "sample, run": ("sample run -n 3 --out OUT/drawn", ""),
     "payload": (f"payload one.parquet other.parquet {ROBOT} --json",
                 "centre chance covariance diagnostics identifiable joint names rank sigma units "
                 "values"),
-    "payload, rest": (f"payload rest.parquet rest.parquet {ROBOT} --at-rest --json",
-                      "payload robot"),
     "tool": (f"tool one.parquet {ROBOT} --sensor link3 --json",
              "centre chance covariance diagnostics identifiable joint names rank sigma units "
              "values"),

@@ -82,11 +82,10 @@ identify no_wrench.parquet {ROBOT} --method external | wrench external
 validate one.parquet none.json | 'none.json' identify
 validate other.parquet result.json --model ur5.urdf | SHA-256
 payload one.parquet other.parquet {ROBOT} --joint hip | 'hip' elbow
-payload one.parquet other.parquet {ROBOT} --at-rest | rest
 payload one.parquet other.parquet {ROBOT} --as abb | 'abb' kuka
 payload one.parquet other.parquet {ROBOT} --as ur --flange tool0 | 'tool0' link3
 payload one.parquet other.parquet {ROBOT} --flange link3 | --as
-payload one.parquet other.parquet {ROBOT} --as ur --at-rest | --as
+payload one.parquet other.parquet {ROBOT} --as ur --json | --as
 tool one.parquet {ROBOT} --sensor link3 --as ur --json | --as
 tool one.parquet {ROBOT} --sensor link3 --flange link3 | --as
 tool one.parquet {ROBOT} --sensor link3 --as ur --flange link2 | 'link2' elbow

@@ -39,14 +39,3 @@ def loaded(tree: tb.Tree, link: int = -1) -> tb.Tree:
     bodies = list(tree.inertias)
     bodies[link] = bodies[link] + LOAD
     return replace(tree, inertias=tuple(bodies))
-
-
-def resting(tree: tb.Tree, seed: int, poses: int = 8, noise: float = 0.1) -> Recording:
-    """Two seconds in each of a few poses, with a plate's noise, at 100 Hz."""
-    rng = np.random.default_rng(seed)
-    q = rng.uniform(-0.8, 0.8, (poses, tree.n)).repeat(200, axis=0)
-    time, still = np.arange(len(q)) / 100.0, np.zeros_like(q)
-    wrench = tb.base_wrench(tree, tb.Motion(time, q, still, still)) + tb.pedestal_wrench(tree)
-    noisy = wrench + noise * rng.normal(size=wrench.shape)
-    seen = q + 1e-5 * rng.normal(size=q.shape)
-    return Recording(tree.names, time, seen, wrench=noisy, tare=tb.pedestal_wrench(tree))

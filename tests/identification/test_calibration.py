@@ -1,4 +1,4 @@
-"""A plate calibrated by the robot on it; payloads, weighed in motion and at rest; mass centres."""
+"""A plate calibrated by the robot on it; payloads; mass centres."""
 
 from __future__ import annotations
 
@@ -12,25 +12,19 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.applications.calibration import Calibration, calibrate, corrected
-from testbed.applications.payload.payload import (
-    estimate_mass,
-    estimate_payload_mass,
-    payload,
-    poses_at_rest,
-    seen_of_payload,
-)
+from testbed.applications.payload.payload import payload, seen_of_payload
 from testbed.applications.payload.torque_scales import torque_scales
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import RecordingError, SettingsError, TestbedError, UnknownName
+from testbed.core.base.errors import SettingsError, TestbedError, UnknownName
 from testbed.core.estimation.regression.constraints import centre_of_mass, total_mass
 from testbed.core.parameters.symbols import standard
 from testbed.lab.experiment.plate_file import read_plate, write_plate
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
-from tests.helpers.plates import BIAS, LOAD, SCALE, loaded, mass_of, mixing, on_plate, resting
+from tests.helpers.plates import BIAS, LOAD, SCALE, loaded, mass_of, mixing, on_plate
 from tests.helpers.refusals import refuses
-from tests.helpers.runs import ROBOTS, robot
-from tests.helpers.strategies import few, rngs, trees
+from tests.helpers.runs import robot
+from tests.helpers.strategies import rngs, trees
 from tests.scenarios.scenarios import result
 
 MATRIX = tb.Settings(nuisances=("matrix", "bias"))
@@ -226,8 +220,8 @@ def test_what_is_no_payload_is_noticed() -> None:
 
 
 def test_what_tells_no_payload_is_refused() -> None:
-    """Estimates of two kinds or by two methods, links that are none; no gravity."""
-    tree, still = robot("puma"), resting(robot("puma"), 1)
+    """Estimates of two kinds or by two methods, links that are none."""
+    tree = robot("puma")
     one, symmetric = (
         tb.identify(tree, ideal(tree), settings=replace(EXACT, zeros=zeros))
         for zeros in (False, True)
@@ -238,23 +232,3 @@ def test_what_tells_no_payload_is_refused() -> None:
             payload(tree, *pair)
     with refuses(UnknownName, "wrist"):
         payload(tree, one, one, "wrist")
-    for recording in (ideal(tree), replace(still, wrench=None, torque=still.position)):
-        with refuses(RecordingError):
-            poses_at_rest(tree, recording)
-    with refuses(RecordingError, "mass"):
-        estimate_mass(tree.with_gravity(np.zeros(3)), poses_at_rest(tree, still))
-
-
-@few(8)
-@given(st.sampled_from(ROBOTS), st.integers(0, 99))
-def test_poses_at_rest_weigh(name: str, seed: int) -> None:
-    """Robot and payload within sigmas of a tenth of a kilogram."""
-    tree = robot(name)
-    alone = poses_at_rest(tree, resting(tree, seed))
-    carrying = poses_at_rest(tree, resting(loaded(tree), seed + 100))
-    assert len(alone.wrench) == len(carrying.wrench) == 8
-    robots, found = estimate_mass(tree, alone), estimate_payload_mass(tree, alone, carrying)
-    assert abs(robots.mass - mass_of(tree)) < 4.5 * robots.sigma < 0.1
-    assert abs(found.mass - LOAD.mass) < 4.5 * found.sigma < 0.1
-    for place, sigma, true in zip(found.centre, found.centre_sigma, LOAD.com, strict=True):
-        assert np.isnan(place) or abs(place - true) < 5 * sigma

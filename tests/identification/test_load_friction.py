@@ -16,7 +16,6 @@ from testbed.applications.drives.friction_files import (
     bam_parameters,
     write_friction,
 )
-from testbed.applications.drives.friction_map import LOADS, SPEEDS
 from testbed.applications.drives.identify_drives import DriveFindings, identify_drives
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.newton_euler import joint_forces
@@ -81,7 +80,6 @@ def test_laws_of_the_load_are_found_exactly() -> None:
 
 @pytest.mark.slow
 def test_a_load_term_is_chosen_where_there_is_one_and_only_there() -> None:
-    """And cells of the map are the law at their mean velocity and load, which no law made."""
     tree, none = puma(), np.zeros_like(LOSS)
     loss = none.copy()
     loss[0, 1] = 0.1
@@ -91,20 +89,6 @@ def test_a_load_term_is_chosen_where_there_is_one_and_only_there() -> None:
     assert not set().union(*kinds) & set(LOADED[1:])
     (load,) = (term for term in found.estimates[1].terms if term.law.kind == "load")
     assert abs(load.value - 0.1) < 4 * load.sigma < 0.02
-    scores = []
-    for j, cells in enumerate(found.maps):
-        assert len(cells.rows) > 20
-        assert (cells.rows >= 4).all()
-        for edges, mean in ((cells.speeds, cells.speed), (cells.loads, cells.load)):
-            inside = (edges[:, 0] <= mean) & (mean <= edges[:, 1])
-            assert inside[np.abs(edges).max(axis=1) < np.abs(edges).max()].all()
-        law = tree.joints[j].coulomb * np.sign(cells.speed) + tree.joints[j].viscous * cells.speed
-        law += loss[0, j] * np.abs(cells.load) * np.sign(cells.speed)
-        scores.append((cells.friction - law) / cells.sigma)
-    every = np.concatenate(scores)
-    assert np.abs(every).max() < 5
-    assert 0.6 < np.sqrt(np.mean(every**2)) < 1.4
-    assert len(every) < 3 * 4 * len(SPEEDS) * LOADS  # the others are empty, and stay so
 
 
 def test_no_row_of_drives_holds_a_reversal() -> None:
@@ -145,9 +129,9 @@ def test_friction_in_files_is_what_was_found(tmp_path: Path) -> None:
     loss[0] = 0.1
     settings = replace(EXACT, terms=("coulomb", "viscous", "stribeck@0.1", "load"))
     found = findings(tree, rubbing(tree, 20.0, loss), settings=settings)
-    evil = tuple(replace(cells, joint=f"={cells.joint}") for cells in found.maps)
+    evil = tuple(replace(curve, joint=f"={curve.joint}") for curve in found.curves)
     for name, each in (
-        ("friction.csv", found), ("friction.json", found), ("evil.csv", replace(found, maps=evil))
+        ("friction.csv", found), ("friction.json", found), ("evil.csv", replace(found, curves=evil))
     ):  # fmt: skip
         write_friction(each, tmp_path / name)
     bam = json.loads((tmp_path / "friction.json").read_text())
@@ -172,7 +156,7 @@ def test_friction_in_files_is_what_was_found(tmp_path: Path) -> None:
     assert {*names} == {f"'={name}" for name in tree.names}  # no formula of a spreadsheet
     with (tmp_path / "friction.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == sum(len(cells.rows) for cells in found.maps)
+    assert len(rows) == sum(len(curve.speed) for curve in found.curves)
     assert {row["joint"] for row in rows} == set(tree.names)
-    for row in rows:
+    for row in rows:  # nodes near zero reach across Stribeck's fall
         assert float(row["friction"]) == pytest.approx(float(row["law"]), abs=0.5)

@@ -20,7 +20,7 @@ from testbed.bodies.linear_prior import (
     with_prior,
 )
 from testbed.bodies.posterior import Posterior, posterior, rows_of
-from testbed.bodies.prior import coordinates, prior_of
+from testbed.bodies.prior import prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import decode, encode
 from testbed.core.estimation.analysis import analyse
@@ -80,22 +80,6 @@ def test_data_that_say_nothing_leave_the_file(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(covariance, prior.root @ prior.root.T, atol=1e-9)
 
 
-@given(rngs)
-def test_the_covariance_is_what_the_resolution_leaves_of_the_prior(
-    rng: np.random.Generator,
-) -> None:
-    """Noise is known here: nothing but its least is left. R = P X'X (P X'X + s^2)^-1, dense."""
-    prior = prior_like(rng, 5, 0.7)
-    columns = rng.normal(size=(1, 12, 5)) * [1, 0.1, 3, 0, 1]
-    _, covariance = with_prior(products(columns, columns @ prior.mean), prior)
-    spread, information = prior.root @ prior.root.T, columns[0].T @ columns[0] / 0.7**2
-    resolution = spread @ information @ np.linalg.inv(spread @ information + np.eye(5))
-    expected = spread - resolution @ spread
-    np.testing.assert_allclose(covariance, expected, atol=1e-8)
-    share = 1 - np.diagonal(covariance) / prior.variance
-    assert ((share >= -1e-12) & (share <= 1)).all()
-
-
 @pytest.mark.parametrize("memory", [0.0, 0.8])
 def test_the_variance_is_that_of_many_robots(memory: float) -> None:
     """Robots drawn from the prior: errors are as large as is said.
@@ -145,15 +129,6 @@ def test_friction_never_drives_the_motion(rng: np.random.Generator) -> None:
     assert (slope > -1e-2).all()
     np.testing.assert_allclose(slope[values > 0], 0, atol=1e-2)
     np.testing.assert_allclose(slope[:2], 0, atol=1e-2)
-
-
-@given(rngs)
-def test_the_prior_of_bodies_is_about_those_of_the_file(rng: np.random.Generator) -> None:
-    """The coordinates of one are the file's body; twice as much is twice the body."""
-    tree = random_robot(rng, 3).tree()
-    prior = prior_of(tree)
-    one = np.tile(coordinates(np.eye(4)), tree.n)
-    np.testing.assert_allclose(prior.root @ one, prior.standard.ravel(), atol=1e-12)
 
 
 @given(rngs, st.sampled_from(["external", "internal"]))

@@ -1,10 +1,13 @@
-"""What a force sensor carries: by a motion, and by a dozen poses at rest.
+"""What a force sensor carries: by a motion, and by poses at rest, of which usual faults are named.
 
-If one fails, payloads that people type into their robots are wrong.
+If one fails, payloads that people type into their robots are wrong. The witness of poses is a UR5
+by rotations of SciPy alone.
 """
 
 from __future__ import annotations
 
+import ast
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,90 +20,249 @@ import testbed as tb
 from testbed.applications.payload.static_fit import StaticPoses
 from testbed.applications.payload.tool import tool_at_rest, tool_of
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import RecordingError, SettingsError
+from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.core.robot.inertia import Inertia
 from testbed.importing.static_poses import read_static_poses
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
+from tests.helpers.refusals import refuses
 from tests.helpers.sensors import links_of, random_sensors
 from tests.helpers.strategies import few, rngs
 
 UR5 = ROOT / "tests/golden/robots/ur5.urdf"
+MASS, CENTRE = 1.4, np.array([0.012, -0.008, 0.095])
 ZERO = np.array([1.0, -2.0, 0.5, 0.01, 0.02, -0.03])
-NOISE = np.repeat([0.02, 5e-4], 3)
+NOISE = np.repeat([0.05, 0.002], 3)
+DOWN = np.array([0.0, 0.0, -9.81])
+KGF, LBF, DEG = 9.80665, 4.4482216, float(np.rad2deg(1.0))
 
 
-def wrist(rng: np.random.Generator, mass: float = 0.28) -> tuple[tb.Tree, Array]:
-    """A UR5 whose last link is a tool ahead of a sensor, and its centre in the sensor's frame."""
-    tree = tb.load_tree(UR5)
-    sensor = replace(random_sensors(tree, rng)[0], link=tree.joints[-1].body)
-    ahead = sensor.position / np.linalg.norm(sensor.position)
-    place = sensor.position + rng.uniform(0.04, 0.1) * ahead + rng.uniform(-0.02, 0.02, 3)
-    tool = Inertia.about_centre(mass, place, 1e-3 * mass * np.eye(3))
-    tree = replace(tree, inertias=(*tree.inertias[:-1], tool))
-    cut = beyond_sensor(tree, links_of(tree), sensor)
-    return cut, sensor.rotation.T @ (place - sensor.position)
+def orientation(q: Array) -> Rotation:
+    """Of the last link, by the UR5's Denavit-Hartenberg table."""
+    turns = [Rotation.from_rotvec(np.outer(each, [0, 0, 1])) for each in q.T]
+    tilts = [Rotation.from_rotvec([each, 0, 0], degrees=True) for each in (90, 0, 0, 90, -90)]
+    whole = turns[0]
+    for tilt, turn in zip(tilts, turns[1:], strict=True):
+        whole = whole * tilt * turn
+    return whole
 
 
-def at_rest(cut: tb.Tree, poses: int, gravity: Array, rng: np.random.Generator) -> StaticPoses:
-    """What the sensor shows in random poses, its zero and its noise included."""
-    q = rng.uniform(-2.5, 2.5, (poses, cut.n))
-    motion = tb.Motion(np.arange(float(poses)), q, 0 * q, 0 * q)
-    wrench = tb.base_wrench(cut, motion, gravity)
-    return StaticPoses(q, wrench + ZERO + NOISE * rng.normal(size=wrench.shape))
+def poses(
+    count: int, seed: int, gravity: Array = DOWN, zero: Array = ZERO
+) -> tuple[Array, Array, Array]:
+    """Joint positions, what the sensor shows, and its orientation."""
+    rng = np.random.default_rng([71, seed])
+    q = rng.uniform(-2.5, 2.5, (count, 6))
+    turn = orientation(q)
+    force = -MASS * turn.inv().apply(gravity)
+    shown = np.hstack([force, np.cross(CENTRE, force)]) + zero
+    return q, shown + NOISE * rng.normal(size=shown.shape), turn.as_matrix()
+
+
+def robot() -> tb.Tree:
+    return tb.load_tree(UR5, sensor=ForceSensor("b6"))
+
+
+def seen_from(turn: Array, wrench: Array) -> Array:
+    """A wrench along other axes."""
+    found: Array = np.einsum("pij,pkj->pki", turn, wrench.reshape(-1, 2, 3)).reshape(-1, 6)
+    return found
 
 
 @few(10)
 @given(rngs)
 def test_static_poses_give_mass_centre_zero_and_gravity(rng: np.random.Generator) -> None:
-    """A robot hung anyhow; within five of its own standard deviations, and as near as is asked."""
-    cut, centre = wrist(rng)
-    gravity = Rotation.random(rng=rng).apply([0, 0, -9.81])
-    found = tool_at_rest(cut, at_rest(cut, 17, gravity, rng))
+    """A robot hung anyhow, a sensor turned anyhow: within five standard deviations."""
+    gravity, sensor = Rotation.random(rng=rng).apply(DOWN), Rotation.random(rng=rng)
+    q, wrench, _ = poses(17, int(rng.integers(999)), gravity, 0 * ZERO)
+    seen = sensor.inv().apply(wrench.reshape(-1, 3)).reshape(-1, 6) + ZERO
+    tree = tb.load_tree(UR5, sensor=ForceSensor("b6", rotation=sensor.as_matrix()))
+    found = tool_at_rest(tree, StaticPoses(q, seen))
     numbers = [found.mass, *found.centre, *found.force_zero, *found.moment_zero]
-    z = [
-        (value - truth) / sigma
-        for (value, sigma), truth in zip(numbers, [0.28, *centre, *ZERO], strict=True)
-    ]
+    truth = [MASS, *sensor.inv().apply(CENTRE), *ZERO]
+    z = [(value - true) / sigma for (value, sigma), true in zip(numbers, truth, strict=True)]
     assert np.abs(z).max() < 5
     assert found.unidentifiable == ()
-    assert {each.code for each in found.diagnostics} <= {"tool.level", "tool.wall", "tool.upwards"}
-    assert np.cross(found.gravity, gravity / 9.81) == pytest.approx(0, abs=5e-3)
-    assert found.tilt[0] == pytest.approx(np.arccos(np.clip(-gravity[2] / 9.81, -1, 1)), abs=5e-3)
+    assert np.cross(found.gravity, gravity / 9.81) == pytest.approx(0, abs=2e-2)
+    assert found.tilt[0] == pytest.approx(np.arccos(np.clip(-gravity[2] / 9.81, -1, 1)), abs=2e-2)
 
 
 def test_its_standard_deviations_hold_with_few_poses() -> None:
     """Six poses leave 24 numbers over: a normal law's 95 % are 95 % still."""
     inside = []
     for seed in range(60):
-        rng = np.random.default_rng([42, seed])
-        cut, centre = wrist(rng)
-        found = tool_at_rest(cut, at_rest(cut, 6, np.array([0, 0, -9.81]), rng))
-        numbers = zip((found.mass, *found.centre), (0.28, *centre), strict=True)
+        found = tool_at_rest(robot(), StaticPoses(*poses(6, 100 + seed)[:2]))
+        numbers = zip((found.mass, *found.centre), (MASS, *CENTRE), strict=True)
         inside += [abs(value - truth) < 1.96 * sigma for (value, sigma), truth in numbers]
     assert 0.9 < np.mean(inside) < 0.985
 
 
-def test_poses_that_are_all_alike_leave_everything_open() -> None:
-    """Turned about the vertical only, weight and zero cannot be separated."""
-    rng = np.random.default_rng(7)
-    cut, _ = wrist(rng)
-    q = np.tile(rng.uniform(-1, 1, cut.n), (9, 1))
-    motion = tb.Motion(np.arange(9.0), q, 0 * q, 0 * q)
-    wrench = tb.base_wrench(cut, motion) + ZERO + NOISE * rng.normal(size=(9, 6))
-    assert "mass and gravity" in tool_at_rest(cut, StaticPoses(q, wrench)).unidentifiable
+def test_what_tells_no_tool_is_said_or_refused() -> None:
+    """Poses that are all alike, a robot without a sensor, no gravity."""
+    q, wrench, _ = poses(9, 7)
+    alike = StaticPoses(0 * q + q[0], 0 * wrench + wrench[0] + NOISE * wrench / 10)
+    assert "mass and gravity" in tool_at_rest(robot(), alike).unidentifiable
+    for tree in (tb.load_tree(UR5), robot().with_gravity([0, 0, 0])):
+        with pytest.raises(SettingsError):
+            tool_at_rest(tree, StaticPoses(q, wrench))
+
+
+Fault = Callable[[Array, Array, Array], tuple[Array, Array]]
+
+
+def scaled(*factors: float) -> Fault:
+    return lambda q, wrench, turn: (q, wrench * np.repeat(factors, 3))
+
+
+FAULTS: dict[str, tuple[Fault, str, str]] = {
+    "nothing": (scaled(1, 1), "", ""),
+    "moments in N mm": (scaled(1, 1000), "tool.reach", "moments-in-mm"),
+    "moments in N cm": (scaled(1, 100), "tool.reach", "moments-in-cm"),
+    "forces in kgf": (scaled(1 / KGF, 1), "tool.reach", "forces-in-kgf"),
+    "forces in lbf": (scaled(1 / LBF, 1), "tool.reach", "forces-in-lbf"),
+    "lbf and lbf in": (scaled(1 / LBF, 1 / 0.11298), "tool.reach", "wrench-in-lbf-in"),
+    "opposite moments": (scaled(1, -1), "tool.behind", "moments-opposite"),
+    "opposite forces": (scaled(-1, 1), "tool.upwards", "forces-opposite"),
+    "all opposite": (scaled(-1, -1), "tool.upwards", "opposite-signs"),
+    "base": (lambda q, w, r: (q, seen_from(r, w)), "tool.base-axes", "base-axes"),
+    "UR's base": (
+        lambda q, w, r: (q, seen_from(np.diag([-1, -1, 1]) @ r, w)), "tool.turned-base", "base-axes"
+    ),
+    "degrees": (lambda q, w, r: (np.rad2deg(q), w), "tool.degrees", ""),
+    "an encoder's sign": (
+        lambda q, w, r: (q * [1, 1, 1, 1, -1, 1], w), "tool.residual", "other-unit"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize("zero", [ZERO, 0 * ZERO], ids=["offset", "tared"])
+def test_a_fault_is_named_first_and_nothing_of_a_right_table(name: str, zero: Array) -> None:
+    fault, code, cause = FAULTS[name]
+    for count, seed in ((8, 0), (16, 1)):
+        found = tool_at_rest(robot(), StaticPoses(*fault(*poses(count, seed, zero=zero))))
+        assert [each.code for each in found.diagnostics] == [code] * (code != "")
+        assert [*found.diagnostics[0].causes[:1]] == [cause] * (cause != "") if code else True
+
+
+@pytest.mark.parametrize(
+    ("angle", "code"), [(0.5, ""), (16, "tool.level"), (90, "tool.wall"), (180, "tool.upwards")]
+)
+def test_gravity_shows_how_the_base_stands(angle: float, code: str) -> None:
+    gravity = Rotation.from_euler("y", angle, degrees=True).apply(DOWN)
+    for count in (4, 12):
+        found = tool_at_rest(robot(), StaticPoses(*poses(count, 3, gravity)[:2]))
+        assert [each.code for each in found.diagnostics] == [code] * (code != "")
+        right = robot().with_gravity(gravity)
+        assert tool_at_rest(right, StaticPoses(*poses(count, 3, gravity)[:2])).diagnostics == ()
+
+
+def test_a_cable_that_pulls_beside_the_centre_is_the_first_cause() -> None:
+    q, wrench, turn = poses(16, 6)
+    pull = np.einsum("pji,j->pi", turn, [-3.0, 0, 0])
+    wrench = wrench + np.hstack([pull, np.cross([0, 0, 0.25], pull)])
+    said = {each.code: each for each in tool_at_rest(robot(), StaticPoses(q, wrench)).diagnostics}
+    assert said.keys() == {"tool.residual", "tool.level"}
+    assert said["tool.level"].causes[0] == "cable"
+
+
+JOINTS = [f"j{k}" for k in range(1, 7)]
+AXES = ["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
+HEADINGS: dict[str, tuple[list[str], list[str], float, float, float]] = {
+    "numbers": ([f"q{k}" for k in range(1, 7)], AXES, 1, 1, 1),
+    "brackets": ([f"J{k} [deg]" for k in range(1, 7)],
+                 [f"{x} [N]" for x in AXES[:3]] + [f"{x} [Nmm]" for x in AXES[3:]], DEG, 1, 1e3),
+    "suffixes": ([f"joint_{k}_deg" for k in range(1, 7)],
+                 ["Fx_kgf", "Fy_kgf", "Fz_kgf", "Tx_Nm", "Ty_Nm", "Tz_Nm"], DEG, 1 / KGF, 1),
+    "words": ([f"Joint {k} (rad)" for k in range(1, 7)],
+              [f"{x} {y}" for x in ("Force", "Torque") for y in "XYZ"], 1, 1, 1),
+    "from zero": ([f"position[{k}]" for k in range(6)],
+                  [f"wrench[{k}]" for k in range(6)], 1, 1, 1),
+    "by size": ([f"A{k}" for k in range(1, 7)], [f"force_{x}" for x in "xyz"] +
+                [f"moment_{x}" for x in "xyz"], DEG, 1, 1),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HEADINGS)
+def test_headings_are_read_as_recordings_are(name: str, tmp_path: Path) -> None:
+    """Beside numbers of poses, times and comments; a row with an empty field is left out."""
+    joints, axes, angle, force, moment = HEADINGS[name]
+    q, wrench, _ = poses(12, 8)
+    columns = np.hstack([q * angle, wrench * np.repeat([force, moment], 3)])
+    for mark in (",", ";", "\t"):
+        lines = [mark.join(["time [s]", "no", *joints, *axes, "remark"])]
+        for k, row in enumerate(columns):
+            fields = [f"{x:.9f}" for x in row]
+            lines.append(mark.join([f"{7.5 * k}", str(k + 1), *fields, f"pose number {k}"]))
+        lines[4] = mark.join([*lines[4].split(mark)[:9], "", *lines[4].split(mark)[10:]])
+        (tmp_path / "poses.csv").write_text("\n".join(lines))
+        position, forces, said = read_static_poses(tmp_path / "poses.csv", robot())
+        kept = np.delete(np.arange(12), 3)
+        np.testing.assert_allclose(position, q[kept], atol=1e-7)
+        np.testing.assert_allclose(forces, wrench[kept], atol=1e-6)
+        assert len(said) == 1 + (name == "by size")
+
+
+@pytest.mark.parametrize(
+    ("joints", "axes", "named"),
+    [
+        (JOINTS[:5], AXES, "j6"),
+        (["q1", "q2", "q4", "q5", "q6"], AXES, "j3"),
+        (JOINTS, AXES[:5], "Mz"),
+        (["j1 [mm]", *JOINTS[1:]], AXES, "mm"),
+        (JOINTS, ["Fx [A]", *AXES[1:]], "Fx [A]"),
+    ],
+)
+def test_what_a_table_lacks_is_named(
+    joints: list[str], axes: list[str], named: str, tmp_path: Path
+) -> None:
+    rows = np.random.default_rng(1).normal(size=(8, len(joints) + len(axes)))
+    file = tmp_path / "poses.csv"
+    np.savetxt(file, rows, delimiter=",", header=",".join([*joints, *axes]), comments="")
+    with refuses((RecordingError, UnknownName), named):  # type: ignore[arg-type]
+        read_static_poses(file, robot())
+
+
+def test_controllers_take_what_poses_identify_and_nothing_that_they_contradict(
+    tmp_path: Path,
+) -> None:
+    """About the flange that the model names, by the words that a controller reads."""
+    for name, scale, code in (("good", 1.0, 0), ("wrong", 1000.0, 2)):
+        q, wrench, _ = poses(12, 9)
+        table = np.hstack([q, wrench * np.repeat([1, scale], 3)])
+        file = tmp_path / f"{name}.csv"
+        np.savetxt(file, table, delimiter=",", header=",".join([*JOINTS, *AXES]), comments="")
+        words = ("tool", str(file), "--at-rest", "--model", str(UR5), "--sensor", "b6")
+        done = command_line(*words, "--as", "ur", "--flange", "b6", cwd=tmp_path)
+        assert done.returncode == code, done.stderr
+        if code == 0:
+            call = ast.parse(done.stdout.splitlines()[-1], mode="eval").body
+            assert isinstance(call, ast.Call)
+            mass, centre = map(ast.literal_eval, call.args)
+            assert mass == pytest.approx(MASS, abs=0.01)
+            np.testing.assert_allclose(centre, CENTRE, atol=1e-3)
+            for vendor in ("franka", "kuka"):
+                other = command_line(*words, "--as", vendor, cwd=tmp_path)
+                assert other.returncode == 0
+                assert 'inertia":' not in other.stdout
+                assert ",J {" not in other.stdout
 
 
 def test_a_motion_gives_all_ten_about_the_sensor() -> None:
-    rng = np.random.default_rng(3)
-    cut, centre = wrist(rng, mass=1.5)
+    rng, tree = np.random.default_rng(3), tb.load_tree(UR5)
+    sensor = replace(random_sensors(tree, rng)[0], link=tree.joints[-1].body)
+    place = 1.5 * sensor.position + rng.uniform(-0.02, 0.02, 3)
+    tool = Inertia.about_centre(1.5, place, 1.5e-3 * np.eye(3))
+    tree = replace(tree, inertias=(*tree.inertias[:-1], tool))
+    cut = beyond_sensor(tree, links_of(tree), sensor)
+    centre = sensor.rotation.T @ (place - sensor.position)
     t = np.arange(6000) / 500
     phase = 0.4 * np.outer(t, np.arange(1, 7)) + np.arange(6)
     speed = 0.4 * np.arange(1.0, 7.0)
     q, qd, qdd = np.sin(phase), speed * np.cos(phase), -(speed**2) * np.sin(phase)
     motion = tb.Motion(t, q, np.array(qd), np.array(qdd))
-    wrench = tb.base_wrench(cut, motion) + 0.1 * NOISE * rng.normal(size=(len(t), 6))
+    wrench = tb.base_wrench(cut, motion) + NOISE / 50 * rng.normal(size=(len(t), 6))
     recording = tb.Recording(
         cut.names, t, motion.q, wrench=wrench, velocity=motion.qd, acceleration=motion.qdd
     )
@@ -110,32 +272,6 @@ def test_a_motion_gives_all_ten_about_the_sensor() -> None:
     np.testing.assert_allclose(found.values[0], 1.5, rtol=1e-3)
     np.testing.assert_allclose(found.centre[0], centre, atol=2e-4)
     assert np.abs(found.values[0] - 1.5) < 5 * found.sigma[0]
-
-
-def test_a_table_is_read_as_people_write_it_and_refused_in_one_line(tmp_path: Path) -> None:
-    rng = np.random.default_rng(11)
-    cut, _ = wrist(rng)
-    table = at_rest(cut, 12, np.array([0, 0, -9.81]), rng)
-    heading = [*(name.upper() for name in cut.names), "fx", "fy", "fz", "mx", "my", "mz"]
-    rows = np.hstack([np.rad2deg(table.position), table.wrench])
-    for mark in (",", ";", "\t", " "):
-        file = tmp_path / "poses.txt"
-        lines = [mark.join(heading), *(mark.join(f"{x:.9g}" for x in row) for row in rows)]
-        file.write_text("\n".join(lines))
-        position, wrench, _ = read_static_poses(file, cut, degrees=True)
-        np.testing.assert_allclose(position, table.position, atol=1e-8)
-        np.testing.assert_allclose(wrench, table.wrench, atol=1e-7)
-    for text in ("", "a,b\n1,2", ",".join(heading) + "\n" + "x," * 12, ",".join(heading)):
-        file.write_text(text)
-        with pytest.raises(RecordingError):
-            read_static_poses(file, cut)
-    with pytest.raises(SettingsError):
-        tool_at_rest(tb.load_tree(UR5), table)
-    with pytest.raises(SettingsError):
-        tool_at_rest(cut.with_gravity([0, 0, 0]), table)
-    words = ("tool", str(file), "--at-rest", "--model", str(UR5), "--sensor", "b6")
-    bad = command_line(*words, cwd=tmp_path)
-    assert (bad.returncode, bad.stderr.count("\n")) == (2, 1)
 
 
 @pytest.mark.slow
@@ -149,7 +285,7 @@ def test_a_sensors_mapping_is_checked_and_its_frame_is_solved(tmp_path: Path) ->
     phase = np.outer(t, speed) + np.arange(6)
     q, qd, qdd = np.sin(phase), speed * np.cos(phase), -(speed**2) * np.sin(phase)
     wrench = tb.base_wrench(cut, tb.Motion(t, q, np.array(qd), np.array(qdd)))
-    wrench = wrench + 0.1 * NOISE * rng.normal(size=wrench.shape)
+    wrench = wrench + NOISE / 50 * rng.normal(size=wrench.shape)
     turn = Rotation.from_euler("z", 30, degrees=True).as_matrix()
     names = [f"q{k}" for k in range(6)]
     heads = ["t", *names, "Fx", "Fy", "Fz", "Mx", "My", "Mz"]

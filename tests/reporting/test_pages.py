@@ -39,7 +39,7 @@ pytestmark = pytest.mark.slow
 SECTIONS = {
     "ur5": "warnings errors parameters prediction spectra friction instrument map asked",
     "gantry": "warnings errors parameters prediction spectra friction instrument map asked",
-    "plate": "warnings errors parameters prediction spectra friction drives friction-map "
+    "plate": "warnings errors parameters prediction spectra friction drives "
     "instrument map asked",
     "bodies": "warnings errors parameters claims prediction spectra friction bodies map asked",
     "hostile": "warnings errors parameters prediction spectra friction map asked",

@@ -15,9 +15,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import testbed as tb
 from testbed.bodies.shapes.appearance import load_appearance
-from testbed.bodies.shapes.shapes import bounds, extents
+from testbed.bodies.shapes.shapes import bounds
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import sentences
 from testbed.core.estimation.estimate import METHODS
@@ -242,13 +241,3 @@ def test_axes_end_at_round_numbers(end: float) -> None:
     assert end / 2.51 < below <= end * (1 + 1e-9)
     for found in (above, below):
         assert float(f"{found:.1e}") == pytest.approx(found)
-
-
-def test_the_box_around_a_body_holds_its_shapes_and_no_more(puma: tb.Tree) -> None:
-    """A consistent body has its mass within; one without shapes may have it anywhere."""
-    shapes = load_appearance(puma).shapes
-    found = extents([shape for shape in shapes if shape.body != 1], puma.n)
-    assert np.isinf(found[1]).all()
-    for body in (0, 2):
-        own = np.array([bounds(shape) for shape in shapes if shape.body == body])
-        np.testing.assert_array_equal(found[body], [own[:, 0].min(axis=0), own[:, 1].max(axis=0)])

@@ -15,33 +15,26 @@ from testbed.core.base.errors import formula_free
 from testbed.core.base.files import replacing
 from testbed.core.robot.friction import COULOMB, LOAD, QUADRATIC_LOAD, ROTOR, STRIBECK, VISCOUS
 
-HEADS = (
-    "joint", "speed_from", "speed_to", "load_from", "load_to", "speed", "load", "friction", "sigma",
-    "rows", "law",
-)  # fmt: skip
-"""Of the table: cells of the map, and what the joint's terms make of their mean speed and load."""
+HEADS = ("joint", "speed", "friction", "sigma", "law")
+"""Of the table: nodes of the curve, and what the joint's terms take at their speeds, unloaded."""
 
 DRY = {COULOMB.kind, VISCOUS.kind, ROTOR.kind, STRIBECK}
 """Terms that all of BAM's models have parameters for from M2 on."""
 
 
 def table(found: DriveFindings) -> str:
-    """The maps as CSV, for a controller's feed-forward: SI, joint side, true torque.
+    """The curves as CSV, for a controller's feed-forward: SI, joint side, true torque.
 
     Args:
-        found: Maps and terms of all joints.
+        found: Curves and terms of all joints.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(HEADS)
-    for cells, drive in zip(found.maps, found.estimates, strict=True):
-        law = drive.friction(cells.speed, cells.load)
-        numbers = [
-            cells.speeds, cells.loads, cells.speed, cells.load, cells.friction, cells.sigma,
-            cells.rows, law,
-        ]  # fmt: skip
-        for row in np.column_stack(numbers).tolist():
-            writer.writerow([formula_free(cells.joint), *row])
+    for curve, drive in zip(found.curves, found.estimates, strict=True):
+        law = drive.friction(curve.speed, np.zeros_like(curve.speed))
+        for row in np.column_stack([curve.speed, curve.torque, curve.sigma, law]).tolist():
+            writer.writerow([formula_free(curve.joint), *row])
     return text.getvalue()
 
 

@@ -19,7 +19,6 @@ from testbed.applications.drives.friction_curves import (
     offered,
     picked_terms,
 )
-from testbed.applications.drives.friction_map import FrictionMap, friction_maps
 from testbed.applications.drives.joint_regression import (
     JointRegression,
     Torques,
@@ -41,7 +40,6 @@ from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
-from testbed.core.robot.friction import LAWS
 from testbed.core.robot.tree import Tree
 
 DONE = 1e-12
@@ -223,13 +221,11 @@ class DriveFindings(Diagnosed):
         estimates: Constants and terms, one a joint.
         curves: Friction over velocity, one a joint.
         combined: The bodies by plate and torques together.
-        maps: Friction over velocity and load, one a joint.
     """
 
     estimates: tuple[DriveEstimate, ...]
     curves: tuple[FrictionCurve, ...]
     combined: Combined
-    maps: tuple[FrictionMap, ...] = ()
 
     @property
     def gears(self) -> dict[str, float]:
@@ -253,9 +249,9 @@ def with_drives(tree: Tree, found: DriveFindings) -> Tree:
     """
     settings = {
         drive.joint: {
-            str(term.law.parameter): max(term.value, 0.0)
+            term.law.parameter: max(term.value, 0.0)
             for term in drive.terms
-            if term.law in LAWS and term.law.parameter is not None
+            if term.law.parameter is not None
         }
         for drive in found.estimates
     }
@@ -309,5 +305,4 @@ def identify_drives(
     found = regressions(torques, bodies, picked_terms(torques, choices) if choose else None)
     drives = tuple(drive_of(problem.tree, torques, each, choices.get(each.joint)) for each in found)
     curves = friction_curves(problem, bodies, drives)
-    maps = friction_maps(problem, bodies, found)
-    return DriveFindings(drives, curves, combined(torques, bodies, found), maps)
+    return DriveFindings(drives, curves, combined(torques, bodies, found))

@@ -97,7 +97,6 @@ class JointRegression:
         noise: What the residual would be, were rows independent of each other and as uncertain as
             the covariance has it [N m or N].
         rows: How many counted.
-        by_bodies: How the values move with the plate's parameters, (1 + q, N_r).
         reliability: Share of the constant that is left where what the bodies need is not known
             exactly: it is put back, and below `LEAST` there is nothing to put back.
     """
@@ -109,7 +108,6 @@ class JointRegression:
     residual: float
     noise: float
     rows: int
-    by_bodies: Array
     reliability: float = 1.0
 
     @property
@@ -278,7 +276,6 @@ def _with_bodies(
         residual=residual,
         noise=max(noise, residual),
         rows=used,
-        by_bodies=moved,
         reliability=corrected.reliability,
     )
 

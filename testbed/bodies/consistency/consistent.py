@@ -15,7 +15,7 @@ from testbed.bodies.consistency.likelihood import (
     precise,
     terms_of,
 )
-from testbed.bodies.consistency.options import ConsistencyOptions, conditions
+from testbed.bodies.consistency.options import ConsistencyOptions, known_masses
 from testbed.bodies.consistency.program import Program, program_of, solve
 from testbed.bodies.prior import Prior, matrices
 from testbed.core.base.arrays import Array, freeze
@@ -27,7 +27,7 @@ from testbed.core.estimation.diagnostics.rigid_bodies import rigid_body_test
 from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.regression.normal_equations import TINY, standard_deviations
 from testbed.core.parameters.symbols import with_standard
-from testbed.core.robot.friction import LAWS, ROTOR, JointTerm
+from testbed.core.robot.friction import ROTOR, JointTerm
 from testbed.core.robot.locks import places
 from testbed.core.robot.tree import Tree
 
@@ -166,23 +166,23 @@ def consistent(
         weight = 1 / options.prior_error**2
         z, left = solve(program, weight)
         spread, shares = spread_at(program, z, weight)
-    x, sigma = program.lead @ z, standard_deviations(spread)
+    x, sigma, terms = program.lead @ z, standard_deviations(spread), terms_of(used)
     bodies = x[: 10 * tree.n].reshape(-1, 10)
     bent = tuple(_bent(each, x, spread) for each in likelihoods)
     return Consistent(
         joints=tree.names,
         places=places(tree),
-        links=tuple(joint.body for joint in tree.joints),
+        links=tuple(each.body for each in tree.joints),
         standard=bodies,
         sigma=sigma[: 10 * tree.n].reshape(-1, 10),
         data_share=shares[: 10 * tree.n].reshape(-1, 10),
         prior=prior.standard,
-        terms=terms_of(used),
+        terms=terms,
         coefficients=x[10 * tree.n :],
         coefficient_sigma=sigma[10 * tree.n :],
         bent=bent,
         eigenvalues=np.array([_eigenvalues(each) for each in bodies]),
-        binding=tuple(_at_limits(tree, program, z)),
+        binding=tuple(_at_limits(tree, program, terms, z)),
         unsettled=left,
         prior_error=options.prior_error,
         diagnostics=tuple(_diagnostics(prior, estimates, used, bent, left)),
@@ -199,8 +199,8 @@ def problem_of(
     used, blind = _usable(estimates), tree.without_inertias()
     terms = terms_of(used)
     likelihoods = agreeing([evidence(blind, each, terms) for each in used])
-    asked = conditions(tree, prior, options, terms)
-    return used, likelihoods, program_of(blind, prior, likelihoods, asked, terms)
+    known = known_masses(tree, prior, options)
+    return used, likelihoods, program_of(blind, prior, likelihoods, known, terms)
 
 
 def _usable(estimates: Sequence[Estimate]) -> list[Estimate]:
@@ -221,12 +221,10 @@ def robot_of(found: Consistent, tree: Tree) -> Tree:
         found: Of this robot.
         tree: The robot.
     """
-    settings: dict[str, dict[str, object]] = {}
-    for term, value in zip(found.terms, found.coefficients, strict=True):
-        held = term.law in LAWS and term.law.parameter is not None and term.joint < tree.n
-        if held and term.law.parameter is not None:
-            own = settings.setdefault(tree.names[term.joint], {})
-            own[term.law.parameter] = max(float(value), 0.0)
+    settings: dict[str, dict[str, object]] = {name: {} for name in tree.names}
+    for term, value in zip(found.terms, found.coefficients.tolist(), strict=True):
+        if term.law.parameter is not None and term.joint < tree.n:
+            settings[tree.names[term.joint]][term.law.parameter] = max(value, 0.0)
     return with_standard(tree, np.array(found.standard)).with_joints(settings)
 
 
@@ -280,14 +278,13 @@ def _eigenvalues(body: Array) -> Array:
     return np.linalg.eigvalsh(whole / np.outer(size, size))
 
 
-def _at_limits(tree: Tree, program: Program, z: Array) -> Iterator[str]:
+def _at_limits(tree: Tree, program: Program, terms: Sequence[JointTerm], z: Array) -> Iterator[str]:
     """Bodies at the edge of what can be, and conditions that bind."""
     for body, own in zip(program.prior.massive, program.matrices(z), strict=True):
         if np.linalg.eigvalsh(own)[0] < THIN:
             yield f"'{tree.joints[body].body}' a possible body"
-    bounds = program.bounds
-    slack = bounds.rows @ z - bounds.values
-    yield from (n for n, left in zip(bounds.names, slack, strict=True) if left < CLOSE)
+    for k in program.positive[z[program.positive] < CLOSE] - 10 * program.bodies:
+        yield f"{terms[k].name(tree)} not negative"
 
 
 def _diagnostics(
@@ -318,7 +315,7 @@ def _diagnostics(
         yield from _moved_far(estimate, moved)
         yield from _negative(estimate)
     terms = [term for each in used for term in each.joint_terms]
-    if lost := [t.name for t in terms if t.law not in LAWS or t.law.parameter is None]:
+    if lost := [t.name for t in terms if t.law.parameter is None]:
         yield diagnose("bodies.no-place", few(lost))
 
 

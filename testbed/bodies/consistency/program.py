@@ -12,7 +12,7 @@ from scipy import linalg
 from scipy.linalg import null_space
 
 from testbed.bodies.consistency.likelihood import Likelihood
-from testbed.bodies.consistency.options import Conditions
+from testbed.bodies.consistency.options import KnownMasses
 from testbed.bodies.prior import (
     OF_COORDINATES,
     Prior,
@@ -21,8 +21,6 @@ from testbed.bodies.prior import (
     of_coordinates,
 )
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import WIDTH, SettingsError, few
-from testbed.core.estimation.diagnostics.rigid_bodies import Cone, minimise
 from testbed.core.estimation.regression.normal_equations import TINY
 from testbed.core.robot.friction import ROTOR, JointTerm
 from testbed.core.robot.tree import Tree
@@ -45,12 +43,6 @@ FADED = 1e-9
 ZERO = 1e-4
 """Sigma of what was taken to be zero, in parts of the prior's bodies."""
 
-ROOM = 1e-9
-"""Part of the prior by which some bodies must be able to obey all conditions."""
-
-PRICED = 1e-6
-"""Part of the highest price of a condition that counts, where no bodies obey all."""
-
 
 @dataclass(frozen=True, eq=False)
 class Program:
@@ -67,7 +59,8 @@ class Program:
         measured: How many of the rows are of data.
         own: Whether the file states each term, (t,): it is then drawn to it.
         positive: Places in z of terms that cannot be negative.
-        conditions: As they are on z, each of norm one.
+        exact: Rows on z whose values hold exactly, (e, m).
+        start: z that obeys them, (m,).
     """
 
     prior: Prior
@@ -77,7 +70,8 @@ class Program:
     measured: int
     own: Array
     positive: NDArray[np.int64]
-    conditions: Conditions
+    exact: Array
+    start: Array
 
     @property
     def bodies(self) -> int:
@@ -85,15 +79,9 @@ class Program:
         return len(self.prior.massive)
 
     @cached_property
-    def bounds(self) -> Conditions:
-        """Conditions that z is on one side of."""
-        return self.conditions.bounds
-
-    @cached_property
     def free(self) -> Array:
         """N, (m, k): what exact conditions leave free."""
-        exact = self.conditions.exact
-        return null_space(exact.rows) if exact.names else np.eye(self.lead.shape[1])
+        return null_space(self.exact) if len(self.exact) else np.eye(len(self.start))
 
     @cached_property
     def square(self) -> Array:
@@ -124,18 +112,18 @@ class Program:
 
     def _derivatives(self, z: Array, weight: float, barrier: float) -> tuple[Array, Array]:
         """Second and first derivatives along what is free, (k, k) and (k,)."""
-        scaled = self.bounds.rows / (self.bounds.rows @ z - self.bounds.values)[:, None]
-        rest = 10 * self.bodies
+        at, rest = self.positive, 10 * self.bodies
         gap = coordinates(np.eye(4) - np.linalg.inv(self.matrices(z)))
         away = np.concatenate([gap.ravel(), self.own * (z[rest:] - 1)])
         slope = self.rows.T @ (self.rows @ z - self.right) + weight * away
-        slope -= barrier * scaled.sum(axis=0)
-        hessian = self.square + weight * self.prior_hessian(z) + barrier * scaled.T @ scaled
+        slope[at] -= barrier / z[at]
+        hessian = self.square + weight * self.prior_hessian(z)
+        hessian[at, at] += barrier / z[at] ** 2
         return self.free.T @ hessian @ self.free, self.free.T @ slope
 
     def _value(self, z: Array, weight: float, barrier: float) -> float:
         """Infinite where z is not inside."""
-        slack = self.bounds.rows @ z - self.bounds.values
+        slack = z[self.positive]
         if (slack <= 0).any():
             return np.inf
         own, rest = self.matrices(z), 10 * self.bodies
@@ -170,11 +158,8 @@ def solve(program: Program, weight: float) -> tuple[Array, float]:
     Args:
         program: What is to be minimised.
         weight: Of the prior.
-
-    Raises:
-        SettingsError: No bodies obey all conditions; names those that contradict each other.
     """
-    z, gain = _inside(program), np.inf
+    z, gain = program.start, np.inf
     for stage, barrier in _stages(program, z, weight):
         last = stage == weight and barrier == FADED
         enough = DONE if last else ROUGH * max(barrier, FADED)
@@ -196,7 +181,7 @@ def _stages(program: Program, start: Array, last: float) -> Iterator[tuple[float
         yield weight, weight
         weight = max(weight / FALL, last)
     barrier = last
-    while program.bounds.names and barrier > FADED:
+    while program.positive.size and barrier > FADED:
         yield last, barrier
         barrier /= FALL
     yield last, FADED
@@ -206,7 +191,7 @@ def program_of(
     tree: Tree,
     prior: Prior,
     likelihoods: Sequence[Likelihood],
-    asked: Conditions,
+    known: KnownMasses,
     terms: tuple[JointTerm, ...],
 ) -> Program:
     """The problem in numbers near one.
@@ -215,7 +200,7 @@ def program_of(
         tree: The robot.
         prior: Its bodies before the data.
         likelihoods: What estimates say.
-        asked: Conditions on x.
+        known: Masses of bodies.
         terms: Of the joints' torque, in the order of x.
     """
     measured = np.vstack([each.white @ each.rows for each in likelihoods])
@@ -227,22 +212,22 @@ def program_of(
     ]
     massive = prior.root[:, np.repeat(prior.standard[:, 0] > 0, 10)]
     lead = linalg.block_diag(massive, np.diag(sizes))
-    doubtful = asked.doubtful
-    zeros = [_unit(each.zero @ lead)[0] / ZERO for each in likelihoods]
+    masses = known.rows @ lead[: 10 * tree.n : 10]
+    doubtful, sigma = known.sigma > 0, known.sigma[known.sigma > 0]
+    zeros = [_unit(each.zero @ lead) / ZERO for each in likelihoods]
     right = [each.white @ each.estimate.values for each in likelihoods]
-    right += [doubtful.values / doubtful.sigma, np.zeros(sum(map(len, zeros)))]
-    rows, size = _unit(asked.rows @ lead)
+    right += [known.values[doubtful] / sigma, np.zeros(sum(map(len, zeros)))]
+    start = np.outer(known.scale[list(prior.massive)], coordinates(np.eye(4)))
     return Program(
         prior=prior,
         lead=lead,
-        rows=np.vstack([measured @ lead, doubtful.rows @ lead / doubtful.sigma[:, None], *zeros]),
+        rows=np.vstack([measured @ lead, masses[doubtful] / sigma[:, None], *zeros]),
         right=np.concatenate(right),
         measured=len(measured),
         own=(stated > 0).astype(float),
         positive=massive.shape[1] + np.flatnonzero([term.positive for term in terms]),
-        conditions=Conditions(
-            asked.names, rows, asked.values / size, asked.sigma / size, asked.least
-        ),
+        exact=_unit(masses[~doubtful]),
+        start=np.concatenate([start.ravel(), np.ones(len(terms))]),
     )
 
 
@@ -261,38 +246,7 @@ def _usual(tree: Tree, prior: Prior, term: JointTerm) -> float:
     return turning if tree.joints[term.joint].revolute else float(body[3, 3])
 
 
-def _unit(rows: Array) -> tuple[Array, Array]:
-    """Rows of norm one, and their norms, (k,)."""
+def _unit(rows: Array) -> Array:
+    """Rows of norm one, (k, m)."""
     size = np.linalg.norm(rows, axis=1)
-    size = np.where(size > 0, size, 1.0)
-    return rows / size[:, None], size
-
-
-def _inside(program: Program) -> Array:
-    """Unknowns that obey all conditions with room, (m,): the prior, or else others."""
-    exact, bounds, m = program.conditions.exact, program.bounds, program.lead.shape[1]
-    count = 10 * program.bodies
-    one = np.ones(m)
-    one[:count] = np.tile(coordinates(np.eye(4)), program.bodies)
-    kept = np.abs(exact.rows @ one - exact.values).max(initial=0.0) <= ROOM
-    if kept and (bounds.rows @ one - bounds.values > ROOM).all():
-        return one
-    # unknowns: z and the room that all conditions leave
-    room = np.eye(1, m + 1, m)
-    cones = [
-        Cone("zero", np.column_stack([exact.rows, np.zeros(len(exact.names))]), exact.values),
-        Cone(
-            "positive", np.column_stack([-bounds.rows, np.ones(len(bounds.names))]), -bounds.values
-        ),
-        Cone("matrices", np.column_stack([-np.eye(count, m), one[:count]]), np.zeros(count)),
-        Cone("positive", room, np.array([0.5])),
-    ]
-    solved, x, prices = minimise(-room[0], cones)
-    if not solved or x[m] <= ROOM:
-        high = np.abs(np.concatenate(prices[:2]))
-        names = np.array([*exact.names, *bounds.names])[high > PRICED * high.max(initial=0.0)]
-        raise SettingsError(
-            f"no bodies obey all that is asked: {few(list(dict.fromkeys(names)), WIDTH, '; ')}"
-        )
-    z = x[:m]
-    return z - np.linalg.pinv(exact.rows) @ (exact.rows @ z - exact.values)
+    return rows / np.where(size > 0, size, 1.0)[:, None]

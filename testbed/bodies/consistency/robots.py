@@ -138,19 +138,20 @@ def robots(
         centre, _ = solve(program, 1 / error**2)
         z = _draws(program, centre, error, count, rng)
         _, share = spread_at(program, centre, 1 / error**2)
-    x, one = z @ program.lead.T, (tree.n, BODY)
+    x = z @ program.lead.T
     losses = losses_of_file(tree, prior, error, count, rng)
     loss_share = np.zeros(losses.shape[1:])
     for k, term in enumerate(terms_of(used), start=BODY * tree.n):
         if term.law in LOSSES and term.joint < tree.n:
             place = term.joint, LOSSES.index(term.law)
             losses[(slice(None), *place)], loss_share[place] = x[:, k], share[k]
-    bodies, body_share = (each[..., : BODY * tree.n] for each in (x, share))
+    bodies = x[:, : BODY * tree.n].reshape(count, tree.n, BODY)
+    body_share = share[: BODY * tree.n].reshape(tree.n, BODY)
     return Robots(
         joints=tree.names,
         links=tuple(joint.body for joint in tree.joints),
-        values=np.concatenate([bodies.reshape(count, *one), losses], axis=-1),
-        share=np.concatenate([body_share.reshape(one), loss_share], axis=-1),
+        values=np.concatenate([bodies, losses], axis=-1),
+        share=np.hstack([body_share, loss_share]),
         prior_error=error,
     )
 
@@ -233,8 +234,7 @@ def _draws(
         found += _log_prior(of_coordinates(z[:, :bodies].reshape(len(z), -1, 10)), error)
         logs = np.log(z[:, own])  # of what the file states of the joints
         found -= (logs + 0.5 * (logs / error) ** 2).sum(axis=1)
-        possible = (z @ program.bounds.rows.T > program.bounds.values).all(axis=1)
-        return np.where(possible & np.isfinite(found), found, -np.inf)
+        return np.where(np.isfinite(found), found, -np.inf)
 
     move = centre - mean
     move[program.positive] = 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -136,26 +136,6 @@ def bounds(shape: Shape) -> tuple[Array, Array]:
         ends = np.sqrt(np.maximum(1 - turn[:, 2] ** 2, 0)) if shape.kind == "cylinder" else 1.0
         half = length * np.abs(turn[:, 2]) + radius * ends
     return shape.position - half, shape.position + half
-
-
-def extents(shapes: Iterable[Shape], bodies: int) -> Array:
-    """Least and greatest coordinates of every body's shapes in its own frame, (n, 2, 3) [m].
-
-    Infinite where a body has no shapes.
-
-    Args:
-        shapes: Of all bodies.
-        bodies: Their number, n.
-    """
-    least, greatest = np.full((bodies, 3), np.inf), np.full((bodies, 3), -np.inf)
-    for shape in shapes:
-        if shape.body >= 0:
-            low, high = bounds(shape)
-            least[shape.body] = np.minimum(least[shape.body], low)
-            greatest[shape.body] = np.maximum(greatest[shape.body], high)
-    empty = ~np.isfinite(least[:, 0])
-    least[empty], greatest[empty] = -np.inf, np.inf
-    return np.stack([least, greatest], axis=1)
 
 
 def triangles(shape: Shape) -> Array:

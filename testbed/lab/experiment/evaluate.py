@@ -10,8 +10,6 @@ import numpy as np
 from testbed.bodies.consistency.consistent import Consistent
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.prior import Prior, prior_of
-from testbed.bodies.shapes.appearance import load_shapes
-from testbed.bodies.shapes.shapes import extents
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import TestbedError
 from testbed.core.estimation.estimate import METHODS, Method
@@ -23,7 +21,6 @@ from testbed.core.parameters.symbols import standard
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.inertia import Inertia, upper_root
 from testbed.core.robot.locks import with_rotor_spin
-from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_robot import model_of, sensed_robot
@@ -109,8 +106,7 @@ def bodies_asked(experiment: Experiment, tree: Tree) -> tuple[Prior, Consistency
     options = experiment.consistent
     if options is None:
         return None
-    believed, model = wrong_prior(tree, experiment), model_of(experiment)
-    return prior_from(believed, model, shapes=options.centres_in_shapes), options
+    return prior_of(wrong_prior(tree, experiment)), options
 
 
 def wrong_bodies(tree: Tree, error: float, rng: np.random.Generator) -> Tree:
@@ -135,20 +131,6 @@ def _wrong(body: Inertia, error: float, rng: np.random.Generator) -> Inertia:
     except np.linalg.LinAlgError:
         return body
     return Inertia.of_pseudo(root @ root.T)
-
-
-def prior_from(tree: Tree, model: ModelFile | None, *, shapes: bool) -> Prior:
-    """The bodies of a tree as a prior, with the boxes around their shapes where those matter.
-
-    Args:
-        tree: The robot.
-        model: Its model file.
-        shapes: Whether mass centres are to lie in their shapes.
-    """
-    if model is None or not shapes:
-        return prior_of(tree)
-    seen = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
-    return prior_of(tree, extents(seen.shapes, tree.n))
 
 
 def with_body_metrics(run: Run) -> Run:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import clarabel
 import numpy as np
@@ -118,69 +117,21 @@ def _separating(forms: Array, rotors: Array, wanted: Array, root: Array) -> Arra
         root: R, (N, N), their covariance R R'.
     """
     size = float(np.linalg.norm(np.linalg.solve(root, wanted))) or 1.0  # for the solver: near one
-    length = np.vstack([np.zeros(len(wanted)), -root.T])
+    count = len(wanted)
+    rows = np.vstack([np.zeros(count), -root.T, forms.T, rotors.T])
     cones = [
-        Cone("norm", length, np.eye(1, len(length))[0]),
-        Cone("matrices", forms.T, np.zeros(forms.shape[1])),
-        Cone("positive", rotors.T, np.zeros(rotors.shape[1])),
+        clarabel.SecondOrderConeT(1 + count),
+        *[clarabel.PSDTriangleConeT(4)] * (forms.shape[1] // 10),
+        *([clarabel.NonnegativeConeT(rotors.shape[1])] if rotors.size else []),
     ]
-    return minimise(-wanted / size, cones)[1]
-
-
-Kind = Literal["zero", "positive", "norm", "matrices"]
-
-
-@dataclass(frozen=True, eq=False)
-class Cone:
-    """Rows of a program: right - rows x lies in a cone.
-
-    Attributes:
-        kind: "zero", numbers that are zero; "positive", that are not negative; "norm", the first
-            is at least the norm of the others; "matrices", coordinates of positive semidefinite
-            4 x 4 matrices one after the other (`pseudo_inertia.coordinates`).
-        rows: (k, m).
-        right: (k,).
-    """
-
-    kind: Kind
-    rows: Array
-    right: Array
-
-
-def minimise(costs: Array, cones: Sequence[Cone]) -> tuple[bool, Array, list[Array]]:
-    """The least costs' x with all rows in their cones.
-
-    Args:
-        costs: (m,).
-        cones: At least one.
-
-    Returns:
-        Whether there is one; x, (m,); and how much the costs gain when a row's right side does, or,
-        where there is no x, the combination of rows that proves it, cone by cone.
-    """
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
-    found = clarabel.DefaultSolver(
-        sparse.csc_matrix((len(costs), len(costs))),  # no quadratic part
-        costs,
-        sparse.csc_matrix(np.vstack([cone.rows for cone in cones])),
-        np.concatenate([cone.right for cone in cones]),
-        [part for cone in cones for part in _parts(cone)],
+    program = clarabel.DefaultSolver(
+        sparse.csc_matrix((count, count)),  # no quadratic part
+        -wanted / size,
+        sparse.csc_matrix(rows),
+        np.eye(1, len(rows))[0],
+        cones,
         settings,
-    ).solve()
-    ends = np.cumsum([len(cone.right) for cone in cones])[:-1]
-    solved = str(found.status) in ("Solved", "AlmostSolved")
-    return solved, np.array(found.x), np.split(np.array(found.z), ends)
-
-
-def _parts(cone: Cone) -> list[object]:
-    """A cone as the solver has it."""
-    count = len(cone.right)
-    if cone.kind == "matrices":
-        return [clarabel.PSDTriangleConeT(4)] * (count // 10)
-    kinds = {
-        "zero": clarabel.ZeroConeT,
-        "positive": clarabel.NonnegativeConeT,
-        "norm": clarabel.SecondOrderConeT,
-    }
-    return [kinds[cone.kind](count)] if count else []
+    )
+    return np.array(program.solve().x)
