@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.core.base.errors import RecordingError, UnknownName, UnseenParameters
 from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Method
-from testbed.core.estimation.noise.score_squares import ScoreSquares, bin_size, hidden
+from testbed.core.estimation.noise.score_squares import bin_size, hidden, score_squares
 from testbed.core.estimation.regression.windows import (
     ROW_ATTENUATION,
     low_pass,
@@ -302,21 +302,15 @@ def test_as_accurate_as_lstsq_up_to_a_condition_of_a_million(exponent: int) -> N
     assert ours <= (3 * max(float(theirs), 4e-15) if estimate.condition <= 1e6 else 1e-6)
 
 
-@given(rngs, st.lists(st.integers(0, 100), max_size=4))
-def test_the_covariances_sums_have_bartletts_weights(
-    rng: np.random.Generator, cuts: list[int]
-) -> None:
-    """However scores are cut into windows: else sigma under slow noise is too small."""
+@given(rngs)
+def test_the_covariances_sums_have_bartletts_weights(rng: np.random.Generator) -> None:
+    """Else sigma under slow noise is too small; half a second at 20 Hz is ten lags."""
     scores = rng.normal(size=(100, 4))
-    squares = ScoreSquares(4, rate=20.0)
-    for part in np.split(scores, sorted(cuts)):
-        squares.add(part)
-    assert squares.lags == 10
     expected = scores.T @ scores
     for lag in range(1, 11):
         overlap = scores[lag:].T @ scores[:-lag]
         expected += (1 - lag / 11) * (overlap + overlap.T)
-    np.testing.assert_allclose(squares.finish(), expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(score_squares(scores, 20.0), expected, rtol=1e-12, atol=1e-12)
     assert [bin_size(rate) for rate in (20.0, 100.0, 1000.0, 1e5)] == [1, 8, 64, 64]
 
 
@@ -326,9 +320,7 @@ def test_what_those_weights_hide_of_filtered_noise_is_given_back() -> None:
         weights, rows = row_weights(rate, 5.0), rate / step
         whole = seen = 0.0
         for phase in range(step):
-            squares = ScoreSquares(1, rows)
-            squares.add(weights[phase::step][:, None])
-            seen += float(squares.finish()[0, 0])
+            seen += float(score_squares(weights[phase::step][:, None], rows)[0, 0])
             whole += float(weights[phase::step].sum() ** 2)
         assert hidden(weights, step, rows) == pytest.approx(whole / seen, rel=1e-9)
         assert hidden(np.ones(1), step, rows) == 1.0

@@ -19,7 +19,7 @@ from testbed.applications.payload.payload import SEEN, SMALLEST, seen_of_payload
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.errors import SettingsError, UnknownName
-from testbed.core.estimation.noise.score_squares import ScoreSquares, bin_size, hidden, sandwich
+from testbed.core.estimation.noise.score_squares import bin_size, hidden, score_squares
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import (
     TINY,
@@ -193,14 +193,14 @@ def _covariance(halves: Sequence[_Half], scales: Array, v: Array) -> Array:
     total = np.zeros_like(inverse)
     for half in halves:
         x, plan = half.lead @ v + half.fixed, half.passes.plan
-        squares, weights = ScoreSquares(len(inverse), plan.rate), half.weights(x, scales)
+        scores, weights = [], half.weights(x, scales)
         for columns, measured in half.passes.rows(np.eye(len(x))):
             torque = columns @ x
             left = weights[:, None] * (measured - scales[:, None] * torque)
             by_rest = np.einsum("ct,ctp->tp", left * scales[:, None], columns) @ half.lead
-            scores = np.hstack([(left * torque).T, by_rest])
-            squares.add(np.add.reduceat(scores, range(0, len(scores), bin_size(plan.rate))))
+            rows = np.hstack([(left * torque).T, by_rest])
+            scores.append(np.add.reduceat(rows, range(0, len(rows), bin_size(plan.rate))))
         lost = len(inverse) / len(scales) / 2  # rows' worth of freedom, a channel and recording
         factor = hidden(plan.weights, plan.step, plan.rate) / max(1 - lost / plan.rows, 0.1)
-        total += factor * squares.finish()
-    return sandwich(inverse, total)[: len(scales), : len(scales)]
+        total += factor * score_squares(np.vstack(scores), plan.rate)
+    return np.asarray(inverse @ total @ inverse)[: len(scales), : len(scales)]

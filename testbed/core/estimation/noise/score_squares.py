@@ -25,47 +25,17 @@ def bin_size(rate: float) -> int:
     return size
 
 
-class ScoreSquares:
-    """Sum over all pairs of scores of one window, with Bartlett's weights, as they come."""
-
-    def __init__(self, columns: int, rate: float) -> None:
-        """Nothing yet.
-
-        Args:
-            columns: Number p of columns.
-            rate: Rows a second [Hz].
-        """
-        self.lags = max(int(WINDOW * rate / bin_size(rate)), 1)
-        self.total = np.zeros(columns)
-        self._recent = np.zeros((self.lags, columns))
-        self._sum = np.zeros((columns, columns))
-
-    def add(self, scores: Array) -> None:
-        """Go on with scores of consecutive bins, (bins, p)."""
-        self.total += scores.sum(axis=0)
-        self._slide(scores)
-
-    def finish(self) -> Array:
-        """The weighted sum, (p, p)."""
-        self._slide(np.zeros_like(self._recent))
-        return self._sum / (self.lags + 1)
-
-    def _slide(self, scores: Array) -> None:
-        run = np.vstack([self._recent, scores])
-        sums = np.cumsum(np.vstack([np.zeros(run.shape[1]), run]), axis=0)
-        windows = sums[self.lags + 1 :] - sums[: -self.lags - 1]
-        self._sum += windows.T @ windows
-        self._recent = run[len(run) - self.lags :]
-
-
-def sandwich(inverse: Array, squares: Array) -> Array:
-    """Covariance of the unknowns, (p, p).
+def score_squares(scores: Array, rate: float) -> Array:
+    """Sum over all pairs of scores of one window, with Bartlett's weights, (p, p).
 
     Args:
-        inverse: Of X' W X, (p, p).
-        squares: Of the scores, (p, p).
+        scores: Of consecutive bins, (bins, p).
+        rate: Rows a second [Hz].
     """
-    return inverse @ squares @ inverse
+    lags = max(int(WINDOW * rate / bin_size(rate)), 1)
+    sums = np.cumsum(np.pad(scores, ((lags + 1, lags), (0, 0))), axis=0)
+    windows = sums[lags + 1 :] - sums[: -lags - 1]
+    return np.asarray(windows.T @ windows / (lags + 1))
 
 
 def hidden(weights: Array, step: int, rate: float) -> float:
