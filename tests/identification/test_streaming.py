@@ -272,7 +272,7 @@ def test_what_recordings_say_together_is_the_sum_of_what_each_says(method: Metho
     each = [tb.identify(tree, part, method) for part in parts]
     for order in (1, -1):
         whole = tb.identify(tree, Joined(parts[::order]), method)
-        for what in ("used", "normal", "right", "square"):
+        for what in ("used", "normal", "right", "squares"):
             total = sum(getattr(one.normal_equations, what) for one in each)
             mine = getattr(whole.normal_equations, what)
             np.testing.assert_allclose(mine, total, rtol=1e-9, atol=1e-9)
