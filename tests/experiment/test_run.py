@@ -266,7 +266,7 @@ def test_another_motion_is_about_as_fast_lasts_no_longer_and_shows_what_it_shows
         assert motion.fundamental == asked.motion.fundamental
         seen.append(asked)
 
-    monkeypatch.setattr(module, "simulate", kept)
+    monkeypatch.setattr(module, "record", kept)
     for fundamental, duration, taken in ((0.1, 60.0, 12.0), (0.05, 60.0, 20.0), (0.1, 5.0, 5.0)):
         words = [f"motion.duration={duration}", f"motion.fundamental={fundamental}", "seed=7"]
         unseen(replace(run, experiment=tb.Experiment.of_model(MODELS["puma"], words)))
