@@ -41,7 +41,8 @@ SECTIONS = {
     "gantry": "warnings errors parameters prediction spectra friction instrument map asked",
     "plate": "warnings errors parameters prediction spectra friction drives "
     "instrument map asked",
-    "bodies": "warnings errors parameters claims prediction spectra friction bodies instrument map asked",
+    "bodies": "warnings errors parameters claims prediction spectra friction bodies instrument "
+    "map asked",
     "hostile": "warnings errors parameters prediction spectra friction instrument map asked",
     "half": "warnings errors parameters prediction spectra map asked",
     "silent": "warnings prediction map asked",
