@@ -137,13 +137,12 @@ def identify(
     gigabytes: Annotated[float, typer.Option(help="Size of a recording to identify.")] = 0.0,
 ) -> None:
     """The complete answer against Pinocchio in a loop and lstsq; threads; memory."""
-    from benchmarks.identify import answer, default, memory, stored
+    from benchmarks.identify import answer, memory, stored
     from benchmarks.regressor import cases
 
     known = {case.name: case for case in cases()}
     if gigabytes:  # first: what a process once held stays in its peak
         _print(stored(known["puma6"], gigabytes))
-    _print(default(rounds))
     _print(memory(known["puma6"]))
     for case in known.values():
         for model in ("dynamic", "reaction"):
@@ -261,7 +260,6 @@ def coverage(
     runs: Annotated[int, typer.Option(min=2, help="Recordings of each kind.")] = 200,
     first: Annotated[int, typer.Option(help="The first seed.")] = 5000,
     seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 20.0,
-    noise: Annotated[str, typer.Option(help="Setting of the identification.")] = "ar",
     only: Annotated[str, typer.Option(help="Only studies whose words hold this.")] = "",
 ) -> None:
     """How often intervals of 95 % hold the truth: docs/uncertainty.md; exit code 1 if too few."""
@@ -269,8 +267,7 @@ def coverage(
     from benchmarks.coverage import coverage as measured
     from benchmarks.coverage import studies
 
-    settings = tb.Settings(noise="white" if noise == "white" else "ar")
-    asked = (study for study in studies(settings, seconds) if only in study.words)
+    asked = (study for study in studies(tb.Settings(), seconds) if only in study.words)
     lines = list(_printed(measured(study, first, runs) for study in asked))
     raise typer.Exit(int(not all(line["held"] for line in lines)))
 

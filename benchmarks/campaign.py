@@ -52,9 +52,9 @@ def run_cost(seconds: float, runs: int) -> dict[str, Any]:
     experiments = [tb.Experiment.load(files, [*words, f"seed={k}"]) for k in range(runs)]
     short = tb.Experiment.load(files, [*words, "motion.duration=2.0"])
     with one_blas_thread():
-        evaluate(short, tb.simulate(short), threads=1)  # a worker that has lived a while
+        evaluate(short, tb.record(short), threads=1)  # a worker that has lived a while
         start = time.process_time()
-        recordings = [tb.simulate(each) for each in experiments]
+        recordings = [tb.record(each) for each in experiments]
         middle = time.process_time()
         pairs = zip(experiments, recordings, strict=True)
         done = [evaluate(each, recording, threads=1) for each, recording in pairs]

@@ -33,7 +33,7 @@ def accuracy(durations: tuple[float, ...], seeds: range) -> Iterator[dict[str, A
         for seed in seeds:
             overrides = [f"motion.duration={seconds}", f"seed={seed}"]
             experiment = tb.Experiment.load(ROOT / "experiments/table6.toml", overrides)
-            tree, recording = tb.load_tree(experiment.model), tb.simulate(experiment)
+            tree, recording = tb.load_tree(experiment.model), tb.record(experiment)
             settings = experiment.identification
             made = [tb.identify(tree, recording, m, settings=settings) for m in METHODS]
             for used in (made[:1], made[1:], made):

@@ -132,7 +132,7 @@ def recorded(tree: tb.Tree, study: Study, seed: int) -> Recording:
         settings.append(f"motion.max_velocity={{{listed}}}")
     experiment = tb.Experiment.load(ROOT / "experiments/table6.toml", settings)
     changed = {"model": str(ROBOTS[study.robot]), "measurement": instrument(study.noise)}
-    return tb.simulate(experiment.model_copy(update=changed)).blind()
+    return tb.record(experiment.model_copy(update=changed)).blind()
 
 
 def truth_of(tree: tb.Tree, estimate: Estimate) -> Array:

@@ -132,7 +132,7 @@ def recorded(model: Path, seed: int, seconds: float) -> Recording:
         "measurement.torque_constant_error={}",
     ]
     experiment = tb.Experiment.load(ROOT / "experiments/table6.toml", settings)
-    found = tb.simulate(experiment.model_copy(update={"model": str(model)}))
+    found = tb.record(experiment.model_copy(update={"model": str(model)}))
     return found.blind()
 
 

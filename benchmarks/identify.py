@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from benchmarks.random_recordings import ROBOTS, recorded
 from benchmarks.regressor import Case, stack
 from benchmarks.timing import forget_peak, least, peak_rss
 from testbed.core.estimation.estimate import Method
@@ -20,7 +19,7 @@ from testbed.core.parameters.rules import Model
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import DerivedSource
 
-EXACT = tb.Settings(position_cutoff="off", cutoff="off", deadband=0.0, terms=(), noise="white")
+EXACT = tb.Settings(position_cutoff="off", cutoff="off", deadband=0.0, terms=())
 REPEATS = {"arm3": 200, "puma6": 200, "tree30": 64}
 """How many times the samples of a case make a long recording."""
 
@@ -98,24 +97,6 @@ def answer(case: Case, model: Model, rounds: int) -> dict[str, Any]:
         "ratio": round((ns["loop"] + ns["lstsq"]) / ns["answer"], 1),
         "two_threads": round(clock["answer_1"] / clock["answer_2"], 2),
         "peak_rss_mb": round(peak_rss()),
-    }
-
-
-def default(rounds: int) -> dict[str, Any]:
-    """The default's cost beside that of white noise: a minute of the PUMA, encoders and plate."""
-    tree = tb.load_tree(ROBOTS["puma"])
-    recording = recorded(tree, "default", "white", 60.0, 0)
-    best = least(
-        {
-            settings.noise: partial(tb.identify, tree, recording, settings=settings, threads=1)
-            for settings in (tb.Settings(zeros=True, noise="white"), tb.Settings(zeros=True))
-        },
-        rounds,
-    )
-    return {
-        "benchmark": "default",
-        "seconds": {noise: round(value, 3) for noise, value in best.items()},
-        "ratio": round(best["ar"] / best["white"], 2),
     }
 
 

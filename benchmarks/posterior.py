@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from testbed.bodies.posterior import Posterior, errors_of_another, posterior
+from testbed.bodies.posterior import Posterior, posterior, rows_of
 from testbed.bodies.prior import prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import UnseenParameters
 from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.selection.prediction_errors import errors_of_another
 from testbed.core.recordings.recording import Recording
 from testbed.lab.experiment.evaluate import wrong_bodies
 from tests.helpers.measured import measured
@@ -78,5 +79,5 @@ def _found(tree: tb.Tree, recording: Recording) -> Posterior:
         estimate = tb.identify(tree, recording, "internal", settings=SETTINGS)
     except UnseenParameters:
         estimate = None
-    prior = prior_of(tree)
-    return posterior(tree, recording, prior, "internal", estimate, settings=SETTINGS)
+    rows = rows_of(Problem.of(tree, recording, "internal", SETTINGS), estimate)
+    return posterior(rows, prior_of(tree), estimate)

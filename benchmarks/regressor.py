@@ -14,7 +14,7 @@ from benchmarks.timing import least, peak_flops, peak_rss
 from testbed.core.base.arrays import Array
 from testbed.core.kernel import numba_engine
 from testbed.core.kernel.layout import Layout, layout
-from testbed.core.kernel.records import Question, Signals, products_wanted
+from testbed.core.kernel.records import Signals
 from testbed.core.parameters.rules import Model
 from testbed.core.recordings.recording import Recording
 
@@ -115,12 +115,10 @@ def compare(case: Case, model: Model, rounds: int) -> dict[str, Any]:
     signals = case.signals(found)
     work = numba_engine.workspace(found, signals)
     a, b = stack(case, minimal)
-    nothing = Question(np.zeros(found.rows.slots), np.zeros((found.width, found.width)), 64)
     tasks = {
         "loop": case.loop(model),
         "kernel": lambda: numba_engine.fill_only(found, signals, work),
-        "fused": lambda: numba_engine.sweep(found, signals, products_wanted(found.width), work),
-        "second": lambda: numba_engine.sweep(found, signals, nothing, work),
+        "fused": lambda: numba_engine.sweep(found, signals, work),
     }
     best = least(tasks, rounds)
     best |= least({"lstsq": lambda: np.linalg.lstsq(a, b, rcond=None)}, max(3, rounds // 8))
@@ -136,7 +134,6 @@ def compare(case: Case, model: Model, rounds: int) -> dict[str, Any]:
         "ns_per_sample": {name: round(value, 1) for name, value in ns.items()},
         "kernel_ratio": round(ns["loop"] / ns["kernel"], 1),
         "fused_ratio": round(today / ns["fused"], 1),
-        "two_passes_ratio": round(today / (ns["fused"] + ns["second"]), 1),
         "limit_ns": round(2e9 * (recursion + products) / peak, 1),
         "over_limit": round(ns["fused"] * peak / (2e9 * (recursion + products)), 2),
         "peak_gflops": round(peak / 1e9, 1),

@@ -121,5 +121,4 @@ def _short(file: Path, seconds: float) -> list[str]:
     period = 1 / tomllib.loads(file.read_text())["motion"]["fundamental"]
     said = [f"motion.duration={max(period if period > LONG else 0.0, seconds):g}"]
     said += ["motion.candidates=1", "excitation.clearance=off"]
-    said += ["identification.noise=white"] * (period > LONG)
     return [word for each in said for word in ("--set", each)]

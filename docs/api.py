@@ -39,7 +39,7 @@ def as_markdown(of: str) -> str:
 
     names = of.split()
     if of == REST:
-        names = [name for name in tb.__all__ if name not in placed()]
+        names = [n for n in tb.__all__ if n not in placed() and not n.startswith("_")]
     lines: list[str] = []
     for name in names:
         lines += ["", f"### {name}", "", *entry(name, getattr(tb, name))]

@@ -34,10 +34,10 @@ def files() -> Mapping[str, type]:
     """What people write, and the value that it becomes."""
     from testbed.campaigns.campaign import CampaignTables
     from testbed.importing.mapping import Mapping as MappingFile
-    from testbed.lab.experiment.experiment import ExperimentTables
+    from testbed.lab.experiment.experiment import Experiment
 
     return {
-        "experiment": ExperimentTables,
+        "experiment": Experiment,
         "campaign": CampaignTables,
         "mapping": MappingFile,
     }

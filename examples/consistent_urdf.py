@@ -7,7 +7,7 @@ import testbed as tb
 
 model = tb.ModelFile(tb.shipped("puma562.urdf"))
 believed = model.tree()  # the file's values stay where the data do not determine them
-measured = tb.simulate(tb.Experiment.load(tb.shipped("table6"), ["motion.duration=10"]))
+measured = tb.record(tb.Experiment.load(tb.shipped("table6"), ["motion.duration=10"]))
 
 estimates = [tb.identify(believed, measured, method) for method in ("external", "internal")]
 found = tb.consistent(believed, estimates, tb.prior_of(believed))
@@ -16,6 +16,6 @@ for link, (mass, *_), (sigma, *_) in zip(found.links, found.standard, found.sigm
     print(f"{link}: {mass:.3f} +- {sigma:.3f} kg")
 
 path = Path(sys.argv[1] if len(sys.argv) > 1 else "identified.urdf")
-for each in tb.write_model(model, tb.robot_of(found, believed), path):
+for each in tb.write_model(tb.robot_of(found, believed), path):
     print(each)
 print("written:", path)

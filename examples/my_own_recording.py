@@ -8,7 +8,7 @@ tree = tb.load_tree(tb.shipped("puma562.xml"))
 def recorded(seed: int) -> tb.Recording:
     """What a logger has written, another motion for each seed."""
     words = ["motion.duration=10", "motion.candidates=1", f"seed={seed}"]
-    measured = tb.simulate(tb.Experiment.load(tb.shipped("table6"), words))
+    measured = tb.record(tb.Experiment.load(tb.shipped("table6"), words))
     return tb.Recording(
         names=("waist", "shoulder", "elbow"),  # the order of the columns below
         time=measured.time,  # (M,) [s], at a constant rate
@@ -21,7 +21,7 @@ def recorded(seed: int) -> tb.Recording:
 estimate = tb.identify(tree, recorded(1), "external", zeros=True)
 print(estimate)  # values, sigmas, warnings
 
-other = tb.validate(tree, recorded(2), estimate)
+other = tb.validate(estimate, recorded(2))
 for channel, unit, left, spread in zip(
     other.channels, other.units, other.residual, other.signal, strict=True
 ):

@@ -28,4 +28,4 @@ for signal in found.signals:
 
 tb.plot(run).savefig(folder / "errors.png", dpi=150)
 print("written:", tb.report(run, folder / "one_experiment.html"))
-print("written:", tb.view(run, folder / "one_experiment.rrd"))  # without a path it opens
+print("written:", tb.view(run, path=folder / "one_experiment.rrd"))  # without a path it opens

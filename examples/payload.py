@@ -7,7 +7,7 @@ loaded = tb.Experiment.load(tb.shipped("payload"), quick)
 empty = tb.Experiment.load(tb.shipped("payload"), [*quick, "simulation.effect=[]", "expect={}"])
 tree = tb.load_tree(tb.shipped("puma562.xml"))
 
-before, after = (tb.identify(tree, tb.simulate(each), "external") for each in (empty, loaded))
+before, after = (tb.identify(tree, tb.record(each), "external") for each in (empty, loaded))
 found = tb.payload(tree, before, after)
 
 print(f"on the link that {found.joint} moves; in truth 1 kg, 0.43 m along z")

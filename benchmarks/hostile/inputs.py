@@ -181,7 +181,7 @@ def experiments(draw: DrawFn) -> Case:
 @cache
 def recorded() -> pa.Table:
     """A second of the PUMA on its plate."""
-    recording = tb.simulate(tb.Experiment.load(ROOT / "experiments/table6.toml", SHORT))
+    recording = tb.record(tb.Experiment.load(ROOT / "experiments/table6.toml", SHORT))
     sink, columns = io.BytesIO(), recording.columns() | recording.true_columns()
     write_table(sink, recording.units(), recording.metadata, [columns])  # type: ignore[arg-type]
     return pq.read_table(io.BytesIO(sink.getvalue()))
@@ -272,7 +272,7 @@ def recordings(draw: DrawFn) -> Case:
             [
                 ("identify", "--zeros"), ("identify", "--json"),
                 ("identify", "--method", "external", "--gravity", "0,0,-1"),
-                ("identify", "--set", "identification.weights=full"),
+                ("identify", "--set", "identification.cutoff=4"),
                 ("view", "--save", "out.rrd"), ("report", "--out", "out.html"),
             ]
         )

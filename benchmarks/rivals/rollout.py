@@ -124,7 +124,7 @@ def _write(case: Case, folder: Path, methods: tuple[Method, ...], out: Path) -> 
     recording = Recording(given.joints, given.t, given.q, given.torque, given.wrench)
     estimates = [tb.identify(tree, recording, method, threads=1) for method in methods]
     found = tb.consistent(tree, estimates, tb.prior_of(tree))
-    tb.write_model(file, tb.robot_of(found, tree), out)
+    tb.write_model(tb.robot_of(found, tree), out)
     return time.process_time() - start
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 import testbed as tb
 from benchmarks.rivals.case import Answer, Case, answer
-from testbed.lab.experiment.results import versions
+from testbed.core.base.installation import versions
 
 
 def solve(case: Case, signal: str) -> Answer:

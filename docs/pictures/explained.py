@@ -28,8 +28,9 @@ from docs.pictures.drawing import (
     turn,
     words,
 )
-from testbed.bodies.posterior import posterior
+from testbed.bodies.posterior import posterior, rows_of
 from testbed.bodies.prior import prior_of
+from testbed.core.estimation.problem import Problem
 from testbed.core.parameters.identifiability import ALONE, COMBINED, identifiability
 from testbed.core.parameters.symbols import STANDARD
 from testbed.lab.instruments.chain import measured_again
@@ -298,7 +299,7 @@ def save_sigma() -> None:
     experiment = short(["motion.duration=10"])
     clean = replace(experiment.measurement, encoder_noise=0.0, encoder_resolution=0.0,
                     force_noise=0.0, moment_noise=0.0, torque_noise=0.0)  # fmt: skip
-    perfect = tb.simulate(experiment.model_copy(update={"measurement": clean}))
+    perfect = tb.record(experiment.model_copy(update={"measurement": clean}))
     tree = tb.load_tree(experiment.model)
     name = "K3yy"
     minimal = tb.minimal_set(tree, "reaction", zeros=True)
@@ -341,7 +342,8 @@ def save_real_arm() -> None:
     recording = tb.import_recording(folder / "ur5e.toml")
     file, source, _ = tb.hold_still(tb.ModelFile(folder / "ur5e_arm.urdf"), recording)
     tree, settings = file.tree(), tb.Settings(cutoff=2.0)
-    found = posterior(tree, source, prior_of(tree), settings=settings)
+    rows = rows_of(Problem.of(tree, source, "external", settings), None)
+    found = posterior(rows, prior_of(tree))
     low = butter(4, 2.0 / (source.rate / 2), output="sos")
     part = source.part(0, source.samples).ordered(tree)
     q, measured = (

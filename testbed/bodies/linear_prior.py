@@ -164,7 +164,7 @@ def _linear(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
     repeated, z = np.ones(len(used)), np.zeros(prior.root.shape[1])
     after: Array = np.eye(len(z))
     for _ in range(ROUNDS):
-        weights = np.diag(np.where(equations.used > 0, 1 / (variance * repeated), 0.0))
+        weights = np.where(equations.used > 0, 1 / (variance * repeated), 0.0)
         normal = equations.matrix(weights) + np.eye(len(z))
         after = np.asarray(np.linalg.inv(normal))
         z = after @ equations.vector(weights)
@@ -174,7 +174,7 @@ def _linear(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
         correlation = rows.correlation(prior.mean + prior.root @ z, prior.noise * used)
         repeated = (1 + correlation) / (1 - correlation)
         lost = np.einsum("cij,ji->c", equations.normal, after) / variance
-        left = np.diagonal(equations.residual(z)) / np.maximum(used - lost, FEWEST * used)
+        left = equations.residual(z) / np.maximum(used - lost, FEWEST * used)
         variance = np.maximum(left, floor)
     return z, after
 

@@ -8,12 +8,10 @@ all parameters the prior is left out, and the estimate is that of least squares.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from testbed.bodies.linear_prior import (
     DETERMINED,
@@ -25,7 +23,7 @@ from testbed.bodies.linear_prior import (
     refitted,
     with_prior,
 )
-from testbed.bodies.prior import Prior, prior_of
+from testbed.bodies.prior import Prior
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
@@ -45,16 +43,11 @@ from testbed.core.estimation.selection.prediction_errors import (
     PLAIN,
     POSTERIOR,
     REFITTED,
-    Prediction,
     PredictionErrors,
     prediction_errors,
+    predictions_of,
 )
-from testbed.core.estimation.selection.row_products import Parts, RowProducts, products_of
-from testbed.core.estimation.selection.term_choice import with_chosen_settings
-from testbed.core.estimation.settings import DEFAULTS, Settings
-from testbed.core.recordings.source import RecordingLike, Source
-from testbed.core.recordings.views import is_imported, with_gear
-from testbed.core.robot.tree import Tree
+from testbed.core.estimation.selection.row_products import RowParts, RowProducts, products_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,45 +186,32 @@ def reported_estimate(
 
 
 def posterior(
-    tree: Tree,
-    recording: RecordingLike,
+    rows: RowParts,
     prior: Prior,
-    method: Method = "external",
     estimate: Estimate | None = None,
     *,
     prior_error: float | None = None,
-    gravity: ArrayLike | None = None,
-    settings: Settings = DEFAULTS,
-    threads: int | None = None,
 ) -> Posterior:
     """What a recording adds to a model file.
 
     Args:
-        tree: The robot; friction that its joints state is the file's.
-        recording: As for `identify`.
+        rows: Of the recording; friction that the joints of its robot state is the file's.
         prior: The bodies of the model file (`prior_of`).
-        method: As for `identify`.
-        estimate: By least squares, with the same settings; None where the data determine none.
+        estimate: By least squares, of the same rows; None where the data determine none.
         prior_error: Of the file's bodies, in parts of themselves; None for the likeliest.
-        gravity: As for `identify`.
-        settings: As for `identify`.
-        threads: How many to use; default one a processor.
-
-    Raises:
-        RecordingError: As `identify`.
     """
     made = [] if estimate is None else [estimate]
-    problem, parts = parts_of(tree, recording, method, made, gravity, settings, threads)
+    problem, method, whole = rows.problem, rows.problem.method, rows.whole
     with one_blas_thread():
         error = prior_error or PRIOR_ERROR
-        before = linear_prior(problem, prior, error, parts.whole)
-        used = not parts.whole.enough.all() or not any(determines(x, before) for x in made)
+        before = linear_prior(problem, prior, error, whole)
+        used = not whole.enough.all() or not any(determines(x, before) for x in made)
         if used and prior_error is None:
-            error = likeliest(parts.whole, before)
+            error = likeliest(whole, before)
             before = before.times(error / PRIOR_ERROR)
-        values, covariance = with_prior(parts.whole, before)
+        values, covariance = with_prior(whole, before)
         if used:
-            alone = tuple(alone_determined(parts.whole, before).tolist())
+            alone = tuple(alone_determined(whole, before).tolist())
         else:
             values, covariance = made[0].values, np.array(made[0].covariance)
             alone = (True,) * len(values)
@@ -241,7 +221,7 @@ def posterior(
         }
         if made:
             fits[PLAIN] = _plain
-        count, constants = problem.minimal.count, parts.whole.constants(values)
+        count, constants = problem.minimal.count, whole.constants(values)
         variance = np.maximum(before.variance, TINY)
         return Posterior(
             method=method,
@@ -250,7 +230,7 @@ def posterior(
             units=problem.units,
             count=count,
             file=before.mean,
-            refitted=refitted(parts.whole, before),
+            refitted=refitted(whole, before),
             prior_sigma=np.sqrt(before.variance),
             values=values,
             covariance=covariance,
@@ -258,72 +238,26 @@ def posterior(
             alone=alone,
             prior_error=error,
             used=used,
-            residual=parts.whole.residual(values),
-            by_part=np.array([part.residual(values, constants) for part in parts.each]),
+            residual=whole.residual(values),
+            by_part=np.array([part.residual(values, constants) for part in rows.each]),
             duration=problem.source.samples / problem.source.rate,
             gravity=problem.tree.gravity,
-            errors=held_out_errors(problem, parts, fits, before.mean),
+            errors=held_out_errors(rows, fits, before.mean),
         )
 
 
-def posteriors(
-    tree: Tree,
-    source: Source,
-    estimates: Mapping[Method, Estimate | None],
-    settings: Settings,
-    *,
-    prior_error: float | None = None,
-    gravity: ArrayLike | None = None,
-    threads: int | None = None,
-) -> dict[Method, Posterior]:
-    """What an imported recording adds to its model file, by method.
+def rows_of(problem: Problem, estimate: Estimate | None) -> RowParts:
+    """Rows of a problem, faults of the instrument that an estimate found taken back.
 
     Args:
-        tree: The robot as the model file has it.
-        source: The recording; of one that a simulation made the model file is the truth.
-        estimates: By least squares; None where the data do not determine all parameters.
-        settings: How the signals are treated.
-        prior_error: As for `posterior`.
-        gravity: As for `identify`.
-        threads: How many to use; default one a processor.
+        problem: With the terms and the filter of the estimate.
+        estimate: By least squares; None where the data determine none.
     """
-    if not is_imported(source):
-        return {}
-    prior = prior_of(with_gear(tree, source))
-    how: dict[str, Any] = {"gravity": gravity, "settings": settings, "threads": threads}
-    return {
-        method: posterior(tree, source, prior, method, each, prior_error=prior_error, **how)
-        for method, each in estimates.items()
-    }
-
-
-def parts_of(
-    tree: Tree,
-    recording: RecordingLike,
-    method: Method,
-    made: Sequence[Estimate],
-    gravity: ArrayLike | None,
-    settings: Settings,
-    threads: int | None,
-) -> tuple[Problem, Parts]:
-    """A problem, and its rows, faults of the instrument that an estimate found taken back.
-
-    Args:
-        tree: The robot.
-        recording: As for `identify`.
-        method: By plate or by torques.
-        made: The estimate by least squares, if there is one.
-        gravity: As for `identify`.
-        settings: As for `identify`.
-        threads: How many to use; default one a processor.
-    """
-    settings = with_chosen_settings(settings, made)
-    problem = Problem.of(tree, recording, method, settings, gravity=gravity, threads=threads)
-    source, free = problem.source, "bias" in problem.settings.nuisances or not made
-    for each in made:
-        source = corrected_by(source, problem.tree, summary_of(each))
-        free = free or bool(each.unidentifiable)
-    return problem, products_of(problem, source, free and method == "external")
+    source, free = problem.source, True
+    if estimate is not None:
+        source = corrected_by(source, problem.tree, summary_of(estimate))
+        free = "bias" in problem.settings.nuisances or bool(estimate.unidentifiable)
+    return products_of(problem, source, free and problem.method == "external")
 
 
 def determines(estimate: Estimate, prior: LinearPrior) -> bool:
@@ -338,16 +272,14 @@ def determines(estimate: Estimate, prior: LinearPrior) -> bool:
 
 
 def held_out_errors(
-    problem: Problem,
-    parts: Parts,
+    parts: RowParts,
     fits: Mapping[str, Callable[[RowProducts], Array]],
     file: Array | None = None,
 ) -> tuple[PredictionErrors, ...]:
     """What fits of some parts leave of others, split by split.
 
     Args:
-        problem: Whose rows.
-        parts: Of its rows.
+        parts: Of the rows.
         fits: By name, what finds values of the unknowns by rows.
         file: The model file's values, (p,), to be beside them.
     """
@@ -358,40 +290,14 @@ def held_out_errors(
             models = {name: fit(seen) for name, fit in fits.items()}
             if file is not None:
                 models[FILE] = file
-            pairs.append((_predictions(seen, models), rest))
-        found.append(prediction_errors(problem, kind, pairs))
+            pairs.append((predictions_of(seen, models), rest))
+        found.append(prediction_errors(parts.problem, kind, pairs))
     return tuple(found)
-
-
-def _predictions(rows: RowProducts, models: Mapping[str, Array]) -> dict[str, Prediction]:
-    """Values and constants that suit the rows by what predicts; the file alone has none."""
-    none = np.zeros(len(rows.channels))
-    return {
-        name: (values, none if name == FILE else rows.constants(values))
-        for name, values in models.items()
-    }
 
 
 def _plain(rows: RowProducts) -> Array:
     """Least squares, (p,)."""
     p = len(rows.unknowns)
     equations = rows.equations(np.eye(p), np.zeros(p))
-    weights = noise_weights(equations, None)
+    weights = noise_weights(equations)
     return scaled_solve(equations.matrix(weights), equations.vector(weights))
-
-
-def errors_of_another(
-    problem: Problem, source: Source, models: Mapping[str, Array]
-) -> PredictionErrors:
-    """What a model file and estimates leave of another recording.
-
-    All but the file as it is stand about the mean of what they leave of the plate: its zero
-    belongs to a recording.
-
-    Args:
-        problem: The other recording.
-        source: The same, faults of the instrument taken back.
-        models: Values of the unknowns by what says them.
-    """
-    parts = products_of(problem, source, problem.method == "external", whole=True)
-    return prediction_errors(problem, "another", [(_predictions(parts.whole, models), parts.each)])

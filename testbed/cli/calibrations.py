@@ -140,7 +140,7 @@ def calibrate(
     from testbed.core.base.codec import encode
     from testbed.core.base.errors import SettingsError
     from testbed.core.estimation.regression.constraints import parse_known
-    from testbed.lab.experiment.read_result import write_plate
+    from testbed.lab.experiment.plate_file import write_plate
     from testbed.view import estimates as shown
     from testbed.view import output, terminal
 
@@ -260,7 +260,7 @@ def drives(
         if friction is not None:
             write_friction(found, friction)
         if write is not None:
-            links, _ = writing.bodies(reading, model, source, [bodies], {})
+            links = writing.bodies(reading, model, source, [bodies])
             said += writing.written(links, reading, model, [recording], found, late)
             lines.append(f"model file: {write}")
     if write is not None and unseen is not None:

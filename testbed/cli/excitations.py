@@ -151,8 +151,8 @@ def _interrupt() -> Iterator[Callable[[], bool]]:
 
 def _experiment(file: Path, settings: list[str]) -> Experiment:
     """An experiment file, or one that says only which model."""
-    from testbed.lab.experiment.evaluate import with_nearest_bodies
     from testbed.lab.experiment.experiment import Experiment
+    from testbed.lab.experiment.experiment_robot import with_nearest_bodies
 
     if file.suffix.lower() == ".toml":
         return Experiment.load(file, settings)

@@ -47,8 +47,8 @@ def run(
     """Carry out an experiment: simulate, identify, compare with the model file.
 
     What may be wrong with the instruments is added by
-    --set 'measurement.fault=[{kind="plate_bias"}, {kind="encoder_zero_error"}]'. `testbed faults`
-    lists the kinds.
+    --set 'measurement.fault=[{kind="plate_bias"}, {kind="encoder_zero_error"}]'. `testbed list`
+    has the kinds.
 
     Example: testbed run experiments/table6.toml --set motion.duration=20
     """
@@ -88,36 +88,17 @@ def simulate(
     Example: testbed simulate experiments/table6.toml --out recording.parquet
     """
     from testbed.lab.experiment.experiment import Experiment
-    from testbed.lab.experiment.simulate import simulate as simulated
+    from testbed.lab.experiment.record import record
     from testbed.view import output
 
     check_outputs(out, force=force, read=(file,))
     experiment = Experiment.load(file, settings or ())
     with output.Progress("simulating") as progress:
-        recording = simulated(experiment, progress)
+        recording = record(experiment, progress)
     recording.save(out)
     output.console().print(
         f"{plural(recording.samples, 'sample')} at {recording.rate:g} Hz in {out}"
     )
-
-
-@app.command()
-def warmup() -> None:
-    """Compile the fast kernel and the simulation's loop ahead of their first use.
-
-    Example: testbed warmup
-    """
-    from testbed.core.base.installation import shipped
-    from testbed.core.kernel.numba_engine import warm_up
-    from testbed.lab.experiment.assumptions import SECOND
-    from testbed.lab.experiment.experiment import Experiment
-    from testbed.lab.experiment.simulate import simulate as simulated
-    from testbed.view import output
-
-    with output.Progress("compiling"):
-        folder = warm_up()
-        simulated(Experiment.of_model(shipped("models/puma562.xml"), SECOND))
-    output.console().print(f"compiled; kept in {folder}", soft_wrap=True)
 
 
 def _unwatched(time: Array, truth: Truth) -> None:
@@ -127,7 +108,7 @@ def _unwatched(time: Array, truth: Truth) -> None:
 def _watcher(experiment: Experiment) -> Watch:
     """A view of the run in an open viewer."""
     from testbed.bodies.shapes.appearance import load_appearance
-    from testbed.lab.experiment.evaluate import model_of, robot_of
+    from testbed.lab.experiment.experiment_robot import model_of, robot_of
     from testbed.view.viewer.live import Live
 
     look = load_appearance(robot_of(experiment), model_of(experiment))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -38,10 +38,11 @@ from testbed.core.base.diagnostics import diagnose
 if TYPE_CHECKING:
     from testbed.applications.drives.identify_drives import DriveFindings
     from testbed.bodies.consistency.consistent import Consistent
-    from testbed.bodies.posterior import Posterior
+    from testbed.bodies.consistency.options import ConsistencyOptions
+    from testbed.bodies.prior import Prior
     from testbed.cli.reading import Reading
     from testbed.core.base.diagnostics import Diagnostic
-    from testbed.core.estimation.estimate import Estimate, Method
+    from testbed.core.estimation.estimate import Estimate
     from testbed.core.recordings.source import Source
 
 
@@ -76,6 +77,23 @@ Plain = Annotated[
 InPlace = Annotated[
     bool, typer.Option("--in-place", help="Allow --write to replace the model file.")
 ]
+
+
+def prior_of_bodies(
+    reading: Reading, model: Path, source: Source
+) -> tuple[Prior, ConsistencyOptions]:
+    """Prior and conditions of consistent bodies for a recording.
+
+    Args:
+        reading: How the model file is read, and what is wished.
+        model: The model file.
+        source: The recording.
+    """
+    from testbed.bodies.prior import prior_of
+    from testbed.core.recordings.views import with_gear
+
+    tree = with_gear(reading.tree(model), source)
+    return prior_of(tree), reading.tables().consistent
 
 
 @dataclass(frozen=True)
@@ -130,45 +148,21 @@ class Writing:
             check_outputs(self.write, force=self.force or own, read=read)
 
     def bodies(
-        self,
-        reading: Reading,
-        model: Path,
-        source: Source,
-        estimates: Sequence[Estimate],
-        posteriors: Mapping[Method, Posterior],
-    ) -> tuple[Consistent, dict[Method, Posterior]]:
-        """The consistent bodies, and posteriors with them beside.
+        self, reading: Reading, model: Path, source: Source, estimates: Sequence[Estimate]
+    ) -> Consistent:
+        """Consistent bodies by estimates of a recording.
 
         Args:
             reading: How the model file is read, and what is wished.
             model: The model file.
             source: The recording.
             estimates: Of the recording.
-            posteriors: By method; the least error of the model file is theirs, where none is said.
-
-        Raises:
-            SettingsError: No bodies are as is wished.
         """
         from testbed.bodies.consistency.consistent import consistent
-        from testbed.bodies.consistency.held_out import (
-            beside_consistent,
-            with_likely_error,
-        )
-        from testbed.bodies.prior import prior_of
-        from testbed.core.estimation.problem import samples_of
         from testbed.core.recordings.views import with_gear
-        from testbed.view import output
 
         tree = with_gear(reading.tree(model), source)
-        options = with_likely_error(reading.tables().consistent, posteriors.values())
-        prior = prior_of(tree)
-        table = reading.tables().identification
-        part = samples_of(source, table)
-        with output.Progress("computing consistent bodies"):
-            found = consistent(tree, estimates, prior, options)
-            return found, beside_consistent(
-                posteriors, found, tree, part, prior, estimates, options, table
-            )
+        return consistent(tree, estimates, *prior_of_bodies(reading, model, source))
 
     def written(
         self,
@@ -179,7 +173,7 @@ class Writing:
         drives: DriveFindings | None = None,
         delay: float = 0.0,
     ) -> tuple[Diagnostic, ...]:
-        """Write the file that was asked for.
+        """Write the file that was asked for; diagnostics of bodies and file.
 
         Args:
             found: Consistent bodies.
@@ -198,10 +192,10 @@ class Writing:
         from testbed.lab.experiment.results import provenance
 
         if self.write is None:
-            return ()
+            return found.diagnostics
         file = reading.model_file(model)
         robot = robot_of(found, file.tree())
-        return write_model(
+        return found.diagnostics + write_model(
             file,
             robot if drives is None else with_drives(robot, drives),
             self.write,
@@ -263,82 +257,74 @@ def identify(
 
     Example: testbed identify recording.parquet --model robot.urdf --write identified.urdf
     """
-    from testbed.bodies.posterior import posteriors
-    from testbed.core.base.errors import SettingsError, UnseenParameters
+    from testbed.core.base.errors import SettingsError
+    from testbed.core.estimation.analysis import analyse
     from testbed.core.estimation.estimate import METHODS, NAMES, SIGNAL_OF
-    from testbed.core.estimation.identify import identify as identified
     from testbed.core.recordings.views import is_imported
     from testbed.view import output, terminal
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms, sensor)
     writing = Writing(consistent, write, fixed, in_place, force)
     writing.check(reading, model, recordings)
-    table = reading.tables().identification
-    reading, source, accepted = reading.joined(recordings, model, unchecked=unchecked)
+    reading, source, said = reading.joined(recordings, model, unchecked=unchecked)
     tree = reading.tree(model)
     if reading.prior_error and not (writing.wanted or is_imported(source)):
         raise SettingsError("--set consistent... needs --consistent, or an imported recording")
-    doubt = reading.doubt(tree)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
-    lacking = [name for name in wanted if name not in there and not tree.is_part]
-    said = [*tree.diagnostics, *accepted]
-    if everything or as_json:  # no fault: few recordings have both
+    said = [*tree.diagnostics, *said]
+    if (everything or as_json) and not tree.is_part:  # no fault: few recordings have both
         said += [
-            diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking
+            diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m])
+            for m in wanted
+            if m not in there
         ]
-
-    found: dict[Method, Estimate | None] = {}
-    for name in there or wanted:  # the first says what lacks
-        try:
-            with output.Progress(f"identifying, {name}") as progress:
-                found[name] = identified(
-                    tree,
-                    source,
-                    name,
-                    gravity=gravity,
-                    settings=table,
-                    doubt=doubt,
-                    threads=threads,
-                    progress=progress,
-                )
-        except UnseenParameters as error:
-            if plain or not is_imported(source):
-                raise
-            found[name] = None
-            said.append(diagnose("estimate.missing", name, reason=error, name=NAMES[name]))
-    estimates = [each for each in found.values() if each is not None]
-    with output.Progress("comparing with the model file"):
-        added = posteriors(
+    with output.Progress("identifying") as progress:
+        found = analyse(
             tree,
             source,
-            found,
-            table,
-            prior_error=reading.prior_error,
+            reading.tables().identification,
+            methods=there or wanted,  # the first says what lacks
             gravity=gravity,
+            doubt=reading.doubt(tree),
+            prior_error=reading.prior_error,
+            bodies=prior_of_bodies(reading, model, source) if writing.wanted else None,
             threads=threads,
+            progress=progress,
         )
-    bodies = None
-    if writing.wanted:
-        bodies, added = writing.bodies(reading, model, source, estimates, added)
-        said += [*bodies.diagnostics, *writing.written(bodies, reading, model, recordings)]
+    for name, error in found.failures.items():
+        if plain or name not in found.posterior:
+            raise error
+        said.append(diagnose("estimate.missing", name, reason=error, name=NAMES[name]))
+    if found.bodies_failure is not None:
+        raise found.bodies_failure
+    if found.bodies is not None:
+        said += writing.written(found.bodies, reading, model, recordings)
+    estimates, posteriors = list(found.estimates.values()), list(found.posterior.values())
     if as_json:
-        from testbed.lab.experiment.results import identified as result_of
+        from testbed.lab.experiment.results import identified
 
-        file = reading.model_file(model)
-        result = result_of(estimates, file, reading.tables(), said, bodies, added, plain=plain)
-        output.print_json(result.document())
-    else:
-        terminal.print_estimates(
+        result = identified(
             estimates,
+            reading.model_file(model),
+            reading.tables(),
             said,
-            bodies,
-            posteriors=list(added.values()),
+            found.bodies,
+            found.posterior,
             plain=plain,
-            everything=everything,
         )
-        if write is not None:
-            output.print_lines([f"model file: {write}"], ())
+        output.print_json(result.document())
+        return
+    terminal.print_estimates(
+        estimates,
+        said,
+        found.bodies,
+        posteriors=posteriors,
+        plain=plain,
+        everything=everything,
+    )
+    if write is not None:
+        output.print_lines([f"model file: {write}"], ())
 
 
 @app.command()
@@ -429,8 +415,8 @@ def sample(
     from testbed.bodies.write_model import ARCHIVE, write_models
     from testbed.core.base.codec import encode
     from testbed.core.base.errors import SettingsError
+    from testbed.core.base.installation import versions
     from testbed.lab.experiment.read_result import read_result
-    from testbed.lab.experiment.results import versions
     from testbed.view import bodies as shown
     from testbed.view import output
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -26,6 +25,7 @@ from testbed.cli.reading import (
     app,
     check_outputs,
 )
+from testbed.core.base.errors import UnknownName
 
 if TYPE_CHECKING:
     from testbed.core.parameters.identifiability import Visibility
@@ -229,40 +229,28 @@ def _compare(
 Kind = Annotated[str | None, typer.Argument(metavar="KIND", help="One of them, with its keys.")]
 
 
-@app.command()
-def faults(kind: Kind = None) -> None:
-    """List what may be wrong with encoders, drives and plate in an experiment.
+@app.command("list")
+def list_(kind: Kind = None) -> None:
+    """List errors of encoders, drives and plate, and effects in the plant, for experiments.
 
-    Example: testbed faults plate_pose
+    Example: testbed list plate_pose
     """
-    from testbed.lab.instruments.faults import KINDS
-    from testbed.lab.kind_table import in_words, kind_named
+    from testbed.lab.instruments.faults import KINDS as FAULTS
+    from testbed.lab.kind_table import in_words
+    from testbed.lab.simulation.effects import KINDS as EFFECTS
 
-    if kind is None:
-        _list(map(in_words, KINDS.values()), "faults")
-    else:
-        _describe(in_words(kind_named(kind, "fault", KINDS)), "[measurement] fault")
-
-
-@app.command()
-def effects(kind: Kind = None) -> None:
-    """List what else may be in the plant of an experiment: friction, rotors, payload, supports.
-
-    Example: testbed effects lugre_friction
-    """
-    from testbed.lab.kind_table import in_words, kind_named
-    from testbed.lab.simulation.effects import KINDS
-
-    if kind is None:
-        _list(map(in_words, KINDS.values()), "effects")
-    else:
-        _describe(in_words(kind_named(kind, "effect", KINDS)), "[simulation] effect")
-
-
-def _list(entries: Iterable[Entry], command: str) -> None:
-    for entry in entries:
-        typer.echo(f"{entry.kind:26s}{entry.summary}")
-    typer.echo(f"\nOne of them, with its keys: testbed {command} KIND")
+    tables = {"[measurement] fault": FAULTS, "[simulation] effect": EFFECTS}
+    for table, kinds in tables.items():
+        if kind is None:
+            typer.echo(f"{table} = [{{ kind = ... }}]")
+            for each in kinds.values():
+                typer.echo(f"  {each.kind:26s}{in_words(each).summary}")
+        elif kind in kinds:
+            _describe(in_words(kinds[kind]), table)
+            return
+    if kind is not None:
+        raise UnknownName("kind", kind, (*FAULTS, *EFFECTS))
+    typer.echo("One of them, with its keys: testbed list KIND")
 
 
 def _describe(entry: Entry, key: str) -> None:

@@ -78,6 +78,6 @@ def corrected_source(source: Source, tree: Tree, plate: Path | None) -> Source:
         plate: The plate's file; None where it is taken as perfect.
     """
     from testbed.applications.calibration import corrected
-    from testbed.lab.experiment.read_result import read_plate
+    from testbed.lab.experiment.plate_file import read_plate
 
     return source if plate is None else corrected(source, tree, read_plate(plate, tree))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.identifications import ConsistentBodies
+from testbed.cli.identifications import ConsistentBodies, prior_of_bodies
 from testbed.cli.opening import corrected_source, opened
 from testbed.cli.reading import (
     Force,
@@ -124,7 +124,7 @@ def _show(path: Path, said: list[Diagnostic], serve: bool, opened: bool, port: i
 def _write_motion(file: Path, settings: list[str], path: Path) -> list[Diagnostic]:
     """Write what there is to see of a file's motion; what to know of it."""
     from testbed.bodies.shapes.appearance import load_appearance
-    from testbed.lab.experiment.evaluate import model_of
+    from testbed.lab.experiment.experiment_robot import model_of
     from testbed.lab.experiment.motions import checked_motion, obstacles_of
     from testbed.view.viewer.log import write_motion_rrd
 
@@ -182,9 +182,7 @@ def report(
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
     _check_said([run], model, reading, consistent=consistent, other=validate)
     with output.Progress("identifying") as progress:
-        done = _run_at(run, model, reading, unchecked=unchecked)
-        if consistent:
-            done = _with_bodies(done, reading)
+        done = _run_at(run, model, reading, unchecked=unchecked, consistent=consistent)
         if validate is not None:
             done = _judged_on(done, validate, reading, unchecked=unchecked)
         elif done.unseen is None:
@@ -223,7 +221,14 @@ def _check_said(
         )
 
 
-def _run_at(path: Path, model: Path | None, reading: Reading, *, unchecked: bool) -> Run:
+def _run_at(
+    path: Path,
+    model: Path | None,
+    reading: Reading,
+    *,
+    unchecked: bool,
+    consistent: bool = False,
+) -> Run:
     """A run folder's run, or a recording's with what can be identified from it."""
     from testbed.core.base.errors import ExperimentError
     from testbed.lab.experiment.results import read_run
@@ -249,6 +254,7 @@ def _run_at(path: Path, model: Path | None, reading: Reading, *, unchecked: bool
         model=reading.model_file(model),
         doubt=reading.doubt(tree),
         prior_error=reading.prior_error,
+        bodies=prior_of_bodies(reading, model, source) if consistent else None,
     )
     return replace(run, diagnostics=ordered([*accepted, *run.diagnostics]))
 
@@ -293,10 +299,3 @@ def _judged_on(run: Run, path: Path, reading: Reading, *, unchecked: bool) -> Ru
     _, other, doubted = _loaded(path, run.model.path, held, unchecked=unchecked)
     said = (*of_recording(other.facts), *doubted)
     return validated(run, other).with_diagnostics(replace(d, recording=path.name) for d in said)
-
-
-def _with_bodies(run: Run, reading: Reading) -> Run:
-    """A recording's run with bodies that can exist."""
-    from testbed.lab.experiment.evaluate import recorded_bodies
-
-    return recorded_bodies(run, reading.tables().consistent)

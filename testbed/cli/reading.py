@@ -478,7 +478,7 @@ class Reading:
 
     def doubt(self, tree: Tree) -> CalibrationCovariance | None:
         """What the plate's calibration leaves open; None where the plate is taken as perfect."""
-        from testbed.lab.experiment.read_result import read_plate
+        from testbed.lab.experiment.plate_file import read_plate
 
         return None if self.plate is None else read_plate(self.plate, tree).doubt
 

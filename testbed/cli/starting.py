@@ -171,11 +171,22 @@ def _recorded(
 
 
 @app.command()
-def doctor(as_json: Json = False) -> None:
+def doctor(
+    compile_: Annotated[
+        bool, typer.Option("--compile", help="Compile the kernel ahead of its first use.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
     """Say what is installed, what is missing and how to get it.
 
-    Example: testbed doctor
+    Example: testbed doctor --compile
     """
+    if compile_:
+        from testbed.core.kernel.numba_engine import warm_up
+        from testbed.view import output
+
+        with output.Progress("compiling"):
+            warm_up()
     found = list(checkup())
     if as_json:
         from testbed.view import output

@@ -10,7 +10,7 @@ from testbed.core.base.arrays import Array, freeze
 from testbed.core.dynamics.newton_euler import Motion
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Fourier:
     """q_j(t) = offset_j + sum over k of sine_jk sin(k w t) + cosine_jk cos(k w t).
 
@@ -29,6 +29,10 @@ class Fourier:
     def __post_init__(self) -> None:
         n = len(self.offset)
         freeze(self, offset=(n,), sine=(n, None), cosine=(n, np.shape(self.sine)[-1]))
+
+    def __repr__(self) -> str:
+        n = len(self.offset)
+        return f"<Fourier of {n} joints, {self.harmonics} harmonics of {self.fundamental:g} Hz>"
 
     @property
     def period(self) -> float:

@@ -12,7 +12,7 @@ from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.dynamics.newton_euler import Motion, regressor
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.symbols import barycentric
-from testbed.core.robot.tree import Tree
+from testbed.core.robot.tree import Tree, require_tree
 from testbed.motion.clearance import CLEARANCE_UNIT, FAR, DistanceMeter
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import Limits, limits_of, motor_efforts
@@ -120,7 +120,7 @@ def random_motion(
     limits: Limits | None = None,
     fundamental: float = 0.1,
     harmonics: int = 5,
-    rng: np.random.Generator | int = 0,
+    seed: np.random.Generator | int = 0,
 ) -> Fourier:
     """One random Fourier motion, each joint scaled until its nearest limit.
 
@@ -132,7 +132,7 @@ def random_motion(
         limits: What may be asked of it; default the model file's, completed by calm ones.
         fundamental: Frequency at which the motion repeats [Hz].
         harmonics: Number of harmonics.
-        rng: Source of randomness, or its seed.
+        seed: Of the random numbers, or their source.
 
     Returns:
         The motion; `motion.at(times)` are its samples.
@@ -140,7 +140,8 @@ def random_motion(
     Raises:
         InfeasibleMotion: Even slow motions exceed the efforts.
     """
-    limits, rng = limits or limits_of(tree), np.random.default_rng(rng)
+    require_tree(tree, "random_motion(robot)")
+    limits, rng = limits or limits_of(tree), np.random.default_rng(seed)
     draw = sample(limits, fundamental, harmonics, rng)
     motion, effort = _within_efforts(tree, draw)
     if motion is None:

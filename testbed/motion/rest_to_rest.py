@@ -99,6 +99,11 @@ class RestToRest:
         return self.start.motion.period
 
     @property
+    def lead(self) -> float:
+        """Duration of the start, and of the end [s]."""
+        return self.start.duration
+
+    @property
     def end(self) -> float:
         """Of the periodic part [s]."""
         return self.periods * self.period
@@ -122,7 +127,7 @@ class RestToRest:
 
     def _sides(self, t: Array) -> tuple[Array, Array]:
         """Times of the start and of its mirror image, (M,) each [s]."""
-        lead = self.start.duration
+        lead = self.lead
         return np.clip(t + lead, 0, lead), np.clip(self.end + lead - t, 0, lead)
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from testbed.bodies.consistency.consistent import Consistent
 from testbed.bodies.consistency.robots import Robots
 from testbed.bodies.linear_prior import DETERMINED
-from testbed.core.estimation.estimate import NAMES, number_with_sigma
+from testbed.core.base.summary_table import number_with_sigma
+from testbed.core.estimation.estimate import NAMES
 from testbed.core.parameters.symbols import STANDARD
 from testbed.view.section import Section, Table
 

@@ -12,7 +12,7 @@ from testbed.applications.drives.friction_curves import FrictionCurve
 from testbed.applications.drives.identify_drives import DriveFindings
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import printable
-from testbed.core.estimation.estimate import number_with_sigma
+from testbed.core.base.summary_table import number_with_sigma
 from testbed.view.figures import named_panels
 from testbed.view.section import Section, Table
 

@@ -12,7 +12,8 @@ import numpy as np
 from testbed.applications.calibration import Calibration
 from testbed.core.base.diagnostics import phrase
 from testbed.core.base.errors import plural, printable
-from testbed.core.estimation.estimate import Estimate, by_influence, number_with_sigma
+from testbed.core.base.summary_table import number_with_sigma
+from testbed.core.estimation.estimate import Estimate, by_influence
 from testbed.core.estimation.selection.held_out import HeldOut, TermChoice
 from testbed.core.estimation.sensor.estimates import TraceTest
 from testbed.core.recordings.columns import AXES

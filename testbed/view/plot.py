@@ -8,11 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.estimate import METHODS, ROUNDING, Estimate, Method, by_influence
+from testbed.core.base.summary_table import ROUNDING
+from testbed.core.estimation.estimate import METHODS, Estimate, Method, by_influence
+from testbed.core.estimation.information import Information
+from testbed.core.recordings.recording import Recording
+from testbed.lab.experiment.predict import Predictions, predict
 from testbed.lab.experiment.run import Run
 from testbed.lab.experiment.score import Errors
 from testbed.view.drawing import Picture, draw
-from testbed.view.figures import decades, named_panel, named_panels
+from testbed.view.figures import Panel, decades, named_panel, named_panels
 from testbed.view.section import Section, Table
 
 WIDTH = 6.4
@@ -140,17 +144,20 @@ def dots_section(run: Run) -> Section | None:
     )
 
 
-def plot(what: Run | Estimate) -> Picture:
-    """How far off each parameter is, a dot a method; relative sigmas where no truth is known.
-
-    Bars end at one standard deviation, as the estimate itself states it.
+def plot(what: Recording | Run | Estimate, *estimates: Estimate | Information) -> Picture:
+    """Draw residuals of a recording over time, or errors of parameters.
 
     Args:
-        what: A run, or one estimate.
+        what: A recording: what estimates leave of each channel. A run or an estimate: errors of
+            the parameters, bars to one standard deviation; relative standard deviations where no
+            truth is known.
+        estimates: Of the recording's robot.
 
     Returns:
         A matplotlib figure of its own: a notebook shows it, `savefig` writes it.
     """
+    if isinstance(what, Recording):
+        return _residuals(predict(what, *estimates))
     dots = dots_of_run(what) if isinstance(what, Run) else error_dots({what.method: what})
     instruments = what.instruments if isinstance(what, Run) else {what.method: what.instrument}
     values, bars = dots.drawn
@@ -169,3 +176,16 @@ def plot(what: Run | Estimate) -> Picture:
         fontsize=9,
     )
     return figure
+
+
+def _residuals(found: Predictions) -> Picture:
+    """Measured less predicted over time, a plot a channel, a line an estimate."""
+    plots = {
+        f"{channel} [{signal.units[k]}]": {
+            method: (found.time, signal.residual(method)[:, k]) for method in signal.predicted
+        }
+        for signal in found.signals
+        for k, channel in enumerate(signal.channels)
+    }
+    (title, curves), *below = plots.items()
+    return draw(Panel(title, curves, "time [s]", below=dict(below)), WIDTH)

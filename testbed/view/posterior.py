@@ -9,7 +9,8 @@ import numpy as np
 from testbed.bodies.posterior import Posterior
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import phrase
-from testbed.core.estimation.estimate import NAMES, number_with_sigma
+from testbed.core.base.summary_table import number_with_sigma
+from testbed.core.estimation.estimate import NAMES
 from testbed.core.estimation.selection.prediction_errors import (
     CONSISTENT,
     FILE,

@@ -20,7 +20,7 @@ from testbed.core.recordings.recording import Recording
 from testbed.core.robot.free_base import FREE
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.predict import predict
-from testbed.lab.experiment.results import read_run, versions
+from testbed.lab.experiment.results import read_run
 from testbed.lab.experiment.run import Run
 from testbed.lab.experiment.summary import obtained, summary, verdict
 from testbed.view.estimates import (

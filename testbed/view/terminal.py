@@ -12,8 +12,8 @@ from rich.panel import Panel
 
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import printable
+from testbed.core.base.summary_table import OPEN_ZERO
 from testbed.core.estimation.diagnostics.residuals import diagnostics_of
-from testbed.core.estimation.estimate import OPEN_ZERO
 from testbed.core.estimation.selection.prediction_errors import PLAIN, POSTERIOR
 from testbed.core.estimation.verdict import WELL, verdict_of
 from testbed.lab.experiment.summary import (

@@ -18,8 +18,8 @@ from tests.helpers.command import command_line
 
 PUMA = "one.parquet --model puma562.xml"
 LONG = {
-    "experiment.simulate:simulate": ("simulate table.toml --out x.parquet",),
-    "experiment.carry_out:simulate": ("run table.toml",),
+    "experiment.record:record": ("simulate table.toml --out x.parquet",),
+    "experiment.carry_out:record": ("run table.toml",),
     "experiment.carry_out:evaluate": ("run table.toml --set motion.duration=2",),
     "experiment.new_experiment:new_experiment": ("new two.urdf",),
     "experiment.run:assemble_run": (f"report {PUMA}",),
@@ -33,7 +33,7 @@ LONG = {
     "identification.calibration:calibrate": (f"calibrate {PUMA} --known mass=20",),
     "viewer.log:write_rrd": (f"view {PUMA} --save x.rrd",),
     "campaign.conduct:conduct": ("campaign quick.toml --workers 0",),
-    "kernel.numba_engine:warm_up": ("warmup",),
+    "kernel.numba_engine:warm_up": ("doctor --compile",),
 }  # fmt: skip
 """What may take long, and the commands that do it."""
 

@@ -10,10 +10,10 @@ import pytest
 from pydantic import BaseModel
 
 import testbed as tb
-from testbed.core.base.errors import ExperimentError
+from testbed.core.base.errors import ExperimentError, SettingsError
 from testbed.core.base.toml_text import LARGEST_FILE, override
-from testbed.lab.experiment.evaluate import robot_of
-from testbed.lab.experiment.experiment import ExperimentTables
+from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.experiment.experiment_tables import Bound
 from testbed.lab.experiment.results import default_folder
 from testbed.lab.experiment.robot_tables import JointTable
@@ -86,7 +86,7 @@ def numbers_of(table: type[BaseModel], path: str = "") -> Iterator[str]:
 
 def test_no_number_is_infinite() -> None:
     """Whatever key is added: a motion without end, or noise without end, would be simulated."""
-    paths = [*numbers_of(ExperimentTables), *numbers_of(JointTable, "robot.joint.waist.")]
+    paths = [*numbers_of(Experiment), *numbers_of(JointTable, "robot.joint.waist.")]
     assert len(paths) > 10
     for k, path in enumerate(paths):
         with refuses(ExperimentError, path):
@@ -119,10 +119,10 @@ def test_what_does_not_fit_the_robot_or_the_clock_is_refused() -> None:
         with refuses(ExperimentError, culprit):
             robot_of(tb.Experiment.load(TABLE6, [word]))
     for word in ("bandwidth=1e6", "step=1e-320", "step=3e-4"):
-        with refuses(ExperimentError, word.partition("=")[0]):
-            tb.simulate(tb.Experiment.load(TABLE6, [f"simulation.{word}"]))
+        with refuses(SettingsError, word.partition("=")[0]):
+            tb.record(tb.Experiment.load(TABLE6, [f"simulation.{word}"]))
     with refuses(ExperimentError, "fundamental"):
-        tb.simulate(tb.Experiment.load(TABLE6, ["motion.fundamental=1e-12"]))
+        tb.record(tb.Experiment.load(TABLE6, ["motion.fundamental=1e-12"]))
 
 
 def test_a_claim_holds_or_fails() -> None:

@@ -20,13 +20,13 @@ def test_the_floor_of_a_coarse_step_is_the_error_of_perfect_instruments() -> Non
     def load(name: str, *more: str) -> tb.Experiment:
         return tb.Experiment.load(ROOT / f"experiments/{name}.toml", [*words, *more])
 
-    coarse, white = "simulation.step=1e-3", "identification.noise=white"
+    coarse = "simulation.step=1e-3"
     fine, noisy = load("table6"), load("table6", coarse)
-    perfect = load("encoder_floor", coarse, white)
-    assert "external_floor" not in evaluate(fine, tb.simulate(fine), methods=["external"]).metrics
+    perfect = load("encoder_floor", coarse)
+    assert "external_floor" not in evaluate(fine, tb.record(fine), methods=["external"]).metrics
     tree = tb.load_tree(MODELS["puma"])
-    estimate = tb.identify(tree, tb.simulate(perfect), settings=perfect.identification)
+    estimate = tb.identify(tree, tb.record(perfect), settings=perfect.identification)
     wanted = np.sqrt(np.mean(shared_errors(tree, estimate.base.values, zeros=True) ** 2))
-    found = evaluate(noisy, tb.simulate(noisy), methods=["external"]).metrics
+    found = evaluate(noisy, tb.record(noisy), methods=["external"]).metrics
     assert found["external_floor"] == pytest.approx(wanted, rel=1e-6)
     assert found["external_floor"] < found["external_rms_relative_error"]

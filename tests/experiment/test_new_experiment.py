@@ -13,8 +13,8 @@ import testbed as tb
 from testbed.core.base.errors import InertiaError, TestbedError
 from testbed.core.robot.model_file import mimic_joints, nearest_bodies
 from testbed.lab.experiment.assumptions import DRY, assumptions
-from testbed.lab.experiment.evaluate import robot_of
 from testbed.lab.experiment.experiment import run_name
+from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.experiment.motions import motion_of
 from testbed.lab.experiment.new_experiment import find_robot, new_experiment
 from testbed.motion.limits import limits_of

@@ -25,7 +25,7 @@ from testbed.core.estimation.regression.windows import row_weights
 from testbed.core.robot.inertia import NOTHING
 from testbed.lab.experiment import carry_out as module
 from testbed.lab.experiment.carry_out import unseen, validated
-from testbed.lab.experiment.evaluate import with_consistent, wrong_prior
+from testbed.lab.experiment.evaluate import wrong_prior
 from testbed.lab.experiment.experiment_tables import ALWAYS_JUDGED, Bound, PriorTable
 from testbed.lab.experiment.motions import another_motion, motion_of
 from testbed.lab.experiment.predict import predict
@@ -266,7 +266,7 @@ def test_another_motion_is_about_as_fast_lasts_no_longer_and_shows_what_it_shows
         assert motion.fundamental == asked.motion.fundamental
         seen.append(asked)
 
-    monkeypatch.setattr(module, "simulate", kept)
+    monkeypatch.setattr(module, "record", kept)
     for fundamental, duration, taken in ((0.1, 60.0, 12.0), (0.05, 60.0, 20.0), (0.1, 5.0, 5.0)):
         words = [f"motion.duration={duration}", f"motion.fundamental={fundamental}", "seed=7"]
         unseen(replace(run, experiment=tb.Experiment.of_model(MODELS["puma"], words)))
@@ -281,16 +281,15 @@ def test_consistent_bodies_are_judged_by_the_truth_and_a_wrong_model_file_is_of_
     assert metrics["consistent_to_plain"] == pytest.approx(ratio)
     assert metrics["prior_rms_relative_error"] > metrics["consistent_rms_relative_error"]
     asked = experiment(expect={"consistent_to_plain": Bound(at_most=1.5)})
-    plain = run_of(robot("puma"), asked=asked)
     options = asked.model_copy(
         update={"consistent": ConsistencyOptions(), "prior": PriorTable(error=0.0)}
     )
-    right = with_consistent(replace(plain, experiment=options))
+    right = run_of(robot("puma"), asked=options)
     assert right.metrics["prior_rms_relative_error"] < 1e-9
     nobody = options.model_copy(
         update={"consistent": ConsistencyOptions(known={"mass/nobody": 1.0})}
     )
-    failed = with_consistent(replace(plain, experiment=nobody))
+    failed = run_of(robot("puma"), asked=nobody)
     assert (failed.consistent, failed.as_expected) == (None, False)
     tree = robot("ur5")
     one, same, other = (

@@ -23,8 +23,8 @@ from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.estimation.estimate_summary import EstimateSummary
 from testbed.core.estimation.validate import validate
 from testbed.core.robot.model_file import ModelFile
-from testbed.lab.experiment.evaluate import model_of, robot_of
 from testbed.lab.experiment.excite import excite, frequencies_of
+from testbed.lab.experiment.experiment_robot import model_of, robot_of
 from testbed.lab.experiment.motions import motion_of, rules_of
 from testbed.lab.experiment.read_result import (
     LARGEST_RESULT,
@@ -101,7 +101,7 @@ def test_a_run_folder_can_be_moved_and_its_model_may_go(text: str, tmp_path: Pat
     assert any(shape.kind == "mesh" for shape in found.shapes)
     for one, other in zip(found.shapes, looks.shapes, strict=True):
         np.testing.assert_array_equal(one.vertices, other.vertices)
-    recording = tb.simulate(tb.Experiment.load(tmp_path / "there/experiment.toml"))
+    recording = tb.record(tb.Experiment.load(tmp_path / "there/experiment.toml"))
     np.testing.assert_array_equal(recording.measured("wrench"), run.recording.measured("wrench"))
 
 
@@ -167,7 +167,7 @@ def test_a_run_folder_takes_nothing_else_along_and_goes_only_for_the_same_or_by_
 ) -> None:
     """Without a result, as where the identification was interrupted, it is read all the same."""
     asked, place = experiment(tmp_path / "here", URDF), tmp_path / "run"
-    recording = tb.simulate(asked)
+    recording = tb.record(asked)
     write_recorded(asked, recording, place)
     assert set(read_run(place).estimates) == set(METHODS)
     other = asked.model_copy(update={"seed": 4})
@@ -310,7 +310,7 @@ def test_a_designed_motion_comes_back_from_its_file_and_is_proven_again(tmp_path
         with pytest.raises(kind, match=culprit):
             motion_of(other, robot_of(other))
     run = asked("puma", word, "motion.duration=2", "simulation.step=1e-3")
-    recording = tb.simulate(run)
+    recording = tb.record(run)
     wanted = motion_of(run, found.tree).at(recording.time + 0.5e-3)
     assert np.abs(recording.position - wanted.q).max() < 5e-3
     for change, culprit in (
@@ -356,7 +356,7 @@ def test_sigma_is_as_promised_and_an_earlier_estimate_is_a_prior(tmp_path: Path)
     words = ["motion.duration=20", "measurement.force_noise=0.5", "measurement.moment_noise=0.1"]
     promised = excite(asked("puma", *words)).predicted.sigma  # of the same motion, for longer
     words += [f'motion.file="{tmp_path / "motion.toml"}"', "simulation.friction=false"]
-    estimate = tb.identify(found.tree, tb.simulate(asked("puma", *words)), "external")
+    estimate = tb.identify(found.tree, tb.record(asked("puma", *words)), "external")
     ratio = estimate.sigma / promised
     assert ratio.min() > 0.85
     assert np.quantile(ratio, 0.75) == pytest.approx(1, abs=0.1)
@@ -406,7 +406,7 @@ def test_a_run_from_rest_to_rest_is_recorded_whole_and_counts_in_its_middle() ->
     words = ["motion.fundamental=0.5", "motion.duration=4.9", "simulation.friction=false"]
     words += ["measurement.rate=1000", "simulation.step=1e-3", "motion.candidates=2"]
     resting = tb.Experiment.of_model(MODELS["puma"], [*words, "motion.at_rest=true"])
-    recording = tb.simulate(resting)
+    recording = tb.record(resting)
     step, lead = 1 / recording.rate, -recording.time[0]
     assert recording.time[-1] == pytest.approx(4.0 + lead - step)  # two periods come nearest
     assert recording.facts["counted"] == [0.0, 4.0]

@@ -26,7 +26,7 @@ from typing import Any
 from testbed.campaigns.campaign import CampaignTables
 from testbed.core.base.toml_text import checked
 from testbed.importing.mapping import Mapping
-from testbed.lab.experiment.experiment import ExperimentTables
+from testbed.lab.experiment.experiment import Experiment
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 from tests.scenarios.scenarios import result
@@ -146,4 +146,4 @@ def _is_understood(content: dict[str, Any]) -> None:
     elif "sources" in content:
         checked(Mapping, content, "mapping")
     else:
-        checked(ExperimentTables, {"name": "part", "model": "robot.urdf"} | content, "experiment")
+        checked(Experiment, {"name": "part", "model": "robot.urdf"} | content, "experiment")

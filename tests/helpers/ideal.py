@@ -18,7 +18,7 @@ from testbed.core.recordings.recording import Recording, Truth
 from testbed.core.robot.friction import JointLaw
 from testbed.motion.fourier import Fourier
 
-EXACT = tb.Settings(position_cutoff="off", cutoff="off", noise="white")
+EXACT = tb.Settings(position_cutoff="off", cutoff="off")
 
 
 def ideal(

@@ -9,6 +9,7 @@ import numpy as np
 
 import testbed as tb
 from testbed.core.recordings.recording import Recording
+from testbed.lab.experiment.evaluate import bodies_asked, with_body_metrics
 from testbed.lab.experiment.experiment_tables import Bound
 from testbed.lab.experiment.run import Run, assemble_run
 from tests.helpers.ideal import EXACT, ideal
@@ -61,7 +62,11 @@ def run_of(
 ) -> Run:
     """What can be identified from a recording with sensed kinematics; judged if asked for."""
     recording = noisy(ideal(tree)) if recording is None else recording
-    return assemble_run(tree, recording, name="made", settings=EXACT, experiment=asked)
+    bodies = None if asked is None else bodies_asked(asked, tree)
+    run = assemble_run(
+        tree, recording, name="made", settings=EXACT, experiment=asked, bodies=bodies
+    )
+    return with_body_metrics(run)
 
 
 def judged_run(name: str) -> Run:

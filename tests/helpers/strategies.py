@@ -76,8 +76,6 @@ settings: SearchStrategy[tb.Settings] = st.builds(
     tb.Settings,
     cutoff=st.sampled_from(["off", 5.0, 10.0]),
     position_cutoff=st.sampled_from(["off", 20.0, 40.0]),
-    noise=st.sampled_from(["white", "ar"]),
-    weights=st.sampled_from(["channels", "full"]),
     zeros=st.booleans(),
     deadband=st.sampled_from([0.0, 0.05]),
 )

@@ -14,7 +14,7 @@ HOW_TO = [
     ROOT / f"docs/{name}.md"
     for name in (
         *("which-sensor", "your-robot", "your-recording", "your-plate", "payload", "drives"),
-        *("instruments", "extending"),
+        *("instruments", "extending", "python"),
     )
 ]
 """Pages whose blocks run with all tests."""

@@ -18,7 +18,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError, TestbedError, UnknownName
 from testbed.core.estimation.regression.constraints import centre_of_mass, total_mass
 from testbed.core.parameters.symbols import standard
-from testbed.lab.experiment.read_result import read_plate, write_plate
+from testbed.lab.experiment.plate_file import read_plate, write_plate
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.plates import BIAS, LOAD, SCALE, loaded, mass_of, mixing, on_plate

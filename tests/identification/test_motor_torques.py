@@ -43,7 +43,7 @@ def test_drift_and_temperature_are_terms_like_the_others(puma: tb.Tree, tmp_path
             assert values[f"slope/{name}"] == pytest.approx(0.03, abs=1e-8)
             assert values[f"warm_viscous/{name}"] == pytest.approx(-0.05, abs=1e-8)
     other = warming(ideal(puma, seed=1), 0.0, -0.05)
-    assert (tb.validate(puma, other, found).residual < 1e-7).all()
+    assert (tb.validate(found, other).residual < 1e-7).all()
     with refuses(RecordingError, "temperature"):
         tb.identify(puma, ideal(puma), "internal", settings=asked)
 

@@ -175,13 +175,13 @@ def test_constants_are_found_apart_from_the_parameters() -> None:
     block[..., 0] = np.array([0.0, 0.0, 1.0, 0.0])[:, None]  # a constant in channel 2
     made = NoiseMaker(WHITE, 1, np.random.default_rng(5)).rows(2000)[..., 0]
     block[..., 3] = block[..., :3] @ TRUTH + bias[:, None] + made
-    there = constants(products(block))
-    assert there.directions.shape == (4, 3)
-    assert np.abs(there.directions[2]).max() < 1e-6
-    hidden = np.abs(there.hidden[0])
+    directions, imitating = constants(products(block))
+    assert directions.shape == (4, 3)
+    assert np.abs(directions[2]).max() < 1e-6
+    hidden = np.abs(imitating[0])
     assert hidden[1:].max() < 1e-6 * hidden[0]
-    (found,) = whitened_fits(products(block).with_constants(there.directions))
-    told = there.directions @ found.values[3:]
+    (found,) = whitened_fits(products(block).with_constants(directions))
+    told = directions @ found.values[3:]
     np.testing.assert_allclose(told[[0, 1, 3]], bias[[0, 1, 3]], atol=0.2)
     there_is = np.linalg.solve(found.covariance[3:, 3:], found.values[3:]) @ found.values[3:]
     assert square_of_last(found, 3) == pytest.approx(there_is)

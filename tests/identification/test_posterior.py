@@ -19,13 +19,14 @@ from testbed.bodies.linear_prior import (
     alone_determined,
     with_prior,
 )
-from testbed.bodies.posterior import Posterior, errors_of_another, posterior, posteriors
+from testbed.bodies.posterior import Posterior, posterior, rows_of
 from testbed.bodies.prior import prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import decode, encode
+from testbed.core.estimation.analysis import analyse
 from testbed.core.estimation.estimate import Method
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.selection.prediction_errors import PredictionErrors
+from testbed.core.estimation.selection.prediction_errors import PredictionErrors, errors_of_another
 from testbed.core.estimation.selection.row_products import FREEDOM, RowProducts, products_of
 from testbed.core.estimation.verdict import WELL, verdict_of
 from testbed.core.recordings.recording import Recording
@@ -151,6 +152,19 @@ def test_products_are_those_of_the_rows(rng: np.random.Generator, method: Method
     np.testing.assert_allclose(whole.correlation(values, least), expected, atol=1e-6)
 
 
+def with_file(
+    tree: tb.Tree,
+    recording: Recording,
+    method: Method = "internal",
+    estimate: tb.Estimate | None = None,
+    error: float | None = None,
+) -> Posterior:
+    """By a recording with the tree's bodies as prior."""
+    settings = tb.Settings() if estimate is None else estimate.settings
+    rows = rows_of(Problem.of(tree, recording, method, settings), estimate)
+    return posterior(rows, prior_of(tree), estimate, prior_error=error)
+
+
 def added(
     speed: float, method: Method, error: float | None = None
 ) -> tuple[tb.Estimate, Posterior]:
@@ -159,8 +173,7 @@ def added(
     wrong = wrong_bodies(tree, 0.3, np.random.default_rng(3))
     recording = measured(tree, 5, speed=speed)
     estimate = tb.identify(wrong, recording, method)
-    prior = prior_of(wrong)
-    return estimate, posterior(wrong, recording, prior, method, estimate, prior_error=error)
+    return estimate, with_file(wrong, recording, method, estimate, error)
 
 
 def test_where_the_data_determine_all_nothing_moves() -> None:
@@ -200,7 +213,7 @@ def test_what_is_known_is_known_with_the_file_too() -> None:
     slow = measured(tree, 5, speed=0.1)
     settings = tb.Settings(known={"mass": 21.0, "mb*1y": (1.44, 1e-3)})
     estimate = tb.identify(wrong, slow, settings=settings)
-    found = posterior(wrong, slow, prior_of(wrong), "external", estimate, settings=settings)
+    found = with_file(wrong, slow, "external", estimate)
     assert found.used
     value = dict(zip(found.names, zip(found.values, found.sigma, strict=True), strict=True))
     np.testing.assert_allclose(value["mbar1"], (21.0, 0.0), atol=1e-5)
@@ -247,7 +260,7 @@ def test_a_joint_of_which_few_rows_count_determines_nothing(speed: float) -> Non
     wrong = wrong_bodies(tree, 0.2, np.random.default_rng(0))
     for seed in range(3):
         recording = with_last_joint(tree, speed, seed)
-        found = posterior(wrong, recording, prior_of(wrong), "internal")
+        found = with_file(wrong, recording)
         (held_out,) = (each for each in found.errors if each.of == "like")
         rows = float(held_out.rows[-1])
         assert found.prior_error < 1
@@ -271,7 +284,7 @@ def test_friction_is_the_datas_whatever_the_file_says() -> None:
     tree = robot("ur5").with_joints({name: {"viscous": 0.1} for name in robot("ur5").names})
     said = tree.with_joints({name: {"viscous": 10.0, "coulomb": 1.0} for name in tree.names})
     recording = measured(tree, 5, noise=0.1)
-    found = posterior(said, recording, prior_of(said), "internal")
+    found = with_file(said, recording)
     value = dict(zip(found.names, zip(found.values, found.sigma, strict=True), strict=True))
     for name in tree.names:
         number, sigma = value[f"viscous/{name}"]
@@ -323,7 +336,7 @@ def test_clean_data_are_well_and_data_of_another_scale_are_not() -> None:
         torque = np.array([scale, 1.0, 1.0]) * clean.measured("torque")
         recording = replace(clean, torque=torque)
         estimate = tb.identify(wrong, recording, "internal")
-        found = posterior(wrong, recording, prior_of(wrong), "internal", estimate)
+        found = with_file(wrong, recording, estimate=estimate)
         codes.append({each.code for each in verdict_of([estimate], [found])})
     assert codes[0] == {WELL}
     assert "estimate.worse-than-plain" in codes[1]
@@ -339,7 +352,7 @@ def test_a_push_is_named_with_its_joint_and_its_time() -> None:
         torque = clean.measured("torque") + push * np.outer(during, [0.0, 1.0, 0.0])
         recording = replace(clean, torque=torque)
         estimate = tb.identify(wrong, recording, "internal")
-        found = posterior(wrong, recording, prior_of(wrong), "internal", estimate)
+        found = with_file(wrong, recording, estimate=estimate)
         said = [d for d in verdict_of([estimate], [found]) if d.code == "verdict.episode"]
         assert bool(said) == bool(push)
         if push:
@@ -352,6 +365,6 @@ def test_a_simulated_recording_has_no_prior() -> None:
     """Its model file is the truth."""
     tree = robot("puma")
     recording = measured(tree, 5, duration=5.0)
-    assert posteriors(tree, recording, {"external": None}, tb.Settings()) == {}
     real = replace(recording, facts={"mapping": {}})
-    assert set(posteriors(tree, real, {"external": None}, tb.Settings())) == {"external"}
+    made = [analyse(tree, each, methods=["external"]).posterior for each in (recording, real)]
+    assert [set(each) for each in made] == [set(), {"external"}]

@@ -81,17 +81,20 @@ def recording(tree: tb.Tree) -> Recording:
 
 @pytest.fixture
 def sweeps(monkeypatch: pytest.MonkeyPatch) -> list[Callable[[], None]]:
-    """The compiled kernel for every job; what is in the list is called before each sweep."""
+    """The compiled kernel for every job; what is in the list is called before each window."""
     hooks: list[Callable[[], None]] = []
-    real = numba_engine.sweep
 
-    def sweep(*arguments: Any) -> Any:
-        for hook in hooks:
-            hook()
-        return real(*arguments)
+    def hooked(real: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any) -> Any:
+            for hook in hooks:
+                hook()
+            return real(*arguments)
+
+        return call
 
     monkeypatch.setattr("testbed.core.estimation.regression.passes.SMALL", 0.0)
-    monkeypatch.setattr(numba_engine, "sweep", sweep)
+    for name in ("sweep", "rows"):
+        monkeypatch.setattr(numba_engine, name, hooked(getattr(numba_engine, name)))
     return hooks
 
 
@@ -162,7 +165,7 @@ def test_as_many_threads_work_as_asked_and_no_more_is_read_than_they_need(
     assert asked > 8
     assert max(waiting) <= 4
     assert steps == sorted(steps)
-    assert {total for _, total in steps} == {2 * long.samples} == {steps[-1][0]}
+    assert {total for _, total in steps} == {3 * long.samples} == {steps[-1][0]}
     seen.clear()
     tb.identify(tree, recording, settings=EXACT, threads=1)
     assert seen == {threading.get_ident()}
@@ -269,7 +272,7 @@ def test_what_recordings_say_together_is_the_sum_of_what_each_says(method: Metho
     each = [tb.identify(tree, part, method) for part in parts]
     for order in (1, -1):
         whole = tb.identify(tree, Joined(parts[::order]), method)
-        for what in ("used", "normal", "right", "square"):
+        for what in ("used", "normal", "right", "squares"):
             total = sum(getattr(one.normal_equations, what) for one in each)
             mine = getattr(whole.normal_equations, what)
             np.testing.assert_allclose(mine, total, rtol=1e-9, atol=1e-9)

@@ -229,7 +229,7 @@ def test_what_no_instrument_can_be_is_refused_before_anything_is_simulated() -> 
     for text, culprit in WRONG.items():
         words = [f"measurement.fault=[{text}]", "motion.duration=1e3"]
         with refuses(TestbedError, culprit):
-            tb.simulate(tb.Experiment.load(TABLE6, words))
+            tb.record(tb.Experiment.load(TABLE6, words))
     wrong: list[tuple[str, dict[str, Any]]] = [
         *((name, {name: value}) for value in (-1e-9, np.inf, np.nan)
           for name in ("encoder_resolution", "encoder_noise", "torque_noise", "moment_noise")),

@@ -19,7 +19,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.estimation.regression.windows import motion_taps, row_weights
 from testbed.core.kernel import gram, numba_engine, numpy_engine
 from testbed.core.kernel.layout import Layout, independent_columns, layout
-from testbed.core.kernel.records import NB, Question, Signals, Sums, products_wanted
+from testbed.core.kernel.records import NB, Signals, Sums
 from testbed.core.kernel.rows import sine_cosine
 from testbed.core.parameters.rules import Model
 from testbed.core.robot.free_base import on_free_base
@@ -58,40 +58,31 @@ def close(a: Array, b: Array, tolerance: float = 1e-12) -> None:
 
 def lower(found: Layout, sums: Sums) -> Array:
     """The lower triangles of the products."""
-    sizes = zip(found.rows.group_width, found.rows.group_gram, strict=True)
+    sizes = zip(found.rows.width, found.rows.group_gram, strict=True)
     squares = (sums.products[at : at + width**2].reshape(width, width) for width, at in sizes)
     return np.concatenate([np.tril(square).ravel() for square in squares])
 
 
 @few(40)
-@given(any_trees, models, rngs, st.tuples(*[st.booleans()] * 4))
+@given(any_trees, models, rngs, st.tuples(*[st.booleans()] * 3))
 def test_compiled_and_plain_engine_say_the_same(
     tree: tb.Tree, model: Model, rng: np.random.Generator, how: tuple[bool, ...]
 ) -> None:
-    """Encoders or sensed kinematics, filtered or not, channels joined; a base that moves, a cut."""
-    encoders, filtered, joined, free = how
+    """Encoders or sensed kinematics, filtered or not; a base that moves, a cut."""
+    encoders, filtered, free = how
     if model == "reaction" and rng.random() < 0.5:
         tree = random_cut(tree, rng)
     elif free:
         tree = on_free_base(tree)
     terms = joint_terms(tree, LAWS) if model == "dynamic" else ()
-    found = layout(tree, tb.minimal_set(tree, model), terms, joined=joined)
+    found = layout(tree, tb.minimal_set(tree, model), terms)
     signals = some_signals(found, rng, encoders, filtered)
-    work, wanted = numba_engine.workspace(found, signals), products_wanted(found.width)
-    fast = numba_engine.sweep(found, signals, wanted, work)
+    fast = numba_engine.sweep(found, signals, numba_engine.workspace(found, signals))
     made = numpy_engine.rows(found, signals)
-    slow = numpy_engine.answer(found, signals, made, wanted)
+    slow = numpy_engine.sweep(found, signals, made)
     np.testing.assert_array_equal(fast.used, slow.used)
     tolerance = 1e-11 if encoders else 1e-12  # differences magnify rounding by the rate squared
     close(lower(found, fast), lower(found, slow), tolerance)
-    factors = np.where(found.rows.unknown >= 0, rng.normal(size=found.rows.slots), 0.0)
-    factors[found.rows.measured] = 1.0
-    weights = rng.normal(size=(found.width, found.width))
-    question = Question(factors, weights, 1 if filtered else 16)
-    fast = numba_engine.sweep(found, signals, question, work)
-    slow = numpy_engine.answer(found, signals, made, question)
-    close(fast.moments, slow.moments, tolerance)
-    close(fast.scores, slow.scores, tolerance)
     assert len(gram.sweep.signatures) == 1  # compiled once for every robot
 
 
@@ -131,7 +122,6 @@ def test_rows_are_the_minimal_regressor(
         got = z[at : at + len(columns)].T @ found.basis[columns]
         assert np.abs(got - expected[:, c]).max(initial=0.0) <= 5e-15 * scale
         assert len(set(columns.tolist())) == len(columns)
-        assert found.rows.unknown[at : at + len(columns)].tolist() == columns.tolist()
         assert found.rows.measured[c] == at + len(columns)
     # of one body each: the speed that a person is promised
     assert ((np.abs(found.theta).max(axis=1) > 0).sum(axis=0) == 1).all()

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.bodies.posterior import Posterior, errors_of_another, posteriors
+from testbed.bodies.posterior import Posterior, posterior, rows_of
+from testbed.bodies.prior import prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.selection.prediction_errors import errors_of_another
 from testbed.core.recordings.recording import Recording
 from testbed.importing.convert import pieces
 from testbed.importing.guess import guessed
@@ -42,7 +44,8 @@ def recordings(folder: Path, torque: dict[str, object]) -> list[Recording]:
 
 
 def added(recording: Recording) -> Posterior:
-    return posteriors(TREE, recording, {"internal": None}, tb.Settings())["internal"]
+    rows = rows_of(Problem.of(TREE, recording, "internal"), None)
+    return posterior(rows, prior_of(TREE))
 
 
 def left(found: Posterior, unseen: Recording) -> dict[str, Array]:

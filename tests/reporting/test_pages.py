@@ -14,10 +14,11 @@ import pytest
 import testbed as tb
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.core.base.diagnostics import phrase
-from testbed.core.estimation.estimate import METHODS, NAMES, by_influence, number_with_sigma
+from testbed.core.base.summary_table import number_with_sigma
+from testbed.core.estimation.estimate import METHODS, NAMES, by_influence
 from testbed.core.estimation.verdict import verdict_of
 from testbed.lab.experiment.carry_out import validated
-from testbed.lab.experiment.evaluate import recorded_bodies, wrong_bodies
+from testbed.lab.experiment.evaluate import wrong_bodies
 from testbed.lab.experiment.experiment_tables import Bound
 from testbed.lab.experiment.predict import predict
 from testbed.lab.experiment.run import assemble_run
@@ -39,8 +40,9 @@ SECTIONS = {
     "gantry": "warnings errors parameters prediction spectra friction instrument map settings",
     "plate": "warnings errors parameters prediction spectra friction drives "
     "instrument map settings",
-    "bodies": "warnings errors parameters claims prediction spectra friction bodies map settings",
-    "hostile": "warnings errors parameters prediction spectra friction map settings",
+    "bodies": "warnings errors parameters claims prediction spectra friction bodies instrument "
+    "map settings",
+    "hostile": "warnings errors parameters prediction spectra friction instrument map settings",
     "half": "warnings errors parameters prediction spectra map settings",
     "silent": "warnings prediction map settings",
     "motion": "sigma motion limits",
@@ -261,8 +263,8 @@ def test_a_page_of_torques_says_nothing_of_a_plate_and_has_one_prior(tmp_path: P
     tree = robot("puma")
     wrong = wrong_bodies(tree, 0.3, np.random.default_rng(3))
     slow = replace(measured(tree, 5, speed=0.1), wrench=None, facts={"mapping": {}})
-    run = assemble_run(wrong, slow, name="slow", prior_error=0.2)
-    run = recorded_bodies(run, ConsistencyOptions())
+    bodies = tb.prior_of(wrong), ConsistencyOptions()
+    run = assemble_run(wrong, slow, name="slow", prior_error=0.2, bodies=bodies)
     assert run.consistent is not None
     assert run.posterior["internal"].prior_error == run.consistent.prior_error == 0.2
     said = verdict_of(run.estimates.values(), run.posterior.values())

@@ -25,9 +25,10 @@ from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.force_sensor import ForceSensor, before_sensors, beyond_sensor
 from testbed.core.robot.free_base import FREE, on_free_base
 from testbed.core.robot.model_file import ModelFile
-from testbed.lab.experiment.evaluate import evaluate, sensed_robot
+from testbed.lab.experiment.evaluate import evaluate
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.simulate import simulate
+from testbed.lab.experiment.experiment_robot import sensed_robot
+from testbed.lab.experiment.record import record
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.sensors import links_of, random_cut, random_sensors
@@ -127,9 +128,9 @@ def test_links_that_are_not_there_and_the_root_are_refused() -> None:
         beyond_sensor(model.tree(), model.links(), ForceSensor(model.links()[0].name))
     file = ROOT / "experiments/force_sensor.toml"
     with pytest.raises(UnknownName):
-        simulate(Experiment.load(file, ["robot.sensor=link9"]))
+        record(Experiment.load(file, ["robot.sensor=link9"]))
     with pytest.raises(UnknownName):
-        simulate(Experiment.load(file, ["sensors.other.link=link9", "robot.sensor=''"]))
+        record(Experiment.load(file, ["sensors.other.link=link9", "robot.sensor=''"]))
 
 
 @pytest.mark.parametrize("about", ["base", "link2", "link3", "plate"])
@@ -142,12 +143,12 @@ def test_mujocos_own_sensors_give_the_parameters_to_rounding(about: str, farther
     words += ["motion.duration=4", "simulation.step=1e-3", "simulation.friction=false"]
     words += ["identification.zeros=false", f"robot.sensor={about}"]
     experiment = Experiment.load(ROOT / "experiments/noise_free.toml", words)
-    assert set(experiment.sensor_places) == links
+    assert set(experiment.force_sensors) == links
     if about == "plate" and farther:  # all that moves lies beyond the first sensor
         with pytest.raises(ModelError):
             sensed_robot(experiment)
         return
-    run = evaluate(experiment, simulate(experiment), methods=("external",))
+    run = evaluate(experiment, record(experiment), methods=("external",))
     assert run.score is not None
     assert run.score.metrics["external_max_relative_error"] < 1e-10
 
@@ -192,7 +193,7 @@ def test_sentences_about_it_name_no_plate() -> None:
     fault = 'sensors.shoulder.fault=[{kind="plate_crosstalk"}, {kind="plate_bias"}]'
     words = ["motion.duration=10", "motion.candidates=1", "simulation.step=1e-3"]
     experiment = Experiment.load(ROOT / "experiments/force_sensor.toml", [*words, fault])
-    run = evaluate(experiment, simulate(experiment), methods=("external",))
+    run = evaluate(experiment, record(experiment), methods=("external",))
     codes = {each.code for each in run.diagnostics}
     assert codes & {"sensor.crosstalk", "sensor.gains", "sensor.pose"}
     said = " ".join(sentences(run.diagnostics))

@@ -33,7 +33,6 @@ from testbed.core.robot.free_base import on_free_base
 from testbed.importing.check.mapping_solution import solve_mapping
 from testbed.importing.convert import pieces
 from testbed.importing.guess import guessed
-from testbed.lab.experiment.evaluate import with_consistent
 from testbed.lab.experiment.excite import excite
 from testbed.lab.experiment.experiment_tables import Bound
 from testbed.lab.experiment.run import Run, assemble_run
@@ -220,7 +219,7 @@ def _motion() -> Excitation:
 def _bodies() -> Run:
     asked = experiment(expect={"consistent_to_plain": Bound(at_most=1.5)})
     asked = asked.model_copy(update={"consistent": ConsistencyOptions()})
-    return with_consistent(run_of(robot("puma"), asked=asked))
+    return run_of(robot("puma"), asked=asked)
 
 
 def run(tree: tb.Tree, recording: tb.Recording, settings: Settings = DEFAULTS) -> Run:

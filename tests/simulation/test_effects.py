@@ -20,7 +20,7 @@ from testbed.core.robot.friction import COULOMB, VISCOUS
 from testbed.core.robot.locks import with_rotor_spin
 from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.tree import Tree
-from testbed.lab.experiment.evaluate import robot_of
+from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.simulation.effect import Effect, StepForces
 from testbed.lab.simulation.effects import KINDS, effect_of
 from testbed.lab.simulation.plant import Plant, build_plant
@@ -221,4 +221,4 @@ def test_an_experiment_file_says_effects_and_what_it_cannot_mean_is_refused() ->
     ):
         words = [f"simulation.effect={text}", "motion.duration=1", "motion.candidates=1"]
         with refuses(tb.TestbedError, culprit):
-            tb.simulate(tb.Experiment.load(file, words))
+            tb.record(tb.Experiment.load(file, words))

@@ -69,7 +69,7 @@ def test_the_plate_feels_none_of_it_and_two_owners_are_refused() -> None:
     asked = tb.Experiment.load(
         ROOT / "experiments/table6.toml", [*words, f"simulation.effect=[{gear},{warm}]"]
     )
-    recording, tree = tb.simulate(asked), tb.load_tree(ROOT / "models/puma562.xml")
+    recording, tree = tb.record(asked), tb.load_tree(ROOT / "models/puma562.xml")
     assert recording.truth is not None
     check_laws(tree, recording.time, recording.truth, 1e-9)
     assert recording.temperature is not None
@@ -77,4 +77,4 @@ def test_the_plate_feels_none_of_it_and_two_owners_are_refused() -> None:
     np.testing.assert_allclose(recording.temperature, np.tile(want[:, None], tree.n))
     both = [*words, f"simulation.effect=[{gear},{{kind='lugre_friction'}}]"]
     with refuses(ExperimentError, "lugre_friction"):
-        tb.simulate(tb.Experiment.load(ROOT / "experiments/table6.toml", both))
+        tb.record(tb.Experiment.load(ROOT / "experiments/table6.toml", both))

@@ -106,7 +106,7 @@ def test_from_python_a_file_is_written_or_the_viewer_started(
     monkeypatch.setattr(live, "viewer_program", lambda: "rerun")
     monkeypatch.setattr(subprocess, "Popen", lambda command, **_: started.append(command))
     run = run_named("silent")
-    assert tb.view(run, tmp_path / "run.rrd").read_bytes()[:4] == b"RRF2"
+    assert tb.view(run, path=tmp_path / "run.rrd").read_bytes()[:4] == b"RRF2"
     assert started == []
     path = tb.view([run, run])
     assert started == [["rerun", str(path), "--bind", "127.0.0.1"]]

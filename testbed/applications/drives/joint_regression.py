@@ -190,7 +190,7 @@ def torques_beside(
             'leave identification.drives "off"'
         )
     terms = problem.settings.words if laws is None else laws
-    problem = problem.with_settings(terms=terms, weights="channels")
+    problem = problem.with_settings(terms=terms)
     drives = problem.drives
     assert drives is not None, "terms are those of joint torques"
     lift = _lift(problem.tree, bodies, drives, problem.settings)

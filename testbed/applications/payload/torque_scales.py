@@ -19,6 +19,7 @@ from testbed.applications.payload.payload import SEEN, SMALLEST, seen_of_payload
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.errors import SettingsError, UnknownName
+from testbed.core.estimation.noise.score_squares import bin_size, hidden, score_squares
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import (
     TINY,
@@ -28,7 +29,7 @@ from testbed.core.estimation.regression.normal_equations import (
     standard_deviations,
 )
 from testbed.core.estimation.regression.passes import Passes, Progress
-from testbed.core.estimation.regression.solvers import ScoreSquares, bin_size, hidden, sandwich
+from testbed.core.estimation.regression.windows import DENSE
 from testbed.core.estimation.selection.term_choice import with_all_terms
 from testbed.core.estimation.settings import DEFAULTS, Settings, with_sigmas
 from testbed.core.recordings.source import RecordingLike
@@ -117,7 +118,7 @@ def torque_scales(
     mass, doubt = facts.get(MASS, (0.0, 0.0))
     if mass <= 0:
         raise SettingsError(f"of the payload its mass has to be known, in kg: --known {MASS}=1.5")
-    settings = replace(settings, noise="white", weights="channels", nuisances=(), known={})
+    settings = replace(settings, nuisances=(), known={})
     if settings.zeros:
         raise SettingsError("a payload breaks the symmetry of links: calibrate without known zeros")
     halves = []
@@ -150,7 +151,7 @@ def _half(problem: Problem, joint: str, mass: float, number: int) -> _Half:
             "the mass of the payload does not change the torques beside its unknown centre: let "
             "joints turn it against gravity"
         )
-    passes = problem.passes(2)
+    passes = problem.passes(2, per_cutoff=DENSE)
     equations = problem.equations(passes)
     own = np.zeros((2, len(equations.unknowns) - minimal.count))
     own[number] = 1.0
@@ -192,14 +193,14 @@ def _covariance(halves: Sequence[_Half], scales: Array, v: Array) -> Array:
     total = np.zeros_like(inverse)
     for half in halves:
         x, plan = half.lead @ v + half.fixed, half.passes.plan
-        squares, weights = ScoreSquares(len(inverse), plan.rate), half.weights(x, scales)
+        scores, weights = [], half.weights(x, scales)
         for columns, measured in half.passes.rows(np.eye(len(x))):
             torque = columns @ x
             left = weights[:, None] * (measured - scales[:, None] * torque)
             by_rest = np.einsum("ct,ctp->tp", left * scales[:, None], columns) @ half.lead
-            scores = np.hstack([(left * torque).T, by_rest])
-            squares.add(np.add.reduceat(scores, range(0, len(scores), bin_size(plan.rate))))
+            rows = np.hstack([(left * torque).T, by_rest])
+            scores.append(np.add.reduceat(rows, range(0, len(rows), bin_size(plan.rate))))
         lost = len(inverse) / len(scales) / 2  # rows' worth of freedom, a channel and recording
         factor = hidden(plan.weights, plan.step, plan.rate) / max(1 - lost / plan.rows, 0.1)
-        total += factor * squares.finish()
-    return sandwich(inverse, total)[: len(scales), : len(scales)]
+        total += factor * score_squares(np.vstack(scores), plan.rate)
+    return np.asarray(inverse @ total @ inverse)[: len(scales), : len(scales)]

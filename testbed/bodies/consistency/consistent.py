@@ -13,7 +13,6 @@ from testbed.bodies.consistency.likelihood import (
     agreeing,
     evidence,
     precise,
-    rigid_body_test,
     terms_of,
 )
 from testbed.bodies.consistency.options import ConsistencyOptions, known_masses
@@ -24,6 +23,7 @@ from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.core.base.errors import RecordingError, few
+from testbed.core.estimation.diagnostics.rigid_bodies import rigid_body_test
 from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.regression.normal_equations import TINY, standard_deviations
 from testbed.core.parameters.symbols import with_standard

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,17 +15,14 @@ from testbed.bodies.linear_prior import (
     refitted,
     with_prior,
 )
-from testbed.bodies.posterior import Posterior, held_out_errors, parts_of
+from testbed.bodies.posterior import Posterior, held_out_errors
 from testbed.bodies.prior import Prior
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import TestbedError
 from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.selection.prediction_errors import CONSISTENT, REFITTED
-from testbed.core.estimation.selection.row_products import RowProducts
-from testbed.core.estimation.settings import DEFAULTS, Settings
-from testbed.core.recordings.source import RecordingLike
-from testbed.core.robot.tree import Tree
+from testbed.core.estimation.selection.row_products import RowParts, RowProducts
 
 
 def with_likely_error(
@@ -44,12 +41,10 @@ def with_likely_error(
 def beside_consistent(
     posteriors: Mapping[Method, Posterior],
     bodies: Consistent,
-    tree: Tree,
-    recording: RecordingLike,
+    rows: Mapping[Method, RowParts],
     prior: Prior,
-    estimates: Sequence[Estimate],
+    estimates: Mapping[Method, Estimate],
     options: ConsistencyOptions,
-    settings: Settings = DEFAULTS,
 ) -> dict[Method, Posterior]:
     """Posteriors with consistent bodies beside them: of the recording, and of held-out parts.
 
@@ -58,41 +53,36 @@ def beside_consistent(
     Args:
         posteriors: By method.
         bodies: Of the whole recording.
-        tree: The robot.
-        recording: As for `posterior`.
+        rows: Of the recording, by method.
         prior: The bodies of the model file.
         estimates: By least squares; a method without one stays as it is.
         options: What was asked of the bodies.
-        settings: As for `identify`.
     """
 
     def beside(found: Posterior, estimate: Estimate) -> Posterior:
-        problem, parts = parts_of(
-            tree, recording, estimate.method, [estimate], estimate.gravity, settings, None
-        )
+        parts = rows[found.method]
+        problem = parts.problem
         before = linear_prior(problem, prior, found.prior_error, parts.whole)
 
-        def of_rows(rows: RowProducts) -> Array:
-            values, covariance = with_prior(rows, before.times(WIDE))
+        def of_rows(some: RowProducts) -> Array:
+            values, covariance = with_prior(some, before.times(WIDE))
             sigma = np.sqrt(np.diagonal(covariance))
             own = replace(estimate, values=values, sigma=sigma, covariance=covariance)
             try:
-                return unknowns_of(consistent(tree, [own], prior, options), problem)
+                return unknowns_of(consistent(problem.tree, [own], prior, options), problem)
             except TestbedError:  # too few rows: those of the file
                 return found.file
 
-        fits = {REFITTED: lambda rows: refitted(rows, before), CONSISTENT: of_rows}
-        errors = held_out_errors(problem, parts, fits)
-        pairs = zip(errors, found.errors, strict=True)
+        fits = {REFITTED: lambda some: refitted(some, before), CONSISTENT: of_rows}
+        pairs = zip(held_out_errors(parts, fits), found.errors, strict=True)
         return replace(
             found,
             consistent=unknowns_of(bodies, problem),
             errors=tuple(known.beside(own) for own, known in pairs),
         )
 
-    made = {each.method: each for each in estimates}
     return {
-        method: beside(found, made[method]) if method in made else found
+        method: beside(found, estimates[method]) if method in estimates else found
         for method, found in posteriors.items()
     }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as _version
 from pathlib import Path, PurePath
@@ -27,6 +28,20 @@ def version() -> str:
         return _version(DISTRIBUTION)
     except PackageNotFoundError:
         return "not installed"
+
+
+__version__ = version()
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, testbed and the packages that make the numbers."""
+    found = {"python": platform.python_version(), "testbed": version()}
+    for package in ("mujoco", "numpy", "scipy", "pin"):
+        try:
+            found[package] = _version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
 
 
 def shipped(name: str | Path) -> Path:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from html import escape
-from importlib import import_module
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -15,7 +12,10 @@ import numpy as np
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.codec import TableSchema
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, sentences
-from testbed.core.base.errors import TestbedError, plural
+from testbed.core.base.errors import plural
+from testbed.core.base.frames import frame_of
+from testbed.core.base.summary_table import Summarized, SummaryTable, parameter_rows
+from testbed.core.estimation.information import Information
 from testbed.core.estimation.noise.noise_model import NoiseModel
 from testbed.core.estimation.regression.normal_equations import TINY, NormalEquations
 from testbed.core.estimation.selection.held_out import TermChoice
@@ -28,82 +28,6 @@ from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.robot.friction import JointLaw
 from testbed.core.robot.locks import places
 from testbed.core.robot.tree import Tree
-
-EXACT, EXACT_SHORT = 1e-7, 1e-10
-"""Relative sigma below which decimals would hide how small it is; the same in brackets."""
-
-ROUNDING = 1e-15
-"""Relative sigma of what is known: numbers of the computer have no more digits."""
-
-NOT_IDENTIFIABLE = "not identifiable"
-OPEN_ZERO = f"{NOT_IDENTIFIABLE}: plate zero unknown"
-"""In place of a number whose sigma is infinite: no motion separates it from the plate's zero."""
-
-NOTHING = 1e-15
-"""Numbers and sigmas below this are rounding of zero, in any unit [kg, kg m, kg m^2, N m]."""
-
-
-def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
-    """Value and sigma, with as many decimals as sigma has to say.
-
-    Args:
-        value: The value.
-        sigma: Its standard deviation; infinite where the value is not identifiable.
-        short: 1.0610(9) for 1.0610 +- 0.0009: the digits in brackets are of the last places.
-    """
-    if math.isinf(sigma):
-        return NOT_IDENTIFIABLE if short else OPEN_ZERO
-    if max(abs(value), sigma) < NOTHING:
-        return "0"
-    if sigma <= ROUNDING * abs(value):
-        return f"{value:.9g}"  # known
-    if sigma < (EXACT_SHORT if short else EXACT) * abs(value):
-        return f"{value:.9g} +- {sigma:.0e}"
-    digits = _digits(sigma)
-    if short:
-        places = f"{sigma:.{digits}f}".replace(".", "").lstrip("0")
-        return f"{value:.{digits}f}({sigma:.1f})" if sigma >= 1 else f"{value:.{digits}f}({places})"
-    return f"{value:.{digits}f} +- {sigma:.{digits}f}"
-
-
-def _digits(sigma: float) -> int:
-    """Decimals that show two digits of sigma."""
-    return 1 if sigma >= 1 or sigma == 0 else len(f"{1 / sigma:.0f}") + 1
-
-
-@dataclass(frozen=True)
-class Words:
-    """What is printed of an estimate.
-
-    Attributes:
-        head: What it is.
-        rows: Name, value, sigma and unit of each parameter.
-        sentences: What to be careful about.
-    """
-
-    head: str
-    rows: tuple[tuple[str, float, float, str], ...]
-    sentences: tuple[str, ...]
-
-    def text(self) -> str:
-        """Name, value with sigma and unit, a line each; then what to be careful about."""
-        rows = [(name, number_with_sigma(value, s), unit) for name, value, s, unit in self.rows]
-        name, value = (max(len(row[k]) for row in rows) for k in range(2))
-        lines = [f"{row[0]:{name}s}  {row[1]:>{value}s}  {row[2]}" for row in rows]
-        return "\n".join([self.head, *lines, *(f"warning: {line}" for line in self.sentences)])
-
-    def html(self) -> str:
-        """The same as a table of a page."""
-        body = "".join(
-            f'<tr><th style="text-align:left">{escape(name)}</th><td style="text-align:right">'
-            f"{number_with_sigma(value, sigma).replace('+-', '&plusmn;')}</td>"
-            f'<td style="text-align:left">{escape(unit)}</td></tr>'
-            for name, value, sigma, unit in self.rows
-        )
-        lines = "".join(f"<li>{escape(line)}</li>" for line in self.sentences)
-        said = f"<ul>{lines}</ul>" if lines else ""
-        return f"<table><caption>{escape(self.head)}</caption>{body}</table>{said}"
-
 
 Method = Literal["external", "internal"]
 
@@ -245,7 +169,7 @@ class TermEstimate:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Estimate(Diagnosed):
+class Estimate(Diagnosed, Summarized):
     """What one method found.
 
     Attributes:
@@ -273,7 +197,6 @@ class Estimate(Diagnosed):
         nuisances: Numbers of the instrument that were estimated with the parameters.
         trace_tests: Faults of the instrument whose traces were looked for in the residuals.
         nuisance_covariance: Of the instrument's numbers, (s, s).
-        nuisance_cross: Of the parameters with them, (p, s).
         choice: How held-out data chose the joints' terms, where they did.
         unidentifiable: Names of parameters that no motion separates from the plate's zero, which is
             not known here. Their values hold together with that zero only.
@@ -302,7 +225,6 @@ class Estimate(Diagnosed):
     nuisances: tuple[NuisanceEstimate, ...] = ()
     trace_tests: tuple[TraceTest, ...] = ()
     nuisance_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    nuisance_cross: Array = field(default_factory=lambda: np.zeros((0, 0)))
     choice: TermChoice | None = None
     unidentifiable: tuple[str, ...] = ()
     settings: Annotated[Settings, TableSchema()] = DEFAULTS
@@ -312,7 +234,6 @@ class Estimate(Diagnosed):
         s = len(self.nuisance_covariance)
         freeze(self, values=(p,), sigma=(p,), covariance=(p, p), gravity=(3,))
         freeze(self, residual=(c,), relative_residual=(c,), nuisance_covariance=(s, s))
-        freeze(self, nuisance_cross=(p if s else len(self.nuisance_cross), s))
 
     def without(self, unidentifiable: Sequence[str]) -> Estimate:
         """The same, some of the parameters said to be not identifiable.
@@ -370,49 +291,32 @@ class Estimate(Diagnosed):
         """What it was measured by."""
         return instrument_of(self.minimal, self.method)
 
+    def __add__(self, other: Information | Estimate) -> Information:
+        """Sum of what both say; independent data of one robot (`Information`)."""
+        return Information((self,)).__add__(other)
+
     @property
-    def words(self) -> Words:
-        """What is printed of it."""
+    def summary(self) -> SummaryTable:
+        """Names, values with sigmas, units, warnings."""
         doubt = (
             "; doubtful: its standard deviations do not include the errors that diagnostics name"
             if self.doubtful
             else ""
         )
-        numbers = zip(
-            self.names, self.values.tolist(), self.sigma.tolist(), self.units, strict=True
-        )
         head = f"{plural(len(self.names), 'parameter')} by the {self.instrument}{doubt}"
-        return Words(head, tuple(numbers), sentences(self.diagnostics))
-
-    def __repr__(self) -> str:
-        return str(self)
-
-    def __str__(self) -> str:
-        """A table for people: names, values with sigmas, units, warnings."""
-        return self.words.text()
-
-    def _repr_html_(self) -> str:
-        """The same for notebooks."""
-        return self.words.html()
+        rows = parameter_rows(self.names, self.values, self.sigma, self.units)
+        warnings = (f"warning: {line}" for line in sentences(self.diagnostics))
+        return SummaryTable(head, rows, tuple(warnings))
 
     def to_frame(self) -> Any:
-        """Names, values, sigmas and units as a data frame of pandas, or of polars.
-
-        Raises:
-            TestbedError: Neither is installed.
-        """
+        """Names, values, sigmas and units as a frame of pandas, polars or Arrow."""
         columns = {
             "name": list(self.names),
             "value": self.values.tolist(),
             "sigma": self.sigma.tolist(),
             "unit": list(self.units),
         }
-        for package in ("pandas", "polars"):
-            try:
-                return import_module(package).DataFrame(columns)
-            except ModuleNotFoundError:
-                continue
-        raise TestbedError("data frames need pandas or polars; pip install pandas")
+        return frame_of(columns)
 
 
 def influence(estimate: Estimate, truths: Mapping[str, float]) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.core.base.arrays import Array, freeze
-from testbed.core.base.errors import SettingsError, components, few
+from testbed.core.base.errors import SettingsError, components, few, plural
 from testbed.core.dynamics.drive_set import drive_set
 from testbed.core.estimation.estimate import Estimate, Method, channel_units, channels_of
 from testbed.core.estimation.problem import Problem, set_of
@@ -142,6 +142,12 @@ def check_parameters(problem: Problem, said: EstimateSummary) -> None:
         raise SettingsError(
             f"the {said.method} estimate is not of this robot's parameters under these settings: "
             f"{', and '.join(phrases) or 'they are in another order'}"
+        )
+    if len(said.residual) != len(problem.channels):
+        raise SettingsError(
+            f"the {said.method} estimate has residuals of "
+            f"{plural(len(said.residual), 'channel')}, the "
+            f"robot has {len(problem.channels)}"
         )
 
 

@@ -1,4 +1,4 @@
-"""Identify the minimal parameters from a recording: the room's front door."""
+"""Identify the minimal parameters from a recording."""
 
 from __future__ import annotations
 
@@ -12,13 +12,7 @@ from numpy.typing import ArrayLike
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.diagnostics import Diagnostic, diagnose, of_instrument, of_recording, ordered
-from testbed.core.base.errors import (
-    RecordingError,
-    SettingsError,
-    TestbedError,
-    UnseenParameters,
-    few,
-)
+from testbed.core.base.errors import RecordingError, SettingsError, UnseenParameters, few
 from testbed.core.base.stages import stage
 from testbed.core.dynamics.newton_euler import pedestal_wrench
 from testbed.core.estimation.diagnostics.diagnosis import diagnostics, quality
@@ -31,35 +25,31 @@ from testbed.core.estimation.regression.normal_equations import (
     NormalEquations,
     standard_deviations,
 )
-from testbed.core.estimation.regression.passes import Passes, Progress
+from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.regression.solvers import (
     Fit,
-    ScoreSquares,
-    bin_size,
-    hidden,
+    by_normal_equations,
     noise_weights,
-    sandwich,
     solve,
 )
-from testbed.core.estimation.regression.windows import Plan
-from testbed.core.estimation.selection.held_out import TermChoice
 from testbed.core.estimation.selection.position_filter import with_position_filter
 from testbed.core.estimation.selection.term_choice import with_all_terms, with_fewer_terms
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.sensor.sensor_model import LinearFit, SensorModel, gauss_newton
 from testbed.core.estimation.settings import DEFAULTS, Settings
-from testbed.core.kernel.records import Question
+from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.source import RecordingLike, Source
 from testbed.core.recordings.views import is_imported, pedestal_said
 from testbed.core.robot.friction import BACKWARD, FORWARD, LAWS, ROTOR
-from testbed.core.robot.tree import Tree
+from testbed.core.robot.tree import Tree, require_tree
 
 
 def identify(
     tree: Tree,
     recording: RecordingLike,
-    method: Method = "external",
+    method: Method | Signal = "wrench",
     *,
+    terms: Sequence[str] = (),
     zeros: bool | Sequence[str] | None = None,
     gravity: ArrayLike | None = None,
     settings: Settings = DEFAULTS,
@@ -76,8 +66,10 @@ def identify(
         tree: The robot; its inertias are not used, except for `zeros`.
         recording: In memory, or a Parquet file's path, or parts in the order of time.
             Columns are matched by joint name; its truth is not read.
-        method: "external": six reaction rows a sample, no columns of the joints' own.
-            "internal": a row a joint, with columns for `settings.terms`.
+        method: "wrench": the plate's, six rows a sample. "torque": the joints', a row a joint.
+        terms: Unknowns besides the bodies' parameters: errors of the plate by the names that a rig
+            has for them, as "plate_bias", "plate_pose"; or laws of the joints' torques, as
+            "coulomb", "viscous" (docs/identification.md). Default those of `settings`.
         zeros: In place of `settings.zeros`.
         gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else
             the model file's.
@@ -91,8 +83,10 @@ def identify(
             needs, or holds what is no measurement.
         UnseenParameters: The data cannot distinguish some parameters; names them.
     """
+    require_tree(tree, "identify(robot, data)")
     if zeros is not None:
         settings = replace(settings, zeros=zeros)
+    settings = settings.with_unknowns(terms)
     problem = Problem.of(
         tree,
         recording,
@@ -102,11 +96,13 @@ def identify(
         threads=threads,
         progress=progress,
     )
-    return estimate_of(problem, doubt)
+    return estimate_of(problem, doubt)[1]
 
 
-def estimate_of(problem: Problem, doubt: CalibrationCovariance | None = None) -> Estimate:
-    """The estimate of a recording that is made ready.
+def estimate_of(
+    problem: Problem, doubt: CalibrationCovariance | None = None
+) -> tuple[Problem, Estimate]:
+    """Estimate of a problem, and the problem with the terms and the filter that data chose.
 
     Args:
         problem: Robot, recording and method.
@@ -119,67 +115,63 @@ def estimate_of(problem: Problem, doubt: CalibrationCovariance | None = None) ->
     problem, choice = with_all_terms(problem)
     problem, filtered = with_position_filter(problem)
     try:
-        estimate = _estimate_of(problem, choice, doubt)
+        estimate = _least_squares(problem, doubt)
     except UnseenParameters:
-        fewer = problem if problem.drives is None else with_fewer_terms(problem)
+        fewer = with_fewer_terms(problem)
         if fewer.names == problem.names:
             raise
-        problem, estimate = fewer, _estimate_of(fewer, choice, doubt)
-    said = [*(_rotors_first(each, problem) for each in estimate.diagnostics), *filtered]
-    return replace(estimate, diagnostics=of_instrument(said, sensor_of(problem.tree)))
+        problem, estimate = fewer, _least_squares(fewer, doubt)
+    said = [_cause_of_lead(each, problem, estimate) for each in estimate.diagnostics]
+    diagnostics = of_instrument([*said, *filtered], sensor_of(problem.tree))
+    return problem, replace(estimate, choice=choice, diagnostics=diagnostics)
 
 
-def _rotors_first(given: Diagnostic, problem: Problem) -> Diagnostic:
-    """Torques that lead the motion: because of rotors, if they do so no longer beside those."""
-    if given.code != "torque.delay" or ROTOR.kind not in given.causes:
-        return given
-    with suppress(TestbedError):
-        beside = _estimate_of(
-            problem.with_settings(terms=(*problem.settings.words, ROTOR.kind)), None, None
-        )
-        if all(each.code != given.code for each in beside.diagnostics):
-            causes = dict.fromkeys((ROTOR.kind, *given.causes))
-            remedy = f"add '{ROTOR.kind}' to identification.terms"
-            return replace(given, causes=tuple(causes), remedy=remedy)
-    return given
-
-
-def _estimate_of(
-    problem: Problem, choice: TermChoice | None, doubt: CalibrationCovariance | None
-) -> Estimate:
-    """The estimate with the terms of a problem's settings."""
-    settings = problem.settings
+def _least_squares(problem: Problem, doubt: CalibrationCovariance | None) -> Estimate:
+    """Y = X theta + e, e autoregressive channel by channel: generalised least squares."""
     if not problem.minimal.names:
         raise SettingsError("identification.zeros leaves no parameter to estimate; name fewer")
-    full = settings.joined and settings.covariance is None
 
     @stage("rows and their products")
     def weighted_solution(source: Source) -> LinearFit:
-        passes = problem.passes(3 if settings.noise == "ar" else 2, source, whole=True)
+        passes = problem.passes(3, source, whole=True)
         equations = problem.equations(passes)
-        weights = noise_weights(equations, settings.covariance, full)
+        weights = noise_weights(equations)
         return LinearFit(passes, equations, solve(equations, weights, passes.rows))
 
     with one_blas_thread():
         model = SensorModel.of(problem, doubt)
         sensor = gauss_newton(problem.source, weighted_solution, model)
         passes, equations, linear = sensor.solution
-        if settings.noise == "ar":
-            columns = model.columns(passes.plan, linear.values, sensor.values)
-            fit = generalized_least_squares(linear, passes, problem.names, columns)
-        else:
-            fit = _refined(passes.plan, linear, passes)
+        columns = model.columns(passes.plan, linear.values, sensor.values)
+        fit = generalized_least_squares(linear, passes, problem.names, columns)
         if not np.isfinite(fit.covariance).all():
             raise RecordingError("the recording holds numbers too large to compute with")
-        estimate = _estimate(problem, equations, fit, model, sensor.values)
+        estimate = _estimate(problem, equations, linear, fit, model, sensor.values)
         of_data = diagnostics(estimate, problem.tree, passes.surveyor.survey(), problem.tare)
     if pedestal_said(problem.source):  # else a tare that is not its weight is odd
         of_data = tuple(each for each in of_data if each.code != "plate.tare")
     every = [*_of_problem(problem), *of_data, *model.diagnostics(sensor), *quality(estimate)]
     every += _rotors_within(problem)
-    estimate = replace(estimate, choice=choice, diagnostics=ordered(every))
-    zero = {*zero_unknown(estimate.noise), *model.with_unknown_zero}
-    return estimate.without([n for n in estimate.names if n in zero])
+    zero = {*zero_unknown(fit.noise), *model.with_unknown_zero}
+    unidentifiable = [name for name in estimate.names if name in zero]
+    return replace(estimate, diagnostics=ordered(every)).without(unidentifiable)
+
+
+def _cause_of_lead(given: Diagnostic, problem: Problem, estimate: Estimate) -> Diagnostic:
+    """Torques that lead the motion, by rotors where those explain more of them than a delay."""
+    if given.code != "torque.delay" or ROTOR.kind not in given.causes:
+        return given
+    with suppress(UnseenParameters):
+        beside = problem.with_settings(terms=(*problem.settings.words, ROTOR.kind))
+        equations = beside.equations(beside.passes(1, whole=True))
+        weights = estimate.residual**-2.0
+        found = by_normal_equations(equations, weights)
+        left = float(weights @ equations.residual(found.values))
+        if equations.rows - left > (given.significance or 0.0) ** 2:
+            causes = dict.fromkeys((ROTOR.kind, *given.causes))
+            remedy = f"add '{ROTOR.kind}' to identification.terms"
+            return replace(given, causes=tuple(causes), remedy=remedy)
+    return given
 
 
 def _of_problem(problem: Problem) -> Iterator[Diagnostic]:
@@ -231,37 +223,16 @@ def _rotors_within(problem: Problem) -> Iterator[Diagnostic]:
         yield diagnose("drives.rotor", few(sums), method="internal")
 
 
-def _refined(plan: Plan, fit: Fit, passes: Passes) -> GlsFit:
-    """Residuals, their covariance, and what they correct."""
-    rows, basis = plan.layout.rows, plan.layout.basis
-    factors = np.zeros(rows.slots)
-    columns = rows.unknown >= 0
-    factors[columns] = -(basis @ fit.values)[rows.unknown[columns]]
-    factors[rows.measured] = 1.0
-    squares = np.zeros(len(rows.measured))
-    scores = ScoreSquares(len(basis), plan.rate)
-    for sums in passes.sums(Question(factors, fit.weights, bin_size(plan.rate))):
-        squares += sums.moments
-        scores.add(sums.scores)
-    values = fit.values
-    if fit.correctable:
-        values = values + fit.inverse @ (basis.T @ scores.total)
-    lost = len(values) / len(rows.measured)  # rows' worth of freedom, a channel
-    factor = hidden(plan.weights, plan.step, plan.rate) / max(1 - lost / plan.rows, 0.1)
-    covariance = factor * sandwich(fit.inverse, basis.T @ scores.finish() @ basis)
-    return GlsFit(fit, values, covariance, squares)
-
-
 def _estimate(
     problem: Problem,
     equations: NormalEquations,
+    linear: Fit,
     fit: GlsFit,
     model: SensorModel,
     numbers: Array,
 ) -> Estimate:
     """The fit as an estimate, with the instrument's numbers and what was tested of it."""
-    square = equations.squares
-    spread, across = model.covariance(fit)
+    signal = equations.squares
     return Estimate(
         method=problem.method,
         names=equations.unknowns,
@@ -273,9 +244,9 @@ def _estimate(
         channels=equations.channels,
         channel_units=channel_units(problem.tree, problem.method),
         residual=np.sqrt(fit.squares / np.maximum(equations.used, 1.0)),
-        relative_residual=np.sqrt(fit.squares / np.where(square > 0, square, 1.0)),
+        relative_residual=np.sqrt(fit.squares / np.where(signal > 0, signal, 1.0)),
         samples=tuple(int(n) for n in equations.used),
-        condition=fit.fit.condition,
+        condition=linear.condition,
         normal_equations=equations,
         diagnostics=(),
         minimal=problem.minimal,
@@ -283,8 +254,7 @@ def _estimate(
         joints=problem.tree.names,
         noise=fit.noise,
         nuisances=model.estimates(numbers, fit),
-        nuisance_covariance=spread,
-        nuisance_cross=across,
+        nuisance_covariance=model.covariance(fit),
         trace_tests=model.tests(problem, fit),
         settings=problem.settings,
     )

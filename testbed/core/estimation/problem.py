@@ -26,13 +26,13 @@ from testbed.core.estimation.estimate import (
 )
 from testbed.core.estimation.regression.normal_equations import NormalEquations, gather
 from testbed.core.estimation.regression.passes import Passes, Progress
-from testbed.core.estimation.regression.windows import drive_filter, make_plan
+from testbed.core.estimation.regression.windows import ROWS_PER_CUTOFF, drive_filter, make_plan
 from testbed.core.estimation.selection.held_out import ALWAYS
 from testbed.core.estimation.settings import DEFAULTS, FIT, Settings
 from testbed.core.kernel.layout import Layout, layout
-from testbed.core.kernel.records import products_wanted
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
+from testbed.core.parameters.rules import OF_SIGNAL, Signal, translated
 from testbed.core.recordings.columns import check_samples
 from testbed.core.recordings.geometry import check_robot, in_its_gravity
 from testbed.core.recordings.repeats import without_repeated_poses
@@ -74,7 +74,7 @@ class Problem:
         cls,
         tree: Tree,
         recording: RecordingLike,
-        method: Method,
+        method: Method | Signal,
         settings: Settings = DEFAULTS,
         *,
         gravity: ArrayLike | None = None,
@@ -99,8 +99,10 @@ class Problem:
             RecordingError: The recording is of another robot, or lacks what the method needs.
             SettingsError: A span of time is said of several recordings.
         """
-        if method not in METHODS:
-            raise UnknownName("method", method, METHODS)
+        _, said = translated(method)
+        if said not in METHODS:
+            raise UnknownName("signal", method, OF_SIGNAL)
+        method = said
         source, repeated = without_repeated_poses(
             on_its_base(samples_of(recording, settings), tree)
         )
@@ -159,22 +161,17 @@ class Problem:
 
     @cached_property
     def layout(self) -> Layout:
-        """The robot's rows.
-
-        Raises:
-            SettingsError: The weights are a covariance of another number of channels.
-        """
+        """The robot's rows."""
         terms = () if self.drives is None else self.drives.terms
-        rows = layout(self.tree.without_inertias(), self.minimal, terms, self.settings.joined)
-        covariance = self.settings.covariance
-        if covariance is not None and len(covariance) != rows.width:
-            raise SettingsError(
-                f"weights is a covariance of {len(covariance)} channels, the {self.method} method "
-                f"has {rows.width}"
-            )
-        return rows
+        return layout(self.tree.without_inertias(), self.minimal, terms)
 
-    def passes(self, number: int, source: Source | None = None, whole: bool = False) -> Passes:
+    def passes(
+        self,
+        number: int,
+        source: Source | None = None,
+        whole: bool = False,
+        per_cutoff: float = ROWS_PER_CUTOFF,
+    ) -> Passes:
         """Passes over the rows.
 
         Args:
@@ -182,11 +179,12 @@ class Problem:
             source: Another form of the same samples, such as one with faults taken back.
             whole: Whether rows near reversals count, too, if the settings do not say how near:
                 they are whitened, and single ones are no torques then.
+            per_cutoff: Rows a second per Hz of the filter on rows.
 
         Raises:
             RecordingError: The recording is too short, or sampled too slowly.
         """
-        plan = make_plan(source or self.source, self.layout, self.tare, self.settings)
+        plan = make_plan(source or self.source, self.layout, self.tare, self.settings, per_cutoff)
         if whole and self.settings.reversal_reach is None:
             plan = replace(plan, rest_reach=0)
         if self.load is not None:  # friction alone is sought: what a reversal leaves would bias it
@@ -202,8 +200,7 @@ class Problem:
         Args:
             passes: Over the rows.
         """
-        sums = passes.sums(products_wanted(len(self.channels)))
-        return gather(self.layout, self.names, self.channels, sums)
+        return gather(self.layout, self.names, self.channels, passes.sums())
 
 
 def samples_of(recording: RecordingLike, settings: Settings) -> Source:

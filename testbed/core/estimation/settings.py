@@ -5,13 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from numbers import Real
-from typing import Any, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    InstanceOf,
+    TypeAdapter,
+    ValidationError,
+)
 
-from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.core.robot.friction import STRIBECK, JointLaw, law_of
 
@@ -30,7 +37,7 @@ def finite_number(value: object) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def stated_values(given: object) -> dict[str, float | tuple[float, ...]]:
+def stated_values(given: object) -> dict[str, Any]:
     """A table of values, or of values and sigmas, checked.
 
     Args:
@@ -39,18 +46,10 @@ def stated_values(given: object) -> dict[str, float | tuple[float, ...]]:
     Raises:
         SettingsError: It is none.
     """
-    if not isinstance(given, Mapping):
-        raise SettingsError(f"known is a table of values by name, found {given!r}")
-    found: dict[str, float | tuple[float, ...]] = {}
-    for name, value in given.items():
-        listed = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
-        numbers = [finite_number(each) for each in listed]
-        if not 1 <= len(numbers) <= 2 or None in numbers or (numbers[1:] and numbers[1] < 0):  # type: ignore[operator]
-            raise SettingsError(
-                f"known.{name} is a value, or a value and its sigma, found {value!r}"
-            )
-        exact = [float(each) for each in numbers]  # type: ignore[arg-type]
-        found[str(name)] = exact[0] if len(exact) == 1 else tuple(exact)
+    try:
+        found: dict[str, Any] = _adapter("known").validate_python(given)
+    except ValidationError:
+        raise SettingsError(f"known is {FIELDS['known'][1]}, found {given!r}") from None
     return found
 
 
@@ -70,6 +69,18 @@ def with_sigmas(stated: Mapping[str, float | Sequence[float]]) -> dict[str, tupl
 KINDS = ("bias", "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare")
 """Nuisances that can be estimated."""
 
+FAULTS = {
+    "plate_bias": "bias",
+    "plate_drift": "slope",
+    "plate_gain": "matrix",
+    "plate_crosstalk": "matrix",
+    "plate_pose": "pose",
+    "plate_origin_height": "height",
+    "plate_delay": "skew",
+    "encoder_zero_error": "joint_zeros",
+}
+"""Nuisances by the fault that makes them."""
+
 USUAL = ("coulomb", "viscous")
 """Terms of which nothing else is said."""
 
@@ -87,6 +98,80 @@ POSITION_CUTOFF, ROW_CUTOFF = 40.0, 5.0
 
 SLOWEST_ROWS = 0.1
 """Share of a sampling rate up to which differences of positions are good derivatives."""
+
+
+def _distinct(names: tuple[str | JointLaw, ...]) -> tuple[str | JointLaw, ...]:
+    """Raise ValueError where something is named twice."""
+    kinds = [name if isinstance(name, str) else name.kind for name in names]
+    if len(set(kinds)) < len(kinds):
+        raise ValueError
+    return names
+
+
+def _nuisance(name: str) -> str:
+    """Raise UnknownName where nothing of the instrument has the name."""
+    if name not in KINDS:
+        raise UnknownName("nuisance", name, KINDS)
+    return name
+
+
+def _known_terms(terms: tuple[str | JointLaw, ...]) -> tuple[str | JointLaw, ...]:
+    """Raise UnknownName where a term is no law."""
+    for term in terms:
+        if term != STRIBECK:
+            law_of(term)
+    return terms
+
+
+def _rising(span: tuple[float, float]) -> tuple[float, float]:
+    """Raise ValueError where the second time is not the later one."""
+    if not span[0] < span[1]:
+        raise ValueError
+    return span
+
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Amount = Annotated[Number, Field(ge=0, le=LARGEST)]
+Name = Annotated[str, Field(strict=True)]
+Stated = dict[Name, Number | tuple[Number] | tuple[Number, Annotated[Number, Field(ge=0)]]]
+Filter = Annotated[
+    Annotated[Number, Field(gt=0)] | Literal["off", "fit"],
+    BeforeValidator(lambda given: "off" if given is None else given),
+]
+Nuisance = Annotated[Name, AfterValidator(_nuisance)]
+Terms = Annotated[
+    tuple[Name | InstanceOf[JointLaw], ...], AfterValidator(_known_terms), AfterValidator(_distinct)
+]
+
+FIELDS: Mapping[str, tuple[Any, str]] = {
+    "zeros": (
+        Annotated[bool, Field(strict=True)] | tuple[Name, ...],
+        "true, false or a list of parameters' names",
+    ),
+    "position_cutoff": (Filter, 'a positive frequency [Hz] or "off"'),
+    "cutoff": (Filter, 'a positive frequency [Hz] or "off"'),
+    "deadband": (Amount, f"a speed [rad/s or m/s], from 0 to {LARGEST:g}"),
+    "reversal_reach": (Amount | None, f"a time [s], from 0 to {LARGEST:g}"),
+    "terms": (Literal["auto"] | Terms | None, 'a list of names, none twice, or "auto"'),
+    "nuisances": (
+        Annotated[tuple[Nuisance, ...], AfterValidator(_distinct)],
+        "a list of names, none twice",
+    ),
+    "tare": (Literal["known", "unknown"], '"known" or "unknown"'),
+    "span": (
+        Annotated[tuple[Number, Number], AfterValidator(_rising)] | None,
+        "two times [s], the earlier one first",
+    ),
+    "known": (Stated, "a table of values, or of values and their sigmas, by name"),
+    "drives": (Literal["off", "given", "chosen"], '"off", "given" or "chosen"'),
+    "engine": (Literal["by size", "compiled", "numpy"], '"by size", "compiled" or "numpy"'),
+}
+"""What each setting may be, and that in words."""
+
+
+@cache
+def _adapter(name: str) -> TypeAdapter[Any]:
+    return TypeAdapter(FIELDS[name][0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,15 +212,6 @@ class Settings:
     imported recordings, and "rotor" of torques from motors, else of joints whose rotor the model
     file states."""
 
-    weights: Literal["channels", "full"] | Sequence[Sequence[float]] = "channels"
-    """Weights of the channels: "channels", by each one's own noise; "full", by the covariance
-    of all channels' residuals; or that covariance, if it is known, row by row: 6 x 6 for the
-    plate [N^2, N^2 m, N^2 m^2]."""
-
-    noise: Literal["ar", "white"] = "ar"
-    """What residuals are taken for: "ar", an autoregression in each channel, found with the
-    parameters; "white", noise of no memory before the filters."""
-
     nuisances: Sequence[str] = ()
     """What of the instrument is unknown beside the parameters, for the external method: "bias",
     "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare" (docs/uncertainty.md)."""
@@ -166,30 +242,15 @@ class Settings:
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
 
     def __post_init__(self) -> None:
-        checked: dict[str, Any] = {
-            "zeros": _zeros(self.zeros),
-            "position_cutoff": _cutoff("position_cutoff", self.position_cutoff),
-            "cutoff": _cutoff("cutoff", self.cutoff),
-            "deadband": _not_negative("deadband is a speed [rad/s or m/s]", self.deadband),
-            "terms": _terms(self.terms),
-            "weights": _weights(self.weights),
-            "noise": _one_of("noise", self.noise, ("ar", "white")),
-            "drives": _one_of("drives", self.drives, ("off", "given", "chosen")),
-            "span": _span(self.span),
-            "engine": _one_of("engine", self.engine, ("by size", "compiled", "numpy")),
-            "nuisances": _nuisances(self.nuisances),
-            "tare": _one_of("tare", self.tare, ("known", "unknown")),
-            "known": stated_values(self.known),
-        }
-        if self.reversal_reach is not None:
-            reach = _not_negative("reversal_reach is a time [s]", self.reversal_reach)
-            checked["reversal_reach"] = reach
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
-        if self.nuisances and (self.noise != "ar" or self.row_low_pass is None):
-            raise SettingsError('nuisances need noise = "ar" and a cutoff: rows are filtered')
-        if self.known and self.noise != "ar":
-            raise SettingsError('known facts need noise = "ar"')
+        for name, (_, meaning) in FIELDS.items():
+            given = getattr(self, name)
+            try:
+                checked = _adapter(name).validate_python(given)
+            except ValidationError:
+                raise SettingsError(f"{name} is {meaning}, found {given!r}") from None
+            object.__setattr__(self, name, checked)
+        if self.nuisances and self.row_low_pass is None:
+            raise SettingsError("nuisances need a cutoff: rows are filtered")
         slow, fast = self.row_low_pass, self.position_low_pass
         if self.cutoff == FIT and slow is not None and fast is not None:
             slow = min(slow, fast / 2)
@@ -223,6 +284,21 @@ class Settings:
             positions = POSITION_CUTOFF if rate / 2 > POSITION_CUTOFF else "off"
         return replace(self, cutoff=rows, position_cutoff=positions)
 
+    def with_unknowns(self, names: Sequence[str]) -> Settings:
+        """The same with other unknowns besides the bodies' parameters.
+
+        Args:
+            names: Errors of the plate, by the names of faults or nuisances; laws of the joints'
+                torques. Of a kind that is not named, those of the settings stay.
+        """
+        errors = [FAULTS.get(name, name) for name in names if name in (*FAULTS, *KINDS)]
+        laws = [name for name in names if name not in (*FAULTS, *KINDS)]
+        return replace(
+            self,
+            nuisances=tuple(dict.fromkeys(errors)) or self.nuisances,
+            terms=tuple(laws) or self.terms,
+        )
+
     @property
     def laws(self) -> tuple[JointLaw, ...]:
         """The terms as laws of the joints' torque; of one with an open speed, none yet."""
@@ -245,114 +321,11 @@ class Settings:
         """Value and sigma of what is known, by name."""
         return with_sigmas(self.known)
 
-    @property
-    def joined(self) -> bool:
-        """Whether noise of different channels is taken as correlated."""
-        return self.weights != "channels"
-
-    @property
-    def covariance(self) -> Array | None:
-        """The covariance that was given, if one was."""
-        return None if isinstance(self.weights, str) else np.array(self.weights, dtype=float)
-
 
 def _hertz(cutoff: Cutoff | None, fit: float) -> float | None:
     if cutoff == FIT:
         return fit
     return None if cutoff is None or isinstance(cutoff, str) else cutoff
-
-
-def _zeros(given: object) -> bool | tuple[str, ...]:
-    if isinstance(given, bool):
-        return given
-    return _names("zeros is true, false or a list of parameters' names", given)
-
-
-def _names(what: str, given: object) -> tuple[str, ...]:
-    """A name, or a list of names."""
-    names = (given,) if isinstance(given, str) else given
-    if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
-        raise SettingsError(f"{what}, found {given!r}")
-    return tuple(names)
-
-
-def _cutoff(name: str, given: object) -> Cutoff:
-    if given is None or given == "off":
-        return "off"
-    if given == FIT:
-        return FIT
-    number = finite_number(given)
-    if number is None or number <= 0:
-        raise SettingsError(f'{name} is a positive frequency [Hz] or "off", found {given!r}')
-    return number
-
-
-def _not_negative(what: str, given: object) -> float:
-    number = finite_number(given)
-    if number is None or not 0 <= number <= LARGEST:
-        raise SettingsError(f"{what}, from 0 to {LARGEST:g}, found {given!r}")
-    return number
-
-
-def _span(given: object) -> tuple[float, float] | None:
-    if given is None:
-        return None
-    listed = given if isinstance(given, Sequence) else []
-    numbers = [x for x in map(finite_number, listed) if x is not None]
-    if len(listed) != 2 or len(numbers) != 2 or not numbers[0] < numbers[1]:
-        raise SettingsError(f"span is two times [s], the earlier one first; found {given!r}")
-    return numbers[0], numbers[1]
-
-
-def _terms(given: object) -> tuple[str | JointLaw, ...] | str | None:
-    if given is None or given == AUTO:
-        return AUTO if given else None
-    if isinstance(given, str) or not isinstance(given, Sequence):
-        raise SettingsError(f'terms is a list of names, or "auto", found {given!r}')
-    kinds = []
-    for term in given:
-        if not isinstance(term, str | JointLaw):
-            raise SettingsError(f"terms is a list of names, found {term!r} in it")
-        if term != STRIBECK:
-            law_of(term)
-        kinds.append(term if isinstance(term, str) else term.kind)
-    if len(set(kinds)) < len(kinds):
-        raise SettingsError(f"terms names something twice: {', '.join(kinds)}")
-    return tuple(given)
-
-
-def _one_of(name: str, given: object, known: tuple[str, ...]) -> str:
-    if given not in known:
-        raise UnknownName(name, str(given), known)
-    return str(given)
-
-
-def _nuisances(given: object) -> tuple[str, ...]:
-    names = _names("nuisances is a list of names", given)
-    for name in names:
-        if name not in KINDS:
-            raise UnknownName("nuisance", name, KINDS)
-    if len(set(names)) < len(names):
-        raise SettingsError(f"nuisances names something twice: {', '.join(names)}")
-    return names
-
-
-def _weights(given: ArrayLike) -> str | tuple[tuple[float, ...], ...]:
-    if isinstance(given, str):
-        if given not in ("channels", "full"):
-            raise UnknownName("weights", given, ("channels", "full", "a covariance"))
-        return given
-    try:
-        matrix = np.array(given, dtype=float)
-    except (TypeError, ValueError):
-        matrix = np.zeros(0)
-    square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] > 0
-    if not square or not np.isfinite(matrix).all():
-        raise SettingsError("weights is no covariance: it is not a square matrix of numbers")
-    symmetric = np.allclose(matrix, matrix.T, rtol=1e-9, atol=0)
-    if not symmetric or np.linalg.eigvalsh(matrix).min() <= 0:
-        raise SettingsError("weights is no covariance: it is not symmetric and positive definite")
-    return tuple(tuple(float(x) for x in row) for row in matrix)
 
 
 DEFAULTS = Settings()

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.bodies.posterior import errors_of_another
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
-from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
-from testbed.core.base.errors import RecordingError, SettingsError, plural
+from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose, sentences
+from testbed.core.base.errors import RecordingError
+from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion, linear
 from testbed.core.estimation.estimate import (
     METHODS,
@@ -35,19 +35,19 @@ from testbed.core.estimation.estimate_summary import (
     summary_of,
 )
 from testbed.core.estimation.problem import Problem, tare_of
-from testbed.core.estimation.regression.normal_equations import NormalEquations
 from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.regression.windows import motion_taps
 from testbed.core.estimation.selection.prediction_errors import (
     PLAIN,
     REFITTED,
     PredictionErrors,
+    errors_of_another,
 )
 from testbed.core.estimation.selection.term_choice import with_chosen_settings
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.geometry import in_its_gravity
 from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import RecordingLike
+from testbed.core.recordings.source import RecordingLike, Source
 from testbed.core.robot.friction import ROOM, SLOPE, term_torque
 from testbed.core.robot.tree import Tree
 
@@ -171,8 +171,8 @@ LIMIT = 2.0
 """Times what noise and covariance allow beyond which a residual is worth a warning."""
 
 
-@dataclass(frozen=True, eq=False)
-class Validation(Diagnosed):
+@dataclass(frozen=True, eq=False, repr=False)
+class Validation(Diagnosed, Summarized):
     """An estimate against another recording, channel by channel.
 
     Attributes:
@@ -209,6 +209,16 @@ class Validation(Diagnosed):
     def __post_init__(self) -> None:
         c = len(self.channels)
         freeze(self, signal=(c,), residual=(c,), mean=(c,), noise=(c,), spread=(c,))
+
+    @property
+    def summary(self) -> SummaryTable:
+        """Residual of each channel, as a part of the signal, over what noise and sigma allow."""
+        parts = zip(self.residual, self.units, self.relative_residual, self.ratio, strict=True)
+        cells = [(f"{r:.3g}", unit, f"{s:.2%}", f"{ratio:.2g}") for r, unit, s, ratio in parts]
+        rows = [(name, *cell) for name, cell in zip(self.channels, cells, strict=True)]
+        heads = ("channel", "rms residual", "unit", "of the signal", "over allowed")
+        warnings = tuple(f"warning: {line}" for line in sentences(self.diagnostics))
+        return SummaryTable("estimate on another recording", (heads, *rows), warnings)
 
     @property
     def relative_residual(self) -> Array:
@@ -284,8 +294,10 @@ def validate(
         SettingsError: Robot and settings have other parameters than the estimate.
     """
     said = estimate if isinstance(estimate, EstimateSummary) else summary_of(estimate)
-    made = [] if isinstance(estimate, EstimateSummary) else [estimate]
-    settings = said.settings if settings is None else with_chosen_settings(settings, made)
+    if settings is None:
+        settings = said.settings
+    elif isinstance(estimate, Estimate):
+        settings = with_chosen_settings(settings, [estimate])
     problem = Problem.of(
         tree.with_gravity(said.gravity),
         recording,
@@ -294,47 +306,34 @@ def validate(
         gravity=gravity,
         threads=threads,
         progress=progress,
-    ).with_settings(weights="channels")
+    )
     check_parameters(problem, said)
-    tree, channels = problem.tree, problem.channels
-    if len(said.residual) != len(channels):
-        raise SettingsError(
-            f"the {said.method} estimate has residuals of "
-            f"{plural(len(said.residual), 'channel')}, the "
-            f"robot has {len(channels)}"
-        )
-    source = corrected_by(problem.source, tree, said)
-    passes = problem.passes(2, source, whole=True)
+    source = corrected_by(problem.source, problem.tree, said)
     with one_blas_thread():
-        equations = problem.equations(passes)
-        total, squares = np.zeros((2, len(channels)))
-        # the drift of offsets is one recording's
-        values = [
-            0.0 if name.startswith(SLOPE.kind + "/") else value
-            for name, value in zip(said.names, said.values.tolist(), strict=True)
-        ]
-        for columns, measured in passes.rows(np.array(values)[:, None]):
-            left = measured - columns[..., 0]
-            total += left.sum(axis=1)
-            squares += (left**2).sum(axis=1)
-        beside = None
+        found = _validation(problem, source, said)
         if models:
-            beside = errors_of_another(problem, source, {**models, held: said.values})
-    found = _validation(said, tree, equations, total, squares)
-    return replace(found, errors=beside, held=held)
+            errors = errors_of_another(problem, source, {**models, held: said.values})
+            found = replace(found, errors=errors, held=held)
+    return found
 
 
-def _validation(
-    said: EstimateSummary, tree: Tree, equations: NormalEquations, total: Array, squares: Array
-) -> Validation:
-    """Sums over rows as numbers of channels."""
+def _validation(problem: Problem, source: Source, said: EstimateSummary) -> Validation:
+    """Residuals of another recording's rows, faults of the instrument taken back."""
+    passes = problem.passes(2, source, whole=True)
+    equations = problem.equations(passes)
+    drifts = [name.startswith(SLOPE.kind + "/") for name in said.names]
+    values = np.where(drifts, 0.0, said.values)  # the drift of offsets is one recording's
+    total, squares = np.zeros((2, len(problem.channels)))
+    for columns, measured in passes.rows(values[:, None]):
+        left = measured - columns[..., 0]
+        total += left.sum(axis=1)
+        squares += (left**2).sum(axis=1)
     used = np.where(equations.used > 0, equations.used, np.nan)
-    normal = np.stack([equations.of_channel(c)[0] for c in range(len(used))])
-    added = np.maximum(np.einsum("cij,ij->c", normal, said.covariance), 0.0)
+    added = np.maximum(np.einsum("cij,ij->c", equations.normal, said.covariance), 0.0)
     found = Validation(
         method=said.method,
         channels=equations.channels,
-        units=channel_units(tree, said.method),
+        units=channel_units(problem.tree, said.method),
         rows=tuple(int(n) for n in equations.used),
         signal=np.sqrt(equations.squares / used),
         residual=np.sqrt(squares / used),

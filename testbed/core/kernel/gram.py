@@ -1,4 +1,4 @@
-"""One sweep over a window: rows, filtered or not, their products, their residuals."""
+"""One sweep over a window: rows, filtered or not, and their products."""
 
 from __future__ import annotations
 
@@ -217,10 +217,10 @@ def rest_joints(rows, signals, work, count, sums):
 
 @plain
 def gram(rows, work, count, sums):
-    """Add the products of all pairs of slots, group by group of rows; lower triangles."""
+    """Add the products of all pairs of slots, channel by channel; lower triangles."""
     n, G = -(-count // 8) * 8, sums.products
-    for g in range(len(rows.group_slot)):
-        p, ld, slot = rows.group_size[g], rows.group_width[g], rows.group_slot[g]
+    for g in range(len(rows.start)):
+        p, ld, slot = rows.group_size[g], rows.width[g], rows.start[g]
         X = work.Z[slot * D : (slot + ld) * D]
         for a in range(0, p, 4):
             at = rows.group_gram[g] + a * ld
@@ -237,65 +237,9 @@ def gram(rows, work, count, sums):
             diagonal_tile(X[a * D : (a + 4) * D], n, G, at + a, ld)
 
 
-@inline
-def add(f, X, n, Y):
-    """Y += f X for four slots X."""
-    f0, f1, f2, f3 = f[0], f[1], f[2], f[3]
-    for k in range(n):
-        Y[k] += f0 * X[k] + f1 * X[D + k] + f2 * X[2 * D + k] + f3 * X[3 * D + k]
-
-
-@part
-def subtract(rows, work, c, at, n, factors, E):
-    """E = residual of a channel: the sum of its slots times `factors`."""
-    E[:n] = 0.0
-    for s in range(rows.start[c], rows.start[c] + rows.width[c], 4):
-        add(factors[s : s + 4], work.Z[s * D + at : (s + 4) * D], n, E)
-
-
-@part
-def score(rows, work, c, at, n, E, scores):
-    """Add columns of a channel times E to the scores of one bin."""
-    for s in range(rows.start[c], rows.measured[c], 4):
-        found = dots(E, work.Z[s * D + at : (s + 4) * D], n)
-        for i in range(4):
-            u = rows.unknown[s + i]
-            if u >= 0:
-                scores[u] += found[i]
-
-
-@plain
-def residual(rows, work, count, first, question, sums):
-    """Residuals, their squares, and scores: columns times weighted residuals, by bins of rows.
-
-    Bin by bin, and channel by channel where noise is not correlated across channels, so that
-    slots come from memory once. first: number of the block's first row.
-    """
-    channels, weights, R = len(rows.measured), question.weights, work.R
-    E, wait = R[channels * D :], 0
-    for c in range(channels):
-        for d in range(c):
-            if weights[c, d] != 0.0:
-                wait = channels  # scores need the residuals of all channels
-    for at in range(0, count, question.bins):
-        n, bin = min(question.bins, count - at), (first + at) // question.bins
-        for turn in range(channels + wait):
-            if turn < channels:
-                subtract(rows, work, turn, at, n, question.factors, R[turn * D :])
-                sums.moments[turn] += dot(R[turn * D :], R[turn * D :], n)
-            c = turn - wait
-            if c >= 0:
-                E[:n] = 0.0
-                for d in range(channels):
-                    if weights[c, d] != 0.0:
-                        for k in range(n):
-                            E[k] += weights[c, d] * R[d * D + k]
-                score(rows, work, c, at, n, E, sums.scores[bin])
-
-
 @outer
-def sweep(robot, rows, signals, work, question, sums):
-    """All rows, block by block: the sums that have room, products or residuals or neither.
+def sweep(robot, rows, signals, work, sums):
+    """All rows, block by block, and their products, if the sums have room for these.
 
     The last block stays in work.Z.
     """
@@ -319,5 +263,3 @@ def sweep(robot, rows, signals, work, question, sums):
                 sums.used[c] += count
         if len(sums.products):
             gram(rows, work, count, sums)
-        if len(question.factors):
-            residual(rows, work, count, first, question, sums)

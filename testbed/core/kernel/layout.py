@@ -275,13 +275,9 @@ class Draft:
                 pairs.append(pair)
         return pairs, source, target
 
-    def rows(self, joined: bool) -> Rows:
+    def rows(self) -> Rows:
         """All channels as arrays."""
         pairs, source, target = self._paths()
-        unknown = np.full(self.slots, -1)
-        for start, columns in zip(self.starts, self.columns, strict=True):
-            unknown[start : start + len(columns)] = columns
-        widths = [self.slots] if joined else self.widths
         sizes = [m + 1 - s for m, s in zip(self.measured, self.starts, strict=True)]
         copies = [
             [(e, pair.slot + n) for n, e in enumerate(pair.entries) if n >= pair.direct]
@@ -305,11 +301,8 @@ class Draft:
             width=ints(self.widths),
             measured=ints(self.measured),
             link=ints(self.owners),
-            unknown=ints(unknown),
-            group_slot=ints([0] if joined else self.starts),
-            group_size=ints([self.slots] if joined else sizes),
-            group_width=ints(widths),
-            group_gram=ints(np.cumsum([0, *(width**2 for width in widths[:-1])])),
+            group_size=ints(sizes),
+            group_gram=ints(np.cumsum([0, *(width**2 for width in self.widths[:-1])])),
             slots=self.slots,
             block=int(np.clip(CACHE // (8 * self.slots) // NB * NB, NB, KS)),
         )
@@ -372,16 +365,13 @@ class Layout:
         )
 
 
-def layout(
-    tree: Tree, minimal: MinimalSet, terms: Sequence[JointTerm] = (), joined: bool = False
-) -> Layout:
+def layout(tree: Tree, minimal: MinimalSet, terms: Sequence[JointTerm] = ()) -> Layout:
     """Lay out the rows of a minimal set.
 
     Args:
         tree: The robot; only its geometry matters.
         minimal: delta_d or delta_r.
         terms: The joints' own columns, for a dynamic set.
-        joined: Whether products across channels are wanted.
     """
     frames = canonical(tree)
     turns = frames.to_canonical()
@@ -414,7 +404,7 @@ def layout(
         model=minimal.model,
         terms=tuple(terms),
         robot=_robot(frames, minimal.gravity, tree),
-        rows=draft.rows(joined),
+        rows=draft.rows(),
         theta=_theta(turns, picked),
         basis=basis,
         channels=tuple(draft.columns),

@@ -19,12 +19,10 @@ from testbed.core.kernel.records import (
     B,
     Block,
     D,
-    Question,
     Signals,
     Sums,
     Work,
     blocks,
-    products_wanted,
     sensed,
     sums_for,
 )
@@ -54,7 +52,6 @@ def workspace(layout: Layout, signals: Signals) -> Work:
         H=_aligned(reach * D if filtered else 0),
         G=_aligned(layout.width * ((len(signals.weights) - 1) // signals.step + 1) * D),
         Z=_aligned(slots * D),
-        R=_aligned((layout.width + 1) * D),
         squares=_aligned(1),
     )
     # what never changes: the bedplate's motion, and screws
@@ -63,18 +60,17 @@ def workspace(layout: Layout, signals: Signals) -> Work:
     return work
 
 
-def sweep(layout: Layout, signals: Signals, question: Question, work: Work) -> Sums:
-    """Products or residuals of a window's rows.
+def sweep(layout: Layout, signals: Signals, work: Work) -> Sums:
+    """Products of a window's rows.
 
     Args:
         layout: The rows.
         signals: The window.
-        question: What to find.
         work: Room to work in.
     """
-    sums = sums_for(layout.rows, signals, question, len(layout.basis))
+    sums = sums_for(layout.rows)
     work = work._replace(squares=sums.squares)
-    _call(layout.robot, layout.rows, _fixed(signals), work, question, sums)
+    _call(layout.robot, layout.rows, _fixed(signals), work, sums)
     return sums
 
 
@@ -89,10 +85,8 @@ def fill_only(layout: Layout, signals: Signals, work: Work) -> Array:
     Returns:
         How many of each channel count, (channels,).
     """
-    nothing = products_wanted(layout.width)
-    sums = sums_for(layout.rows, signals, nothing, len(layout.basis))
-    sums = sums._replace(products=np.empty(0))
-    _call(layout.robot, layout.rows, _fixed(signals), work, nothing, sums)
+    sums = sums_for(layout.rows)._replace(products=np.empty(0))
+    _call(layout.robot, layout.rows, _fixed(signals), work, sums)
     return sums.used
 
 
@@ -163,5 +157,5 @@ def warm_up() -> str:
     rows_of_it = layout(tree, minimal_set(tree, "dynamic"))
     still = np.zeros((1, 1))
     signals = sensed(still, still, still, 1)
-    sweep(rows_of_it, signals, products_wanted(1), workspace(rows_of_it, signals))
+    sweep(rows_of_it, signals, workspace(rows_of_it, signals))
     return str(settings.CACHE_DIR)

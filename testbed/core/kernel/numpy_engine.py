@@ -14,7 +14,7 @@ from testbed.core.kernel.records import (
     LARGEST_VARIANCE,
     REST_VARIANCE,
     Block,
-    Question,
+    Rows,
     Signals,
     Sums,
     blocks,
@@ -38,24 +38,20 @@ def rows(layout: Layout, signals: Signals) -> list[Block]:
     return [_block(layout, part, first) for first, part in parts]
 
 
-def answer(layout: Layout, signals: Signals, given: list[Block], question: Question) -> Sums:
-    """Products or residuals of a window's rows.
+def sweep(layout: Layout, signals: Signals, given: list[Block]) -> Sums:
+    """Products of a window's rows.
 
     Args:
         layout: The rows.
         signals: The window.
         given: Its `rows`, of whichever engine.
-        question: What to find.
     """
-    sums = sums_for(layout.rows, signals, question, len(layout.basis))
+    sums = sums_for(layout.rows)
     for values in (signals.position, signals.velocity, signals.acceleration, signals.measured):
         sums.squares[...] += np.vdot(values, values)
     for block in given:
         sums.used[...] += block.used
-        if len(question.factors):
-            _residuals(layout, block, question, sums)
-        else:
-            _products(layout, block.rows, sums)
+        _products(layout.rows, block.rows, sums)
     return sums
 
 
@@ -184,22 +180,7 @@ def _varying(
     return signals.varying[first : first + len(load), column]
 
 
-def _products(layout: Layout, z: Array, sums: Sums) -> None:
-    rows = layout.rows
-    for slot, width, at in zip(rows.group_slot, rows.group_width, rows.group_gram, strict=True):
+def _products(rows: Rows, z: Array, sums: Sums) -> None:
+    for slot, width, at in zip(rows.start, rows.width, rows.group_gram, strict=True):
         group = z[slot : slot + width]
         sums.products[at : at + width**2] += (group @ group.T).ravel()
-
-
-def _residuals(layout: Layout, block: Block, question: Question, sums: Sums) -> None:
-    rows, z = layout.rows, block.rows
-    first = block.first // question.bins
-    spans = [slice(a, a + b) for a, b in zip(rows.start, rows.width, strict=True)]
-    residual = np.stack([question.factors[span] @ z[span] for span in spans])
-    sums.moments[...] += np.sum(residual**2, axis=1)
-    weighted = question.weights @ residual
-    bins = np.arange(0, z.shape[1], question.bins)
-    for c, columns in enumerate(layout.channels):
-        parts = z[rows.start[c] : rows.start[c] + len(columns)] * weighted[c]
-        summed = np.add.reduceat(parts, bins, axis=1).T
-        sums.scores[first : first + len(bins), columns] += summed

@@ -130,11 +130,8 @@ class Rows(NamedTuple):
     width: Ints  # of a channel, measurement and padding included
     measured: Ints  # slot of a channel's measurement
     link: Ints  # of a channel's joint
-    unknown: Ints  # column of every slot; -1 for measurements and padding
-    group_slot: Ints  # slots whose products are wanted
-    group_size: Ints  # how many they are
-    group_width: Ints  # and with the padding
-    group_gram: Ints  # where these go
+    group_size: Ints  # slots of a channel without the padding
+    group_gram: Ints  # where their products go
     slots: int
     block: int  # rows taken at once
 
@@ -231,7 +228,6 @@ class Work(NamedTuple):
     H: Array  # weights of the filter
     G: Array  # what each row shares, at rests of its joint, with itself and rows before
     Z: Array  # filtered rows
-    R: Array  # residuals
     squares: Array  # sum of the squares of all that was read, one number or none
 
 
@@ -240,48 +236,16 @@ class Sums(NamedTuple):
 
     Attributes:
         used: Rows of each channel that count.
-        products: Of all pairs of a group's slots, lower triangles, group by group; or empty.
-        moments: Sums of the channels' squared residuals, (channels,); or zero.
-        scores: Columns times weighted residuals, summed over bins of rows; or empty.
-        squares: Sum of the squares of all that was read, (1,): small only if all are numbers;
-            empty beside residuals.
+        products: Of all pairs of a channel's slots, lower triangles, channel by channel; or empty.
+        squares: Sum of the squares of all that was read, (1,): small only if all are numbers.
     """
 
     used: Array
     products: Array
-    moments: Array
-    scores: Array
     squares: Array
 
 
-class Question(NamedTuple):
-    """What to find: products, or, where factors are given, residuals.
-
-    Attributes:
-        factors: What each slot counts in a residual, (slots,); empty for products.
-        weights: Of the channels' residuals in the scores, (channels, channels).
-        bins: Rows of a score, a power of two up to 64.
-    """
-
-    factors: Array
-    weights: Array
-    bins: int
-
-
-def products_wanted(channels: int) -> Question:
-    """The question for products."""
-    return Question(np.empty(0), np.zeros((channels, channels)), 1)
-
-
-def sums_for(rows: Rows, signals: Signals, question: Question, columns: int) -> Sums:
-    """Room for the answer, zero."""
-    channels = len(rows.measured)
-    residuals = len(question.factors) > 0
-    bins = -(-signals.number // question.bins) if residuals else 0
-    return Sums(
-        used=np.zeros(channels),
-        products=np.zeros(0 if residuals else int((rows.group_width**2).sum())),
-        moments=np.zeros(channels),
-        scores=np.zeros((bins, columns)),
-        squares=np.zeros(0 if residuals else 1),
-    )
+def sums_for(rows: Rows) -> Sums:
+    """Room for the sums of a window, zero."""
+    products = int((rows.width**2).sum())
+    return Sums(np.zeros(len(rows.measured)), np.zeros(products), np.zeros(1))

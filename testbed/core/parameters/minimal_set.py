@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +26,7 @@ from testbed.core.parameters.elimination import (
     list_entries,
 )
 from testbed.core.parameters.regroup import Body, Lengths, Namer, regroup
-from testbed.core.parameters.rules import Model, Triad, across
+from testbed.core.parameters.rules import OF_SIGNAL, Model, Signal, Triad, across, translated
 from testbed.core.parameters.symbols import (
     Formula,
     Label,
@@ -34,7 +35,7 @@ from testbed.core.parameters.symbols import (
     parameter_names,
 )
 from testbed.core.robot.free_base import FREE
-from testbed.core.robot.tree import Tree
+from testbed.core.robot.tree import Tree, require_tree
 
 NO_MATTER = 1e-12
 """A parameter this much smaller than its body's others of the same unit is zero in the file."""
@@ -64,6 +65,11 @@ class MinimalSet:
 
     def __repr__(self) -> str:
         return f"<MinimalSet of the {self.model} model, {self.count}: {', '.join(self.names)}>"
+
+    @property
+    def robot(self) -> Tree:
+        """The robot."""
+        return self._tree
 
     @property
     def of_sensor(self) -> bool:
@@ -236,7 +242,7 @@ class MinimalSet:
 
 def minimal_set(
     tree: Tree,
-    model: Model,
+    model: Model | Signal,
     gravity: ArrayLike | None = None,
     zeros: bool | Sequence[str] = False,
     tared: bool = False,
@@ -248,15 +254,18 @@ def minimal_set(
 
     Args:
         tree: The robot; its inertias matter only for `zeros`.
-        model: "dynamic" for joint torques, "reaction" for the bedplate's wrench.
+        model: "torque" for joint torques, "wrench" for the bedplate's wrench.
         gravity: Gravity acceleration, (3,) [m/s^2], bedplate frame; default the model file's.
         zeros: Barycentric parameters known to be zero: True for those that are zero in
             the model file, or a list of names such as "mb1x", "K2xy".
         tared: The bedplate's static wrench in one posture has been taken off, so that
             only changes of it count.
     """
-    if model not in ("dynamic", "reaction"):
-        raise UnknownName("model", model, ("dynamic", "reaction"))
+    require_tree(tree, "minimal_set(robot, signal)")
+    found, _ = translated(model)
+    if found not in ("dynamic", "reaction"):
+        raise UnknownName("signal", model, OF_SIGNAL)
+    model = cast(Model, found)
     g = tree.gravity_or(gravity)
     known_zero = known_zeros(tree, zeros)
     bodies = regroup(tree, model, g, tared=tared)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -189,6 +190,24 @@ def _off(a: Array, b: Array) -> float:
 
 
 Model = Literal["dynamic", "reaction"]
+
+Signal = Literal["wrench", "torque"]
+"""What is measured: the plate's wrench, or joint torques."""
+
+OF_SIGNAL: Mapping[str, tuple[Model, Literal["internal", "external"]]] = {
+    "wrench": ("reaction", "external"),
+    "torque": ("dynamic", "internal"),
+}
+"""Minimal set and method by signal."""
+
+
+def translated(word: str) -> tuple[str, str]:
+    """Minimal set and method that a word of the public interface names.
+
+    Args:
+        word: A signal, or the name of a set or method itself.
+    """
+    return OF_SIGNAL.get(word, (word, word))
 
 
 REASONS = {

@@ -16,6 +16,8 @@ import numpy as np
 from testbed.core.base.arrays import Array, readonly
 from testbed.core.base.errors import RecordingError
 from testbed.core.base.files import replacing
+from testbed.core.base.frames import columns_of, frame_of
+from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.recordings.columns import (
     JOINT_SIGNALS,
     SIGNALS,
@@ -31,7 +33,7 @@ from testbed.core.recordings.columns import (
     unit_of,
 )
 from testbed.core.recordings.geometry import check_robot
-from testbed.core.robot.tree import Tree
+from testbed.core.robot.tree import Tree, require_tree
 
 READ = (*SIGNALS, *(f"truth/{signal}" for signal in TRUE_SIGNALS))
 """Signals that are read from a file; its other columns are left alone."""
@@ -60,8 +62,8 @@ class Truth:
     sensors: Array | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(Summarized):
     """M samples of encoders, and of motor torques or the plate or both, at a constant rate.
 
     Attributes:
@@ -255,6 +257,45 @@ class Recording:
             facts=facts,
             **read,
         )
+
+    @staticmethod
+    def from_frame(frame: Any, robot: Tree) -> Recording:
+        """A recording of one's own data, at a constant rate.
+
+        Args:
+            frame: A data frame of pandas or polars, an Arrow table, or arrays by name. Columns are
+                `time` [s] and `position/JOINT` [rad or m], and what there is of `torque/JOINT`
+                [N m or N], `velocity/JOINT`, `acceleration/JOINT` and the wrench of the plate on
+                the robot `wrench/Fx` ... `wrench/Mz` [N, N m]. In a mapping, `position`, `torque`
+                and `wrench` may be arrays, (M, joints) or (M, 6).
+            robot: The robot; joints of arrays are in the order of its names.
+
+        Raises:
+            RecordingError: A channel is missing, or sampling is not uniform.
+        """
+        require_tree(robot, "from_frame(frame, robot)")
+        columns: dict[str, Array] = {}
+        for name, values in columns_of(frame).items():
+            columns |= {name: values} if values.ndim == 1 else _split(name, values, robot.names, ())
+        found = Recording.from_columns(columns, {"tare": None, "facts": {}}, "the frame")
+        check_columns(found.columns(), "the frame")
+        return found.ordered(robot)
+
+    def to_frame(self) -> Any:
+        """What was measured, a column a channel, as a frame of pandas, polars or Arrow."""
+        return frame_of(self.columns())
+
+    @property
+    def summary(self) -> SummaryTable:
+        """Length, and rms and range of every channel."""
+        rows: list[tuple[str, ...]] = [("channel", "rms", "least", "greatest")]
+        for name, values in self.columns().items():
+            if name != "time":
+                rms = float(np.sqrt(np.mean(values**2)))
+                rows.append((name, *(f"{x:.4g}" for x in (rms, values.min(), values.max()))))
+        length = float(self.time[-1] - self.time[0]) if self.samples else 0.0
+        head = f"recording of {', '.join(self.names)}: {self.samples} samples, {length:.4g} s"
+        return SummaryTable(head, tuple(rows))
 
     def save(self, path: str | Path) -> None:
         """Write to a Parquet file, whole or not at all.

@@ -9,41 +9,29 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from testbed.core.base.diagnostics import diagnose
 from testbed.core.base.errors import WIDTH, FreeRootError, LoopError, MimicError, ModelError, few
 from testbed.core.base.file_kinds import expecting
+from testbed.core.base.installation import own_or_shipped
 from testbed.core.robot.asset_files import asset_fault, mjcf_files
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.core.robot.inertia import HEAVIEST
 from testbed.core.robot.locks import Lock, Travel
 from testbed.core.robot.parsing import check_name, errors_of, read_xml
 from testbed.core.robot.repair import Bodies, Link, Repair
-from testbed.core.robot.tree import Tree
+from testbed.core.robot.tree import ModelSource, Tree
 
 MOST_JOINTS = 1_000
 """Matrices of a robot grow with the square of its joints."""
 
 
 @dataclass(frozen=True)
-class ModelFile:
-    """An MJCF or URDF file, and how to read it.
-
-    Attributes:
-        path: The file.
-        weld_root: Weld a floating root to the bedplate.
-        repair: Bodies in place of those that cannot be, by the link that carries them; {} refuses
-            such a file, None takes the nearest bodies.
-        lock: Joints that are held, and where [rad or m]; None: where the joint rests.
-    """
-
-    path: Path
-    weld_root: bool = False
-    repair: Bodies | None = None
-    lock: Mapping[str, float | None] = field(default_factory=dict)
+class ModelFile(ModelSource):
+    """An MJCF or URDF file, and how to read it."""
 
     def links(self) -> tuple[Link, ...]:
         """Its links in the bodies of the tree, carriers before what they carry.
@@ -64,6 +52,17 @@ class ModelFile:
             ModelError: The file cannot be read or holds what is not supported.
         """
         return load_tree(self.path, weld_root=self.weld_root, repair=self.repair, lock=self.lock)
+
+
+def file_of(tree: Tree) -> ModelFile:
+    """The model file of a robot.
+
+    Raises:
+        ModelError: It was not read from one.
+    """
+    if not isinstance(tree.file, ModelFile):
+        raise ModelError(f"robot '{tree.name}' has no model file: load_tree(path) reads one")
+    return tree.file
 
 
 def model_format(path: Path) -> Literal["mjcf", "urdf"]:
@@ -98,7 +97,7 @@ def load_tree(
     an MJCF body takes its inertia from one.
 
     Args:
-        path: The model file.
+        path: The model file; or the name of one that testbed ships, as "puma562.xml".
         weld_root: Weld a floating root to the bedplate instead of refusing it.
         repair: Bodies in place of those that no matter can make (links that are fixed to
             each other are one body): what `nearest_bodies` finds, say; {} refuses such a file.
@@ -116,7 +115,7 @@ def load_tree(
             FreeRootError, InertiaError, MimicError.
         UnknownName: A joint to be held, or the sensor's link, is not in the file.
     """
-    path = Path(path)
+    path = own_or_shipped(path)
     if model_format(path) == "mjcf":
         from testbed.core.robot.formats.mjcf import read_mjcf as read
     else:
@@ -127,10 +126,9 @@ def load_tree(
     if strange := {f"'{each.name}' ({why})": 0 for each, _, why in _named_files(path) if why}:
         said = diagnose("model.not-copied", few([*strange], WIDTH, "; "))
         tree = replace(tree, diagnostics=(*tree.diagnostics, said))
-    if sensor is None:
-        return tree
-    links = ModelFile(path, weld_root, repair, lock or {}).links()
-    return beyond_sensor(tree, links, sensor)
+    file = ModelFile(path, weld_root, repair, lock or {})
+    tree = replace(tree, file=file)
+    return tree if sensor is None else beyond_sensor(tree, file.links(), sensor)
 
 
 def nearest_bodies(

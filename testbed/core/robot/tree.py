@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import Array, freeze, readonly
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic
-from testbed.core.base.errors import ModelError, UnknownName, plural
+from testbed.core.base.errors import ModelError, SettingsError, UnknownName, plural
 from testbed.core.robot.inertia import NOTHING, Inertia
 
 Kind = Literal["revolute", "prismatic"]
@@ -181,6 +182,24 @@ class Placement:
         freeze(self, position=(3,), rotation=(3, 3))
 
 
+@dataclass(frozen=True)
+class ModelSource:
+    """A model file, and how it was read.
+
+    Attributes:
+        path: The MJCF or URDF file.
+        weld_root: Weld a floating root to the bedplate.
+        repair: Bodies in place of those that cannot be, by the link that carries them; {} refuses
+            such a file, None takes the nearest bodies.
+        lock: Joints that are held, and where [rad or m]; None: where the joint rests.
+    """
+
+    path: Path
+    weld_root: bool = False
+    repair: Mapping[str, Inertia] | None = None
+    lock: Mapping[str, float | None] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Tree(Diagnosed):
     """An open tree of bodies on a bedplate.
@@ -200,6 +219,7 @@ class Tree(Diagnosed):
         cuts: The next force sensors: what hangs beyond them is no part of the tree, its wrench
             is measured.
         bare: Bodies without matter of their own: all of it lies beyond such a sensor.
+        file: The model file that it was read from; None for none.
     """
 
     name: str
@@ -214,6 +234,7 @@ class Tree(Diagnosed):
     sensor: Placement | None = None
     cuts: tuple[Placement, ...] = ()
     bare: tuple[int, ...] = ()
+    file: ModelSource | None = None
 
     def __post_init__(self) -> None:
         freeze(self, gravity=(3,))
@@ -364,6 +385,25 @@ class Tree(Diagnosed):
             replace(joint, rotor_inertia=0.0) for joint in self.without_friction().joints
         )
         return replace(self, inertias=(NOTHING,) * self.n, joints=joints)
+
+
+def require_tree(value: object, call: str) -> None:
+    """Refuse a first argument that is no robot.
+
+    Args:
+        value: The argument.
+        call: The call, as "identify(robot, data)".
+
+    Raises:
+        SettingsError: Says what it is instead.
+    """
+    if not isinstance(value, Tree):
+        kind = type(value).__name__
+        what = f"'{value}'" if isinstance(value, str | Path) else f"a {kind}"
+        raise SettingsError(
+            f"{call}: the robot is a Tree, as load_tree(path) reads it; {what} was given in its "
+            "place"
+        )
 
 
 def _numbers(value: object, shape: tuple[int, ...]) -> Array | None:

@@ -19,11 +19,11 @@ from testbed.core.base.errors import (
 from testbed.core.dynamics.newton_euler import Motion, base_wrench, joint_forces
 from testbed.core.robot.friction import COULOMB, ROTOR, VISCOUS
 from testbed.core.robot.tree import Tree
-from testbed.lab.experiment.evaluate import robot_of
 from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.experiment.experiment_tables import ExcitationTable, SimulationTable
 from testbed.lab.experiment.motions import rules_of
-from testbed.lab.experiment.simulate import simulate
+from testbed.lab.experiment.record import record
 from testbed.lab.simulation.controller import mass_matrices
 from testbed.lab.simulation.rollout import SimulationDiverged
 from testbed.motion.clearance import DistanceMeter
@@ -251,7 +251,7 @@ def tried_text(
             tomllib.loads(written), folder / "new.toml", settings=SECOND
         )
         try:
-            simulate(experiment)
+            record(experiment)
             break
         except TestbedError as error:
             more = _needs_after(error, experiment, needs)

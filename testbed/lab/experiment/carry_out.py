@@ -1,4 +1,4 @@
-"""Carry out an experiment: simulate, identify, compare with the truth, validate, weigh."""
+"""Carry out an experiment: record, identify, compare with the truth, validate, weigh."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.validate import validate
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.views import on_its_base
-from testbed.lab.experiment.evaluate import evaluate, robot_of
+from testbed.lab.experiment.evaluate import evaluate
 from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.experiment.motions import another_motion
+from testbed.lab.experiment.record import record
 from testbed.lab.experiment.results import write_recorded, write_run
 from testbed.lab.experiment.run import Run, shown_motion
 from testbed.lab.experiment.score import Score, accuracies
-from testbed.lab.experiment.simulate import simulate
 from testbed.lab.simulation.bodies import Payload
 from testbed.lab.simulation.rollout import Watch
 
@@ -74,7 +75,7 @@ def unseen(run: Run, progress: Progress = lambda done, total: None) -> Recording
     shorter = asked.model_copy(update={"duration": duration})
     other = experiment.model_copy(update={"motion": shorter, "seed": experiment.seed + 1})
     motion = another_motion(experiment, robot_of(experiment))
-    return simulate(other, progress, installed=experiment.seed, motion=motion)
+    return record(other, progress, installed=experiment.seed, motion=motion)
 
 
 def validated(run: Run, recording: Recording) -> Run:
@@ -134,7 +135,7 @@ def with_payload_metrics(run: Run, progress: Progress = lambda done, total: None
         return run
     empty = _without(experiment)
     tree, settings = robot_of(empty), replace(experiment.identification, zeros=False)
-    without = identify(tree, simulate(empty, progress).blind(), settings=settings)
+    without = identify(tree, record(empty, progress).blind(), settings=settings)
     loaded = identify(tree, run.recording.blind(), settings=settings)
     found = payload(tree, without, loaded, loads[0].joint or None)
     metrics = dict(run.score.metrics)
@@ -187,7 +188,7 @@ def carry_out(
     """
     begun = stage or (lambda name: nullcontext(progress))
     with begun("simulating") as bar:
-        recording = simulate(experiment, bar, watch)
+        recording = record(experiment, bar, watch)
     try:
         with begun("identifying") as bar:
             run = evaluate(experiment, recording, bar)

@@ -4,26 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from testbed.bodies.consistency.consistent import (
-    Consistent,
-    consistent,
-)
-from testbed.bodies.consistency.held_out import (
-    beside_consistent,
-    with_likely_error,
-)
+from testbed.bodies.consistency.consistent import Consistent
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.bodies.prior import prior_of
+from testbed.bodies.prior import Prior, prior_of
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import ExperimentError, TestbedError, UnknownName
+from testbed.core.base.errors import TestbedError
 from testbed.core.estimation.estimate import METHODS, Method
 from testbed.core.estimation.identify import identify
-from testbed.core.estimation.problem import samples_of
 from testbed.core.estimation.regression.normal_equations import TINY
 from testbed.core.estimation.regression.passes import Progress
 from testbed.core.parameters.minimal_set import minimal_set
@@ -31,16 +21,14 @@ from testbed.core.parameters.symbols import standard
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.inertia import Inertia, upper_root
 from testbed.core.robot.locks import with_rotor_spin
-from testbed.core.robot.model_file import ModelFile, mimic_joints, nearest_bodies
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.experiment_robot import model_of, sensed_robot
 from testbed.lab.experiment.experiment_tables import SimulationTable
-from testbed.lab.experiment.robot_tables import BodyTable
 from testbed.lab.experiment.run import Run, assemble_run
 from testbed.lab.experiment.score import relative_errors, root_mean_square, shared_errors
 from testbed.lab.instruments.chain import Instrument, measured_again
 from testbed.lab.instruments.fault import stream
-from testbed.lab.simulation.effect import Effect
 
 FINE = SimulationTable().step
 """Step up to which the floor is not looked for [s]: it is below what instruments leave."""
@@ -60,7 +48,7 @@ def with_floor(run: Run) -> Run:
     asked = experiment.measurement
     perfect = Instrument(rate=asked.rate, averaged=asked.averaged)
     seen = replace(measured_again(run.recording, perfect, experiment.seed).blind(), tare=None)
-    plain = replace(run.settings, noise="white", nuisances=(), known={}, weights="channels")
+    plain = replace(run.settings, nuisances=(), known={})
     try:
         estimate = identify(run.tree, seen, "external", settings=plain, threads=1)
     except TestbedError:
@@ -90,82 +78,35 @@ def evaluate(
         methods: Which estimates to make.
         threads: How many to use; default one a processor.
     """
+    tree = with_rotor_spin(sensed_robot(experiment), experiment.robot.spins)
     run = assemble_run(
-        with_rotor_spin(sensed_robot(experiment), experiment.robot.spins),
+        tree,
         recording,
         name=experiment.name,
         settings=experiment.identification,
         experiment=experiment,
         model=model_of(experiment),
         methods=methods,
+        bodies=bodies_asked(experiment, tree),
         threads=threads,
         progress=progress,
     )
-    return with_floor(with_consistent(run))
+    return with_floor(with_body_metrics(run))
 
 
-def robot_of(experiment: Experiment) -> Tree:
-    """The robot of an experiment, under its gravity.
+def bodies_asked(experiment: Experiment, tree: Tree) -> tuple[Prior, ConsistencyOptions] | None:
+    """Prior and conditions of consistent bodies, where an experiment asks for them.
 
-    Args:
-        experiment: Names the model file.
-
-    Raises:
-        ExperimentError: A table names a joint that the robot has not.
-    """
-    tree = model_of(experiment).tree()
-    for table, entries in experiment.joint_tables.items():
-        for name in entries:
-            if name not in tree.names:
-                raise ExperimentError(str(UnknownName(f"joint of {table}", name, tree.names)))
-    if experiment.robot.base == "measured":
-        raise ExperimentError(
-            'robot.base = "measured" is for recordings: experiments have a bedplate'
-        )
-    tree = experiment.robot.on(tree).with_gravity(experiment.gravity)
-    for effect in effects_of(experiment, tree):
-        tree = effect.robot(tree)
-    return tree
-
-
-def sensed_robot(experiment: Experiment) -> Tree:
-    """What an experiment's wrench is of: its robot, or what lies beyond its force sensor."""
-    return experiment.sensed(robot_of(experiment), model_of(experiment))
-
-
-def effects_of(experiment: Experiment, tree: Tree) -> list[Effect]:
-    """What else is in the plant, on the robot.
+    The model file is the truth in an experiment, so the prior is a wrong one.
 
     Args:
-        experiment: Says so in `simulation.effect`.
-        tree: The robot.
+        experiment: What was carried out.
+        tree: The robot with its true bodies.
     """
-    return [effect.on(tree.names) for effect in experiment.simulation.effect]
-
-
-def model_of(experiment: Experiment) -> ModelFile:
-    """The model file of an experiment, and how it is read.
-
-    Args:
-        experiment: Says so in `model`, `weld_root` and its table `robot`.
-    """
-    mimic = mimic_joints(experiment.model) if experiment.robot.lock_mimic else ()
-    held = dict.fromkeys(mimic) | experiment.robot.lock
-    welded, bodies = experiment.weld_root, experiment.robot.bodies
-    return ModelFile(Path(experiment.model), weld_root=welded, repair=bodies, lock=held)
-
-
-def with_nearest_bodies(experiment: Experiment) -> tuple[Experiment, tuple[Diagnostic, ...]]:
-    """The same with the nearest bodies in place of those that cannot be, and what to say of it.
-
-    Args:
-        experiment: Of a model file and nothing else.
-    """
-    model = model_of(experiment)
-    found = nearest_bodies(model.path, weld_root=model.weld_root, lock=model.lock)
-    tables = {name: BodyTable.of(body) for name, body in found.bodies.items()}
-    robot = experiment.robot.model_copy(update={"repair": tables | experiment.robot.repair})
-    return experiment.model_copy(update={"robot": robot}), found.diagnostics
+    options = experiment.consistent
+    if options is None:
+        return None
+    return prior_of(wrong_prior(tree, experiment)), options
 
 
 def wrong_bodies(tree: Tree, error: float, rng: np.random.Generator) -> Tree:
@@ -192,48 +133,16 @@ def _wrong(body: Inertia, error: float, rng: np.random.Generator) -> Inertia:
     return Inertia.of_pseudo(root @ root.T)
 
 
-def with_consistent(run: Run) -> Run:
-    """A run with its consistent bodies, where the experiment asks for them, and their figures.
-
-    The model file is the truth in an experiment, so the prior is a wrong one.
+def with_body_metrics(run: Run) -> Run:
+    """A run with figures of its consistent bodies, if it has them and the truth is known.
 
     Args:
         run: The run.
     """
-    experiment = run.experiment
-    if experiment is None or experiment.consistent is None or not run.estimates:
-        return run
-    run = _with_bodies(run, wrong_prior(run.tree, experiment), experiment.consistent)
     if run.score is None or run.consistent is None:
         return run
     metrics = {**run.score.metrics, **_metrics(run, run.consistent)}
     return replace(run, score=replace(run.score, metrics=metrics))
-
-
-def recorded_bodies(run: Run, options: ConsistencyOptions) -> Run:
-    """A recording's run with bodies that can exist, near those of the model file.
-
-    Args:
-        run: The run.
-        options: What is asked of the bodies.
-    """
-    if not run.estimates:
-        return run
-    return _with_bodies(run, run.tree, with_likely_error(options, run.posterior.values()))
-
-
-def _with_bodies(run: Run, believed: Tree, options: ConsistencyOptions) -> Run:
-    """A run with its consistent bodies, or with a warning that says why there are none."""
-    prior, estimates = prior_of(believed), list(run.estimates.values())
-    blind = samples_of(run.recording.blind(), run.settings)
-    try:
-        found = consistent(run.tree, estimates, prior, options)
-    except TestbedError as error:
-        return run.with_diagnostics([diagnose("bodies.missing", reason=error)])
-    beside = beside_consistent(
-        run.posterior, found, run.tree, blind, prior, estimates, options, run.settings
-    )
-    return replace(run, consistent=found, posterior=beside).with_diagnostics(found.diagnostics)
 
 
 def wrong_prior(tree: Tree, experiment: Experiment) -> Tree:

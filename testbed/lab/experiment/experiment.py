@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tomli_w
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.core.base.errors import ExperimentError
-from testbed.core.base.toml_text import Finite, checked, complaints, override, read_toml
+from testbed.core.base.toml_text import Finite, checked, override, read_toml
 from testbed.core.estimation.settings import Settings
-from testbed.core.robot.inertia import to_rpy
 from testbed.lab.experiment.experiment_tables import (
     ExcitationTable,
     Expectations,
@@ -27,13 +26,14 @@ from testbed.lab.experiment.experiment_tables import (
     RunName,
     SimulationTable,
 )
+from testbed.lab.experiment.rig import ForcePlate
 from testbed.lab.experiment.robot_tables import RobotTables, SensorTable
 from testbed.lab.instruments.chain import Instrument
 from testbed.lab.kind_table import KindTable
 
 
-class ExperimentTables(RobotTables):
-    """What an experiment file says."""
+class Experiment(RobotTables):
+    """Everything that determines a run, as an experiment file says it."""
 
     name: RunName
     """Of the run folder: letters, digits, dot, dash, underscore."""
@@ -58,21 +58,6 @@ class ExperimentTables(RobotTables):
     expect: Expectations = Field(default_factory=dict)
     """Bounds on metrics: the claim."""
 
-
-class Experiment(ExperimentTables):
-    """Everything that determines a run."""
-
-    def __init__(self, **tables: Any) -> None:
-        """From tables and values by name, as in a file.
-
-        Raises:
-            ExperimentError: Says all that is wrong, in one line.
-        """
-        try:
-            super().__init__(**tables)
-        except ValidationError as error:
-            raise ExperimentError(complaints(error, ExperimentTables)) from None
-
     @staticmethod
     def load(path: str | Path, settings: Iterable[str] = ()) -> Experiment:
         """Read an experiment file.
@@ -88,6 +73,30 @@ class Experiment(ExperimentTables):
         return Experiment.of_content(read_toml(path), path, settings)
 
     @staticmethod
+    def from_toml(path: str | Path) -> Experiment:
+        """Read an experiment file.
+
+        Args:
+            path: The TOML file; `model` is taken relative to it.
+
+        Raises:
+            ExperimentError: The file cannot be read, or says what is not understood.
+        """
+        return Experiment.load(path)
+
+    def with_(self, **changes: Any) -> Experiment:
+        """The same with some values changed.
+
+        Args:
+            **changes: By table or key; of a table a dict of those of its keys that change.
+
+        Raises:
+            ExperimentError: Something is said that is not understood.
+        """
+        said = self.model_dump(mode="json", exclude_none=True)
+        return checked(Experiment, _merged(said, changes), "with_")
+
+    @staticmethod
     def of_content(content: dict[str, Any], path: Path, settings: Iterable[str] = ()) -> Experiment:
         """From the tables of an experiment file that has been read.
 
@@ -100,14 +109,14 @@ class Experiment(ExperimentTables):
             ExperimentError: Something is said that is not understood.
         """
         override(content, settings)
-        found = checked(ExperimentTables, content, str(path))
+        found = checked(Experiment, content, str(path))
         if "\0" in found.model + found.motion.file:
             raise ExperimentError(f"{path}: model or motion.file is not a file name")
         changed: dict[str, Any] = {"model": str((path.parent / found.model).resolve())}
         if found.motion.file:
             file = str((path.parent / found.motion.file).resolve())
             changed["motion"] = found.motion.model_copy(update={"file": file})
-        return Experiment.model_construct(**(dict(found) | changed))
+        return found.model_copy(update=changed)
 
     @staticmethod
     def of_model(path: Path, settings: Iterable[str] = ()) -> Experiment:
@@ -122,41 +131,27 @@ class Experiment(ExperimentTables):
         """
         content: dict[str, Any] = {"name": run_name(path), "model": str(path.resolve())}
         override(content, settings)
-        found = checked(ExperimentTables, content, "--set")
-        return Experiment.model_construct(**dict(found))
+        return checked(Experiment, content, "--set")
 
     def as_toml(self) -> str:
         """The experiment with every default written out."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
 
     @property
-    def sensor_instruments(self) -> dict[str, Instrument]:
-        """How well each of the robot's force sensors measures, with the plate's clock."""
-        how, found = self.measurement, {}
-        for name in self.force_sensors:
+    def mounted_sensors(self) -> list[ForcePlate]:
+        """The robot's force sensors, each with its errors."""
+        found = []
+        for name, mounting in self.force_sensors.items():
             table = self.sensors.get(name, SensorTable())
-            found[name] = Instrument(
-                rate=how.rate,
-                averaged=how.averaged,
-                plate=table.plate,
-                force_noise=table.force_noise,
-                moment_noise=table.moment_noise,
-                full_scale=table.full_scale,
-                fault=table.fault,
-            )
+            noise = table.force_noise, table.moment_noise
+            found.append(ForcePlate(noise, table.fault, table.full_scale, table.plate, mounting))
         return found
 
     @property
-    def sensor_places(self) -> dict[str, dict[str, Any]]:
-        """Where they are, as a recording keeps it."""
-        return {
-            name: {
-                "link": each.link,
-                "position": each.position.tolist(),
-                "rpy": list(to_rpy(each.rotation)),
-            }
-            for name, each in self.force_sensors.items()
-        }
+    def sensor_instruments(self) -> dict[str, Instrument]:
+        """Noise and range of the robot's force sensors by name."""
+        named = zip(self.force_sensors, self.mounted_sensors, strict=True)
+        return {name: Instrument(**plate.settings) for name, plate in named}
 
     @property
     def joint_tables(self) -> Mapping[str, Iterable[str]]:
@@ -176,6 +171,16 @@ class Experiment(ExperimentTables):
             "motion.max_acceleration": self.motion.max_acceleration,
             "measurement.torque_constant_error": self.measurement.torque_constant_error,
         }
+
+
+def _merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A table with some keys changed, tables in it likewise."""
+    found = dict(table)
+    for key, value in changes.items():
+        old = found.get(key)
+        both = isinstance(value, Mapping) and isinstance(old, Mapping)
+        found[key] = _merged(found[key], value) if both else value
+    return found
 
 
 GENERIC = ("robot", "model", "scene", "main", "mjcf", "urdf")

@@ -385,7 +385,7 @@ def _further(needs: Needs) -> list[str]:
     small = "s; ASSUMED: the robot is too light or rubs too much for a larger one"
     return [
         "",
-        "# [[measurement.fault]]  # more that may be wrong: testbed faults",
+        "# [[measurement.fault]]  # more that may be wrong: testbed list",
         '# kind = "plate_pose"',
         "",
         "[simulation]",

@@ -5,18 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
+from testbed.core.base.errors import SettingsError
+from testbed.core.base.frames import frame_of
+from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
-from testbed.core.estimation.estimate import Method
+from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.estimate_summary import corrected_by, summary_of
+from testbed.core.estimation.information import Evidence, Information
 from testbed.core.estimation.regression.windows import row_weights
 from testbed.core.estimation.validate import friction, predictions
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.recordings.recording import Recording
+from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.run import Run, shown_motion
 
 
@@ -44,8 +49,8 @@ class Signal:
         return self.measured - self.predicted[method]
 
 
-@dataclass(frozen=True, eq=False)
-class Predictions:
+@dataclass(frozen=True, eq=False, repr=False)
+class Predictions(Summarized):
     """A recording beside what a run's estimates say of it.
 
     Attributes:
@@ -61,6 +66,32 @@ class Predictions:
     motion: Motion
     signals: tuple[Signal, ...]
     unseen: bool = False
+
+    @property
+    def summary(self) -> SummaryTable:
+        """Rms of each channel and of what every estimate leaves of it."""
+        rows: list[tuple[str, ...]] = []
+        for signal in self.signals:
+            for k, channel in enumerate(signal.channels):
+                left = [signal.residual(by)[:, k] for by in signal.predicted]
+                sizes = [f"{np.sqrt(np.mean(x**2)):.3g}" for x in (signal.measured[:, k], *left)]
+                rows.append((channel, sizes[0], signal.units[k], f"left: {', '.join(sizes[1:])}"))
+        return SummaryTable(f"{self.motion.samples} samples, rms", tuple(rows))
+
+    @property
+    def time(self) -> Array:
+        """Of the samples, (M,) [s]."""
+        return self.motion.t
+
+    def to_frame(self) -> Any:
+        """Measured and predicted signals over time, as a frame of pandas, polars or Arrow."""
+        columns: dict[str, Array] = {"time": self.time}
+        for signal in self.signals:
+            for k, channel in enumerate(signal.channels):
+                name = f"{signal.kind}/{channel}"
+                columns[f"{name}/measured"] = signal.measured[:, k]
+                columns |= {f"{name}/{by}": each[:, k] for by, each in signal.predicted.items()}
+        return frame_of(columns)
 
     @cached_property
     def unexplained_torque(self) -> Array | None:
@@ -117,25 +148,54 @@ def _without_faults(run: Run, recording: Recording) -> Recording:
     return corrected.part(0, corrected.samples)
 
 
-def predict(run: Run, recording: Recording | None = None) -> Predictions:
-    """What a run's estimates say of a recording.
+def run_of(data: Recording, *estimates: Estimate | Information) -> Run:
+    """A recording and estimates of its robot as one value.
 
     Args:
-        run: The run.
-        recording: Of the same robot; default the run's own.
+        data: The recording.
+        estimates: Of the robot, at least one; those of a sum count one by one.
+
+    Raises:
+        SettingsError: There is none.
+    """
+    listed: list[Evidence] = []
+    for each in estimates:
+        listed += each.estimates if isinstance(each, Information) else [each]
+    found = [each for each in listed if isinstance(each, Estimate)]
+    if not found or len(found) < len(listed):
+        raise SettingsError("a recording is shown with estimates of its robot: give one or more")
+    tree = found[0].minimal.robot
+    return Run(
+        name=tree.name,
+        tree=tree,
+        recording=data.ordered(tree),
+        estimates={each.method: each for each in found},
+        settings=found[0].settings,
+        model=tree.file if isinstance(tree.file, ModelFile) else None,
+    )
+
+
+def predict(data: Recording | Run, *more: Estimate | Information | Recording | None) -> Predictions:
+    """What estimates predict of a recording, beside what was measured.
+
+    Args:
+        data: A recording of the robot; or a run.
+        more: The estimates; of a run, another recording or nothing.
 
     Raises:
         RecordingError: The recording is of another robot.
     """
-    tree, unseen = run.tree, recording is not None
-    recording = run.recording if recording is None else recording.ordered(tree)
+    others = [each for each in more if isinstance(each, Recording)]
+    estimates = [each for each in more if isinstance(each, Estimate | Information)]
+    run = data if isinstance(data, Run) else run_of(data, *estimates)
+    recording = others[0].ordered(run.tree) if others else run.recording
     recording = _without_faults(run, recording)
     motion, inner = shown_motion(recording, run.settings)
-    wrench, torque = predictions(tree, recording, motion, run.estimates)
+    wrench, torque = predictions(run.tree, recording, motion, run.estimates)
     signals = []
     if recording.wrench is not None:
         signals.append(Signal("wrench", AXES, PLATE_UNITS, recording.wrench[inner], wrench))
     if recording.torque is not None:
-        units = tuple("N m" if joint.revolute else "N" for joint in tree.joints)
-        signals.append(Signal("torque", tree.names, units, recording.torque[inner], torque))
-    return Predictions(run, recording, motion, tuple(signals), unseen)
+        units = tuple("N m" if joint.revolute else "N" for joint in run.tree.joints)
+        signals.append(Signal("torque", run.tree.names, units, recording.torque[inner], torque))
+    return Predictions(run, recording, motion, tuple(signals), bool(others))

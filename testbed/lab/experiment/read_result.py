@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import ValidationError
 
-from testbed.applications.calibration import Calibration
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.posterior import Posterior, ReportedEstimate, reported_estimate
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import decode, from_json
 from testbed.core.base.errors import ExperimentError, plural
 from testbed.core.base.file_kinds import expecting
-from testbed.core.base.files import fingerprint, read_text, replacing
-from testbed.core.base.toml_text import Finite, checked, override, read_toml
-from testbed.core.estimation.estimate import METHODS, Estimate, Method, channels_of
+from testbed.core.base.files import fingerprint, read_text
+from testbed.core.base.toml_text import Finite, checked, complaints, override
+from testbed.core.estimation.estimate import METHODS, Estimate, channels_of
 from testbed.core.estimation.estimate_summary import EstimateSummary, estimate_of_summary
-from testbed.core.estimation.sensor.correction import NUISANCES
-from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.core.estimation.settings import Settings
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.rules import Model
@@ -31,10 +27,13 @@ from testbed.core.recordings.held import hold_still
 from testbed.core.recordings.source import Source
 from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.tree import Tree
-from testbed.lab.experiment.evaluate import model_of, robot_of, wrong_prior
+from testbed.lab.experiment.evaluate import wrong_prior
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.results import EXPERIMENT, RESULT, versions
+from testbed.lab.experiment.experiment_robot import model_of, robot_of
+from testbed.lab.experiment.results import EXPERIMENT, RESULT
 from testbed.lab.experiment.robot_tables import RecordingTables, Table
+
+Part = TypeVar("Part", EstimateSummary, Posterior)
 
 LARGEST_RESULT = 50_000_000
 """Bytes of a file with estimates; a thousand parameters have less."""
@@ -92,27 +91,6 @@ class _Model(Table):
     lock: dict[str, Finite | None]
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, strict=True)  # what else is there does not matter
-
-
-class _Nuisance(_Part):
-    name: str
-    value: Finite
-
-
-class _Estimate(_Part):
-    """Table of an estimate in a result file."""
-
-    names: tuple[str, ...]
-    values: Array
-    covariance: Array
-    gravity: Array
-    residual: Array
-    nuisances: tuple[_Nuisance, ...]
-    unidentifiable: tuple[str, ...] = ()
-
-
 def read_result(path: Path, model: Path | None = None, settings: Sequence[str] = ()) -> KeptResult:
     """The estimates of a file, and the robot and settings that they are of.
 
@@ -137,8 +115,10 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
         content = _json(path)
     said = content.get("posterior"), content.get("estimates")
     added, every = (x if isinstance(x, dict) else {} for x in said)
-    own = {m: _stated(every[m], m, f"{path}: {m}") for m in METHODS if m in every}
-    with_file = {m: _added(added[m], f"{path}: {m}: posterior") for m in METHODS if m in added}
+    own = {m: _summary(every[m], f"{path}: {m}") for m in METHODS if m in every}
+    with_file = {
+        m: _decoded(Posterior, added[m], f"{path}: {m}: posterior") for m in METHODS if m in added
+    }
     there = [method for method in METHODS if method in own or method in with_file]
     if not there:
         raise ExperimentError(f"{path}: no result: it has no {' or '.join(METHODS)} estimate")
@@ -160,20 +140,37 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
     return KeptResult(tree, identification, found, file, prior, answers, options)
 
 
-def _added(kept: Any, source: str) -> Posterior:
-    """Read a posterior estimate with the model file as prior.
+def _decoded(kind: type[Part], content: Any, source: str) -> Part:
+    """Read one estimate of a file.
 
     Raises:
-        ExperimentError: A part is not what it should be.
+        ExperimentError: A part is missing, or is not what it should be.
     """
     try:
-        found: Posterior = decode(Posterior, kept, {})
-    except ValueError as error:
-        raise ExperimentError(f"{source}: {error}") from None
-    numbers = (found.covariance, found.residual, found.gravity, *found.models.values())
-    if not all(np.isfinite(each).all() for each in numbers):
-        raise ExperimentError(f"{source}: its numbers are not finite")
+        found: Part = decode(kind, content, {})
+    except ValidationError as error:
+        raise ExperimentError(f"{source}: {complaints(error, Table)}") from None
+    numbers = [each for each in vars(found).values() if isinstance(each, np.ndarray)]
+    if not all(np.isfinite(each).all() for each in numbers) or (found.residual < 0).any():
+        raise ExperimentError(
+            f"{source}: its values, covariance, gravity and residual are finite numbers, the "
+            "residual's none below zero"
+        )
     return found
+
+
+def _summary(content: Any, source: str) -> EstimateSummary:
+    """Read one method's estimate by least squares.
+
+    Raises:
+        ExperimentError: A part is missing, or is not what it should be.
+    """
+    try:
+        numbers = {each["name"]: each["value"] for each in content["nuisances"]}
+        settings = {"settings": Settings(), "nuisances": numbers}
+        return _decoded(EstimateSummary, {**content, **settings}, source)
+    except (TypeError, KeyError) as error:
+        raise ExperimentError(f"{source}: no estimate: {error} is missing or wrong") from None
 
 
 def _json(path: Path) -> dict[str, Any]:
@@ -189,35 +186,6 @@ def _json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ExperimentError(f"{path}: no result: it is JSON, but no object with estimates")
     return content
-
-
-def _stated(content: Any, method: Method, source: str) -> EstimateSummary:
-    """One method's estimate.
-
-    Raises:
-        ExperimentError: A part is missing, or is not what it should be.
-    """
-    kept = checked(_Estimate, content, source)
-    try:
-        found = EstimateSummary(
-            method=method,
-            names=kept.names,
-            values=kept.values,
-            covariance=kept.covariance,
-            gravity=kept.gravity,
-            residual=kept.residual,
-            nuisances={each.name: each.value for each in kept.nuisances},
-            unidentifiable=kept.unidentifiable,
-        )
-    except ValueError as error:
-        raise ExperimentError(f"{source}: {error}") from None
-    numbers = (found.values, found.covariance, found.gravity, found.residual)
-    if not all(np.isfinite(each).all() for each in numbers) or (found.residual < 0).any():
-        raise ExperimentError(
-            f"{source}: its values, covariance, gravity and residual are finite numbers, the "
-            "residual's none below zero"
-        )
-    return found
 
 
 def _of_recording(
@@ -298,99 +266,3 @@ def prior_covariance(kept: KeptResult, experiment: Experiment) -> Array:
         f"the earlier result has no {wanted} estimate of {', '.join(names)}: it must be of the "
         "same robot, with the same identification.zeros"
     )
-
-
-_HEAD = """\
-# A plate, calibrated by the motion of the robot on it (testbed {version}, calibrate).
-# It shows C w + bias of a wrench w, skew seconds late: gain/Fx is C's element of Fx by Fx,
-# crosstalk/Fx/Fz that of Fx by Fz. Numbers that are not here are as they should be.
-"""
-
-
-class _Number(BaseModel):
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
-    value: Finite
-    sigma: Finite = 0.0
-    unit: str = ""
-
-
-class _Plate(BaseModel):
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
-    robot: str = ""
-    known: dict[str, tuple[Finite, Finite]] = {}
-    numbers: dict[str, _Number]
-    correlation: list[list[Finite]] = []
-
-
-def write_plate(plate: Calibration, path: Path) -> None:
-    """Write a plate's numbers.
-
-    Args:
-        plate: The calibration.
-        path: The file; what stands there is replaced.
-    """
-    lines = [_HEAD.format(version=versions()["testbed"]), f"robot = {json.dumps(plate.robot)}"]
-    lines += ["", "[known]  # before: value, sigma"]
-    lines += [f"{json.dumps(name)} = [{v!r}, {s!r}]" for name, (v, s) in plate.known.items()]
-    lines += ["", "[numbers]"]
-    for each in plate.numbers:
-        unit = f", unit = {json.dumps(each.unit)}" if each.unit else ""
-        number = f"{{ value = {each.value!r}, sigma = {each.sigma!r}{unit} }}"
-        lines.append(f"{json.dumps(each.name)} = {number}")
-    if plate.correlation is not None:
-        head = "correlation = [  # of the numbers, in their order, up to the diagonal"
-        rows = [
-            ", ".join(f"{value:.5g}" for value in row[: k + 1])
-            for k, row in enumerate(plate.correlation.tolist())
-        ]
-        lines[1:1] = [head, *(f"  [{row}]," for row in rows), "]"]
-    with replacing(path) as fresh:
-        fresh.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def read_plate(path: Path, tree: Tree) -> Calibration:
-    """A plate's numbers.
-
-    Args:
-        path: A file that `write_plate` wrote, or one of the same form.
-        tree: The robot on it.
-
-    Raises:
-        ExperimentError: It is no such file.
-    """
-    found = checked(_Plate, read_toml(path, "plate's calibration"), str(path))
-    kinds = {part.name: n.kind for n in NUISANCES for part in n.parts(tree)}
-    numbers = tuple(
-        NuisanceEstimate(kinds.get(name, name), name, each.unit, each.value, each.sigma)
-        for name, each in found.numbers.items()
-    )
-    return Calibration(
-        found.robot,
-        found.known,
-        numbers,
-        correlation=_correlation(found.correlation, numbers, path),
-    )
-
-
-def _correlation(
-    rows: list[list[float]], numbers: tuple[NuisanceEstimate, ...], path: Path
-) -> Array | None:
-    """Of its lower triangle; None where the file has none.
-
-    Raises:
-        ExperimentError: It is no correlation of these numbers.
-    """
-    if not rows:
-        return None
-    count = len(numbers)
-    found = np.eye(count)
-    fits = [len(row) for row in rows] == list(range(1, count + 1))
-    if fits:
-        for k, row in enumerate(rows):
-            found[k, : k + 1] = found[: k + 1, k] = row
-    if not fits or np.abs(found).max() > 1 or (np.diagonal(found) != 1).any():
-        raise ExperimentError(
-            f"{path}: correlation is the lower triangle of {count} rows, ones at their ends, "
-            "nothing beyond one; leave it out for independent numbers"
-        )
-    return found

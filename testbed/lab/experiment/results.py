@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import gzip
 import hashlib
-import platform
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,7 +17,7 @@ from testbed.core.base.codec import Makers, decode, encode, from_json, json_text
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import ExperimentError
 from testbed.core.base.files import fingerprint, replacing
-from testbed.core.base.installation import version as own_version
+from testbed.core.base.installation import versions
 from testbed.core.dynamics.drive_set import drive_set
 from testbed.core.estimation.diagnostics.residuals import diagnostics_of
 from testbed.core.estimation.estimate import METHODS, MODEL_OF, Estimate, Method
@@ -45,17 +43,6 @@ from testbed.lab.experiment.score import Score
 
 DIGITS = 16
 """Of a fingerprint, in a comment."""
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python, testbed and the packages that make the numbers."""
-    found = {"python": platform.python_version(), "testbed": own_version()}
-    for package in ("mujoco", "numpy", "scipy", "pin"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed"
-    return found
 
 
 def provenance(found: Consistent, model: ModelFile, recordings: Sequence[Path]) -> list[str]:

@@ -9,7 +9,9 @@ import numpy as np
 
 from testbed.applications.drives.identify_drives import DriveFindings, identify_drives
 from testbed.bodies.consistency.consistent import Consistent
-from testbed.bodies.posterior import Posterior, posteriors
+from testbed.bodies.consistency.options import ConsistencyOptions
+from testbed.bodies.posterior import Posterior
+from testbed.bodies.prior import Prior
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import (
     Diagnosed,
@@ -18,9 +20,12 @@ from testbed.core.base.diagnostics import (
     of_instrument,
     of_recording,
     ordered,
+    sentences,
 )
-from testbed.core.base.errors import RecordingError, TestbedError, UnseenParameters, plural
+from testbed.core.base.errors import RecordingError, TestbedError, plural
+from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
+from testbed.core.estimation.analysis import analyse
 from testbed.core.estimation.diagnostics.residuals import diagnostics_of
 from testbed.core.estimation.estimate import (
     METHODS,
@@ -30,7 +35,6 @@ from testbed.core.estimation.estimate import (
     Method,
     sensor_of,
 )
-from testbed.core.estimation.identify import identify
 from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.selection.term_choice import with_chosen_settings
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
@@ -165,8 +169,8 @@ def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[Diagnostic
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Run(Diagnosed):
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(Diagnosed, Summarized):
     """One recording and what came of it.
 
     Attributes:
@@ -203,6 +207,14 @@ class Run(Diagnosed):
     drives: DriveFindings | None = None
     consistent: Consistent | None = None
     posterior: Mapping[Method, Posterior] = field(default_factory=dict)
+
+    @property
+    def summary(self) -> SummaryTable:
+        """Figures of merit, or how many parameters each estimate has."""
+        counts = {self.instruments[m]: str(len(e.names)) for m, e in self.estimates.items()}
+        figures = {name: f"{value:.4g}" for name, value in self.metrics.items()}
+        warnings = tuple(f"warning: {line}" for line in sentences(self.diagnostics))
+        return SummaryTable(f"run '{self.name}'", tuple((counts | figures).items()), warnings)
 
     def with_diagnostics(self, more: Iterable[Diagnostic]) -> Run:
         """The same with more diagnostics, put in order anew.
@@ -254,6 +266,7 @@ def assemble_run(
     doubt: CalibrationCovariance | None = None,
     methods: Iterable[Method] = METHODS,
     prior_error: float | None = None,
+    bodies: tuple[Prior, ConsistencyOptions] | None = None,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Run:
@@ -271,6 +284,7 @@ def assemble_run(
         doubt: About the plate by which the recording was corrected.
         methods: Which estimates to make.
         prior_error: Of the model file's bodies, as for `posterior`.
+        bodies: Prior and conditions of consistent bodies; None for none.
         threads: How many to use; default one a processor.
         progress: Called with samples done and samples in all, method by method.
 
@@ -279,26 +293,19 @@ def assemble_run(
     """
     recording = on_its_base(recording, tree).ordered(tree)
     tree = with_gear(in_its_gravity(tree, recording), recording)
-    estimates: dict[Method, Estimate] = {}
-    failures: dict[Method, str] = {}
-    undetermined: dict[Method, None] = {}
-    for method in methods:
-        if tree.is_part and method == "internal":
-            continue  # nothing is missing: joint torques are of more than what moves on the base
-        try:
-            estimates[method] = identify(
-                tree,
-                recording,
-                method,
-                settings=settings,
-                doubt=doubt,
-                threads=threads,
-                progress=progress,
-            )
-        except (RecordingError, UnseenParameters) as error:
-            failures[method] = str(error)
-            if isinstance(error, UnseenParameters):
-                undetermined[method] = None
+    found = analyse(
+        tree,
+        recording,
+        settings,
+        methods=methods,
+        doubt=doubt,
+        prior_error=prior_error,
+        bodies=bodies,
+        threads=threads,
+        progress=progress,
+    )
+    estimates = found.estimates
+    failures = {method: str(error) for method, error in found.failures.items()}
     judged = None
     if experiment is not None:
         motion, inner = shown_motion(recording, settings)
@@ -307,9 +314,13 @@ def assemble_run(
         judged = score(tree, estimates, settings.zeros, friction, motion, torque)
     errors = {} if judged is None else judged.errors
     known = diagnostics_of_run(tree, recording, estimates, failures, errors)
-    every = {**estimates, **undetermined}
-    made = posteriors(tree, recording, every, settings, prior_error=prior_error, threads=threads)
+    made = found.posterior
     doubts = verdict_of(estimates.values(), made.values()) if made else ()
+    said = [*(each for each in doubts if each.code != WELL), *known]
+    if found.bodies is not None:
+        said += found.bodies.diagnostics
+    if found.bodies_failure is not None:
+        said.append(diagnose("bodies.missing", reason=found.bodies_failure))
     drives, more = _drives(tree, recording, estimates, settings, progress)
     if judged is not None and drives is not None and experiment is not None:
         metrics = drive_metrics(tree, experiment, recording, drives)
@@ -324,8 +335,9 @@ def assemble_run(
         experiment=experiment,
         score=judged,
         model=model,
-        diagnostics=tuple(dict.fromkeys([*(d for d in doubts if d.code != WELL), *known, *more])),
+        diagnostics=tuple(dict.fromkeys([*said, *more])),
         drives=drives,
+        consistent=found.bodies,
         posterior=made,
     )
 

@@ -1,197 +1,156 @@
-"""What an experiment records: robot, motion, plant and drive made ready, then simulated."""
+"""Simulate a rig along a motion: its plant on the bedplate, its controller, its sensors."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, TypeAlias
+from functools import cached_property
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import diagnose
-from testbed.core.base.errors import ExperimentError
+from testbed.core.base.errors import ExperimentError, SettingsError
 from testbed.core.base.files import fingerprint
-from testbed.core.estimation.regression.passes import Progress
+from testbed.core.base.installation import versions
+from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.recordings.columns import COUNTED
 from testbed.core.recordings.geometry import geometry
 from testbed.core.recordings.recording import Recording
+from testbed.core.robot.inertia import to_rpy
 from testbed.core.robot.tree import Tree
-from testbed.lab.experiment.evaluate import effects_of, model_of, robot_of
-from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.motions import FAST, motion_of, rules_of
-from testbed.lab.experiment.results import versions
+from testbed.lab.experiment.rig import ForcePlate, JointTorques, Rig
 from testbed.lab.instruments.chain import measure, with_sensors
 from testbed.lab.simulation.controller import Reference
 from testbed.lab.simulation.effect import StepForces
 from testbed.lab.simulation.gear_friction import Gears
-from testbed.lab.simulation.plant import Plant, build_plant
+from testbed.lab.simulation.plant import build_plant
 from testbed.lab.simulation.rollout import Rollout, Sampling, Watch, simulate_motion
-from testbed.motion.fourier import Fourier
-from testbed.motion.rest_to_rest import rest_to_rest
 
-MOST_SAMPLES = 2e6
-"""Most samples of one run: they are held in memory."""
 
-LEAST_PERIODS = 0.1
-"""Least part of the fastest harmonic's period that is a motion."""
+@runtime_checkable
+class FromRest(Reference, Protocol):
+    """A motion from rest to rest, its periodic part from zero."""
 
-Plants: TypeAlias = dict[str, Plant]
-"""By all that is said of them."""
+    @property
+    def lead(self) -> float:
+        """Duration of the start before zero, and of the way to rest after the end [s]."""
 
-MOST_STEPS = 10_000
-"""Most simulation steps a sample: a thousand samples are held in full."""
+    @property
+    def end(self) -> float:
+        """End of the periodic part [s]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
-    """An experiment that is ready to be simulated.
+class SampledMotion:
+    """A motion through samples, by splines of fifth degree; at rest in its ends beyond them.
 
     Attributes:
-        experiment: What is to be done.
-        tree: Its robot.
-        plant: The robot on its bedplate.
-        model: The robot as its drive believes it to be.
-        path: The periodic motion, under way or part of one from rest to rest.
-        reference: What the drive follows.
-        end: Of the recording [s].
-        facts: What the recording says of its motion.
-        sampling: How the run is cut into samples.
-        forces: On the joints, besides motors and the model's friction; None for none.
-        gears: Whose friction is solved with the motion, in place of the model's; None for none.
+        samples: Times from zero, (M,) [s], and positions, (M, n) [rad or m]; M at least six.
     """
 
-    experiment: Experiment
-    tree: Tree
-    plant: Plant
-    model: Tree
-    path: Fourier
-    reference: Reference
-    end: float
-    facts: Mapping[str, Any]
-    sampling: Sampling
-    forces: StepForces | None
-    gears: Gears | None = None
+    samples: Motion
 
     @property
-    def happens(self) -> Hashable:
-        """What determines all that happens, whoever measures it."""
-        said, motion = self.experiment, self.path
-        shapes = motion.offset.tobytes(), motion.sine.tobytes(), motion.cosine.tobytes()
-        clock = self.end, self.sampling
-        return clock, _plant_words(said), motion.fundamental, shapes
+    def period(self) -> float:
+        """Duration [s]."""
+        return float(self.samples.t[-1])
 
-    def rollout(
-        self,
-        progress: Callable[[int, int], None] = lambda done, total: None,
-        watch: Watch = lambda time, truth: None,
-    ) -> Rollout:
-        """Simulate it.
+    @cached_property
+    def _spline(self) -> Any:
+        return make_interp_spline(self.samples.t, self.samples.q, k=5)
 
-        Args:
-            progress: Called with samples done and samples in all.
-            watch: Called with what happens while it is simulated, a second or so at a time.
+    def at(self, t: Array) -> Motion:
+        """The motion at times t, (M,) [s]."""
+        moving = (t >= 0) & (t <= self.period)
+        rates = [moving[:, None] * self._spline(self.place(t), order) for order in (1, 2)]
+        return Motion(t, self._spline(self.place(t)), *rates)
 
-        Raises:
-            SimulationDiverged: The robot did not follow.
-        """
-        return simulate_motion(
-            self.plant,
-            self.model,
-            self.reference,
-            self.end,
-            self.experiment.simulation.bandwidth,
-            self.sampling,
-            progress,
-            watch,
-            self.forces,
-            self.gears,
-        )
+    def place(self, t: Array) -> Array:
+        """Times on its path, (M,) [s]."""
+        return np.clip(t, 0.0, self.period)
 
 
-def prepare(
-    experiment: Experiment,
-    forces: StepForces | None,
-    plants: Plants | None = None,
-    motion: Fourier | None = None,
-) -> Prepared:
-    """Read the robot, choose the motion, build the plant.
+def simulate(
+    rig: Rig,
+    motion: Reference | Motion,
+    seconds: float = 60.0,
+    seed: int = 0,
+    *,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    watch: Watch = lambda time, truth: None,
+    forces: StepForces | None = None,
+    installed: int | None = None,
+) -> Recording:
+    """Simulate a robot on its bedplate and measure it.
 
     Args:
-        experiment: What to do.
-        forces: On the joints, besides motors, the model's friction and effects.
-        plants: Of other experiments: one that is the same is taken, a new one is put in.
-        motion: In place of the experiment's.
-
-    Raises:
-        TestbedError: It cannot be carried out as written.
-    """
-    tree, sampling = robot_of(experiment), _sampling(experiment)
-    simulation = experiment.simulation
-    experiment.measurement.stages(tree.names)  # refuses what names other joints before work
-    experiment.sensed(tree, model_of(experiment))  # so does a sensor at a link that is not there
-    path = motion or motion_of(experiment, tree)
-    reference, begin, end, facts = _course(experiment, tree, path)
-    known = {} if plants is None else plants
-    words = _plant_words(experiment)
-    if words not in known:
-        known[words] = build_plant(
-            model_of(experiment),
-            tree,
-            simulation.step,
-            changed=experiment.robot.joint,
-            friction=simulation.friction,
-            effects=effects_of(experiment, tree),
-            sensors=list(experiment.force_sensors.values()),
-        )
-    return Prepared(
-        experiment,
-        tree,
-        known[words],
-        _drives_model(experiment, tree),
-        path,
-        reference,
-        end,
-        facts,
-        replace(sampling, begin=begin),
-        _forces(experiment, tree, forces),
-        _gears(experiment, tree),
-    )
-
-
-def _course(
-    experiment: Experiment, tree: Tree, path: Fourier
-) -> tuple[Reference, float, float, Mapping[str, Any]]:
-    """A periodic motion that is under way, or the same from rest to rest.
+        rig: Robot, plant and sensors.
+        motion: Periodic, as `random_motion` or `design` gives it; from rest to rest; or one's
+            own samples `Motion(t, q, qd, qdd)`, of which positions count.
+        seconds: Length of the recording [s]; a motion from rest to rest and samples have their
+            own.
+        seed: Of all noise.
+        progress: Called with samples done and samples in all.
+        watch: Called with what happens while it is simulated, a second or so at a time.
+        forces: On the joints, besides motors, friction and the plant's, asked before every step.
+        installed: Seed of signs and phases that sensors keep; default `seed`.
 
     Returns:
-        What the drive follows, when the recording begins and ends [s], what it says of it.
+        What the sensors show; `truth` holds what happened, and no estimator reads it.
+
+    Raises:
+        ModelError: The robot has no model file, or MuJoCo makes another robot of it.
+        SettingsError: Values do not fit each other or the robot.
+        SimulationDiverged: The robot did not follow.
     """
-    table = experiment.motion
-    if not table.at_rest:
-        return path, 0.0, table.duration, {}
-    rules = rules_of(experiment, tree, designed=bool(table.file))
-    whole = rest_to_rest(path, rules, table.duration)
-    lead = whole.start.duration
-    return whole, -lead, whole.end + lead, {COUNTED: [0.0, whole.end]}
-
-
-def _plant_words(experiment: Experiment) -> str:
-    """All that an experiment says of its plant and drive, as one text."""
-    said = experiment.force_sensors
-    parts = {"model", "gravity", "weld_root", "robot", "simulation"}
-    sensors = [(s.name, s.link, s.position.tolist(), s.rotation.tolist()) for s in said.values()]
-    whole = experiment.model_copy(
-        update={"robot": experiment.robot.model_copy(update={"sensor": ""})}
+    reference, begin, end = _course(rig, motion, seconds)
+    sampling = Sampling(rig.rate, rig.steps(end), rig.averaged, rig.warm_up, begin)
+    tree, model = rig.true_robot, rig.file
+    gears = _gears(rig, tree)
+    plant = build_plant(
+        model,
+        tree,
+        rig.step,
+        changed=tree.names,
+        friction=rig.friction,
+        effects=rig.plant,
+        sensors=list(rig.mounted),
     )
-    return f"{whole.model_dump_json(include=parts)} {sensors}"
+    happened = simulate_motion(
+        plant,
+        tree if rig.friction else tree.without_friction(),
+        reference,
+        end,
+        rig.bandwidth,
+        sampling,
+        progress,
+        watch,
+        _forces(rig, tree, forces),
+        gears,
+    )
+    facts = _metadata(rig, tree, happened, seed)
+    if isinstance(motion, FromRest):
+        facts[COUNTED] = [0.0, motion.end]
+    return _measured(rig, happened, plant.tare, facts, seed, installed)
 
 
-def _forces(experiment: Experiment, tree: Tree, more: StepForces | None) -> StepForces | None:
-    """What effects and a caller push the joints with; None for nothing."""
-    step = experiment.simulation.step
-    asked = [effect.forces(tree, step) for effect in effects_of(experiment, tree)]
+def _course(rig: Rig, motion: Reference | Motion, seconds: float) -> tuple[Reference, float, float]:
+    """What the controller follows, when the recording begins and ends [s]."""
+    if isinstance(motion, FromRest):
+        return motion, -motion.lead, motion.end + motion.lead
+    found: Reference = SampledMotion(motion) if isinstance(motion, Motion) else motion
+    joints = found.at(np.zeros(1)).q.shape[1]
+    if joints != rig.robot.n:
+        raise SettingsError(f"the motion is of {joints} joints, the robot has {rig.robot.n}")
+    return found, 0.0, min(seconds, found.period) if isinstance(motion, Motion) else seconds
+
+
+def _forces(rig: Rig, tree: Tree, more: StepForces | None) -> StepForces | None:
+    """Sum of the forces of effects and of a caller; None for nothing."""
+    asked = [effect.forces(tree, rig.step) for effect in rig.plant]
     pushes = [push for push in (*asked, more) if push is not None]
     if not pushes:
         return None
@@ -202,169 +161,71 @@ def _forces(experiment: Experiment, tree: Tree, more: StepForces | None) -> Step
     return push
 
 
-def _gears(experiment: Experiment, tree: Tree) -> Gears | None:
-    """Whose friction is solved with the motion; None for nobody's.
+def _gears(rig: Rig, tree: Tree) -> Gears | None:
+    """Friction of gears that is solved with the motion; None for none.
 
     Raises:
         ExperimentError: Two effects take the place of the joints' own friction, or joints are
-            coupled, of which the solution does not know.
+            coupled.
     """
-    effects = effects_of(experiment, tree)
-    owners = [effect.kind for effect in effects if effect.owns_friction]
+    owners = [effect.kind for effect in rig.plant if effect.owns_friction]
     if len(owners) > 1:
         raise ExperimentError(
             f"{' and '.join(owners)} both take the place of the joints' own friction: choose one"
         )
-    found = [gears for effect in effects if (gears := effect.gears(tree)) is not None]
+    found = [gears for effect in rig.plant if (gears := effect.gears(tree)) is not None]
     if found and tree.shafts:
         raise ExperimentError(f"{owners[0]} is of joints with gears of their own, not of couplings")
     return found[0] if found else None
 
 
-def _drives_model(experiment: Experiment, tree: Tree) -> Tree:
-    """The robot as its controller knows it."""
-    return tree if experiment.simulation.friction else tree.without_friction()
-
-
-def _sampling(experiment: Experiment) -> Sampling:
-    """How the run is cut into samples.
-
-    Raises:
-        ExperimentError: The step does not divide the sample, or there are too many.
-    """
-    simulation, table, motion = experiment.simulation, experiment.measurement, experiment.motion
-    _check_rates(experiment)
-    wanted = 1 / table.rate / simulation.step  # may be without end
-    if wanted > MOST_STEPS:
-        raise ExperimentError(
-            f"simulation.step = {simulation.step:g} s makes {wanted:.6g} steps a sample, more than "
-            f"{MOST_STEPS}; choose a larger step"
-        )
-    steps = round(wanted)
-    if steps < 1 or abs(steps * table.rate * simulation.step - 1) > 1e-9:
-        raise ExperimentError(
-            f"simulation.step = {simulation.step:g} s does not divide the sampling time "
-            f"1 / measurement.rate = {1 / table.rate:g} s"
-        )
-    samples = table.rate * (motion.duration + simulation.warm_up)
-    if table.rate * motion.duration < 2:
-        raise ExperimentError(f"motion.duration = {motion.duration:g} s holds no two samples")
-    if samples > MOST_SAMPLES:
-        raise ExperimentError(
-            f"motion.duration and measurement.rate make {samples:.1e} samples, more than the "
-            f"{MOST_SAMPLES:.0e} that one run holds in memory; make several runs"
-        )
-    return Sampling(table.rate, steps, table.averaged, simulation.warm_up)
-
-
-def _check_rates(experiment: Experiment) -> None:
-    """Whether controller and motion fit the rate and each other.
-
-    Raises:
-        ExperimentError: They do not.
-    """
-    motion, rate = experiment.motion, experiment.measurement.rate
-    if experiment.simulation.bandwidth > rate / 2:
-        raise ExperimentError(
-            f"simulation.bandwidth = {experiment.simulation.bandwidth:g} rad/s is too fast for a "
-            f"controller at measurement.rate = {rate:g} Hz; lower it to {rate / 2:g} or less"
-        )
-    if not motion.file and FAST * motion.fundamental * motion.harmonics > rate:
-        raise ExperimentError(
-            f"a motion of up to {motion.fundamental * motion.harmonics:g} Hz (motion.fundamental "
-            f"times motion.harmonics) is too fast for measurement.rate = {rate:g} Hz"
-        )
-    periods = motion.fundamental * motion.harmonics * motion.duration
-    if not motion.file and periods < LEAST_PERIODS:
-        raise ExperimentError(
-            f"motion.duration = {motion.duration:g} s is {periods:.2g} of a period of the fastest "
-            "harmonic (motion.fundamental times motion.harmonics): the robot would hardly move"
-        )
-
-
-def simulate(
-    experiment: Experiment,
-    progress: Progress = lambda done, total: None,
-    watch: Watch = lambda time, truth: None,
-    forces: StepForces | None = None,
-    installed: int | None = None,
-    motion: Fourier | None = None,
+def _measured(
+    rig: Rig,
+    happened: Rollout,
+    tare: Array,
+    facts: dict[str, Any],
+    seed: int,
+    installed: int | None,
 ) -> Recording:
-    """Simulate an experiment's robot on its bedplate and measure it.
-
-    Args:
-        experiment: What to do.
-        progress: Called with samples done and samples in all.
-        watch: Called with what happens while it is simulated, a second or so at a time.
-        forces: On the joints, besides motors and the model's friction, asked before every step.
-        installed: Seed of what chance decides once of the instrument; default the experiment's.
-        motion: In place of the experiment's.
-    """
-    ready = prepare(experiment, forces, motion=motion)
-    return _measured(ready, ready.rollout(progress, watch), installed)
-
-
-def _measured(ready: Prepared, happened: Rollout, installed: int | None = None) -> Recording:
-    """What the instrument shows of it."""
-    experiment, tree, time = ready.experiment, ready.tree, happened.time
-    facts = _facts(experiment, tree, happened) | dict(ready.facts)
-    instrument, names, seed = experiment.measurement, tree.names, experiment.seed
-    tare, truth = ready.plant.tare, happened.truth
-    found = measure(instrument, names, time, truth, tare, facts, seed, installed)
-    for effect in effects_of(experiment, tree):
+    """What the sensors show of what happened."""
+    names, time = rig.robot.names, happened.time
+    found = measure(rig.instrument, names, time, happened.truth, tare, facts, seed, installed)
+    for effect in rig.plant:
         warmth = effect.temperature(time)
         if warmth is not None:
             found = replace(found, temperature=np.broadcast_to(warmth, found.position.shape))
-    sensors = experiment.sensor_instruments
-    return with_sensors(found, sensors, seed, installed) if sensors else found
+    mounted = {place.name: rig.instrument_of(own) for place, own in rig.mounted.items()}
+    if mounted:
+        found = with_sensors(found, mounted, seed, installed)
+    kinds = [type(sensor) for sensor in rig.outer]
+    if JointTorques not in kinds:
+        found = replace(found, torque=None)
+    return found if ForcePlate in kinds else replace(found, wrench=None, tare=None)
 
 
-def simulate_together(experiments: Sequence[Experiment]) -> Iterator[Recording | Exception]:
-    """Simulate experiments; what happens twice only once.
-
-    Every recording is, to the bit, the one that `simulate` makes of its experiment.
-
-    Args:
-        experiments: What to do.
-
-    Yields:
-        Of each experiment its recording, or why there is none.
-    """
-    plants: Plants = {}
-    happened: dict[Hashable, Rollout | Exception] = {}
-    for experiment in experiments:
-        try:
-            ready = prepare(experiment, None, plants)
-            if ready.happens not in happened:
-                happened[ready.happens] = _rollout(ready)
-            result = happened[ready.happens]
-            yield result if isinstance(result, Exception) else _measured(ready, result)
-        except Exception as error:
-            yield error
-
-
-def _rollout(ready: Prepared) -> Rollout | Exception:
-    try:
-        return ready.rollout()
-    except Exception as error:
-        return error
-
-
-def _facts(experiment: Experiment, tree: Tree, run: Rollout) -> dict[str, Any]:
+def _metadata(rig: Rig, tree: Tree, run: Rollout, seed: int) -> dict[str, Any]:
     """What a recording keeps about how it was made."""
     saturated = [
         diagnose("motion.saturated", name, share).as_dict()
         for name, share in zip(tree.names, run.saturated, strict=True)
         if share
     ]
+    places = {
+        place.name: {
+            "link": place.link,
+            "position": place.position.tolist(),
+            "rpy": list(to_rpy(place.rotation)),
+        }
+        for place in rig.mounted
+    }
     return {
         "robot": tree.name,
         "geometry": geometry(tree),
         "gravity": tree.gravity.tolist(),
-        "model_sha256": fingerprint(Path(experiment.model)),
-        "seed": experiment.seed,
+        "model_sha256": fingerprint(rig.file.path),
+        "seed": seed,
         "versions": versions(),
         "tracking_rms": dict(zip(tree.names, run.tracking.tolist(), strict=True)),
         "diagnostics": saturated,
-        **({"sensors": experiment.sensor_places} if experiment.force_sensors else {}),
+        **({"sensors": places} if places else {}),
     }

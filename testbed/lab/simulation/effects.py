@@ -10,14 +10,14 @@ from testbed.lab.simulation.effect import Effect
 from testbed.lab.simulation.joint_friction import (
     LoadFriction,
     LuGreFriction,
-    StribeckFriction,
+    Stribeck,
     WarmingDrives,
 )
 
 KINDS: Mapping[str, type[Effect]] = {
     effect.kind: effect
     for effect in (
-        StribeckFriction,
+        Stribeck,
         LoadFriction,
         WarmingDrives,
         LuGreFriction,

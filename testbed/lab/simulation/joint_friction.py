@@ -24,7 +24,7 @@ SMOOTH = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class StribeckFriction(Effect):
+class Stribeck(Effect):
     """Friction that is higher at low speed: coefficient sign(v) exp(-(v / speed)^2).
 
     It comes on top of the joints' own dry and viscous friction.

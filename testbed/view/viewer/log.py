@@ -16,6 +16,10 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import plural
 from testbed.core.base.files import replacing
+from testbed.core.estimation.estimate import Estimate
+from testbed.core.estimation.information import Information
+from testbed.core.recordings.recording import Recording
+from testbed.lab.experiment.predict import run_of
 from testbed.lab.experiment.results import read_run
 from testbed.lab.experiment.run import Run
 from testbed.motion.collision_model import Obstacle
@@ -152,11 +156,16 @@ def log_scene(stream: rr.RecordingStream, scene: Scene, at: str = "") -> None:
 Shown = Run | str | Path
 
 
-def view(runs: Shown | Sequence[Shown], path: str | Path | None = None) -> Path:
-    """Show runs in Rerun's viewer: robot, reaction, predictions.
+def view(
+    data: Recording | Shown | Sequence[Shown],
+    *estimates: Estimate | Information,
+    path: str | Path | None = None,
+) -> Path:
+    """Show a robot, what was measured and what estimates predict in Rerun's viewer.
 
     Args:
-        runs: One or several, or folders of runs.
+        data: A recording; or runs, or folders of runs.
+        estimates: Of the recording's robot.
         path: The .rrd file to write, and nothing is opened; default a temporary one, which the
             viewer shows while Python goes on.
 
@@ -167,6 +176,7 @@ def view(runs: Shown | Sequence[Shown], path: str | Path | None = None) -> Path:
         ExperimentError: A folder holds no run.
         ViewerError: There is no viewer, or no screen for it.
     """
+    runs = run_of(data, *estimates) if isinstance(data, Recording) else data
     several = [runs] if isinstance(runs, (Run, str, Path)) else list(runs)
     shown = [each if isinstance(each, Run) else read_run(Path(each)) for each in several]
     place = Path(tempfile.mkdtemp()) / f"{shown[0].name}.rrd" if path is None else Path(path)

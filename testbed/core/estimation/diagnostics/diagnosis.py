@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from testbed.bodies.consistency.likelihood import rigid_body_test
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ENOUGH, components, few
@@ -21,6 +20,7 @@ from testbed.core.estimation.diagnostics.residuals import (
     noise_diagnostics,
     noisy,
 )
+from testbed.core.estimation.diagnostics.rigid_bodies import rigid_body_test
 from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.regression.passes import HELD, Repeats, Survey
 from testbed.core.robot.friction import ROTOR

@@ -7,9 +7,11 @@ Unknowns of the instrument, and columns whose traces are looked for, stand besid
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg, special
 
 from testbed.core.base.arrays import Array
@@ -40,11 +42,16 @@ from testbed.core.estimation.noise.whitening import (
     NOTHING,
     NuisanceColumns,
     Products,
+    Rows,
     Whitening,
     whitening_of,
 )
 from testbed.core.estimation.regression import solvers
-from testbed.core.estimation.regression.normal_equations import TINY, scaled_solve
+from testbed.core.estimation.regression.normal_equations import (
+    TINY,
+    scaled_solve,
+    standard_deviations,
+)
 from testbed.core.estimation.regression.passes import Passes
 from testbed.core.estimation.regression.windows import Plan
 
@@ -52,35 +59,25 @@ IMITATED = 1e-8
 """Share of a constant's square that the parameters leave of it if they cannot imitate it."""
 
 
-@dataclass(frozen=True, eq=False)
-class Constants:
-    """Constants that no parameters can imitate.
-
-    Attributes:
-        directions: Combinations of the channels, (C, k), orthonormal.
-        hidden: Unknowns that imitate the other constants, (C - k, m).
-    """
-
-    directions: Array
-    hidden: Array
-
-
-def constants(given: LaggedProducts) -> Constants:
-    """Which constants can be distinguished from the parameters.
+def constants(given: LaggedProducts) -> tuple[Array, Array]:
+    """Constants of the channels that can be distinguished from the parameters.
 
     Args:
         given: Products of unknowns' columns, residuals and ones.
+
+    Returns:
+        Combinations of the channels, (C, k), orthonormal; and unknowns that imitate the other
+        constants, (C - k, m).
     """
     squares = given.products[0]
-    m = squares.shape[2] - 2
-    normal = squares[:, :m, :m].sum(axis=0)
-    mixed = squares[:, :m, m + 1].T  # (m, C)
-    counts = squares[:, m + 1, m + 1]
-    imitating = scaled_solve(normal, mixed)
+    m = given.unknowns
+    mixed = squares[:, :m, -1].T  # (m, C)
+    counts = squares[:, -1, -1]
+    imitating = scaled_solve(squares[:, :m, :m].sum(axis=0), mixed)
     left = np.diag(counts) - mixed.T @ imitating
     spread, axes = eigh((left + left.T) / 2)
     identifiable = spread > IMITATED * max(counts.max(initial=0.0), 1.0)
-    return Constants(axes[:, identifiable], (imitating @ axes[:, ~identifiable]).T)
+    return axes[:, identifiable], (imitating @ axes[:, ~identifiable]).T
 
 
 def square_of_last(found: NoiseFit, count: int) -> float:
@@ -127,32 +124,26 @@ def averaged_fit(given: LaggedProducts, made: LaggedProducts | None, whole: bool
         made: Of noise in the same places; None for none.
         whole: Whether no rows are missing.
     """
-    none, m = np.zeros((given.products.shape[1], 0)), given.unknowns
     fits = whitened_fits if whole else weighted_fits
-    (plain,) = fits(given)
-    taken = None if made is None else correct_attenuation(plain, made)
-    alone = plain if taken is None else taken.found
-    answer = Answer(alone, fits, none, np.zeros((0, m)), taken)
+    (alone,) = fits(given)
+    correction = None if made is None else correct_attenuation(alone, made)
+    if correction is not None:
+        alone = correction.found
+    none = np.zeros((given.products.shape[1], 0))
+    answer = Answer(alone, fits, none, np.zeros((0, given.unknowns)), correction)
     if not whole:
         return answer
-    there = constants(given)
-    answer = replace(answer, hidden=there.hidden)
-    count = there.directions.shape[1]
+    directions, hidden = constants(given)
+    count = directions.shape[1]
     if given.rows < FEW or not count:
-        return answer
-    directions = there.directions
+        return replace(answer, hidden=hidden)
     (beside,) = whitened_fits(given.with_constants(directions))
     if made is not None:
         beside = correct_attenuation(beside, made.with_constants(directions)).found
     square = square_of_last(beside, count)
     weight = float(special.expit(square / 2 - count))
-    return replace(
-        answer,
-        found=averaged(alone, beside, weight),
-        directions=directions,
-        weight=weight,
-        square=square,
-    )
+    found = averaged(alone, beside, weight)
+    return Answer(found, fits, directions, hidden, correction, weight, square)
 
 
 def averaged(alone: NoiseFit, beside: NoiseFit, weight: float) -> NoiseFit:
@@ -191,26 +182,118 @@ class GlsFit:
     """A solution after the passes that look at the residuals themselves.
 
     Attributes:
-        fit: The solution before.
         values: Of the unknowns, (p,).
         covariance: (p, p).
         squares: Sums of the squares of each channel's residuals, (C,).
-        noise: What they are like; None where they are taken as white.
+        noise: What they are like.
         further: Values of the instrument's unknowns, (s,).
         further_covariance: Theirs, (s, s).
-        across: Covariance of the unknowns with them, (p, s).
         traces: Of each kind of fault that was looked for, and its chance in mere noise.
     """
 
-    fit: solvers.Fit
     values: Array
     covariance: Array
     squares: Array
-    noise: NoiseModel | None = None
-    further: Array = field(default_factory=lambda: np.zeros(0))
-    further_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    across: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    traces: tuple[tuple[Trace, float], ...] = ()
+    noise: NoiseModel
+    further: Array
+    further_covariance: Array
+    traces: tuple[tuple[Trace, float], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """Generalised least squares, by units in which all noise is one.
+
+    Attributes:
+        units: These units.
+        start: The robot's unknowns before, (p,).
+        answer: What is to be added, in these units.
+    """
+
+    units: Whitening
+    start: Array
+    answer: Answer
+
+    @property
+    def count(self) -> int:
+        """Unknowns that are free, m; those of constants come after them."""
+        return int(self.units.lead.shape[1])
+
+    @cached_property
+    def step(self) -> Array:
+        """What is added to all unknowns, (p + s,)."""
+        values = self.answer.found.values[: self.count]
+        return self.units.fixed + self.units.lead @ values
+
+    @cached_property
+    def values(self) -> Array:
+        """The robot's unknowns, (p,)."""
+        return self.start + self.step[: len(self.start)]
+
+    @property
+    def further(self) -> Array:
+        """The instrument's unknowns, (s,)."""
+        return self.step[len(self.start) :]
+
+    @cached_property
+    def constants(self) -> Array:
+        """Directions of the constants in the channels as measured, (C, k) [N, N m]."""
+        found = self.answer.directions / self.units.root[:, None]
+        found[np.abs(found) < ROUNDING * np.abs(found).max(initial=0.0)] = 0.0
+        return found
+
+    @property
+    def bias(self) -> Array:
+        """Constants of the channels, (C,) [N, N m]."""
+        return np.asarray(self.constants @ self.answer.found.values[self.count :])
+
+    def residual(self, rows: Rows) -> Array:
+        """Residuals of a block of rows, (C, M) [N, N m]."""
+        of_sensors = rows.further[..., : len(self.further)] @ self.further
+        return np.asarray(rows.own - self.bias[:, None] - of_sensors)
+
+
+class _SecondPass:
+    """Bootstrap, tests, quantization, repetition and residuals, block by block of rows."""
+
+    def __init__(
+        self, solution: _Solution, given: Products, passes: Passes, beside: NuisanceColumns
+    ) -> None:
+        units, found, m = solution.units, solution.answer.found, solution.count
+        every = units.as_free(given.every)
+        question = Question(m + beside.trends, beside.tested)
+        self._solution = solution
+        self._sums = np.zeros((3, len(units.root)))
+        self.tests = ScoreTests(units.as_free(given.looked_at), question)
+        self.bootstrap = Replicas(found.noise, every.with_constants(solution.answer.directions))
+        self.quantization = QuantizationCovariance(found, m)
+        self.repetition = _repetition_sums(passes, found.noise)
+
+    def add(self, rows: Rows) -> None:
+        """Go on with consecutive rows."""
+        solution, ones = self._solution, rows.ones
+        columns = solution.units.of_free(rows.columns)
+        own = columns[..., : solution.count]
+        constant = ones[..., None] * solution.answer.directions[:, None]
+        residual = solution.residual(rows)
+        self.bootstrap.add(np.concatenate([own, constant], axis=2), ones)
+        self.tests.add(columns, ones, rows.looked_at)
+        self.quantization.add(own, rows.made)
+        self._sums += [part.sum(axis=1) for part in (ones, residual * ones, residual**2 * ones)]
+        if self.repetition:
+            self.repetition.add(solution.units.root[:, None] * residual)
+
+    @property
+    def squares(self) -> Array:
+        """Squares of the channels' residuals, (C,).
+
+        Under noise that wanders, the likeliest constant may lie far from all that was measured:
+        where a channel has one, its residuals are taken about their mean.
+        """
+        used, first, second = self._sums
+        constant = self._solution.constants.any(axis=1)
+        about = second - constant * first**2 / np.maximum(used, 1.0)
+        return np.maximum(about, 0.0)  # rounding, where nothing is left but a constant
 
 
 @stage("residuals and replicas of noise")
@@ -228,49 +311,41 @@ def generalized_least_squares(
         names: Of the robot's unknowns.
         beside: Columns beside theirs.
     """
-    units, p = whitening_of(start, beside, passes.plan.layout), len(names)
-    m, encoders = units.lead.shape[1], _encoder_noise(passes)
+    plan, p = passes.plan, len(names)
+    units = whitening_of(start, beside, plan.layout)
+    encoders = _encoder_noise(passes)
     given = units.products(passes, start.values, HIGHEST, encoders)
-    every = units.as_free(given.every)
-    made = None if given.noise is None else units.as_free(given.noise)
-    answer = averaged_fit(every, made, passes.plan.layout.model == "reaction")
-    found, directions = answer.found, answer.directions
-    step = units.fixed + units.lead @ found.values[:m]
-    values, further = start.values + step[:p], step[p:]
-    clues = ScoreTests(units.as_free(given.looked_at), Question(m + beside.trends, beside.tested))
-    replicas = Replicas(found.noise, every.with_constants(directions))
-    back = _in_channels(units, directions)
-    bias, left = back @ found.values[m:], _Left(back)
-    repeated = _repetition_sums(passes, found.noise)
-    doubt = QuantizationCovariance(found, m)
-    for rows in units.rows(passes, values, encoders.again(passes.plan, values)):
-        ones = rows.ones[..., None] * directions[:, None]
-        columns = units.of_free(rows.columns)
-        replicas.add(np.concatenate([columns[..., :m], ones], axis=2), rows.ones)
-        clues.add(columns, rows.ones, rows.looked_at)
-        doubt.add(columns[..., :m], rows.made)
-        far = rows.own - bias[:, None] - rows.further[..., : beside.unknown] @ further
-        left.add(far, rows.ones)
-        if repeated:
-            repeated.add(units.root.T @ far)
-    lead = units.lead[:p][units.lead[:p].any(axis=1)]
-    factor = replicas.factor(answer.fits, lead)
-    by_counts, share = doubt.found()
-    spread = factor**2 * found.covariance[:m, :m] + by_counts
-    covariance = units.lead @ spread @ units.lead.T
-    covariance += _by_facts(units, given.every, directions, found.noise, step)
+    answer = averaged_fit(
+        units.as_free(given.every),
+        None if given.noise is None else units.as_free(given.noise),
+        whole=plan.layout.model == "reaction",
+    )
+    solution = _Solution(units, start.values, answer)
+    second = _SecondPass(solution, given, passes, beside)
+    for rows in units.rows(passes, solution.values, encoders.again(plan, solution.values)):
+        second.add(rows)
+    lead = units.lead[:p]
+    factor = second.bootstrap.factor(answer.fits, lead[lead.any(axis=1)])
+    by_counts, share = second.quantization.found()
+    covariance = _covariance(solution, given.every, factor, by_counts)
     noise = replace(
-        _found_noise(passes, answer, factor, back, bias),
-        hidden=_large(answer.hidden[:, :m] @ units.lead.T, names),
-        noise_limited=_noise_limited(answer.alone, units.lead[:p], names),
+        _noise_model(solution, plan, factor),
+        hidden=_named(_large(answer.hidden[:, : solution.count] @ units.lead.T), names),
+        noise_limited=_named(_noise_limited(answer.alone, lead), names),
         least_counts=encoders.least_counts,
         by_counts=share,
-        repetition=repeated.found() if repeated else None,
-        lateness=_lateness(units, given, answer, start.values, factor, passes.plan),
+        repetition=second.repetition.found() if second.repetition else None,
+        lateness=_lateness(solution, given.every, factor, plan),
     )
-    tests = clues.found(units.lead[:p])
-    own, others, across = covariance[:p, :p], covariance[p:, p:], covariance[:p, p:]
-    return GlsFit(start, values, own, left.squares, noise, further, others, across, tests)
+    return GlsFit(
+        values=solution.values,
+        covariance=covariance[:p, :p],
+        squares=second.squares,
+        noise=noise,
+        further=solution.further,
+        further_covariance=covariance[p:, p:],
+        traces=second.tests.found(lead),
+    )
 
 
 def sensor_step(
@@ -300,51 +375,52 @@ def sensor_step(
 
 
 def _lateness(
-    units: Whitening, given: Products, answer: Answer, values: Array, factor: float, plan: Plan
+    solution: _Solution, every: LaggedProducts, factor: float, plan: Plan
 ) -> TimeDelay | None:
     """Of joint torques; of the plate, there are tests that are more sensitive."""
+    units = solution.units
     if plan.layout.model == "reaction" or units.facts is not None or len(plan.weights) == 1:
         return None
-    start = np.asarray(np.linalg.solve(units.white, values), dtype=np.float64)
-    return lateness(given.every, answer.found, start, factor, plan.rate)
+    start = np.asarray(np.linalg.solve(units.white, solution.start), dtype=np.float64)
+    return lateness(every, solution.answer.found, start, factor, plan.rate)
 
 
-def _by_facts(
-    units: Whitening, every: LaggedProducts, directions: Array, noise: Autoregression, step: Array
+def _covariance(
+    solution: _Solution, every: LaggedProducts, factor: float, by_counts: Array
 ) -> Array:
-    """What doubt about facts adds to the covariance of all unknowns, (p + s, p + s).
-
-    `step` is what was added to them, (p + s,).
-    """
+    """Of all unknowns, (p + s, p + s): by the fit, by counts of encoders, by doubt about facts."""
+    units, answer, m = solution.units, solution.answer, solution.count
+    spread = factor**2 * answer.found.covariance[:m, :m] + by_counts
+    covariance = np.asarray(units.lead @ spread @ units.lead.T)
     if units.facts is None or units.free is None:
-        return np.zeros_like(units.grown)
-    count, biases = len(units.fixed), directions.shape[1]
-    white = Whitened(every.with_constants(directions), noise.coefficients[None])
-    normal = white.sums(noise.sigma[None] ** -2.0)[0, : count + biases, : count + biases]
+        return covariance
+    noise, biases = answer.found.noise, answer.directions.shape[1]
+    white = Whitened(every.with_constants(answer.directions), noise.coefficients[None])
+    size = len(units.fixed) + biases
+    normal = white.sums(noise.sigma[None] ** -2.0)[0, :size, :size]
     lead = linalg.block_diag(units.free.lead, np.eye(biases))
-    across = lead.T @ normal
     fixed = np.pad(units.free.fixed, ((0, biases), (0, 0)))
+    across = lead.T @ normal
     moved = fixed - lead @ scaled_solve(across @ lead, across @ fixed)
-    spread = units.grown @ moved[:count] @ units.facts.doubt(step)
-    return np.asarray(spread @ spread.T)
+    root = units.grown @ moved[: len(units.fixed)] @ units.facts.doubt(solution.step)
+    return np.asarray(covariance + root @ root.T)
 
 
-def _found_noise(
-    passes: Passes, answer: Answer, factor: float, back: Array, bias: Array
-) -> NoiseModel:
+def _noise_model(solution: _Solution, plan: Plan, factor: float) -> NoiseModel:
     """What the residuals are like; parameters that they say something of are not named yet."""
+    answer, m, back = solution.answer, solution.count, solution.constants
     noise, count = answer.found.noise, back.shape[1]
-    m = len(answer.found.values) - count
-    spread = factor**2 * answer.found.covariance[m:, m:]
+    spread = back @ answer.found.covariance[m:, m:] @ back.T
+    chance = float(special.chdtrc(count, answer.square / factor**2)) if count else 1.0
     return NoiseModel(
         order=noise.order,
-        memory=tuple(float(rows) / passes.plan.rate for rows in noise.memory),
+        memory=tuple(float(rows) / plan.rate for rows in noise.memory),
         factor=factor,
-        bias=bias,
-        bias_sigma=np.sqrt(np.einsum("ci,ij,cj->c", back, spread, back)),
-        bias_chance=_chance(answer.square / factor**2, count),
+        bias=solution.bias,
+        bias_sigma=factor * standard_deviations(spread),
+        bias_chance=chance,
         bias_weight=answer.weight,
-        span=passes.plan.source.samples / passes.plan.source.rate,
+        span=plan.source.samples / plan.source.rate,
         hidden=(),
     )
 
@@ -359,51 +435,21 @@ def _encoder_noise(passes: Passes) -> PositionNoise:
     return PositionNoise(survey.encoder_noise, survey.encoder_count if filtered else none)
 
 
-class _Left:
-    """Sums of the squares of what is left of each channel.
-
-    Under noise that wanders, the likeliest constant may lie far from all that was measured: where
-    a channel has one, its residuals are taken about their mean.
-    """
-
-    def __init__(self, back: Array) -> None:
-        """None yet; `back` are the constants' directions in the channels, (C, k)."""
-        self._free = back.any(axis=1)
-        self._sums = np.zeros((3, len(back)))
-
-    def add(self, far: Array, ones: Array) -> None:
-        """Count residuals, (C, M), where `ones` are not zero."""
-        self._sums += [part.sum(axis=1) for part in (ones, far * ones, far**2 * ones)]
-
-    @property
-    def squares(self) -> Array:
-        """The sums, (C,)."""
-        used, first, second = self._sums
-        about = second - self._free * first**2 / np.maximum(used, 1.0)
-        return np.maximum(about, 0.0)  # rounding, where nothing is left but a constant
+def _named(which: NDArray[np.bool_], names: tuple[str, ...]) -> tuple[str, ...]:
+    """The first unknowns of those that are named, (p,) or more."""
+    return tuple(name for name, named in zip(names, which, strict=False) if named)
 
 
-def _in_channels(units: Whitening, directions: Array) -> Array:
-    """Constants along directions, in the channels as measured, (C, k) [N, N m]."""
-    back = np.linalg.inv(units.root.T) @ directions
-    back[np.abs(back) < ROUNDING * np.abs(back).max(initial=0.0)] = 0.0
-    return back
-
-
-def _large(part: Array, names: tuple[str, ...]) -> tuple[str, ...]:
-    """The first unknowns, by name, with a large part in one of k combinations, (k, p + s)."""
+def _large(part: Array) -> NDArray[np.bool_]:
+    """Unknowns with a large part in one of k combinations, (k, p + s)."""
     size = np.abs(part)
     large = size > LARGE * size.max(axis=1, keepdims=True, initial=0.0)
-    return tuple(n for n, seen in zip(names, large.any(axis=0), strict=False) if seen)
+    return np.asarray(large.any(axis=0))
 
 
-def _noise_limited(
-    found: AttenuationCorrection | None, lead: Array, names: tuple[str, ...]
-) -> tuple[str, ...]:
+def _noise_limited(found: AttenuationCorrection | None, lead: Array) -> NDArray[np.bool_]:
     """Parameters that noise of the encoders hides, of unknowns that make them up, (p, m)."""
-    if found is None:
-        return ()
-    return tuple(n for n, hides in zip(names, found.noise_limited(lead), strict=True) if hides)
+    return np.zeros(len(lead), bool) if found is None else found.noise_limited(lead)
 
 
 def _repetition_sums(passes: Passes, noise: Autoregression) -> PeriodicSums | None:
@@ -415,7 +461,3 @@ def _repetition_sums(passes: Passes, noise: Autoregression) -> PeriodicSums | No
     rows = round(samples / plan.step)
     period = rows * plan.step / plan.source.rate  # what is compared is so long apart
     return PeriodicSums(noise, rows, period) if rows > HIGHEST else None
-
-
-def _chance(square: float, count: int) -> float:
-    return float(special.chdtrc(count, square)) if count else 1.0

@@ -141,11 +141,10 @@ def weighted_fits(given: LaggedProducts, order: int | None = None) -> list[Noise
     least = now.sums(weights[..., :1])
     weights[..., 1:] *= 2  # a lag's products, and their transpose
     middle = given.sums(weights)
-    order = given.lags if order is None else order
     fits = []
     for r, inverse in enumerate(found.inverse):
         inner = _at_least(LEAST_SHARE, least[r, :m, :m], middle[r, :m, :m])
-        noise = _from_covariances(covariances[r], order)
+        noise = _from_covariances(covariances[r], given.lags if order is None else order)
         weighting = Autoregression(np.zeros((len(counts), 0)), found.spread[r])
         fits.append(NoiseFit(found.values[r], inverse @ inner @ inverse, noise, weighting, inverse))
     return fits

@@ -93,19 +93,17 @@ class Replicas:
     @property
     def products(self) -> LaggedProducts:
         """Products with the replicas in the residuals' place, symmetric those of a lag, too."""
-        made, known, across = self._noise.finish(), self._known, self._across
-        lags, channels, count, _ = across.shape
-        m, own, size = count - 1, slice(count - 1, -1), count + REPLICAS
-        rest = [*range(m), -1]  # columns and ones
-        products = np.empty((lags, channels, size, size))
-        for lag in range(lags):
-            for channel, each in enumerate(products[lag]):  # one by one: they fit into a cache
-                before, beside = known.products[lag, channel], across[lag, channel]
-                each[:m, :m] = _alike(before[:m, :m])
-                each[:m, -1] = each[-1, :m] = (before[:m, -1] + before[-1, :m]) / 2
-                each[-1, -1] = before[-1, -1]
-                each[rest, own], each[own, rest] = beside, beside.T
-                each[own, own] = _alike(made.products[lag, channel])
+        made, known = self._noise.finish(), self._known
+        m = known.unknowns
+        own, size = slice(m, m + REPLICAS), m + REPLICAS + 1
+        rest = [*range(m), size - 1]  # columns and ones
+        products = np.empty((*known.products.shape[:2], size, size))
+        for lag, channel in np.ndindex(products.shape[:2]):  # one by one: they fit into a cache
+            each, across = products[lag, channel], self._across[lag, channel]
+            before = np.delete(np.delete(known.products[lag, channel], m, 0), m, 1)
+            each[np.ix_(rest, rest)] = _alike(before)
+            each[rest, own], each[own, rest] = across, across.T
+            each[own, own] = _alike(made.products[lag, channel])
         first, last = (
             np.concatenate([old[..., :m], new, old[..., -1:]], axis=3)
             for old, new in ((known.first, made.first), (known.last, made.last))
@@ -244,20 +242,18 @@ def traces(
         order: Of the noise; None for the best.
         quick: As for `whitened_fits`.
     """
-    channels, rest = given.products.shape[1], np.eye(given.responses + 1)
-    lead = linalg.block_diag(independent, rest)
-    fits = whitened_fits(given, order, quick=quick, lead=lead)
-    noises = [fit.noise for fit in fits]
+    channels = given.products.shape[1]
+    lead = linalg.block_diag(independent, np.eye(given.responses + 1))
+    noises = [fit.noise for fit in whitened_fits(given, order, quick=quick, lead=lead)]
     white = Whitened(given, np.stack([noise.coefficients for noise in noises]))
     squares = white.sums(np.stack([noise.sigma for noise in noises]) ** -2.0)
-    after = given.after(noises[0].order) - noises[0].order
-    free = max(after * channels - independent.shape[1], 1)
-    constants_first = np.roll(np.arange(given.unknowns), channels)
+    rows = given.after(noises[0].order) - noises[0].order
+    free = max(rows * channels - independent.shape[1], 1)
     answers = []
     for response, (each, noise) in enumerate(zip(squares, noises, strict=True)):
-        which = [*constants_first, given.unknowns + response]
-        tests = _tests(each[which][:, which], question, question.base + channels, free)
-        answers.append((tests, noise))
+        which = [*np.roll(np.arange(given.unknowns), channels), given.unknowns + response]
+        part = each[which][:, which]  # constants first
+        answers.append((_tests(part, question, question.base + channels, free), noise))
     return answers
 
 

@@ -108,7 +108,7 @@ class Whitening:
     """Units in which all noise is one and the robot's columns are orthonormal.
 
     Attributes:
-        root: Of the weights, (C, C): W = root root'.
+        root: Of the channels' weights, (C,).
         white: The robot's unknowns of its columns, (p, p).
         beside: Columns beside.
         facts: What is known of the unknowns; None for nothing.
@@ -167,16 +167,13 @@ class Whitening:
             values: Of the robot's unknowns.
             made: What made noise of the encoders gives.
         """
-        alone = not np.any(self.root - np.diag(np.diagonal(self.root)))
         combined = np.column_stack([self.white, values])
         shown, width = _together(made.columns, self.beside.columns), made.width
         for columns, others, measured in passes.rows_beside(combined, shown):
             further, own = others[..., width:], measured - columns[..., -1]
             ones = counted(columns, measured)
-            if not alone:  # each is then a mixture of all
-                ones = np.broadcast_to(ones.max(axis=0), ones.shape)
             stack = np.concatenate([columns[..., :-1], others, own[..., None]], axis=2)
-            units = np.tensordot(self.root.T, stack, 1)
+            units = self.root[:, None, None] * stack
             p = len(values)
             yield Rows(
                 columns=np.delete(units[..., :-1], slice(p, p + width), axis=2),
@@ -255,7 +252,7 @@ def whitening_of(start: solvers.Fit, beside: NuisanceColumns, layout: Layout) ->
     white[inward] = square_root(start.inverse[np.ix_(inward, inward)])[:, ::-1]
     given = beside.facts
     if given is None or not len(given):
-        return Whitening(square_root(start.weights), white, beside, None, None)
+        return Whitening(np.sqrt(start.weights), white, beside, None, None)
     grown = linalg.block_diag(white, np.eye(beside.unknown))
     left = free(replace(given, rows=given.rows @ grown))
-    return Whitening(square_root(start.weights), white, beside, given, left)
+    return Whitening(np.sqrt(start.weights), white, beside, given, left)

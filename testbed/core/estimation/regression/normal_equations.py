@@ -131,16 +131,15 @@ def _inverse_root(matrix: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Sums over rows, for channels c and d; X are columns, y measurements.
+    """Sums over rows of each channel; X are its columns, y its measurements.
 
     Attributes:
         unknowns: Names, (p,).
         channels: Names, (C,).
         used: Rows of each channel that count, (C,).
-        normal: X_c' X_d, (C, C, p, p); or, where sums across channels were not taken,
-            X_c' X_c, (C, p, p).
-        right: X_c' y_d, (C, C, p); or X_c' y_c, (C, p).
-        square: y_c' y_d, (C, C); or y_c' y_c, (C,).
+        normal: X' X, (C, p, p).
+        right: X' y, (C, p).
+        squares: y' y, (C,).
     """
 
     unknowns: tuple[str, ...]
@@ -148,17 +147,12 @@ class NormalEquations:
     used: Array
     normal: Array
     right: Array
-    square: Array
+    squares: Array
 
     @property
-    def joined(self) -> bool:
-        """Whether sums across channels are there."""
-        return self.square.ndim == 2
-
-    @property
-    def squares(self) -> Array:
-        """Sum of the squares of each channel's measurements, (C,)."""
-        return np.diagonal(self.square) if self.joined else self.square
+    def rows(self) -> int:
+        """Rows of all channels that count."""
+        return int(self.used.sum())
 
     @property
     def rms(self) -> Array:
@@ -167,8 +161,7 @@ class NormalEquations:
 
     def of_channel(self, c: int) -> tuple[Array, Array, float]:
         """Of one channel alone: X' X, (p, p), X' y, (p,), and y' y."""
-        at = (c, c) if self.joined else (c,)
-        return self.normal[at], self.right[at], float(self.square[at])
+        return self.normal[c], self.right[c], float(self.squares[c])
 
     def of_unknowns(self, kept: Sequence[int]) -> NormalEquations:
         """The same without the other unknowns.
@@ -185,36 +178,21 @@ class NormalEquations:
         )
 
     def matrix(self, weights: Array) -> Array:
-        """X' W X, (p, p).
-
-        Args:
-            weights: W, (C, C); diagonal unless the equations are joined.
-        """
-        if self.joined:
-            return np.asarray(np.einsum("cd,cdij->ij", weights, self.normal))
-        return np.tensordot(np.diagonal(weights), self.normal, 1)
+        """X' X of all channels, (p, p), by weights (C,)."""
+        return np.tensordot(weights, self.normal, 1)
 
     def vector(self, weights: Array) -> Array:
-        """X' W y, (p,).
-
-        Args:
-            weights: W, (C, C); diagonal unless the equations are joined.
-        """
-        if self.joined:
-            return np.asarray(np.einsum("cd,cdi->i", weights, self.right))
-        return np.diagonal(weights) @ self.right
+        """X' y of all channels, (p,), by weights (C,)."""
+        return np.asarray(weights @ self.right)
 
     def residual(self, values: Array) -> Array:
-        """Products of the channels' residuals, (C, C), to 1e-8 of the measurement's square.
+        """Squares of the channels' residuals, (C,), to 1e-8 of the measurement's square.
 
         Args:
             values: Of the unknowns, (p,).
         """
-        if not self.joined:
-            found = self.square - 2 * self.right @ values + self.normal @ values @ values
-            return np.diag(np.maximum(found, 0.0))
-        mixed = self.right @ values
-        return self.square - mixed - mixed.T + self.normal @ values @ values
+        found = self.squares - 2 * self.right @ values + self.normal @ values @ values
+        return np.maximum(found, 0.0)
 
 
 def gather(
@@ -232,25 +210,14 @@ def gather(
     for sums in found:
         used += sums.used
         raw = sums.products if raw.size == 0 else raw + sums.products
-    rows, basis = layout.rows, layout.basis
-    joined = len(rows.group_slot) < len(channels)
-    blocks = []
-    for width, at in zip(rows.group_width, rows.group_gram, strict=True):
-        block = np.tril(raw[at : at + width**2].reshape(width, width))
-        blocks.append(block + np.tril(block, -1).T)
-
-    def cut(c: int, d: int) -> tuple[Array, Array, float]:
-        """The block of two channels, on the unknowns."""
-        block = blocks[0 if joined else c]
-        origin = 0 if joined else rows.start[c]
-        lines, ranks = (rows.start[k] - origin + np.arange(len(layout.channels[k])) for k in (c, d))
-        y, x = rows.measured[c] - origin, rows.measured[d] - origin
-        left, right = basis[layout.channels[c]], basis[layout.channels[d]]
-        inner = left.T @ block[np.ix_(lines, ranks)] @ right
-        return inner, left.T @ block[lines, x], float(block[y, x])
-
-    size = range(len(channels))
-    parts = [[cut(c, d) for d in (size if joined else (c,))] for c in size]
-    arrays = [np.array([[part[k] for part in line] for line in parts]) for k in range(3)]
-    normal, right, square = arrays if joined else [array[:, 0] for array in arrays]
-    return NormalEquations(unknowns, channels, used, normal, right, square)
+    rows, p = layout.rows, len(unknowns)
+    products = np.empty((len(channels), p + 1, p + 1))
+    for c, columns in enumerate(layout.channels):
+        width, at = rows.width[c], rows.group_gram[c]
+        lower = np.tril(raw[at : at + width**2].reshape(width, width))
+        lead = np.zeros((width, p + 1))
+        lead[: len(columns), :-1] = layout.basis[columns]
+        lead[rows.measured[c] - rows.start[c], -1] = 1.0
+        products[c] = lead.T @ (lower + np.tril(lower, -1).T) @ lead
+    normal, right, squares = products[:, :-1, :-1], products[:, :-1, -1], products[:, -1, -1]
+    return NormalEquations(unknowns, channels, used, normal, right, squares)

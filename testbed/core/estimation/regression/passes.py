@@ -9,7 +9,8 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from math import comb
@@ -21,7 +22,7 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.regression.windows import Plan, Window
 from testbed.core.kernel import numpy_engine
-from testbed.core.kernel.records import Block, Question, Signals, Sums, sensed
+from testbed.core.kernel.records import Block, Signals, Sums, sensed
 from testbed.core.recordings.columns import LARGEST, check_times, check_values
 from testbed.core.recordings.recording import Recording
 
@@ -255,18 +256,16 @@ class Passes:
         self.compiled = is_compiled(plan)
         self.threads = max(1, threads or os.cpu_count() or 1) if self.compiled else 1
         self.progress = progress
-        self.checked = False
         self.done = 0
         self.surveyor, self._looked_at = Surveyor(plan.source.samples), plan.looked_at
-        self._rooms: SimpleQueue[Any] = SimpleQueue()
+        self._workspaces: SimpleQueue[Any] = SimpleQueue()
         self._kept: dict[int, list[Block]] = {}
         thinned = not self.compiled or len(plan.weights) > 1  # else made again as fast as read
         self._rows_kept = KEPT // (plan.layout.rows.slots * 8) if thinned else 0
 
-    def sums(self, question: Question) -> Iterator[Sums]:
-        """The answers of all windows, in order; the first time, what was read is checked."""
-        check, self.checked = not self.checked, True
-        return self._pass(lambda part, window: self._sums(part, window, question, check))
+    def sums(self) -> Iterator[Sums]:
+        """Products of all windows, in order; what was read is checked."""
+        return self._pass(self._sums)
 
     def rows(self, combined: Array) -> Iterator[tuple[Array, Array]]:
         """All rows, a block at a time: combined columns, (C, k, q), and measurements, (C, k).
@@ -304,14 +303,16 @@ class Passes:
 
     def _pass(self, ask: Callable[[Recording, Window], Answer]) -> Iterator[Answer]:
         with ThreadPoolExecutor(self.threads) as pool:
-            pending: deque[tuple[Window, Callable[[], Answer]]] = deque()
+            pending: deque[tuple[Window, Future[Answer]]] = deque()
             try:
                 for window in self.plan.windows():
                     part = self.plan.source.part(window.first, window.last)
-                    if self.threads == 1:
-                        pending.append((window, partial(ask, part, window)))
+                    answer: Future[Answer] = Future()
+                    if self.threads > 1:
+                        answer = pool.submit(ask, part, window)
                     else:
-                        pending.append((window, pool.submit(ask, part, window).result))
+                        answer.set_result(ask(part, window))
+                    pending.append((window, answer))
                     if len(pending) > self.threads or self.threads == 1:
                         yield self._next(pending)
                 while pending:
@@ -319,36 +320,31 @@ class Passes:
             finally:
                 pool.shutdown(cancel_futures=True)
 
-    def _next(self, pending: deque[tuple[Window, Callable[[], Answer]]]) -> Answer:
+    def _next(self, pending: deque[tuple[Window, Future[Answer]]]) -> Answer:
         window, answer = pending.popleft()
-        found = answer()
+        found = answer.result()
         self.done += window.rows * self.plan.step
         self.progress(self.done, self.number * self.plan.rows * self.plan.step)
         return found
 
-    def _sums(self, part: Recording, window: Window, question: Question, check: bool) -> Sums:
-        if check:
-            check_times(part.time, "the recording", 1 / self.plan.source.rate, window.first)
+    def _sums(self, part: Recording, window: Window) -> Sums:
+        check_times(part.time, "the recording", 1 / self.plan.source.rate, window.first)
         signals = self.plan.signals(part, window)
-        found = self._answer(signals, window, question)
-        if check:
-            closely = window.row in self._looked_at
-            self.surveyor.look(signals, window.first, self.plan.own(window), closely)
-        if check and not found.squares[0] < LARGEST**2:  # what is no number is not
+        found = self._products(signals, window)
+        closely = window.row in self._looked_at
+        self.surveyor.look(signals, window.first, self.plan.own(window), closely)
+        if not found.squares[0] < LARGEST**2:  # what is no number is not
             check_values(part.columns(), "the recording", window.first)
         return found
 
-    def _answer(self, signals: Signals, window: Window, question: Question) -> Sums:
+    def _products(self, signals: Signals, window: Window) -> Sums:
         layout = self.plan.layout
         if self._keeps(window) or not self.compiled:
-            return numpy_engine.answer(layout, signals, self._blocks(signals, window), question)
+            return numpy_engine.sweep(layout, signals, self._blocks(signals, window))
         from testbed.core.kernel import numba_engine
 
-        work = self._room(signals)
-        try:
-            return numba_engine.sweep(layout, signals, question, work)
-        finally:
-            self._rooms.put(work)
+        with self._workspace(signals) as work:
+            return numba_engine.sweep(layout, signals, work)
 
     def _rows(
         self, beside: Columns | None, part: Recording, window: Window
@@ -374,17 +370,19 @@ class Passes:
             return numpy_engine.rows(self.plan.layout, signals)
         from testbed.core.kernel import numba_engine
 
-        work = self._room(signals)
-        try:
+        with self._workspace(signals) as work:
             return numba_engine.rows(self.plan.layout, signals, work)
-        finally:
-            self._rooms.put(work)
 
-    def _room(self, signals: Signals) -> Any:
+    @contextmanager
+    def _workspace(self, signals: Signals) -> Iterator[Any]:
         """A workspace that no other thread is using."""
         from testbed.core.kernel import numba_engine
 
         try:
-            return self._rooms.get_nowait()
+            work = self._workspaces.get_nowait()
         except Empty:
-            return numba_engine.workspace(self.plan.layout, signals)
+            work = numba_engine.workspace(self.plan.layout, signals)
+        try:
+            yield work
+        finally:
+            self._workspaces.put(work)

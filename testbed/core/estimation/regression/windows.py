@@ -187,9 +187,9 @@ def reversal_samples(weights: Array, reach: float | None, rate: float) -> int:
     return half - int(np.count_nonzero(beyond < REVERSAL_WEIGHT))
 
 
-ROWS_PER_CUTOFF = {"white": 4.0, "ar": 2.0}
+ROWS_PER_CUTOFF, DENSE = 2.0, 4.0
 """Rows kept a second per Hz of the parallel filter's cutoff: for an autoregression as many as
-the filter leaves independent, or their spectrum would have an empty part."""
+the filter leaves independent, or their spectrum would have an empty part; and twice as many."""
 
 WINDOW = 32_768
 """Samples of a window, about."""
@@ -333,7 +333,13 @@ class Plan:
         return np.column_stack([time, warmth])
 
 
-def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -> Plan:
+def make_plan(
+    source: Source,
+    layout: Layout,
+    tare: Array,
+    settings: Settings,
+    per_cutoff: float = ROWS_PER_CUTOFF,
+) -> Plan:
     """How a source becomes rows.
 
     Args:
@@ -341,6 +347,7 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
         layout: The robot's rows.
         tare: What is taken off the plate's wrench, (6,) [N, N m].
         settings: How to treat the signals; filters fit the sampling rate (`Settings.fitted`).
+        per_cutoff: Rows a second per Hz of the filter on rows.
 
     Raises:
         RecordingError: The recording is too short, or sampled too slowly.
@@ -352,35 +359,34 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
         raise RecordingError(
             f"the recording has {rate:g} samples a second, too few for a filter at {fast[0]:g} Hz"
         )
-    far = low_pass_reach(rate, slow, ROW_ATTENUATION)
-    far += low_pass_reach(rate, position, POSITION_ATTENUATION)
-    segments = source.segments
-    lengths = [last - first for first, last in segments]
-    if 2 * far >= max(lengths):  # before weights are made: they could be endless
-        raise _too_short(source, int(np.argmax(lengths)), far)
-    unit = np.array([[1.0], [0.0], [0.0]])
-    taps = unit if sensed else motion_taps(rate, position)
+    reach = low_pass_reach(rate, slow, ROW_ATTENUATION) + (0 if sensed else STENCIL)
+    reach += low_pass_reach(rate, position, POSITION_ATTENUATION)
+    step = 1
+    if slow is not None:
+        step = max(1, int(min((1 + 1e-9) * rate / (per_cutoff * slow), source.samples)))
+    spans = tuple(_rows_in(segment, reach, step) for segment in source.segments)
+    for k, (_, rows) in enumerate(spans):
+        if rows < 2:  # before weights are made: they could be endless
+            raise _too_short(source, k, reach)
     weights = row_weights(rate, slow)
-    reach = taps.shape[1] // 2 + len(weights) // 2
-    step = (
-        1
-        if slow is None
-        else int((1 + 1e-9) * rate / (ROWS_PER_CUTOFF[settings.noise] * slow)) or 1
+    return Plan(
+        source=source,
+        layout=layout,
+        tare=tare,
+        taps=np.array([[1.0], [0.0], [0.0]]) if sensed else motion_taps(rate, position),
+        weights=weights,
+        deadband=settings.deadband if layout.model == "dynamic" else 0.0,
+        rest_reach=reversal_samples(weights, settings.reversal_reach, rate),
+        step=step,
+        spans=spans,
+        engine=settings.engine,
     )
-    spans = tuple(_rows_in(segment, reach, step) for segment in segments)
-    short = [k for k, (_, rows) in enumerate(spans) if rows < 2]
-    if short:
-        raise _too_short(source, short[0], reach)
-    deadband = settings.deadband if layout.model == "dynamic" else 0.0
-    nearby = reversal_samples(weights, settings.reversal_reach, rate)
-    engine = settings.engine
-    return Plan(source, layout, tare, taps, weights, deadband, nearby, step, spans, engine)
 
 
-def _rows_in(segment: tuple[int, int], reach: int, step: int) -> tuple[int, int]:
+def _rows_in(segment: tuple[int, int], reach: float, step: int) -> tuple[int, int]:
     """The first row whose samples are all of one segment, and how many there are."""
-    first = -(-segment[0] // step)
-    return first, len(range(first * step + 2 * reach, segment[1], step))
+    first, last = -(-segment[0] // step), segment[1]
+    return first, len(range(first * step + int(min(2 * reach, last)), last, step))
 
 
 def _too_short(source: Source, number: int, reach: float) -> RecordingError:

@@ -12,7 +12,6 @@ from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.errors import round_significant
 from testbed.core.estimation.regression.normal_equations import (
     TINY,
-    scaled_inverse,
     scaled_solve,
 )
 from testbed.core.robot.friction import (
@@ -85,19 +84,18 @@ class Parts:
         own, new, y = list(columns), list(more), self.unseen.shape[1] - 1
         found = np.empty((len(self.seen), len(new)))
         for k, (seen, unseen) in enumerate(zip(self.seen, self.unseen, strict=True)):
-            inverse = scaled_inverse(seen[np.ix_(own, own)])
-            values, held = inverse @ seen[own, y], inverse @ seen[np.ix_(own, new)]
-            square = np.diagonal(seen)[new]
-            beyond = square - np.einsum("ij,ij->j", seen[np.ix_(own, new)], held)
-            clear = beyond > OWN * square
+            solved = scaled_solve(seen[np.ix_(own, own)], seen[np.ix_(own, [y, *new])])
+            values, held = solved[:, 0], solved[:, 1:]
+            beyond = np.diagonal(seen)[new] - np.einsum("ij,ij->j", seen[np.ix_(own, new)], held)
+            clear = beyond > OWN * np.diagonal(seen)[new]
             share = np.where(clear, seen[new, y] - seen[np.ix_(new, own)] @ values, 0.0)
             share = share / np.where(clear, beyond, 1.0)
             ends = np.zeros((y + 1, len(new)))  # what is left, in terms of the columns
             ends[own] = share * held - values[:, None]
             ends[new, np.arange(len(new))] -= share
             ends[y] = 1.0
-            left = np.einsum("ij,ij->j", ends, unseen @ ends)
-            found[k] = np.where(clear, np.maximum(left, 0.0), np.inf)
+            squares = np.einsum("ij,ij->j", ends, unseen @ ends)
+            found[k] = np.where(clear, np.maximum(squares, 0.0), np.inf)
         return found
 
 

@@ -6,8 +6,6 @@ the motion: the filter that fits the sampling rate lets them pass.
 
 from __future__ import annotations
 
-from contextlib import suppress
-
 import numpy as np
 
 from testbed.core.base.arrays import Array
@@ -38,26 +36,25 @@ def with_position_filter(problem: Problem) -> tuple[Problem, tuple[Diagnostic, .
     Args:
         problem: By either method, with all terms said.
     """
-    rows, rate = problem.settings.row_low_pass, problem.source.rate
+    rows, none = problem.settings.row_low_pass, (problem, ())
     if not problem.open_filter or rows is None:
-        return problem, ()
+        return none
     noise = _noise(problem, SLOWER[0] * rows)
-    if not np.median(noise) > MOSTLY:
-        return problem, ()
-    tried = [problem.with_settings(position_cutoff=times * rows) for times in SLOWER]
-    tried = [each for each in tried if (each.settings.position_low_pass or rate) < rate / 2]
-    with suppress(RecordingError):  # too short to be cut into parts
-        default, *left = (held_out(each).residual for each in (problem, *tried))
-        tiny = TINY
-        parts = [float(np.exp(2 * np.mean(np.log((a + tiny) / (default + tiny))))) for a in left]
-        best = int(np.argmin(parts))
-        if parts[best] < BETTER:
-            named = [f"'{name}'" for name, own in zip(problem.tree.names, noise, strict=True)
-                     if own > MOSTLY]  # fmt: skip
-            cutoff = tried[best].settings.position_low_pass
-            said = diagnose("encoder.filter", few(named), cutoff, share=parts[best] ** 0.5)
-            return tried[best], (said,)
-    return problem, ()
+    cutoffs = [times * rows for times in SLOWER if times * rows < problem.source.rate / 2]
+    if not np.median(noise) > MOSTLY or not cutoffs:
+        return none
+    tried = [problem.with_settings(position_cutoff=cutoff) for cutoff in cutoffs]
+    try:
+        default, *left = (held_out(each).residual + TINY for each in (problem, *tried))
+    except RecordingError:  # too short to be cut into parts
+        return none
+    parts = [float(np.exp(2 * np.mean(np.log(each / default)))) for each in left]
+    best = int(np.argmin(parts))
+    if parts[best] >= BETTER:
+        return none
+    noisy = [f"'{problem.tree.names[k]}'" for k in np.flatnonzero(noise > MOSTLY)]
+    said = diagnose("encoder.filter", few(noisy), cutoffs[best], share=parts[best] ** 0.5)
+    return tried[best], (said,)
 
 
 def _noise(problem: Problem, cutoff: float) -> Array:

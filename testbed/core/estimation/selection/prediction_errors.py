@@ -13,7 +13,8 @@ from testbed.core.base.diagnostics import Diagnostic, diagnose, phrase
 from testbed.core.estimation.estimate import Method, channel_label, channel_units
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import TINY
-from testbed.core.estimation.selection.row_products import RowProducts, sum_of
+from testbed.core.estimation.selection.row_products import RowProducts, products_of, sum_of
+from testbed.core.recordings.source import Source
 
 FILE, REFITTED, PLAIN = "file", "refitted", "plain"
 POSTERIOR, CONSISTENT = "posterior", "consistent"
@@ -183,3 +184,30 @@ def _chance(squares: Sequence[Array], rival: Sequence[Array]) -> Array:
     error = ratio.std(axis=0, ddof=1) / np.sqrt(count)
     alone = stdtr(count - 1, -ratio.mean(axis=0) / np.where(error > 0, error, np.inf))
     return np.asarray(np.minimum(alone * ratio.shape[1], 1.0))
+
+
+def predictions_of(rows: RowProducts, models: Mapping[str, Array]) -> dict[str, Prediction]:
+    """Values and constants that suit the rows by what predicts; the file alone has none."""
+    none = np.zeros(len(rows.channels))
+    return {
+        name: (values, none if name == FILE else rows.constants(values))
+        for name, values in models.items()
+    }
+
+
+def errors_of_another(
+    problem: Problem, source: Source, models: Mapping[str, Array]
+) -> PredictionErrors:
+    """What a model file and estimates leave of another recording.
+
+    All but the file as it is stand about the mean of what they leave of the plate: its zero
+    belongs to a recording.
+
+    Args:
+        problem: The other recording.
+        source: The same, faults of the instrument taken back.
+        models: Values of the unknowns by what says them.
+    """
+    parts = products_of(problem, source, problem.method == "external", whole=True)
+    models_of_rows = predictions_of(parts.whole, models)
+    return prediction_errors(problem, "another", [(models_of_rows, parts.each)])

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import TINY, NormalEquations
+from testbed.core.estimation.regression.passes import Columns
 from testbed.core.kernel.records import Signals
 from testbed.core.recordings.source import Source
 
@@ -125,19 +126,17 @@ def _inner(products: Array, ends: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
+class RowParts:
     """Products of consecutive parts.
 
     Attributes:
-        unknowns: Names of the columns, (p,).
-        channels: Names, (C,).
+        problem: Whose rows.
         sums: Products and lagged products of every part, (2, parts, C, p + 2, p + 2).
         offset: As of `RowProducts`.
         speed: Mean square of each joint's speed in every part, (parts, n).
     """
 
-    unknowns: tuple[str, ...]
-    channels: tuple[str, ...]
+    problem: Problem
     sums: Array
     offset: bool
     speed: Array
@@ -146,7 +145,7 @@ class Parts:
     def each(self) -> list[RowProducts]:
         """One by one."""
         return [
-            RowProducts(self.unknowns, self.channels, products, lagged, self.offset)
+            RowProducts(self.problem.names, self.problem.channels, products, lagged, self.offset)
             for products, lagged in zip(*self.sums, strict=True)
         ]
 
@@ -186,7 +185,7 @@ def sum_of(parts: Sequence[RowProducts]) -> RowProducts:
     )
 
 
-def products_of(problem: Problem, source: Source, offset: bool, whole: bool = False) -> Parts:
+def products_of(problem: Problem, source: Source, offset: bool, whole: bool = False) -> RowParts:
     """Products of a recording's rows, by one pass.
 
     Args:
@@ -195,29 +194,34 @@ def products_of(problem: Problem, source: Source, offset: bool, whole: bool = Fa
         offset: Whether each channel has a constant that is not known.
         whole: As for `Problem.passes`.
     """
-    p, channels, n = len(problem.names), problem.channels, problem.tree.n
-    passes = problem.with_settings(weights="channels").passes(1, source, whole)
+    p, width = len(problem.names), len(problem.channels)
+    passes = problem.passes(1, source, whole)
     ends = np.linspace(0, passes.plan.rows, PARTS + 1).round().astype(int)
-    sums = np.zeros((2, PARTS, len(channels), p + 2, p + 2))
-    speed, last = np.zeros((PARTS, n)), np.zeros((len(channels), 1, p + 2))
+    sums = np.zeros((2, PARTS, width, p + 2, p + 2))
+    speed, last = np.zeros((PARTS, problem.tree.n)), np.zeros((width, 1, p + 2))
     first = 0
-
-    def speeds(signals: Signals, row: int) -> Array:
-        at = signals.start + signals.step * np.arange(signals.number)
-        q, dt = signals.position, signals.step / source.rate
-        ahead, back = (np.clip(at + way, 0, len(q) - 1) for way in (signals.step, -signals.step))
-        qd = (q[ahead] - q[back]) / (2 * dt)
-        return np.broadcast_to(qd, (len(channels), *qd.shape))
-
-    for columns, moving, measured in passes.rows_beside(np.eye(p), speeds):
+    for columns, moving, measured in passes.rows_beside(np.eye(p), _speeds(source.rate, width)):
         there = columns.any(axis=2, keepdims=True)  # rows near a reversal are zero
         block = np.concatenate([columns, there, measured[..., None]], axis=2)
         before = np.concatenate([last, block], axis=1)
-        for k, part in enumerate(zip(ends[:-1] - first, ends[1:] - first, strict=True)):
-            own = slice(*np.clip(part, 0, block.shape[1]).tolist())
-            sums[0, k] += block[:, own].swapaxes(1, 2) @ block[:, own]
-            sums[1, k] += block[:, own].swapaxes(1, 2) @ before[:, own]
+        cuts = np.clip(ends - first, 0, block.shape[1])
+        for k in range(PARTS):
+            own = slice(cuts[k], cuts[k + 1])
+            rows = block[:, own].swapaxes(1, 2)
+            sums[:, k] += rows @ block[:, own], rows @ before[:, own]
             speed[k] += (moving[0, own] ** 2).sum(axis=0)
         last, first = block[:, -1:], first + block.shape[1]
-    speed /= np.maximum(np.diff(ends), 1)[:, None]
-    return Parts(problem.names, channels, sums, offset, speed)
+    return RowParts(problem, sums, offset, speed / np.maximum(np.diff(ends), 1)[:, None])
+
+
+def _speeds(rate: float, channels: int) -> Columns:
+    """Joint speeds at the rows, by central differences, beside every channel."""
+
+    def speeds(signals: Signals, row: int) -> Array:
+        at = signals.start + signals.step * np.arange(signals.number)
+        q, most = signals.position, len(signals.position) - 1
+        ahead, back = np.clip(at + signals.step, 0, most), np.clip(at - signals.step, 0, most)
+        qd = (q[ahead] - q[back]) * rate / (2 * signals.step)
+        return np.broadcast_to(qd, (channels, *qd.shape))
+
+    return speeds

@@ -18,6 +18,7 @@ from testbed.core.estimation.regression.normal_equations import (
     scaled_solve,
 )
 from testbed.core.estimation.regression.solvers import noise_weights
+from testbed.core.estimation.regression.windows import DENSE
 from testbed.core.estimation.selection.held_out import (
     OFFERED,
     HeldOut,
@@ -58,7 +59,7 @@ def with_stribeck_speed(problem: Problem) -> Problem:
 
     def best(speeds: tuple[float, ...]) -> int:
         laws = (*problem.settings.words, *(stribeck(speed) for speed in speeds))
-        every = problem.with_settings(terms=laws, weights="channels")
+        every = problem.with_settings(terms=laws)
         with one_blas_thread():
             equations = every.equations(every.passes(1))
             costs = [_cost(_with_one(equations, every, speed)) for speed in speeds]
@@ -84,9 +85,9 @@ def _with_one(equations: NormalEquations, problem: Problem, speed: float) -> Nor
 
 def _cost(equations: NormalEquations) -> float:
     """What likelihood says of the best fit: the less the better."""
-    weights: Array = noise_weights(equations, None, False)
+    weights: Array = noise_weights(equations)
     values = scaled_solve(equations.matrix(weights), equations.vector(weights))
-    left = np.diagonal(equations.residual(values)) / np.maximum(equations.used, 1.0)
+    left = equations.residual(values) / np.maximum(equations.used, 1.0)
     tiny = TINY
     return float(equations.used @ np.log(np.maximum(left, tiny)))
 
@@ -144,10 +145,11 @@ def with_fewer_terms(problem: Problem) -> Problem:
     a joint without a row has no terms.
 
     Args:
-        problem: By joint torques, whose settings say all terms.
+        problem: Its settings say all terms; of the plate, there are none.
     """
     drives = problem.drives
-    assert drives is not None, "terms are those of joint torques"
+    if drives is None:
+        return problem
     equations = problem.equations(problem.passes(1))
     one_way = dict(_one_way(problem, equations))
     values = [word for word in problem.settings.words if isinstance(word, JointLaw)]
@@ -187,20 +189,20 @@ def choose_terms(problem: Problem) -> TermChoice:
     varying = [law for law in VARYING if law.by in problem.source.signals]
     laws = tuple(dict.fromkeys((*(term.law for term in usual), ROTOR, *OFFERED, *varying)))
     problem = problem.with_settings(terms=laws)
-    look, drives = _Look(problem), problem.drives
+    drives = problem.drives
     assert drives is not None, "terms are those of joint torques"
-    count, terms = drives.minimal.count, drives.terms
-    base = [term for term in terms if term in usual]
-    at = {term: count + k for k, term in enumerate(terms)}
-    always = [*range(count), *(at[term] for term in base)]
-    more: list[JointTerm] = []
+    at = {term: drives.minimal.count + k for k, term in enumerate(drives.terms)}
+    base = [term for term in at if term in usual]
+    always = [*range(drives.minimal.count), *(at[term] for term in base)]
+    offered = {term: place for term, place in at.items() if term not in base}
+    look, more = _Look(problem), list[JointTerm]()
     with one_blas_thread():
         for _ in range(ROUNDS):
             parts = look.parts([*always, *(at[term] for term in more)])
             more, growth = grown(
                 parts,
                 always,
-                {term: place for term, place in at.items() if term not in base},
+                offered,
                 lambda term: term.name(tree),
                 lambda one, other: one.joint == other.joint and rivals(one.law, other.law),
             )
@@ -234,9 +236,9 @@ class _Look:
     """
 
     def __init__(self, problem: Problem) -> None:
-        problem = problem.with_settings(weights="channels", noise="white", nuisances=(), known={})
+        problem = problem.with_settings(nuisances=(), known={})
         self.count = len(problem.names)
-        self.passes = problem.passes(4)
+        self.passes = problem.passes(4, per_cutoff=DENSE)
         plan = self.passes.plan
         if plan.rows < FEWEST * PARTS:
             raise RecordingError(
@@ -251,8 +253,8 @@ class _Look:
 
     def parts(self, columns: Sequence[int]) -> Parts:
         """Products of rows by parts, in units of the noise that a fit of some columns leaves."""
-        weights = noise_weights(self.equations.of_unknowns(columns), None)
-        root = np.sqrt(np.diagonal(weights))
+        weights = noise_weights(self.equations.of_unknowns(columns))
+        root = np.sqrt(weights)
         size = self.count + 1
         unseen, near = np.zeros((2, PARTS, size, size))
         first = 0

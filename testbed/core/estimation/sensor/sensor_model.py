@@ -36,6 +36,7 @@ from testbed.core.estimation.sensor.correction import (
 )
 from testbed.core.estimation.sensor.estimates import (
     NEARLY,
+    Nuisance,
     NuisanceEstimate,
     TraceTest,
     in_order,
@@ -52,6 +53,7 @@ from testbed.core.estimation.sensor.unknowns import (
 )
 from testbed.core.estimation.settings import Settings
 from testbed.core.recordings.source import Source
+from testbed.core.robot.tree import Tree
 
 ROUNDS = 8
 """Most corrections of a recording."""
@@ -112,43 +114,33 @@ class SensorModel:
                 coloured noise and filtered rows.
             doubt: About the plate by which the recording was corrected.
         """
-        settings, names = problem.settings, problem.names
-        tree, none = problem.layout.tree, unknowns_of(problem.layout.tree, ())
+        settings, names, tree = problem.settings, problem.names, problem.layout.tree
         plate = problem.method == "external"
-        kinds = {
-            *settings.nuisances,
-            *([NEXT_BIAS.kind] if BIAS.kind in settings.nuisances else ()),
-        }
-        asked = [n for n in NUISANCES if plate and n.kind in kinds]
+        kinds = {*settings.nuisances} if plate else set()
+        if BIAS.kind in kinds:
+            kinds.add(NEXT_BIAS.kind)
+        asked = [n for n in NUISANCES if n.kind in kinds]
         calibrated = doubt.nuisances(tree, asked) if plate and doubt is not None else []
         asked = [n for n in NUISANCES if n in asked or n in calibrated]
-        mixed = [n.kind for n in asked if tree.cuts and (not n.added or n.unmixed)]
-        if mixed:
-            raise SettingsError(
-                f"{', '.join(mixed)}: of a wrench that is a difference of two sensors' only zeros "
-                "and trends can be estimated; calibrate each sensor with all that it carries"
-            )
+        _check_cut(tree, asked)
         every = unknowns_of(tree, asked)
         given = {n: v for n, v in settings.facts.items() if plate or n in names}
         known = facts(tree, problem.minimal, names, every.names, given)
         right = {part.name: part.right for n in calibrated for part in n.parts(tree)}
         if doubt is not None and right:
             known = doubt.added(known, right, (*names, *every.names))
-        unknowns, nonidentifiable = (
-            identifiable_subset(problem, asked, known) if asked else (none, ())
-        )
+        unknowns, nonidentifiable = identifiable_subset(problem, asked, known)
         _check_whole(every, nonidentifiable, settings)
-        about = [*range(len(names)), *(len(names) + k for k in unknowns.kept)]
-        tests = plate and settings.noise == "ar" and settings.row_low_pass is not None
+        tests = plate and settings.row_low_pass is not None
         covered = {kind for n in asked for kind in (n.kind, *n.covers)}
-        looked_for = [n for n in TESTED if n.kind not in covered]
+        tested = [n for n in TESTED if tests and n.kind not in covered]
         return cls(
             settings=settings,
             unknowns=unknowns,
             nonidentifiable=nonidentifiable,
-            tested=unknowns_of(tree, looked_for) if tests else none,
-            trends=unknowns_of(tree, [SLOPE]) if tests and SLOPE not in asked else none,
-            known=known.about(about),
+            tested=unknowns_of(tree, tested),
+            trends=unknowns_of(tree, [SLOPE] if tests and SLOPE not in asked else []),
+            known=known.about([*range(len(names)), *(len(names) + k for k in unknowns.kept)]),
             corrected=frozenset(right),
         )
 
@@ -215,16 +207,14 @@ class SensorModel:
             if name not in self.corrected
         )
 
-    def covariance(self, fit: GlsFit) -> tuple[Array, Array]:
-        """Covariance of the instrument's numbers, (s, s), and of the robot's with them, (p, s).
-
-        Both in the order of `estimates`.
+    def covariance(self, fit: GlsFit) -> Array:
+        """Covariance of the instrument's numbers, (s, s), in the order of `estimates`.
 
         Args:
             fit: The last fit.
         """
         kept = [k for k, name in enumerate(self.unknowns.names) if name not in self.corrected]
-        return fit.further_covariance[np.ix_(kept, kept)], fit.across[:, kept]
+        return fit.further_covariance[np.ix_(kept, kept)]
 
     def diagnostics(self, result: GaussNewtonResult) -> Iterator[Diagnostic]:
         """Calibration parameters that were asked for and are not identifiable.
@@ -272,6 +262,16 @@ class SensorModel:
                 )
             )
         return in_order(tests)
+
+
+def _check_cut(tree: Tree, asked: Sequence[Nuisance]) -> None:
+    """Raise SettingsError where more than zeros is asked of a difference of two sensors."""
+    mixed = [n.kind for n in asked if tree.cuts and (not n.added or n.unmixed)]
+    if mixed:
+        raise SettingsError(
+            f"{', '.join(mixed)}: of a wrench that is a difference of two sensors' only zeros "
+            "and trends can be estimated; calibrate each sensor with all that it carries"
+        )
 
 
 def _check_whole(

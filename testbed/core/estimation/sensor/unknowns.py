@@ -227,6 +227,8 @@ def identifiable_subset(
         stated: What is known of parameters and of all numbers of the nuisances.
     """
     names, wanted = problem.names, unknowns_of(problem.layout.tree, nuisances)
+    if not nuisances:
+        return wanted, ()
     count, rng = len(wanted.parts), np.random.default_rng(SEED)
     own, theirs = _generic_columns(problem, nuisances, 40 + (len(names) + count) // 2, rng)
     labels, sure = list(names), [False] * count
@@ -322,24 +324,32 @@ def _generic_columns(
         rows: Instants.
         rng: Draws the robot and its motion.
     """
-    layout, n = problem.layout, problem.tree.n
+    layout = problem.layout
     lead = layout.theta @ layout.basis
     theta = np.asarray(lead @ rng.normal(size=lead.shape[2]))
+    motion = _generic_motion(np.arange(rows + 4) / RATE, problem.tree.n, rng)
     slopes = np.array([1, -8, 0, 8, -1]) / 12 * RATE  # a row is one instant; its slope needs five
     weights = np.array([0, 0, 1.0, 0, 0])
-    filtered = RowFilter(1, weights, slopes, 1, weights, slopes)
-    time = np.arange(rows + 4) / RATE
-    speed = 2 * np.pi * rng.uniform(0.1, 1.0, (SINES, n))
-    size = rng.normal(size=(2, SINES, n)) / SINES
-    phase = time[:, None, None] * speed
-    wave = size[0] * np.sin(phase) + size[1] * np.cos(phase)
-    rate = speed * (size[0] * np.cos(phase) - size[1] * np.sin(phase))
-    motion = Motion(time, *(s.sum(axis=1) for s in (wave, rate, -(speed**2) * wave)))
-    middle = time[2:-2] - time.mean()
-    none = np.zeros((rows, 6, 5))  # nothing was measured
     found = PredictedWrench(
-        layout.tree, layout.gravity, theta, motion, problem.tare, middle, filtered, none
+        tree=layout.tree,
+        gravity=layout.gravity,
+        theta=theta,
+        motion=motion,
+        tare=problem.tare,
+        time=motion.t[2:-2] - motion.t.mean(),
+        filter=RowFilter(1, weights, slopes, 1, weights, slopes),
+        measured=np.zeros((rows, 6, 5)),
     )
     parameters = linear(layout.tree, motion, lead, layout.gravity)[1][2:-2]
     theirs = np.concatenate([nuisance.columns(found) for nuisance in nuisances], axis=2)
     return parameters.reshape(6 * rows, -1), theirs.reshape(6 * rows, -1)
+
+
+def _generic_motion(time: Array, joints: int, rng: np.random.Generator) -> Motion:
+    """Sums of sines of random frequencies and amplitudes."""
+    speed = 2 * np.pi * rng.uniform(0.1, 1.0, (SINES, joints))
+    size = rng.normal(size=(2, SINES, joints)) / SINES
+    phase = time[:, None, None] * speed
+    wave = size[0] * np.sin(phase) + size[1] * np.cos(phase)
+    rate = speed * (size[0] * np.cos(phase) - size[1] * np.sin(phase))
+    return Motion(time, *(each.sum(axis=1) for each in (wave, rate, -(speed**2) * wave)))

@@ -1,0 +1,129 @@
+"""Values as short tables: in a terminal, in a notebook."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+from testbed.core.base.arrays import Array
+
+MOST_ROWS = 40
+"""Rows that are printed; of more, how many are left out is said."""
+
+
+@dataclass(frozen=True)
+class SummaryTable:
+    """Text of a value.
+
+    Attributes:
+        head: What it is.
+        rows: Cells of each row, as many in all; the first is a name.
+        notes: What to be careful about.
+    """
+
+    head: str
+    rows: tuple[tuple[str, ...], ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def _shown(self) -> tuple[tuple[str, ...], ...]:
+        return self.rows[:MOST_ROWS]
+
+    @property
+    def _foot(self) -> tuple[str, ...]:
+        more = len(self.rows) - MOST_ROWS
+        return (*((f"... and {more} more",) if more > 0 else ()), *self.notes)
+
+    def text(self) -> str:
+        """A line each: head, rows in columns, notes."""
+        columns = []
+        for k, column in enumerate(zip(*self._shown, strict=True)):
+            width = max(map(len, column))
+            side = ">" if k == 1 < len(self.rows[0]) - 1 else "<"
+            columns.append([f"{cell:{side}{width}}" for cell in column])
+        lines = ("  ".join(row).rstrip() for row in zip(*columns, strict=True))
+        return "\n".join([self.head, *lines, *self._foot])
+
+    def html(self) -> str:
+        """A table with a caption, then the notes."""
+        body = "".join(
+            f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in self._shown
+        )
+        notes = "".join(f"<li>{escape(line)}</li>" for line in self._foot)
+        return f"<table><caption>{escape(self.head)}</caption>{body}</table><ul>{notes}</ul>"
+
+
+class Summarized:
+    """A value that prints as its summary; a dataclass of this kind needs `repr=False`."""
+
+    @property
+    @abstractmethod
+    def summary(self) -> SummaryTable:
+        """The value as a short table."""
+
+    def __repr__(self) -> str:
+        return self.summary.text()
+
+    def _repr_html_(self) -> str:
+        return self.summary.html()
+
+
+EXACT, EXACT_SHORT = 1e-7, 1e-10
+"""Relative sigma below which decimals would hide how small it is; the same in brackets."""
+
+ROUNDING = 1e-15
+"""Relative sigma of what is known: numbers of the computer have no more digits."""
+
+NOT_IDENTIFIABLE = "not identifiable"
+OPEN_ZERO = f"{NOT_IDENTIFIABLE}: plate zero unknown"
+"""In place of a number whose sigma is infinite: no motion separates it from the plate's zero."""
+
+NOTHING = 1e-15
+"""Numbers and sigmas below this are rounding of zero, in any unit [kg, kg m, kg m^2, N m]."""
+
+
+def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
+    """Value and sigma, with as many decimals as sigma has to say.
+
+    Args:
+        value: The value.
+        sigma: Its standard deviation; infinite where the value is not identifiable.
+        short: 1.0610(9) for 1.0610 +- 0.0009: the digits in brackets are of the last places.
+    """
+    if math.isinf(sigma):
+        return NOT_IDENTIFIABLE if short else OPEN_ZERO
+    if max(abs(value), sigma) < NOTHING:
+        return "0"
+    if sigma <= ROUNDING * abs(value):
+        return f"{value:.9g}"  # known
+    if sigma < (EXACT_SHORT if short else EXACT) * abs(value):
+        return f"{value:.9g} +- {sigma:.0e}"
+    digits = _digits(sigma)
+    if short:
+        places = f"{sigma:.{digits}f}".replace(".", "").lstrip("0")
+        return f"{value:.{digits}f}({sigma:.1f})" if sigma >= 1 else f"{value:.{digits}f}({places})"
+    return f"{value:.{digits}f} +- {sigma:.{digits}f}"
+
+
+def _digits(sigma: float) -> int:
+    """Decimals that show two digits of sigma."""
+    return 1 if sigma >= 1 or sigma == 0 else len(f"{1 / sigma:.0f}") + 1
+
+
+def parameter_rows(
+    names: Sequence[str], values: Array, sigma: Array, units: Sequence[str]
+) -> tuple[tuple[str, ...], ...]:
+    """Name, value with sigma, and unit, a row each.
+
+    Args:
+        names: (p,).
+        values: (p,).
+        sigma: Standard deviations, (p,).
+        units: (p,).
+    """
+    pairs = zip(values.tolist(), sigma.tolist(), strict=True)
+    numbers = [number_with_sigma(*pair) for pair in pairs]
+    return tuple(zip(names, numbers, units, strict=True))

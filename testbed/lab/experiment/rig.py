@@ -1,0 +1,237 @@
+"""A rig: a robot, what else acts in its plant, and its sensors with their errors.
+
+Plain frozen values in SI units and radians at the joint side, complete before any file is read
+or anything is simulated.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from testbed.core.base.errors import SettingsError
+from testbed.core.base.summary_table import Summarized, SummaryTable
+from testbed.core.robot.force_sensor import ForceSensor
+from testbed.core.robot.model_file import ModelFile, file_of
+from testbed.core.robot.tree import Tree, require_tree
+from testbed.lab.instruments.chain import Instrument
+from testbed.lab.instruments.fault import FULL_SCALE, Fault
+from testbed.lab.simulation.effect import Effect
+
+MOST_STEPS = 10_000
+"""Most simulation steps a sample: a thousand samples are held in full."""
+
+MOST_SAMPLES = 2e6
+"""Most samples of one run: they are held in memory."""
+
+
+class Sensor:
+    """One of the sensors of a rig."""
+
+    errors: Sequence[Fault]
+
+    @property
+    @abstractmethod
+    def settings(self) -> dict[str, Any]:
+        """Keys of `Instrument` that it sets, but for errors."""
+
+
+@dataclass(frozen=True)
+class ForcePlate(Sensor):
+    """Six-axis force plate under the robot, or force sensor in it; perfect by default.
+
+    It measures the wrench of the bedplate on the robot, (M, 6) [N, N m]: force first, bedplate
+    axes, moment about the bedplate's origin.
+
+    Attributes:
+        noise: Standard deviations of forces [N] and moments [N m].
+        errors: Further errors in order, as `PlateBias()` or `PlatePose()` (docs/instruments.md).
+        full_scale: Largest magnitudes of Fx, Fy, Fz [N], Mx, My, Mz [N m].
+        model: Name of a plate for sale, as "ati-axia80-m20": noise and range where not given.
+        mounting: Place in the robot; default under it.
+    """
+
+    noise: tuple[float, float] = (0.0, 0.0)
+    errors: Sequence[Fault] = ()
+    full_scale: tuple[float, float, float, float, float, float] = FULL_SCALE
+    model: str = ""
+    mounting: ForceSensor | None = None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Keys of `Instrument` that it sets, but for errors."""
+        force, moment = self.noise
+        return {
+            "plate": self.model,
+            "force_noise": force,
+            "moment_noise": moment,
+            "full_scale": self.full_scale,
+        }
+
+
+@dataclass(frozen=True)
+class JointTorques(Sensor):
+    """Motor torques as the drives report them, (M, n) [N m or N]; perfect by default.
+
+    Attributes:
+        noise: Standard deviation [N m or N].
+        gains: Reported over true torque by joint, as {"waist": 1.08}; 1 for all others.
+        errors: Further errors in order, as `TorqueOffset()` (docs/instruments.md).
+    """
+
+    noise: float = 0.0
+    gains: Mapping[str, float] = field(default_factory=dict)
+    errors: Sequence[Fault] = ()
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Keys of `Instrument` that it sets, but for errors."""
+        errors = {joint: gain - 1 for joint, gain in self.gains.items()}
+        return {"torque_noise": self.noise, "torque_constant_error": errors}
+
+
+@dataclass(frozen=True)
+class Encoders(Sensor):
+    """Joint positions, (M, n) [rad or m]; perfect by default.
+
+    Attributes:
+        resolution: Least count; 0 for none [rad or m].
+        noise: Standard deviation [rad or m].
+        kinematics: Measure velocities and accelerations exactly, too.
+        errors: Further errors in order, as `EncoderEccentricity()` (docs/instruments.md).
+    """
+
+    resolution: float = 0.0
+    noise: float = 0.0
+    kinematics: bool = False
+    errors: Sequence[Fault] = ()
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Keys of `Instrument` that it sets, but for errors."""
+        return {
+            "encoder_resolution": self.resolution,
+            "encoder_noise": self.noise,
+            "senses_kinematics": self.kinematics,
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rig(Summarized):
+    """A robot on its bedplate with all that determines what its sensors show along a motion.
+
+    Attributes:
+        robot: The robot as `load_tree` reads it, under its gravity.
+        plant: What else acts in the plant: `Stribeck()`, `Payload()`, ... (docs/instruments.md).
+        sensors: What is recorded, and how well; positions always are. Default: everything, exactly.
+        rate: Samples a second, of sensors and controller [Hz].
+        averaged: Samples are means over their time; else values at its first instant.
+        friction: Keep the joints' friction.
+        step: Of the integration where a joint sticks or turns round; else up to 1 ms [s].
+        bandwidth: Of the joint controllers [rad/s].
+        warm_up: Time run before the recording starts [s].
+    """
+
+    robot: Tree
+    plant: Sequence[Effect] = ()
+    sensors: Sequence[Sensor] = (ForcePlate(), JointTorques(), Encoders())
+    rate: float = 1000.0
+    averaged: bool = True
+    friction: bool = True
+    step: float = 2.5e-4
+    bandwidth: float = 60.0
+    warm_up: float = 2.0
+
+    def __post_init__(self) -> None:
+        require_tree(self.robot, "Rig(robot, plant, sensors)")
+        names = self.robot.names
+        object.__setattr__(self, "plant", tuple(effect.on(names) for effect in self.plant))
+        object.__setattr__(self, "sensors", tuple(self.sensors))
+        kinds = [type(sensor) for sensor in self.outer]
+        if len(set(kinds)) < len(kinds):
+            raise SettingsError("Rig: sensors has two of one kind: those in the robot are mounted")
+        for joint in self.instrument.torque_constant_error:
+            self.robot.index(joint)  # refuses joints that are not there
+        self.instrument.stages(names)  # refuses errors of joints that are not there
+
+    @property
+    def summary(self) -> SummaryTable:
+        """Robot, plant and sensors, a line each."""
+        rows = [("robot", repr(self.robot))]
+        rows += [("plant", repr(each)) for each in self.plant]
+        rows += [("sensor", repr(each)) for each in self.sensors]
+        return SummaryTable(f"rig at {self.rate:g} Hz", tuple(rows))
+
+    @property
+    def file(self) -> ModelFile:
+        """Model file of the robot.
+
+        Raises:
+            ModelError: The robot was not read from one.
+        """
+        return file_of(self.robot)
+
+    @property
+    def true_robot(self) -> Tree:
+        """The robot with what the plant adds to it."""
+        tree = self.robot
+        for effect in self.plant:
+            tree = effect.robot(tree)
+        return tree
+
+    @property
+    def outer(self) -> tuple[Sensor, ...]:
+        """Sensors of the joints and under the robot."""
+        return tuple(each for each in self.sensors if each not in self.mounted.values())
+
+    @property
+    def mounted(self) -> dict[ForceSensor, ForcePlate]:
+        """Force sensors in the robot by their mounting."""
+        plates = (each for each in self.sensors if isinstance(each, ForcePlate))
+        return {each.mounting: each for each in plates if each.mounting is not None}
+
+    @property
+    def instrument(self) -> Instrument:
+        """Sensors of the joints and under the robot together."""
+        return self.instrument_of(*self.outer)
+
+    def instrument_of(self, *sensors: Sensor) -> Instrument:
+        """Sensors together, at the rate of the rig.
+
+        Args:
+            sensors: One of a kind.
+        """
+        settings = {key: value for each in sensors for key, value in each.settings.items()}
+        errors = tuple(error for each in sensors for error in each.errors)
+        return Instrument(rate=self.rate, averaged=self.averaged, fault=errors, **settings)
+
+    def steps(self, seconds: float) -> int:
+        """Number of simulation steps a sample.
+
+        Args:
+            seconds: Length of the recording.
+
+        Raises:
+            SettingsError: Step, rate, controller and length do not fit each other.
+        """
+        if self.bandwidth > self.rate / 2:
+            raise SettingsError(
+                f"bandwidth = {self.bandwidth:g} rad/s is too fast for a controller at rate = "
+                f"{self.rate:g} Hz; lower it to {self.rate / 2:g} or less"
+            )
+        steps = 1 / self.rate / self.step
+        if not 0.5 < steps < MOST_STEPS or abs(round(steps) / steps - 1) > 1e-9:
+            raise SettingsError(
+                f"step = {self.step:g} s does not divide the sampling time 1 / rate = "
+                f"{1 / self.rate:g} s into 1 to {MOST_STEPS} steps"
+            )
+        if not self.rate * seconds >= 2:
+            raise SettingsError(f"{seconds:g} s at {self.rate:g} Hz hold no two samples")
+        if self.rate * (seconds + self.warm_up) > MOST_SAMPLES:
+            raise SettingsError(
+                f"{seconds:g} s at {self.rate:g} Hz are more than the {MOST_SAMPLES:.0e} samples "
+                "that one run holds in memory; make several runs"
+            )
+        return round(steps)
