@@ -16,12 +16,12 @@ import numpy as np
 import testbed as tb
 from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.kernel.numba_engine import warm_up
+from testbed.lab.experiment.excite import design_problem, excite
 from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.simulation.plant import build_plant
 from testbed.lab.simulation.rollout import Sampling, simulate_motion
 from testbed.motion.clearance import DistanceMeter
 from testbed.motion.design import DesignProblem, criterion, design
-from testbed.motion.excite import design_problem, excite
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import motor_efforts
 from testbed.motion.proof import Rules, prove, seems_to_hold

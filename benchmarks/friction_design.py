@@ -21,10 +21,11 @@ from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.problem import Problem
 from testbed.core.recordings.recording import Recording
+from testbed.lab.experiment.excite import excite
 from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.experiment.motions import motion_of
 from testbed.lab.instruments.chain import measured_again
-from testbed.motion.excite import Excitation, excite
+from testbed.motion.excite import Excitation
 from testbed.motion.information import predict
 from testbed.motion.motion_file import write_motion
 from tests.helpers.paths import GOLDEN, REAL, ROOT

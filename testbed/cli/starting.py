@@ -127,10 +127,6 @@ def new(
         bool,
         typer.Option("--strict", help="Refuse impossible bodies instead of repairing them."),
     ] = False,
-    exact_torque_constants: Annotated[
-        bool,
-        typer.Option("--exact-torque-constants", help="Assume exact torque constants."),
-    ] = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     force: Force = False,
@@ -159,7 +155,7 @@ def new(
     assert robot is not None
     folder = out.parent if out else Path()
     with output.Progress("reading"):
-        text = _experiment(robot, folder, strict, exact_torque_constants, reading)
+        text = _experiment(robot, folder, strict, reading)
     path = out or Path(f"{tomllib.loads(text)['name']}.toml")
     check_outputs(path, force=force, read=(robot,))
     with replacing(path) as fresh:
@@ -201,14 +197,13 @@ def _recorded(
     output.print_lines([last], [each for each in said if each not in found.diagnostics])
 
 
-def _experiment(model: Path, folder: Path, strict: bool, exact: bool, reading: Reading) -> str:
+def _experiment(model: Path, folder: Path, strict: bool, reading: Reading) -> str:
     from testbed.lab.experiment.new_experiment import new_experiment
 
     return new_experiment(
         model,
         folder,
         strict=strict,
-        exact_torque_constants=exact,
         lock=reading.model_file(model).lock,
         say=typer.echo,
     )

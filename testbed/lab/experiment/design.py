@@ -7,10 +7,11 @@ import numpy as np
 from testbed.core.dynamics.newton_euler import pedestal_wrench
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.rules import Model
+from testbed.lab.experiment.excite import QUIET_TORQUE, pipeline
 from testbed.lab.experiment.motions import QUIET_PLATE
 from testbed.lab.experiment.rig import Rig
 from testbed.motion.design import DesignProblem
-from testbed.motion.excite import QUIET_TORQUE, excite, pipeline
+from testbed.motion.excite import excite
 from testbed.motion.fourier import Fourier
 from testbed.motion.information import information_of
 from testbed.motion.limits import limits_of
