@@ -2,13 +2,13 @@
 
 import testbed as tb
 
-tree = tb.load_tree(tb.shipped("puma562.xml"))
+tree = tb.load_tree("puma562.xml")
 
 
 def recorded(seed: int) -> tb.Recording:
     """What a logger has written, another motion for each seed."""
-    words = ["motion.duration=10", "motion.candidates=1", f"seed={seed}"]
-    measured = tb.record(tb.Experiment.load(tb.shipped("table6"), words))
+    rig = tb.Rig(tree, sensors=[tb.ForcePlate(noise=(0.5, 0.1)), tb.Encoders(resolution=1e-4)])
+    measured = tb.simulate(rig, tb.random_motion(tree, seed=seed), seconds=10, seed=seed)
     return tb.Recording(
         names=("waist", "shoulder", "elbow"),  # the order of the columns below
         time=measured.time,  # (M,) [s], at a constant rate
@@ -18,7 +18,7 @@ def recorded(seed: int) -> tb.Recording:
     )
 
 
-estimate = tb.identify(tree, recorded(1), "external", zeros=True)
+estimate = tb.identify(tree, recorded(1), "wrench", zeros=True)
 print(estimate)  # values, sigmas, warnings
 
 other = tb.validate(estimate, recorded(2))

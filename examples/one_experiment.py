@@ -6,10 +6,9 @@ from pathlib import Path
 import testbed as tb
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-experiment = tb.Experiment.load(
-    tb.shipped("table6"),  # or your own, as `testbed new your_robot.urdf` writes it
-    ["motion.duration=10", "motion.candidates=3"],  # any key, as with --set
-)
+experiment = tb.Experiment.from_toml(
+    tb.shipped("table6")  # or your own, as `testbed new your_robot.urdf` writes it
+).with_(motion={"duration": 10, "candidates": 3})  # any key
 run = tb.carry_out(experiment)  # simulates, identifies, compares with the truth
 
 for method, estimate in run.estimates.items():

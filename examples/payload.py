@@ -2,12 +2,14 @@
 
 import testbed as tb
 
-quick = ["motion.duration=10", "motion.candidates=3"]
-loaded = tb.Experiment.load(tb.shipped("payload"), quick)
-empty = tb.Experiment.load(tb.shipped("payload"), [*quick, "simulation.effect=[]", "expect={}"])
-tree = tb.load_tree(tb.shipped("puma562.xml"))
+tree = tb.load_tree("puma562.xml")
+motion = tb.random_motion(tree, seed=1)
+sensors = [tb.ForcePlate(noise=(0.5, 0.1)), tb.Encoders(resolution=1e-4)]
+load = tb.Payload("elbow", mass=1.0, centre=(0.0, 0.0, 0.43))
+rigs = (tb.Rig(tree, sensors=sensors), tb.Rig(tree, plant=[load], sensors=sensors))
 
-before, after = (tb.identify(tree, tb.record(each), "external") for each in (empty, loaded))
+data = [tb.simulate(rig, motion, seconds=10, seed=seed) for seed, rig in enumerate(rigs)]
+before, after = (tb.identify(tree, each, "wrench") for each in data)
 found = tb.payload(tree, before, after)
 
 print(f"on the link that {found.joint} moves; in truth 1 kg, 0.43 m along z")

@@ -88,10 +88,6 @@ def new(
         bool,
         typer.Option("--strict", help="Refuse impossible bodies instead of repairing them."),
     ] = False,
-    exact_torque_constants: Annotated[
-        bool,
-        typer.Option("--exact-torque-constants", help="Assume exact torque constants."),
-    ] = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     force: Force = False,
@@ -125,7 +121,6 @@ def new(
             robot,
             out.parent if out else Path(),
             strict=strict,
-            exact_torque_constants=exact_torque_constants,
             lock=reading.model_file(robot).lock,
             say=typer.echo,
         )

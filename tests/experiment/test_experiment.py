@@ -10,7 +10,7 @@ import pytest
 from pydantic import BaseModel
 
 import testbed as tb
-from testbed.core.base.errors import ExperimentError, SettingsError
+from testbed.core.base.errors import ExperimentError, SettingsError, TestbedError
 from testbed.core.base.toml_text import LARGEST_FILE, override
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_robot import robot_of
@@ -116,7 +116,7 @@ def test_what_does_not_fit_the_robot_or_the_clock_is_refused() -> None:
         ("motion.max_velocity.wrist=0.1", "'wrist'"),
         ('robot.base="measured"', "robot.base"),
     ):
-        with refuses(ExperimentError, culprit):
+        with refuses(TestbedError, culprit):
             robot_of(tb.Experiment.load(TABLE6, [word]))
     for word in ("bandwidth=1e6", "step=1e-320", "step=3e-4"):
         with refuses(SettingsError, word.partition("=")[0]):

@@ -29,30 +29,28 @@ class SummaryTable:
     notes: tuple[str, ...] = ()
 
     @property
-    def _shown(self) -> tuple[tuple[str, ...], ...]:
-        return self.rows[:MOST_ROWS]
-
-    @property
-    def _foot(self) -> tuple[str, ...]:
+    def short(self) -> SummaryTable:
+        """Its first rows, as many as a screen has room for."""
         more = len(self.rows) - MOST_ROWS
-        return (*((f"... and {more} more",) if more > 0 else ()), *self.notes)
+        if more <= 0:
+            return self
+        return SummaryTable(self.head, self.rows[:MOST_ROWS], (f"... and {more} more", *self.notes))
 
     def text(self) -> str:
         """A line each: head, rows in columns, notes."""
         columns = []
-        for k, column in enumerate(zip(*self._shown, strict=True)):
+        for k, column in enumerate(zip(*self.rows, strict=True)):
             width = max(map(len, column))
             side = ">" if k == 1 < len(self.rows[0]) - 1 else "<"
             columns.append([f"{cell:{side}{width}}" for cell in column])
         lines = ("  ".join(row).rstrip() for row in zip(*columns, strict=True))
-        return "\n".join([self.head, *lines, *self._foot])
+        return "\n".join([self.head, *lines, *self.notes])
 
     def html(self) -> str:
         """A table with a caption, then the notes."""
-        body = "".join(
-            f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in self._shown
-        )
-        notes = "".join(f"<li>{escape(line)}</li>" for line in self._foot)
+        rows = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self.rows)
+        body = "".join(f"<tr>{row}</tr>" for row in rows)
+        notes = "".join(f"<li>{escape(line)}</li>" for line in self.notes)
         return f"<table><caption>{escape(self.head)}</caption>{body}</table><ul>{notes}</ul>"
 
 
@@ -65,6 +63,10 @@ class Summarized:
         """The value as a short table."""
 
     def __repr__(self) -> str:
+        return self.summary.short.text()
+
+    def __str__(self) -> str:
+        """All rows."""
         return self.summary.text()
 
     def _repr_html_(self) -> str:

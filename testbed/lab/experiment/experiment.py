@@ -29,7 +29,6 @@ from testbed.lab.experiment.experiment_tables import (
 from testbed.lab.experiment.rig import ForcePlate
 from testbed.lab.experiment.robot_tables import RobotTables, SensorTable
 from testbed.lab.instruments.chain import Instrument
-from testbed.lab.kind_table import KindTable
 
 
 class Experiment(RobotTables):
@@ -152,25 +151,6 @@ class Experiment(RobotTables):
         """Noise and range of the robot's force sensors by name."""
         named = zip(self.force_sensors, self.mounted_sensors, strict=True)
         return {name: Instrument(**plate.settings) for name, plate in named}
-
-    @property
-    def joint_tables(self) -> Mapping[str, Iterable[str]]:
-        """Joint names by the table that is keyed by them, to be checked against the model."""
-        said: dict[str, tuple[KindTable, ...]] = {
-            "measurement.fault": self.measurement.fault,
-            "simulation.effect": self.simulation.effect,
-        }
-        return {
-            f"{table} ({each.kind}).{name}": joints
-            for table, values in said.items()
-            for each in values
-            for name, joints in each.by_joint.items()
-        } | {
-            "robot.joint": self.robot.joint,
-            "motion.max_velocity": self.motion.max_velocity,
-            "motion.max_acceleration": self.motion.max_acceleration,
-            "measurement.torque_constant_error": self.measurement.torque_constant_error,
-        }
 
 
 def _merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

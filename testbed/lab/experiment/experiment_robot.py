@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from testbed.core.base.diagnostics import Diagnostic
-from testbed.core.base.errors import ExperimentError, UnknownName
+from testbed.core.base.errors import ExperimentError
 from testbed.core.robot.model_file import ModelFile, mimic_joints, nearest_bodies
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
@@ -21,13 +21,12 @@ def rig_of(experiment: Experiment) -> Rig:
         experiment: Names the model file.
 
     Raises:
-        ExperimentError: A table names a joint that the robot has not.
+        UnknownName: A table names a joint that the robot has not.
+        ExperimentError: The base is measured, and not on a bedplate.
     """
     tree = model_of(experiment).tree()
-    for table, entries in experiment.joint_tables.items():
-        for name in entries:
-            if name not in tree.names:
-                raise ExperimentError(str(UnknownName(f"joint of {table}", name, tree.names)))
+    for name in (*experiment.motion.max_velocity, *experiment.motion.max_acceleration):
+        tree.index(name)  # refuses joints that are not there
     if experiment.robot.base == "measured":
         raise ExperimentError(
             'robot.base = "measured" is for recordings: experiments have a bedplate'

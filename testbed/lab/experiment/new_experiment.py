@@ -157,7 +157,6 @@ def new_experiment(
     folder: Path,
     *,
     strict: bool = False,
-    exact_torque_constants: bool = False,
     tried: bool = True,
     lock: Lock | None = None,
     say: Callable[[str], None] = lambda line: None,
@@ -171,7 +170,6 @@ def new_experiment(
             grippers with them.
         folder: Where the file will be.
         strict: Refuse bodies that cannot be instead of taking the nearest that can.
-        exact_torque_constants: Leave their error out.
         tried: Simulate a second of it, and assume more where it fails.
         lock: Joints to be held, and where [rad or m]; None: where they rest.
         say: Called with a line for what was repaired, or assumed after a trial.
@@ -185,13 +183,12 @@ def new_experiment(
     assumed = assumptions(found.tree)
 
     def text(needs: Needs) -> str:
-        constants = [] if exact_torque_constants else _torque_constants(found.tree)
         parts = (
             _head(model, folder, found),
             _robot(found, assumed),
             _motion(found.tree, needs),
             _apart(found.tree, assumed, needs),
-            [*_instrument(assumed), *constants],
+            [*_instrument(assumed), *_torque_constants(found.tree)],
             [*_further(needs), *_claims(), ""],
         )
         return "\n".join(line for part in parts for line in part)

@@ -113,6 +113,27 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
         )
     with expecting(path, "result"):
         content = _json(path)
+    own, answers = _estimates(content, path)
+    of = _of_run if content.get("settings") is None else _of_recording
+    tree, identification, file, prior, options = of(content, path, model, settings)
+    for each in (answer.estimate for answer in answers):
+        count = len(channels_of(tree, each.method))
+        if len(each.residual) != count:
+            raise ExperimentError(
+                f"{path}: {each.method}: residual has {len(each.residual)} numbers, the robot has "
+                f"{plural(count, 'channel')}"
+            )
+    return KeptResult(tree, identification, own, file, prior, answers, options)
+
+
+def _estimates(
+    content: dict[str, Any], path: Path
+) -> tuple[tuple[EstimateSummary, ...], tuple[ReportedEstimate, ...]]:
+    """Estimates by least squares, and those that count, one a method.
+
+    Raises:
+        ExperimentError: There is none, or one is not what it should be.
+    """
     said = content.get("posterior"), content.get("estimates")
     added, every = (x if isinstance(x, dict) else {} for x in said)
     own = {m: _summary(every[m], f"{path}: {m}") for m in METHODS if m in every}
@@ -122,22 +143,12 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
     there = [method for method in METHODS if method in own or method in with_file]
     if not there:
         raise ExperimentError(f"{path}: no result: it has no {' or '.join(METHODS)} estimate")
-    of = _of_run if content.get("settings") is None else _of_recording
-    tree, identification, file, prior, options = of(content, path, model, settings)
     plain = bool(content.get("plain"))
     try:
-        answers = tuple(reported_estimate(own.get(m), with_file.get(m), plain=plain) for m in there)
+        answers = [reported_estimate(own.get(m), with_file.get(m), plain=plain) for m in there]
     except ValueError as error:
         raise ExperimentError(f"{path}: {error}") from None
-    for each in (answer.estimate for answer in answers):
-        count = len(channels_of(tree, each.method))
-        if len(each.residual) != count:
-            raise ExperimentError(
-                f"{path}: {each.method}: residual has {len(each.residual)} numbers, the robot has "
-                f"{plural(count, 'channel')}"
-            )
-    found = tuple(own.values())
-    return KeptResult(tree, identification, found, file, prior, answers, options)
+    return tuple(own.values()), tuple(answers)
 
 
 def _decoded(kind: type[Part], content: Any, source: str) -> Part:

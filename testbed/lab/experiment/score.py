@@ -362,7 +362,9 @@ def drive_metrics(
             metrics[f"{name}_max_relative_error"] = max(off)
     if recording.truth is not None:
         least = experiment.identification.deadband
-        metrics["friction_curve_rms"] = _rms(_curve_errors(found.curves, recording.truth, least))
+        errors = np.concatenate([*_curve_errors(found.curves, recording.truth, least)])
+        curves = root_mean_square(errors)
+        metrics["friction_curve_rms"] = np.nan if curves is None else curves
     return metrics
 
 
@@ -402,8 +404,7 @@ def _curve_errors(curves: Iterable[FrictionCurve], truth: Truth, least: float) -
             true_friction(truth, j, float(speed)) if abs(speed) > least else np.nan
             for speed in curve.speed
         ]
-        errors = curve.torque - np.array(there)
-        yield errors[np.isfinite(errors)]
+        yield curve.torque - np.array(there)
 
 
 def true_friction(truth: Truth, joint: int, speed: float) -> float:
@@ -420,11 +421,6 @@ def true_friction(truth: Truth, joint: int, speed: float) -> float:
         return float("nan")
     line = np.polynomial.polynomial.polyfit(away[near], truth.friction[near, joint], 1)
     return float(line[0])
-
-
-def _rms(errors: Iterator[Array]) -> float:
-    every = np.concatenate([*errors, np.zeros(0)])
-    return float(np.sqrt(np.mean(every**2))) if every.size else float("nan")
 
 
 def _bodies(tree: Tree, experiment: Experiment, found: DriveFindings) -> dict[str, float]:
