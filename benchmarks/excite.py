@@ -17,11 +17,11 @@ import testbed as tb
 from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.kernel.numba_engine import warm_up
 from testbed.lab.experiment.evaluate import model_of, robot_of
+from testbed.lab.experiment.excite import excite, wish_of
 from testbed.lab.simulation.plant import build_plant
 from testbed.lab.simulation.rollout import Sampling, simulate_motion
 from testbed.motion.clearance import DistanceMeter
 from testbed.motion.design import Wish, criterion, design
-from testbed.motion.excite import excite, wish_of
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import motor_efforts
 from testbed.motion.proof import Rules, prove, seems_to_hold
@@ -109,7 +109,7 @@ def promises(seeds: int, seconds: float) -> dict[str, Any]:
     """
     from tempfile import TemporaryDirectory
 
-    from testbed.motion.excite import write_motion
+    from testbed.lab.experiment.excite import write_motion
 
     settings = [*PLATE, "identification.zeros=true", "excitation.starts=2"]
     settings += [f"motion.duration={seconds}", "excitation.clearance=off"]

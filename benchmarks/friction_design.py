@@ -22,8 +22,8 @@ from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.problem import Problem
 from testbed.core.recordings.recording import Recording
 from testbed.lab.experiment.evaluate import robot_of
+from testbed.lab.experiment.excite import Excitation, excite, forecaster, wish_of, write_motion
 from testbed.lab.instruments.chain import measured_again
-from testbed.motion.excite import Excitation, excite, forecaster, wish_of, write_motion
 from tests.helpers.paths import GOLDEN, REAL, ROOT
 
 

@@ -25,6 +25,13 @@ from testbed.core.estimation.estimate_summary import EstimateSummary
 from testbed.core.estimation.validate import validate
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.evaluate import model_of, robot_of
+from testbed.lab.experiment.excite import (
+    Excitation,
+    excite,
+    frequencies_of,
+    write_motion,
+    write_trajectory,
+)
 from testbed.lab.experiment.motions import motion_of, read_motion, rules_of
 from testbed.lab.experiment.read_result import (
     LARGEST_RESULT,
@@ -44,13 +51,6 @@ from testbed.lab.experiment.results import (
 from testbed.lab.experiment.results import identified as identified_result
 from testbed.lab.experiment.robot_tables import RecordingTables
 from testbed.lab.experiment.run import Run
-from testbed.motion.excite import (
-    Excitation,
-    excite,
-    frequencies_of,
-    write_motion,
-    write_trajectory,
-)
 from testbed.motion.limits import PlateTerm
 from testbed.motion.proof import prove
 from tests.helpers.measured import measured
