@@ -100,7 +100,6 @@ def trees(count: int, first: int = 0) -> dict[str, Any]:
         solved += bool(found.unsettled < 1e-3 and (found.eigenvalues[:, 0] > 0).all())
         least = min(least, float((found.eigenvalues[:, 0] / found.eigenvalues[:, -1]).min()))
     return {
-        "what": "random trees",
         "count": count,
         "solved": solved,
         "identified": made,

@@ -114,7 +114,6 @@ def line(loss: float, seconds: float, first: int, seeds: int) -> dict[str, Any]:
     kinds = ("constant", *(law.kind for law in GIVEN))
     return {
         "loss": loss,
-        "seeds": f"{first} to {first + seeds - 1}",
         "load_error": _rounded(np.abs(error[..., 4]).max() / (loss or 1)),
         "constant_error": _rounded(np.abs(error[..., 0]).max()),
         "coverage": _rounded(inside.mean()),

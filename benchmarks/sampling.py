@@ -63,10 +63,8 @@ def ranks(robot: str, seeds: range, seconds: float) -> dict[str, Any]:
     each = [uniform(ranks) for ranks in np.array(of_each).T]
     return {
         "robot": robot,
-        "seeds": f"{seeds[0]} to {seeds[-1]}",
         "p of a random combination": float(f"{uniform(np.array(of_one)):.2g}"),
         "p of the worst parameter, times their number": float(f"{min(each) * len(each):.2g}"),
-        "parameters": len(each),
         "coverage of 95 % torque bands": round(float(np.mean(inside)), 3),
     }
 

@@ -150,9 +150,12 @@ def changes_of(model: ModelFile, trees: Sequence[Tree], fixed: Fixed) -> list[Ed
     links = [replace(x, inertia=repair.get(x.name, x.inertia)) for x in model.links()]
     found = []
     for tree in trees:
-        pairs = zip(file.inertias, tree.inertias, strict=True)
-        changed = [k for k, (a, b) in enumerate(pairs) if not np.array_equal(a.pseudo, b.pseudo)]
-        inertias, said = share_out(links, {k: tree.inertias[k] for k in changed}, fixed)
+        bodies = {
+            k: new
+            for k, (old, new) in enumerate(zip(file.inertias, tree.inertias, strict=True))
+            if not np.array_equal(old.pseudo, new.pseudo)
+        }
+        inertias, said = share_out(links, bodies, fixed)
         joints = {
             old.name: {k: getattr(new, k) for k in LOSSES if getattr(new, k) != getattr(old, k)}
             for old, new in zip(file.joints, tree.joints, strict=True)
