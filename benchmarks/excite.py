@@ -16,8 +16,8 @@ import numpy as np
 import testbed as tb
 from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.kernel.numba_engine import warm_up
+from testbed.lab.experiment.excite import design_problem
 from testbed.motion.design import DesignProblem, criterion, design
-from testbed.motion.excite import design_problem
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import motor_efforts
 from testbed.motion.proof import Rules, prove, seems_to_hold

@@ -76,7 +76,7 @@ def excite(
     Example: testbed excite models/puma562.xml --out motion.toml --set motion.duration=20
     """
     from testbed.core.base.files import together
-    from testbed.motion.excite import excite as excited
+    from testbed.lab.experiment.excite import excite as excited
     from testbed.motion.motion_file import write_motion, write_trajectory
     from testbed.view import output
     from testbed.view.motion import print_excitation

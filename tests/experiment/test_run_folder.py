@@ -24,6 +24,7 @@ from testbed.core.estimation.estimate_summary import EstimateSummary
 from testbed.core.estimation.validate import validate
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.evaluate import model_of, robot_of
+from testbed.lab.experiment.excite import excite, frequencies_of
 from testbed.lab.experiment.motions import motion_of, rules_of
 from testbed.lab.experiment.read_result import (
     LARGEST_RESULT,
@@ -43,7 +44,7 @@ from testbed.lab.experiment.results import (
 from testbed.lab.experiment.results import identified as identified_result
 from testbed.lab.experiment.robot_tables import RecordingTables
 from testbed.lab.experiment.run import Run
-from testbed.motion.excite import Excitation, excite, frequencies_of
+from testbed.motion.excite import Excitation
 from testbed.motion.motion_file import read_motion, write_motion, write_trajectory
 from testbed.motion.proof import prove
 from testbed.motion.terms import PlateTerm

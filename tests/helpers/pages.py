@@ -24,10 +24,11 @@ from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.importing.check.mapping_solution import KNOWN, MappingSolution
 from testbed.importing.check.plate import WrenchFit
 from testbed.importing.import_report import Draft
+from testbed.lab.experiment.excite import design_problem
 from testbed.lab.experiment.motions import CheckedMotion, checked_motion
 from testbed.lab.experiment.run import Run
 from testbed.motion.design import Design
-from testbed.motion.excite import Excitation, design_problem
+from testbed.motion.excite import Excitation
 from testbed.motion.information import Prediction
 from testbed.view.mapping import write_mapping_page
 from testbed.view.motion import write_motion_page

@@ -33,9 +33,10 @@ from testbed.core.robot.free_base import on_free_base
 from testbed.importing.check.mapping_solution import solve_mapping
 from testbed.importing.guess import guessed
 from testbed.lab.experiment.evaluate import with_consistent
+from testbed.lab.experiment.excite import excite
 from testbed.lab.experiment.experiment_tables import Bound
 from testbed.lab.experiment.run import Run, assemble_run
-from testbed.motion.excite import Excitation, excite
+from testbed.motion.excite import Excitation
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.humanoid import humanoid
 from tests.helpers.measured import clean, measured
