@@ -64,8 +64,13 @@ class Fourier:
     @property
     def fifth_derivative(self) -> Array:
         """A bound of the magnitude of the fifth derivative, (n,) [rad/s^5 or m/s^5]."""
+        return self.bound(5)
+
+    def bound(self, order: int) -> Array:
+        """A bound of the magnitude of a derivative, (n,) [rad/s^order or m/s^order]."""
         pulses = 2 * np.pi * self.fundamental * np.arange(1, self.harmonics + 1)
-        return np.asarray(np.hypot(self.sine, self.cosine) @ pulses**5)
+        still = 0.0 if order else np.abs(self.offset)
+        return np.asarray(still + np.hypot(self.sine, self.cosine) @ pulses**order)
 
     def derivative(self, t: Array, order: int) -> Array:
         """A derivative of the positions at times t, (M, n) [rad/s^order or m/s^order]."""

@@ -239,19 +239,15 @@ def suprema(path: Path, count: int) -> Array:
         path: A motion with bounded derivatives.
         count: Samples, a multiple of SPANS.
     """
-    half = path.duration / count / 2
-    times = np.arange(count + 1) * path.duration / count
-    sizes = [np.abs(path.derivative(times, order)) for order in range(5)]
-    everywhere = [path.fifth_derivative]
-    for size in reversed(sizes):
-        everywhere.append(size.max(axis=0) + half * everywhere[-1])
-    found = []
-    for size, further in zip(sizes, everywhere[-2::-1], strict=True):
-        starts = np.arange(0, count, count // SPANS)
-        largest = np.maximum.reduceat(size[:-1], starts, axis=0)
-        largest = np.maximum(largest, size[count // SPANS :: count // SPANS])
-        found.append((largest + half * further).T)
-    return np.stack(found)
+    times, span = np.arange(count + 1) * path.duration / count, count // SPANS
+    sizes = np.abs([path.derivative(times, order) for order in range(5)])
+    inner = sizes[:, :-1].reshape(5, SPANS, span, -1).max(axis=2)
+    largest = np.maximum(inner, sizes[:, span::span])  # (5, SPANS, n)
+    beyond = path.fifth_derivative
+    for each in largest[::-1]:
+        each += path.duration / count / 2 * beyond
+        beyond = each.max(axis=0)
+    return np.asarray(largest.transpose(0, 2, 1))
 
 
 def _distances(motion: Fourier, rules: Rules) -> tuple[list[Margin], int]:

@@ -8,7 +8,6 @@ velocities are no larger; accelerations and forces are others, and are proven he
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from math import comb
 
 import numpy as np
@@ -53,7 +52,7 @@ class Start:
     def fifth_derivative(self) -> Array:
         """A bound of the magnitude of the fifth derivative, (n,)."""
         rates = [np.array(steep / self.duration**k) for k, steep in enumerate(_STEEPEST)]
-        return _chain(list(self._largest), rates, 5)
+        return _chain([self.motion.bound(order) for order in range(6)], rates, 5)
 
     @property
     def backwards(self) -> Start:
@@ -65,16 +64,6 @@ class Start:
     def place(self, t: Array) -> Array:
         """Where on the path at times t, as a time of the motion, not after 0 [s]."""
         return self.duration * (_RATE.integ()(t / self.duration) - 0.5)
-
-    @cached_property
-    def _largest(self) -> Array:
-        """Bounds of the motion's own derivatives of order 0 to 5, (6, n)."""
-        motion = self.motion
-        pulses = 2 * np.pi * motion.fundamental * np.arange(1, motion.harmonics + 1)
-        size = np.hypot(motion.sine, motion.cosine)
-        found = [size @ pulses**order for order in range(6)]
-        found[0] += np.abs(motion.offset)
-        return np.stack(found)
 
     def _rate(self, t: Array, order: int) -> Array:
         """The rate at which the path is run, or a derivative of it [1/s^order]."""

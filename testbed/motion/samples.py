@@ -18,6 +18,7 @@ from testbed.core.parameters.rules import Model
 from testbed.core.parameters.symbols import barycentric
 from testbed.core.robot.tree import Joint, Tree
 
+_STRAIGHT = (1.0, 0.5), (-1.0, -0.5)
 _NEAR, _FAR = np.pi / 4, 3 * np.pi / 4
 _OF_NEAR, _OF_FAR = (1 / (8 * np.sin(shift / 2) ** 2) for shift in (_NEAR, _FAR))
 
@@ -52,27 +53,22 @@ def stencil(tree: Tree) -> Stencil:
         tree: The robot.
     """
     n = tree.n
-    places: list[tuple[int, int, float]] = [(0, 0, 0.0)]
-    weights: list[tuple[int, int, float]] = []  # derivative, look, weight
+    shifts, weights = [np.zeros((3, n))], [np.zeros((3, n))]
     for j, joint in enumerate(tree.joints):
-        for kind, parts in enumerate((_position(joint), ((1.0, 0.5), (-1.0, -0.5)))):
-            for shift, weight in parts:
-                weights.append((kind * n + j, len(places), weight))
-                places.append((kind, j, shift))
-        weights += [(2 * n + j, len(places), 1.0), (2 * n + j, 0, -1.0)]
-        places.append((2, j, 1.0))
-    shifts, table = np.zeros((len(places), 3, n)), np.zeros((3 * n, len(places)))
-    for look, (kind, j, shift) in enumerate(places):
-        shifts[look, kind, j] = shift
-    for derivative, look, weight in weights:
-        table[derivative, look] += weight
-    return Stencil(shifts, table)
+        for order, looks in enumerate((_position(joint), _STRAIGHT, ((1.0, 1.0),))):
+            for shift, weight in looks:
+                one = np.zeros((3, n))
+                one[order, j] = 1.0
+                shifts.append(shift * one)
+                weights.append(weight * one)
+    weights[0][2] = -1.0  # of accelerations, which count in proportion
+    return Stencil(np.array(shifts), np.reshape(weights, (-1, 3 * n)).T)
 
 
 def _position(joint: Joint) -> tuple[tuple[float, float], ...]:
     """Shifts of a position and their weights."""
     if not joint.revolute:
-        return (1.0, 0.5), (-1.0, -0.5)
+        return _STRAIGHT
     return (_NEAR, _OF_NEAR), (-_NEAR, -_OF_NEAR), (_FAR, -_OF_FAR), (-_FAR, _OF_FAR)
 
 

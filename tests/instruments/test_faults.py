@@ -112,14 +112,17 @@ def test_what_comes_late_is_the_signal_of_another_time() -> None:
     for delay in (1e-3, 2.34e-4, -7e-4, 0.0123):
         same(through(plate_clock.PlateDelay(delay), W)[INNER], waves(TIME - delay)[INNER], 1e-9)
     same(through(plate_clock.PlateClockRate(0.01), W)[INNER], waves(TIME / 1.01)[INNER], 1e-9)
-    jitter = TIME + 5e-5 * np.random.default_rng(4).normal(size=4000)
-    same(through(plate_clock.PlateJitter(5e-5), W, seed=4)[INNER], waves(jitter)[INNER], 1e-9)
     same(through(plate_clock.PlateDelay(0.01), W)[:10], np.tile(W[0], (10, 1)), 1e-10)
     same(through(plate_clock.PlateDelay(-0.01), W)[-10:], np.tile(W[-1], (10, 1)), 1e-10)
     seen = through(plate_clock.PlateDroppedSamples(0.2), W)
     lost = np.flatnonzero((seen != W).any(axis=1))
     assert 0.17 < len(lost) / 4000 < 0.23
     same(seen[lost], seen[lost - 1])
+    # means over samples, in closed form, tell the instants at which they begin
+    f, k = 0.3 + 0.2 * np.arange(3), np.arange(3)
+    phase, turn = 2 * np.pi * np.outer(TIME, f) + k, 2 * np.pi * f / RATE
+    means = 40.0 * (k + 1) + (10.0 + k) * (np.cos(phase) - np.cos(phase + turn)) / turn
+    same(through(joints.EncoderInstantSampling(), means), Q, 2e-9)
 
 
 @given(order=st.integers(1, 8), frequency=st.sampled_from([0.5, 5.0, 40.0]))

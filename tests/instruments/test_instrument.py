@@ -24,6 +24,7 @@ from testbed.lab.instruments.fault import FULL_SCALE, Fault, Place, apply_chain,
 from testbed.lab.instruments.faults import KINDS, fault_of
 from testbed.lab.instruments.joints import (
     EncoderEccentricity,
+    EncoderInstantSampling,
     EncoderNoise,
     EncoderResolution,
     EncoderZeroError,
@@ -234,6 +235,7 @@ def test_what_no_instrument_can_be_is_refused_before_anything_is_simulated() -> 
         *((name, {name: value}) for value in (-1e-9, np.inf, np.nan)
           for name in ("encoder_resolution", "encoder_noise", "torque_noise", "moment_noise")),
         *(("rate", {"rate": value}) for value in (0.0, np.inf)),
+        ("averaged", {"averaged": False, "fault": (EncoderInstantSampling(),)}),
         ("torque_constant_error", {"torque_constant_error": {"a": 0.1, "b": np.nan}}),
         *(("full_scale", {"full_scale": (1.0,) * 5 + more}) for more in ((), (0.0,))),
     ]  # fmt: skip

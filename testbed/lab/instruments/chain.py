@@ -21,6 +21,7 @@ from testbed.lab.instruments.fault import (
 )
 from testbed.lab.instruments.faults import fault_of
 from testbed.lab.instruments.joints import (
+    EncoderInstantSampling,
     EncoderNoise,
     EncoderResolution,
     TorqueConstantError,
@@ -90,6 +91,12 @@ class Instrument:
             fault.check_rate(self.rate)
         if sum(isinstance(fault, MeasuredTare) for fault in self.fault) > 1:
             raise SettingsError("measured_tare is asked for more than once; there is one tare")
+        latched = any(isinstance(fault, EncoderInstantSampling) for fault in self.fault)
+        if latched and not self.averaged:
+            raise SettingsError(
+                "encoder_instant_sampling makes instants of means, and with averaged = false all "
+                "samples are instants; leave one of them out"
+            )
 
     def _take_from(self, plate: str) -> None:
         """Noise and range of a model of plate, where these are not said."""

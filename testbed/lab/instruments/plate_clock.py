@@ -100,27 +100,6 @@ class PlateClockRate(PlateFault):
 
 
 @dataclass(frozen=True)
-class PlateJitter(PlateFault):
-    """Samples taken somewhat earlier or later than they should be, at random.
-
-    Source    Latencies of software-timed loops on real-time systems: 50 us.
-
-    Attributes:
-        sigma: Standard deviation of the instants [s].
-    """
-
-    kind: ClassVar[str] = "plate_jitter"
-    place: ClassVar[Place] = Place.CLOCK
-    sigma: float = key(5e-5, least=0)
-
-    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench at other instants, (M, 6) [N, N m]."""
-        if not self.sigma:
-            return signal
-        return at_times(signal, time, time + self.sigma * rng.normal(size=len(time)))
-
-
-@dataclass(frozen=True)
 class PlateDroppedSamples(PlateFault):
     """Samples that are lost on the way, and the ones before them repeated.
 
@@ -161,7 +140,6 @@ FAULTS: tuple[type[Fault], ...] = (
     PlateAntiAliasFilter,
     PlateDelay,
     PlateClockRate,
-    PlateJitter,
     PlateDroppedSamples,
 )
 """All of the plate's clock and line."""
