@@ -68,7 +68,6 @@ from .lab.instruments.joints import EncoderZeroError as EncoderZeroError
 from .lab.instruments.joints import TorqueConstantError as TorqueConstantError
 from .lab.instruments.joints import TorqueNoise as TorqueNoise
 from .lab.instruments.joints import TorqueOffset as TorqueOffset
-from .lab.instruments.joints import TorqueRipple as TorqueRipple
 from .lab.instruments.plate import MeasuredTare as MeasuredTare
 from .lab.instruments.plate import PlateBias as PlateBias
 from .lab.instruments.plate import PlateColouredNoise as PlateColouredNoise
@@ -78,7 +77,6 @@ from .lab.instruments.plate import PlateDrift as PlateDrift
 from .lab.instruments.plate import PlateGain as PlateGain
 from .lab.instruments.plate import PlateHum as PlateHum
 from .lab.instruments.plate import PlateNoise as PlateNoise
-from .lab.instruments.plate import PlateOriginHeight as PlateOriginHeight
 from .lab.instruments.plate import PlatePinkNoise as PlatePinkNoise
 from .lab.instruments.plate import PlatePose as PlatePose
 from .lab.instruments.plate import PlateRandomWalk as PlateRandomWalk
@@ -87,15 +85,12 @@ from .lab.instruments.plate_clock import PlateAntiAliasFilter as PlateAntiAliasF
 from .lab.instruments.plate_clock import PlateClockRate as PlateClockRate
 from .lab.instruments.plate_clock import PlateDelay as PlateDelay
 from .lab.instruments.plate_clock import PlateDroppedSamples as PlateDroppedSamples
-from .lab.instruments.plate_clock import PlateJitter as PlateJitter
 from .lab.simulation.bodies import CompliantPlate as CompliantPlate
 from .lab.simulation.bodies import GearedRotor as GearedRotor
 from .lab.simulation.bodies import Payload as Payload
 from .lab.simulation.bodies import Tilt as Tilt
-from .lab.simulation.joint_friction import AsymmetricFriction as AsymmetricFriction
 from .lab.simulation.joint_friction import LoadFriction as LoadFriction
 from .lab.simulation.joint_friction import LuGreFriction as LuGreFriction
-from .lab.simulation.joint_friction import PowerFriction as PowerFriction
 from .lab.simulation.joint_friction import Stribeck as Stribeck
 from .lab.simulation.joint_friction import WarmingDrives as WarmingDrives
 from .motion.fourier import Fourier as Fourier

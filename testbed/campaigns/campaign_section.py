@@ -11,6 +11,7 @@ from rich.console import Console
 from testbed.campaigns.campaign import Campaign, Level
 from testbed.campaigns.results import Results
 from testbed.campaigns.summary import CellSummary, summarise
+from testbed.core.base.arrays import Array
 from testbed.core.base.errors import plural, printable
 from testbed.core.estimation.estimate import NAMES
 from testbed.view.figures import named_panels
@@ -81,19 +82,14 @@ def cells_figure(cells: Sequence[CellSummary]) -> Section:
     Args:
         cells: Summary of the campaign.
     """
-    places = {number: k for k, number in enumerate(dict.fromkeys(each.cell for each in cells))}
-    names = [_levels(levels) for levels in {each.cell: each.levels for each in cells}.values()]
-    drawn = {each.estimator for each in cells}
-    legend = {method: label for method, label in NAMES.items() if method in drawn}
-    values = {method: np.full((4, len(names)), np.nan) for method in legend}
-    for each in cells:
-        if each.estimator in values:
-            column = each.error, each.coverage, *each.bounds
-            values[each.estimator][:, places[each.cell]] = 100 * np.array(column)
+    names = {each.cell: _levels(each.levels) for each in cells}
+    legend = {k: label for k, label in NAMES.items() if any(k == each.estimator for each in cells)}
+    values = {method: _by_cell(cells, method, list(names)) for method in legend}
     errors = {method: rows[0] for method, rows in values.items()}
     shares = {method: rows[1] for method, rows in values.items()}
     bars = {method: (rows[2], rows[3]) for method, rows in values.items()}
-    coverage = named_panels("coverage", names, shares, "coverage [%]", bars=bars, line=95.0)
+    words = list(names.values())
+    coverage = named_panels("coverage", words, shares, "coverage [%]", bars=bars, line=95.0)
     return Section(
         id="cells",
         title="Errors and coverage",
@@ -103,9 +99,19 @@ def cells_figure(cells: Sequence[CellSummary]) -> Section:
             "own 95 % confidence interval for this number of runs."
         ),
         legend={"measured": "95 %"} | legend,
-        panels=named_panels("error", names, errors, "error [%]", log=True) + coverage,
+        panels=named_panels("error", words, errors, "error [%]", log=True) + coverage,
         table=_table(cells),
     )
+
+
+def _by_cell(cells: Sequence[CellSummary], method: str, numbers: Sequence[int]) -> Array:
+    """Error, coverage and its bounds of a method [%], (4, cells); not a number where it lacks."""
+    values = np.full((4, len(numbers)), np.nan)
+    for each in cells:
+        if each.estimator == method:
+            column = each.error, each.coverage, *each.bounds
+            values[:, numbers.index(each.cell)] = 100 * np.array(column)
+    return values
 
 
 def _table(cells: Sequence[CellSummary]) -> Table:

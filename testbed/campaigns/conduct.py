@@ -23,9 +23,9 @@ from testbed.campaigns.results import RESULTS, read_results, write_rows
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.errors import ExperimentError, TestbedError, printable
 from testbed.core.base.files import fingerprint
+from testbed.core.base.installation import versions
 from testbed.core.robot.model_file import references
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.results import versions
 
 SAVE_EVERY = 10.0
 """Seconds between two writings of the table."""
@@ -206,9 +206,9 @@ def carry_out_run(campaign: Campaign, place: Place) -> dict[str, Any]:
 def _results(experiment: Experiment, campaign: Campaign) -> dict[str, Any]:
     """Metrics, estimates and diagnostics of an experiment, by column."""
     from testbed.lab.experiment.evaluate import evaluate
-    from testbed.lab.experiment.simulate import simulate
+    from testbed.lab.experiment.record import record
 
-    run = evaluate(experiment, simulate(experiment), methods=campaign.tables.methods, threads=1)
+    run = evaluate(experiment, record(experiment), methods=campaign.tables.methods, threads=1)
     if run.score is None or not run.estimates:
         raise ExperimentError("; ".join(run.failures.values()))
     estimates = []

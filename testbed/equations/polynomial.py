@@ -161,12 +161,11 @@ class Ring:
                 self._budget.multiply(len(part_a) * len(part_b) * len(mixture))
                 for wave, weight in mixture:
                     into = total.setdefault(wave, {})
-                    get = into.get
                     for m, u in part_a.items():
                         w = u * weight
                         for n, v in part_b.items():
                             key = m + n
-                            into[key] = get(key, 0) + w * v
+                            into[key] = into.get(key, 0) + w * v
         return self._clean(total, a.degree + b.degree)
 
     def exponents(self, monomial: int) -> list[tuple[Factor, int]]:
@@ -215,24 +214,31 @@ class Ring:
 
     def _trigonometric(self, nature: Nature, content: Expression) -> Polynomial:
         """Cosine or sine of a sum of angles: the real or imaginary part of exp(i angle)."""
+        total: dict[Wave, complex] = {(): 1.0}
+        for group, index in sorted(self._angles(content).items()):
+            sign, sine = _normal(group, SINE, index)
+            _, cosine = _normal(group, COSINE, index)
+            total = self._times(total, {cosine: 1.0, sine: 1j * sign})
+        sines = nature is Nature.SINE
+        weights = {wave: (w.imag if sines else w.real) for wave, w in total.items()}
+        return Polynomial({wave: {0: weight} for wave, weight in weights.items() if weight}, 0)
+
+    def _times(self, a: dict[Wave, complex], b: dict[Wave, complex]) -> dict[Wave, complex]:
+        """Two sums of waves multiplied."""
+        products: dict[Wave, complex] = {}
+        for (x, u), (y, v) in choices(a.items(), b.items()):
+            for wave, weight in self._product(x, y):
+                products[wave] = products.get(wave, 0.0) + u * v * weight
+        return products
+
+    def _angles(self, content: Expression) -> dict[int, Index]:
+        """A sum of angles by group."""
         parts: dict[int, list[tuple[int, Number]]] = {}
         for wave, part in self.expand(content).parts.items():
             for monomial, number in part.items():
                 atom = self._atom(wave, monomial)
                 parts.setdefault(self._group.get(atom, -1 - atom), []).append((atom, number))
-        total: dict[Wave, complex] = {(): 1.0}
-        for group, angle in sorted(parts.items()):
-            index = tuple(sorted(angle))
-            sign, sine = _normal(group, SINE, index)
-            _, cosine = _normal(group, COSINE, index)
-            products: dict[Wave, complex] = {}
-            for (x, u), (y, v) in choices(total.items(), ((cosine, 1.0), (sine, 1j * sign))):
-                for wave, weight in self._product(x, y):
-                    products[wave] = products.get(wave, 0.0) + u * v * weight
-            total = products
-        sines = nature is Nature.SINE
-        weights = {wave: (w.imag if sines else w.real) for wave, w in total.items()}
-        return Polynomial({wave: {0: weight} for wave, weight in weights.items() if weight}, 0)
+        return {group: tuple(sorted(angle)) for group, angle in parts.items()}
 
     def _atom(self, wave: Wave, monomial: int) -> int:
         """The number of an angle: the monomial, or a symbol made for what has waves in it."""

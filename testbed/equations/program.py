@@ -26,6 +26,7 @@ from testbed.equations.expression import (
     exact,
     of,
     substitute,
+    symbol,
 )
 
 Step: TypeAlias = tuple[Factor, Expression]
@@ -133,10 +134,9 @@ def _program(sheet: Assignments) -> Program:
         elif own or uses[name] > 1 or fixed:
             letter = "k" if fixed else "t"
             numbers[letter] += not own
-            label = name.name if own else f"{letter}{numbers[letter]}"
-            shown = Factor.of(Nature.AUXILIARY, label)
-            made[name] = of(shown)
-            (once if fixed else steps).append((shown, value))
+            shown = name.name if own else f"{letter}{numbers[letter]}"
+            made[name] = symbol(Nature.AUXILIARY, shown)
+            (once if fixed else steps).append((Factor.of(Nature.AUXILIARY, shown), value))
         else:
             made[name] = value
     return Program(tuple(once), tuple(steps), frozenset(sheet.results))

@@ -132,8 +132,8 @@ def draw(tree: Tree, gravity: Array) -> Robot:
             else 0
             for axis, length in zip("xyz", joint.offset, strict=True)
         ]
-        rotation, axis = _exact(joint.rotation), _exact(joint.axis)
-        joints.append(PaperJoint(joint.parent, joint.revolute, axis, _objects(offset), rotation))
+        axes = _exact(joint.axis), _objects(offset), _exact(joint.rotation)
+        joints.append(PaperJoint(joint.parent, joint.revolute, *axes))
     q, qd, qdd = (
         _objects([symbol(nature, f"{letter}{j + 1}", j) for j in range(tree.n)])
         for nature, letter in (
@@ -142,9 +142,8 @@ def draw(tree: Tree, gravity: Array) -> Robot:
             (Nature.ACCELERATION, "qpp"),
         )
     )
-    parallel, continued = _parallel(tree, q)
     weight = _gravity(gravity, constant)
-    return Robot(tree.n, tuple(joints), q, qd, qdd, weight, values, parallel, continued)
+    return Robot(tree.n, tuple(joints), q, qd, qdd, weight, values, *_parallel(tree, q))
 
 
 def _parallel(tree: Tree, q: AnyArray) -> tuple[tuple[Group, ...], tuple[Followers, ...]]:

@@ -46,10 +46,14 @@ STYLE: dict[Any, Any] = {
     "text.color": COLOURS["ink"],
     "text.parse_math": False,
     "xtick.color": COLOURS["ink"],
+    "xtick.major.pad": 6.0,
     "ytick.color": COLOURS["ink"],
 }
 
-WIDTH, HEIGHT, LOWER, ROW, FRAME = 4.1, 1.2, 0.68, 0.19, 0.65
+AXIS, LETTER = 1.6, 0.09
+"""Least width of the axis beside names, and width of a letter of theirs [inches]."""
+
+WIDTH, HEIGHT, LOWER, ROW, FRAME = 4.1, 1.2, 0.85, 0.19, 0.65
 """Of a figure, its axes, axes below, a named row; what labels take of the height [inches]."""
 
 THIN, THICKER = 1.0, 1.2
@@ -79,10 +83,11 @@ def draw(panel: Panel, width: float = WIDTH) -> Picture:
 
     Args:
         panel: What is drawn.
-        width: Of the figure [inches].
+        width: Of the figure, more where names are long [inches].
     """
     plots = {panel.title: panel.curves, **panel.below}
     heights = [ROW * len(panel.names) or HEIGHT, *[LOWER] * len(panel.below)]
+    width = max(width, AXIS + LETTER * max(map(len, panel.names), default=0))
     with rc_context(STYLE):
         figure = Picture(figsize=(width, sum(heights) + FRAME), layout="constrained")
         axes = figure.subplots(len(plots), sharex=True, squeeze=False, height_ratios=heights)
@@ -114,6 +119,8 @@ def _draw_curves(axis: Axes, panel: Panel, curves: Curves) -> None:
 def _scale(axis: Axes, panel: Panel, curves: Curves) -> None:
     """Set the scales of both axes, their limits and the labels of their ticks."""
     axis.margins(x=0.02)
+    axis.locator_params(axis="x", nbins=5)
+    axis.locator_params(axis="y", nbins=5 if curves is panel.curves else 3)
     values = np.concatenate([y for _, y in curves.values()])
     if panel.log and (panel.names or (values > 0).any()):
         axis.set_xscale("log")

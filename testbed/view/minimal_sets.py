@@ -143,14 +143,7 @@ def map_table(tree: Tree, seen: Sequence[Visibility]) -> Table:
 
 def _print_bodies(console: Console, found: Findings, lengths: Lengths) -> None:
     """Body by body, tips first and the bedplate last: parameters, and the rules that keep them."""
-    instruments = [each.model for each in found.sets]
-    rows: dict[int, dict[Formula, dict[str, str]]] = {}
-    for each in found.sets:
-        formulas = found.formulas(each.model, lengths)
-        columns = zip(each.bodies, formulas, each.units, each.reasons, strict=True)
-        for body, formula, unit, reason in columns:
-            row = rows.setdefault(body, {}).setdefault(formula, {"unit": unit})
-            row[each.model] = reason
+    rows = _rows(found, lengths)
     names = [formula.left.text for known in rows.values() for formula in known]
     width = min(max(map(len, names), default=0), console.width // SHARE)
     heads = ["torques", "plate"] if found.tree.sensor is None else ["sensor"]
@@ -163,10 +156,22 @@ def _print_bodies(console: Console, found: Findings, lengths: Lengths) -> None:
             table.add_column(head, min_width=wide)
         table.add_column("combination of", overflow="fold")
         for formula, row in rows[body].items():
-            rules = (row.get(model, "-") for model in instruments)
+            rules = (row.get(each.model, "-") for each in found.sets)
             right = "" if formula.trivial else formula.said
             table.add_row(formula.left.text, row["unit"], *rules, right)
         console.print(table)
+
+
+def _rows(found: Findings, lengths: Lengths) -> dict[int, dict[Formula, dict[str, str]]]:
+    """By body and formula: the unit, and the rule that keeps it by model."""
+    rows: dict[int, dict[Formula, dict[str, str]]] = {}
+    for each in found.sets:
+        formulas = found.formulas(each.model, lengths)
+        columns = zip(each.bodies, formulas, each.units, each.reasons, strict=True)
+        for body, formula, unit, reason in columns:
+            row = rows.setdefault(body, {}).setdefault(formula, {"unit": unit})
+            row[each.model] = reason
+    return rows
 
 
 def _heading(found: Findings, body: int) -> str:

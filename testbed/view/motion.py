@@ -12,8 +12,8 @@ from rich.console import Console
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import plural
-from testbed.lab.experiment.excite import Excitation
 from testbed.motion.clearance import FAR
+from testbed.motion.excite import Excitation
 from testbed.motion.proof import Margin, Proof, slack
 from testbed.view.figures import Panel, named_panels
 from testbed.view.output import print_tables, write_page

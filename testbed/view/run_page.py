@@ -13,6 +13,7 @@ import numpy as np
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import plural
 from testbed.core.base.files import replacing, together
+from testbed.core.base.installation import versions
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.parameters.identifiability import identifiability
 from testbed.core.parameters.symbols import STANDARD

@@ -19,7 +19,7 @@ from testbed.core.base.errors import SettingsError, UnknownName, printable
 from testbed.core.base.installation import DISTRIBUTION, own_or_shipped, shipped, version
 from testbed.lab.instruments.joints import EncoderEccentricity
 from testbed.lab.kind_table import COUNTS, LARGEST, Key
-from testbed.lab.simulation.joint_friction import StribeckFriction
+from testbed.lab.simulation.joint_friction import Stribeck
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import few
@@ -84,9 +84,9 @@ def test_a_key_keeps_what_it_takes_and_refuses_all_else_by_name() -> None:
     for wanted, value in WRONG:
         with refuses(SettingsError, "bias: size"):
             wanted.checked(value, "bias: size")
-    one, other = StribeckFriction({"waist": 1}, 0.5), StribeckFriction({"waist": 1.0}, 0.5)
-    assert one == other != StribeckFriction()
-    assert len({one, other, StribeckFriction()}) == 2
+    one, other = Stribeck({"waist": 1}, 0.5), Stribeck({"waist": 1.0}, 0.5)
+    assert one == other != Stribeck()
+    assert len({one, other, Stribeck()}) == 2
     said = {"kind": "stribeck_friction", "coefficient": {"waist": 1.0}, "speed": 0.5}
     assert one.table() == said
     assert one.by_joint == {"coefficient": {"waist": 1.0}}

@@ -128,14 +128,13 @@ def test_the_published_parameters_are_reproduced() -> None:
 
 
 @pytest.mark.slow
-def test_a_quarter_turn_is_of_its_joint_and_the_runner_up_of_another() -> None:
-    """Zeros of shoulder and elbow, each taken for the other if the masses were far off."""
+def test_a_quarter_turn_is_of_its_joint() -> None:
+    """The shoulder's zero, not the elbow's, for which it is taken if the masses were far off."""
     tree = tb.load_tree(TX40 / "tx40.urdf")
     recording = tb.import_recording(TX40 / "tx40.toml")
     turned = recording.position + np.eye(6)[1] * np.pi / 2
     (said,) = assess(tree, replace(recording, position=turned)).diagnostics
     assert said.subject == "joint 'joint_2'"
-    assert "joint_3" in said.text
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import ArrayLike
+from testbed.motion.excite import Excitation
 
 import testbed as tb
 from benchmarks.foreign_recordings import LAYOUTS, planted, raw_signals
@@ -36,7 +37,6 @@ from testbed.importing.guess import guessed
 from testbed.lab.experiment.excite import excite
 from testbed.lab.experiment.experiment_tables import Bound
 from testbed.lab.experiment.run import Run, assemble_run
-from testbed.motion.excite import Excitation
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.humanoid import humanoid
 from tests.helpers.measured import clean, measured

@@ -55,12 +55,10 @@ def design(
         terms.append(EffortTerm(tree, limits, MARGIN))
         rows["dynamic"] = SampledRows(tree, minimal_set(tree, "dynamic"))
     information = information_of(
-        tree,
         rows,
         "plate",
         how.plate_noise if how.plate_noise.all() else QUIET_PLATE,
         np.full(tree.n, how.torque_noise or QUIET_TORQUE),
-        "a",
     )
     problem = DesignProblem(
         rules=Rules(
