@@ -15,10 +15,11 @@ import testbed as tb
 from benchmarks.random_recordings import ROBOTS
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.consistency.robots import BODY, Robots, losses_of_file, robots
-from testbed.bodies.prior import UPPER, Prior, coordinates, prior_of
+from testbed.bodies.prior import Prior, prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.newton_euler import Motion, linear
 from testbed.core.estimation.estimate import METHODS
+from testbed.core.parameters.pseudo_inertia import UPPER, coordinates
 from testbed.core.parameters.symbols import to_barycentric
 from tests.helpers.measured import measured, random_fourier
 

@@ -20,6 +20,7 @@ def lines(of: str = "") -> str:
     from testbed.lab.simulation.effect import Effect
 
     del of
+    titles = {Fault: "errors of sensors", Effect: "effects in the plant"}
     rows, kinds = [], dict[type, list[str]]()
     for name in sorted(tb.__all__, key=str.lower):
         thing = getattr(tb, name)
@@ -28,7 +29,7 @@ def lines(of: str = "") -> str:
         elif not isinstance(thing, str):
             rows.append((f"`{name}`", first_sentence(thing)))
     rows += [
-        (", ".join(names), f"kinds of {device} (`testbed list`)") for device, names in kinds.items()
+        (", ".join(names), f"{titles[base]} (`testbed list`)") for base, names in kinds.items()
     ]
     return "\n".join(["", *table("name | meaning", rows), "", ""])
 

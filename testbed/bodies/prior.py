@@ -1,4 +1,4 @@
-"""Pseudo-inertia matrices, and what a model file says of bodies and rotors before any data."""
+"""Bodies and rotors of a model file, as a prior before any data."""
 
 from __future__ import annotations
 
@@ -10,86 +10,14 @@ import numpy as np
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.core.base.errors import quoted
+from testbed.core.parameters.pseudo_inertia import (
+    matrices,
+    parameters,
+    standard_of_coordinates,
+)
 from testbed.core.parameters.symbols import standard
 from testbed.core.robot.inertia import ROUNDING, SMALL, Inertia, nearest_body, upper_root
 from testbed.core.robot.tree import Tree
-
-UPPER = tuple((a, b) for b in range(4) for a in range(b + 1))
-"""Entries of the upper triangle, column by column: the order of `coordinates`."""
-
-ROWS, COLUMNS = (list(each) for each in zip(*UPPER[:6], strict=True))
-"""Of an inertia tensor's entries, in the order of STANDARD."""
-
-
-def _of_coordinates() -> Array:
-    """The matrix of each coordinate alone, (10, 4, 4), all of norm one."""
-    found = np.zeros((10, 4, 4))
-    for k, (a, b) in enumerate(UPPER):
-        found[k, a, b] = found[k, b, a] = 1.0 if a == b else np.sqrt(0.5)
-    return found
-
-
-OF_COORDINATES = _of_coordinates()
-
-
-def matrices(standard: Array) -> Array:
-    """J of bodies, (..., 4, 4).
-
-    Args:
-        standard: Their standard parameters, (..., 10) [kg, kg m, kg m^2].
-    """
-    found = np.empty((*standard.shape[:-1], 4, 4))
-    found[..., ROWS, COLUMNS] = found[..., COLUMNS, ROWS] = standard[..., 4:]
-    found[..., :3, :3] = _complement(found[..., :3, :3], 0.5)
-    found[..., 3, :3] = found[..., :3, 3] = standard[..., 1:4]
-    found[..., 3, 3] = standard[..., 0]
-    return found
-
-
-def parameters(matrices: Array) -> Array:
-    """Standard parameters of bodies, (..., 10) [kg, kg m, kg m^2].
-
-    Args:
-        matrices: Their J, (..., 4, 4), symmetric.
-    """
-    tensor = _complement(matrices[..., :3, :3], 1.0)
-    parts = matrices[..., 3, 3:], matrices[..., 3, :3], tensor[..., ROWS, COLUMNS]
-    return np.concatenate(parts, axis=-1)
-
-
-def _complement(tensors: Array, share: float) -> Array:
-    """Share of the trace times one, less the tensors, (..., 3, 3): second moments, and back."""
-    trace = np.trace(tensors, axis1=-2, axis2=-1)
-    return np.asarray(share * trace[..., None, None] * np.eye(3) - tensors)
-
-
-def coordinates(matrices: Array) -> Array:
-    """The ten coordinates of symmetric matrices, (..., 10): sums of squares are kept.
-
-    Args:
-        matrices: (..., 4, 4).
-    """
-    return np.asarray(np.einsum("...ab,kab->...k", matrices, OF_COORDINATES))
-
-
-def of_coordinates(coordinates: Array) -> Array:
-    """Symmetric matrices of their coordinates, (..., 4, 4).
-
-    Args:
-        coordinates: (..., 10).
-    """
-    return np.tensordot(coordinates, OF_COORDINATES, 1)
-
-
-def standard_of_coordinates(roots: Array) -> Array:
-    """By body, its standard parameters as forms of the coordinates of Y, J = U Y U', (..., 10, 10).
-
-    Args:
-        roots: U, (..., 4, 4): makes Y a matrix of numbers near one.
-    """
-    bodies = np.einsum("...ab,kbc,...dc->...kad", roots, OF_COORDINATES, roots)
-    return np.swapaxes(parameters(bodies), -1, -2)
-
 
 THINNEST = 1e-2
 """Share of a body's greatest principal second moment that its others have at least."""

@@ -195,9 +195,9 @@ def _edited(
 ) -> Iterator[tuple[bytes, tuple[Diagnostic, ...]]]:
     """The file's bytes with each of the changes, and what the format has no place for."""
     if model_format(model.path) == "mjcf":
-        from testbed.core.robot.formats.mjcf import edit_mjcf as edit
+        from testbed.bodies.edit_mjcf import edit_mjcf as edit
     else:
-        from testbed.core.robot.formats.urdf import edit_urdf as edit
+        from testbed.bodies.edit_urdf import edit_urdf as edit
     return edit(model.path, changes, [*note])
 
 

@@ -257,8 +257,8 @@ def identify(
 
     Example: testbed identify recording.parquet --model robot.urdf --write identified.urdf
     """
+    from testbed.applications.analysis import analyse
     from testbed.core.base.errors import SettingsError
-    from testbed.core.estimation.analysis import analyse
     from testbed.core.estimation.estimate import METHODS, NAMES, SIGNAL_OF
     from testbed.core.recordings.views import is_imported
     from testbed.view import output, terminal

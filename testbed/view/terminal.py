@@ -10,12 +10,12 @@ from rich.box import ROUNDED
 from rich.console import Console
 from rich.panel import Panel
 
+from testbed.bodies.verdict import WELL, verdict_of
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import printable
 from testbed.core.base.summary_table import OPEN_ZERO
 from testbed.core.estimation.diagnostics.residuals import diagnostics_of
 from testbed.core.estimation.selection.prediction_errors import PLAIN, POSTERIOR
-from testbed.core.estimation.verdict import WELL, verdict_of
 from testbed.lab.experiment.summary import (
     accuracy_lines,
     data_lines,

@@ -47,31 +47,29 @@ PLAN = {
 """Folders that a folder may import, besides its own. docs/architecture.md draws the same plan."""
 ANYWHERE = {"__init__.py", "__main__.py", "cli"}
 GUESTS = {
-    "mujoco": "core/robot/formats/mjcf bodies/shapes/mjcf_shapes.py "
+    "mujoco": "core/robot/formats/mjcf bodies/edit_mjcf.py bodies/shapes/mjcf_shapes.py "
     "lab/simulation/ motion/collision_model.py motion/clearance.py",
     "pinocchio": "core/robot/formats/urdf.py bodies/shapes/urdf_shapes.py",
     "coal": "bodies/shapes/urdf_shapes.py",
     "rerun": "view/viewer/ importing/readers/rerun_log.py",
-    "clarabel": "bodies/consistency/likelihood.py",
+    "clarabel": "core/estimation/diagnostics/rigid_bodies.py",
     "numba": "core/kernel/",
     "llvmlite": "core/kernel/compiler.py",
     "threadpoolctl": "core/base/blas.py",
     "pyarrow": "core/recordings/formats/parquet.py campaigns/ "
     "importing/readers/parquet_columns.py importing/readers/lerobot.py "
     "importing/readers/rerun_log.py",
-    "distributed": "campaigns/cluster.py",
-    "dask": "campaigns/cluster.py",
     "h5py": "importing/readers/hdf5.py",
     "rosbags": "importing/readers/ros_bag.py",
-    **dict.fromkeys(("mcap", "google", "lz4"), "importing/readers/mcap.py"),
-    "zstandard": "importing/readers/mcap.py importing/readers/ros_bag.py",
-    "pydantic": "core/base/codec.py core/base/toml_text.py lab/experiment/ campaigns/ "
-    "importing/mapping.py",
+    **dict.fromkeys(("mcap", "google"), "importing/readers/mcap.py"),
+    "zstandard": "importing/readers/ros_bag.py",
+    "pydantic": "core/base/codec.py core/base/toml_text.py core/estimation/settings.py "
+    "lab/experiment/ motion/motion_file.py campaigns/ importing/mapping.py",
     "pydantic_core": "core/base/codec.py",
-    "tomli_w": "lab/experiment/ campaigns/results.py",
+    "tomli_w": "lab/experiment/ motion/motion_file.py",
     "typer": "cli/",
-    "rich": "view/",
-    "matplotlib": "view/plot.py view/portrait.py",
+    "rich": "view/ campaigns/campaign_section.py",
+    "matplotlib": "view/drawing.py",
     "jinja2": "view/output.py",
     "markupsafe": "view/output.py",
     "subprocess": "view/viewer/live.py core/base/child_process.py",  # the viewer; what may crash
@@ -157,6 +155,7 @@ def is_estimator(path: Path) -> bool:
         ("core/estimation/", "bodies/consistency/", "applications/")
     ) or place in (
         "bodies/posterior.py",
+        "bodies/verdict.py",
         "bodies/linear_prior.py",
     )
 

@@ -17,10 +17,11 @@ from testbed.bodies.consistency.consistent import (
     robot_of,
 )
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.bodies.prior import Prior, matrices, parameters, prior_of
+from testbed.bodies.prior import Prior, prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.diagnostics.rigid_bodies import rigid_body_test
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
+from testbed.core.parameters.pseudo_inertia import matrices, parameters
 from testbed.core.parameters.symbols import to_barycentric
 from testbed.lab.experiment.evaluate import wrong_bodies
 from tests.helpers.ideal import EXACT, ideal

@@ -14,11 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.bodies.prior import THINNEST, Prior, matrices, prior_of
+from testbed.bodies.prior import THINNEST, Prior, prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.drive_set import sampled_regressor
 from testbed.core.parameters.elimination import dense_rows, static_entries
 from testbed.core.parameters.identifiability import ALONE, COMBINED, NEVER, identifiability
+from testbed.core.parameters.pseudo_inertia import matrices
 from testbed.core.parameters.regroup import regroup
 from testbed.core.parameters.symbols import on_standard, to_barycentric, to_standard
 from testbed.core.robot.inertia import NOTHING, SMALL, Inertia

@@ -13,10 +13,10 @@ import pytest
 
 import testbed as tb
 from testbed.bodies.consistency.options import ConsistencyOptions
+from testbed.bodies.verdict import verdict_of
 from testbed.core.base.diagnostics import phrase
 from testbed.core.base.summary_table import number_with_sigma
 from testbed.core.estimation.estimate import METHODS, NAMES, by_influence
-from testbed.core.estimation.verdict import verdict_of
 from testbed.lab.experiment.carry_out import validated
 from testbed.lab.experiment.evaluate import wrong_bodies
 from testbed.lab.experiment.experiment_tables import Bound

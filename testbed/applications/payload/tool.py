@@ -9,11 +9,11 @@ import numpy as np
 from testbed.applications.payload.payload import PayloadEstimate, payload_from, seen_of_payload
 from testbed.applications.payload.static_fit import RestFit, StaticPoses, fit_tool
 from testbed.applications.payload.tool_check import diagnose_tool
-from testbed.bodies.prior import matrices, parameters
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic
 from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.estimation.estimate import Estimate
+from testbed.core.parameters.pseudo_inertia import matrices, parameters
 from testbed.core.robot.force_sensor import ForceSensor
 from testbed.core.robot.tree import Placement, Tree
 

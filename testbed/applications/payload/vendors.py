@@ -22,10 +22,10 @@ import numpy as np
 from scipy.optimize import approx_fprime
 
 from testbed.applications.payload.payload import PayloadEstimate
-from testbed.bodies.prior import matrices
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError, few
 from testbed.core.estimation.regression.normal_equations import standard_deviations
+from testbed.core.parameters.pseudo_inertia import matrices
 from testbed.core.robot.inertia import Inertia, inertia_flaw, to_rpy
 from testbed.core.robot.repair import Link
 from testbed.core.robot.tree import Tree

@@ -17,7 +17,7 @@ from testbed.bodies.consistency.likelihood import (
 )
 from testbed.bodies.consistency.options import ConsistencyOptions, known_masses
 from testbed.bodies.consistency.program import Program, program_of, solve
-from testbed.bodies.prior import Prior, matrices
+from testbed.bodies.prior import Prior
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
@@ -26,6 +26,7 @@ from testbed.core.base.errors import RecordingError, few
 from testbed.core.estimation.diagnostics.rigid_bodies import rigid_body_test
 from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.regression.normal_equations import TINY, standard_deviations
+from testbed.core.parameters.pseudo_inertia import matrices
 from testbed.core.parameters.symbols import with_standard
 from testbed.core.robot.friction import ROTOR, JointTerm
 from testbed.core.robot.locks import places

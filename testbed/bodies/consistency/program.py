@@ -13,15 +13,15 @@ from scipy.linalg import null_space
 
 from testbed.bodies.consistency.likelihood import Likelihood
 from testbed.bodies.consistency.options import KnownMasses
-from testbed.bodies.prior import (
+from testbed.bodies.prior import Prior
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.regression.normal_equations import TINY
+from testbed.core.parameters.pseudo_inertia import (
     OF_COORDINATES,
-    Prior,
     coordinates,
     matrices,
     of_coordinates,
 )
-from testbed.core.base.arrays import Array
-from testbed.core.estimation.regression.normal_equations import TINY
 from testbed.core.robot.friction import ROTOR, JointTerm
 from testbed.core.robot.tree import Tree
 

@@ -22,12 +22,13 @@ from testbed.bodies.consistency.consistent import FAINT, problem_of, spread_at
 from testbed.bodies.consistency.likelihood import terms_of
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.consistency.program import Program, solve
-from testbed.bodies.prior import Prior, of_coordinates
+from testbed.bodies.prior import Prior
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
 from testbed.core.base.errors import SettingsError
 from testbed.core.estimation.estimate import Estimate
+from testbed.core.parameters.pseudo_inertia import of_coordinates
 from testbed.core.parameters.symbols import STANDARD, with_standard
 from testbed.core.robot.friction import COULOMB, ROTOR, VISCOUS
 from testbed.core.robot.tree import Tree

@@ -13,6 +13,7 @@ from typing import Any, Literal
 from testbed.applications.drives.identify_drives import DriveFindings
 from testbed.bodies.consistency.consistent import Consistent
 from testbed.bodies.posterior import Posterior
+from testbed.bodies.verdict import verdict_of
 from testbed.core.base.codec import Makers, decode, encode, from_json, json_text
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import ExperimentError
@@ -27,7 +28,6 @@ from testbed.core.estimation.selection.term_choice import with_chosen_settings
 from testbed.core.estimation.sensor.correction import NUISANCES, TESTED
 from testbed.core.estimation.sensor.estimates import Nuisance
 from testbed.core.estimation.validate import Validation
-from testbed.core.estimation.verdict import verdict_of
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.recordings.recording import Recording

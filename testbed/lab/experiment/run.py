@@ -7,11 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from testbed.applications.analysis import analyse
 from testbed.applications.drives.identify_drives import DriveFindings, identify_drives
 from testbed.bodies.consistency.consistent import Consistent
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.posterior import Posterior
 from testbed.bodies.prior import Prior
+from testbed.bodies.verdict import WELL, verdict_of
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import (
     Diagnosed,
@@ -25,7 +27,6 @@ from testbed.core.base.diagnostics import (
 from testbed.core.base.errors import RecordingError, TestbedError, plural
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
-from testbed.core.estimation.analysis import analyse
 from testbed.core.estimation.diagnostics.residuals import diagnostics_of
 from testbed.core.estimation.estimate import (
     METHODS,
@@ -40,7 +41,6 @@ from testbed.core.estimation.selection.term_choice import with_chosen_settings
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.estimation.validate import Validation, motion_in
-from testbed.core.estimation.verdict import WELL, verdict_of
 from testbed.core.recordings.columns import AXES
 from testbed.core.recordings.geometry import in_its_gravity
 from testbed.core.recordings.recording import Recording

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from testbed.bodies.verdict import WELL, verdict_of
 from testbed.core.base.diagnostics import paragraphs, sentences
 from testbed.core.base.errors import few, plural, round_significant
-from testbed.core.estimation.verdict import WELL, verdict_of
 from testbed.lab.experiment.score import share_of_signal
 
 if TYPE_CHECKING:

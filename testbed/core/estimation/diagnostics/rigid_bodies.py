@@ -9,10 +9,10 @@ import clarabel
 import numpy as np
 from scipy import sparse, special
 
-from testbed.bodies.prior import standard_of_coordinates
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.regression.normal_equations import TINY, square_root
+from testbed.core.parameters.pseudo_inertia import standard_of_coordinates
 
 SIGMAS = 5.0
 """A distance that noise exceeds as rarely as this is no noise, unless it is said otherwise."""
