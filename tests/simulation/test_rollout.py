@@ -14,7 +14,8 @@ import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.recordings.recording import Truth
 from testbed.core.robot.model_file import ModelFile
-from testbed.lab.simulation.controller import computed_torque, mass_matrices
+from testbed.lab.simulation.compiled_loop import motor_torque
+from testbed.lab.simulation.controller import Controller, computed_torque, mass_matrices
 from testbed.lab.simulation.plant import build_plant
 from testbed.lab.simulation.rollout import Sampling, SimulationDiverged, simulate_motion
 from testbed.motion.fourier import Fourier
@@ -34,6 +35,13 @@ def with_all(tree: tb.Tree, **changes: object) -> tb.Tree:
     return replace(tree, joints=tuple(replace(j, **changes) for j in tree.joints))  # type: ignore[arg-type]
 
 
+def torque_of(drive: Controller, k: int, position: Array, velocity: Array) -> Array:
+    """What the compiled law asks of the motors."""
+    found = np.zeros(len(position))
+    motor_torque(drive, k, position, velocity, np.arange(len(position)), found)
+    return found
+
+
 @few(6)
 @given(robot=robots((2, 6)), rng=rngs)
 def test_a_drive_asks_for_the_models_torque_and_pulls_all_joints_back_alike(
@@ -50,16 +58,16 @@ def test_a_drive_asks_for_the_models_torque_and_pulls_all_joints_back_alike(
     mass = mass_matrices(tree, there.q)
     np.testing.assert_allclose(mass, witness.mass, atol=1e-12 * np.abs(witness.mass).max())
     for k in range(6):
-        alone = drive.torque(k, there.q[k], there.qd[k])
+        alone = torque_of(drive, k, there.q[k], there.qd[k])
         dry = alone - witness.forces[k] - 0.3 * there.qd[k] - 0.7 * there.qdd[k]
         np.testing.assert_allclose(dry, 2 * np.tanh(there.qd[k] / 0.05), rtol=1e-6, atol=1e-9)
         late, slow = 0.01 * rng.normal(size=(2, n))
-        added = drive.torque(k, there.q[k] - late, there.qd[k] - slow) - alone
+        added = torque_of(drive, k, there.q[k] - late, there.qd[k] - slow) - alone
         wanted = (witness.mass[k] + 0.7 * np.eye(n)) @ (w**2 * late + 2 * 0.9 * w * slow)
         np.testing.assert_allclose(added, wanted, atol=1e-4 * np.abs(wanted).max())
     weak = computed_torque(with_all(tree, max_effort=0.5), motion, there.t[:1], w)
-    free = drive.torque(0, there.q[0] - 1, there.qd[0])
-    limited = weak.torque(0, there.q[0] - 1, there.qd[0])
+    free = torque_of(drive, 0, there.q[0] - 1, there.qd[0])
+    limited = torque_of(weak, 0, there.q[0] - 1, there.qd[0])
     np.testing.assert_array_equal(limited, np.clip(free, -0.5, 0.5))
 
 

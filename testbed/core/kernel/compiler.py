@@ -14,8 +14,8 @@ from typing import Any
 
 import llvmlite
 import numba
-from llvmlite import binding
-from numba import njit
+from llvmlite import binding, ir
+from numba import extending, njit, types
 from numba.core import config
 
 from testbed.core.base.installation import cache_folder
@@ -69,3 +69,27 @@ plain = _compiled(fastmath={"contract"})
 part = _compiled(fastmath={"contract"}, inline="always")
 summing = _compiled(fastmath={"contract", "reassoc", "nsz"}, forceinline=True)
 outer = _compiled(nogil=True, cache=True)
+
+
+intrinsic: Any = extending.intrinsic
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def call(typing: Any, address: Any, arguments: Any) -> Any:
+    """A C function that returns nothing, by its address: unlike one of ctypes it can be cached.
+
+    Args:
+        typing: Numba's context.
+        address: Of the function.
+        arguments: A tuple of numbers and addresses, of the very types that it takes.
+    """
+    del typing
+
+    def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        function, packed = values
+        parts = [builder.extract_value(packed, k) for k in range(len(signature.args[1]))]
+        kind = ir.FunctionType(ir.VoidType(), [part.type for part in parts])
+        builder.call(builder.inttoptr(function, kind.as_pointer()), parts)
+        return context.get_dummy_value()
+
+    return types.void(address, arguments), code

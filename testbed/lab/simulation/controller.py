@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +33,8 @@ class Reference(Protocol):
         """Where on the path at times t, (M,), as a time of it [s]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Controller:
-    """A controller along a sampled reference.
+class Controller(NamedTuple):
+    """A controller along a sampled reference, as machine code takes it.
 
     Attributes:
         times: Of the samples, (T,) [s].
@@ -57,19 +55,6 @@ class Controller:
     posture: NDArray[np.int64]
     bandwidth: float
     effort: Array
-
-    def torque(self, k: int, position: Array, velocity: Array) -> Array:
-        """Torques for a sample within the limits of the motors, (n,) [N m or N].
-
-        Args:
-            k: The sample.
-            position: (n,) [rad or m].
-            velocity: (n,) [rad/s or m/s].
-        """
-        late, slow = self.q[k] - position, self.qd[k] - velocity
-        pull = self.bandwidth**2 * late + 2 * DAMPING * self.bandwidth * slow
-        wanted = self.expected[k] + self.inertia[self.posture[k]] @ pull
-        return np.asarray(np.clip(wanted, -self.effort, self.effort))
 
 
 def computed_torque(tree: Tree, motion: Reference, times: Array, bandwidth: float) -> Controller:

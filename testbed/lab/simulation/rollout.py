@@ -9,7 +9,8 @@ channel alike, the torque held over it; their acceleration is the gain of veloci
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+import ctypes
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -21,6 +22,7 @@ from testbed.core.base.errors import TestbedError
 from testbed.core.recordings.recording import Truth
 from testbed.core.robot.formats.mjcf_compile import unwarned_steps
 from testbed.core.robot.tree import Tree
+from testbed.lab.simulation.compiled_loop import Clock, Engine, Log, State, follow, mujoco_functions
 from testbed.lab.simulation.controller import Controller, Reference, computed_torque
 from testbed.lab.simulation.effect import StepForces
 from testbed.lab.simulation.gear_friction import Gears, solve_friction
@@ -31,15 +33,6 @@ SMOOTH_STEP = 1e-3
 
 SMOOTH_DECAY = 0.2
 """Part of the shortest time in which damping or a spring acts that such a step may last."""
-
-SLIPS = 1e-6
-"""Part of dry friction by which the force that MuJoCo finds may differ while a joint slips."""
-
-TURNS = 2.0
-"""Changes of speed in a sample that a slipping joint must be faster than, not to turn round."""
-
-MIDDLE = 2 / 3
-"""Weight of a step's middle by Simpson's rule."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +67,7 @@ class SampledLoop:
         forces: StepForces | None = None,
         gears: Gears | None = None,
     ) -> None:
-        """Put the plant at the beginning of the reference.
+        """At the beginning of the reference.
 
         Args:
             plant: The robot on its bedplate.
@@ -83,19 +76,41 @@ class SampledLoop:
             forces: Asked before every step.
             gears: Whose friction is solved before every step.
         """
-        self._plant, self._drive, self._sampling = plant, drive, sampling
-        self._data = data = mujoco.MjData(plant.model)
+        self._plant, model = plant, plant.model
+        self._data = data = mujoco.MjData(model)
         data.qpos[:] = plant.dofs @ drive.q[0]  # every joint has one position
         data.qvel[:] = plant.dofs @ drive.qd[0]
-        mujoco.mj_forward(plant.model, data)
-        self._forces = forces
-        self._rubbing = None if gears is None else _gear_friction(gears, plant, data)
-        self._pushed = forces is not None or gears is not None
-        self._smooth_steps = 0 if self._pushed else _smooth_steps(plant.model, sampling)
-        self._smooth_model = copy.copy(plant.model)
+        mujoco.mj_forward(model, data)
+        self._rate, period = sampling.rate, 1 / sampling.rate
+        smooth = 0 if forces or gears else _smooth_steps(model, period)
+        smooth = smooth if smooth < sampling.steps else 0
+        self._smooth_model = copy.copy(model)
         option = self._smooth_model.opt
-        option.timestep = 1 / sampling.rate / max(self._smooth_steps, 1)
+        option.timestep = period / max(smooth, 1)
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_REFSAFE)  # friction as it is
+        self._push = _Push(forces, gears, plant, data)
+        self._engine = Engine(
+            **mujoco_functions(),
+            model=model._address,
+            smooth_model=self._smooth_model._address,
+            data=data._address,
+            push=self._push.address,
+        )
+        self._state = State(
+            position=data.qpos,
+            velocity=data.qvel,
+            acceleration=data.qacc,
+            motor=data.ctrl,
+            pushed=data.qfrc_applied,
+            sensed=data.sensordata,
+            passive=data.qfrc_passive,
+            constraint=data.qfrc_constraint,
+            dry=model.dof_frictionloss,
+            order=plant.order,
+            kept=np.zeros((2, model.nv)),
+        )
+        self._drive = drive
+        self._clock = Clock(period, sampling.steps, smooth, sampling.averaged)
 
     def run(self, samples: range) -> Truth:
         """Follow the next samples of the reference.
@@ -103,13 +118,26 @@ class SampledLoop:
         Args:
             samples: Their numbers.
         """
-        plant, rate = self._plant, self._sampling.rate
-        logs = zip(*(self._sample(k) for k in samples), strict=True)
-        torque, velocity, acceleration, shown = (np.array(log) for log in logs)
-        sensed, lost = np.split(shown, [plant.model.nsensordata], axis=1)
-        if self._sampling.averaged:
+        plant, model, n = self._plant, self._plant.model, len(self._plant.order)
+        torque, velocity, acceleration = np.zeros((3, len(samples), n))
+        sensed, lost = (
+            np.zeros((len(samples), model.nsensordata)),
+            np.zeros((len(samples), model.nv)),
+        )
+        log = Log(torque, velocity, acceleration, sensed, lost)
+        follow(
+            self._engine,
+            self._state,
+            self._drive,
+            self._clock,
+            log,
+            samples.start,
+            self._push.failed,
+        )
+        self._push.check()
+        if self._clock.averaged:
             later = np.vstack([velocity[1:], self._data.qvel[plant.order]])
-            acceleration = (later - velocity) * rate
+            acceleration = (later - velocity) * self._rate
         return Truth(
             position=sensed[:, plant.positions],
             velocity=sensed[:, plant.velocities],
@@ -120,81 +148,48 @@ class SampledLoop:
             sensors=sensed[:, plant.sensors],
         )
 
-    def _sample(self, k: int) -> tuple[Array, Array, Array, Array]:
-        """Torque, velocity and acceleration at the first instant; what is shown of the sample.
 
-        Means are by the trapezoidal rule, and by Simpson's where the sample is smooth: then a
-        step's middle follows from positions and velocities at its ends.
-        """
-        data, order, averaged = self._data, self._plant.order, self._sampling.averaged
-        model, steps, middle = self._plant.model, self._sampling.steps, 0.0
-        torque = self._drive.torque(k, data.qpos[order], data.qvel[order])
-        data.ctrl[:] = torque
-        self._push(k, 0.0)
-        velocity, acceleration = data.qvel[order], data.qacc[order]
-        if self._smooth_steps and self._slips():
-            model, steps, middle = self._smooth_model, self._smooth_steps, MIDDLE
-        step, edge = 1 / self._sampling.rate / steps, (1 - middle) / 2 / steps
-        shown = np.zeros(len(data.sensordata) + len(data.qvel)) if averaged else self._shown()
-        for number in range(steps):
-            if number and self._pushed:
-                self._push(k, number * step)
-            if averaged:
-                shown += edge * self._shown()
-            before = data.qpos.copy(), data.qvel.copy()
-            mujoco.mj_RungeKutta(model, data, 4)
-            if averaged and middle:
-                shown += middle / steps * self._shown_amid(*before, step)
-            mujoco.mj_forward(model, data)
-            if averaged:
-                shown += edge * self._shown()
-        return torque, velocity, acceleration, shown
-
-    def _push(self, k: int, late: float) -> None:
-        """Apply the forces of a step that begins so late in a sample; find accelerations."""
-        data, order = self._data, self._plant.order
-        if self._pushed:
-            data.qfrc_applied[order] = 0.0
-        if self._forces is not None:
-            state = data.qpos[order], data.qvel[order], data.ctrl.copy()
-            data.qfrc_applied[order] = self._forces(self._drive.times[k] + late, *state)
-        if self._rubbing is not None:
-            data.qfrc_applied[order] -= self._rubbing()
-        mujoco.mj_forwardSkip(self._plant.model, data, mujoco.mjtStage.mjSTAGE_VEL, 0)
-
-    def _slips(self) -> bool:
-        """Whether all that rubs slips, and goes on slipping for a sample: no force will jump."""
-        data, dry = self._data, self._plant.model.dof_frictionloss
-        slips = np.abs(np.abs(data.qfrc_constraint) - dry) <= SLIPS * dry
-        turn = TURNS / self._sampling.rate * np.abs(data.qacc)
-        return bool((slips & ((dry == 0) | (np.abs(data.qvel) > turn))).all())
-
-    def _shown(self) -> Array:
-        """What sensors show, and what takes from the motors."""
-        data = self._data
-        lost = data.qfrc_passive + data.qfrc_constraint + data.qfrc_applied
-        return np.concatenate([data.sensordata, lost])
-
-    def _shown_amid(self, position: Array, velocity: Array, step: float) -> Array:
-        """What is shown amid a step, by Hermite's cubic from its beginning to its end."""
-        data = self._data
-        end, end_velocity = data.qpos.copy(), data.qvel.copy()
-        data.qpos[:] = (position + end) / 2 + step / 8 * (velocity - end_velocity)
-        data.qvel[:] = 1.5 * (end - position) / step - (velocity + end_velocity) / 4
-        mujoco.mj_forward(self._smooth_model, data)
-        shown = self._shown()
-        data.qpos[:], data.qvel[:] = end, end_velocity
-        return shown
-
-
-def _smooth_steps(model: mujoco.MjModel, sampling: Sampling) -> int:
-    """Steps that a smooth sample needs, for the fastest of what damps or springs; 0 if no fewer."""
+def _smooth_steps(model: mujoco.MjModel, period: float) -> int:
+    """Steps that a smooth sample needs, for the fastest of what damps or springs."""
     loose = model.dof_invweight0
     spring = model.jnt_stiffness[model.dof_jntid]
     fastest = max(np.max(model.dof_damping * loose), np.sqrt(np.max(spring * loose)))
-    longest = min(SMOOTH_STEP, SMOOTH_DECAY / max(fastest, 1e-9))
-    steps = int(np.ceil(1 / sampling.rate / longest * (1 - 1e-9)))
-    return steps if steps < sampling.steps else 0
+    return int(np.ceil(period / min(SMOOTH_STEP, SMOOTH_DECAY / max(fastest, 1e-9)) * (1 - 1e-9)))
+
+
+class _Push:
+    """Forces on the joints, as C calls them; an error waits until the loop has ended."""
+
+    def __init__(
+        self,
+        forces: StepForces | None,
+        gears: Gears | None,
+        plant: Plant,
+        data: mujoco.MjData,
+    ) -> None:
+        self.failed, self.address = np.zeros(1, dtype=bool), 0
+        self._error: BaseException | None = None
+        if forces is None and gears is None:
+            return
+        order, applied = plant.order, data.qfrc_applied
+        rub = None if gears is None else _gear_friction(gears, plant, data)
+
+        def push(time: float) -> None:
+            try:
+                state = data.qpos[order], data.qvel[order], data.ctrl.copy()
+                applied[order] = 0.0 if forces is None else forces(time, *state)
+                if rub is not None:
+                    applied[order] -= rub()
+            except BaseException as error:
+                self._error, self.failed[0] = error, True
+
+        self._callback = ctypes.CFUNCTYPE(None, ctypes.c_double)(push)
+        self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
+
+    def check(self) -> None:
+        """Raise what a push has raised."""
+        if self._error is not None:
+            raise self._error
 
 
 def _gear_friction(gears: Gears, plant: Plant, data: mujoco.MjData) -> Callable[[], Array]:
@@ -282,28 +277,25 @@ def simulate_motion(
     for first in range(0, len(times), _SLAB):
         last = min(first + _SLAB, len(times))
         with unwarned_steps():  # a state that blows up is found below
-            logs.append(vars(loop.run(range(first, last))))
-        if not all(np.isfinite(values).all() for values in logs[-1].values()):
+            logs.append(loop.run(range(first, last)))
+        if not all(np.isfinite(values).all() for values in vars(logs[-1]).values()):
             raise SimulationDiverged(
                 f"the simulation became unstable near t = {times[last - 1]:.2f} s; use a "
                 "smaller step or a lower drive bandwidth"
             )
         progress(last, len(times))
-        watch(times[first:last], Truth(**logs[-1]))
-    truth = Truth(**{name: np.concatenate([log[name] for log in logs])[lead:] for name in logs[0]})
-    return _followed(times[lead:], truth, drive, tree)
+        watch(times[first:last], logs[-1])
+    return _rollout_of(times[lead:], logs, drive, tree)
 
 
-def _followed(time: Array, truth: Truth, drive: Controller, tree: Tree) -> Rollout:
-    """How well a run followed its reference.
-
-    Raises:
-        SimulationDiverged: A joint was off by more than it should have moved.
-    """
-    wanted = drive.q[-len(time) :]
+def _rollout_of(time: Array, logs: Sequence[Truth], drive: Controller, tree: Tree) -> Rollout:
+    count = len(time)
+    whole = {k: np.concatenate([vars(log)[k] for log in logs])[-count:] for k in vars(logs[0])}
+    truth, wanted = Truth(**whole), drive.q[-count:]
     tracking = np.sqrt(np.mean((truth.position - wanted) ** 2, axis=0))
-    lost = np.array(tree.names)[tracking > np.ptp(wanted, axis=0)]
-    if lost.size:
+    swing = np.ptp(wanted, axis=0)
+    lost = [name for name, e, s in zip(tree.names, tracking, swing, strict=True) if e > s]
+    if lost:
         raise SimulationDiverged(
             f"the drive lost the reference at {', '.join(lost)}; lower the motion's limits"
         )
