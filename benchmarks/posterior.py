@@ -9,11 +9,11 @@ import numpy as np
 
 import testbed as tb
 from testbed.bodies.posterior import Posterior, posterior, rows_of
+from testbed.bodies.prediction_errors import errors_of_another
 from testbed.bodies.prior import prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import UnseenParameters
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.selection.prediction_errors import errors_of_another
 from testbed.core.recordings.recording import Recording
 from testbed.lab.experiment.evaluate import wrong_bodies
 from tests.helpers.measured import measured

@@ -45,8 +45,8 @@ def schemas() -> Iterator[tuple[str, Any]]:
     from testbed.applications.calibration import Calibration
     from testbed.applications.drives.identify_drives import DriveFindings
     from testbed.applications.payload.payload import PayloadEstimate
+    from testbed.applications.validate import Validation
     from testbed.core.base.codec import adapter
-    from testbed.core.estimation.validate import Validation
     from testbed.lab.experiment.results import Result
 
     results: dict[str, type] = {

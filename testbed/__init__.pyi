@@ -34,9 +34,9 @@ from .core.recordings.recording import Recording as Recording
 from .core.recordings.source import StoredRecording as StoredRecording
 from .core.robot.force_sensor import ForceSensor as ForceSensor
 from .core.robot.inertia import Inertia as Inertia
-from .core.robot.locks import with_shafts as with_shafts
 from .core.robot.model_file import ModelFile as ModelFile
 from .core.robot.model_file import load_tree as load_tree
+from .core.robot.shafts import with_shafts as with_shafts
 from .core.robot.tree import Joint as Joint
 from .core.robot.tree import Tree as Tree
 from .equations.compare import compare_equations as compare_equations

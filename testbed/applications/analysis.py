@@ -12,12 +12,12 @@ from testbed.bodies.consistency.held_out import beside_consistent, with_likely_e
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.posterior import Posterior, posterior, rows_of
 from testbed.bodies.prior import Prior, prior_of
+from testbed.bodies.row_products import RowParts
 from testbed.core.base.errors import RecordingError, TestbedError, UnseenParameters
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
 from testbed.core.estimation.identify import estimate_of
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.passes import Progress
-from testbed.core.estimation.selection.row_products import RowParts
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.source import RecordingLike, open_source

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from testbed.bodies.prior import Prior
+from testbed.bodies.row_products import RowProducts
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.constraints import CENTRE, MASS, facts
 from testbed.core.estimation.regression.normal_equations import TINY
-from testbed.core.estimation.selection.row_products import RowProducts
 
 PRIOR_ERROR = 0.5
 """Of the model file's bodies, in parts of themselves: before the data, as one coordinate counts."""

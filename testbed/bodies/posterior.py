@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from testbed.bodies.estimate_summary import EstimateSummary, corrected_by, summary_of
 from testbed.bodies.linear_prior import (
     DETERMINED,
     PRIOR_ERROR,
@@ -23,21 +24,7 @@ from testbed.bodies.linear_prior import (
     refitted,
     with_prior,
 )
-from testbed.bodies.prior import Prior
-from testbed.core.base.arrays import Array, freeze
-from testbed.core.base.blas import one_blas_thread
-from testbed.core.base.codec import with_properties
-from testbed.core.base.diagnostics import Diagnostic
-from testbed.core.estimation.estimate import Estimate, Method, instrument_of
-from testbed.core.estimation.estimate_summary import EstimateSummary, corrected_by, summary_of
-from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.normal_equations import (
-    TINY,
-    scaled_solve,
-    standard_deviations,
-)
-from testbed.core.estimation.regression.solvers import noise_weights
-from testbed.core.estimation.selection.prediction_errors import (
+from testbed.bodies.prediction_errors import (
     CONSISTENT,
     FILE,
     PLAIN,
@@ -47,7 +34,20 @@ from testbed.core.estimation.selection.prediction_errors import (
     prediction_errors,
     predictions_of,
 )
-from testbed.core.estimation.selection.row_products import RowParts, RowProducts, products_of
+from testbed.bodies.prior import Prior
+from testbed.bodies.row_products import RowParts, RowProducts, products_of
+from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.blas import one_blas_thread
+from testbed.core.base.codec import with_properties
+from testbed.core.base.diagnostics import Diagnostic
+from testbed.core.estimation.estimate import Estimate, Method, instrument_of
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.regression.normal_equations import (
+    TINY,
+    scaled_solve,
+    standard_deviations,
+)
+from testbed.core.estimation.regression.solvers import noise_weights
 
 
 @dataclass(frozen=True, eq=False)

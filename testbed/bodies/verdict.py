@@ -11,13 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from testbed.bodies.posterior import Posterior
+from testbed.bodies.prediction_errors import POSTERIOR
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose, messages, ordered, phrase
 from testbed.core.estimation.diagnostics.diagnosis import UNEXPLAINED
 from testbed.core.estimation.diagnostics.residuals import diagnostics_of
 from testbed.core.estimation.estimate import Estimate, channel_label, matters
 from testbed.core.estimation.regression.normal_equations import TINY
-from testbed.core.estimation.selection.prediction_errors import POSTERIOR
 
 NOTHING = 1.0
 """Error of the model file's bodies, in parts of themselves, with which it says next to nothing."""

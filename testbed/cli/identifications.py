@@ -350,10 +350,10 @@ def validate(
 
     Example: testbed validate other.parquet runs/table6-286a25ef
     """
+    from testbed.applications.validate import validate as validated
     from testbed.core.base.codec import encode
     from testbed.core.base.errors import RecordingError
     from testbed.core.estimation.estimate import NAMES, SIGNAL_OF
-    from testbed.core.estimation.validate import validate as validated
     from testbed.lab.experiment.read_result import read_result
     from testbed.view import output, terminal
 

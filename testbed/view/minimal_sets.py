@@ -20,7 +20,7 @@ from testbed.core.parameters.symbols import (
     Formula,
     parameter_names,
 )
-from testbed.core.robot.locks import places
+from testbed.core.robot.shafts import places
 from testbed.core.robot.tree import Tree
 
 if TYPE_CHECKING:

@@ -6,12 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from testbed.applications.validate import Validation
 from testbed.bodies.posterior import Posterior
-from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import phrase
-from testbed.core.base.summary_table import number_with_sigma
-from testbed.core.estimation.estimate import NAMES
-from testbed.core.estimation.selection.prediction_errors import (
+from testbed.bodies.prediction_errors import (
     CONSISTENT,
     FILE,
     PLAIN,
@@ -19,7 +16,10 @@ from testbed.core.estimation.selection.prediction_errors import (
     REFITTED,
     PredictionErrors,
 )
-from testbed.core.estimation.validate import Validation
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import phrase
+from testbed.core.base.summary_table import number_with_sigma
+from testbed.core.estimation.estimate import NAMES
 from testbed.view.section import Table
 
 HEADS = {

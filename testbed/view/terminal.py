@@ -10,12 +10,12 @@ from rich.box import ROUNDED
 from rich.console import Console
 from rich.panel import Panel
 
+from testbed.bodies.prediction_errors import PLAIN, POSTERIOR
 from testbed.bodies.verdict import WELL, verdict_of
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import printable
 from testbed.core.base.summary_table import OPEN_ZERO
 from testbed.core.estimation.diagnostics.residuals import diagnostics_of
-from testbed.core.estimation.selection.prediction_errors import PLAIN, POSTERIOR
 from testbed.lab.experiment.summary import (
     accuracy_lines,
     data_lines,
@@ -39,10 +39,10 @@ if TYPE_CHECKING:
     from testbed.applications.calibration import Calibration
     from testbed.applications.drives.identify_drives import DriveFindings
     from testbed.applications.payload.payload import PayloadEstimate
+    from testbed.applications.validate import Validation
     from testbed.bodies.consistency.consistent import Consistent
     from testbed.bodies.posterior import Posterior
     from testbed.core.estimation.estimate import Estimate
-    from testbed.core.estimation.validate import Validation
     from testbed.lab.experiment.run import Run
 
 

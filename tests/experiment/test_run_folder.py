@@ -14,15 +14,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from testbed.motion.excite import Excitation
 
 import testbed as tb
+from testbed.applications.validate import validate
+from testbed.bodies.estimate_summary import EstimateSummary
 from testbed.bodies.shapes.appearance import load_shapes
 from testbed.core.base.codec import json_text
 from testbed.core.base.errors import ExperimentError, InfeasibleMotion, TestbedError
 from testbed.core.estimation.estimate import METHODS, Estimate
-from testbed.core.estimation.estimate_summary import EstimateSummary
-from testbed.core.estimation.validate import validate
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.excite import excite, frequencies_of
 from testbed.lab.experiment.experiment_robot import model_of, robot_of
@@ -45,6 +44,7 @@ from testbed.lab.experiment.results import (
 from testbed.lab.experiment.results import identified as identified_result
 from testbed.lab.experiment.robot_tables import RecordingTables
 from testbed.lab.experiment.run import Run
+from testbed.motion.excite import Excitation
 from testbed.motion.motion_file import read_motion, write_motion, write_trajectory
 from testbed.motion.proof import prove
 from testbed.motion.terms import PlateTerm

@@ -31,8 +31,8 @@ from testbed.core.estimation.selection.term_choice import choose_terms
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.core.robot.friction import QUADRATIC, ROTOR, stribeck
-from testbed.core.robot.locks import with_shafts
 from testbed.core.robot.model_file import ModelFile
+from testbed.core.robot.shafts import with_shafts
 from testbed.importing.check.time_offset import delivered
 from testbed.lab.simulation.replay import replay
 from tests.helpers.ideal import EXACT, ideal, plus

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
+from testbed.applications.validate import motion_in, predictions
 from testbed.core.base.errors import ModelError, RecordingError
-from testbed.core.estimation.validate import motion_in, predictions
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.views import with_base_joints
 from testbed.core.robot.free_base import FREE, coordinates, on_free_base

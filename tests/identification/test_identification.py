@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
+from testbed.applications.validate import motion_in, own_torque, predictions
 from testbed.core.base.errors import RecordingError, UnknownName, UnseenParameters
 from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Method
 from testbed.core.estimation.noise.score_squares import bin_size, hidden, score_squares
@@ -21,7 +22,6 @@ from testbed.core.estimation.regression.windows import (
     motion_taps,
     row_weights,
 )
-from testbed.core.estimation.validate import motion_in, own_torque, predictions
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.friction import LAWS, OFFSET, JointLaw
 from tests.helpers.ideal import EXACT, ideal, plus, true_values

@@ -21,14 +21,14 @@ from testbed.bodies.linear_prior import (
     with_prior,
 )
 from testbed.bodies.posterior import Posterior, posterior, rows_of
+from testbed.bodies.prediction_errors import PredictionErrors, errors_of_another
 from testbed.bodies.prior import prior_of
+from testbed.bodies.row_products import FREEDOM, RowProducts, products_of
 from testbed.bodies.verdict import WELL, verdict_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import decode, encode
 from testbed.core.estimation.estimate import Method
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.selection.prediction_errors import PredictionErrors, errors_of_another
-from testbed.core.estimation.selection.row_products import FREEDOM, RowProducts, products_of
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.friction import drive_torque
 from testbed.lab.experiment.evaluate import wrong_bodies

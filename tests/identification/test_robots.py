@@ -16,10 +16,10 @@ from testbed.bodies.consistency.robots import (
     _log_prior,
     elliptical_slices,
 )
+from testbed.bodies.estimate_summary import estimate_of_summary, summary_of
 from testbed.bodies.prior import prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError
-from testbed.core.estimation.estimate_summary import estimate_of_summary, summary_of
 from testbed.core.parameters.pseudo_inertia import coordinates
 from testbed.core.robot.inertia import inertia_flaw
 from tests.helpers.measured import measured

@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
+from testbed.applications.validate import motion_in
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import encode, json_text
 from testbed.core.base.errors import SettingsError, TestbedError
 from testbed.core.estimation.estimate import METHODS, Estimate, Method, by_influence, influence
 from testbed.core.estimation.regression.constraints import parse_known
-from testbed.core.estimation.validate import motion_in
 from testbed.core.robot.inertia import about
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured

@@ -14,13 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.core.base.arrays import Array
-from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
-from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Estimate, Method
-from testbed.core.estimation.estimate_summary import summary_of
-from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.windows import ROWS_PER_CUTOFF, row_weights
-from testbed.core.estimation.validate import (
+from testbed.applications.validate import (
     LIMIT,
     friction,
     motion_in,
@@ -28,6 +22,12 @@ from testbed.core.estimation.validate import (
     predictions,
     validate,
 )
+from testbed.bodies.estimate_summary import summary_of
+from testbed.core.base.arrays import Array
+from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
+from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Estimate, Method
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.regression.windows import ROWS_PER_CUTOFF, row_weights
 from testbed.core.kernel.records import REST_VARIANCE
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.friction import LAWS

@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
+from testbed.applications.validate import motion_in, own_torque
 from testbed.core.base.errors import ModelError, UnknownName
 from testbed.core.dynamics.drive_set import drive_set, verify_drives
-from testbed.core.estimation.validate import motion_in, own_torque
 from testbed.core.parameters.joint_terms import DriveSet, with_joint_terms
 from testbed.core.robot.friction import COULOMB, LAWS, OFFSET, ROTOR, VISCOUS, JointLaw
-from testbed.core.robot.locks import with_shafts
+from testbed.core.robot.shafts import with_shafts
 from testbed.core.robot.tree import Tree
 from tests.helpers.chains import X, Y, Z, chain
 from tests.helpers.ideal import EXACT, ideal, plus

@@ -12,10 +12,10 @@ import pytest
 
 import testbed as tb
 from testbed.bodies.posterior import Posterior, posterior, rows_of
+from testbed.bodies.prediction_errors import errors_of_another
 from testbed.bodies.prior import prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.selection.prediction_errors import errors_of_another
 from testbed.core.recordings.recording import Recording
 from testbed.importing.convert import pieces
 from testbed.importing.guess import guessed

@@ -22,9 +22,9 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 import testbed as tb
+from testbed.applications.validate import Validation
 from testbed.campaigns.campaign_section import cells_figure, print_campaign
 from testbed.campaigns.summary import summarise
-from testbed.core.estimation.validate import Validation
 from testbed.core.parameters.identifiability import identifiability
 from testbed.core.parameters.joint_terms import with_joint_terms
 from testbed.motion.proof import Margin, Proof

@@ -29,7 +29,7 @@ from testbed.core.estimation.regression.normal_equations import TINY, standard_d
 from testbed.core.parameters.pseudo_inertia import matrices
 from testbed.core.parameters.symbols import with_standard
 from testbed.core.robot.friction import ROTOR, JointTerm
-from testbed.core.robot.locks import places
+from testbed.core.robot.shafts import places
 from testbed.core.robot.tree import Tree
 
 CLOSE = 1e-6

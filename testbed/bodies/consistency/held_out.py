@@ -16,13 +16,13 @@ from testbed.bodies.linear_prior import (
     with_prior,
 )
 from testbed.bodies.posterior import Posterior, held_out_errors
+from testbed.bodies.prediction_errors import CONSISTENT, REFITTED
 from testbed.bodies.prior import Prior
+from testbed.bodies.row_products import RowParts, RowProducts
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import TestbedError
 from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.selection.prediction_errors import CONSISTENT, REFITTED
-from testbed.core.estimation.selection.row_products import RowParts, RowProducts
 
 
 def with_likely_error(

@@ -26,7 +26,7 @@ from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.rules import Model
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.robot.friction import JointLaw
-from testbed.core.robot.locks import places
+from testbed.core.robot.shafts import places
 from testbed.core.robot.tree import Tree
 
 Method = Literal["external", "internal"]

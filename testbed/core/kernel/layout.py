@@ -40,7 +40,7 @@ from testbed.core.parameters.regroup import beyond
 from testbed.core.parameters.rules import Model, across
 from testbed.core.parameters.symbols import TENSOR, UPPER
 from testbed.core.robot.friction import JointTerm
-from testbed.core.robot.locks import shares
+from testbed.core.robot.shafts import shares
 from testbed.core.robot.tree import Tree
 
 STRAIGHT = 1e-14

@@ -21,7 +21,7 @@ from testbed.core.kernel.records import (
     sums_for,
 )
 from testbed.core.robot.friction import BY_LOAD, JointTerm
-from testbed.core.robot.locks import at_places, shares
+from testbed.core.robot.shafts import at_places, shares
 
 SAMPLES = 256
 """Samples taken at once: what a few bodies make of them fits into a cache."""

@@ -15,7 +15,7 @@ from testbed.core.dynamics.newton_euler import pedestal_wrench, wrench_transform
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import DerivedSource, Source
 from testbed.core.robot.free_base import COORDINATES, coordinates
-from testbed.core.robot.locks import Shafts, with_shafts
+from testbed.core.robot.shafts import Shafts, with_shafts
 from testbed.core.robot.tree import Tree
 
 

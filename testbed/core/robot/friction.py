@@ -21,7 +21,7 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import named
 from testbed.core.base.errors import UnknownName
-from testbed.core.robot.locks import places, shares
+from testbed.core.robot.shafts import places, shares
 from testbed.core.robot.tree import Joint, Tree
 
 

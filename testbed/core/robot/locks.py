@@ -10,123 +10,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from graphlib import CycleError, TopologicalSorter
 from typing import TypeAlias
 
-import numpy as np
-
-from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import MimicError, ModelError, UnknownName, few
-from testbed.core.robot.inertia import Inertia
 from testbed.core.robot.parsing import decimals
-from testbed.core.robot.tree import Shaft, Tree
-
-Shafts = Mapping[str, Mapping[str, float]]
-"""By the shaft's name, how much it turns with each of its joints, by name."""
-
-ALIKE = 1e-9
-"""Sine of the angle between the turns of two shafts that are the same one."""
-
-
-def with_shafts(tree: Tree, given: Shafts) -> Tree:
-    """The same tree with shafts that turn with several joints.
-
-    Args:
-        tree: The robot.
-        given: The shafts, in place of those that it has.
-
-    Raises:
-        UnknownName: There is no such joint.
-        ModelError: A shaft is none.
-    """
-    made = []
-    for name, turns in given.items():
-        _check(tree, name, turns)
-        listed = sorted((tree.index(joint), float(turn)) for joint, turn in turns.items())
-        made.append(Shaft(name, tuple(listed)))
-    coupled = replace(tree, shafts=tuple(made))
-    turn = shares(coupled)[tree.n :]
-    unit = turn / np.linalg.norm(turn, axis=1, keepdims=True)
-    for k, one in enumerate(unit):
-        for other, two in enumerate(unit[:k]):
-            if np.linalg.norm(one - (one @ two) * two) < ALIKE:
-                raise ModelError(
-                    f"robot.coupling: '{made[other].name}' and '{made[k].name}' are one shaft; "
-                    "keep one of them"
-                )
-    return coupled
-
-
-def places(tree: Tree) -> tuple[str, ...]:
-    """Where a term of the torques may be: the joints' names, then the shafts'."""
-    return (*tree.names, *(shaft.name for shaft in tree.shafts))
-
-
-def shares(tree: Tree) -> Array:
-    """How much each place turns with each joint, (places, n): ones for the joints themselves."""
-    found = np.eye(tree.n + len(tree.shafts), tree.n)
-    for row, shaft in zip(found[tree.n :], tree.shafts, strict=True):
-        row[:] = 0.0
-        for joint, turn in shaft.turns:
-            row[joint] = turn
-    return found
-
-
-def at_places(tree: Tree, joints: Array) -> Array:
-    """Velocities or accelerations of all places, (..., places).
-
-    Args:
-        tree: The robot.
-        joints: Those of the joints, (..., n).
-    """
-    return joints @ shares(tree).T if tree.shafts else joints
-
-
-def _check(tree: Tree, name: str, turns: Mapping[str, float]) -> None:
-    what = f"robot.coupling: shaft '{name}'"
-    if name in tree.names or not name or "/" in name:
-        raise ModelError(f"{what} needs a name of its own, that no joint has and without '/'")
-    kinds = {tree.joints[tree.index(joint)].kind for joint in turns}
-    numbers = all(isinstance(turn, int | float) and math.isfinite(turn) for turn in turns.values())
-    if len(turns) < 2 or not numbers or 0.0 in turns.values():
-        raise ModelError(
-            f"{what} turns with two joints or more, each by a finite number that is not zero, "
-            f"found {dict(turns)!r:.80}"
-        )
-    if len(kinds) > 1:
-        raise ModelError(f"{what} turns with revolute and prismatic joints: that has no one unit")
-
-
-def with_rotor_spin(tree: Tree, spins: Mapping[str, float]) -> Tree:
-    """The robot whose minimal parameters hold what its rotors' spin adds.
-
-    Args:
-        tree: The robot, rotors at rest on their carriers.
-        spins: Ratio times inertia of the rotor, by joint name [kg m^2].
-
-    Raises:
-        UnknownName: There is no such joint.
-        ModelError: The joint slides: its rotor's momentum is none of the bodies'.
-    """
-    for name, spin in spins.items():
-        j = tree.index(name)
-        joint = tree.joints[j]
-        if not joint.revolute:
-            raise ModelError(f"joint '{name}' slides: the spin of its rotor is not of the bodies")
-        tree = tree.with_inertia(j, _about(joint.axis, spin))
-        tree = tree.with_inertia(joint.parent, _about(joint.carried_axis, -spin))
-        left = replace(joint, rotor_inertia=joint.rotor_inertia - spin)
-        tree = replace(tree, joints=(*tree.joints[:j], left, *tree.joints[j + 1 :]))
-    return tree
-
-
-def _about(axis: Array, size: float) -> Inertia:
-    """Inertia about one axis alone."""
-    return Inertia(0.0, np.zeros(3), size * np.outer(axis, axis))
-
 
 Lock: TypeAlias = Mapping[str, float | None]
 """Positions of held joints by name [rad or m]; None: where a joint rests of itself."""

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from testbed.applications.payload.payload import payload
+from testbed.applications.validate import validate
+from testbed.bodies.estimate_summary import summary_of
 from testbed.bodies.posterior import reported_estimate
 from testbed.core.base.diagnostics import diagnose
 from testbed.core.base.errors import RecordingError, TestbedError
-from testbed.core.estimation.estimate_summary import summary_of
 from testbed.core.estimation.identify import identify
 from testbed.core.estimation.regression.passes import Progress
-from testbed.core.estimation.validate import validate
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.views import on_its_base
 from testbed.lab.experiment.evaluate import evaluate

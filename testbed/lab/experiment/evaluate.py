@@ -20,7 +20,7 @@ from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.symbols import standard
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.inertia import Inertia, upper_root
-from testbed.core.robot.locks import with_rotor_spin
+from testbed.core.robot.shafts import with_rotor_spin
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_robot import model_of, sensed_robot

@@ -9,16 +9,16 @@ from typing import Any, Literal
 
 import numpy as np
 
+from testbed.applications.validate import friction, predictions
+from testbed.bodies.estimate_summary import corrected_by, summary_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError
 from testbed.core.base.frames import frame_of
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.estimate import Estimate, Method
-from testbed.core.estimation.estimate_summary import corrected_by, summary_of
 from testbed.core.estimation.information import Evidence, Information
 from testbed.core.estimation.regression.windows import row_weights
-from testbed.core.estimation.validate import friction, predictions
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.model_file import ModelFile

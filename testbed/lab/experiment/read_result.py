@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from testbed.bodies.consistency.options import ConsistencyOptions
+from testbed.bodies.estimate_summary import EstimateSummary, estimate_of_summary
 from testbed.bodies.posterior import Posterior, ReportedEstimate, reported_estimate
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import decode, from_json
@@ -19,7 +20,6 @@ from testbed.core.base.file_kinds import expecting
 from testbed.core.base.files import fingerprint, read_text
 from testbed.core.base.toml_text import Finite, checked, complaints, override
 from testbed.core.estimation.estimate import METHODS, Estimate, channels_of
-from testbed.core.estimation.estimate_summary import EstimateSummary, estimate_of_summary
 from testbed.core.estimation.settings import Settings
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.rules import Model

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from testbed.applications.drives.identify_drives import DriveFindings
+from testbed.applications.validate import Validation
 from testbed.bodies.consistency.consistent import Consistent
 from testbed.bodies.posterior import Posterior
+from testbed.bodies.prediction_errors import PLAIN, POSTERIOR
 from testbed.bodies.verdict import verdict_of
 from testbed.core.base.codec import Makers, decode, encode, from_json, json_text
 from testbed.core.base.diagnostics import Diagnostic
@@ -23,11 +25,9 @@ from testbed.core.dynamics.drive_set import drive_set
 from testbed.core.estimation.diagnostics.residuals import diagnostics_of
 from testbed.core.estimation.estimate import METHODS, MODEL_OF, Estimate, Method
 from testbed.core.estimation.problem import set_of
-from testbed.core.estimation.selection.prediction_errors import PLAIN, POSTERIOR
 from testbed.core.estimation.selection.term_choice import with_chosen_settings
 from testbed.core.estimation.sensor.correction import NUISANCES, TESTED
 from testbed.core.estimation.sensor.estimates import Nuisance
-from testbed.core.estimation.validate import Validation
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.recordings.recording import Recording

@@ -9,6 +9,7 @@ import numpy as np
 
 from testbed.applications.analysis import analyse
 from testbed.applications.drives.identify_drives import DriveFindings, identify_drives
+from testbed.applications.validate import Validation, motion_in
 from testbed.bodies.consistency.consistent import Consistent
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.posterior import Posterior
@@ -40,7 +41,6 @@ from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.selection.term_choice import with_chosen_settings
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.settings import DEFAULTS, Settings
-from testbed.core.estimation.validate import Validation, motion_in
 from testbed.core.recordings.columns import AXES
 from testbed.core.recordings.geometry import in_its_gravity
 from testbed.core.recordings.recording import Recording

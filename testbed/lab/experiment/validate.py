@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from testbed.applications.validate import Validation
+from testbed.applications.validate import validate as validate_robot
 from testbed.core.base.errors import SettingsError
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.settings import Settings
-from testbed.core.estimation.validate import Validation
-from testbed.core.estimation.validate import validate as validate_robot
 from testbed.core.recordings.recording import Recording
 
 

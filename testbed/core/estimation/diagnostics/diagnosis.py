@@ -24,7 +24,7 @@ from testbed.core.estimation.diagnostics.rigid_bodies import rigid_body_test
 from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.regression.passes import HELD, Repeats, Survey
 from testbed.core.robot.friction import ROTOR
-from testbed.core.robot.locks import shares
+from testbed.core.robot.shafts import shares
 from testbed.core.robot.tree import Joint, Tree
 
 SIGNIFICANT = 0.3

@@ -23,7 +23,7 @@ from testbed.core.estimation.sensor.encoders import (
 )
 from testbed.core.estimation.sensor.estimates import TraceTest
 from testbed.core.parameters.minimal_set import selection
-from testbed.core.robot.locks import shares
+from testbed.core.robot.shafts import shares
 
 FALSE_ALARMS = 1e-6
 """Nominal probability of a diagnostic of a recording without any fault, all its tests together. It

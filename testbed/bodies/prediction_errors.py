@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from testbed.bodies.row_products import RowProducts, products_of, sum_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import with_properties
 from testbed.core.base.diagnostics import Diagnostic, diagnose, phrase
 from testbed.core.estimation.estimate import Method, channel_label, channel_units
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import TINY
-from testbed.core.estimation.selection.row_products import RowProducts, products_of, sum_of
 from testbed.core.recordings.source import Source
 
 FILE, REFITTED, PLAIN = "file", "refitted", "plain"

@@ -13,6 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from testbed.bodies.estimate_summary import (
+    EstimateSummary,
+    check_parameters,
+    corrected_by,
+    summary_of,
+)
+from testbed.bodies.prediction_errors import (
+    PLAIN,
+    REFITTED,
+    PredictionErrors,
+    errors_of_another,
+)
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
@@ -28,21 +40,9 @@ from testbed.core.estimation.estimate import (
     channel_units,
     matters,
 )
-from testbed.core.estimation.estimate_summary import (
-    EstimateSummary,
-    check_parameters,
-    corrected_by,
-    summary_of,
-)
 from testbed.core.estimation.problem import Problem, tare_of
 from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.regression.windows import motion_taps
-from testbed.core.estimation.selection.prediction_errors import (
-    PLAIN,
-    REFITTED,
-    PredictionErrors,
-    errors_of_another,
-)
 from testbed.core.estimation.selection.term_choice import with_chosen_settings
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.geometry import in_its_gravity
