@@ -158,7 +158,8 @@ def test_a_payload_is_what_was_added(name: str) -> None:
 
 def test_torques_weigh_a_payload_in_their_scale_and_a_known_one_gives_it() -> None:
     """Exactly of exact data; within sigmas of noisy ones; a doubt about the mass comes back."""
-    tree = with_friction(robot("ur5"))
+    rubs = {"coulomb": 3.0, "viscous": 3.0}
+    tree = robot("ur5").with_joints(dict.fromkeys(robot("ur5").names, rubs))
     heavy, scales = loaded(tree), 0.91 + 0.01 * np.arange(6)
     whole = [ideal(each, seed=k) for k, each in enumerate((tree, heavy))]
     uniform = [plus(each, torque=-0.09 * each.measured("torque")) for each in whole]
@@ -172,26 +173,21 @@ def test_torques_weigh_a_payload_in_their_scale_and_a_known_one_gives_it() -> No
     z, doubt = list[float](), 0.02
     doubtful = {"payload/mass": (LOAD.mass, doubt * LOAD.mass)}
     for seed in range(3):
-        pair = (
-            measured(each, 10 * seed + k, duration=10.0) for k, each in enumerate((tree, heavy))
-        )
+        both = enumerate((tree, heavy), start=10 * seed)
+        pair = [measured(each, k, duration=10.0) for k, each in both]
         noisy = [plus(each, torque=(scales - 1) * each.measured("torque")) for each in pair]
-        found = torque_scales(tree, noisy[0], noisy[1], MASS)
-        z += ((found.values - scales) / found.sigma).tolist()
-        doubted = torque_scales(tree, noisy[0], noisy[1], doubtful)
-        np.testing.assert_allclose(
-            doubted.sigma, np.hypot(found.sigma, doubt * found.values), rtol=0.02
+        found, doubted = (
+            torque_scales(tree, noisy[0], noisy[1], known) for known in (MASS, doubtful)
         )
+        z += ((found.values - scales) / found.sigma).tolist()
+        wanted = np.hypot(found.sigma, doubt * found.values)
+        np.testing.assert_allclose(doubted.sigma, wanted, rtol=0.02)
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.4
     for known in ({"payload/x": 0.1}, {"payload/mass": -1.0}, {}):
         with refuses(TestbedError, "payload/mass"):
             torque_scales(tree, own[0], own[1], known)
     with refuses(SettingsError, "payload"):  # on the first link only its inertia shows
         torque_scales(tree, own[0], own[1], MASS, tree.names[0], settings=EXACT)
-
-
-def with_friction(tree: tb.Tree) -> tb.Tree:
-    return replace(tree, joints=tuple(replace(j, coulomb=3.0, viscous=3.0) for j in tree.joints))
 
 
 @given(trees((2, 5)), st.integers(0, 4), rngs)

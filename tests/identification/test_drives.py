@@ -111,7 +111,9 @@ def test_a_force_sensor_shows_the_drives_beyond_it(name: str) -> None:
     tree = driven(name)
     recording, lead = reported(tree, ideal(tree)), tree.n // 2
     cut = beyond_sensor(tree, links_of(tree), ForceSensor(tree.joints[lead - 1].body, name="s"))
-    columns = (each[:, [tree.index(n) for n in cut.names]] for each in _kinematics(recording))
+    own = [tree.index(name) for name in cut.names]
+    signals = ("position", "velocity", "acceleration")
+    columns = (recording.measured(signal)[:, own] for signal in signals)
     felt = tb.base_wrench(cut, tb.Motion(recording.time, *columns))
     both = replace(recording, sensors=felt, sensor_names=("s",))
     bodies = tb.identify(cut, both, settings=EXACT)
@@ -125,10 +127,6 @@ def test_a_force_sensor_shows_the_drives_beyond_it(name: str) -> None:
     tip = beyond_sensor(tree, links_of(tree), ForceSensor(tree.joints[-1].body, name="s"))
     with refuses(SettingsError):
         identify_drives(tree, both, tb.identify(tip, both, settings=EXACT), settings=EXACT)
-
-
-def _kinematics(recording: Recording) -> tuple[Array, ...]:
-    return tuple(recording.measured(s) for s in ("position", "velocity", "acceleration"))
 
 
 @pytest.mark.slow
