@@ -17,13 +17,13 @@ from testbed.core.parameters.rules import Model
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.robots import Robot, random_states
 from tests.helpers.sensors import random_cut
-from tests.helpers.strategies import few, rngs, robots, trees
+from tests.helpers.strategies import Rng, few, rngs, robots, trees
 
 WITNESS = 1e-12  # relative to the largest entry
 MODELS: tuple[Model, ...] = ("dynamic", "reaction")
 
 
-def motion(rng: np.random.Generator, samples: int, n: int) -> tb.Motion:
+def motion(rng: Rng, samples: int, n: int) -> tb.Motion:
     return tb.Motion(np.arange(samples, dtype=float), *random_states(rng, samples, n))
 
 
@@ -33,7 +33,7 @@ def near(found: Array, wanted: Array) -> bool:
 
 @few(40)
 @given(robots((1, 10)), rngs)
-def test_forces_wrench_and_poses_are_pinocchios(robot: Robot, rng: np.random.Generator) -> None:
+def test_forces_wrench_and_poses_are_pinocchios(robot: Robot, rng: Rng) -> None:
     """The pedestal's weight included, under any gravity."""
     tree, model = robot.tree(), pin.buildModelFromXML(robot.urdf())
     states, data = motion(rng, 5, tree.n), model.createData()
@@ -55,9 +55,7 @@ def test_forces_wrench_and_poses_are_pinocchios(robot: Robot, rng: np.random.Gen
 
 
 @given(robots(), rngs, st.sampled_from(MODELS), st.booleans())
-def test_regressors_times_parameters_are_the_forces(
-    robot: Robot, rng: np.random.Generator, model: Model, zeros: bool
-) -> None:
+def test_regressors_give_the_forces(robot: Robot, rng: Rng, model: Model, zeros: bool) -> None:
     """Minimal ones and all ten a body, also under a gravity that is not the file's."""
     tree = robot.tree()
     states, theta = motion(rng, 10, tree.n), tb.barycentric(tree)
@@ -76,9 +74,7 @@ def test_regressors_times_parameters_are_the_forces(
 
 @few(20)
 @given(robots((1, 8)), rngs)
-def test_derivatives_of_the_wrench_are_its_differences(
-    robot: Robot, rng: np.random.Generator
-) -> None:
+def test_derivatives_of_the_wrench_are_its_differences(robot: Robot, rng: Rng) -> None:
     """Errors of encoders become columns by these; more instants than one block holds; of a cut."""
     tree = robot.tree() if rng.random() < 0.5 else random_cut(robot.tree(), rng)
     states, theta = motion(rng, 515, tree.n), np.array(tb.barycentric(tree))
@@ -101,9 +97,7 @@ def test_derivatives_of_the_wrench_are_its_differences(
 
 @given(trees((3, 3)), rngs, st.integers(0, 2900))
 @few(5)
-def test_a_sample_has_the_same_forces_whatever_comes_with_it(
-    tree: tb.Tree, rng: np.random.Generator, first: int
-) -> None:
+def test_a_samples_forces_depend_on_it_alone(tree: tb.Tree, rng: Rng, first: int) -> None:
     """To the bit: samples are taken in blocks."""
     states = motion(rng, 3000, 3)
     part = slice(first, first + 100)

@@ -1,4 +1,4 @@
-"""Plants in single states and along short motions, for tests of the simulation."""
+"""MuJoCo in single states and along short motions: plants, and a witness of inverse dynamics."""
 
 from __future__ import annotations
 
@@ -62,3 +62,23 @@ def run(
 def waving(n: int) -> Fourier:
     rng = np.random.default_rng(n)
     return Fourier(0.5, np.zeros(n), 0.2 * rng.normal(size=(n, 2)), 0.2 * rng.normal(size=(n, 2)))
+
+
+def by_mj_inverse(path: Path, tree: tb.Tree, states: tuple[Array, ...]) -> Array:
+    """Joint forces by mj_inverse, (M, n), dry friction aside, which needs the solver's velocities.
+
+    Args:
+        path: The MJCF file.
+        tree: Gives the joints' order.
+        states: Positions, velocities, accelerations, (M, n) each.
+    """
+    model = mujoco.MjModel.from_xml_path(str(path))
+    model.dof_frictionloss[:] = 0.0
+    data = mujoco.MjData(model)
+    at = [int(model.joint(name).qposadr[0]) for name in tree.names]
+    found = []
+    for q, qd, qdd in zip(*states, strict=True):
+        data.qpos[at], data.qvel[at], data.qacc[at] = q, qd, qdd
+        mujoco.mj_inverse(model, data)
+        found.append(data.qfrc_inverse[at].copy())
+    return np.asarray(found, dtype=float)

@@ -36,6 +36,4 @@ def mass_of(tree: tb.Tree) -> float:
 
 def loaded(tree: tb.Tree, link: int = -1) -> tb.Tree:
     """With LOAD on a link."""
-    bodies = list(tree.inertias)
-    bodies[link] = bodies[link] + LOAD
-    return replace(tree, inertias=tuple(bodies))
+    return tree.with_inertia(link % tree.n, LOAD)

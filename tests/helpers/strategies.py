@@ -32,7 +32,9 @@ def few(examples: int) -> hypothesis.settings:
 seeds: SearchStrategy[int] = st.integers(0, 2**32 - 1)
 """Of a random generator; what is drawn from it is of general position."""
 
-rngs: SearchStrategy[np.random.Generator] = seeds.map(np.random.default_rng)
+Rng = np.random.Generator
+
+rngs: SearchStrategy[Rng] = seeds.map(np.random.default_rng)
 """Random generators."""
 
 

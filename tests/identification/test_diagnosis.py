@@ -21,11 +21,7 @@ from testbed.core.base.diagnostics import (
     phrase,
     sentences,
 )
-from testbed.core.estimation.diagnostics.residuals import (
-    cross_check,
-    diagnostics_of,
-    torque_factor,
-)
+from testbed.core.estimation.diagnostics.residuals import cross_check, diagnostics_of, torque_factor
 from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.estimation.sensor.correction import TESTED
 from testbed.core.parameters.minimal_set import selection
@@ -153,9 +149,7 @@ def test_a_wrong_zero_of_one_encoder_is_named_with_its_size(puma: tb.Tree) -> No
         assert "sensor.joint_zeros" not in errors_of([cured])
 
 
-def test_a_drift_that_only_the_total_mass_feels_is_said(
-    puma: tb.Tree, recording: Recording
-) -> None:
+def test_a_drift_that_only_the_mass_feels_is_said(puma: tb.Tree, recording: Recording) -> None:
     """No constant of Fz can be told from the mass: that it wanders can."""
     assert tb.identify(puma, recording).diagnostics == ()
     for size in (2.0, 20.0):
@@ -186,9 +180,7 @@ def scaled(recording: Recording, factor: Array | float) -> Recording:
     return replace(recording, torque=factor * recording.measured("torque"))
 
 
-def test_factors_between_the_methods_are_told_and_what_they_mean(
-    puma: tb.Tree, recording: Recording
-) -> None:
+def test_factors_between_methods_are_told_with_causes(puma: tb.Tree, recording: Recording) -> None:
     """Constants that are off a little, units, signs; 1.5 % is left in peace."""
     seen = []
     for factor in (1.015, 1.1, 0.92, -1.0, 1e3, 0.7376, 1 / 53.7):

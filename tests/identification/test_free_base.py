@@ -10,16 +10,13 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.applications.validate import motion_in, predictions
 from testbed.core.base.errors import ModelError, RecordingError
-from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.views import with_base_joints
-from testbed.core.robot.free_base import FREE, coordinates, on_free_base
-from testbed.motion.fourier import Fourier
+from testbed.core.robot.free_base import coordinates, on_free_base
 from tests.helpers.humanoid import G1, humanoid, squatting
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot
-from tests.helpers.strategies import few, robots
+from tests.helpers.strategies import robots
 from tests.scenarios.scenarios import result
 
 
@@ -68,25 +65,6 @@ def test_a_squatting_humanoid_is_estimated() -> None:
     assert 0.7 < np.sqrt(np.mean(z**2)) < 1.3  # single motions have .84 to 1.18
     mass = found.values[found.names.index("mbar6")]
     assert mass == pytest.approx(sum(b.mass for b in free.inertias), rel=2e-3)
-
-
-@pytest.mark.slow
-@few(2)
-@given(robots((3, 3)))
-def test_predictions_are_the_grounds_wrench(robot: Robot) -> None:
-    """Weight and all, along a motion that the estimate has not seen: the base sways."""
-    free, rng = on_free_base(robot.tree()), np.random.default_rng(0)
-    size = np.where(np.arange(free.n) < FREE, 0.05, 0.3)[:, None]
-    recordings = []
-    for _ in range(2):
-        path = Fourier(0.1, np.zeros(free.n), *(size * rng.normal(size=(2, free.n, 8))))
-        p = path.at(np.arange(0, 20, 0.02))
-        wrench = tb.base_wrench(free, p)
-        recordings.append(Recording(free.names, p.t, p.q, wrench=wrench, tare=np.zeros(6)))
-    seen, other = recordings
-    motion, inner = motion_in(other)
-    found, _ = predictions(free, other, motion, {"external": tb.identify(free, seen)})
-    np.testing.assert_allclose(found["external"], other.measured("wrench")[inner], atol=1e-3)
 
 
 def test_what_is_no_pose_is_refused() -> None:

@@ -1,7 +1,8 @@
-"""Estimates: exact without noise, as good as dense linear algebra gives, and blind to the truth."""
+"""Estimates: exact without noise, as good as dense algebra gives, blind to the truth; settings."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,31 +13,38 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.applications.validate import motion_in, own_torque, predictions
-from testbed.core.base.errors import RecordingError, UnknownName, UnseenParameters
-from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Method
-from testbed.core.estimation.noise.score_squares import bin_size, hidden, score_squares
-from testbed.core.estimation.regression.windows import (
-    ROW_ATTENUATION,
-    low_pass,
-    motion_taps,
-    row_weights,
+from testbed.core.base.diagnostics import Diagnostic
+from testbed.core.base.errors import (
+    RecordingError,
+    SettingsError,
+    TestbedError,
+    UnknownName,
+    UnseenParameters,
 )
+from testbed.core.base.frames import frame_of
+from testbed.core.base.summary_table import number_with_sigma
+from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Method
+from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.regression.windows import ROW_ATTENUATION, low_pass, motion_taps
+from testbed.core.estimation.selection.term_choice import choose_terms
+from testbed.core.estimation.settings import Settings
+from testbed.applications.validate import motion_in, own_torque, predictions
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.friction import LAWS, OFFSET, JointLaw
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.measured import measured
-from tests.helpers.mujoco_inverse import by_mj_inverse
+from tests.helpers.plants import by_mj_inverse
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import noisy, robot
-from tests.helpers.strategies import few, rngs
+from tests.helpers.strategies import Rng, few, rngs, wrong_numbers
+from tests.scenarios.scenarios import result
 
 KINDS = tuple(law.kind for law in LAWS)
 NAMED = {"coulomb": "coulomb", "viscous": "viscous", "rotor": "rotor_inertia"}
 
 
-def with_drives(tree: tb.Tree, rng: np.random.Generator, kinds: tuple[str, ...] = KINDS) -> tb.Tree:
+def with_drives(tree: tb.Tree, rng: Rng, kinds: tuple[str, ...] = KINDS) -> tb.Tree:
     """With friction and rotors of some kinds at every joint."""
     joints = []
     for joint in tree.joints:
@@ -60,9 +68,7 @@ def rank(tree: tb.Tree, recording: Recording, kinds: tuple[str, ...]) -> int:
 
 @few(25)
 @given(rngs, st.integers(1, 6), st.sets(st.sampled_from(KINDS), max_size=4))
-def test_without_noise_the_model_file_comes_back(
-    rng: np.random.Generator, joints: int, some: set[str]
-) -> None:
+def test_without_noise_the_model_file_comes_back(rng: Rng, joints: int, some: set[str]) -> None:
     """Of any tree by both methods, with any terms: as many unknowns as a rank says."""
     kinds = tuple(kind for kind in KINDS if kind in some)
     tree = with_drives(random_robot(rng, joints).tree(), rng, kinds)
@@ -82,9 +88,7 @@ def test_without_noise_the_model_file_comes_back(
 
 
 @pytest.mark.parametrize("compiled", [False, True])
-def test_a_law_of_ones_own_goes_all_the_way(
-    compiled: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ones_own_law_goes_all_the_way(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Defined here and nowhere else: recorded, identified and foretold, whatever the engine."""
     monkeypatch.setattr("testbed.core.estimation.regression.passes.SMALL", 0.0 if compiled else 1e9)
     law = JointLaw("cubic", "N m s^3/rad^3", "N s^3/m^3", lambda qd, qdd: qd**3)
@@ -94,8 +98,9 @@ def test_a_law_of_ones_own_goes_all_the_way(
     asked = replace(EXACT, terms=("coulomb", law, "viscous"))
     found = tb.identify(tree, recording, "internal", settings=asked)
     terms = [term for term in found.joint_terms if term.kind == "cubic"]
-    assert [term.name for term in terms] == [f"cubic/{name}" for name in tree.names]
-    assert [term.unit for term in terms] == [law.unit(joint) for joint in tree.joints]
+    assert [(term.name, term.unit) for term in terms] == [
+        (f"cubic/{joint.name}", law.unit(joint)) for joint in tree.joints
+    ]
     np.testing.assert_allclose([term.value for term in terms], coefficients, rtol=1e-8)
     motion, _ = motion_in(recording)
     torque = predictions(tree, recording, motion, {"internal": found})[1]["internal"]
@@ -149,19 +154,20 @@ def test_parameters_that_a_motion_does_not_show_are_named(puma: tb.Tree) -> None
 def test_a_recording_that_cannot_be_filtered_is_refused(puma: tb.Tree, tmp_path: Path) -> None:
     """Too short for its filters, too slow for them, or its time does not go on."""
     whole = ideal(puma)
-    cases: list[tuple[Recording | Path, dict[str, Any], str]] = [
-        (ideal(puma, duration=0.5), {}, "0.5 s"),
-        (whole, {"cutoff": 1e-9}, "10 s"),
-        (whole, {"cutoff": 5e-324, "position_cutoff": 1e-300}, "10 s"),
-        (whole, {"cutoff": 150.0, "position_cutoff": "off"}, "150 Hz"),
+    cases: list[tuple[Recording | Path, Any, Any, str]] = [
+        (ideal(puma, duration=0.5), 5.0, 40.0, "0.5 s"),
+        (whole, 1e-9, 40.0, "10 s"),
+        (whole, 5e-324, 1e-300, "10 s"),
+        (whole, 150.0, "off", "150 Hz"),
     ]
     for way in (whole.time[::-1], np.zeros_like(whole.time)):
         path = tmp_path / f"{way[0]}.parquet"
         replace(whole, time=way.copy()).save(path)
-        cases += [(path, {"cutoff": c, "position_cutoff": "off"}, "time") for c in (5.0, "off")]
-    for recording, asked, culprit in cases:
+        cases += [(path, 5.0, "off", "time"), (path, "off", "off", "time")]
+    for recording, cutoff, position, culprit in cases:
+        settings = tb.Settings(cutoff=cutoff, position_cutoff=position)
         with refuses(RecordingError, culprit):
-            tb.identify(puma, recording, settings=tb.Settings(**asked))
+            tb.identify(puma, recording, settings=settings)
 
 
 def test_the_gravity_of_the_recording_counts(puma: tb.Tree) -> None:
@@ -183,43 +189,33 @@ def test_a_term_of_the_model_file_that_the_settings_leave_out_is_said_once(puma:
         assert [d.code for d in found.diagnostics].count("drives.term") == count
 
 
-def test_one_joint_that_hardly_moves_refuses_nothing(puma: tb.Tree) -> None:
+@pytest.mark.parametrize(("way", "kind"), [(1, "coulomb+offset"), (-1, "offset-coulomb"), (0, "")])
+def test_one_joint_that_hardly_moves_refuses_nothing(way: int, kind: str, puma: tb.Tree) -> None:
     """Where it never reverses, dry friction and offset are their sum; of no row it has no terms."""
     tree, offset = with_drives(puma, np.random.default_rng(0), ("coulomb", "viscous")), 0.7
-    asked = replace(EXACT, terms=("coulomb", "viscous", "offset"))
     whole = ideal(tree, rate=2000.0, own={OFFSET: [0.0, 0.0, offset]})
-    bodies = tb.minimal_set(puma, "dynamic")
-    for way, kind in ((1, "coulomb+offset"), (-1, "offset-coulomb"), (0, "")):
-        speed = whole.measured("velocity")[:, 2]
-        rows = way * speed > 0.1 if way else np.abs(speed) < 0.02
-        signals: Any = {s: whole.measured(s)[rows] for s in whole.signals if s != "time"}
-        part = replace(
-            whole,
-            time=whole.time[: rows.sum()],
-            truth=None,
-            wrench=None,
-            **{name: each for name, each in signals.items() if name != "wrench"},
-        )
-        found = tb.identify(tree, part, "internal", settings=asked)
-        values = dict(zip(found.names, found.values.tolist(), strict=True))
-        np.testing.assert_allclose(
-            found.values[: bodies.count], bodies.values(tb.barycentric(puma)), atol=1e-8
-        )
-        own = {name.split("/")[0] for name in values if name.endswith("/elbow")}
-        assert own == ({kind, "viscous"} if way else set())
-        if way:
-            both = offset + way * tree.joints[2].coulomb
-            assert way * values[f"{kind}/elbow"] == pytest.approx(way * both)
-            seen = tb.validate(found, part)
-            assert (seen.residual < 1e-8).all()
-        assert [d.code for d in found.diagnostics].count("drives.one-way") == abs(way)
+    speed = whole.measured("velocity")[:, 2]
+    rows = way * speed > 0.1 if way else np.abs(speed) < 0.02
+    signals = ("position", "velocity", "acceleration", "torque")
+    kept: dict[str, Any] = {signal: whole.measured(signal)[rows] for signal in signals}
+    part = replace(whole, time=whole.time[: rows.sum()], truth=None, wrench=None, **kept)
+    asked = replace(EXACT, terms=("coulomb", "viscous", "offset"))
+    found = tb.identify(tree, part, "internal", settings=asked)
+    bodies = tb.minimal_set(puma, "dynamic").values(tb.barycentric(puma))
+    np.testing.assert_allclose(found.values[: len(bodies)], bodies, atol=1e-8)
+    own = {name.split("/")[0] for name in found.names if name.endswith("/elbow")}
+    assert own == ({kind, "viscous"} if way else set())
+    if way:
+        value = found.values[found.names.index(f"{kind}/elbow")]
+        assert value == pytest.approx(offset + way * tree.joints[2].coulomb)
+        assert (tb.validate(found, part).residual < 1e-8).all()
+    assert [d.code for d in found.diagnostics].count("drives.one-way") == abs(way)
 
 
 def test_filters_pass_what_is_slow_stop_what_is_fast_and_have_no_phase() -> None:
     """Positions below a quarter of the cutoff, with both derivatives; rows half at theirs."""
     taps = motion_taps(1000.0, 40.0)
-    half = taps.shape[1] // 2
-    t = np.arange(3000) / 1000
+    half, t = taps.shape[1] // 2, np.arange(3000) / 1000
     for w in 2 * np.pi * np.array([0.1, 1.0, 5.0, 10.0]):
         inner = w * t[half:-half]
         expected = (np.sin(inner), w * np.cos(inner), -(w**2) * np.sin(inner))
@@ -233,14 +229,6 @@ def test_filters_pass_what_is_slow_stop_what_is_fast_and_have_no_phase() -> None
     np.testing.assert_allclose(gains[:3], [1.0, 1.0, 0.5], atol=0.01)
     assert gains[0] == pytest.approx(1.0, rel=1e-12)
     assert np.abs(gains[3:]).max() < 2e-3
-
-
-def test_rows_are_as_many_as_the_filter_leaves(puma: tb.Tree) -> None:
-    """As many as are independent: for each Hz of it."""
-    for cutoff, rows in ((5.0, 200), (2.5, 100)):
-        asked: Any = {"cutoff": cutoff, "position_cutoff": "off"}
-        found = tb.identify(puma, ideal(puma, 20.0), settings=tb.Settings(**asked))
-        assert found.normal_equations.used[0] == pytest.approx(rows, rel=0.15)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -302,30 +290,6 @@ def test_as_accurate_as_lstsq_up_to_a_condition_of_a_million(exponent: int) -> N
     assert ours <= (3 * max(float(theirs), 4e-15) if estimate.condition <= 1e6 else 1e-6)
 
 
-@given(rngs)
-def test_the_covariances_sums_have_bartletts_weights(rng: np.random.Generator) -> None:
-    """Else sigma under slow noise is too small; half a second at 20 Hz is ten lags."""
-    scores = rng.normal(size=(100, 4))
-    expected = scores.T @ scores
-    for lag in range(1, 11):
-        overlap = scores[lag:].T @ scores[:-lag]
-        expected += (1 - lag / 11) * (overlap + overlap.T)
-    np.testing.assert_allclose(score_squares(scores, 20.0), expected, rtol=1e-12, atol=1e-12)
-    assert [bin_size(rate) for rate in (20.0, 100.0, 1000.0, 1e5)] == [1, 8, 64, 64]
-
-
-def test_what_those_weights_hide_of_filtered_noise_is_given_back() -> None:
-    """Expected squares are those of all impulses: of each, the rows that it leaves."""
-    for rate, step in ((200.0, 10), (150.0, 10), (1000.0, 100)):
-        weights, rows = row_weights(rate, 5.0), rate / step
-        whole = seen = 0.0
-        for phase in range(step):
-            seen += float(score_squares(weights[phase::step][:, None], rows)[0, 0])
-            whole += float(weights[phase::step].sum() ** 2)
-        assert hidden(weights, step, rows) == pytest.approx(whole / seen, rel=1e-9)
-        assert hidden(np.ones(1), step, rows) == 1.0
-
-
 ARMATURE = """<mujoco><compiler angle="radian"/><default><default class="geared">
 <joint armature="0.3"/></default></default><worldbody><body name="up">
 <joint name="j1" axis="0 0 1" class="geared"/>
@@ -337,9 +301,7 @@ ARMATURE = """<mujoco><compiler angle="radian"/><default><default class="geared"
 
 
 @pytest.mark.parametrize("third", ["", 'class="geared"'])
-def test_rotors_of_the_model_file_are_terms_and_bodies_come_out_right(
-    third: str, tmp_path: Path
-) -> None:
+def test_rotors_of_the_file_are_terms_and_bodies_come_out_right(third: str, tmp_path: Path) -> None:
     """Simulated or imported; MuJoCo, whose armature a default class gives, is the witness."""
     (tmp_path / "r.xml").write_text(ARMATURE.format(third=third))
     tree = tb.load_tree(tmp_path / "r.xml")
@@ -360,3 +322,128 @@ def test_rotors_of_the_model_file_are_terms_and_bodies_come_out_right(
         np.testing.assert_allclose(found.values, truth, atol=1e-6)
         (said,) = (each.subject for each in found.diagnostics if each.code == "drives.rotor")
         assert said.split(", ") == [name for name in found.names if "+rotor/" in name]
+
+
+# settings, and estimates as they are printed
+
+NUMBERS = ("position_cutoff", "cutoff", "deadband", "reversal_reach")
+CHOICES = ("tare", "drives", "engine")
+TWIN = JointLaw("viscous", "N m s/rad", "N s/m", lambda qd, qdd: qd)
+MEANINGLESS: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"cutoff": 0.0}, "cutoff"),
+    ({"position_cutoff": 6.0, "cutoff": 5.0}, "twice cutoff = 5 Hz"),  # it would bias the estimate
+    ({"terms": ("rotr",)}, "'rotor'"),
+    ({"terms": ("rotor", "rotor")}, "terms"),
+    ({"terms": ("viscous", TWIN)}, "terms"),
+    ({"terms": "rotor"}, "terms"),
+    ({"terms": (3,)}, "3"),
+    ({"zeros": 1}, "zeros"),
+    ({"zeros": [1, 2]}, "zeros"),
+    ({"nuisances": ("skw",)}, "'skew'"),
+    ({"nuisances": ("skew", "skew")}, "nuisances"),
+    ({"nuisances": ("skew",), "cutoff": "off"}, "nuisances"),
+    *(({"known": {"mass": given}}, "known") for given in ("20", (1, -1), (1, 2, 3))),
+    *(({"span": s}, "span") for s in ([1.0], [2.0, 1.0], [1.0, 1.0], "ab", ["a", 2], [0, np.inf])),
+)
+
+
+@given(wrong_numbers)
+def test_what_is_no_number_is_refused_by_the_settings_name(wrong: Any) -> None:
+    for name in NUMBERS:
+        if wrong is not None or name == "deadband":  # elsewhere: the default
+            with refuses(SettingsError, name):
+                Settings(**{name: wrong})
+
+
+def test_what_makes_no_sense_is_refused_by_the_settings_name() -> None:
+    for given_settings, culprit in MEANINGLESS:
+        with refuses((SettingsError, UnknownName), culprit):  # type: ignore[arg-type]
+            Settings(**given_settings)
+    for name in CHOICES:
+        with refuses(SettingsError, name, "'nonsense'"):
+            Settings(**{name: "nonsense"})  # type: ignore[arg-type]
+
+
+def test_filters_fit_the_sampling_rate_unless_they_are_said() -> None:
+    for rate, position, rows in ((1000.0, 40.0, 5.0), (60.0, None, 5.0), (30.0, None, 3.0)):
+        fitted = Settings().fitted(rate)
+        assert (fitted.position_low_pass, fitted.row_low_pass) == (position, rows)
+    asked = Settings(position_cutoff=10.0, cutoff=2.0)
+    assert asked.fitted(30.0) == asked
+    none, off = (Settings(position_cutoff=v, cutoff=v) for v in (None, "off"))
+    assert none == off == off.fitted(30.0)
+    assert (off.position_low_pass, off.row_low_pass) == (None, None)
+    assert Settings(position_cutoff=np.float64(40), cutoff=5) == Settings().fitted(1000.0)
+
+
+def test_known_zeros_are_left_out_and_an_argument_overrides_the_setting(puma: tb.Tree) -> None:
+    """Three bodies on a line: some of their parameters are zero in the model file."""
+    recording, with_zeros = ideal(puma), replace(EXACT, zeros=True)
+    truth = true_values(puma, "external", zeros=True)
+    for settings, zeros, count in (
+        (EXACT, None, 20),
+        (with_zeros, None, len(truth)),
+        (EXACT, True, len(truth)),
+        (with_zeros, False, 20),
+        (EXACT, ["K3xy"], 19),
+    ):
+        found = tb.identify(puma, recording, settings=settings, zeros=zeros)
+        assert len(found.names) == count
+        if count == len(truth):
+            np.testing.assert_allclose(found.values, truth, rtol=1e-9)
+
+
+def test_what_does_not_fit_the_robot_or_the_recording_is_refused_by_name() -> None:
+    tree = robot("ur5")
+    recording = noisy(ideal(tree))
+    nothing = tb.Inertia.about_centre(0.0, np.zeros(3), np.zeros((3, 3)))
+    light, zeros = replace(tree, inertias=(nothing,) * tree.n), replace(EXACT, zeros=True)
+    estimate = tb.identify(tree, recording)
+    elsewhere, short = replace(estimate, gravity=np.ones(3)), measured(tree, duration=0.8)
+    cases: tuple[tuple[type[Exception], str, Callable[[], object]], ...] = (
+        (SettingsError, "gravity", lambda: tb.payload(tree, estimate, elsewhere)),
+        (SettingsError, "zeros", lambda: tb.identify(light, recording, settings=zeros)),
+        (UnknownName, "plate", lambda: tb.identify(tree, recording, "plate")),  # type: ignore[arg-type]
+        (UnknownName, "static", lambda: tb.minimal_set(tree, "static")),  # type: ignore[arg-type]
+        (RecordingError, "rows", lambda: choose_terms(Problem.of(tree, short, "internal"))),
+    )
+    for kind, culprit, asked in cases:
+        with refuses(kind, culprit):
+            asked()
+
+
+def test_every_form_holds_every_parameter() -> None:
+    """Warnings too, and safely; data frames by whichever package is there."""
+    found = replace(
+        result("gantry").estimates["internal"],
+        diagnostics=(Diagnostic("note", "<b>mind</b> this"),),
+    )
+    lines = str(found).splitlines()
+    for name, value, sigma, unit, line in zip(
+        found.names, found.values, found.sigma, found.units, lines[1:-1], strict=True
+    ):
+        words = (name, number_with_sigma(float(value), float(sigma)), unit)
+        assert [part for part in words if part not in line] == []
+    assert "<b>mind</b> this" in lines[-1]
+    page = found._repr_html_()
+    assert page.count("<tr>") == len(found.names)
+    assert "&lt;b&gt;mind" in page
+    np.testing.assert_array_equal(np.asarray(found.to_frame()["sigma"]), found.sigma)
+    with refuses(TestbedError, "sparrow"):
+        frame_of({"sigma": found.sigma}, "sparrow")
+
+
+def test_a_number_has_the_digits_that_its_sigma_has_to_say() -> None:
+    for value, sigma, wanted, short in (
+        (1.06104, 0.00094, "1.06104 +- 0.00094", "1.06104(94)"),
+        (-123.456, 12.0, "-123.5 +- 12.0", "-123.5(12.0)"),
+        (5.0, 1.0, "5.0 +- 1.0", "5.0(1.0)"),
+        (1.0, 1e-12, "1 +- 1e-12", "1 +- 1e-12"),
+        (2.5, 0.0, "2.5", "2.5"),
+        (1e-17, 1e-18, "0", "0"),
+    ):
+        assert (number_with_sigma(value, sigma), number_with_sigma(value, sigma, True)) == (
+            wanted,
+            short,
+        )
+    assert not any(digit in number_with_sigma(3.0, np.inf) for digit in "0123456789")

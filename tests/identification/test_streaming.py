@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import pairwise
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
 
 import testbed as tb
 from testbed.core.base.arrays import Array
@@ -22,25 +20,20 @@ from testbed.core.base.diagnostics import Diagnostic, of_recording
 from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.estimation.estimate import METHODS, Method
 from testbed.core.estimation.problem import samples_of
-from testbed.core.estimation.regression import passes
-from testbed.core.estimation.regression.passes import Surveyor
 from testbed.core.estimation.regression.windows import make_plan
 from testbed.core.estimation.settings import Settings
 from testbed.core.kernel import numba_engine
 from testbed.core.kernel.layout import layout
-from testbed.core.kernel.records import Signals
 from testbed.core.recordings.joined import Joined
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Stretch
-from tests.helpers.command import command_line
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.measured import measured
 from tests.helpers.parts import write_parts
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
-from tests.helpers.runs import MODELS, noisy, robot
-from tests.helpers.strategies import few, rngs
+from tests.helpers.runs import noisy, robot
 
 FILTERED = Settings(position_cutoff=20.0, cutoff=5.0)
 WAIT = 60.0  # seconds after which a thread that should have company has none
@@ -80,28 +73,16 @@ def recording(tree: tb.Tree) -> Recording:
 
 
 @pytest.fixture
-def sweeps(monkeypatch: pytest.MonkeyPatch) -> list[Callable[[], None]]:
-    """The compiled kernel for every job; what is in the list is called before each window."""
-    hooks: list[Callable[[], None]] = []
-
-    def hooked(real: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*arguments: Any) -> Any:
-            for hook in hooks:
-                hook()
-            return real(*arguments)
-
-        return call
-
+def compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The compiled kernel for every job."""
     monkeypatch.setattr("testbed.core.estimation.regression.passes.SMALL", 0.0)
-    for name in ("sweep", "rows"):
-        monkeypatch.setattr(numba_engine, name, hooked(getattr(numba_engine, name)))
-    return hooks
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("compiled")
 @pytest.mark.parametrize("method", METHODS)
 def test_threads_files_maps_and_streams_give_the_same_bits(
-    method: Method, tree: tb.Tree, recording: Recording, tmp_path: Path, sweeps: Any
+    method: Method, tree: tb.Tree, recording: Recording, tmp_path: Path
 ) -> None:
     """Files with odd row groups, parts of odd sizes, columns in another order or apart."""
     for treated, given_now in ((EXACT, recording), (FILTERED, encoders(recording))):
@@ -111,12 +92,12 @@ def test_threads_files_maps_and_streams_give_the_same_bits(
         np.save(tmp_path / "position.npy", given_now.position)
         on_disk = np.load(tmp_path / "position.npy", mmap_mode="r")
         backwards: dict[str, Any] = {
-            name: values[:, ::-1]
+            name: given_now.measured(name)[:, ::-1]
             for name in ("position", "velocity", "acceleration", "torque")
-            if (values := getattr(given_now, name)) is not None
+            if name in given_now.signals
         }
         apart: dict[str, Any] = {
-            name: by_columns(getattr(given_now, name)) for name in ("position", "torque", "wrench")
+            name: by_columns(given_now.measured(name)) for name in ("position", "torque", "wrench")
         }
         for source in (
             given_now,
@@ -129,40 +110,33 @@ def test_threads_files_maps_and_streams_give_the_same_bits(
             same(tb.identify(tree, source, method, settings=treated, threads=3), wanted)
 
 
+@pytest.mark.usefixtures("compiled")
 def test_as_many_threads_work_as_asked_and_no_more_is_read_than_they_need(
-    tree: tb.Tree,
-    recording: Recording,
-    sweeps: list[Callable[[], None]],
-    monkeypatch: pytest.MonkeyPatch,
+    tree: tb.Tree, recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first windows wait for each other; what waits for an answer is at most two more."""
-    lock, together = threading.Lock(), threading.Barrier(2)
-    asked, answered, waiting = 0, 0, set[int]()
-    seen: set[int] = set()
-    real = Recording.part
+    together, asked, answered = threading.Barrier(2), list[int](), list[int]()
+    waiting, seen, real = set[int](), set[int](), Recording.part
 
     def part(self: Recording, begin: int, end: int) -> Recording:
-        nonlocal asked
-        with lock:
-            asked += 1
-            waiting.add(asked - answered)
+        asked.append(begin)
+        waiting.add(len(asked) - len(answered))
         return real(self, begin, end)
 
-    def hook() -> None:
-        nonlocal answered
+    def answer(engine: Callable[..., Any], *arguments: Any) -> Any:
         seen.add(threading.get_ident())
-        with lock:
-            answered += 1
-            mine = answered
-        if mine <= 2:
+        answered.append(1)
+        if len(answered) <= 2:
             together.wait(WAIT)
+        return engine(*arguments)
 
     long = ideal(tree, duration=1000.0, rate=200.0, seed=3)
     monkeypatch.setattr(Recording, "part", part)
-    sweeps.append(hook)
+    for name in ("sweep", "rows"):
+        monkeypatch.setattr(numba_engine, name, partial(answer, getattr(numba_engine, name)))
     steps: list[tuple[int, int]] = []
     tb.identify(tree, long, settings=EXACT, threads=2, progress=lambda *done: steps.append(done))
-    assert asked > 8
+    assert len(asked) > 8
     assert max(waiting) <= 4
     assert steps == sorted(steps)
     assert {total for _, total in steps} == {3 * long.samples} == {steps[-1][0]}
@@ -234,31 +208,6 @@ def test_what_does_not_count_changes_nothing(tmp_path: Path) -> None:
         Recording.load(tmp_path / "wrong.parquet")
 
 
-@few(10)
-@given(rngs)
-def test_what_is_looked_at_does_not_depend_on_the_windows(rng: np.random.Generator) -> None:
-    """Samples evenly spread over all; how noisy the encoders are; what repeats."""
-    stride, noise = int(rng.integers(1, 8)), 10.0 ** rng.uniform(-6, -3)
-    samples = stride * passes.SAMPLES + stride - 1
-    t = np.arange(samples)[:, None] / 1000
-    position = np.sin(t * [1.0, 3.0]) + noise * rng.normal(size=(samples, 2))
-    measured, none = np.round(rng.normal(size=(samples, 3))), np.zeros(0)
-    cuts = [0, *np.sort(rng.choice(np.arange(1, samples), 12, replace=False)), samples]
-    surveyor = Surveyor(samples)
-    for first, last in pairwise(map(int, cuts)):
-        seen = slice(first, min(last + 20, samples))  # windows overlap
-        parts = position[seen], none, none, measured[seen]
-        signals = Signals(*parts, none, none, 0.0, 0, 0, 1, last - first)
-        surveyor.look(signals, first, last - first)
-    found = surveyor.survey()
-    np.testing.assert_array_equal(found.position, position[::stride])
-    np.testing.assert_array_equal(found.measured, measured[::stride])
-    np.testing.assert_allclose(found.encoder_noise, noise, rtol=0.1)
-    same_as_before = measured[1:] == measured[:-1]
-    assert found.repeats.together == same_as_before.all(axis=1).sum()
-    np.testing.assert_array_equal(found.repeats.channels, same_as_before.sum(axis=0))
-
-
 def runs_of(tree: tb.Tree, *seeds: int, duration: float = 12.0) -> list[Recording]:
     return [measured(tree, seed, duration=duration) for seed in seeds]
 
@@ -266,9 +215,10 @@ def runs_of(tree: tb.Tree, *seeds: int, duration: float = 12.0) -> list[Recordin
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_what_recordings_say_together_is_the_sum_of_what_each_says(method: Method) -> None:
-    """No row reaches across a gap: in any order; sigma is smaller, and honest."""
-    tree = robot("gantry")
+    """No row reaches across a gap: in any order, tared each in its way; sigma is honest."""
+    tree, more = robot("gantry"), np.array([1.0, 2.0, 30.0, 0.1, 0.2, 0.3])
     parts = runs_of(tree, 1, 2, 3)
+    parts[1] = replace(plus(parts[1], wrench=more), tare=tb.pedestal_wrench(tree) + more)
     each = [tb.identify(tree, part, method) for part in parts]
     for order in (1, -1):
         whole = tb.identify(tree, Joined(parts[::order]), method)
@@ -282,15 +232,10 @@ def test_what_recordings_say_together_is_the_sum_of_what_each_says(method: Metho
 
 
 def test_a_stretch_of_joined_recordings_has_their_gaps(puma: tb.Tree) -> None:
-    one, two = runs_of(puma, 1, 2, duration=2.0)
-    words = ["a gap", "both"], ["both", "late"]
+    words = ("a gap", "both"), ("both", "late")
     tables = [[Diagnostic("note", text).as_dict() for text in each] for each in words]
-    both = Joined(
-        [
-            replace(part, facts={"diagnostics": said})
-            for part, said in zip((one, two), tables, strict=True)
-        ]
-    )
+    parts = zip(runs_of(puma, 1, 2, duration=2.0), tables, strict=True)
+    both = Joined([replace(part, facts={"diagnostics": table}) for part, table in parts])
     assert [each.text for each in of_recording(both.facts)] == ["a gap", "both", "late"]
     (_, end), (begin, last) = both.segments
     assert Stretch(both, 100, last - 50).segments == ((0, end - 100), (begin - 100, last - 150))
@@ -313,23 +258,6 @@ def test_recordings_that_do_not_belong_together_are_refused(puma: tb.Tree) -> No
         tb.identify(puma, Joined([one, measured(puma, 2, duration=0.2)]))
     with refuses(SettingsError, "span"):
         tb.identify(puma, Joined([one, one]), settings=tb.Settings(span=(0.0, 1.0)))
-
-
-@pytest.mark.slow
-def test_one_command_takes_several_recordings_tared_each_in_its_way(tmp_path: Path) -> None:
-    tree = robot("puma")
-    one, two = runs_of(tree, 1, 2, duration=8.0)
-    direct = tb.identify(tree, Joined([one, two]))
-    more = np.array([1.0, 2.0, 30.0, 0.1, 0.2, 0.3])
-    one.save(tmp_path / "a.parquet")
-    replace(plus(two, wrench=more), tare=tb.pedestal_wrench(tree) + more).save(
-        tmp_path / "b.parquet"
-    )
-    words = ("identify", "a.parquet", "b.parquet", "--model", str(MODELS["puma"]), "--json")
-    done = command_line(*words, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)["estimates"]["external"]
-    np.testing.assert_allclose(found["values"], direct.values, rtol=1e-6)
 
 
 @pytest.mark.slow

@@ -1,34 +1,42 @@
-"""What a force sensor carries: by a motion, and by poses at rest, of which usual faults are named.
+"""What a force sensor carries, by motion and at rest, and payloads in the words of controllers.
 
 If one fails, payloads that people type into their robots are wrong. The witness of poses is a UR5
-by rotations of SciPy alone.
+by rotations of SciPy alone; what is written is read back as the vendors read it.
 """
 
 from __future__ import annotations
 
 import ast
+import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given
 from scipy.spatial.transform import Rotation
 
 import testbed as tb
+from testbed.applications.payload.payload import PayloadEstimate
 from testbed.applications.payload.static_fit import StaticPoses
 from testbed.applications.payload.tool import tool_at_rest, tool_of
+from testbed.applications.payload.vendors import VENDORS, at_flange
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.core.robot.inertia import Inertia
+from testbed.core.robot.inertia import NOTHING, Inertia
+from testbed.core.robot.repair import Link
+from testbed.core.robot.tree import Placement
 from testbed.importing.static_poses import read_static_poses
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
+from tests.helpers.runs import robot
 from tests.helpers.sensors import links_of, random_sensors
-from tests.helpers.strategies import few, rngs
+from tests.helpers.strategies import Rng, few, rngs
 
 UR5 = ROOT / "tests/golden/robots/ur5.urdf"
 MASS, CENTRE = 1.4, np.array([0.012, -0.008, 0.095])
@@ -60,7 +68,7 @@ def poses(
     return q, shown + NOISE * rng.normal(size=shown.shape), turn.as_matrix()
 
 
-def robot() -> tb.Tree:
+def sensed_ur5() -> tb.Tree:
     return tb.load_tree(UR5, sensor=ForceSensor("b6"))
 
 
@@ -72,7 +80,7 @@ def seen_from(turn: Array, wrench: Array) -> Array:
 
 @few(10)
 @given(rngs)
-def test_static_poses_give_mass_centre_zero_and_gravity(rng: np.random.Generator) -> None:
+def test_static_poses_give_mass_centre_zero_and_gravity(rng: Rng) -> None:
     """A robot hung anyhow, a sensor turned anyhow: within five standard deviations."""
     gravity, sensor = Rotation.random(rng=rng).apply(DOWN), Rotation.random(rng=rng)
     q, wrench, _ = poses(17, int(rng.integers(999)), gravity, 0 * ZERO)
@@ -92,7 +100,7 @@ def test_its_standard_deviations_hold_with_few_poses() -> None:
     """Six poses leave 24 numbers over: a normal law's 95 % are 95 % still."""
     inside = []
     for seed in range(60):
-        found = tool_at_rest(robot(), StaticPoses(*poses(6, 100 + seed)[:2]))
+        found = tool_at_rest(sensed_ur5(), StaticPoses(*poses(6, 100 + seed)[:2]))
         numbers = zip((found.mass, *found.centre), (MASS, *CENTRE), strict=True)
         inside += [abs(value - truth) < 1.96 * sigma for (value, sigma), truth in numbers]
     assert 0.9 < np.mean(inside) < 0.985
@@ -102,8 +110,8 @@ def test_what_tells_no_tool_is_said_or_refused() -> None:
     """Poses that are all alike, a robot without a sensor, no gravity."""
     q, wrench, _ = poses(9, 7)
     alike = StaticPoses(0 * q + q[0], 0 * wrench + wrench[0] + NOISE * wrench / 10)
-    assert "mass and gravity" in tool_at_rest(robot(), alike).unidentifiable
-    for tree in (tb.load_tree(UR5), robot().with_gravity([0, 0, 0])):
+    assert "mass and gravity" in tool_at_rest(sensed_ur5(), alike).unidentifiable
+    for tree in (tb.load_tree(UR5), sensed_ur5().with_gravity([0, 0, 0])):
         with pytest.raises(SettingsError):
             tool_at_rest(tree, StaticPoses(q, wrench))
 
@@ -141,7 +149,7 @@ FAULTS: dict[str, tuple[Fault, str, str]] = {
 def test_a_fault_is_named_first_and_nothing_of_a_right_table(name: str, zero: Array) -> None:
     fault, code, cause = FAULTS[name]
     for count, seed in ((8, 0), (16, 1)):
-        found = tool_at_rest(robot(), StaticPoses(*fault(*poses(count, seed, zero=zero))))
+        found = tool_at_rest(sensed_ur5(), StaticPoses(*fault(*poses(count, seed, zero=zero))))
         assert [each.code for each in found.diagnostics] == [code] * (code != "")
         assert [*found.diagnostics[0].causes[:1]] == [cause] * (cause != "") if code else True
 
@@ -152,9 +160,9 @@ def test_a_fault_is_named_first_and_nothing_of_a_right_table(name: str, zero: Ar
 def test_gravity_shows_how_the_base_stands(angle: float, code: str) -> None:
     gravity = Rotation.from_euler("y", angle, degrees=True).apply(DOWN)
     for count in (4, 12):
-        found = tool_at_rest(robot(), StaticPoses(*poses(count, 3, gravity)[:2]))
+        found = tool_at_rest(sensed_ur5(), StaticPoses(*poses(count, 3, gravity)[:2]))
         assert [each.code for each in found.diagnostics] == [code] * (code != "")
-        right = robot().with_gravity(gravity)
+        right = sensed_ur5().with_gravity(gravity)
         assert tool_at_rest(right, StaticPoses(*poses(count, 3, gravity)[:2])).diagnostics == ()
 
 
@@ -162,7 +170,9 @@ def test_a_cable_that_pulls_beside_the_centre_is_the_first_cause() -> None:
     q, wrench, turn = poses(16, 6)
     pull = np.einsum("pji,j->pi", turn, [-3.0, 0, 0])
     wrench = wrench + np.hstack([pull, np.cross([0, 0, 0.25], pull)])
-    said = {each.code: each for each in tool_at_rest(robot(), StaticPoses(q, wrench)).diagnostics}
+    said = {
+        each.code: each for each in tool_at_rest(sensed_ur5(), StaticPoses(q, wrench)).diagnostics
+    }
     assert said.keys() == {"tool.residual", "tool.level"}
     assert said["tool.level"].causes[0] == "cable"
 
@@ -180,24 +190,26 @@ HEADINGS: dict[str, tuple[list[str], list[str], float, float, float]] = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize("mark", [",", ";", "\t"], ids=["comma", "semicolon", "tab"])
 @pytest.mark.parametrize("name", HEADINGS)
-def test_headings_are_read_as_recordings_are(name: str, tmp_path: Path) -> None:
+def test_headings_are_read_as_recordings_are(name: str, mark: str, tmp_path: Path) -> None:
     """Beside numbers of poses, times and comments; a row with an empty field is left out."""
     joints, axes, angle, force, moment = HEADINGS[name]
     q, wrench, _ = poses(12, 8)
     columns = np.hstack([q * angle, wrench * np.repeat([force, moment], 3)])
-    for mark in (",", ";", "\t"):
-        lines = [mark.join(["time [s]", "no", *joints, *axes, "remark"])]
-        for k, row in enumerate(columns):
-            fields = [f"{x:.9f}" for x in row]
-            lines.append(mark.join([f"{7.5 * k}", str(k + 1), *fields, f"pose number {k}"]))
-        lines[4] = mark.join([*lines[4].split(mark)[:9], "", *lines[4].split(mark)[10:]])
-        (tmp_path / "poses.csv").write_text("\n".join(lines))
-        position, forces, said = read_static_poses(tmp_path / "poses.csv", robot())
-        kept = np.delete(np.arange(12), 3)
-        np.testing.assert_allclose(position, q[kept], atol=1e-7)
-        np.testing.assert_allclose(forces, wrench[kept], atol=1e-6)
-        assert len(said) == 1 + (name == "by size")
+    rows = [["time [s]", "no", *joints, *axes, "remark"]]
+    rows += [[f"{7.5 * k}", f"{k}", *map(str, row), "a pose"] for k, row in enumerate(columns)]
+    rows[4][9] = ""
+    (tmp_path / "poses.csv").write_text("\n".join(map(mark.join, rows)))
+    position, forces, said = read_static_poses(tmp_path / "poses.csv", sensed_ur5())
+    kept = np.delete(np.arange(12), 3)
+    np.testing.assert_allclose(position, q[kept], atol=1e-7)
+    np.testing.assert_allclose(forces, wrench[kept], atol=1e-6)
+    assert len(said) == 1 + (name == "by size")
+
+
+def write_table(path: Path, heads: list[str], table: Array) -> None:
+    np.savetxt(path, table, delimiter=",", header=",".join(heads), comments="")
 
 
 @pytest.mark.parametrize(
@@ -214,35 +226,40 @@ def test_what_a_table_lacks_is_named(
     joints: list[str], axes: list[str], named: str, tmp_path: Path
 ) -> None:
     rows = np.random.default_rng(1).normal(size=(8, len(joints) + len(axes)))
-    file = tmp_path / "poses.csv"
-    np.savetxt(file, rows, delimiter=",", header=",".join([*joints, *axes]), comments="")
+    write_table(tmp_path / "poses.csv", [*joints, *axes], rows)
     with refuses((RecordingError, UnknownName), named):  # type: ignore[arg-type]
-        read_static_poses(file, robot())
+        read_static_poses(tmp_path / "poses.csv", sensed_ur5())
 
 
+@pytest.mark.parametrize(("scale", "code"), [(1.0, 0), (1000.0, 2)], ids=["good", "wrong"])
 def test_controllers_take_what_poses_identify_and_nothing_that_they_contradict(
-    tmp_path: Path,
+    scale: float, code: int, tmp_path: Path
 ) -> None:
     """About the flange that the model names, by the words that a controller reads."""
-    for name, scale, code in (("good", 1.0, 0), ("wrong", 1000.0, 2)):
-        q, wrench, _ = poses(12, 9)
-        table = np.hstack([q, wrench * np.repeat([1, scale], 3)])
-        file = tmp_path / f"{name}.csv"
-        np.savetxt(file, table, delimiter=",", header=",".join([*JOINTS, *AXES]), comments="")
-        words = ("tool", str(file), "--at-rest", "--model", str(UR5), "--sensor", "b6")
-        done = command_line(*words, "--as", "ur", "--flange", "b6", cwd=tmp_path)
-        assert done.returncode == code, done.stderr
-        if code == 0:
-            call = ast.parse(done.stdout.splitlines()[-1], mode="eval").body
-            assert isinstance(call, ast.Call)
-            mass, centre = map(ast.literal_eval, call.args)
-            assert mass == pytest.approx(MASS, abs=0.01)
-            np.testing.assert_allclose(centre, CENTRE, atol=1e-3)
-            for vendor in ("franka", "kuka"):
-                other = command_line(*words, "--as", vendor, cwd=tmp_path)
-                assert other.returncode == 0
-                assert 'inertia":' not in other.stdout
-                assert ",J {" not in other.stdout
+    q, wrench, _ = poses(12, 9)
+    table = np.hstack([q, wrench * np.repeat([1, scale], 3)])
+    write_table(tmp_path / "poses.csv", [*JOINTS, *AXES], table)
+    words = ("tool", "poses.csv", "--at-rest", "--model", str(UR5), "--sensor", "b6")
+    done = command_line(*words, "--as", "ur", "--flange", "b6", cwd=tmp_path)
+    assert done.returncode == code, done.stderr
+    if code == 0:
+        call = ast.parse(done.stdout.splitlines()[-1], mode="eval").body
+        assert isinstance(call, ast.Call)
+        mass, centre = map(ast.literal_eval, call.args)
+        assert mass == pytest.approx(MASS, abs=0.01)
+        np.testing.assert_allclose(centre, CENTRE, atol=1e-3)
+        others = [command_line(*words, "--as", each, cwd=tmp_path) for each in ("franka", "kuka")]
+        assert [each.returncode for each in others] == [0, 0]
+        assert not [each for each in others if re.search('inertia":|,J {', each.stdout)]
+
+
+def swinging(cut: tb.Tree, rate: float, size: float) -> tuple[tb.Motion, Array]:
+    """Joints that swing by so many radians, each faster than the one before, and the wrench."""
+    t, speed = np.arange(6000) / rate, 0.1 * size * np.arange(1.0, 7.0)
+    phase = np.outer(t, speed) + np.arange(6)
+    motion = tb.Motion(t, np.sin(phase), speed * np.cos(phase), -(speed**2) * np.sin(phase))
+    noise = NOISE / 50 * np.random.default_rng(5).normal(size=(len(t), 6))
+    return motion, tb.base_wrench(cut, motion) + noise
 
 
 def test_a_motion_gives_all_ten_about_the_sensor() -> None:
@@ -252,57 +269,149 @@ def test_a_motion_gives_all_ten_about_the_sensor() -> None:
     tool = Inertia.about_centre(1.5, place, 1.5e-3 * np.eye(3))
     tree = replace(tree, inertias=(*tree.inertias[:-1], tool))
     cut = beyond_sensor(tree, links_of(tree), sensor)
-    centre = sensor.rotation.T @ (place - sensor.position)
-    t = np.arange(6000) / 500
-    phase = 0.4 * np.outer(t, np.arange(1, 7)) + np.arange(6)
-    speed = 0.4 * np.arange(1.0, 7.0)
-    q, qd, qdd = np.sin(phase), speed * np.cos(phase), -(speed**2) * np.sin(phase)
-    motion = tb.Motion(t, q, np.array(qd), np.array(qdd))
-    wrench = tb.base_wrench(cut, motion) + NOISE / 50 * rng.normal(size=(len(t), 6))
+    motion, wrench = swinging(cut, 500, 4.0)
     recording = tb.Recording(
-        cut.names, t, motion.q, wrench=wrench, velocity=motion.qd, acceleration=motion.qdd
+        cut.names, motion.t, motion.q, wrench=wrench, velocity=motion.qd, acceleration=motion.qdd
     )
     found = tool_of(cut, tb.identify(cut, recording))
     assert all(found.identifiable)
     assert found.centre is not None
     np.testing.assert_allclose(found.values[0], 1.5, rtol=1e-3)
+    centre = sensor.rotation.T @ (place - sensor.position)
     np.testing.assert_allclose(found.centre[0], centre, atol=2e-4)
     assert np.abs(found.values[0] - 1.5) < 5 * found.sigma[0]
+
+
+MAPPING = """
+rate = 300
+joints = ["j1", "j2", "j3", "j4", "j5", "j6"]
+[sources.log]
+file = "log.csv"
+time = "t"
+time_unit = "s"
+[position]
+source = "log"
+unit = "rad"
+columns = ["j1", "j2", "j3", "j4", "j5", "j6"]
+[wrench]
+source = "log"
+sense = "on_robot"
+columns = ["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
+units = ["N", "N m"]
+"""
 
 
 @pytest.mark.slow
 def test_a_sensors_mapping_is_checked_and_its_frame_is_solved(tmp_path: Path) -> None:
     """Of a recording whose sensor is turned by 30 degrees, or shows the opposite sense."""
-    rng = np.random.default_rng(5)
     tree = tb.load_tree(UR5)
-    cut = beyond_sensor(tree, links_of(tree), ForceSensor(tree.joints[-1].body))
-    t = np.arange(6000) / 300
-    speed = 0.3 * np.arange(1.0, 7.0)
-    phase = np.outer(t, speed) + np.arange(6)
-    q, qd, qdd = np.sin(phase), speed * np.cos(phase), -(speed**2) * np.sin(phase)
-    wrench = tb.base_wrench(cut, tb.Motion(t, q, np.array(qd), np.array(qdd)))
-    wrench = wrench + NOISE / 50 * rng.normal(size=wrench.shape)
-    turn = Rotation.from_euler("z", 30, degrees=True).as_matrix()
-    names = [f"q{k}" for k in range(6)]
-    heads = ["t", *names, "Fx", "Fy", "Fz", "Mx", "My", "Mz"]
-    said = [
-        "rate = 300",
-        f"joints = {list(cut.names)}",
-        '[sources.log]\nfile = "log.csv"\ntime = "t"\ntime_unit = "s"',
-        f'[position]\nsource = "log"\nunit = "rad"\ncolumns = {names}',
-        f'[wrench]\nsource = "log"\nsense = "on_robot"\ncolumns = {heads[7:]}',
-        'units = ["N", "N m"]',
-    ]
-    (tmp_path / "map.toml").write_text("\n".join(said).replace("'", '"'))
+    motion, wrench = swinging(beyond_sensor(tree, links_of(tree), ForceSensor("b6")), 300, 3.0)
+    turned = seen_from(Rotation.from_euler("z", -30, degrees=True).as_matrix()[None], wrench)
+    (tmp_path / "map.toml").write_text(MAPPING)
     words = ["import", "map.toml", "--out", "x.parquet", "--model", str(UR5)]
-    words += ["--set", f"robot.sensor={tree.joints[-1].body}", "--force"]
     for shown, code, remedy in (
         (wrench, 0, ""),
         (-wrench, 2, 'sense = "on_plate"'),
-        (np.hstack([wrench[:, :3] @ turn, wrench[:, 3:] @ turn]), 2, "rpy = [0, 0, 0.5236]"),
+        (turned, 2, "rpy = [0, 0, 0.5236]"),
     ):
-        table = np.column_stack([t, q, shown])
-        np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=",".join(heads), comments="")
-        done = command_line(*words, cwd=tmp_path)
+        table = np.column_stack([motion.t, motion.q, shown])
+        write_table(tmp_path / "log.csv", ["t", *JOINTS, *AXES], table)
+        done = command_line(*words, "--set", "robot.sensor=b6", "--force", cwd=tmp_path)
         assert done.returncode == code, done.stderr
         assert remedy in done.stderr
+
+
+# payloads in the words of controllers
+
+TURN = Rotation.from_euler("xyz", [0.3, -0.8, 2.0]).as_matrix()
+PLACE = np.array([0.02, -0.05, 0.11])
+FLANGE = Link("tool0", 2, "forearm", "forearm", TURN, PLACE, NOTHING)
+
+
+def points() -> tuple[Array, Array]:
+    """A payload as masses and places in the frame of its link."""
+    rng = np.random.default_rng(8)
+    return rng.uniform(0.05, 0.4, 6), rng.normal(scale=0.1, size=(6, 3))
+
+
+def central(mass: Array, place: Array) -> tuple[float, Array, Array]:
+    """Mass, centre, and inertia about it."""
+    centre = mass @ place / mass.sum()
+    arm = place - centre
+    tensor = np.einsum("k,kij->ij", mass, (arm**2).sum(1)[:, None, None] * np.eye(3))
+    return float(mass.sum()), centre, tensor - np.einsum("k,ki,kj->ij", mass, arm, arm)
+
+
+def estimate() -> PayloadEstimate:
+    """Of those points, about their link's frame, by Pinocchio."""
+    mass, centre, inertia = central(*points())
+    values = pin.Inertia(mass, centre, inertia).toDynamicParameters()
+    root = 1e-4 * np.random.default_rng(2).normal(size=(10, 10))
+    covariance = root @ root.T
+    sigma = np.sqrt(np.diagonal(covariance))
+    return PayloadEstimate("elbow", (True,) * 10, values, sigma, covariance, 10, 0.5)
+
+
+def read_back(vendor: str, text: str) -> tuple[float, Array, Array]:
+    """Mass [kg], centre [m] and inertia about it [kg m^2], by the vendor's definition."""
+    number = r"(-?[\d.]+(?:e-?\d+)?)"
+    if vendor == "ur":
+        call = ast.parse(text.splitlines()[-1], mode="eval").body
+        assert isinstance(call, ast.Call)
+        mass, centre, (xx, yy, zz, xy, xz, yz) = map(ast.literal_eval, call.args)
+        return mass, np.array(centre), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if vendor == "franka":
+        said = json.loads(text)
+        inertia = np.array(said["inertia"]).reshape(3, 3, order="F")
+        return said["mass"], np.array(said["centerOfMass"]), inertia
+    found = re.search(r"\{M (\S+),CM \{(.*?)\},J \{(.*?)\}\}", text)
+    assert found is not None
+    frame, moments = (
+        [float(x) for x in re.findall(rf"[XYZABC] {number}", part)] for part in found.groups()[1:]
+    )
+    turn = Rotation.from_euler("ZYX", frame[3:], degrees=True).as_matrix()
+    return float(found[1]), np.array(frame[:3]) / 1000, turn @ np.diag(moments) @ turn.T
+
+
+def test_every_vendor_reads_the_payload_at_the_flange() -> None:
+    """Wrong end-effector inertias cost a Franka a fifth of its tracking; also beyond a sensor."""
+    turn = Rotation.from_euler("xyz", [1.0, 0.2, -0.5]).as_matrix()
+    sensor = Placement(np.array([0.1, 0.0, 0.2]), turn, "wrist", 2)
+    felt = replace(robot("puma"), sensor=sensor)
+    mass, place = points()
+    moved = place @ turn.T + sensor.position
+    for tree, link, seen in (
+        (robot("puma"), None, place),
+        (robot("puma"), FLANGE, (place - PLACE) @ TURN),
+        (felt, None, place),
+        (felt, FLANGE, (moved - PLACE) @ TURN),
+    ):
+        load, expected = at_flange(estimate(), tree, link), central(mass, seen)
+        assert load.frame == ("tool0" if link else "wrist" if tree is felt else "link3")
+        for vendor, text in VENDORS.items():
+            read = read_back(vendor, text(load))
+            for k in range(3):
+                np.testing.assert_allclose(read[k], expected[k], rtol=1e-12, atol=1e-14)
+
+
+def test_sigma_is_the_spread_of_what_is_written() -> None:
+    found, tree = estimate(), robot("puma")
+    load = at_flange(found, tree, FLANGE)
+    rng, rows = np.random.default_rng(1), []
+    for values in rng.multivariate_normal(found.values, found.covariance, 500):
+        own = at_flange(replace(found, values=values), tree, FLANGE)
+        rows.append([own.inertia.mass, *own.inertia.com, *own.six])
+    np.testing.assert_allclose(np.std(rows, axis=0), load.sigma, rtol=0.12)
+
+
+def test_what_no_controller_should_get_is_refused() -> None:
+    found, tree = estimate(), robot("puma")
+    flat = replace(found, values=found.values - np.eye(10)[4] * 1.0)
+    partial = replace(found, identifiable=(*[True] * 8, False, True))
+    for each, link, culprit in (
+        (flat, None, "payload"),
+        (partial, None, "Iyz"),
+        (found, replace(FLANGE, body=1), "tool0"),
+    ):
+        with refuses(SettingsError, culprit):
+            at_flange(each, tree, link)

@@ -1,9 +1,10 @@
-"""The compiled kernel, which makes the equations of every long recording, against witnesses."""
+"""The compiled kernel against witnesses; its code is kept where nobody else can write."""
 
 from __future__ import annotations
 
 import math
 import os
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -17,8 +18,9 @@ from llvmlite import binding
 import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.regression.windows import motion_taps, row_weights
-from testbed.core.kernel import gram, numba_engine, numpy_engine
-from testbed.core.kernel.layout import Layout, independent_columns, layout
+from testbed.core.kernel import compiler, gram, numba_engine, numpy_engine
+from testbed.core.kernel.compiler import compiled_folder
+from testbed.core.kernel.layout import Layout, layout
 from testbed.core.kernel.records import NB, Signals, Sums
 from testbed.core.kernel.rows import sine_cosine
 from testbed.core.parameters.rules import Model
@@ -26,7 +28,7 @@ from testbed.core.robot.free_base import on_free_base
 from testbed.core.robot.friction import LAWS, joint_terms
 from tests.helpers.paths import ROOT
 from tests.helpers.sensors import random_cut
-from tests.helpers.strategies import few, rngs, trees
+from tests.helpers.strategies import Rng, few, rngs, trees
 
 SAMPLES = 700
 UNIT = np.array([[1.0], [0.0], [0.0]])
@@ -34,9 +36,7 @@ models: st.SearchStrategy[Model] = st.sampled_from(["dynamic", "reaction"])
 any_trees = trees((1, 9), bare=True)
 
 
-def some_signals(
-    found: Layout, rng: np.random.Generator, encoders: bool, filtered: bool
-) -> Signals:
+def some_signals(found: Layout, rng: Rng, encoders: bool, filtered: bool) -> Signals:
     n, rate = found.tree.n, 200.0
     taps = motion_taps(rate, 40.0) if encoders else UNIT
     weights = row_weights(rate, 5.0) if filtered else np.ones(1)
@@ -66,7 +66,7 @@ def lower(found: Layout, sums: Sums) -> Array:
 @few(40)
 @given(any_trees, models, rngs, st.tuples(*[st.booleans()] * 3))
 def test_compiled_and_plain_engine_say_the_same(
-    tree: tb.Tree, model: Model, rng: np.random.Generator, how: tuple[bool, ...]
+    tree: tb.Tree, model: Model, rng: Rng, how: tuple[bool, ...]
 ) -> None:
     """Encoders or sensed kinematics, filtered or not; a base that moves, a cut."""
     encoders, filtered, free = how
@@ -102,9 +102,7 @@ def test_the_kernel_is_right_on_processors_without_wide_vectors(tmp_path: Path) 
 
 @few(40)
 @given(any_trees, models, st.booleans(), rngs)
-def test_rows_are_the_minimal_regressor(
-    tree: tb.Tree, model: Model, zeros: bool, rng: np.random.Generator
-) -> None:
+def test_rows_are_the_minimal_regressor(tree: tb.Tree, model: Model, zeros: bool, rng: Rng) -> None:
     """Each channel's columns, then its measurement; none stands twice; of a cut's sensor, too."""
     if model == "reaction" and rng.random() < 0.5:
         tree = random_cut(tree, rng)
@@ -127,20 +125,6 @@ def test_rows_are_the_minimal_regressor(
     assert ((np.abs(found.theta).max(axis=1) > 0).sum(axis=0) == 1).all()
 
 
-@given(rngs)
-def test_independent_columns_span_all_and_are_the_first_that_do(rng: np.random.Generator) -> None:
-    """But for columns that nearly depend on earlier ones: these come last."""
-    units = np.eye(5)[:, rng.integers(0, 5, 40)]
-    first = {tuple(column): 39 - k for k, column in enumerate(units.T[::-1])}
-    assert independent_columns(units, range(40)) == sorted(first.values())
-    matrix = rng.normal(size=(5, 12))
-    picked = independent_columns(matrix, rng.permutation(12).tolist())
-    assert len(picked) == np.linalg.matrix_rank(matrix[:, picked]) == 5
-    assert independent_columns(np.array([[1.0, 1.0, 0.0], [0.0, 0.01, 1.0]]), [0, 1, 2]) == [0, 2]
-    for size, wanted in ((1e-5, [0, 1]), (1e-7, [0])):
-        assert independent_columns(np.array([[1.0, 1.0], [0.0, size]]), [0, 1]) == wanted
-
-
 def test_sines_and_cosines_are_right_to_rounding() -> None:
     """A wrong last digit is in every row; whole turns are taken off without rounding."""
     rng = np.random.default_rng(0)
@@ -150,3 +134,83 @@ def test_sines_and_cosines_are_right_to_rounding() -> None:
             sine_cosine(q, shift, s, c)
             np.testing.assert_allclose(s, np.sin(q + shift), rtol=0, atol=3e-16)
             np.testing.assert_allclose(c, np.cos(q + shift), rtol=0, atol=3e-16)
+
+
+owned = pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have no owners here")
+PLACES = ("XDG_CACHE_HOME", "LOCALAPPDATA", "HOME")
+
+
+@owned
+def test_the_cache_is_where_the_system_keeps_caches_one_for_each_source_and_numba(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the first of the variables that is set; at home in .cache."""
+    monkeypatch.setattr(compiler, "__file__", str(tmp_path / "compiler.py"))
+    for name in PLACES:
+        monkeypatch.setenv(name, str(tmp_path / name))
+    for name in PLACES:
+        base, found = tmp_path / name / (".cache" if name == "HOME" else ""), []
+        for text in ("one", "two", "one"):
+            (tmp_path / "screws.py").write_text(text)
+            found.append(compiled_folder())
+        assert found[0] == found[2] != found[1]
+        with monkeypatch.context() as patch:
+            patch.setattr("numba.__version__", "0.0.1")
+            found.append(compiled_folder())
+        assert found[3] not in found[:2]
+        assert {each.parent for each in found} == {base / "testbed"}
+        assert {stat.S_IMODE(each.stat().st_mode) & 0o077 for each in found} == {0}
+        monkeypatch.delenv(name)
+
+
+@owned
+def test_a_folder_that_others_may_write_to_or_that_cannot_be_made_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor one of somebody else; a passing one is made in its place."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "elsewhere"))
+
+    def passing() -> None:
+        found = compiled_folder()
+        assert found.parent == tmp_path / "elsewhere"
+        assert stat.S_IMODE(found.stat().st_mode) == 0o700
+
+    own, somebody = compiled_folder(), os.getuid() + 1
+    for opened in (own.parent, own):
+        for mode in (0o720, 0o702):
+            opened.chmod(mode)
+            passing()
+        opened.chmod(0o755)
+        assert compiled_folder() == own
+    with monkeypatch.context() as patch:
+        patch.setattr("os.getuid", lambda: somebody)
+        passing()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    (tmp_path / "file").write_text("stands in the way")
+    passing()
+
+
+@owned
+@pytest.mark.slow
+def test_processes_keep_code_in_safe_or_named_places_only(tmp_path: Path) -> None:
+    """A folder that is made for lack of a safe one goes with the process."""
+    cache = tmp_path / "cache"
+
+    def place(**own: str) -> Path:
+        code = "from testbed.core.kernel.compiler import settings; print(settings.CACHE_DIR)"
+        given = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+        given |= own | {"XDG_CACHE_HOME": str(cache)}
+        return Path(
+            subprocess.check_output([sys.executable, "-c", code], env=given, text=True)[:-1]
+        )
+
+    assert place(NUMBA_CACHE_DIR=str(tmp_path / "named")) == tmp_path / "named"
+    assert not cache.exists()
+    kept = place()
+    assert kept.exists()
+    kept.parent.chmod(0o777)
+    passing = place(TMPDIR=str(tmp_path))
+    assert passing.parent == tmp_path
+    assert not passing.exists()

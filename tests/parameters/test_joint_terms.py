@@ -24,7 +24,7 @@ from tests.helpers.chains import X, Y, Z, chain
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
-from tests.helpers.strategies import few, rngs, trees
+from tests.helpers.strategies import Rng, few, rngs, trees
 
 ASKED = ((ROTOR,), (OFFSET,), (OFFSET, ROTOR), LAWS)
 
@@ -41,9 +41,7 @@ def turning(*axes: np.ndarray) -> Tree:
 
 
 @given(trees(), st.sampled_from(ASKED))
-def test_sampled_columns_have_the_rank_and_are_reproduced(
-    tree: Tree, laws: tuple[JointLaw, ...]
-) -> None:
+def test_sampled_columns_have_the_rank_of_the_set(tree: Tree, laws: tuple[JointLaw, ...]) -> None:
     assert verify_drives(tree, drives(tree, *laws)).change < 1e-11
     friction = drives(tree, COULOMB, VISCOUS, OFFSET)  # these are always told apart
     assert friction.terms == friction.asked
@@ -113,7 +111,7 @@ def test_what_tells_a_rotor_or_a_shaft_from_the_bodies_and_from_each_other() -> 
 
 @few(10)
 @given(rngs)
-def test_what_a_shaft_takes_is_found_and_foretold(rng: np.random.Generator) -> None:
+def test_what_a_shaft_takes_is_found_and_foretold(rng: Rng) -> None:
     """Dry and viscous friction and inertia act on the joints by the shaft's power."""
     turning: list[int] = []
     while len(turning) < 2:

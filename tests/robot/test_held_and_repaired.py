@@ -25,7 +25,7 @@ from testbed.lab.simulation.plant import build_plant
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot, random_states
-from tests.helpers.strategies import few, rngs, robots
+from tests.helpers.strategies import Rng, few, rngs, robots
 
 FORMS = ("urdf", "xml")
 
@@ -62,9 +62,7 @@ def assert_held(full: tb.Tree, path: Path, lock: Lock, held: Mapping[str, float]
 
 @given(robots((2, 8)), rngs, st.sampled_from(FORMS))
 @pytest.mark.slow
-def test_a_held_joint_is_one_that_stands_still(
-    robot: Robot, rng: np.random.Generator, form: str
-) -> None:
+def test_a_held_joint_is_one_that_stands_still(robot: Robot, rng: Rng, form: str) -> None:
     """An arm with a locked wrist is identified as the arm that it is; MuJoCo's plant agrees."""
     with TemporaryDirectory() as folder:
         path = written(robot, folder, form)
@@ -214,9 +212,7 @@ def spoiled(robot: Robot, mass: float, moments: tuple[float, ...]) -> Robot:
 @given(robots((1, 6)), rngs)
 @few(5)
 @pytest.mark.slow
-def test_flaws_of_fixed_links_are_their_carriers_and_harmless(
-    robot: Robot, rng: np.random.Generator
-) -> None:
+def test_flaws_of_fixed_links_are_their_carriers_and_harmless(robot: Robot, rng: Rng) -> None:
     """Dynamics are those of Pinocchio's own fusing; MuJoCo simulates it."""
     links = ["pedestal_body", *(f"{link.name}_body" for link in robot.links)]
     more = [
@@ -238,7 +234,7 @@ def test_flaws_of_fixed_links_are_their_carriers_and_harmless(
 
 @given(rngs)
 @few(10)
-def test_the_nearest_body_is_the_projection_of_what_was_given(rng: np.random.Generator) -> None:
+def test_the_nearest_body_is_the_projection_of_what_was_given(rng: Rng) -> None:
     """Optimality of the nearest matrix in a cone, of second moments about the same mass centre."""
     axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     second = axes * (rng.uniform(-0.5, 1.0, 3) * 0.1) @ axes.T
@@ -291,33 +287,30 @@ def test_a_body_that_cannot_be_is_refused_or_repaired_alone(
         np.testing.assert_allclose(moments, [1e-3, 1e-3, 2e-3], atol=2e-7)
 
 
-SCALES = {"mass": (1e6, 1e-9), "moment": (1e6, 2e6), "x": (1e3, -1e3)}
+OUT_OF_SCALE: list[dict[str, Any]] = [
+    *({"mass": mass} for mass in (1e6, 1e-9)),
+    *({"central": moment * np.eye(3)} for moment in (1e6, 2e6)),
+    *({"com": np.array([place, 0.0, 0.0])} for place in (1e3, -1e3)),
+]
 """Numbers that no robot of a metre has: tons, micrograms, radii of gyration of a kilometre."""
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize(("what", "number"), [(k, x) for k, each in SCALES.items() for x in each])
-def test_a_body_out_of_scale_becomes_one_as_others_are(
-    form: str, what: str, number: float, tmp_path: Path
+@pytest.mark.parametrize("number", OUT_OF_SCALE)
+def test_bodies_out_of_scale_become_usual(
+    form: str, number: dict[str, Any], tmp_path: Path
 ) -> None:
     """By its name and number; else torques would be taken for those of another robot."""
     robot = random_robot(np.random.default_rng(5), 4)
     sound = tb.load_tree(written(robot, tmp_path, form))
     assert sound.diagnostics == ()
     at, (one, two, *others) = sound.index("j2"), robot.links
-    mass, com, central = two.mass, two.com, two.central
-    if what == "mass":
-        mass = number
-    elif what == "moment":
-        central = number * np.eye(3)
-    else:
-        com = np.array([number, 0.0, 0.0])
-    odd = replace(two, mass=mass, com=com, central=central)
+    odd = replace(two, **number)
     path = written(replace(robot, links=(one, odd, *others)), tmp_path, form)
     tree = tb.load_tree(path)
     (said,) = tree.diagnostics
-    radius = np.sqrt(np.trace(central) / 2 / mass + com @ com)
-    assert f"'j2_body' has a mass of {mass:.4g} kg" in said.text
+    radius = np.sqrt(np.trace(odd.central) / 2 / odd.mass + odd.com @ odd.com)
+    assert f"'j2_body' has a mass of {odd.mass:.4g} kg" in said.text
     assert f"{radius:.4g} m" in said.text
     masses = [each.mass for k, each in enumerate(sound.inertias) if k != at]
     assert tree.inertias[at].mass == pytest.approx(np.mean(masses))

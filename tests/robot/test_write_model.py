@@ -22,9 +22,9 @@ from testbed.core.robot.friction import drive_torque
 from testbed.core.robot.inertia import Inertia
 from testbed.core.robot.model_file import ModelFile, mimic_joints
 from testbed.lab.experiment.evaluate import wrong_bodies
-from tests.helpers.mujoco_inverse import by_mj_inverse
 from tests.helpers.paths import REAL, ROOT
 from tests.helpers.pinocchio import by_pinocchio
+from tests.helpers.plants import by_mj_inverse
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, assert_same_tree, random_robot, random_states
 from tests.helpers.strategies import few, robots, seeds
@@ -63,9 +63,7 @@ def rewritten(model: ModelFile, wanted: tb.Tree, path: Path, **how: Any) -> tupl
         (REAL / "g1_description/urdf/g1_29dof_rev_1_0.urdf", "lump"),
     ],
 )
-def test_what_is_written_is_read_and_the_rest_is_as_it_was(
-    path: Path, fixed: Fixed, tmp_path: Path
-) -> None:
+def test_what_is_written_is_read_the_rest_stays(path: Path, fixed: Fixed, tmp_path: Path) -> None:
     """Comments, quotes and blanks of other people's files stay: differences stay readable."""
     model = ModelFile(path, path.stem.startswith("g1"), lock=dict.fromkeys(mimic_joints(path)))
     made = tmp_path / f"written{path.suffix}"
@@ -162,9 +160,7 @@ def test_matter_of_what_moves_together_is_shared_as_asked(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("form", ["urdf", "xml"])
-def test_what_cannot_be_is_written_as_what_can_and_sound_links_stay(
-    form: str, tmp_path: Path
-) -> None:
+def test_what_cannot_be_is_written_as_what_can_sound_links_stay(form: str, tmp_path: Path) -> None:
     """Else the copy is as impossible as the file was: nobody else can load it."""
     robot = random_robot(np.random.default_rng(1), 3)
     flat = np.diag([1e-3, 1e-3, 1e-2])
@@ -263,9 +259,7 @@ def test_what_readers_would_make_otherwise_is_said_or_refused(tmp_path: Path) ->
 @pytest.mark.slow
 @few(6)
 @given(robots((2, 6)), seeds)
-def test_many_robots_as_files_and_as_mujocos_fields_are_those_that_were_meant(
-    robot: Robot, seed: int
-) -> None:
+def test_many_robots_as_files_and_mujocos_fields_are_as_meant(robot: Robot, seed: int) -> None:
     """A batch of models from the archive moves as the files do, and both as the trees."""
     for ending, text in (("urdf", robot.urdf()), ("xml", robot.mjcf())):
         with TemporaryDirectory() as folder:
