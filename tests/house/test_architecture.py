@@ -129,7 +129,9 @@ def test_imports_go_upstream_only_and_guests_stay_in_their_rooms() -> None:
         place, names = path.relative_to(HOUSE).as_posix(), set(imported(path))
         needs = {room(paths[name]) for name in names & paths.keys() - {"testbed"}}
         if room(path) not in ANYWHERE:
-            assert needs <= {room(path), *PLAN.get(room(path), "").split()}, f"{place} imports {needs}"
+            assert needs <= {room(path), *PLAN.get(room(path), "").split()}, (
+                f"{place} imports {needs}"
+            )
         for guest in {name.split(".")[0] for name in names}:
             assert guest not in FORBIDDEN, f"{place} imports {guest}"
             assert place.startswith(tuple(GUESTS.get(guest, place).split())), (place, guest)

@@ -16,13 +16,13 @@ from benchmarks.sampling import factors, prior_robots
 from testbed.bodies.consistency.consistent import consistent, robot_of
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.consistency.robots import BODY, _log_prior, elliptical_slices
+from testbed.bodies.estimate_summary import estimate_of_summary, summary_of
 from testbed.bodies.prior import Prior, prior_of
-from testbed.core.parameters.pseudo_inertia import coordinates, matrices, parameters
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError
 from testbed.core.estimation.diagnostics.rigid_bodies import rigid_body_test
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
-from testbed.bodies.estimate_summary import estimate_of_summary, summary_of
+from testbed.core.parameters.pseudo_inertia import coordinates, matrices, parameters
 from testbed.core.parameters.symbols import to_barycentric
 from testbed.core.robot.inertia import inertia_flaw
 from testbed.lab.experiment.evaluate import wrong_bodies

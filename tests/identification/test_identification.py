@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
+from testbed.applications.validate import motion_in, own_torque, predictions
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import (
     RecordingError,
@@ -28,7 +29,6 @@ from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import ROW_ATTENUATION, low_pass, motion_taps
 from testbed.core.estimation.selection.term_choice import choose_terms
 from testbed.core.estimation.settings import Settings
-from testbed.applications.validate import motion_in, own_torque, predictions
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.friction import LAWS, OFFSET, JointLaw
 from tests.helpers.ideal import EXACT, ideal, plus, true_values

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from scipy import linalg, stats
 
 import testbed as tb
+from testbed.applications.validate import motion_in
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import encode, json_text
 from testbed.core.base.errors import SettingsError, TestbedError
@@ -38,7 +39,6 @@ from testbed.core.estimation.noise.noise_model import (
     period_of,
 )
 from testbed.core.estimation.regression.constraints import parse_known
-from testbed.applications.validate import motion_in
 from testbed.core.robot.inertia import about
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured

@@ -15,18 +15,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
+from testbed.applications.analysis import analyse
 from testbed.bodies.linear_prior import LinearPrior, alone_determined, with_prior
 from testbed.bodies.posterior import Posterior, posterior, rows_of
+from testbed.bodies.prediction_errors import PredictionErrors, errors_of_another
 from testbed.bodies.prior import prior_of
+from testbed.bodies.row_products import FREEDOM, RowProducts, products_of
+from testbed.bodies.verdict import WELL, verdict_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import decode, encode
 from testbed.core.base.diagnostics import Diagnostic
-from testbed.applications.analysis import analyse
 from testbed.core.estimation.estimate import Method
 from testbed.core.estimation.problem import Problem
-from testbed.bodies.prediction_errors import PredictionErrors, errors_of_another
-from testbed.bodies.row_products import FREEDOM, RowProducts, products_of
-from testbed.bodies.verdict import WELL, verdict_of
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.friction import drive_torque
 from testbed.lab.experiment.evaluate import wrong_bodies

@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.bodies.prior import THINNEST, Prior, prior_of
-from testbed.core.parameters.pseudo_inertia import matrices
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import UnknownName
 from testbed.core.dynamics.drive_set import sampled_regressor, verify, verify_drives
@@ -26,6 +25,7 @@ from testbed.core.parameters.elimination import dense_rows, static_entries
 from testbed.core.parameters.identifiability import ALONE, COMBINED, NEVER, identifiability
 from testbed.core.parameters.joint_terms import with_joint_terms
 from testbed.core.parameters.minimal_set import MinimalSet
+from testbed.core.parameters.pseudo_inertia import matrices
 from testbed.core.parameters.regroup import length_symbol, regroup
 from testbed.core.parameters.rules import REASONS, Model
 from testbed.core.parameters.symbols import (
