@@ -118,6 +118,14 @@ class Encoders(Sensor):
         }
 
 
+def _check_kinds(name: str, values: object, kind: type) -> None:
+    """Refuse what is no sequence of effects or sensors."""
+    if not isinstance(values, Sequence) or not all(isinstance(each, kind) for each in values):
+        raise SettingsError(
+            f"Rig: {name} is a list of {kind.__name__} values, found {values!r:.80}"
+        )
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Rig(Summarized):
     """A robot on its bedplate with all that determines what its sensors show along a motion.
@@ -147,11 +155,17 @@ class Rig(Summarized):
     def __post_init__(self) -> None:
         require_tree(self.robot, "Rig(robot, plant, sensors)")
         names = self.robot.names
+        _check_kinds("plant", self.plant, Effect)
+        _check_kinds("sensors", self.sensors, Sensor)
         object.__setattr__(self, "plant", tuple(effect.on(names) for effect in self.plant))
         object.__setattr__(self, "sensors", tuple(self.sensors))
-        kinds = [type(sensor) for sensor in self.outer]
-        if len(set(kinds)) < len(kinds):
-            raise SettingsError("Rig: sensors has two of one kind: those in the robot are mounted")
+        kinds = [type(sensor).__name__ for sensor in self.outer]
+        for kind in kinds:
+            if kinds.count(kind) > 1:
+                raise SettingsError(
+                    f"Rig: sensors has more than one {kind}; keep one (a force sensor in the robot "
+                    'is ForcePlate(mounting=ForceSensor("LINK")))'
+                )
         for joint in self.instrument.torque_constant_error:
             self.robot.index(joint)  # refuses joints that are not there
         self.instrument.stages(names)  # refuses errors of joints that are not there

@@ -106,6 +106,8 @@ def simulate(
         SettingsError: Values do not fit each other or the robot.
         SimulationDiverged: The robot did not follow.
     """
+    if not isinstance(rig, Rig):
+        raise SettingsError(f"simulate(rig, motion): rig is a Rig, found a {type(rig).__name__}")
     reference, begin, end = _course(rig, motion, seconds)
     sampling = Sampling(rig.rate, rig.steps(end), rig.averaged, rig.warm_up, begin)
     tree, model = rig.true_robot, rig.file
