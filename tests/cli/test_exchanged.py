@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-import testbed as tb
-from testbed.campaigns.campaign import Campaign
-from testbed.core.base.errors import TestbedError, UnknownName
 from testbed.core.base.file_kinds import BELONGS, kind_of
-from testbed.lab.experiment.read_result import read_result
-from testbed.motion.motion_file import read_motion
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 
@@ -44,17 +38,6 @@ ASKED = {
 }
 """Commands, and kinds of the file that they take."""
 
-READERS: dict[str, Callable[[Path], object]] = {
-    "experiment": tb.Experiment.load,
-    "campaign": Campaign.load,
-    "mapping": tb.import_recording,
-    "result": read_result,
-    "motion": read_motion,
-    "recording": tb.Recording.load,
-    "model file": tb.load_tree,
-}
-"""Functions for Python, by the kind that they read."""
-
 
 def test_every_file_is_known_by_its_content(place: Path, tmp_path: Path) -> None:
     """Whatever its name is, but for logs, which may be anything."""
@@ -80,22 +63,6 @@ def test_a_command_says_what_it_was_given(words: str, place: Path, tmp_path: Pat
             assert kind in line, line
             assert BELONGS[kind].replace("{}", name) in line, line
             assert len(line) <= 300, line
-
-
-@pytest.mark.parametrize("asked", READERS)
-def test_a_reader_for_python_says_it_too(asked: str, place: Path) -> None:
-    for kind, names in FILES.items():
-        if kind != asked:
-            with pytest.raises(TestbedError, match=f" {kind}, no {asked}"):
-                READERS[asked](place / names[0])
-
-
-def test_a_name_that_differs_by_case_only_is_singled_out() -> None:
-    for name in ("Waist", "WAIST"):
-        said = str(UnknownName("joint", name, ("hip", "waist", "knee")))
-        assert "'waist'" in said
-        assert name in said
-        assert "hip" not in said
 
 
 def test_an_option_that_is_none_points_to_the_help_of_its_command(tmp_path: Path) -> None:

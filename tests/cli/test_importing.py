@@ -73,18 +73,3 @@ def test_a_mistake_in_a_mapping_is_refused_with_its_cure(tmp_path: Path) -> None
         assert done.returncode == code, words
         assert ("offset = [0, -1.5708, 1.57079" in done.stderr) == (code == 2)
         assert {path.name for path in tmp_path.iterdir()} == files
-
-
-def test_a_guess_is_written_once_and_says_what_it_found(place: Path, tmp_path: Path) -> None:
-    words = ("import", "--guess", str(place / "log.csv"), "--out", "map.toml")
-    assert command_line(*words, cwd=tmp_path).returncode == 0
-    before = (tmp_path / "map.toml").read_text()
-    assert command_line(*words, cwd=tmp_path).returncode == 2
-    assert (tmp_path / "map.toml").read_text() == before
-    rows = "".join(f"{4 * k},0,{k}\n" for k in range(9))
-    (tmp_path / "log.csv").write_text(f"timestamp_ms,q_hip_deg,tau_hip\n{rows}")
-    words = ("new", "--recording", "log.csv", "--out", "new.toml")
-    assert command_line(*words, cwd=tmp_path).returncode == 0
-    text = (tmp_path / "new.toml").read_text()
-    assert "\nrate = 250 " in text
-    assert 'columns = ["q_hip_deg"]' in text

@@ -78,14 +78,6 @@ def test_what_stands_there_is_not_written_over_and_that_is_said_before_the_work(
     assert {path: path.is_file() and path.read_bytes() for path in home.rglob("*")} == before
 
 
-def test_only_a_campaign_and_its_summary_go_on_without_force() -> None:
-    for command in app.registered_commands:
-        assert command.callback is not None
-        name = command.name or command.callback.__name__
-        forced = "force" in get_type_hints(command.callback)
-        assert forced == (name != "campaign" and any(name == each for each, _ in WRITERS)), name
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("command", "option"), [key for key in WRITERS if WRITERS[key][0]])
 def test_what_stands_there_is_written_over_by_force(

@@ -18,22 +18,22 @@ from tests.helpers.command import command_line
 
 PUMA = "one.parquet --model puma562.xml"
 LONG = {
-    "experiment.record:record": ("simulate table.toml --out x.parquet",),
-    "experiment.carry_out:record": ("run table.toml",),
-    "experiment.carry_out:evaluate": ("run table.toml --set motion.duration=2",),
-    "experiment.new_experiment:new_experiment": ("new two.urdf",),
-    "experiment.run:assemble_run": (f"report {PUMA}",),
-    "recordings.importing.convert:pieces": ("import map.toml --out x.parquet",),
-    "recordings.importing.guess:guessed": ("import --guess log.csv",),
-    "plausibility.check:import_and_check": ("import map.toml --out x.parquet --model two.urdf",),
-    "identification.identify:identify": (
-        f"identify {PUMA}", f"drives {PUMA}", "payload one.parquet " + PUMA,
-    ),
-    "identification.consistency.consistent:consistent": (f"identify {PUMA} --consistent",),
-    "identification.calibration:calibrate": (f"calibrate {PUMA} --known mass=20",),
-    "viewer.log:write_rrd": (f"view {PUMA} --save x.rrd",),
-    "campaign.conduct:conduct": ("campaign quick.toml --workers 0",),
-    "kernel.numba_engine:warm_up": ("doctor --compile",),
+    "lab.experiment.record:record": ("simulate table.toml --out x.parquet",),
+    "lab.experiment.carry_out:record": ("run table.toml",),
+    "lab.experiment.carry_out:evaluate": ("run table.toml --set motion.duration=2",),
+    "lab.experiment.new_experiment:new_experiment": ("new two.urdf",),
+    "lab.experiment.run:assemble_run": (f"report {PUMA}",),
+    "importing.convert:pieces": ("import map.toml --out x.parquet",),
+    "importing.guess:guessed": ("import --guess log.csv",),
+    "importing.check.check:import_and_check": ("import map.toml --out x.parquet --model two.urdf",),
+    "core.estimation.analysis:estimate_of": (f"identify {PUMA}",),
+    "applications.drives.identify_drives:identify_drives": (f"drives {PUMA}",),
+    "core.estimation.identify:identify": ("payload one.parquet " + PUMA,),
+    "core.estimation.analysis:consistent": (f"identify {PUMA} --consistent",),
+    "applications.calibration:calibrate": (f"calibrate {PUMA} --known mass=20",),
+    "view.viewer.log:write_rrd": (f"view {PUMA} --save x.rrd",),
+    "campaigns.conduct:conduct": ("campaign quick.toml --workers 0",),
+    "core.kernel.numba_engine:warm_up": ("doctor --compile",),
 }  # fmt: skip
 """What may take long, and the commands that do it."""
 

@@ -14,7 +14,6 @@ from testbed.core.base.errors import ExperimentError, SettingsError, TestbedErro
 from testbed.core.base.toml_text import LARGEST_FILE, override
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_robot import robot_of
-from testbed.lab.experiment.experiment_tables import Bound
 from testbed.lab.experiment.results import default_folder
 from testbed.lab.experiment.robot_tables import JointTable
 from tests.helpers.paths import ROOT
@@ -123,14 +122,3 @@ def test_what_does_not_fit_the_robot_or_the_clock_is_refused() -> None:
             tb.record(tb.Experiment.load(TABLE6, [f"simulation.{word}"]))
     with refuses(ExperimentError, "fundamental"):
         tb.record(tb.Experiment.load(TABLE6, ["motion.fundamental=1e-12"]))
-
-
-def test_a_claim_holds_or_fails() -> None:
-    for bound, value, holds in (
-        (Bound(at_most=1.0), 1.0, True),
-        (Bound(at_most=1.0), 1.1, False),
-        (Bound(at_least=1.0), 2.0, True),
-        (Bound(at_least=1.0), 0.9, False),
-        (Bound(at_least=1.0, at_most=3.0), float("nan"), False),
-    ):
-        assert bound.holds(value) is holds

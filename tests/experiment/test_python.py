@@ -14,7 +14,6 @@ import testbed as tb
 from docs import interface
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
-from tests.helpers.runs import MODELS
 
 Signals = tuple[tb.Tree, tb.Recording, tb.Estimate, tb.Estimate]
 
@@ -166,12 +165,3 @@ def test_half_a_page_passes_a_strict_check_of_types(tmp_path: Path) -> None:
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert "half_a_page.py:" not in done.stdout.replace("pyarrow", ""), done.stdout
-
-
-def test_a_robot_of_six_joints_is_known_as_well() -> None:
-    robot = tb.load_tree(MODELS["ur5"])
-    rig = tb.Rig(robot, sensors=[tb.ForcePlate(noise=(0.5, 0.1))], step=1e-3)
-    data = tb.simulate(rig, tb.random_motion(robot, seed=4), seconds=10, seed=5)
-    plate = tb.identify(robot, data, "wrench")
-    truth = plate.minimal.values(tb.barycentric(robot))
-    assert np.sqrt(np.mean(((plate.values - truth) / plate.sigma) ** 2)) < 2

@@ -337,11 +337,3 @@ def test_a_robot_on_a_base_that_moves_is_held_against_its_model_as_others_are() 
     assert "robot.base=measured" in str(refused.value)
     turns = np.random.default_rng(0).uniform(-1.3, 1.3, (50, FREE))
     np.testing.assert_allclose(coordinates(poses(turns)), turns, atol=1e-12)
-
-
-def test_unchecked_recordings_are_not_searched() -> None:
-    tree, recording = right("puma", "wrench")
-    wrong = torques(-1, -1)(recording)
-    with pytest.raises(RecordingError):
-        check_recording(tree, wrong)
-    assert check_recording(tree, wrong, unchecked=True).diagnostics[0].code == "recording.unchecked"

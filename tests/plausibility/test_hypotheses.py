@@ -191,11 +191,3 @@ def test_delays_that_were_found_are_added_to_those_that_the_mapping_knew(tmp_pat
     found = aligned(two, "torque", 0.003)
     assert found["torque"]["delay"] == 0.003
     assert found["plates"] == tomllib.loads(two)["plates"]
-
-
-def test_a_cure_of_a_plate_names_a_channel_of_the_plate() -> None:
-    for torques in (0, 6):
-        before, after = np.ones(torques + 6), np.ones(torques + 6)
-        after[torques + 1] = 0.1
-        (remedy,) = remedies_for(robot("ur5"), [Hypothesis("sense")], before, after, {}, torques)
-        assert (remedy.channel, remedy.after) == ("Fy", 0.1)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
@@ -211,16 +210,3 @@ def test_a_campaign_is_a_row_of_a_table_and_of_a_figure_for_each_cell() -> None:
 
 
 FORMATS = (".3g", ".1f", ".1f", ".1f")
-
-
-def test_progress_is_told_of_the_inner_block(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    outer, inner = output.Progress("outer"), output.Progress("inner")
-    live: list[list[bool]] = []
-    with outer:
-        with inner:
-            live.append([each._bar.live.is_started for each in (outer, inner)])
-        live.append([each._bar.live.is_started for each in (outer, inner)])
-    assert live == [[False, True], [True, False]]

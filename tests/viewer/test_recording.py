@@ -193,10 +193,3 @@ def test_the_centre_of_pressure_balances_the_moments(rng: np.random.Generator) -
     wrench = np.column_stack([force, np.cross(np.column_stack([point, np.zeros(20)]), force)])
     np.testing.assert_allclose(pressure(wrench), point, atol=1e-9)
     assert np.isnan(pressure(wrench * np.array([1, 1, -1, 1, 1, 1]))).all()  # pulled
-
-
-@given(st.integers(1, 40), st.integers(1, 9), rngs)
-def test_means_keep_every_sample(samples: int, size: int, rng: np.random.Generator) -> None:
-    signal = rng.normal(size=(samples, 2))
-    wanted = [signal[k : k + size].mean(axis=0) for k in range(0, samples, size)]
-    np.testing.assert_allclose(means(signal, size), wanted, atol=1e-12)
