@@ -121,21 +121,3 @@ def test_pairs_that_always_touch_are_left_out_and_near_ones_keep_half(puma: tb.T
         np.testing.assert_allclose(found.clearance, kept, rtol=0.2)
         (note,) = sentences(found.diagnostics)
         assert [link for link in ("'link1'", "'link3'") if link not in note] == []
-
-
-def test_degenerate_shapes_touch_flatly_and_push_nowhere(puma: tb.Tree) -> None:
-    """Balls of radius zero that meet have no direction; a mesh without a volume cannot be hit."""
-    turn, place = (each[0] for each in poses(puma, np.zeros((1, 3)))[2])
-    for apart, still in ((0.0, True), (0.1, False)):
-        there = place + turn @ np.array([apart, 0.0, 0.0])
-        shapes = [ball(-1, 1e-12, there), ball(2, 1e-12, np.zeros(3))]
-        found = DistanceMeter(collision_model(puma, shapes), 10.0).measure(np.zeros(3), slopes=True)
-        assert found.values[0] == pytest.approx(apart, abs=1e-9)
-        assert found.slopes.any() != still
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
-    away = float(np.linalg.norm(place - np.clip(place, 0, 1))) - 0.1
-    solid = {(STANDING, 2): pytest.approx(away)}
-    for points, said in ((corners * [1, 1, 0], {}), (corners[:3], {}), (corners, solid)):
-        at = np.zeros(3), np.eye(3), GREY
-        mesh = Shape(-1, "mesh", np.zeros(0), *at, vertices=points, faces=np.zeros((0, 3)))
-        assert distances(puma, ball(2, 0.1, np.zeros(3)), mesh) == said

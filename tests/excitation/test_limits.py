@@ -17,7 +17,7 @@ from testbed.core.base.errors import InfeasibleMotion, UnknownName
 from testbed.motion.collision_model import collision_model
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import Limits, limits_of, motor_efforts
-from testbed.motion.proof import SPANS, Rules, prove, seems_to_hold, slack, spans_of, suprema
+from testbed.motion.proof import SPANS, Rules, prove, seems_to_hold, spans_of, suprema
 from testbed.motion.random_motion import MARGIN, best_motion, random_motion, relative_sigma
 from testbed.motion.rest_to_rest import RestToRest, Start, start_of
 from testbed.motion.samples import Samples, stencil
@@ -36,10 +36,8 @@ from tests.helpers.shapes import ball
 from tests.helpers.strategies import few, rngs, trees
 
 INF = np.inf
-EFFORT = np.array([30.0, INF, 50.0, 70.0])
 RANGE = np.array([100.0, INF, 300.0, 40.0, 50.0, INF])
 HALF = np.array([0.3, 0.5])
-PEDESTAL = np.array([1.0, -2.0, -90.0, 3.0, 4.0, -5.0])
 PLATE = np.repeat([0.5, 0.1], 3)
 
 
@@ -151,24 +149,6 @@ def test_the_best_of_a_few_is_the_best_of_them_by_the_sigma_of_least_squares() -
     assert score == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=1e-6)
     lame = Fourier(0.1, np.zeros(3), *np.zeros((2, 3, 2)))
     assert relative_sigma(tree, lame, minimal, PLATE) == INF
-
-
-def test_what_is_left_of_limits_is_told_kind_by_kind(puma: tb.Tree) -> None:
-    """Of efforts, with friction of either sign; clearances are in the laws of distances."""
-    limits = limits_of(puma)
-    motion = random_motion(puma, limits, 0.1, 4, 0)
-    times = np.linspace(0, motion.period, 60)
-    held, at = rules(puma, limits, 0.9, terms=(EffortTerm(puma, limits, 0.9),)), motion.at(times)
-    smooth = motor_efforts(each(puma, coulomb=0.0), at)
-    wanted = {
-        "position limits": np.abs(at.q - limits.middle) / limits.half,
-        "velocity limits": np.abs(at.qd) / limits.velocity,
-        "acceleration limits": np.abs(at.qdd) / limits.acceleration,
-        "effort limits": (np.abs(smooth) + dry(puma)) / limits.effort,
-    }
-    for told, (label, used) in zip(slack(motion, held, times), wanted.items(), strict=True):
-        assert (told.label, told.unit) == (label, "%")
-        np.testing.assert_allclose(told.left, 100 * (0.9 - used.max(axis=1)), atol=1e-9)
 
 
 # proofs: what is proven holds at every moment

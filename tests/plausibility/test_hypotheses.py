@@ -19,7 +19,6 @@ from testbed.core.base.arrays import Array
 from testbed.core.robot.free_base import on_free_base
 from testbed.core.robot.inertia import to_rpy
 from testbed.importing.check.plate import AS_READ, PLATE_ORDERS, frame_of
-from testbed.importing.check.recording_diagnostics import odd_sizes, out_of_range
 from testbed.importing.check.remedies import (
     Hypothesis,
     corrected,
@@ -139,37 +138,6 @@ def test_what_slides_has_no_angles_and_changes_place_with_what_slides(
     free = [m.kind for m in position_hypotheses(on_free_base(tree), np.zeros((9, tree.n + 6)), ())]
     assert (free.count("base_unit"), free.count("quaternion_order")) == (4, 1)
     assert free.count("position_sign") == tree.n
-
-
-def test_sizes_of_torques_and_ranges_of_positions_name_joints_and_what_to_do() -> None:
-    """Small torques are a motor's or currents, a thousand times too large ones of another unit."""
-    tree, nan = robot("puma"), float("nan")
-    cases: list[tuple[tuple[float, ...], str, str, float]] = [
-        ((0.02, 1.1, 0.05), "[50, 0.90909, 20]", "N m", 0.02),
-        ((nan, 0.1, 1.0), "[?, 10, 1]", "N m", 0.1),
-        ((1010.0, nan, 980.0), '"N mm"', "N m", 1010.0),
-        ((1010.0, 990.0, 980.0), '"mA"', "A", 1010.0),
-    ]
-    for sizes, remedy, unit, number in cases:
-        mapping = {"torque": {"unit": unit}}
-        (found,) = odd_sizes(tree, np.array(sizes), mapping, certain=True)
-        assert remedy in found.remedy
-        assert found.value == number
-        odd = [n for n, s in zip(tree.names, sizes, strict=True) if s < 0.2 or s > 5]
-        assert [name in found.text for name in tree.names] == [n in odd for n in tree.names]
-    mapping = {"torque": {"unit": "N m"}}
-    (other,) = odd_sizes(tree, np.full(3, 40.0), mapping, certain=True)
-    assert "=" not in other.remedy
-    gantry = robot("gantry")  # three joints slide, three turn
-    low, high = np.array([joint.position_range for joint in gantry.joints]).T
-    assert not list(out_of_range(gantry, np.stack([low, high]) * 1.05, 0.1))
-    for joint, unit in ((1, '"mm"'), (4, '"deg"')):
-        beyond = np.stack([low, high])
-        beyond[1, joint] += 0.2 * (high - low)[joint]
-        (said,) = out_of_range(gantry, beyond, 0.1)
-        assert gantry.names[joint] in said.text
-        assert unit in said.remedy
-        assert said.value == 1.0
 
 
 def test_delays_that_were_found_are_added_to_those_that_the_mapping_knew(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import of_recording
 from testbed.core.base.errors import RecordingError
-from testbed.core.recordings.repeats import held_share, slow_device
+from testbed.core.recordings.repeats import held_share
 from testbed.importing.convert import pieces
 from testbed.importing.foreign_table import TIMES
 from testbed.importing.mapping import SourceTable
@@ -124,17 +124,9 @@ def test_stamps_that_jitter_and_samples_that_are_held_are_said_and_cured(logs: L
         assert share == pytest.approx(1 - 1 / times, abs=0.01)
         assert of_recording(facts)[0].code == "import.held"
         assert logs.off(plate="drop_held = true") < logs.off() / 100
-    lengths = [3, 3, 2, 3, 7, 3, 1, 3, 3, 3]
-    values = np.repeat(np.arange(10.0), lengths)[:, None]
-    news = np.concatenate([np.arange(length) % 3 == 0 for length in lengths])
-    np.testing.assert_array_equal(slow_device(values), news)
-    filled = np.repeat(np.arange(40.0), [1] * 37 + [2, 3, 9])[:, None]  # most samples are news
-    assert held_share(filled) > 0.05
-    assert slow_device(filled).sum() == 40 + 8  # the last is a rest
     moving = rng.normal(size=(500, 2))
     rests = np.concatenate([moving, np.repeat(moving[-1:], 200, axis=0), moving])
     assert held_share(rests) == 0.0
-    assert slow_device(rests).all()
 
 
 def test_gaps_are_bridged_or_cut_and_time_that_repeats_or_runs_back_is_named(logs: Logs) -> None:

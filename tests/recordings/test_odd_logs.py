@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
@@ -347,17 +345,6 @@ def test_joints_of_two_nodes_are_one_signal_and_rows_without_times_are_none(
     path = written(tmp_path / "log.csv", [f"{t:.3f}" for t in TIME], empty)
     path.write_text(path.read_text().replace("\n1.010,", "\n,").replace("\n1.020,", "\nnan,"))
     is_right(recorded(path), atol=2e-4)
-
-
-def test_places_without_a_value_in_parquet_are_samples_without_numbers(tmp_path: Path) -> None:
-    values: dict[str, list[float | None]] = {
-        name: [*column] for name, column in zip("abcd", table().T.tolist(), strict=True)
-    }
-    values["a"][50] = None
-    names = dict(zip("abcd", ("q_left", "q_right", "tau_left", "tau_right"), strict=True))
-    columns = {"time": TIME.tolist(), **{names[k]: column for k, column in values.items()}}
-    pq.write_table(pa.table(columns), tmp_path / "log.parquet")
-    is_right(recorded(tmp_path / "log.parquet"))
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])

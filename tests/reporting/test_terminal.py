@@ -23,10 +23,8 @@ from rich.console import Console
 import testbed as tb
 from testbed.campaigns.campaign_section import cells_figure, print_campaign
 from testbed.campaigns.summary import summarise
-from testbed.core.estimation.validate import Validation
 from testbed.core.parameters.identifiability import identifiability
 from testbed.core.parameters.joint_terms import with_joint_terms
-from testbed.motion.proof import Margin, Proof
 from testbed.view import output
 from testbed.view.figures import Panel
 from testbed.view.minimal_sets import (
@@ -35,8 +33,7 @@ from testbed.view.minimal_sets import (
     print_latex,
     print_sets,
 )  # fmt: skip
-from testbed.view.motion import print_excitation, print_proof
-from testbed.view.posterior import validation_table
+from testbed.view.motion import print_excitation
 from testbed.view.section import Table
 from testbed.view.terminal import print_estimates, print_run
 from tests.helpers.pages import campaign, excitation, run_named
@@ -44,7 +41,6 @@ from tests.helpers.paths import GOLDEN
 from tests.helpers.strategies import few, trees
 
 WIDTHS = st.integers(60, 140)
-LONG = "the_third_joint_of_the_left_index_finger"
 
 
 def findings(tree: tb.Tree) -> Findings:
@@ -115,17 +111,6 @@ def test_words_give_way_before_the_names_of_rows(width: int, value: int, known: 
     assert max(map(len, lines)) <= width
 
 
-@given(WIDTHS, st.sampled_from([("elbow", "wrist"), (LONG, "wrist")]))
-def test_no_number_of_a_validation_is_cut(width: int, names: tuple[str, ...]) -> None:
-    sizes = np.array([-1.23456e-101, np.nan])
-    values: dict[str, Any] = dict.fromkeys(("signal", "residual", "noise", "spread"), -sizes)
-    found = Validation("internal", names, ("N m", "N m"), (12345678, 0), mean=sizes, **values)
-    text = printed(width, output.print_tables, [validation_table(found)])
-    assert max(map(len, text.splitlines())) <= width
-    assert not re.search("…|nan", text)
-    assert [text.count(x) for x in ("-1.23e-101", "1.23e-101", "12345678")] == [1, 4, 1]
-
-
 @pytest.mark.slow
 @given(WIDTHS)
 @few(4)
@@ -140,16 +125,6 @@ def test_a_motions_promises_and_limits_are_told_the_worst_first(width: int) -> N
     short = printed(width, print_excitation, found, Path("m"))
     first = [line.split()[0] for line in short.splitlines() if line.strip()]
     assert [n for n in first if n in names] == [names[k] for k in np.argsort(-relative)[:10]]
-
-
-def test_a_limit_that_is_exceeded_comes_first_and_is_no_proof() -> None:
-    proof = Proof(
-        (Margin("velocity of 'a'", 0.25, 1.5), Margin("velocity of 'b'", -0.125, 2.5)), 9, 0
-    )
-    text = printed(100, print_proof, proof)
-    rows = [line.split()[-2:] for line in text.splitlines() if "velocity of '" in line]
-    assert rows[:2] == [["-12.50%", "2.500"], ["25.00%", "1.500"]]
-    assert proof.worst.words in " ".join(text.split())
 
 
 @pytest.mark.slow
