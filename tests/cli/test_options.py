@@ -79,24 +79,6 @@ def test_what_stands_there_is_not_written_over_and_that_is_said_before_the_work(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("command", "option"), [key for key in WRITERS if WRITERS[key][0]])
-def test_what_stands_there_is_written_over_by_force(
-    command: str, option: str, place: Path, tmp_path: Path
-) -> None:
-    ending, words = WRITERS[command, option]
-    shutil.copytree(place, home := tmp_path / "home")
-    old = Path(shutil.copy(place / "other.parquet", home / f"old{ending}"))
-    before = old.read_bytes()
-    quick = "--set motion.duration=4 --set excitation.starts=1" if command == "excite" else ""
-    call = (command, *words.split(), *quick.split(), option, old.name)
-    assert command_line(*call, cwd=home).returncode == 2
-    assert old.read_bytes() == before
-    done = command_line(*call, "--force", cwd=home)
-    assert done.returncode == 0, done.stderr
-    assert old.read_bytes() != before
-
-
-@pytest.mark.slow
 def test_files_of_names_that_nobody_gave_are_kept(place: Path, tmp_path: Path) -> None:
     """Also numbers beside a page; a run's own page is written again."""
     shutil.copytree(place, home := tmp_path / "home")

@@ -1,22 +1,26 @@
-"""An experiment for any robot: what `new` writes is read back, goes with its size, and runs."""
+"""An experiment for any robot, also other people's: what `new` writes is read back, and runs."""
 
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import testbed as tb
+from benchmarks.robot_files import MOST_SIGMAS
 from testbed.core.base.errors import InertiaError, TestbedError
 from testbed.core.robot.model_file import mimic_joints, nearest_bodies
 from testbed.lab.experiment.assumptions import DRY, assumptions
+from testbed.lab.experiment.evaluate import evaluate
 from testbed.lab.experiment.experiment import run_name
 from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.experiment.motions import motion_of
 from testbed.lab.experiment.new_experiment import find_robot, new_experiment
 from testbed.motion.limits import limits_of
+from tests.helpers.command import command_line
 from tests.helpers.paths import REAL
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import MODELS
@@ -185,3 +189,35 @@ def test_a_run_is_named_for_the_robot_where_the_file_says_nothing() -> None:
     assert run_name(Path("sawyer/robot.xml"), "MuJoCo Model") == "sawyer"
     assert run_name(Path("ur5_gripper.urdf"), "ur5") == "ur5_gripper"
     assert run_name(Path("robot.xml"), "puma562") == "puma562"
+
+
+ROBOTS = {
+    "light links that rub": "xarm_description/urdf/xarm7",
+    "a light gripper": "z1_description/urdf/z1",
+    "a frame of 1e-9 kg": "so_arm_description/urdf/so101",
+    "tool frames without inertia": "talos_data/robots/talos_left_arm",
+    "moments of -2e-22": "anymal_b_simple_description/robots/anymal",
+    "two arms, two grippers": "baxter_description/urdf/baxter",
+    "a hand, links that break the triangle": "allegro_hand_description/urdf/allegro_left_hand",
+    "a gripper that touches": "ur_description/urdf/ur5_gripper",
+    "a small finger": "finger_edu_description/robots/finger_edu",
+    "joints without limits": "double_pendulum_description/urdf/double_pendulum_continuous",
+}
+SHORT, LONG = 4.0, 10.0
+"""Seconds that most are recorded for, and a period that is usual."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
+def test_any_robot_runs_as_new_writes_it(robot: str, tmp_path: Path) -> None:
+    """Else whoever has another robot than ours stops at the second command."""
+    made = command_line("new", str(REAL / f"{robot}.urdf"), "--out", "r.toml", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    motion = tomllib.loads((tmp_path / "r.toml").read_text())["motion"]
+    period = 1 / motion["fundamental"]  # of many parameters only a whole one holds enough values
+    seconds = period if period > LONG else SHORT
+    # distances to meshes take most of the time, and `new` has looked at them
+    words = [f"motion.duration={seconds}", "motion.candidates=1", "excitation.clearance=off"]
+    experiment = tb.Experiment.load(tmp_path / "r.toml", words)
+    run = evaluate(experiment, tb.record(experiment))
+    assert 0 < run.metrics["external_max_z"] < MOST_SIGMAS

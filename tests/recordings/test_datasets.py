@@ -1,8 +1,4 @@
-"""Datasets of robot learning and columns of known loggers are read without a word of a person.
-
-If one fails, somebody's dataset is read as other joints, other units or other times, or a file
-from somebody else harms the machine.
-"""
+"""Datasets of robot learning and columns of known loggers are read without a word of a person."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Logs as programs write them that nobody had in mind: each gives the right numbers, or is said.
-
-If one fails, somebody's file is refused though all is in it, or read as another robot's motion.
-"""
+"""Logs as programs write them that nobody had in mind: each gives the right numbers, or is said."""
 
 from __future__ import annotations
 

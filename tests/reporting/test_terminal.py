@@ -1,7 +1,4 @@
-"""What the terminal shows at any width, and what programs are given in its place.
-
-If one fails, a person copies a number that was cut, or misses the line that matters.
-"""
+"""What the terminal shows at any width, and what programs are given in its place."""
 
 from __future__ import annotations
 
