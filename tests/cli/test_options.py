@@ -37,7 +37,7 @@ WRITERS = {
 }
 """Every option that names what is to be written; its ending, none of folders; what is read."""
 READ = {"--model", "--prior", "--plate", "--loaded", "--validate", "--against", "--recording"}
-READ |= {"--unseen", "--tls-ca", "--tls-cert", "--tls-key"}
+READ |= {"--unseen"}
 
 
 def test_no_writer_is_left_out_here() -> None:

@@ -17,14 +17,7 @@ from testbed.core.base.errors import InfeasibleMotion, UnknownName
 from testbed.core.dynamics.newton_euler import poses
 from testbed.core.robot.inertia import about
 from testbed.motion.clearance import FAR, ClearanceTerm, DistanceMeter
-from testbed.motion.collision_model import (
-    CELL,
-    FLOOR,
-    STANDING,
-    Obstacle,
-    collision_model,
-    levers,
-)
+from testbed.motion.collision_model import CELL, FLOOR, STANDING, Obstacle, collision_model, levers
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import Limits, limits_of, motor_efforts
 from testbed.motion.proof import SPANS, Rules, prove, seems_to_hold, spans_of, suprema
@@ -32,13 +25,7 @@ from testbed.motion.random_motion import MARGIN, best_motion, random_motion, rel
 from testbed.motion.rest_to_rest import RestToRest, Start, start_of
 from testbed.motion.samples import Samples, stencil
 from testbed.motion.surroundings import watched
-from testbed.motion.terms import (
-    EffortTerm,
-    PlateRange,
-    PlateTerm,
-    SensorTerm,
-    force_bounds,
-)
+from testbed.motion.terms import EffortTerm, PlateRange, PlateTerm, SensorTerm, force_bounds
 from tests.helpers.chains import Z, chain
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot

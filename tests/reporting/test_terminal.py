@@ -24,12 +24,7 @@ from testbed.core.parameters.identifiability import identifiability
 from testbed.core.parameters.joint_terms import with_joint_terms
 from testbed.view import output
 from testbed.view.figures import Panel
-from testbed.view.minimal_sets import (
-    Findings,
-    as_document,
-    print_latex,
-    print_sets,
-)  # fmt: skip
+from testbed.view.minimal_sets import Findings, as_document, print_latex, print_sets  # fmt: skip
 from testbed.view.motion import print_excitation
 from testbed.view.section import Table
 from testbed.view.terminal import print_estimates, print_run
