@@ -304,23 +304,6 @@ def test_plates_that_a_c3d_file_describes_act_where_it_says(
     np.testing.assert_allclose(found, wanted[: len(found)], atol=2e-3)
 
 
-def test_a_plate_in_millivolts_is_taken_for_none_in_newtons(tmp_path: Path) -> None:
-    channels = np.random.default_rng(0).normal(size=(6, 400))
-    write_c3d(
-        tmp_path / "plate.c3d", channels, np.zeros((3, 0, 400)),
-        ANALOG={"LABELS": ("Fx", "Fy", "Fz", "Mx", "My", "Mz"), "UNITS": ("mV",) * 6},
-        FORCE_PLATFORM=plate(2, channels, 1e-3),
-    )  # fmt: skip
-    time = np.arange(400) / 100
-    robot = written(tmp_path / "robot.csv", [f"{t:.3f}" for t in time], table(time))
-    draft = draft_of(robot, tmp_path / "plate.c3d")
-    assert draft.tables["wrench"]["matrix"] == ""
-    assert "mV" in draft.notes["wrench", "matrix"]
-    (tmp_path / "map.toml").write_text(draft.saying("wrench", "matrix", None).text)
-    with refuses(RecordingError, "wrench", "mV", "matrix"):
-        tb.import_recording(tmp_path / "map.toml")
-
-
 def test_joints_of_two_nodes_are_one_signal_and_rows_without_times_are_none(
     tmp_path: Path,
 ) -> None:
