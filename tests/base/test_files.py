@@ -178,17 +178,6 @@ def test_of_several_that_are_written_together_all_are_replaced_or_none(
     assert names(tmp_path) == ["last", "new", "old"]
 
 
-def test_an_error_while_writing_names_what_was_to_be_written(tmp_path: Path) -> None:
-    """Not the temporary file; an error of another file that is read stays as it is."""
-    with refuses(OSError, str(tmp_path / "place/part")), replacing(tmp_path / "place") as fresh:
-        (fresh / "part").write_text("in a folder that is not there")
-    with refuses(OSError, "'place'", os.strerror(errno.ENOSPC)), replacing(Path("place")):
-        raise FULL
-    with refuses(FileNotFoundError, "input"), replacing(tmp_path / "place"):
-        (tmp_path / "input").read_text()
-    assert names(tmp_path) == []
-
-
 @pytest.mark.parametrize("kind", ["file", "folder"])
 @pytest.mark.parametrize("before", [True, False])
 def test_what_another_program_makes_or_changes_meanwhile_is_not_replaced(

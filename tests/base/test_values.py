@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -15,11 +14,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from testbed.core.base.arrays import readonly
 from testbed.core.base.blas import eigh, one_blas_thread
-from testbed.core.base.errors import SettingsError, UnknownName, printable
+from testbed.core.base.errors import UnknownName, printable
 from testbed.core.base.installation import DISTRIBUTION, own_or_shipped, shipped, version
-from testbed.lab.instruments.joints import EncoderEccentricity
-from testbed.lab.kind_table import COUNTS, LARGEST, Key
-from testbed.lab.simulation.joint_friction import Stribeck
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import few
@@ -51,50 +47,6 @@ def test_one_thread_is_used_meanwhile_and_as_many_as_before_afterwards() -> None
         with one_blas_thread():
             assert threads() == {1}
         assert threads() == before
-
-
-NO_NUMBERS: tuple[Any, ...] = (float("nan"), -float("inf"), True, None, "text", {}, 1j)
-SIX = tuple(tuple(float(6 * row + column) for column in range(6)) for row in range(6))
-KEPT: list[tuple[Key, Any, Any]] = [
-    (Key(), 3, 3.0), (Key("word"), "waist", "waist"), (Key("joints"), {"waist": 1}, {"waist": 1.0}),
-    (Key("matrix"), [list(row) for row in SIX], SIX), (Key(least=2.0), 2.0, 2.0),
-    (Key(least=0.0, most=1.0), 1.0, 1.0), (Key(positive=True), 1e-9, 1e-9),
-    (Key(whole=True), 4.0, 4), (Key("joints"), [1] * 7, (1.0,) * 7),
-    *((Key(members), [1] * count, (1.0,) * count) for members, count in COUNTS.items()),
-]  # fmt: skip
-WRONG: list[tuple[Key, Any]] = [
-    (Key(), 1.01 * LARGEST), (Key("word"), 3), (Key("joints"), {"waist": "far"}),
-    (Key("axes"), {"x": 1}), (Key("joints"), []), (Key("matrix"), SIX[:5]),
-    (Key("matrix"), [row[:5] for row in SIX]), (Key(least=2.0), 1.99),
-    (Key(least=0.0, most=1.0), 1.1), (Key(positive=True), 1e-10), (Key(whole=True), 0.5),
-    *((Key(m), [1.0] * (n + more)) for m, n in COUNTS.items() for more in (-1, 1)),
-    *((Key(), value) for value in NO_NUMBERS),
-    *((Key("channels"), [1.0] * 5 + [value]) for value in NO_NUMBERS),
-]  # fmt: skip
-
-
-def test_a_key_keeps_what_it_takes_and_refuses_all_else_by_name() -> None:
-    """A typing error in a fault's table would otherwise simulate another instrument.
-
-    Two runs with one fault compare as equal; its file says it with every default.
-    """
-    for wanted, value, kept in KEPT:
-        found = wanted.checked(value, "bias: size")
-        assert (found, type(found)) == (kept, type(kept))
-    for wanted, value in WRONG:
-        with refuses(SettingsError, "bias: size"):
-            wanted.checked(value, "bias: size")
-    one, other = Stribeck({"waist": 1}, 0.5), Stribeck({"waist": 1.0}, 0.5)
-    assert one == other != Stribeck()
-    assert len({one, other, Stribeck()}) == 2
-    said = {"kind": "stribeck_friction", "coefficient": {"waist": 1.0}, "speed": 0.5}
-    assert one.table() == said
-    assert one.by_joint == {"coefficient": {"waist": 1.0}}
-    said = {"kind": "encoder_eccentricity", "amplitude": 1.0, "period": 0.5}
-    assert EncoderEccentricity(1.0, 0.5).table() == said
-    assert EncoderEccentricity(1.0, 0.5, 3.0).table() == said | {"phase": 3.0}
-    with refuses(SettingsError, "encoder_eccentricity", "phase", "'now'"):
-        EncoderEccentricity(phase="now")  # type: ignore[arg-type]
 
 
 @given(st.text(max_size=40), st.integers(1, 20), st.integers(20, 500))

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pyarrow as pa
@@ -19,11 +18,10 @@ from scipy.stats import binomtest
 
 from testbed.campaigns import conduct as conducting
 from testbed.campaigns.campaign import Campaign
-from testbed.campaigns.conduct import Place, carry_out_run, conduct, places_of
+from testbed.campaigns.conduct import Place, conduct, places_of
 from testbed.campaigns.results import read_results
 from testbed.campaigns.summary import coverage_of, summarise
 from testbed.core.base.errors import ExperimentError, TestbedError
-from testbed.lab.experiment import evaluate
 from tests.helpers.campaigns import NOISES, campaign_file, made_up
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
@@ -205,17 +203,6 @@ def test_a_process_that_dies_ends_the_command_with_a_word(
     monkeypatch.setattr(conducting, "carry_out_run", end)
     with refuses(ExperimentError, "--workers"):
         conduct(campaign, tmp_path / "r", workers=1)
-
-
-def test_a_run_that_fails_says_why(campaign: Campaign, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Errors that are none of testbed's with their kind."""
-    for error, said in (
-        (ZeroDivisionError("so"), "ZeroDivisionError: so"),
-        (TestbedError("so"), "so"),
-    ):
-        monkeypatch.setattr(evaluate, "evaluate", Mock(side_effect=error))
-        row = carry_out_run(campaign, places_of(campaign)[0])
-        assert (row["status"], row["error"]) == ("failed", said)
 
 
 def test_a_summary_has_median_error_and_coverage_of_each_cell(

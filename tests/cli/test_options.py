@@ -37,7 +37,7 @@ WRITERS = {
 }
 """Every option that names what is to be written; its ending, none of folders; what is read."""
 READ = {"--model", "--prior", "--plate", "--loaded", "--validate", "--against", "--recording"}
-READ |= {"--unseen", "--tls-ca", "--tls-cert", "--tls-key"}
+READ |= {"--unseen"}
 
 
 def test_no_writer_is_left_out_here() -> None:
@@ -76,32 +76,6 @@ def test_what_stands_there_is_not_written_over_and_that_is_said_before_the_work(
             assert (done.returncode, done.stdout) == (2, ""), (command, option, out)
             assert len(done.stderr.splitlines()) == 1, done.stderr
     assert {path: path.is_file() and path.read_bytes() for path in home.rglob("*")} == before
-
-
-def test_only_a_campaign_and_its_summary_go_on_without_force() -> None:
-    for command in app.registered_commands:
-        assert command.callback is not None
-        name = command.name or command.callback.__name__
-        forced = "force" in get_type_hints(command.callback)
-        assert forced == (name != "campaign" and any(name == each for each, _ in WRITERS)), name
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("command", "option"), [key for key in WRITERS if WRITERS[key][0]])
-def test_what_stands_there_is_written_over_by_force(
-    command: str, option: str, place: Path, tmp_path: Path
-) -> None:
-    ending, words = WRITERS[command, option]
-    shutil.copytree(place, home := tmp_path / "home")
-    old = Path(shutil.copy(place / "other.parquet", home / f"old{ending}"))
-    before = old.read_bytes()
-    quick = "--set motion.duration=4 --set excitation.starts=1" if command == "excite" else ""
-    call = (command, *words.split(), *quick.split(), option, old.name)
-    assert command_line(*call, cwd=home).returncode == 2
-    assert old.read_bytes() == before
-    done = command_line(*call, "--force", cwd=home)
-    assert done.returncode == 0, done.stderr
-    assert old.read_bytes() != before
 
 
 @pytest.mark.slow

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import os
 import shlex
+import shutil
 from pathlib import Path
 
 import pytest
 
+from testbed.core.base.file_kinds import BELONGS, kind_of
 from tests.helpers.command import command_line
+from tests.helpers.paths import ROOT
 from tests.helpers.refusals import is_message
 
 pytestmark = pytest.mark.slow
@@ -50,6 +53,7 @@ motion.duration=1e9 | motion.duration samples
 measurement.fault=[{kind='plate'}] | 'plate'
 measurement.fault=[{kind='plate_delay',late=1}] | plate_delay 'late'
 simulation.effect=[{kind='payload',joint='hip'}] | payload 'hip' elbow
+simulation.effect=[{kind='payload',mass=-1}] | payload mass
 identification.cutoff=1e5 | position_cutoff cutoff
 identification.terms=['slip'] | 'slip' coulomb
 identification.zeros=['mb9x'] | 'mb9x' 'mb3x'
@@ -65,15 +69,12 @@ ROBOT = "--model puma562.xml"
 ONE = f"one.parquet {ROBOT}"
 WORDS = f"""
 run none.toml | 'none.toml'
-run puma562.xml | 'puma562.xml' testbed new
 run one.parquet | one.parquet
 minimal none.xml | 'none.xml'
-identify none.parquet {ROBOT} | 'none.parquet'
 identify one.parquet --model ur5.urdf | waist j1
 identify {ONE} --set motion.duration=3 | 'motion' identification
 identify {ONE} --set identification.span=[50,60] | span 50
 identify {ONE} --terms slip | 'slip' coulomb
-identify {ONE} --method magic | --method 'magic' 'both'
 identify {ONE} --consistent --write x.urdf | 'x.urdf' .xml
 identify {ONE} --consistent --set consistent.known={{"mass/lnk3"=4}} | 'lnk3' 'link3'
 identify {ONE} --plate map.toml | map.toml mapping
@@ -83,45 +84,28 @@ validate one.parquet none.json | 'none.json' identify
 validate other.parquet result.json --model ur5.urdf | SHA-256
 payload one.parquet other.parquet {ROBOT} --joint hip | 'hip' elbow
 payload one.parquet other.parquet {ROBOT} --as abb | 'abb' kuka
-payload one.parquet other.parquet {ROBOT} --as ur --flange tool0 | 'tool0' link3
-payload one.parquet other.parquet {ROBOT} --flange link3 | --as
-payload one.parquet other.parquet {ROBOT} --as ur --json | --as
 tool one.parquet {ROBOT} --sensor link3 --as ur --json | --as
-tool one.parquet {ROBOT} --sensor link3 --flange link3 | --as
-tool one.parquet {ROBOT} --sensor link3 --as ur --flange link2 | 'link2' elbow
 sample result.json --out . | '.' working
 sample result.json --out run | 'run' --out
-sample none.json --out new | 'none.json' identify
 drives one.parquet {ROBOT} --unseen other.parquet | --write
 drives no_torque.parquet {ROBOT} | torque
 drives one.parquet {ROBOT} --friction friction.txt | 'friction.txt' .csv .json
 calibrate {ONE} | --known
 calibrate {ONE} --known mass=x | 'mass=x'
-calibrate {ONE} --known gain/Fq=1 | 'gain/Fq' 'gain/Fz'
 calibrate {ONE} --known mass=20 --known mbar1=20 | 'mbar1'
-report on | 'on' one.parquet
 report run {ROBOT} | 'run' --model
 report {ONE} --out x.pdf | --out 'x.pdf' .html
-view {ONE} --save x.png | --save 'x.png' .rrd
 simulate table.toml | --out
-campaign quick.toml --workers -1 | --workers 0
 campaign --summary none | none/results.parquet
-excite two.urdf --trajectory t.txt | 't.txt' .csv
 excite two.urdf --check | 'two.urdf' model testbed new
-excite two.urdf --check --page x.html --trajectory t.csv | --trajectory --page
 excite two.urdf --set excitation.plate_range=[1,1,1,1,1,1] | plate
 minimal puma562.xml --zero mb9x | 'mb9x' 'mb3x'
 minimal puma562.xml --gravity 1,2 | --gravity '1,2'
-minimal puma562.xml --lock elbow=x | 'elbow=x'
 equations puma562.xml --max-terms 5 | 5 --max-terms
 equations puma562.xml --language fortran | --language 'fortran'
-equations puma562.xml --zeros --zero mb1x | --zeros --zero
 equations puma562.xml --against table.toml | line 1
-import map.toml | --out
 import --guess log.csv --out map.toml | map.toml
 new two.urdf --out table.toml | table.toml
-new | --recording
-faults plate_wind | 'plate_wind' 'plate_gain'
 fly | 'fly'
 minimal puma562.xml --speed | --speed
 """
@@ -194,3 +178,64 @@ def test_words_and_files_of_any_kind_are_refused(place: Path, tmp_path: Path) ->
         for it in (*map(str, tmp_path.iterdir()), *odd):
             found += check(place, [word.replace("IT", it) for word in words.split()], [])
     assert not found, "\n".join(found)
+
+
+FILES = {
+    "model file": ("puma562.xml", "two.urdf"),
+    "recording": ("one.parquet",),
+    "log of another program": ("log.csv",),
+    "result": ("result.json", "run/result.json"),
+    "experiment": ("table.toml",),
+    "campaign": ("quick.toml",),
+    "mapping": ("map.toml",),
+}
+"""Files of each kind; see conftest.py."""
+
+ASKED = {
+    "identify FILE --model puma562.xml": ("recording", "mapping"),
+    "identify one.parquet --model FILE": ("model file",),
+    "validate one.parquet FILE": ("result",),
+    "minimal FILE": ("model file",),
+    "run FILE": ("experiment",),
+    "campaign FILE": ("campaign",),
+    "import FILE --out new.parquet": ("mapping",),
+    "new FILE": ("model file",),
+    "report FILE --model puma562.xml": ("recording", "mapping"),
+    "view FILE --model puma562.xml --save new.rrd": ("recording", "mapping"),
+    "excite FILE": ("model file", "experiment"),
+    "identify one.parquet --model puma562.xml --plate FILE": (),
+}
+"""Commands, and kinds of the file that they take."""
+
+
+def test_every_file_is_known_by_its_content(place: Path, tmp_path: Path) -> None:
+    """Whatever its name is, but for logs, which may be anything."""
+    for kind, names in FILES.items():
+        for name in names:
+            assert kind_of(place / name) == kind
+            if "log" not in kind:
+                assert kind_of(Path(shutil.copy(place / name, tmp_path / "any"))) == kind
+    shipped = {"experiment": "experiments/*.toml", "campaign": "experiments/campaigns/*.toml"}
+    for kind, pattern in shipped.items():
+        assert {kind_of(path) for path in ROOT.glob(pattern)} == {kind}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", ASKED)
+def test_a_command_says_what_it_was_given(words: str, place: Path, tmp_path: Path) -> None:
+    shutil.copytree(place, home := tmp_path / "home")
+    for kind, names in FILES.items():
+        for name in names if kind not in ASKED[words] else ():
+            done = command_line(*words.replace("FILE", name).split(), cwd=home)
+            assert done.returncode == 2, (words, name)
+            (line,) = done.stderr.replace(f"{home}/", "").splitlines()
+            assert kind in line, line
+            assert BELONGS[kind].replace("{}", name) in line, line
+            assert len(line) <= 300, line
+
+
+def test_an_option_that_is_none_points_to_the_help_of_its_command(tmp_path: Path) -> None:
+    for words in ("run", "run --frce", "simulate x.toml --out x.csv"):
+        done = command_line(*words.split(), cwd=tmp_path)
+        assert f"testbed {words.split()[0]} --help" in done.stderr
+    assert "testbed --help" in command_line("--nothing", cwd=tmp_path).stderr

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.core.base.arrays import Array
 from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.parameters.rules import Model
 from testbed.motion.design import DesignProblem, _start, criterion, design
@@ -26,14 +25,13 @@ from testbed.motion.information import (
     predict,
 )
 from testbed.motion.limits import limits_of, motor_efforts
-from testbed.motion.problem import BlockJacobian, Inside, Point, minimise
 from testbed.motion.proof import Proof, Rules, prove
 from testbed.motion.random_motion import random_motion
 from testbed.motion.samples import SampledRows, scale_of
 from testbed.motion.terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot
-from tests.helpers.strategies import few, rngs
+from tests.helpers.strategies import rngs
 
 PLATE = np.repeat([0.5, 0.1], 3)
 ALL = Pipeline(rate=1.0, span=1.0, band=np.inf, resting=0.0, reach=0.0)
@@ -58,41 +56,6 @@ def test_criteria_are_what_they_say_and_what_is_no_information_has_no_inverse(
     for wrong in ([[np.inf, 0], [0, 1]], [[np.nan, 0], [0, 1]], [[0, 0], [0, 1]], [[1, 2], [2, 1]]):
         assert _inverse(np.array(wrong)) is None
     np.testing.assert_allclose(_inverse(here) @ here, np.eye(6), atol=1e-6)  # type: ignore[operator]
-
-
-class Cube:
-    """A smooth function within a turned cube, apart in its axes: the least is the goal, clipped."""
-
-    def __init__(self, rng: np.random.Generator) -> None:
-        self.turn, self.weights = np.linalg.qr(rng.normal(size=(6, 6)))[0], rng.uniform(0.1, 10, 6)
-        self.goal = np.append(rng.uniform(-3, 3, 5), 3.0)
-        self.seen: list[Array] = []
-
-    def value(self, y: Array) -> float:
-        return float(self.weights @ ((y - self.goal) ** 4 + (y - self.goal) ** 2))
-
-    def inside(self, x: Array) -> Inside:
-        return Inside(self.value(self.turn @ x), (self.turn @ x) ** 2 - 1)
-
-    def point(self, x: Array) -> Point:
-        self.seen.append(x)
-        here, away = self.inside(x), self.turn @ x - self.goal
-        slope = self.turn.T @ (self.weights * (4 * away**3 + 2 * away))
-        rows = 2 * (self.turn @ x)[:, None] * self.turn
-        jacobian = BlockJacobian(np.zeros((1, 0, 6)), 6, np.arange(6), rows)
-        return Point(here.value, here.limits, x, slope, jacobian)
-
-
-@few(8)
-@given(rngs)
-def test_a_search_ends_at_the_least_and_is_inside_all_the_way(rng: np.random.Generator) -> None:
-    cube = Cube(rng)
-    found = minimise(cube, np.zeros(6), iterations=300)
-    assert all(cube.inside(x).holds for x in cube.seen)
-    least = cube.value(np.clip(cube.goal, -1, 1))
-    assert (1 - 1e-9) * least <= found.value <= (1 + 2e-3) * least
-    with pytest.raises(ValueError, match="outside"):
-        minimise(cube, 10 * np.ones(6))
 
 
 # designs

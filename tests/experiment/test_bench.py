@@ -44,16 +44,6 @@ def test_the_real_bodies_are_the_answer_and_those_handed_out_are_not(folder: Pat
             assert least <= found["wrench"]["puma white"] < most
 
 
-def test_the_plate_carries_the_real_robot(folder: Path) -> None:
-    """Both sources: mean vertical force is the weight, but for what the motion adds in 10 s."""
-    for case in CLEAN:
-        recorded = read(folder / "recordings" / case.name)
-        real = bodies(folder / f"truth/puma-0{case.draw}.urdf")
-        weight = 9.81 * sum(body[0] for body in real.values())
-        assert recorded.wrench[:, 2].mean() == pytest.approx(weight, rel=0.01)
-        assert recorded.rate == pytest.approx(bench.RATE)
-
-
 def test_testbed_answers_and_its_intervals_hold(folder: Path) -> None:
     """The script of the comparison: an answer that is wrong or late here would blame the tool."""
     answers: dict[str, dict[str, object]] = {}
@@ -80,13 +70,3 @@ def test_intervals_and_words_are_counted(folder: Path) -> None:
     for said, noticed in ((["one", "two"], [late]), (["one"], [])):
         answers = {name: {"said": ["one"]}, late: {"said": said}}
         assert score(folder, answers)["noticed"] == noticed
-
-
-def test_a_late_plate_is_late(folder: Path) -> None:
-    """A fault is that of its name: the wrench shows what was 20 ms ago, the encoders do not."""
-    clean, late = (
-        read(folder / "recordings" / Case("puma", "white", 0, fault).name) for fault in ("", "late")
-    )
-    lag = round(0.02 * clean.rate)
-    np.testing.assert_array_equal(late.wrench, clean.wrench[:-lag])
-    np.testing.assert_array_equal(late.q, clean.q[lag:])

@@ -25,16 +25,17 @@ from testbed.core.estimation.regression.windows import row_weights
 from testbed.core.robot.inertia import NOTHING
 from testbed.lab.experiment import carry_out as module
 from testbed.lab.experiment.carry_out import unseen, validated
-from testbed.lab.experiment.evaluate import wrong_prior
+from testbed.lab.experiment.evaluate import evaluate, wrong_prior
 from testbed.lab.experiment.experiment_tables import ALWAYS_JUDGED, Bound, PriorTable
 from testbed.lab.experiment.motions import another_motion, motion_of
 from testbed.lab.experiment.predict import predict
 from testbed.lab.experiment.results import result_of
 from testbed.lab.experiment.run import Run, assemble_run, correlated, systematic_errors
-from testbed.lab.experiment.score import accuracies, relative_errors
+from testbed.lab.experiment.score import accuracies, relative_errors, shared_errors
 from testbed.lab.experiment.summary import headline
 from testbed.motion.fourier import Fourier
 from tests.helpers.ideal import EXACT, ideal, plus
+from tests.helpers.paths import ROOT
 from tests.helpers.runs import MODELS, ROBOTS, experiment, judged_run, noisy, robot, run_of, without
 from tests.scenarios.scenarios import result
 
@@ -301,3 +302,23 @@ def test_consistent_bodies_are_judged_by_the_truth_and_a_wrong_model_file_is_of_
         assert np.linalg.eigvalsh(a.pseudo)[0] > 0
     bare = replace(tree, inertias=(NOTHING,) * tree.n)  # links that only carry frames
     assert wrong_prior(bare, asked).inertias == bare.inertias
+
+
+@pytest.mark.slow
+def test_the_floor_of_a_coarse_step_is_the_error_of_perfect_instruments() -> None:
+    """By an experiment of such instruments, which shares only the motion and the plant."""
+    words = ["motion.duration=6.0", "motion.candidates=1", "excitation.clearance=off"]
+
+    def load(name: str, *more: str) -> tb.Experiment:
+        return tb.Experiment.load(ROOT / f"experiments/{name}.toml", [*words, *more])
+
+    coarse = "simulation.step=1e-3"
+    fine, noisy = load("table6"), load("table6", coarse)
+    perfect = load("encoder_floor", coarse)
+    assert "external_floor" not in evaluate(fine, tb.record(fine), methods=["external"]).metrics
+    tree = tb.load_tree(MODELS["puma"])
+    estimate = tb.identify(tree, tb.record(perfect), settings=perfect.identification)
+    wanted = np.sqrt(np.mean(shared_errors(tree, estimate.base.values, zeros=True) ** 2))
+    found = evaluate(noisy, tb.record(noisy), methods=["external"]).metrics
+    assert found["external_floor"] == pytest.approx(wanted, rel=1e-6)
+    assert found["external_floor"] < found["external_rms_relative_error"]

@@ -1,6 +1,6 @@
 """The documentation's site builds strictly, opens from disk, and fetches nothing.
 
-tests/nightly/test_site_in_a_browser.py looks at it; .ci/run runs both.
+tests/nightly/test_pages_in_a_browser.py looks at it; .ci/run runs both.
 """
 
 from __future__ import annotations

@@ -35,13 +35,6 @@ STYLES = (
 )  # fmt: skip
 """Positions, velocities and torques in headers of several makers, and of none."""
 
-CLOCKS = {
-    "time": lambda t: [f"{each:.6f}" for each in t],
-    "t [ms]": lambda t: [f"{1e3 * each:.3f}" for each in t],
-    "stamp_ns": lambda t: [str(1_700_000_000_000_000_000 + round(1e9 * each)) for each in t],
-    "Uhrzeit": lambda t: [f"09:30:{each:09.6f}" for each in t],
-}
-"""Times from the start of a log, within a minute, as text."""
 
 FINGERS = """
   <link name="left"><inertial><mass value="0.05"/>
@@ -86,39 +79,25 @@ def moved(path: Path, seed: int, rate: float = 100.0) -> dict[str, Array]:
             "torque": tau}  # fmt: skip
 
 
-def written(path: Path, log: dict[str, Array], names: tuple[str, ...], rng: Any) -> dict[str, Any]:
-    """A log as somebody's own logger writes it; how is drawn."""
-    style, clock = STYLES[rng.integers(len(STYLES))], list(CLOCKS)[rng.integers(len(CLOCKS))]
-    degrees, speeds = rng.random() < 0.5, rng.random() < 0.75 or style[0] in ("a{k}", "theta{k}")
-    factor = 180 / np.pi if degrees else 1.0
-    columns: dict[str, list[str]] = {}
-    if rng.random() < 0.3:
-        columns[""] = [*map(str, range(len(log["t"])))]
-    columns |= {clock: CLOCKS[clock](log["t"])}
-    for kind, form in zip(("position", "velocity", "torque"), style, strict=True):
-        scale = 1.0 if kind == "torque" else factor
-        for k, values in enumerate(log[kind].T if kind != "velocity" or speeds else ()):
-            name = form.format(k=k + 1, name=names[k])
-            columns[name] = [f"{scale * each:.7g}" for each in values]
-    if rng.random() < 0.5:
-        columns["gripper_width_mm"] = ["40"] * len(log["t"])
-        columns |= {f"temp_{k}": ["31.5"] * len(log["t"]) for k in range(1, 7)}
-    comma = (",", ";", "\t")[rng.integers(3)]
-    rows = zip(*columns.values(), strict=True)
-    path.write_text("\n".join([comma.join(columns), *map(comma.join, rows)]) + "\n")
-    return {"style": style, "clock": clock, "degrees": degrees, "speeds": speeds}
-
-
 NAMES = tb.load_tree(GOLDEN / "robots/ur5.urdf").names
+PLAIN = ("q_{name}", "", "tau_{name}")
+WITH_UNITS = ("q_{name} [rad]", "", "tau_{name} [Nm]")
 
 
-def new(folder: Path, log: dict[str, Array], units: tuple[str, str] = ("", "")) -> Any:
-    """What `new` says of a log with names of joints as headers."""
+def new(
+    folder: Path, log: dict[str, Array], style: tuple[str, ...] = PLAIN, *, degrees: bool = False,
+    kinds: tuple[str, ...] = ("position", "torque"),
+) -> Any:  # fmt: skip
+    """What `new` says of a log whose headers are in some style."""
     robot = arm_with_fingers(folder)
-    rows = np.column_stack([log["t"], log["position"], log["torque"]])
-    heads = [f"{kind}_{name}{unit}" for kind, unit in zip(("q", "tau"), units, strict=True)
-             for name in NAMES]  # fmt: skip
-    np.savetxt(folder / "log.csv", rows, delimiter=",", header=",".join(["t", *heads]), comments="")
+    columns = {"time": log["t"]}
+    for kind, form in zip(("position", "velocity", "torque"), style, strict=True):
+        scale = 180 / np.pi if degrees and kind != "torque" else 1.0
+        for k, values in enumerate(log[kind].T if kind in kinds else ()):
+            columns[form.format(k=k + 1, name=NAMES[k])] = scale * values
+    columns |= {f"temp_{k}": np.full(len(log["t"]), 31.5) for k in range(1, 7)}
+    rows, heads = np.column_stack([*columns.values()]), ";".join(columns)
+    np.savetxt(folder / "log.csv", rows, "%.9g", ";", header=heads, comments="", encoding="utf-8")
     return command_line("new", robot.name, "--recording", "log.csv", cwd=folder)
 
 
@@ -128,16 +107,15 @@ def new(folder: Path, log: dict[str, Array], units: tuple[str, str] = ("", "")) 
 def test_an_ordinary_log_is_taken_without_a_line_by_hand(
     seed: int, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """Degrees, any headers and clocks, a gripper that the log lacks; `identify` needs no lock."""
+    """Any headers, perhaps degrees, a gripper that the log lacks; `identify` needs no lock."""
     folder, rng = tmp_path_factory.mktemp("log"), np.random.default_rng(seed)
-    robot = arm_with_fingers(folder)
-    names = tb.load_tree(GOLDEN / "robots/ur5.urdf").names
-    log = moved(robot, seed)
-    drawn = written(folder / "log.csv", log, names, rng)
-    done = command_line("new", "robot.urdf", "--recording", "log.csv", cwd=folder)
-    assert done.returncode == 0, (drawn, done.stderr)
+    style = STYLES[rng.integers(len(STYLES))]
+    log = moved(arm_with_fingers(folder), seed)
+    kinds = ("position", "velocity", "torque")
+    done = new(folder, log, style, degrees=bool(rng.integers(2)), kinds=kinds)
+    assert done.returncode == 0, (style, done.stderr)
     recording = tb.Recording.load(folder / "log.parquet")
-    assert recording.names == names
+    assert recording.names == NAMES
     assert recording.facts["mapping"]["lock"] == {"finger_1": 0.0}
     at = np.round(np.interp(recording.time, log["t"], np.arange(len(log["t"])))).astype(int)
     np.testing.assert_allclose(recording.position, log["position"][at], atol=1e-4)
@@ -151,7 +129,7 @@ def test_a_mapping_is_written_whatever_is_found(tmp_path: Path) -> None:
     """Positions that no joint has, in a unit that the log states: refused, with the line."""
     log = moved(arm_with_fingers(tmp_path), 1)
     log["position"] += 200.0
-    done = new(tmp_path, log, (" [rad]", " [Nm]"))
+    done = new(tmp_path, log, WITH_UNITS)
     lines = (tmp_path / "log.toml").read_text().splitlines()
     assert len(tomllib.loads("\n".join(lines))["position"]["columns"]) == len(NAMES)
     assert done.returncode == 2
@@ -204,7 +182,7 @@ def test_torques_that_no_robot_makes_are_not_explained(tmp_path: Path) -> None:
     """External torques in place of the drives': said first, and nothing is solved from them."""
     log = moved(arm_with_fingers(tmp_path), 4)
     log["torque"] = 0.1 * np.random.default_rng(5).normal(size=log["torque"].shape)
-    done = new(tmp_path, log, (" [rad]", " [Nm]"))
+    done = new(tmp_path, log, WITH_UNITS)
     mapping = tomllib.loads((tmp_path / "log.toml").read_text())
     assert not {"offset", "sign"} & {*mapping["position"], *mapping["torque"]}
     assert done.returncode == 2 or "unexplained" in done.stdout + done.stderr

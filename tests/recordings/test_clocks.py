@@ -1,7 +1,4 @@
-"""Sources with clocks of their own: onto one grid, and what is odd about them is said and cured.
-
-If one fails, signals of one instant stand apart, and their delay is identified as dynamics.
-"""
+"""Sources with clocks of their own: onto one grid, and what is odd about them is said and cured."""
 
 from __future__ import annotations
 
@@ -18,7 +15,8 @@ import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import of_recording
 from testbed.core.base.errors import RecordingError
-from testbed.core.recordings.repeats import held_share, slow_device
+from testbed.core.recordings.repeats import held_share, without_repeated_poses
+from testbed.core.recordings.source import open_source
 from testbed.importing.convert import pieces
 from testbed.importing.foreign_table import TIMES
 from testbed.importing.mapping import SourceTable
@@ -124,17 +122,9 @@ def test_stamps_that_jitter_and_samples_that_are_held_are_said_and_cured(logs: L
         assert share == pytest.approx(1 - 1 / times, abs=0.01)
         assert of_recording(facts)[0].code == "import.held"
         assert logs.off(plate="drop_held = true") < logs.off() / 100
-    lengths = [3, 3, 2, 3, 7, 3, 1, 3, 3, 3]
-    values = np.repeat(np.arange(10.0), lengths)[:, None]
-    news = np.concatenate([np.arange(length) % 3 == 0 for length in lengths])
-    np.testing.assert_array_equal(slow_device(values), news)
-    filled = np.repeat(np.arange(40.0), [1] * 37 + [2, 3, 9])[:, None]  # most samples are news
-    assert held_share(filled) > 0.05
-    assert slow_device(filled).sum() == 40 + 8  # the last is a rest
     moving = rng.normal(size=(500, 2))
     rests = np.concatenate([moving, np.repeat(moving[-1:], 200, axis=0), moving])
     assert held_share(rests) == 0.0
-    assert slow_device(rests).all()
 
 
 def test_gaps_are_bridged_or_cut_and_time_that_repeats_or_runs_back_is_named(logs: Logs) -> None:
@@ -190,3 +180,32 @@ def test_times_are_in_the_units_of_file_or_mapping_and_whole_ones_keep_all_digit
     else:
         seconds = found.start + np.asarray(found.since)
         np.testing.assert_allclose(seconds, 0.5 * ticks * TIMES[unit], rtol=1e-15)
+
+
+def recording(position: Array) -> tb.Recording:
+    time = np.arange(len(position)) / 100
+    return tb.Recording(("a", "b"), time, position, torque=np.zeros_like(position))
+
+
+def motion() -> Array:
+    time = np.arange(3000)[:, None] / 100
+    return np.sin([[2.0, 3.1]] * time + [[0.1, 0.7]])
+
+
+@pytest.mark.parametrize("every", [2, 3])
+def test_a_slow_device_costs_hardly_anything(every: int) -> None:
+    """Repeated poses are late by up to its step, which looks like acceleration."""
+    shown = np.repeat(motion()[::every], every, axis=0)[:3000]
+    found, share = without_repeated_poses(open_source(recording(shown)))
+    assert share == pytest.approx(1 - 1 / every, abs=1e-3)
+    apart = found.part(0, found.samples).position - motion()[: found.samples]
+    assert np.abs(apart).max() < 1e-3 * np.abs(shown - motion()).max()
+    assert 3000 - found.samples < every
+
+
+def test_steps_of_an_encoder_and_rests_are_no_slow_device() -> None:
+    """Else coarse encoders would be taken for exact ones."""
+    still = np.where(np.arange(3000)[:, None] % 500 < 250, motion(), motion()[:1])
+    for other in (motion(), np.round(motion(), 2), np.round(0.1 * motion(), 3), still):
+        source = open_source(recording(other))
+        assert without_repeated_poses(source) == (source, 0.0)

@@ -1,7 +1,4 @@
-"""Logs as programs write them that nobody had in mind: each gives the right numbers, or is said.
-
-If one fails, somebody's file is refused though all is in it, or read as another robot's motion.
-"""
+"""Logs as programs write them that nobody had in mind: each gives the right numbers, or is said."""
 
 from __future__ import annotations
 
@@ -11,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
@@ -309,23 +304,6 @@ def test_plates_that_a_c3d_file_describes_act_where_it_says(
     np.testing.assert_allclose(found, wanted[: len(found)], atol=2e-3)
 
 
-def test_a_plate_in_millivolts_is_taken_for_none_in_newtons(tmp_path: Path) -> None:
-    channels = np.random.default_rng(0).normal(size=(6, 400))
-    write_c3d(
-        tmp_path / "plate.c3d", channels, np.zeros((3, 0, 400)),
-        ANALOG={"LABELS": ("Fx", "Fy", "Fz", "Mx", "My", "Mz"), "UNITS": ("mV",) * 6},
-        FORCE_PLATFORM=plate(2, channels, 1e-3),
-    )  # fmt: skip
-    time = np.arange(400) / 100
-    robot = written(tmp_path / "robot.csv", [f"{t:.3f}" for t in time], table(time))
-    draft = draft_of(robot, tmp_path / "plate.c3d")
-    assert draft.tables["wrench"]["matrix"] == ""
-    assert "mV" in draft.notes["wrench", "matrix"]
-    (tmp_path / "map.toml").write_text(draft.saying("wrench", "matrix", None).text)
-    with refuses(RecordingError, "wrench", "mV", "matrix"):
-        tb.import_recording(tmp_path / "map.toml")
-
-
 def test_joints_of_two_nodes_are_one_signal_and_rows_without_times_are_none(
     tmp_path: Path,
 ) -> None:
@@ -347,17 +325,6 @@ def test_joints_of_two_nodes_are_one_signal_and_rows_without_times_are_none(
     path = written(tmp_path / "log.csv", [f"{t:.3f}" for t in TIME], empty)
     path.write_text(path.read_text().replace("\n1.010,", "\n,").replace("\n1.020,", "\nnan,"))
     is_right(recorded(path), atol=2e-4)
-
-
-def test_places_without_a_value_in_parquet_are_samples_without_numbers(tmp_path: Path) -> None:
-    values: dict[str, list[float | None]] = {
-        name: [*column] for name, column in zip("abcd", table().T.tolist(), strict=True)
-    }
-    values["a"][50] = None
-    names = dict(zip("abcd", ("q_left", "q_right", "tau_left", "tau_right"), strict=True))
-    columns = {"time": TIME.tolist(), **{names[k]: column for k, column in values.items()}}
-    pq.write_table(pa.table(columns), tmp_path / "log.parquet")
-    is_right(recorded(tmp_path / "log.parquet"))
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])

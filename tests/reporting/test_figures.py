@@ -1,7 +1,4 @@
-"""Figures as a person sees them: readable at every size, and of what they are said to be of.
-
-If one fails, people read another number than was found.
-"""
+"""Figures as a person sees them: readable at every size, and of what they are said to be of."""
 
 from __future__ import annotations
 

@@ -1,13 +1,9 @@
-"""What the terminal shows at any width, and what programs are given in its place.
-
-If one fails, a person copies a number that was cut, or misses the line that matters.
-"""
+"""What the terminal shows at any width, and what programs are given in its place."""
 
 from __future__ import annotations
 
 import json
 import re
-import sys
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
@@ -22,22 +18,14 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 import testbed as tb
-from testbed.applications.validate import Validation
 from testbed.campaigns.campaign_section import cells_figure, print_campaign
 from testbed.campaigns.summary import summarise
 from testbed.core.parameters.identifiability import identifiability
 from testbed.core.parameters.joint_terms import with_joint_terms
-from testbed.motion.proof import Margin, Proof
 from testbed.view import output
 from testbed.view.figures import Panel
-from testbed.view.minimal_sets import (
-    Findings,
-    as_document,
-    print_latex,
-    print_sets,
-)  # fmt: skip
-from testbed.view.motion import print_excitation, print_proof
-from testbed.view.posterior import validation_table
+from testbed.view.minimal_sets import Findings, as_document, print_latex, print_sets  # fmt: skip
+from testbed.view.motion import print_excitation
 from testbed.view.section import Table
 from testbed.view.terminal import print_estimates, print_run
 from tests.helpers.pages import campaign, excitation, run_named
@@ -45,7 +33,6 @@ from tests.helpers.paths import GOLDEN
 from tests.helpers.strategies import few, trees
 
 WIDTHS = st.integers(60, 140)
-LONG = "the_third_joint_of_the_left_index_finger"
 
 
 def findings(tree: tb.Tree) -> Findings:
@@ -116,17 +103,6 @@ def test_words_give_way_before_the_names_of_rows(width: int, value: int, known: 
     assert max(map(len, lines)) <= width
 
 
-@given(WIDTHS, st.sampled_from([("elbow", "wrist"), (LONG, "wrist")]))
-def test_no_number_of_a_validation_is_cut(width: int, names: tuple[str, ...]) -> None:
-    sizes = np.array([-1.23456e-101, np.nan])
-    values: dict[str, Any] = dict.fromkeys(("signal", "residual", "noise", "spread"), -sizes)
-    found = Validation("internal", names, ("N m", "N m"), (12345678, 0), mean=sizes, **values)
-    text = printed(width, output.print_tables, [validation_table(found)])
-    assert max(map(len, text.splitlines())) <= width
-    assert not re.search("…|nan", text)
-    assert [text.count(x) for x in ("-1.23e-101", "1.23e-101", "12345678")] == [1, 4, 1]
-
-
 @pytest.mark.slow
 @given(WIDTHS)
 @few(4)
@@ -141,16 +117,6 @@ def test_a_motions_promises_and_limits_are_told_the_worst_first(width: int) -> N
     short = printed(width, print_excitation, found, Path("m"))
     first = [line.split()[0] for line in short.splitlines() if line.strip()]
     assert [n for n in first if n in names] == [names[k] for k in np.argsort(-relative)[:10]]
-
-
-def test_a_limit_that_is_exceeded_comes_first_and_is_no_proof() -> None:
-    proof = Proof(
-        (Margin("velocity of 'a'", 0.25, 1.5), Margin("velocity of 'b'", -0.125, 2.5)), 9, 0
-    )
-    text = printed(100, print_proof, proof)
-    rows = [line.split()[-2:] for line in text.splitlines() if "velocity of '" in line]
-    assert rows[:2] == [["-12.50%", "2.500"], ["25.00%", "1.500"]]
-    assert proof.worst.words in " ".join(text.split())
 
 
 @pytest.mark.slow
@@ -211,16 +177,3 @@ def test_a_campaign_is_a_row_of_a_table_and_of_a_figure_for_each_cell() -> None:
 
 
 FORMATS = (".3g", ".1f", ".1f", ".1f")
-
-
-def test_progress_is_told_of_the_inner_block(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    outer, inner = output.Progress("outer"), output.Progress("inner")
-    live: list[list[bool]] = []
-    with outer:
-        with inner:
-            live.append([each._bar.live.is_started for each in (outer, inner)])
-        live.append([each._bar.live.is_started for each in (outer, inner)])
-    assert live == [[False, True], [True, False]]

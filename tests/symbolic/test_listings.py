@@ -261,13 +261,6 @@ def test_trigonometry_is_known(a: Expression, b: Expression) -> None:
     assert same(s(a), 2 * expression(s(a / 2) * c(a / 2)))
 
 
-def test_sums_that_differ_by_a_factor_share_a_bracket() -> None:
-    """Else what is computed once would be computed again and again in real time."""
-    a, b = NAMES["qp1"], NAMES["qp2"]
-    of_each = [(NAMES["g"] * e).terms[0][0] for e in (a + b, -a - b, 2 * a + 2 * b)]
-    assert len({f for factors in of_each for f in factors if f.nature is Nature.BRACKET}) == 1
-
-
 @given(st.integers(-200, 200), st.integers(0, 10))
 def test_numbers_are_exact_and_written_as_people_do(over: int, shift: int) -> None:
     """1/2 and 3/4, not 0.5 and 0.75; binary fractions add without rounding."""

@@ -245,7 +245,7 @@ class Rig(Summarized):
             raise SettingsError(f"{seconds:g} s at {self.rate:g} Hz hold no two samples")
         if self.rate * (seconds + self.warm_up) > MOST_SAMPLES:
             raise SettingsError(
-                f"{seconds:g} s at {self.rate:g} Hz are more than the {MOST_SAMPLES:.0e} samples "
-                "that one run holds in memory; make several runs"
+                f"{seconds:g} s (motion.duration) at {self.rate:g} Hz are more than the "
+                f"{MOST_SAMPLES:.0e} samples that one run holds in memory; make several runs"
             )
         return round(steps)
