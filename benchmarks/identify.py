@@ -6,13 +6,16 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 import testbed as tb
-from benchmarks.regressor import Case, stack
+from benchmarks.lines import print_lines
+from benchmarks.regressor import MODELS, Case, cases, stack
 from benchmarks.timing import forget_peak, least, peak_rss
 from testbed.core.estimation.estimate import Method
 from testbed.core.parameters.rules import Model
@@ -100,22 +103,6 @@ def answer(case: Case, model: Model, rounds: int) -> dict[str, Any]:
     }
 
 
-def memory(case: Case, sizes: tuple[int, ...] = (100_000, 1_000_000, 10_000_000)) -> dict[str, Any]:
-    """Peak memory over the number of samples."""
-    found = {}
-    for samples in sizes:
-        source = Endless(case.recording, samples)
-        forget_peak()
-        tb.identify(case.tree, source, "internal", settings=EXACT)
-        found[samples] = round(peak_rss(), 1)
-    return {
-        "benchmark": "memory",
-        "robot": case.name,
-        "peak_rss_mb": found,
-        "growth_mb": round(found[sizes[-1]] - found[sizes[0]], 1),
-    }
-
-
 def stored(case: Case, gigabytes: float) -> dict[str, Any]:
     """A Parquet recording larger than memory should need, encoders only, default settings."""
     import time
@@ -146,3 +133,14 @@ def stored(case: Case, gigabytes: float) -> dict[str, Any]:
 
 def _encoders(part: Recording) -> Recording:
     return replace(part, velocity=None, acceleration=None, truth=None, facts={})
+
+
+def main(
+    rounds: Annotated[int, typer.Option(help="Turns that each rival has.")] = 8,
+    gigabytes: Annotated[float, typer.Option(help="Size of a recording to identify.")] = 0.0,
+) -> None:
+    """The complete answer against Pinocchio in a loop and lstsq; threads; memory."""
+    known = cases()
+    if gigabytes:  # first: what a process once held stays in its peak
+        print_lines([stored(known[1], gigabytes)])
+    print_lines(answer(case, model, rounds) for case, model in product(known, MODELS))

@@ -11,13 +11,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 from benchmarks.foreign_recordings import LAYOUTS, TURNS, Files, Planted, planted, raw_signals
 from benchmarks.inverse_recordings import ROBOTS, Truth
 from benchmarks.judged_mappings import GOALS, judged, marked
+from benchmarks.lines import print_lines
 from testbed.core.base.errors import TestbedError
 from testbed.importing.check.check import import_and_check
 from testbed.importing.mapping import read_mapping
@@ -176,3 +178,19 @@ def reached(found: dict[str, Any]) -> bool:
         and all(value is not None and value <= goal for value, goal in rms)
         and all(value is not None and 0.8 <= value <= 1.2 for value in z)
     )
+
+
+def main(
+    robots: Annotated[str, typer.Option(help="Names, with commas.")] = ",".join(SIX),
+    layouts: Annotated[str, typer.Option(help="Of files, with commas.")] = ",".join(LAYOUTS),
+    count: Annotated[int, typer.Option(min=1, help="Recordings of each robot.")] = 40,
+    seed: Annotated[int, typer.Option(min=0, help="Of robots, motions and what is planted.")] = 43,
+) -> None:
+    """Mappings by --guess, held against the truth; exit code 1 where the goal is missed."""
+    asked, kinds = robots.split(","), layouts.split(",")
+    for name, known in [*((each, ROBOTS) for each in asked), *((each, LAYOUTS) for each in kinds)]:
+        if name not in known:
+            raise typer.BadParameter(f"{name} is none of {', '.join(known)}")
+    found = total(print_lines(study(asked, kinds, count, seed)))
+    print_lines([found])
+    raise typer.Exit(int(not reached(found)))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 import testbed as tb
+from benchmarks.lines import print_lines
 from testbed.bodies.posterior import Posterior, posterior, rows_of
 from testbed.bodies.prior import prior_of
 from testbed.core.base.arrays import Array
@@ -81,3 +83,12 @@ def _found(tree: tb.Tree, recording: Recording) -> Posterior:
         estimate = None
     rows = rows_of(Problem.of(tree, recording, "internal", SETTINGS), estimate)
     return posterior(rows, prior_of(tree), estimate)
+
+
+def main(
+    seeds: Annotated[int, typer.Option(help="Simulated robots of each kind.")] = 20,
+    first: Annotated[int, typer.Option(help="The first seed.")] = 3900,
+) -> None:
+    """Fast motion by a slow one with the model file as prior: errors, coverage."""
+    drawn = range(first, first + seeds)
+    print_lines(slow_to_fast(drawn, friction) for friction in (0.0, 1.0, 3.0))

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 import testbed as tb
+from benchmarks.lines import print_lines
 from benchmarks.timing import least, peak_rss
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.simulation.plant import build_plant
@@ -47,3 +48,8 @@ def simulate(step: float, rounds: int = 5) -> dict[str, Any]:
         "ratio": round(best["run"] / best["mj_step"], 2),
         "peak_rss_mb": round(peak_rss()),
     }
+
+
+def main() -> None:
+    """A recorded run against MuJoCo's bare steps."""
+    print_lines(simulate(step) for step in (1e-4, 5e-4))

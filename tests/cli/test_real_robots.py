@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import testbed as tb
-from benchmarks.robot_files import MOST_SIGMAS
+from benchmarks.robots import MOST_SIGMAS
 from testbed.lab.experiment.evaluate import evaluate
 from tests.helpers.command import command_line
 from tests.helpers.paths import REAL

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from testbed.motion.excite import Excitation
 
 import testbed as tb
 from testbed.bodies.shapes.appearance import load_shapes
@@ -45,6 +44,7 @@ from testbed.lab.experiment.results import (
 from testbed.lab.experiment.results import identified as identified_result
 from testbed.lab.experiment.robot_tables import RecordingTables
 from testbed.lab.experiment.run import Run
+from testbed.motion.excite import Excitation
 from testbed.motion.motion_file import read_motion, write_motion, write_trajectory
 from testbed.motion.proof import prove
 from testbed.motion.terms import PlateTerm

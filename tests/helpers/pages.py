@@ -12,7 +12,6 @@ from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
-from testbed.motion.excite import Excitation
 
 import testbed as tb
 from testbed.campaigns.campaign import Campaign
@@ -28,6 +27,7 @@ from testbed.lab.experiment.excite import design_problem
 from testbed.lab.experiment.motions import CheckedMotion, checked_motion
 from testbed.lab.experiment.run import Run
 from testbed.motion.design import Design
+from testbed.motion.excite import Excitation
 from testbed.motion.information import Prediction
 from testbed.view.mapping import write_mapping_page
 from testbed.view.motion import write_motion_page

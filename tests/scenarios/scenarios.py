@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import ArrayLike
-from testbed.motion.excite import Excitation
 
 import testbed as tb
 from benchmarks.foreign_recordings import LAYOUTS, planted, raw_signals
@@ -37,6 +36,7 @@ from testbed.importing.guess import guessed
 from testbed.lab.experiment.excite import excite
 from testbed.lab.experiment.experiment_tables import Bound
 from testbed.lab.experiment.run import Run, assemble_run
+from testbed.motion.excite import Excitation
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.humanoid import humanoid
 from tests.helpers.measured import clean, measured
