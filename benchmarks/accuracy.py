@@ -49,14 +49,7 @@ REMEDIES: Mapping[str, tuple[tuple[Fault, ...], tuple[str, ...]]] = {
 
 
 def efficiency(robot: str, first: int, runs: int, seconds: float) -> dict[str, Any]:
-    """Rms of errors over the Cramer-Rao bound of the plate's white noise, columns exact.
-
-    Args:
-        robot: One of ROBOTS.
-        first: The first seed.
-        runs: How many.
-        seconds: Duration of every recording.
-    """
+    """Rms of errors over the Cramer-Rao bound of the plate's white noise, columns exact."""
     tree = tb.load_tree(ROBOTS[robot])
     settings = tb.Settings(zeros=robot == "puma")
     ratios, without = [], []
@@ -88,13 +81,6 @@ def remedies(
 
     Beside them is what the nuisances cost whoever estimates them: the Cramer-Rao bound with
     them over that without. No estimate that is right on average has a smaller ratio.
-
-    Args:
-        only: Of REMEDIES; a line each.
-        motion: One of MOTIONS.
-        first: The first seed.
-        runs: How many.
-        seconds: Duration of every recording.
     """
     tree = tb.load_tree(ROBOTS["puma"])
     minimal = tb.minimal_set(tree, "reaction", zeros=True)

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import testbed as tb
+from tests.helpers.robots import Link, Robot
 
 # Modified Denavit-Hartenberg parameters of the PUMA 560: turn and offset along x, offset along z
-_PUMA = [
-    (0.0, 0.0, 0.0),
-    (-np.pi / 2, 0.0, 0.2435),
-    (0.0, 0.4318, -0.0934),
-    (np.pi / 2, -0.0203, 0.4331),
-    (-np.pi / 2, 0.0, 0.0),
-    (np.pi / 2, 0.0, 0.0),
-]
+_PUMA = (
+    (0.0, 0.0, 0.0), (-np.pi / 2, 0.0, 0.2435), (0.0, 0.4318, -0.0934),
+    (np.pi / 2, -0.0203, 0.4331), (-np.pi / 2, 0.0, 0.0), (np.pi / 2, 0.0, 0.0),
+)  # fmt: skip
 _AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, 0, 0.8))
 
 
@@ -36,11 +35,11 @@ def load(urdf: str) -> tb.Tree:
 
 def _arm(joints: int) -> str:
     rng = np.random.default_rng(1)
-    parts = [_link(0, rng)]
+    links = [_link(rng, "pedestal", -1)]
     for k, (turn, a, d) in enumerate(_PUMA[:joints]):
         origin = (a, -np.sin(turn) * d, np.cos(turn) * d)
-        parts += [_link(k + 1, rng), _joint(k + 1, k, origin, (turn, 0.0, 0.0), (0, 0, 1))]
-    return _robot(parts)
+        links.append(_link(rng, f"j{k + 1}", k - 1, origin, (turn, 0.0, 0.0)))
+    return Robot(tuple(links[1:]), links[0], np.zeros(3)).urdf()
 
 
 def _tree() -> str:
@@ -50,48 +49,30 @@ def _tree() -> str:
     for root, length in ((3, 7), (3, 7), (0, 6), (0, 5)):
         start = len(parents)
         parents += [root, *range(start + 1, start + length)]
-    parts = [_link(0, rng)]
+    links = [_link(rng, "pedestal", -1)]
     for k, parent in enumerate(parents, start=1):
         axis = _AXES[rng.choice(4, p=[0.3, 0.3, 0.3, 0.1])]
-        rpy = (0.0, 0.0, 0.0) if rng.random() < 0.5 else tuple(rng.uniform(-1.5, 1.5, 3))
-        origin = tuple(rng.uniform(-0.3, 0.3, 3))
-        parts += [_link(k, rng), _joint(k, parent, origin, rpy, axis, slides=k in (12, 19))]
-    return _robot(parts)
+        turns = (0.0, 0.0, 0.0) if rng.random() < 0.5 else rng.uniform(-1.5, 1.5, 3)
+        origin = rng.uniform(-0.3, 0.3, 3)
+        links.append(_link(rng, f"j{k}", parent - 1, origin, turns, axis, slides=k in (12, 19)))
+    return Robot(tuple(links[1:]), links[0], np.zeros(3)).urdf()
 
 
-def _robot(parts: list[str]) -> str:
-    return f'<robot name="benchmark">{"".join(parts)}</robot>'
-
-
-def _link(k: int, rng: np.random.Generator) -> str:
+def _link(
+    rng: np.random.Generator,
+    name: str,
+    parent: int,
+    origin: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
+    turns: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
+    axis: Sequence[float] = (0, 0, 1),
+    slides: bool = False,
+) -> Link:
+    """A link of random mass, centre and inertia."""
     mass, centre = rng.uniform(0.5, 8), rng.uniform(-0.15, 0.15, 3)
     root = rng.normal(size=(3, 3)) * 0.1 * np.sqrt(mass)
     spread = root @ root.T + np.eye(3) * 0.01 * mass
-    tensor = np.trace(spread) * np.eye(3) - spread
-    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    values = tensor[np.triu_indices(3)]
-    inertia = " ".join(f'{n}="{v:.8f}"' for n, v in zip(names, values, strict=True))
-    return (
-        f'<link name="l{k}"><inertial><origin xyz="{_row(centre)}"/><mass value="{mass:.6f}"/>'
-        f"<inertia {inertia}/></inertial></link>"
-    )
-
-
-def _joint(
-    k: int,
-    parent: int,
-    origin: tuple[float, ...],
-    rpy: tuple[float, ...],
-    axis: tuple[float, ...],
-    slides: bool = False,
-) -> str:
-    kind = "prismatic" if slides else "revolute"
-    return (
-        f'<joint name="j{k}" type="{kind}"><parent link="l{parent}"/><child link="l{k}"/>'
-        f'<origin xyz="{_row(origin)}" rpy="{_row(rpy)}"/><axis xyz="{_row(axis)}"/>'
-        '<limit lower="-6.3" upper="6.3" effort="100" velocity="10"/></joint>'
-    )
-
-
-def _row(values: tuple[float, ...] | np.ndarray) -> str:
-    return " ".join(repr(float(value)) for value in values)
+    turn = np.roll(Rotation.from_euler("xyz", turns).as_quat(), 1)
+    return Link(
+        name, parent, "prismatic" if slides else "revolute", np.array(axis, float),
+        np.array(origin), turn, mass, centre, np.trace(spread) * np.eye(3) - spread,
+    )  # fmt: skip

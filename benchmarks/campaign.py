@@ -37,12 +37,7 @@ QUICK = (
 
 
 def run_cost(seconds: float, runs: int) -> dict[str, Any]:
-    """Processor time of a run, simulated and identified by both methods.
-
-    Args:
-        seconds: Of the motion.
-        runs: How many.
-    """
+    """Processor time of a run, simulated and identified by both methods."""
     import testbed as tb
     from testbed.core.base.blas import one_blas_thread
     from testbed.lab.experiment.evaluate import evaluate
@@ -75,14 +70,7 @@ def run_cost(seconds: float, runs: int) -> dict[str, Any]:
 
 
 def kills(who: str, moments: int, runs: int, seed: int) -> dict[str, Any]:
-    """Kill -9 at random moments; the table afterwards against an undisturbed one.
-
-    Args:
-        who: "worker" or "command".
-        moments: How often.
-        runs: Of the campaign.
-        seed: Of the moments.
-    """
+    """Kill -9 at random moments; the table afterwards against an undisturbed one."""
     rng = random.Random(seed)
     same = interrupted = again = 0
     with TemporaryDirectory() as name:

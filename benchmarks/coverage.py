@@ -66,13 +66,7 @@ class Study:
 
 
 def coverage(study: Study, first: int, runs: int) -> dict[str, Any]:
-    """Shares of 95 % intervals that hold the truth, and errors.
-
-    Args:
-        study: What is repeated.
-        first: The first seed.
-        runs: How many.
-    """
+    """Shares of 95 % intervals that hold the truth, and errors."""
     tree = tb.load_tree(ROBOTS[study.robot])
     scores, errors, taken, alarms, steps = [], [], 0.0, 0, 0
     names: tuple[str, ...] = ()

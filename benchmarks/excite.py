@@ -56,13 +56,7 @@ def cases(models: list[Path]) -> Iterator[Case]:
 
 
 def gain(case: Case, seeds: int, baseline: int) -> dict[str, Any]:
-    """How many times smaller the relative sigma is than the median of random motions.
-
-    Args:
-        case: The robot.
-        seeds: Designs.
-        baseline: Random motions.
-    """
+    """How many times smaller the relative sigma is than the median of random motions."""
     warm_up()
     gains, seconds = [], []
     experiment = tb.Experiment.of_model(case.model, [*PLATE, *case.settings])
@@ -98,12 +92,7 @@ def allowed(problem: DesignProblem, count: int) -> list[Fourier]:
 
 
 def limit_sets(model: Path, count: int) -> dict[str, Any]:
-    """Designs under random limits: proven, and nowhere violated on a fine grid.
-
-    Args:
-        model: The robot.
-        count: Sets of limits.
-    """
+    """Designs under random limits: proven, and nowhere violated on a fine grid."""
     rng = np.random.default_rng([count, *model.name.encode()])
     tree = tb.load_tree(model)
     done, refused, violated, unproven = 0, 0, 0, 0

@@ -55,11 +55,7 @@ NAMED = 3
 
 
 def results(seconds: float) -> Iterator[dict[str, Any]]:
-    """Every trial: the worst error, in sigmas too, and what is said about it.
-
-    Args:
-        seconds: Duration of the recording.
-    """
+    """Every trial: the worst error, in sigmas too, and what is said about it."""
     tree = tb.load_tree(MODEL)
     recording = recorded(MODEL, 1996, seconds)
     told = {m: tb.identify(tree, recording, m, zeros=True) for m in METHODS}
@@ -80,11 +76,7 @@ def results(seconds: float) -> Iterator[dict[str, Any]]:
 
 
 def total(lines: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """How many faults are noticed, of those that do harm.
-
-    Args:
-        lines: What `results` gave.
-    """
+    """How many faults are noticed, of those that do harm."""
     faults = [line for line in lines if line.get("kind")]
     refused = [line for line in faults if "refused" in line]
     told = [line for line in faults if "refused" not in line]

@@ -61,13 +61,7 @@ def happened(loss: float, seconds: float) -> tuple[tb.Experiment, Recording]:
 
 
 def trial(loss: float, seconds: float, seed: int) -> dict[str, Any]:
-    """Errors of one recording with its terms given, over sigmas, and with terms chosen.
-
-    Args:
-        loss: What gears lose.
-        seconds: Duration.
-        seed: Of the noise.
-    """
+    """Errors of one recording with its terms given, over sigmas, and with terms chosen."""
     asked, recording = happened(loss, seconds)
     tree = robot_of(asked)
     constants: Array = 1 + OFF * np.resize([1.0, -1.0], tree.n)
@@ -102,14 +96,7 @@ def trial(loss: float, seconds: float, seed: int) -> dict[str, Any]:
 
 
 def line(loss: float, seconds: float, first: int, seeds: int) -> dict[str, Any]:
-    """What all seeds show of one loss.
-
-    Args:
-        loss: What gears lose.
-        seconds: Duration.
-        first: The first seed.
-        seeds: How many.
-    """
+    """What all seeds show of one loss."""
     runs = [trial(loss, seconds, seed) for seed in range(first, first + seeds)]
     error, sigma = (np.array([run[key] for run in runs]) for key in ("error", "sigma"))
     inside = np.abs(error) < 1.96 * sigma

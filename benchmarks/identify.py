@@ -55,26 +55,11 @@ class Endless(DerivedSource):
         )
 
 
-def long(case: Case) -> Recording:
-    """Enough samples to forget what starting costs."""
-    r, times = case.recording, REPEATS[case.name]
-    assert r.velocity is not None
-    assert r.acceleration is not None
-    return Recording(
-        r.names,
-        np.arange(times * r.samples) / 1000,
-        np.tile(r.position, (times, 1)),
-        np.tile(r.measured("torque"), (times, 1)),
-        np.tile(r.measured("wrench"), (times, 1)),
-        np.tile(r.velocity, (times, 1)),
-        np.tile(r.acceleration, (times, 1)),
-        tare=np.zeros(6),
-    )
-
-
 def answer(case: Case, model: Model, rounds: int) -> dict[str, Any]:
     """`identify` on sensed kinematics, unfiltered, against loop and lstsq."""
-    minimal, recording = tb.minimal_set(case.tree, model), long(case)
+    minimal = tb.minimal_set(case.tree, model)
+    samples = REPEATS[case.name] * case.recording.samples  # enough to forget what starting costs
+    recording = Endless(case.recording, samples).part(0, samples)
     method: Method = "internal" if model == "dynamic" else "external"
     a, b = stack(case, minimal)
     answers: dict[str, Callable[[], object]] = {
@@ -91,8 +76,8 @@ def answer(case: Case, model: Model, rounds: int) -> dict[str, Any]:
     }
     best = least(tasks, rounds)
     rows = len(b) // (case.tree.n if model == "dynamic" else 6)
-    samples = {"loop": LOOP[case.name], "lstsq": rows}
-    ns = {name: 1e9 * t / samples.get(name, recording.samples) for name, t in best.items()}
+    counts = {"loop": LOOP[case.name], "lstsq": rows, "answer": samples}
+    ns = {name: 1e9 * t / counts[name] for name, t in best.items()}
     return {
         "benchmark": f"answer {model}",
         "robot": case.name,

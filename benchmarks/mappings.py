@@ -85,14 +85,7 @@ def tried(robot: str, kind: str, layout: str, seed: int) -> dict[str, Any]:
 
 
 def asked(robot: str, files: Files, made: Truth, told: Planted) -> tuple[dict[str, Any], str]:
-    """What became of a guess, and the mapping.
-
-    Args:
-        robot: One of `ROBOTS`.
-        files: In a folder of their own.
-        made: What is true.
-        told: What was planted.
-    """
+    """What became of a guess, and the mapping."""
     found = guess(robot, files)
     line: dict[str, Any] = {
         "result": "refused" if not found.text else "incomplete",
@@ -117,14 +110,7 @@ def asked(robot: str, files: Files, made: Truth, told: Planted) -> tuple[dict[st
 def study(
     robots: Sequence[str], layouts: Sequence[str], count: int, seed: int
 ) -> Iterator[dict[str, Any]]:
-    """Each case.
-
-    Args:
-        robots: Of `ROBOTS`.
-        layouts: Of `LAYOUTS`.
-        count: Cases of each robot.
-        seed: Of all of them.
-    """
+    """Each case."""
     for robot in robots:
         rng = np.random.default_rng([seed, sum(map(ord, robot))])
         pairs = zip(itertools.cycle(layouts), itertools.cycle(TURNS), strict=False)

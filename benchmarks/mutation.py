@@ -34,14 +34,7 @@ GOAL = 85.0
 
 
 def mutation(count: int, seed: int, only: str, jobs: int) -> Iterator[dict[str, Any]]:
-    """Survivors, then a line of all.
-
-    Args:
-        count: Mutants to draw.
-        seed: Of the draw.
-        only: Pattern of their names, such as `testbed.core.robot.*`.
-        jobs: Processes at a time.
-    """
+    """Survivors, then a line of all."""
     _mutmut(jobs, ANY)
     names = sorted(name for name in _exit_codes() if fnmatch.fnmatch(name, only))
     drawn = np.random.default_rng(seed).permutation(names)[:count].tolist()

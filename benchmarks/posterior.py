@@ -31,13 +31,7 @@ SETTINGS = tb.Settings(terms=["coulomb", "viscous", "offset"])
 
 
 def slow_to_fast(seeds: range, friction: float, seconds: float = 20.0) -> dict[str, Any]:
-    """Fast motion by a slow one, by torques with friction that fades out, which no model has.
-
-    Args:
-        seeds: Of motions, noise and wrong bodies.
-        friction: Of what fades out at 0.1 rad/s, in N m, at every joint.
-        seconds: Of every recording.
-    """
+    """Fast motion by a slow one, by torques with friction that fades out, which no model has."""
     tree = tb.load_tree(ROOT / "models/puma562.xml")
     over: dict[str, list[float]] = {}
     z: dict[str, list[Array]] = {"slow": [], "fast": [], "between": []}

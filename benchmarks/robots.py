@@ -50,12 +50,7 @@ MODELS = {
 
 
 def runs(only: str, seconds: float) -> Iterator[dict[str, Any]]:
-    """A line a file, then all of them.
-
-    Args:
-        only: Files whose paths hold this.
-        seconds: Of motion.
-    """
+    """A line a file, then all of them."""
     found: dict[str, list[str]] = {}
     for name, path in sorted(_files()):
         if only in name:

@@ -40,13 +40,7 @@ WORDS = {"torque": "joint torques", "wrench": "joint torques and plate"}
 
 
 def rollouts(python: str, draws: int, docs: bool) -> str:
-    """A table of the errors of 2 s of an unseen motion, and of processor time.
-
-    Args:
-        python: Interpreter that has mujoco.sysid.
-        draws: Of bodies, motions and noise.
-        docs: Whether the table is written into the page.
-    """
+    """A table of the errors of 2 s of an unseen motion, and of processor time."""
     cases = [Case(ROBOT, "white", 2 * k) for k in range(draws)]  # the even ones are simulated
     with TemporaryDirectory() as place:
         folder = Path(place) / "set"

@@ -21,12 +21,7 @@ RATE, DURATION = 1000.0, 2.0
 
 
 def simulate(step: float, rounds: int = 5) -> dict[str, Any]:
-    """A recording run against `mj_step` alone, per simulation step.
-
-    Args:
-        step: Of the integration [s].
-        rounds: How often both take turns.
-    """
+    """A recording run against `mj_step` alone, per simulation step."""
     tree = tb.load_tree(MODEL)
     plant = build_plant(ModelFile(MODEL), tree, step)
     motion = Fourier(0.5, np.zeros(tree.n), np.full((tree.n, 2), 0.2), np.full((tree.n, 2), 0.1))

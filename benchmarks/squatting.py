@@ -20,14 +20,7 @@ from tests.helpers.humanoid import G1, humanoid
 
 
 def scores(first: int, runs: int, noise: float = 1.0, joint: str = "") -> Iterator[dict[str, Any]]:
-    """A line a recording of 40 s at 50 Hz, then all of them beside normal errors.
-
-    Args:
-        first: The first seed, of motion and noise.
-        runs: How many.
-        noise: Times that of the instruments.
-        joint: With a force sensor at it, the robot in the air; default on plates.
-    """
+    """A line a recording of 40 s at 50 Hz, then all of them beside normal errors."""
     every = []
     for seed in range(first, first + runs):
         tree, recording = humanoid(40.0, 50.0, seed, noise, joint)
