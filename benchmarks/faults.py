@@ -65,12 +65,8 @@ def results(seconds: float) -> Iterator[dict[str, Any]]:
         try:
             both = {m: tb.identify(trial.tree, changed, m, zeros=True) for m in METHODS}
         except TestbedError as error:
-            yield {
-                "kind": trial.kind,
-                "fault": trial.fault,
-                "method": trial.method,
-                "refused": str(error),
-            }
+            said = {"fault": trial.fault, "method": trial.method, "refused": str(error)}
+            yield {"kind": trial.kind, **said}
             continue
         yield _line(trial, tree, trial.method, both)
 

@@ -26,6 +26,7 @@ from hypothesis.strategies import DrawFn
 from mcap.writer import CompressionType, Writer
 
 from benchmarks.hostile.case import Case
+from benchmarks.hostile.edits import edited, spoiled
 from tests.helpers.foreign_files import FORMATS, Log, lerobot, protobuf_schema, some_log
 
 Files = dict[str, bytes]
@@ -376,8 +377,6 @@ def mapping_of(name: str) -> str:
 @st.composite
 def datasets(draw: DrawFn) -> Case:
     """Hostile datasets, and mappings or guesses of them."""
-    from benchmarks.hostile.inputs import edited, spoiled
-
     kind = draw(
         st.sampled_from(["v2.1", "v3.0", "v2.1", "v3.0", "trap", "trap", "trap", "file", "file"])
     )

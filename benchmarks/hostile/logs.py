@@ -21,6 +21,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from benchmarks.hostile.case import Case
 from benchmarks.hostile.datasets import IMPORT, OUTPUTS, Files, files_of, good, mapping_of
+from benchmarks.hostile.edits import spoiled
 from tests.helpers.foreign_files import FORMATS, _bag, some_log
 
 MANY = 100_000
@@ -97,8 +98,8 @@ def _parquet(table: pa.Table) -> bytes:
     return sink.getvalue()
 
 
-def _wide_parquet(count: int) -> Trap:
-    table = pa.table({f"q{k}": [0.0, 1.0, 2.0] for k in range(count)})
+def _wide_parquet() -> Trap:
+    table = pa.table({f"q{k}": [0.0, 1.0, 2.0] for k in range(20_000)})
     return Trap({"log.parquet": _parquet(table)}, "log.parquet")
 
 
@@ -113,7 +114,8 @@ def _csv(text: bytes, *, packed: bool = False) -> Trap:
     return Trap({name: gzip.compress(text) if packed else text}, name)
 
 
-def _c3d(points: int) -> Trap:
+def _c3d() -> Trap:
+    points = 65_535
     head = struct.pack("<BBHHHHHfHHf", 2, 80, points, 0, 1, 2, 10, 1.0, 3, 1, 100.0)
     data = head.ljust(512, b"\0") + b"\x01\x50\x01\x54".ljust(512, b"\0") + bytes(16 * points)
     return Trap({"log.c3d": data}, "log.c3d")
@@ -133,19 +135,14 @@ LOG_TRAPS: dict[str, Callable[[], Trap]] = {
                    ".rrd", ".c3d")},
     "a device": lambda: Trap({}, "log.csv", {"log.csv": "/dev/zero"}),
     "bag: a pipe": lambda: _bag_with(""),
-    "bag: a device": lambda: _bag_with("/dev/zero"),
     "bag: a link outwards": lambda: _bag_with("../elsewhere.db3"),
     "bag: a link to itself": lambda: _bag_with("log_0.db3"),
-    "bag: 200 MB by zstd": lambda: _packed_bag(bytes(200_000_000)),
     "bag: 800 MB by zstd": lambda: _packed_bag(bytes(800_000_000)),
     "bag: noise by zstd": lambda: _packed_bag(b"noise" * 1000),
-    "dataset: a pipe": lambda: _dataset_with(""),
     "dataset: a device": lambda: _dataset_with("/dev/zero"),
     "dataset: a link outwards": lambda: _dataset_with("/etc/passwd"),
     "dataset: 3 million columns": _wide_dataset,
-    "parquet: 3000 columns": lambda: _wide_parquet(3000),
-    "parquet: 20000 columns": lambda: _wide_parquet(20_000),
-    "npz: 3000 arrays": lambda: _npz({f"q{k}": np.arange(9.0) for k in range(3000)}),
+    "parquet: 20000 columns": _wide_parquet,
     "npz: 12000 arrays": lambda: _npz({f"q{k}": np.arange(9.0) for k in range(12_000)}),
     "npz: a wide array": lambda: _npz({"q": np.zeros((3, 9000)), "p": np.zeros((9000, 9000), "?")}),
     "npz: two lengths": lambda: _npz({"time": np.arange(90.0), "q": np.arange(60.0)}),
@@ -156,35 +153,16 @@ LOG_TRAPS: dict[str, Callable[[], Trap]] = {
     "csv: one line by gzip": lambda: _csv(b"1," * 50_000_000, packed=True),
     "csv: no line by gzip": lambda: _csv(b"\n" * 100_000_000, packed=True),
     "csv: short lines by gzip": lambda: _csv(b"1,2\n" * 20_000_000, packed=True),
-    "csv: a time of -2^63": lambda: _csv(b"time,q,a\n" + b"-9223372036854775808,1,2\n" * 99),
     "csv: times of both ends": lambda: _csv(
         b"time,q,a\n" + b"-9223372036854775808,1,2\n9223372036854775807,2,3\n" * 99
     ),
-    "csv: cut in a number": lambda: _csv(_rows(99)[:-2]),
     "csv: cut in a line": lambda: _csv(_rows(99)[:-9]),
-    "c3d: 65535 points": lambda: _c3d(65_535),
-    "c3d: 9000 points": lambda: _c3d(3000),
+    "c3d: 65535 points": _c3d,
 }  # fmt: skip
 """Small logs that would harm a reader."""
 
 trap = cache(lambda name: LOG_TRAPS[name]())
 """A trap, made once."""
-
-
-@st.composite
-def changed(draw: DrawFn, data: bytes) -> bytes:
-    """Bytes with one to four of them changed, or cut.
-
-    Args:
-        draw: Hypothesis'.
-        data: To begin with.
-    """
-    made = bytearray(data)
-    for _ in range(draw(st.integers(1, 4))):
-        near = draw(st.sampled_from([len(made), 600, 4000]))  # plans of formats are in front
-        place = draw(st.integers(0, 2**31)) % min(near, len(made))
-        made[-place if draw(st.booleans()) else place] = draw(st.integers(0, 255))
-    return bytes(made[: draw(st.integers(1, len(made)))] if draw(st.integers(0, 7)) == 0 else made)
 
 
 @st.composite
@@ -197,7 +175,7 @@ def logs(draw: DrawFn) -> Case:
         kind = draw(st.sampled_from([*FORMATS, "bag folder"]))
         files, text = good(kind) if kind in FORMATS else (bag_folder(), mapping_of("log"))
         name = draw(st.sampled_from(sorted(files)))
-        found = Trap(files | {name: draw(changed(files[name]))}, name.partition("/")[0])
+        found = Trap(files | {name: draw(spoiled(files[name]))}, name.partition("/")[0])
     guess = draw(st.booleans())
     command = ("import", "--guess", found.name, "--out", "guess.toml") if guess else IMPORT
     named = (found.name,) if guess else (found.name, "map.toml")
