@@ -14,10 +14,9 @@ import numpy as np
 import typer
 
 import testbed as tb
-from benchmarks.inverse_recordings import RATE, Truth
+from benchmarks.inverse_recordings import RATE
 from benchmarks.judged_mappings import MARKS
 from benchmarks.lines import print_lines
-from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import sentences
 from testbed.importing.check.check import assess
 from testbed.importing.check.remedies import with_lines
@@ -34,31 +33,19 @@ QUARTERS = (np.pi / 2, np.pi, -np.pi / 2)
 
 def tx40() -> Iterator[dict[str, Any]]:
     """Each mistake planted in the real recording, and what the check makes of it."""
-    made, right = _real()
-    columns = {name: values for signal in ("position", "torque")
-               for name, values in zip(right[signal]["columns"], getattr(made, signal).T,
-                                       strict=True)}  # fmt: skip
-    yield _held_against(made, columns, "as given", right, right)
-    for words, signal, key, value in _mistakes(made.tree.n, right):
-        wrong = {**right, signal: {**right[signal], key: value}}
-        yield _held_against(made, columns, words, right, wrong)
-
-
-def _real() -> tuple[Truth, dict[str, Any]]:
-    """The TX40's recording, and a mapping to which nothing is to add."""
     folder = ROOT / "examples/tx40"
     tree = tb.load_tree(folder / "tx40.urdf")
-    (recording,), _ = pieces(folder / "tx40.toml")
-    ordered = recording.part(0, recording.samples).ordered(tree)
-    assert ordered.torque is not None
-    made = Truth(tree, np.array(ordered.position), np.array(ordered.torque), None)
-    n = tree.n
-    right = {"joints": list(tree.names)} | {
-        signal: {"source": "log", "columns": [f"{signal}{k}" for k in range(n)], "unit": unit,
-                 "sign": [1] * n, "offset": [0.0] * n}
+    (pieced,), _ = pieces(folder / "tx40.toml")
+    real = pieced.part(0, pieced.samples).ordered(tree)
+    right: dict[str, Any] = {"joints": list(tree.names)} | {
+        signal: {"source": "log", "columns": [f"{k}" for k in range(tree.n)], "unit": unit,
+                 "sign": [1] * tree.n, "offset": [0.0] * tree.n}
         for signal, unit in (("position", "rad"), ("torque", "N m"))
     }  # fmt: skip
-    return made, right
+    yield _held_against(tree, real, "as given", right, right)
+    for words, signal, key, value in _mistakes(tree.n, right):
+        wrong = {**right, signal: {**right[signal], key: value}}
+        yield _held_against(tree, real, words, right, wrong)
 
 
 def _mistakes(n: int, right: dict[str, Any]) -> Iterator[tuple[str, str, str, list[Any]]]:
@@ -77,12 +64,12 @@ def _mistakes(n: int, right: dict[str, Any]) -> Iterator[tuple[str, str, str, li
 
 
 def _held_against(
-    made: Truth, columns: dict[str, Array], words: str, right: dict[str, Any], wrong: dict[str, Any]
+    tree: tb.Tree, real: tb.Recording, words: str, right: dict[str, Any], wrong: dict[str, Any]
 ) -> dict[str, Any]:
     """What the check says first, and whether the recording is right with what it proposes."""
-    found = assess(made.tree, recorded(made, columns, wrong))
+    found = assess(tree, recorded(real, wrong))
     lines = [line for remedy in found.remedies for line in remedy.lines]
-    one, other = (recorded(made, columns, each) for each in (right, with_lines(wrong, lines)))
+    one, other = (recorded(real, each) for each in (right, with_lines(wrong, lines)))
     rest = np.asarray(other.position) - np.asarray(one.position)
     zero = (rest.mean(axis=0) + np.pi) % (2 * np.pi) - np.pi
     zero[[0, -1]] = 0  # no data tell
@@ -98,14 +85,14 @@ def _held_against(
     }  # fmt: skip
 
 
-def recorded(made: Truth, columns: dict[str, Array], mapping: dict[str, Any]) -> tb.Recording:
+def recorded(real: tb.Recording, mapping: dict[str, Any]) -> tb.Recording:
     """The recording that a mapping makes of a file's columns."""
-    time = np.arange(len(made.position)) / RATE
+    time = np.arange(real.samples) / RATE
     signals: dict[str, Any] = {}
     for kind in ("position", "torque"):
-        values = np.column_stack([columns[name] for name in mapping[kind]["columns"]])
+        values = real.measured(kind)[:, [int(column) for column in mapping[kind]["columns"]]]
         signals[kind] = joint_signal(kind, SignalTable(**mapping[kind]), None, values)
-    return tb.Recording(made.tree.names, time, **signals, facts={"mapping": mapping})
+    return tb.Recording(real.names, time, **signals, facts={"mapping": mapping})
 
 
 def main() -> None:

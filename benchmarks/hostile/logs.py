@@ -49,22 +49,17 @@ def bag_folder() -> Files:
     return files_of(lambda place: _bag(place / "log", some_log(), StoragePlugin.SQLITE3))
 
 
-def _database(files: Files) -> str:
-    return next(name for name in files if name.endswith(".db3"))
-
-
-def _bag_with(target: str) -> Trap:
-    """A bag whose database is a link to something, or a pipe."""
-    files = dict(bag_folder())
-    name = _database(files)
-    files["elsewhere.db3"] = files.pop(name)
-    return Trap(files, "log", {name: target})
+def _with_link(files: Files, ending: str, target: str) -> Trap:
+    """A folder one of whose files is a link to something, or a pipe."""
+    name = max(each for each in files if each.endswith(ending))
+    kept = {each: data for each, data in files.items() if each != name}
+    return Trap(kept | {f"elsewhere{ending}": files[name]}, "log", {name: target})
 
 
 def _packed_bag(content: bytes) -> Trap:
     """A bag packed by zstd."""
     files = dict(bag_folder())
-    name = _database(files)
+    name = next(name for name in files if name.endswith(".db3"))
     del files[name]
     about = files["log/metadata.yaml"].decode().replace(Path(name).name, f"{Path(name).name}.zstd")
     for key, value in (("compression_format", "zstd"), ("compression_mode", "file")):
@@ -72,14 +67,6 @@ def _packed_bag(content: bytes) -> Trap:
         about = "\n".join([lines[0], f"  {key}: {value}", *lines[1:]])
     packed = zstandard.ZstdCompressor(level=3).compress(content)
     return Trap(files | {"log/metadata.yaml": about.encode(), f"{name}.zstd": packed}, "log")
-
-
-def _dataset_with(target: str) -> Trap:
-    """A dataset one of whose files is a link to something, or a pipe."""
-    files = dict(good("v3.0")[0])
-    name = max(each for each in files if each.endswith(".parquet"))
-    files["elsewhere.parquet"] = files.pop(name)
-    return Trap(files, "log", {name: target})
 
 
 def _wide_dataset() -> Trap:
@@ -125,22 +112,18 @@ def _rows(count: int) -> bytes:
     return b"".join(b",".join([b"%d.5" % k] * 4) + b"\n" for k in range(count))
 
 
-def _pipe(name: str) -> Trap:
-    return Trap({}, name, {name: ""})
-
-
 LOG_TRAPS: dict[str, Callable[[], Trap]] = {
-    **{f"a pipe{end}": lambda end=end: _pipe(f"log{end}")  # type: ignore[misc]
+    **{f"a pipe{end}": lambda name=f"log{end}": Trap({}, name, {name: ""})  # type: ignore[misc]
        for end in (".csv", ".csv.gz", ".npz", ".parquet", ".mat", ".h5", ".bag", ".db3", ".mcap",
                    ".rrd", ".c3d")},
     "a device": lambda: Trap({}, "log.csv", {"log.csv": "/dev/zero"}),
-    "bag: a pipe": lambda: _bag_with(""),
-    "bag: a link outwards": lambda: _bag_with("../elsewhere.db3"),
-    "bag: a link to itself": lambda: _bag_with("log_0.db3"),
+    "bag: a pipe": lambda: _with_link(bag_folder(), ".db3", ""),
+    "bag: a link outwards": lambda: _with_link(bag_folder(), ".db3", "../elsewhere.db3"),
+    "bag: a link to itself": lambda: _with_link(bag_folder(), ".db3", "log_0.db3"),
     "bag: 800 MB by zstd": lambda: _packed_bag(bytes(800_000_000)),
     "bag: noise by zstd": lambda: _packed_bag(b"noise" * 1000),
-    "dataset: a device": lambda: _dataset_with("/dev/zero"),
-    "dataset: a link outwards": lambda: _dataset_with("/etc/passwd"),
+    "dataset: a device": lambda: _with_link(good("v3.0")[0], ".parquet", "/dev/zero"),
+    "dataset: a link outwards": lambda: _with_link(good("v3.0")[0], ".parquet", "/etc/passwd"),
     "dataset: 3 million columns": _wide_dataset,
     "parquet: 20000 columns": _wide_parquet,
     "npz: 12000 arrays": lambda: _npz({f"q{k}": np.arange(9.0) for k in range(12_000)}),
