@@ -45,7 +45,7 @@ def test_a_fault_while_outputs_are_replaced_leaves_the_older_ones_or_the_new_one
 
 
 REFUSED: dict[str, Any] = {
-    "code": 2, "seconds": 1.0, "megabytes": 10.0, "stdout": "",
+    "code": 2, "seconds": 1.0, "wall": 1.0, "megabytes": 10.0, "stdout": "",
     "stderr": "testbed: there is no model file 'x'\n",
 }  # fmt: skip
 CHANGES: list[dict[str, Any]] = [
