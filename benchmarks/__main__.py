@@ -41,12 +41,12 @@ def run(words: list[str]) -> None:
             print(f"  {name:<12} {said.splitlines()[0]}")
         raise SystemExit(words not in ([], ["--help"]))
     path = known[words[0]].relative_to(FOLDER).with_suffix("")
-    sys.argv = [f"benchmarks {words[0]}", *words[1:]]
     main = import_module(".".join(("benchmarks", *path.parts))).main
-    if isinstance(main, typer.Typer):
-        main()
-    else:
-        typer.run(main)
+    app = main
+    if not isinstance(main, typer.Typer):
+        app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+        app.command()(main)
+    app(words[1:], prog_name=f"python -m benchmarks {words[0]}")
 
 
 if __name__ == "__main__":
