@@ -6,13 +6,15 @@ The instrument has the noise of table6; every seed is another motion and other n
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 import testbed as tb
 from benchmarks.bounds import least
-from benchmarks.random_recordings import ROBOTS, recorded
+from benchmarks.lines import print_lines
+from benchmarks.random_recordings import MOTIONS, ROBOTS, recorded
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import Estimate
 from testbed.lab.instruments.fault import Fault
@@ -47,14 +49,7 @@ REMEDIES: Mapping[str, tuple[tuple[Fault, ...], tuple[str, ...]]] = {
 
 
 def efficiency(robot: str, first: int, runs: int, seconds: float) -> dict[str, Any]:
-    """Rms of errors over the Cramer-Rao bound of the plate's white noise, columns exact.
-
-    Args:
-        robot: One of ROBOTS.
-        first: The first seed.
-        runs: How many.
-        seconds: Duration of every recording.
-    """
+    """Rms of errors over the Cramer-Rao bound of the plate's white noise, columns exact."""
     tree = tb.load_tree(ROBOTS[robot])
     settings = tb.Settings(zeros=robot == "puma")
     ratios, without = [], []
@@ -86,13 +81,6 @@ def remedies(
 
     Beside them is what the nuisances cost whoever estimates them: the Cramer-Rao bound with
     them over that without. No estimate that is right on average has a smaller ratio.
-
-    Args:
-        only: Of REMEDIES; a line each.
-        motion: One of MOTIONS.
-        first: The first seed.
-        runs: How many.
-        seconds: Duration of every recording.
     """
     tree = tb.load_tree(ROBOTS["puma"])
     minimal = tb.minimal_set(tree, "reaction", zeros=True)
@@ -153,3 +141,20 @@ def _interval(above: Array, below: Array) -> list[float]:
 
 def _error(tree: tb.Tree, estimate: Estimate) -> Array:
     return np.asarray(estimate.values - estimate.minimal.values(tb.barycentric(tree)))
+
+
+def main(
+    runs: Annotated[int, typer.Option(min=2, help="Recordings of each kind.")] = 40,
+    first: Annotated[int, typer.Option(help="The first seed.")] = 9000,
+    seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 60.0,
+    only: Annotated[str, typer.Option(help="Only lines whose words hold this.")] = "",
+    motion: Annotated[str, typer.Option(help="Of the remedies' lines.")] = "chosen",
+) -> None:
+    """Errors over the Cramer-Rao bound, and of remedies over those without a fault."""
+    if motion not in MOTIONS:
+        raise typer.BadParameter(f"{motion} is none of {', '.join(MOTIONS)}")
+    robots = [robot for robot in ("puma", "ur5") if only in f"bound {robot}"]
+    print_lines(efficiency(robot, first, runs, seconds) for robot in robots)
+    asked = [fault for fault in REMEDIES if only in f"remedy {fault}"]
+    if asked:
+        print_lines(remedies(asked, motion, first, runs, seconds))

@@ -10,14 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import idyntree.bindings as idt
 import numpy as np
 import pinocchio as pin
+import typer
 from scipy import signal
 
 import testbed as tb
+from benchmarks.lines import print_lines
 from benchmarks.random_recordings import ROOT, recorded
 from benchmarks.rivals.idyntree import regressor
 from benchmarks.timing import least
@@ -109,3 +111,8 @@ def _compared(
         "over_pinocchio": round(best["pinocchio"] / best["testbed"], 1),
         "over_idyntree": round(best["idyntree"] / best["testbed"], 2),
     }
+
+
+def main(rounds: Annotated[int, typer.Option(help="Turns that each rival has.")] = 2) -> None:
+    """The default answer beside scripts on Pinocchio and iDynTree (extra `rivals`)."""
+    print_lines(answers(rounds))

@@ -17,16 +17,18 @@ from dataclasses import dataclass
 from itertools import groupby, repeat
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
+import typer
 from scipy.signal import lfilter
 
 import testbed as tb
 from benchmarks.fault_trials import trials
 from benchmarks.inverse_recordings import inverse, on_a_free_base, real_robot
+from benchmarks.lines import print_lines
 from testbed.core.base.arrays import Array
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.lab.instruments.chain import Instrument
@@ -379,3 +381,26 @@ def _predicted(place: Path, parameters: Mapping[str, Sequence[float]]) -> dict[s
         forces.append(pin.computeJointTorqueRegressor(model, data, *filled) @ bodies.ravel())
     found = np.array(forces)
     return {"torque": found[:, [joint.idx_v for joint in joints]], "wrench": found[:, :6]}
+
+
+main = typer.Typer(no_args_is_help=True, help="Recordings for any tool, and a score of answers.")
+
+
+@main.command("make")
+def make_set(
+    folder: Annotated[Path, typer.Argument(help="A new folder.")],
+    draws: Annotated[int, typer.Option(min=1, help="Of every robot and noise.")] = 1,
+    first: Annotated[int, typer.Option(min=0, help="Seed of the first draw.")] = 0,
+    every_fault: Annotated[bool, typer.Option("--every-fault", help="At every robot.")] = False,
+) -> None:
+    """Write recordings, and apart from them their truth: docs/rivals.md."""
+    print_lines([make(folder, list(cases(draws, every_fault)), first)])
+
+
+@main.command("score")
+def score_answers(
+    folder: Annotated[Path, typer.Argument(help="Of `make`.")],
+    answers: Annotated[Path, typer.Argument(help="JSON of a tool's answers.")],
+) -> None:
+    """Errors, coverage and faults noticed of a tool's answers."""
+    print_lines([score(folder, json.loads(answers.read_text()))])

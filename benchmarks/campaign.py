@@ -16,9 +16,12 @@ import time
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Annotated, Any
 
 import psutil
+import typer
+
+from benchmarks.lines import print_lines
 
 ROOT = Path(__file__).parents[1]
 PATIENCE = 300.0
@@ -34,12 +37,7 @@ QUICK = (
 
 
 def run_cost(seconds: float, runs: int) -> dict[str, Any]:
-    """Processor time of a run, simulated and identified by both methods.
-
-    Args:
-        seconds: Of the motion.
-        runs: How many.
-    """
+    """Processor time of a run, simulated and identified by both methods."""
     import testbed as tb
     from testbed.core.base.blas import one_blas_thread
     from testbed.lab.experiment.evaluate import evaluate
@@ -72,14 +70,7 @@ def run_cost(seconds: float, runs: int) -> dict[str, Any]:
 
 
 def kills(who: str, moments: int, runs: int, seed: int) -> dict[str, Any]:
-    """Kill -9 at random moments; the table afterwards against an undisturbed one.
-
-    Args:
-        who: "worker" or "command".
-        moments: How often.
-        runs: Of the campaign.
-        seed: Of the moments.
-    """
+    """Kill -9 at random moments; the table afterwards against an undisturbed one."""
     rng = random.Random(seed)
     same = interrupted = again = 0
     with TemporaryDirectory() as name:
@@ -138,3 +129,16 @@ def _killed(command: subprocess.Popen[bytes], who: str, wait: float, rng: random
         with suppress(ProcessLookupError):
             os.kill(rng.choice(victims), signal.SIGKILL)
     return command.wait(PATIENCE)
+
+
+def main(
+    moments: Annotated[int, typer.Option(min=0, help="Kills of each process.")] = 20,
+    seconds: Annotated[float, typer.Option(help="Of real runs; 0 for none.")] = 60.0,
+    seed: Annotated[int, typer.Option(help="Of the moments.")] = 0,
+) -> None:
+    """Campaigns: a run's cost, kills of workers and commands."""
+    if seconds:
+        print_lines([run_cost(seconds, 8)])
+    if moments:
+        lines = print_lines(kills(who, moments, 150, seed) for who in ("worker", "command"))
+        raise typer.Exit(int(any(line["same_table"] != moments for line in lines)))

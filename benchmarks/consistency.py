@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 import testbed as tb
+from benchmarks.lines import print_lines
 from testbed.bodies.consistency.consistent import consistent
 from testbed.bodies.prior import Prior, prior_of
 from testbed.core.base.arrays import Array
@@ -105,3 +107,14 @@ def trees(count: int, first: int = 0) -> dict[str, Any]:
         "identified": made,
         "least eigenvalue ratio": float(f"{least:.2g}"),
     }
+
+
+def main(
+    seeds: Annotated[int, typer.Option(help="Simulated recordings of each length.")] = 10,
+    count: Annotated[int, typer.Option("--trees", help="Random trees.")] = 100,
+) -> None:
+    """Consistent bodies: accuracy beside plain estimates."""
+    drawn = range(500, 500 + seeds)
+    print_lines([trees(count, 1000)])
+    print_lines(poor(drawn, speed) for speed in (0.3, 0.1))
+    print_lines(accuracy((60.0, 5.0), drawn))

@@ -11,12 +11,14 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 import testbed as tb
 from benchmarks import random_recordings
+from benchmarks.lines import print_lines
 from benchmarks.random_recordings import NOISES, ROBOTS, ROOT, SPEEDS, instrument
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import Estimate, Method
@@ -64,13 +66,7 @@ class Study:
 
 
 def coverage(study: Study, first: int, runs: int) -> dict[str, Any]:
-    """Shares of 95 % intervals that hold the truth, and errors.
-
-    Args:
-        study: What is repeated.
-        first: The first seed.
-        runs: How many.
-    """
+    """Shares of 95 % intervals that hold the truth, and errors."""
     tree = tb.load_tree(ROBOTS[study.robot])
     scores, errors, taken, alarms, steps = [], [], 0.0, 0, 0
     names: tuple[str, ...] = ()
@@ -158,3 +154,15 @@ def studies(settings: tb.Settings, seconds: float) -> Iterator[Study]:
 
 def _share(value: float) -> float:
     return round(float(value), 3)
+
+
+def main(
+    runs: Annotated[int, typer.Option(min=2, help="Recordings of each kind.")] = 200,
+    first: Annotated[int, typer.Option(help="The first seed.")] = 5000,
+    seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 20.0,
+    only: Annotated[str, typer.Option(help="Only studies whose words hold this.")] = "",
+) -> None:
+    """How often intervals of 95 % hold the truth: docs/uncertainty.md; exit code 1 if too few."""
+    asked = (study for study in studies(tb.Settings(), seconds) if only in study.words)
+    lines = print_lines(coverage(study, first, runs) for study in asked)
+    raise typer.Exit(int(not all(line["held"] for line in lines)))

@@ -10,11 +10,13 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Annotated, Any
 
+import typer
 from scipy import stats
 
 import testbed as tb
+from benchmarks.lines import print_lines
 from benchmarks.random_recordings import ROBOTS, recorded
 from testbed.core.estimation.diagnostics.residuals import fault_diagnostics
 from testbed.lab.instruments.fault import Fault
@@ -148,3 +150,17 @@ def total(lines: Iterable[dict[str, Any]]) -> dict[str, Any]:
 
 def _share(value: float) -> float:
     return round(float(value), 4)
+
+
+def main(
+    runs: Annotated[int, typer.Option(min=1, help="Recordings of each kind.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="The first seed.")] = 7000,
+    seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 20.0,
+    only: Annotated[str, typer.Option(help="Only trials whose words hold this.")] = "",
+) -> None:
+    """False alarms and power of the tests for the instrument's faults; exit code 1 below a goal."""
+    asked = [trial for trial in trials() if only in trial.words]
+    lines = print_lines(detection(trial, seed, runs, seconds) for trial in asked)
+    if any(line["fault"] == "none" for line in lines):
+        lines += print_lines([total(lines)])
+    raise typer.Exit(int(not all(line["held"] for line in lines)))

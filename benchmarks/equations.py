@@ -13,13 +13,15 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 import testbed as tb
+from benchmarks.arms import load, robots
+from benchmarks.lines import print_lines
 from benchmarks.regressor import LOOP, cases
-from benchmarks.robots import load, robots
 from benchmarks.timing import least
 from testbed.core.robot.inertia import Inertia
 from testbed.core.robot.tree import Joint
@@ -132,3 +134,8 @@ def _process(rounds: int = 10) -> float:
 def _count(each: Equations) -> str:
     count = each.program.count
     return f"{count.multiplications} * {count.additions} +"
+
+
+def main(rounds: Annotated[int, typer.Option(help="Turns that each rival has.")] = 10) -> None:
+    """Operations and cost of generated equations beside other generators'."""
+    print_lines(measure() for measure in (puma, trees, growth, partial(speed, rounds)))

@@ -9,11 +9,13 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 import testbed as tb
+from benchmarks.lines import print_lines
 from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.kernel.numba_engine import warm_up
 from testbed.lab.experiment.excite import design_problem
@@ -25,7 +27,9 @@ from testbed.motion.random_motion import random_motion
 
 ROOT = Path(__file__).parents[1]
 PUMA = ROOT / "models/puma562.xml"
-SEVEN = ROOT / "tests/golden/robots/kuka_lwr4.urdf"
+GOLDEN_ARMS = [
+    ROOT / f"tests/golden/robots/{name}.urdf" for name in ("ur5", "gantry_ppp_rrr", "kuka_lwr4")
+]
 SHARES = 0.95 ** np.arange(60)
 """Of the swing of random motions, until one is proven."""
 
@@ -46,19 +50,13 @@ def cases(models: list[Path]) -> Iterator[Case]:
     zeros = "identification.zeros=true"
     yield Case("puma562", PUMA, (zeros, "excitation.clearance=off"))
     yield Case("puma562, clear", PUMA, (zeros, "excitation.starts=4"))
-    yield Case("kuka_lwr4", SEVEN, ("excitation.starts=2",))
+    yield Case("kuka_lwr4", GOLDEN_ARMS[-1], ("excitation.starts=2",))
     for model in models:
         yield Case(model.stem, model, ("excitation.starts=2",))
 
 
 def gain(case: Case, seeds: int, baseline: int) -> dict[str, Any]:
-    """How many times smaller the relative sigma is than the median of random motions.
-
-    Args:
-        case: The robot.
-        seeds: Designs.
-        baseline: Random motions.
-    """
+    """How many times smaller the relative sigma is than the median of random motions."""
     warm_up()
     gains, seconds = [], []
     experiment = tb.Experiment.of_model(case.model, [*PLATE, *case.settings])
@@ -94,12 +92,7 @@ def allowed(problem: DesignProblem, count: int) -> list[Fourier]:
 
 
 def limit_sets(model: Path, count: int) -> dict[str, Any]:
-    """Designs under random limits: proven, and nowhere violated on a fine grid.
-
-    Args:
-        model: The robot.
-        count: Sets of limits.
-    """
+    """Designs under random limits: proven, and nowhere violated on a fine grid."""
     rng = np.random.default_rng([count, *model.name.encode()])
     tree = tb.load_tree(model)
     done, refused, violated, unproven = 0, 0, 0, 0
@@ -148,3 +141,16 @@ def _respected(motion: Fourier, rules: Rules) -> bool:
     smooth = (np.abs(at.qdd) <= limits.acceleration).all()
     strong = (np.abs(motor_efforts(tree, at)) <= limits.effort).all()
     return bool(inside and slow and smooth and strong and seems_to_hold(motion, rules, 500))
+
+
+def main(
+    seeds: Annotated[int, typer.Option(min=1, help="Designs of each robot.")] = 10,
+    baseline: Annotated[int, typer.Option(min=1, help="Random motions to compare with.")] = 40,
+    sets: Annotated[int, typer.Option(min=0, help="Random limits for each of four robots.")] = 50,
+    model: Annotated[list[Path] | None, typer.Option(help="Another robot; again for more.")] = None,
+    only: Annotated[str, typer.Option(help="Only robots whose names hold this.")] = "",
+) -> None:
+    """Designed motions: gain over random ones, random limits respected."""
+    print_lines(gain(each, seeds, baseline) for each in cases(model or []) if only in each.name)
+    if sets:
+        print_lines(limit_sets(path, sets) for path in (PUMA, *GOLDEN_ARMS))

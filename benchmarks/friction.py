@@ -5,15 +5,17 @@ What happens is simulated once for each loss; every seed measures it with other 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 import testbed as tb
+from benchmarks.lines import print_lines
 from testbed.applications.drives.friction_curves import (
     Choice,
     DriveEstimate,
@@ -59,13 +61,7 @@ def happened(loss: float, seconds: float) -> tuple[tb.Experiment, Recording]:
 
 
 def trial(loss: float, seconds: float, seed: int) -> dict[str, Any]:
-    """Errors of one recording with its terms given, over sigmas, and with terms chosen.
-
-    Args:
-        loss: What gears lose.
-        seconds: Duration.
-        seed: Of the noise.
-    """
+    """Errors of one recording with its terms given, over sigmas, and with terms chosen."""
     asked, recording = happened(loss, seconds)
     tree = robot_of(asked)
     constants: Array = 1 + OFF * np.resize([1.0, -1.0], tree.n)
@@ -100,14 +96,7 @@ def trial(loss: float, seconds: float, seed: int) -> dict[str, Any]:
 
 
 def line(loss: float, seconds: float, first: int, seeds: int) -> dict[str, Any]:
-    """What all seeds show of one loss.
-
-    Args:
-        loss: What gears lose.
-        seconds: Duration.
-        first: The first seed.
-        seeds: How many.
-    """
+    """What all seeds show of one loss."""
     runs = [trial(loss, seconds, seed) for seed in range(first, first + seeds)]
     error, sigma = (np.array([run[key] for run in runs]) for key in ("error", "sigma"))
     inside = np.abs(error) < 1.96 * sigma
@@ -126,16 +115,13 @@ def _rounded(value: Any) -> float:
     return float(f"{value:.3g}")
 
 
-def study(seeds: int, first: int, seconds: float, jobs: int) -> Iterator[dict[str, Any]]:
-    """Lines of every loss.
-
-    Args:
-        seeds: How many.
-        first: The first one.
-        seconds: Duration of the recordings.
-        jobs: Processes.
-    """
+def main(
+    seeds: Annotated[int, typer.Option(min=2, help="Recordings of each loss.")] = 20,
+    first: Annotated[int, typer.Option(help="The first seed.")] = 100,
+    seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 60.0,
+    jobs: Annotated[int, typer.Option(help="Processes at a time.")] = 2,
+) -> None:
+    """Friction under load: a PUMA, gears that lose nothing to 20 %."""
     with ProcessPoolExecutor(jobs) as pool:
         waiting = [pool.submit(line, loss, seconds, first, seeds) for loss in LOSSES]
-        for each in waiting:
-            yield each.result()
+        print_lines(each.result() for each in waiting)

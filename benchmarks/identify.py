@@ -6,13 +6,16 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 import testbed as tb
-from benchmarks.regressor import Case, stack
+from benchmarks.lines import print_lines
+from benchmarks.regressor import MODELS, Case, cases, stack
 from benchmarks.timing import forget_peak, least, peak_rss
 from testbed.core.estimation.estimate import Method
 from testbed.core.parameters.rules import Model
@@ -52,26 +55,11 @@ class Endless(DerivedSource):
         )
 
 
-def long(case: Case) -> Recording:
-    """Enough samples to forget what starting costs."""
-    r, times = case.recording, REPEATS[case.name]
-    assert r.velocity is not None
-    assert r.acceleration is not None
-    return Recording(
-        r.names,
-        np.arange(times * r.samples) / 1000,
-        np.tile(r.position, (times, 1)),
-        np.tile(r.measured("torque"), (times, 1)),
-        np.tile(r.measured("wrench"), (times, 1)),
-        np.tile(r.velocity, (times, 1)),
-        np.tile(r.acceleration, (times, 1)),
-        tare=np.zeros(6),
-    )
-
-
 def answer(case: Case, model: Model, rounds: int) -> dict[str, Any]:
     """`identify` on sensed kinematics, unfiltered, against loop and lstsq."""
-    minimal, recording = tb.minimal_set(case.tree, model), long(case)
+    minimal = tb.minimal_set(case.tree, model)
+    samples = REPEATS[case.name] * case.recording.samples  # enough to forget what starting costs
+    recording = Endless(case.recording, samples).part(0, samples)
     method: Method = "internal" if model == "dynamic" else "external"
     a, b = stack(case, minimal)
     answers: dict[str, Callable[[], object]] = {
@@ -88,8 +76,8 @@ def answer(case: Case, model: Model, rounds: int) -> dict[str, Any]:
     }
     best = least(tasks, rounds)
     rows = len(b) // (case.tree.n if model == "dynamic" else 6)
-    samples = {"loop": LOOP[case.name], "lstsq": rows}
-    ns = {name: 1e9 * t / samples.get(name, recording.samples) for name, t in best.items()}
+    counts = {"loop": LOOP[case.name], "lstsq": rows, "answer": samples}
+    ns = {name: 1e9 * t / counts[name] for name, t in best.items()}
     return {
         "benchmark": f"answer {model}",
         "robot": case.name,
@@ -97,22 +85,6 @@ def answer(case: Case, model: Model, rounds: int) -> dict[str, Any]:
         "ratio": round((ns["loop"] + ns["lstsq"]) / ns["answer"], 1),
         "two_threads": round(clock["answer_1"] / clock["answer_2"], 2),
         "peak_rss_mb": round(peak_rss()),
-    }
-
-
-def memory(case: Case, sizes: tuple[int, ...] = (100_000, 1_000_000, 10_000_000)) -> dict[str, Any]:
-    """Peak memory over the number of samples."""
-    found = {}
-    for samples in sizes:
-        source = Endless(case.recording, samples)
-        forget_peak()
-        tb.identify(case.tree, source, "internal", settings=EXACT)
-        found[samples] = round(peak_rss(), 1)
-    return {
-        "benchmark": "memory",
-        "robot": case.name,
-        "peak_rss_mb": found,
-        "growth_mb": round(found[sizes[-1]] - found[sizes[0]], 1),
     }
 
 
@@ -146,3 +118,14 @@ def stored(case: Case, gigabytes: float) -> dict[str, Any]:
 
 def _encoders(part: Recording) -> Recording:
     return replace(part, velocity=None, acceleration=None, truth=None, facts={})
+
+
+def main(
+    rounds: Annotated[int, typer.Option(help="Turns that each rival has.")] = 8,
+    gigabytes: Annotated[float, typer.Option(help="Size of a recording to identify.")] = 0.0,
+) -> None:
+    """The complete answer against Pinocchio in a loop and lstsq; threads; memory."""
+    known = cases()
+    if gigabytes:  # first: what a process once held stays in its peak
+        print_lines([stored(known[1], gigabytes)])
+    print_lines(answer(case, model, rounds) for case, model in product(known, MODELS))

@@ -49,16 +49,15 @@ class Truth:
         tree: By the file.
         position: By encoders, (M, n) [rad or m].
         torque: With friction and noise, (M, n) [N m or N].
-        wrench: Of the plate on the robot without its pedestal, with noise, (M, 6) [N, N m]; if
-            the robot has none, None.
+        wrench: Of the plate on the robot without its pedestal, with noise, (M, 6) [N, N m].
         weight: Mean vertical force [N].
     """
 
     tree: tb.Tree
     position: Array
     torque: Array
-    wrench: Array | None
-    weight: float = 0.0
+    wrench: Array
+    weight: float
 
 
 def tree_of(name: str) -> tb.Tree:
@@ -68,7 +67,7 @@ def tree_of(name: str) -> tb.Tree:
 
 
 def truth(
-    name: str, seed: int, *, late: float = 0.0, seconds: float = SECONDS, payload: float = 0.0,
+    name: str, seed: int, *, late: float = 0.0, seconds: float = SECONDS,
     moving: Sequence[int] | None = None,
 ) -> Truth:  # fmt: skip
     """A recording of a robot that is somewhat heavier or lighter than its file.
@@ -78,12 +77,11 @@ def truth(
         seed: Of the robot, its motion and the noise.
         late: The plate shows what was so long ago [s].
         seconds: Duration.
-        payload: Mass at the last link that the file does not have [kg].
         moving: Joints that move; all if that is not said.
     """
     rng = np.random.default_rng(seed)
     tree = tree_of(name)
-    model = on_a_free_base(real_robot(name, rng, ROUGH, OFF, payload))
+    model = on_a_free_base(real_robot(name, rng, ROUGH, OFF))
     motion = _motion(model, tree.names, rng)
     if moving is not None:
         motion[1][[k for k in range(tree.n) if k not in moving]] = 0
@@ -106,7 +104,7 @@ def truth(
 
 
 def real_robot(
-    name: str, rng: np.random.Generator, rough: float, off: float, payload: float = 0.0
+    name: str, rng: np.random.Generator, rough: float, off: float
 ) -> ElementTree.Element:
     """A robot's URDF, its masses and centres changed: bodies without shapes, a base without mass.
 
@@ -118,7 +116,6 @@ def real_robot(
         rng: Of the changes.
         rough: Standard deviation of masses, relative.
         off: Of centres, along each axis [m].
-        payload: Mass at the last link, besides [kg].
     """
     path, held = ROBOTS[name]
     robot = ElementTree.parse(path).getroot()
@@ -138,11 +135,6 @@ def real_robot(
         _change(link, link.get("name") in base, rng, rough, off)
     for other in [each for each in robot if each.tag not in ("link", "joint")]:
         robot.remove(other)
-    if payload:
-        last = next(j for j in joints if j.get("name") == tree_of(name).names[-1])
-        load = ElementTree.Element("link", name="payload")
-        load.append(_inertial(payload, 4e-3 * payload))
-        robot.extend([load, _joint("fixed", ends[last][1], "payload", "0.03 0.02 0.1")])
     return robot
 
 
@@ -210,11 +202,11 @@ def _inertial(mass: float, inertia: float) -> ElementTree.Element:
     return made
 
 
-def _joint(kind: str, parent: str, child: str, xyz: str = "0 0 0") -> ElementTree.Element:
+def _joint(kind: str, parent: str, child: str) -> ElementTree.Element:
     made = ElementTree.Element("joint", name=f"{child}_{kind}", type=kind)
     ElementTree.SubElement(made, "parent", link=parent)
     ElementTree.SubElement(made, "child", link=child)
-    ElementTree.SubElement(made, "origin", xyz=xyz, rpy="0 0 0")
+    ElementTree.SubElement(made, "origin", xyz="0 0 0", rpy="0 0 0")
     return made
 
 

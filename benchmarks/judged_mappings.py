@@ -26,7 +26,6 @@ from scipy.spatial.transform import Rotation
 from benchmarks.foreign_recordings import FORCE, MOMENT, Files, Planted, moved
 from benchmarks.inverse_recordings import RATE, Truth
 from testbed.core.base.arrays import Array
-from testbed.core.robot.inertia import to_rpy
 
 UNTOLD: dict[str, tuple[str, tuple[int, ...]]] = {
     "scara": ("z", (2,)),
@@ -260,36 +259,3 @@ def marked(text: str, wrong: dict[str, str]) -> bool:
         if any(mark in line.partition("#")[2] for mark in MARKS):
             found.add(table)
     return wrong.keys() <= found
-
-
-def right_mapping(made: Truth, files: Files, told: Planted) -> str:
-    """The mapping that is right for files, as TOML."""
-    turning = [joint.revolute for joint in made.tree.joints]
-    place = {signal: {k: key for key, (s, k) in files.columns.items() if s == signal}
-             for signal in files.raw}  # fmt: skip
-    lines = [f"rate = {RATE}", f"joints = {list(made.tree.names)}"]
-    starts = {file: stamps[0] for (file, _), stamps in files.stamps.items()}
-    for file, stamp in files.stamps:
-        late = told.late if len(starts) > 1 and (file == place["wrench"][0][0]) else 0.0
-        offset = starts[place["position"][0][0]] - starts[file] - late if len(starts) > 1 else 0.0
-        unit = "ns" if files.tick < 1e-6 else "s"
-        lines += [f"[sources.{file.partition('.')[0]}]", f'file = "{file}"', f'time = "{stamp}"',
-                  f'time_unit = "{unit}"', f"offset = {float(offset)!r}"]  # fmt: skip
-    angle = "deg" if told.degrees else "rad"
-    units = {"position": [angle if each else "m" for each in turning],
-             "torque": ["N m" if each else "N" for each in turning]}  # fmt: skip
-    for signal, order in (("position", range(made.tree.n)), ("torque", told.order)):
-        lines += [f"[{signal}]", f'source = "{place[signal][0][0].partition(".")[0]}"',
-                  f"columns = {[place[signal][k][1] for k in order]}",
-                  f"unit = {units[signal]}"]  # fmt: skip
-        lines += [f"sign = {list(told.sign)}"] * (signal == "torque")
-    if "wrench" in files.raw:
-        lines += ["[wrench]", f'source = "{place["wrench"][0][0].partition(".")[0]}"',
-                  f"columns = {[place['wrench'][k][1] for k in range(6)]}",
-                  f"units = {list(told.units)}",
-                  f'sense = "{"on_robot" if told.sense > 0 else "on_plate"}"',
-                  f"delay = {told.late if len(starts) == 1 else 0.0}",
-                  f"tare = {told.zero.tolist()}",
-                  f"place = {{ xyz = {told.place.tolist()}, rpy = "
-                  f"{list(to_rpy(told.turn))} }}"]  # fmt: skip
-    return "\n".join(lines) + "\n"

@@ -5,13 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 import testbed as tb
+from benchmarks.lines import print_lines
 from testbed.core.dynamics.drive_set import verify, verify_drives
 from testbed.core.parameters.joint_terms import with_joint_terms
 from testbed.core.parameters.minimal_set import MinimalSet
@@ -68,7 +71,7 @@ def agreement(trees: int, zeros: bool) -> dict[str, Any]:
     return tally.said(f"{trees} trees") | {"benchmark": "agreement", "trees": trees, "zeros": zeros}
 
 
-def robots(zeros: bool) -> dict[str, Any]:
+def real_robots(zeros: bool) -> dict[str, Any]:
     """The same on the robots of the package example-robot-data; roots welded, followers held."""
     tally, read = Tally(), 0
     for path in sorted(REAL.rglob("*.urdf")):
@@ -82,7 +85,7 @@ def robots(zeros: bool) -> dict[str, Any]:
     return tally.said(f"{read} robots") | {"benchmark": "robots", "robots": read, "zeros": zeros}
 
 
-def cuts() -> dict[str, Any]:
+def force_sensors() -> dict[str, Any]:
     """Force sensors at all joints of those robots, on welded roots and on roots that move."""
     tally, read, rng = Tally(), 0, np.random.default_rng(42)
     for path in sorted(REAL.rglob("*.urdf")):
@@ -151,3 +154,17 @@ class Tally:
         """Print what came of it."""
         print(f"{self.checked} checks of {of}: {self.failed} disagreements")
         return {"checks": self.checked, "disagreements": self.failed, "largest": self.worst}
+
+
+def main(
+    trees: Annotated[int, typer.Option(help="Random trees to verify besides.")] = 0,
+    robots: Annotated[bool, typer.Option("--robots", help="Verify example-robot-data.")] = False,
+    cuts: Annotated[bool, typer.Option("--cuts", help="Verify force sensors there.")] = False,
+    zeros: Annotated[bool, typer.Option("--zeros", help="Take zero parameters as known.")] = False,
+) -> None:
+    """Cost of a minimal set over joints; asked, witnesses: exit code 1 if they disagree."""
+    print_lines([scaling()])
+    checks = [(trees, partial(agreement, trees, zeros)), (robots, partial(real_robots, zeros))]
+    checks += [(cuts, partial(force_sensors))]
+    lines = print_lines(check() for asked, check in checks if asked)
+    raise typer.Exit(int(any(line["disagreements"] for line in lines)))

@@ -13,10 +13,12 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
+from benchmarks.lines import print_lines
 from tests.helpers.paths import ROOT
 
 FOLDER = ROOT / "mutants"
@@ -32,14 +34,7 @@ GOAL = 85.0
 
 
 def mutation(count: int, seed: int, only: str, jobs: int) -> Iterator[dict[str, Any]]:
-    """Survivors, then a line of all.
-
-    Args:
-        count: Mutants to draw.
-        seed: Of the draw.
-        only: Pattern of their names, such as `testbed.core.robot.*`.
-        jobs: Processes at a time.
-    """
+    """Survivors, then a line of all."""
     _mutmut(jobs, ANY)
     names = sorted(name for name in _exit_codes() if fnmatch.fnmatch(name, only))
     drawn = np.random.default_rng(seed).permutation(names)[:count].tolist()
@@ -67,3 +62,14 @@ def _exit_codes() -> dict[str, int | None]:
     for path in FOLDER.rglob("*.meta"):
         found |= json.loads(path.read_text())["exit_code_by_key"]
     return found
+
+
+def main(
+    mutants: Annotated[int, typer.Option(help="How many to draw.")] = 100,
+    seed: Annotated[int, typer.Option(help="Of the draw.")] = 0,
+    only: Annotated[str, typer.Option(help="Only mutants whose names match.")] = "testbed.*",
+    jobs: Annotated[int, typer.Option(help="Processes at a time.")] = 1,
+) -> None:
+    """How many small wrong changes of the project the tests see; exit code 1 below the goal."""
+    *_, found = print_lines(mutation(mutants, seed, only, jobs))
+    raise typer.Exit(int(found["killed [%]"] < GOAL))

@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from benchmarks.lines import print_lines
 from benchmarks.timing import least
 from testbed.lab.experiment.carry_out import carry_out
 from testbed.lab.experiment.experiment import Experiment
@@ -37,3 +38,8 @@ def pictures(rounds: int = 3) -> dict[str, Any]:
         "bench": "table6 to look at, seconds",
         **{name: round(value, 2) for name, value in (seconds | sizes).items()},
     }
+
+
+def main() -> None:
+    """Seconds and sizes of what a run is looked at with."""
+    print_lines([pictures()])

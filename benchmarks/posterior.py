@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 import testbed as tb
+from benchmarks.lines import print_lines
 from testbed.bodies.posterior import Posterior, posterior, rows_of
 from testbed.bodies.prediction_errors import errors_of_another
 from testbed.bodies.prior import prior_of
@@ -29,13 +31,7 @@ SETTINGS = tb.Settings(terms=["coulomb", "viscous", "offset"])
 
 
 def slow_to_fast(seeds: range, friction: float, seconds: float = 20.0) -> dict[str, Any]:
-    """Fast motion by a slow one, by torques with friction that fades out, which no model has.
-
-    Args:
-        seeds: Of motions, noise and wrong bodies.
-        friction: Of what fades out at 0.1 rad/s, in N m, at every joint.
-        seconds: Of every recording.
-    """
+    """Fast motion by a slow one, by torques with friction that fades out, which no model has."""
     tree = tb.load_tree(ROOT / "models/puma562.xml")
     over: dict[str, list[float]] = {}
     z: dict[str, list[Array]] = {"slow": [], "fast": [], "between": []}
@@ -81,3 +77,12 @@ def _found(tree: tb.Tree, recording: Recording) -> Posterior:
         estimate = None
     rows = rows_of(Problem.of(tree, recording, "internal", SETTINGS), estimate)
     return posterior(rows, prior_of(tree), estimate)
+
+
+def main(
+    seeds: Annotated[int, typer.Option(help="Simulated robots of each kind.")] = 20,
+    first: Annotated[int, typer.Option(help="The first seed.")] = 3900,
+) -> None:
+    """Fast motion by a slow one with the model file as prior: errors, coverage."""
+    drawn = range(first, first + seeds)
+    print_lines(slow_to_fast(drawn, friction) for friction in (0.0, 1.0, 3.0))

@@ -18,7 +18,6 @@ from testbed.lab.instruments.fault import Fault
 from testbed.lab.instruments.plate import PlateColouredNoise, PlatePinkNoise
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import limits_of
-from testbed.motion.motion_file import read_motion
 from testbed.motion.random_motion import random_motion
 
 ROOT = Path(__file__).parent.parent
@@ -29,9 +28,8 @@ ROBOTS: Mapping[str, Path] = {"puma": ROOT / "models/puma562.xml"} | {
 SPEEDS: Mapping[str, float | None] = {"default": None, "slow": 0.3}
 """Greatest joint speed [rad/s or m/s] of a random motion; None for the robot's own."""
 
-MOTIONS = (*SPEEDS, "chosen", "designed")
-"""Besides, the best of forty random ones, as experiments/table6.toml runs it, and the one that was
-designed for that experiment, the same for all seeds: of the PUMA."""
+MOTIONS = (*SPEEDS, "chosen")
+"""Besides, the best of forty random ones, as experiments/table6.toml runs it: of the PUMA."""
 
 PLATE = Instrument(
     encoder_resolution=1e-4,
@@ -87,8 +85,6 @@ def happened(tree: tb.Tree, motion: str, seconds: float, seed: int) -> tuple[Arr
 
 
 def _series(tree: tb.Tree, motion: str, seed: int) -> Fourier:
-    if motion == "designed":
-        return read_motion(ROOT / "experiments/motions/table6.toml").motion_for(tree)
     if motion == "chosen":
         return _chosen(seed)
     speed = SPEEDS[motion]

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from itertools import product
+from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
+import typer
 
 import testbed as tb
-from benchmarks.robots import load, robots
+from benchmarks.arms import load, robots
+from benchmarks.lines import print_lines
 from benchmarks.timing import least, peak_flops, peak_rss
 from testbed.core.base.arrays import Array
 from testbed.core.kernel import numba_engine
@@ -22,6 +25,8 @@ SAMPLES = 16_384
 """A window of the identification."""
 LOOP = 300
 """Samples of a Pinocchio loop: the same each, so that few are enough."""
+
+MODELS: tuple[Model, ...] = "dynamic", "reaction"
 
 STACK = {"arm3": 4000, "puma6": 4000, "tree30": 900}
 """Samples of an lstsq problem."""
@@ -139,3 +144,9 @@ def compare(case: Case, model: Model, rounds: int) -> dict[str, Any]:
         "peak_gflops": round(peak / 1e9, 1),
         "peak_rss_mb": round(peak_rss()),
     }
+
+
+def main(rounds: Annotated[int, typer.Option(help="Turns that each rival has.")] = 60) -> None:
+    """Rows, and sums of their products, against Pinocchio in a loop and lstsq."""
+    for case, model in product(cases(), MODELS):
+        print_lines([compare(case, model, rounds if case.tree.n < 10 else rounds // 4)])

@@ -1,97 +1,131 @@
-"""Robots of 3, 6 and 30 joints, as URDF: PUMA-like arms, and a humanoid-like tree."""
+"""Robots of packages on PyPI: what `new` writes runs, no file edited.
+
+Every URDF of example-robot-data, and the MJCF of packages that are installed (`pip install
+--no-deps robosuite dm_control gymnasium gymnasium-robotics`): they are not imported.
+"""
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 import tempfile
+import tomllib
+from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Annotated, Any
 
-import numpy as np
+import typer
 
-import testbed as tb
+from benchmarks.lines import print_lines
+from tests.helpers.paths import REAL, ROOT
 
-# Modified Denavit-Hartenberg parameters of the PUMA 560: turn and offset along x, offset along z
-_PUMA = [
-    (0.0, 0.0, 0.0),
-    (-np.pi / 2, 0.0, 0.2435),
-    (0.0, 0.4318, -0.0934),
-    (np.pi / 2, -0.0203, 0.4331),
-    (-np.pi / 2, 0.0, 0.0),
-    (np.pi / 2, 0.0, 0.0),
-]
-_AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, 0, 0.8))
+SECONDS = 600.0
+"""Longest that one command may take."""
+
+NO_ROBOTS = ("no joint that moves", "not a valid URDF", "not a valid MJCF", "Error opening file")
+"""Why nothing can run: packages ship scenes, parts, and files without their meshes."""
+
+LONG = 10.0
+"""Of a period [s]: of the many parameters of a robot with a longer one only a whole period tells,
+and coloured noise of as many unknowns takes a minute."""
+
+MOST_SIGMAS = 6.0
+"""Largest error of any of some hundred parameters, by chance once in a million runs."""
+
+MODELS = {
+    "robosuite": ("models/assets/robots/*/robot.xml",),
+    "dm_control": (
+        "suite/*.xml",
+        "locomotion/walkers/assets/*.xml",
+        "locomotion/walkers/assets/*/*.xml",
+        "third_party/*/*.xml",
+    ),
+    "gymnasium": ("envs/mujoco/assets/*.xml",),
+    "gymnasium_robotics": ("envs/assets/*/*.xml", "envs/mujoco/assets/*.xml"),
+}
+"""Where packages have their robots; what is to be included in others has no `<worldbody>`."""
 
 
-def robots() -> dict[str, str]:
-    """URDF texts by name."""
-    return {"arm3": _arm(3), "puma6": _arm(6), "tree30": _tree()}
+def runs(only: str, seconds: float) -> Iterator[dict[str, Any]]:
+    """A line a file, then all of them."""
+    found: dict[str, list[str]] = {}
+    for name, path in sorted(_files()):
+        if only in name:
+            line = {"robot": name} | _run(path, seconds)
+            found.setdefault(line["came"], []).append(name)
+            yield line
+    counts = {came: len(names) for came, names in found.items()}
+    yield {"benchmark": "robots", "files": sum(counts.values())} | counts
 
 
-def load(urdf: str) -> tb.Tree:
-    """The tree of a URDF text."""
+def _files() -> Iterator[tuple[str, Path]]:
+    """Names and places of model files."""
+    for path in REAL.rglob("*.urdf"):
+        yield str(path.relative_to(REAL)), path
+    for package, patterns in MODELS.items():
+        spec = find_spec(package)
+        for place in () if spec is None else spec.submodule_search_locations or ():
+            for path in (path for pattern in patterns for path in Path(place).glob(pattern)):
+                if b"<worldbody" in path.read_bytes():
+                    yield f"{package}/{path.relative_to(place)}", path
+
+
+def _run(path: Path, seconds: float) -> dict[str, Any]:
+    """What came of one file.
+
+    The largest error of the plate's estimate in its own sigmas, or why there is no estimate; CPU
+    time [s].
+    """
+    before = os.times()
+    found: dict[str, Any] = {"came": "runs"}
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "robot.urdf"
-        path.write_text(urdf)
-        return tb.load_tree(path)
+        for words in (["new", str(path), "--out", "r.toml"], ["run", "r.toml", "--json"]):
+            if words[0] == "run":
+                words += _short(Path(folder) / "r.toml", seconds)
+            command = [sys.executable, "-m", "testbed", *words]
+            try:
+                done = subprocess.run(
+                    command,
+                    cwd=folder,
+                    env={**os.environ, "PYTHONPATH": str(ROOT)},
+                    capture_output=True,
+                    text=True,
+                    check=False,
+                    timeout=SECONDS,
+                )
+            except subprocess.TimeoutExpired:
+                found = {"came": f"{words[0]} takes too long"}
+                break
+            if done.returncode > 1:
+                why = (done.stderr.splitlines() or [""])[-1]
+                none = any(reason in why for reason in NO_ROBOTS)
+                found = {"came": "no robot" if none else f"{words[0]} refused", "why": why}
+                break
+            if words[0] == "run":
+                found["max_z"] = json.loads(done.stdout)["score"]["metrics"].get("external_max_z")
+                if not 0 < (found["max_z"] or 0.0) < MOST_SIGMAS:
+                    found["came"] = "wrong"
+    after = os.times()
+    spent = after.children_user + after.children_system
+    spent -= before.children_user + before.children_system
+    return found | {"cpu_s": round(spent, 1)}
 
 
-def _arm(joints: int) -> str:
-    rng = np.random.default_rng(1)
-    parts = [_link(0, rng)]
-    for k, (turn, a, d) in enumerate(_PUMA[:joints]):
-        origin = (a, -np.sin(turn) * d, np.cos(turn) * d)
-        parts += [_link(k + 1, rng), _joint(k + 1, k, origin, (turn, 0.0, 0.0), (0, 0, 1))]
-    return _robot(parts)
+def _short(file: Path, seconds: float) -> list[str]:
+    """Words that make a run of what `new` wrote as short as it may be."""
+    period = 1 / tomllib.loads(file.read_text())["motion"]["fundamental"]
+    said = [f"motion.duration={max(period if period > LONG else 0.0, seconds):g}"]
+    said += ["motion.candidates=1", "excitation.clearance=off"]
+    return [word for each in said for word in ("--set", each)]
 
 
-def _tree() -> str:
-    """Torso of 3, head of 2, arms of 7 with sliding grippers, legs of 6 and 5; oblique axes."""
-    rng = np.random.default_rng(3)
-    parents = [0, 1, 2, 3, 4]
-    for root, length in ((3, 7), (3, 7), (0, 6), (0, 5)):
-        start = len(parents)
-        parents += [root, *range(start + 1, start + length)]
-    parts = [_link(0, rng)]
-    for k, parent in enumerate(parents, start=1):
-        axis = _AXES[rng.choice(4, p=[0.3, 0.3, 0.3, 0.1])]
-        rpy = (0.0, 0.0, 0.0) if rng.random() < 0.5 else tuple(rng.uniform(-1.5, 1.5, 3))
-        origin = tuple(rng.uniform(-0.3, 0.3, 3))
-        parts += [_link(k, rng), _joint(k, parent, origin, rpy, axis, slides=k in (12, 19))]
-    return _robot(parts)
-
-
-def _robot(parts: list[str]) -> str:
-    return f'<robot name="benchmark">{"".join(parts)}</robot>'
-
-
-def _link(k: int, rng: np.random.Generator) -> str:
-    mass, centre = rng.uniform(0.5, 8), rng.uniform(-0.15, 0.15, 3)
-    root = rng.normal(size=(3, 3)) * 0.1 * np.sqrt(mass)
-    spread = root @ root.T + np.eye(3) * 0.01 * mass
-    tensor = np.trace(spread) * np.eye(3) - spread
-    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    values = tensor[np.triu_indices(3)]
-    inertia = " ".join(f'{n}="{v:.8f}"' for n, v in zip(names, values, strict=True))
-    return (
-        f'<link name="l{k}"><inertial><origin xyz="{_row(centre)}"/><mass value="{mass:.6f}"/>'
-        f"<inertia {inertia}/></inertial></link>"
-    )
-
-
-def _joint(
-    k: int,
-    parent: int,
-    origin: tuple[float, ...],
-    rpy: tuple[float, ...],
-    axis: tuple[float, ...],
-    slides: bool = False,
-) -> str:
-    kind = "prismatic" if slides else "revolute"
-    return (
-        f'<joint name="j{k}" type="{kind}"><parent link="l{parent}"/><child link="l{k}"/>'
-        f'<origin xyz="{_row(origin)}" rpy="{_row(rpy)}"/><axis xyz="{_row(axis)}"/>'
-        '<limit lower="-6.3" upper="6.3" effort="100" velocity="10"/></joint>'
-    )
-
-
-def _row(values: tuple[float, ...] | np.ndarray) -> str:
-    return " ".join(repr(float(value)) for value in values)
+def main(
+    seconds: Annotated[float, typer.Option(help="Of motion.")] = 6.0,
+    only: Annotated[str, typer.Option(help="Only files whose paths hold this.")] = "",
+) -> None:
+    """`new` and a run of every robot of some packages; exit code 1 if one is refused or wrong."""
+    *_, line = print_lines(runs(only, seconds))
+    raise typer.Exit(int(line.get("runs", 0) + line.get("no robot", 0) < line["files"]))

@@ -6,12 +6,14 @@ other noise. If draws are right, truth's rank among them is uniform [TBM18].
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from scipy import stats
 
 import testbed as tb
+from benchmarks.lines import print_lines
 from benchmarks.random_recordings import ROBOTS
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.consistency.robots import BODY, Robots, losses_of_file, robots
@@ -119,3 +121,14 @@ def torques(tree: tb.Tree, motion: Motion, values: Array) -> Array:
     dry, wet, rotor = np.moveaxis(values[..., BODY:], 0, -1).swapaxes(0, 1)
     speed = motion.qd[..., None]
     return np.asarray(bodies + dry * np.sign(speed) + wet * speed + rotor * motion.qdd[..., None])
+
+
+def main(
+    robots: Annotated[list[str] | None, typer.Option("--robot", help="Default three.")] = None,
+    seeds: Annotated[int, typer.Option(help="Experiments with each robot.")] = 200,
+    first: Annotated[int, typer.Option(help="The first seed.")] = 0,
+    seconds: Annotated[float, typer.Option(help="Of each recording.")] = 20.0,
+) -> None:
+    """Truth's rank among robots that `sample` draws, and bands of torque that they predict."""
+    for robot in robots or ["puma", "ur5", "gantry_ppp_rrr"]:
+        print_lines([ranks(robot, range(first, first + seeds), seconds)])

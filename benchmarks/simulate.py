@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 import testbed as tb
+from benchmarks.lines import print_lines
 from benchmarks.timing import least, peak_rss
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.simulation.plant import build_plant
@@ -20,12 +21,7 @@ RATE, DURATION = 1000.0, 2.0
 
 
 def simulate(step: float, rounds: int = 5) -> dict[str, Any]:
-    """A recording run against `mj_step` alone, per simulation step.
-
-    Args:
-        step: Of the integration [s].
-        rounds: How often both take turns.
-    """
+    """A recording run against `mj_step` alone, per simulation step."""
     tree = tb.load_tree(MODEL)
     plant = build_plant(ModelFile(MODEL), tree, step)
     motion = Fourier(0.5, np.zeros(tree.n), np.full((tree.n, 2), 0.2), np.full((tree.n, 2), 0.1))
@@ -47,3 +43,8 @@ def simulate(step: float, rounds: int = 5) -> dict[str, Any]:
         "ratio": round(best["run"] / best["mj_step"], 2),
         "peak_rss_mb": round(peak_rss()),
     }
+
+
+def main() -> None:
+    """A recorded run against MuJoCo's bare steps."""
+    print_lines(simulate(step) for step in (1e-4, 5e-4))

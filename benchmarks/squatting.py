@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from scipy import stats
 
 import testbed as tb
+from benchmarks.lines import print_lines
 from testbed.core.base.arrays import Array
 from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
@@ -18,14 +20,7 @@ from tests.helpers.humanoid import G1, humanoid
 
 
 def scores(first: int, runs: int, noise: float = 1.0, joint: str = "") -> Iterator[dict[str, Any]]:
-    """A line a recording of 40 s at 50 Hz, then all of them beside normal errors.
-
-    Args:
-        first: The first seed, of motion and noise.
-        runs: How many.
-        noise: Times that of the instruments.
-        joint: With a force sensor at it, the robot in the air; default on plates.
-    """
+    """A line a recording of 40 s at 50 Hz, then all of them beside normal errors."""
     every = []
     for seed in range(first, first + runs):
         tree, recording = humanoid(40.0, 50.0, seed, noise, joint)
@@ -58,3 +53,15 @@ def _summary(z: Array) -> dict[str, Any]:
         "within_1.96": round(float(np.mean(np.abs(z) <= 1.96)), 4),
         "largest": round(float(np.abs(z).max()), 2),
     }
+
+
+def main(
+    runs: Annotated[int, typer.Option(min=1, help="Recordings of 40 s at 50 Hz.")] = 12,
+    first: Annotated[int, typer.Option(help="The first seed, of motion and noise.")] = 7200,
+    noise: Annotated[float, typer.Option(help="Times that of the instruments.")] = 1.0,
+    joint: Annotated[
+        str, typer.Option(help="In the air, with a force sensor at it, e.g. left_hip_yaw_joint.")
+    ] = "",
+) -> None:
+    """Errors in sigmas of a humanoid on plates with a measured pose, beside normal ones."""
+    print_lines(scores(first, runs, noise, joint))

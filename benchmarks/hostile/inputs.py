@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import io
 import json
-import re
-import tempfile
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,96 +19,16 @@ from hypothesis.strategies import DrawFn, SearchStrategy
 import testbed as tb
 from benchmarks.hostile.bombs import BOMBS
 from benchmarks.hostile.case import Case
-from benchmarks.hostile.datasets import datasets
+from benchmarks.hostile.datasets import IMPORT, OUTPUTS, datasets, good
+from benchmarks.hostile.edits import edited, spoiled, words
 from benchmarks.hostile.logs import logs
 from testbed.core.recordings.formats.parquet import KEY, write_table
-from tests.helpers.foreign_files import FORMATS, some_log
+from tests.helpers.foreign_files import FORMATS
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.robots import random_robot
 
 PUMA = str(ROOT / "models/puma562.xml")
 SHORT = ("motion.duration=1", "motion.candidates=1", "simulation.step=1e-3")
-
-WORDS = (
-    "nan", "inf", "-inf", "1e308", "1e400", "1e-320", "-0.0", "0", "-1", "1e20", "", " ", "0x10",
-    "1_000", "\u0663", "1,5", "1.5.2", "9" * 5000, "true", "null", "1/0", "-9223372036854775809",
-    "\x1b[31mred\x1b[0m", "\u202eevil", "a\nb", "\r", "../../etc/passwd", "/dev/zero", ".", "nul\0",
-    "%s%n", "{0!r}", "$(id)", "'", '"', "<b>", "&amp;", "coding: utf-7", "*/", "\\", "x" * 100_000,
-    "q1", "waist", "world", "--help", "#", "a/b", "\udc80", "[]", "{}", "[[[]]]", "[1, 'a', {}]",
-    "{a = 1}", "07:32:00", "'''", "<", ">", "=", "(", ")", "**", "^",
-)  # fmt: skip
-"""In the place of numbers, names, values and signs."""
-
-BLOCKS = (
-    *(f"{'[' * n}{']' * n}" for n in (50, 100_000)), *("(" * n + ")" * n for n in (50, 20_000)),
-    *("<x>" * n + "</x>" * n for n in (50, 5_000)), *("{a=" * n for n in (50, 100_000)),
-    *(".".join("a" * n) for n in (50, 100_000)), *("-" * n for n in (50, 20_000)),
-    *(mark * 100_000 for mark in (" ", "\n", "\t", "[t]\n", "*q1")),
-    '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]>', '<?xml version="9.9"?>',
-    "\ufeff\ufeff", 'file = "/dev/zero"\n', "rate = 1e300\n", "matrix = [[1e308, 1e308]]\n",
-    "offset = 1e300\n", "columns = []\n", "place = {}\n", "[gear]\nmatrix = [[1, 1], [1, 1]]\n",
-)  # fmt: skip
-"""Put in somewhere."""
-
-_TOKEN = re.compile(r"[^\s\"'<>=\[\]{},()]+|\"[^\"\n]*\"")
-
-words: SearchStrategy[str] = st.sampled_from(WORDS)
-
-
-@st.composite
-def edited(draw: DrawFn, texts: Sequence[str]) -> bytes:
-    """One of some texts after one to three changes of tokens, lines or stretches, as bytes.
-
-    Args:
-        draw: Hypothesis'.
-        texts: To begin with.
-    """
-    text = draw(st.sampled_from(texts))
-    for _ in range(draw(st.integers(1, 3))):
-        unit = draw(st.sampled_from(["token", "token", "token", "line", "stretch"]))
-        where = draw(st.integers(0, 2**31))
-        spans = {
-            "token": [each.span() for each in _TOKEN.finditer(text)],
-            "line": [each.span() for each in re.finditer(r"[^\n]*\n", text)],
-            "stretch": [(k, k + 200) for k in range(0, len(text), 50)],
-        }[unit] or [(0, len(text))]
-        first, last = spans[where % len(spans)]
-        again = spans[draw(st.integers(0, 2**31)) % len(spans)]
-        kept = text[first:last]
-        new = draw(
-            st.one_of(
-                words, st.just(""), st.just(kept * 2), st.just(text[slice(*again)]),
-                st.sampled_from(BLOCKS),
-            )
-        )  # fmt: skip
-        text = text[:first] + new + text[last:]
-    encoding = draw(st.sampled_from(["utf-8"] * 9 + ["utf-16", "latin-1", "utf-8-sig", "cp037"]))
-    if encoding == "utf-8":
-        return text.encode("utf-8", "surrogatepass")
-    return text.encode(encoding, "replace")
-
-
-@st.composite
-def spoiled(draw: DrawFn, data: bytes) -> bytes:
-    """Bytes lost, changed or put in; more often near the ends, where plans are.
-
-    Args:
-        draw: Hypothesis'.
-        data: To begin with.
-    """
-    near = draw(st.sampled_from([0, max(0, len(data) - 600), None]))
-    size = len(data) if near is None else min(len(data), 600)
-    place = (near or 0) + draw(st.integers(0, 2**31)) % max(size, 1)
-    junk = draw(st.binary(min_size=1, max_size=40))
-    return draw(
-        st.sampled_from(
-            [
-                data[:place], data[:place] + junk + data[place + len(junk) :],
-                data[:place] + junk + data[place:], data[:place] + bytes(10_000) + data[place:],
-                data + data, data[place:] + data[:place],
-            ]
-        )
-    )  # fmt: skip
 
 
 @cache
@@ -282,29 +199,17 @@ def recordings(draw: DrawFn) -> Case:
                 ("out.rrd", "out.html", "out.json"))  # fmt: skip
 
 
-@cache
-def foreign_file(kind: str) -> tuple[str, bytes, str]:
-    """A good file of a format: its name, its bytes, its mapping."""
-    with tempfile.TemporaryDirectory() as place:
-        text = FORMATS[kind](Path(place), some_log())
-        file = max(Path(place).glob("log*"), key=lambda path: (path.is_file(), path.name))
-        return file.name, file.read_bytes(), text
-
-
 @st.composite
 def foreign(draw: DrawFn) -> Case:
     """Spoiled files of other programs, and mappings."""
-    kinds = [name for name in FORMATS if name != "mcap"]  # a folder; its one file alone is there
-    name, data, text = foreign_file(draw(st.sampled_from(kinds)))
-    files = {name: data, "map.toml": text.encode()}
+    files, text = good(draw(st.sampled_from(sorted(FORMATS))))
+    name = draw(st.sampled_from(sorted(files)))
     if draw(st.integers(0, 4)):
-        files[name] = draw(spoiled(data))
+        made = files | {name: draw(spoiled(files[name])), "map.toml": text.encode()}
     else:
-        files["map.toml"] = draw(edited([text]))
-    command: tuple[str, ...] = ("import", "map.toml", "--out", "out.parquet")
-    if draw(st.integers(0, 6)) == 0:
-        command = ("import", "--guess", name, "--out", "guess.toml")
-    return Case(command, files, ("out.parquet", "guess.toml"))
+        made = files | {"map.toml": draw(edited([text]))}
+    guess = ("import", "--guess", name.partition("/")[0], "--out", "guess.toml")
+    return Case(IMPORT if draw(st.integers(0, 6)) else guess, made, OUTPUTS)
 
 
 @cache

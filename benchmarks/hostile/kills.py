@@ -34,64 +34,43 @@ FAILING = ("rename", "renameat2", "link", "mkdir", "fsync", "write", "pwrite64")
 
 TRACED = ",".join((*FAILING, "unlink", "unlinkat", "rmdir", "openat"))
 
-SET = tuple(
-    word
-    for key in (
-        "motion.duration=12", "simulation.step=1e-3", "measurement.rate=200", "motion.candidates=1",
-    )
-    for word in ("--set", key)
-)  # fmt: skip
+SET = (
+    "--set motion.duration=12 --set simulation.step=1e-3 --set measurement.rate=200 "
+    "--set motion.candidates=1"
+)
+LOG = "a{}.parquet --model robot.urdf"
+NEW = "new robot.urdf --recording l{}.csv --out out.toml --force"
 
-NEW = ("new", "robot.urdf", "--recording", "l{}.csv", "--out", "out.toml")
-LOG = ("a{}.parquet", "--model", "robot.urdf")
-WRITERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "run": (("run", "robot.toml", *SET, "--set", "seed={}", "--out", "out", "--force"), ("out",)),
-    "simulate": (
-        ("simulate", "robot.toml", *SET, "--set", "seed={}", "--out", "out.parquet"),
-        ("out.parquet",),
-    ),
-    "report": (("report", *LOG, "--out", "out.html"), ("out.html", "out.json")),
-    "view": (("view", *LOG, "--save", "out.rrd"), ("out.rrd",)),
-    "identify": (("identify", *LOG, "--write", "out.urdf"), ("out.urdf",)),
-    "drives": (
-        ("drives", *LOG, "--write", "out.urdf", "--friction", "out.csv"),
-        ("out.urdf", "out.csv"),
-    ),
+WRITERS: dict[str, tuple[str, str]] = {
+    "run": (f"run robot.toml {SET} --set seed={{}} --out out --force", "out"),
+    "simulate": (f"simulate robot.toml {SET} --set seed={{}} --out out.parquet --force",
+                 "out.parquet"),
+    "report": (f"report {LOG} --out out.html --force", "out.html out.json"),
+    "view": (f"view {LOG} --save out.rrd --force", "out.rrd"),
+    "identify": (f"identify {LOG} --write out.urdf --force", "out.urdf"),
+    "drives": (f"drives {LOG} --write out.urdf --friction out.csv --force", "out.urdf out.csv"),
     "calibrate": (
-        (
-            "calibrate", "p1.parquet", "--model", "puma562.xml", "--known", "mass=2{}",
-            "--known", "gain/Fz=1", "--known", "gain/Mx=1", "--out", "out.toml",
-        ),
-        ("out.toml",),
+        "calibrate p1.parquet --model puma562.xml --known mass=2{} --known gain/Fz=1 "
+        "--known gain/Mx=1 --out out.toml --force", "out.toml",
     ),
     "excite": (
-        (
-            "excite", "robot.toml", *SET, "--set", "excitation.starts=1", "--set", "seed={}",
-            "--out", "out.toml", "--trajectory", "out.csv", "--page", "out.html",
-        ),
-        ("out.toml", "out.csv", "out.html"),
+        f"excite robot.toml {SET} --set excitation.starts=1 --set seed={{}} --out out.toml "
+        "--trajectory out.csv --page out.html --force", "out.toml out.csv out.html",
     ),
-    "equations": (("equations", "robot{}.urdf", "--out", "out.txt"), ("out.txt",)),
-    "sample": (("sample", "i{}.json", "-n", "3", "--out", "out"), ("out",)),
-    "import": (("import", "m{}.toml", "--model", "robot.urdf", "--out", "out.parquet"),
-               ("out.parquet",)),
+    "equations": ("equations robot{}.urdf --out out.txt --force", "out.txt"),
+    "sample": ("sample i{}.json -n 3 --out out --force", "out"),
+    "import": ("import m{}.toml --model robot.urdf --out out.parquet --force", "out.parquet"),
     "guess": (
-        (
-            "import", "--guess", "l{}.csv", "--model", "robot.urdf", "--out", "out.toml",
-            "--page", "out.html",
-        ),
-        ("out.toml", "out.html"),
+        "import --guess l{}.csv --model robot.urdf --out out.toml --page out.html --force",
+        "out.toml out.html",
     ),
     # the recording is made of the mapping that stands there by then: each is replaced alone
-    "new mapping": (NEW, ("out.toml",)),
-    "new recording": (NEW, ("out.parquet",)),
-    "new experiment": (("new", "robot{}.urdf", "--out", "out.toml"), ("out.toml",)),
-    "summary": (("campaign", "--summary", "c{}"), ("c2",)),
+    "new mapping": (NEW, "out.toml"),
+    "new recording": (NEW, "out.parquet"),
+    "new experiment": ("new robot{}.urdf --out out.toml --force", "out.toml"),
+    "summary": ("campaign --summary c{}", "c2"),
 }  # fmt: skip
 """Words and outputs of every command that replaces something; {} is 1 or 2."""
-
-UNFORCED = ("run", "summary")
-"""Commands that replace their outputs without --force, which the words of the first have."""
 
 CAMPAIGN = """
 name = "c"
@@ -126,26 +105,12 @@ class Fault:
         return [word for each in (*self.more, own) for word in ("-e", each)]
 
 
-@dataclass(frozen=True)
-class Scene:
-    """A folder in which one command replaces its older outputs.
-
-    Attributes:
-        folder: The folder, with inputs alone.
-        words: Of the command, the first time and the second.
-        outputs: Files or folders that the command writes.
-    """
-
-    folder: Path
-    words: tuple[list[str], list[str]]
-    outputs: tuple[str, ...]
-
-    def content(self, place: Path) -> Mapping[str, str]:
-        """Digests of all outputs, by path."""
-        tops = [place / name for name in self.outputs]
-        files = [each for top in tops for each in (top, *top.rglob("*")) if each.is_file()]
-        names = {str(each.relative_to(place)): each for each in files}
-        return {name: _digest(each) for name, each in names.items() if HIDDEN not in name}
+def _content(place: Path, outputs: str) -> Mapping[str, str]:
+    """Digests of all outputs in a folder, by path."""
+    tops = [place / name for name in outputs.split()]
+    files = [each for top in tops for each in (top, *top.rglob("*")) if each.is_file()]
+    names = {str(each.relative_to(place)): each for each in files}
+    return {name: _digest(each) for name, each in names.items() if HIDDEN not in name}
 
 
 def _digest(path: Path) -> str:
@@ -165,56 +130,41 @@ def prepared(folder: Path) -> None:
     shutil.copyfile(GOLDEN / "robots/pendulum.urdf", folder / "robot.urdf")
     text = (folder / "robot.urdf").read_text()
     run = partial(carried_out, folder)
-    run("new", "robot.urdf", "--out", "robot.toml")
-    run("simulate", "table6", *SET, "--out", "p1.parquet")
+    run("new robot.urdf --out robot.toml")
+    run(f"simulate table6 {SET} --out p1.parquet")
     for k in (1, 2):
         (folder / f"robot{k}.urdf").write_text(text.replace("3.654014", f"3.{k}"))
-        run("simulate", "robot.toml", *SET, "--set", f"seed={k}", "--out", f"a{k}.parquet")
-        said = run("identify", f"a{k}.parquet", "--model", "robot.urdf", "--json")
+        run(f"simulate robot.toml {SET} --set seed={k} --out a{k}.parquet")
+        said = run(f"identify a{k}.parquet --model robot.urdf --json")
         (folder / f"i{k}.json").write_text(said)
         table = pq.read_table(folder / f"a{k}.parquet")
         kept = [n for n in table.column_names if n.split("/")[0] in ("time", "position", "torque")]
         pc.write_csv(table.select(kept), folder / f"l{k}.csv")
-        run("import", "--guess", f"l{k}.csv", "--model", "robot.urdf", "--out", f"m{k}.toml")
+        run(f"import --guess l{k}.csv --model robot.urdf --out m{k}.toml")
         (folder / f"c{k}.toml").write_text(CAMPAIGN.format(k))
-        run("campaign", f"c{k}.toml", "--workers", "0", "--out", f"c{k}")
+        run(f"campaign c{k}.toml --workers 0 --out c{k}")
 
 
-def carried_out(folder: Path, *words: str) -> str:
+def carried_out(folder: Path, words: str) -> str:
     """Standard output of a command in a folder, without strace.
 
     Raises:
         RuntimeError: The command is refused, or fails.
     """
-    done = subprocess.run(
-        [sys.executable, "-m", "testbed", *words], cwd=folder, text=True, capture_output=True,
-        check=False,
-    )  # fmt: skip
+    command = [sys.executable, "-m", "testbed", *words.split()]
+    done = subprocess.run(command, cwd=folder, text=True, capture_output=True, check=False)
     if done.returncode not in (0, 1):
-        raise RuntimeError(f"{' '.join(words)}: {done.stderr}")
+        raise RuntimeError(f"{words}: {done.stderr}")
     return done.stdout
 
 
-def scene(name: str, inputs: Path) -> Scene:
-    """One command's folder.
-
-    Args:
-        name: Of `WRITERS`.
-        inputs: What `prepared` has made.
-    """
-    words, outputs = WRITERS[name]
-    forced = () if name in UNFORCED else ("--force",)
-    old, new = ([each.format(k) for each in [*words, *forced]] for k in (1, 2))
-    return Scene(inputs, (old, new), outputs)
-
-
-def _traced(scene: Scene, place: Path, faults: list[str]) -> subprocess.CompletedProcess[str]:
-    """The second command under strace, in a folder."""
+def _traced(words: str, place: Path, faults: list[str]) -> subprocess.CompletedProcess[str]:
+    """A command under strace, in a folder."""
     log = place.with_name("strace")
     shutil.rmtree(log, ignore_errors=True)
     log.mkdir()
     command = ["strace", "-ff", "-qq", "-e", f"trace={TRACED}", *faults]
-    command += ["-o", str(log / "log"), sys.executable, "-m", "testbed", *scene.words[1]]
+    command += ["-o", str(log / "log"), sys.executable, "-m", "testbed", *words.split()]
     return subprocess.run(command, cwd=place, text=True, capture_output=True, check=False)
 
 
@@ -256,24 +206,17 @@ def _fault(name: str, calls: list[tuple[str, int]], rng: random.Random) -> Fault
     return Fault(call, when, f"error={kind}")
 
 
-def kills(count: int, seed: int, only: str = "") -> dict[str, Any]:
-    """Faults while outputs are replaced; the older ones or the new ones must stand there, whole.
-
-    Args:
-        count: How many.
-        seed: Of all choices.
-        only: Commands whose names hold this.
-    """
+def kills(count: int, seed: int) -> dict[str, Any]:
+    """Faults while outputs are replaced; the older ones or the new ones must stand there, whole."""
     rng = random.Random(f"{seed}/kills")
     ends: Counter[str] = Counter()
     broken: list[str] = []
-    names = [name for name in WRITERS if only in name]
     with tempfile.TemporaryDirectory() as folder:
         inputs = Path(folder) / "inputs"
         inputs.mkdir()
         prepared(inputs)
-        for k, name in enumerate(names):
-            share = count // len(names) + (k < count % len(names))
+        for k, name in enumerate(WRITERS):
+            share = count // len(WRITERS) + (k < count % len(WRITERS))
             ends.update(_of_one(name, inputs, share, rng, broken))
     return {"bench": "faults while replacing", **ends, "not treated well": broken}
 
@@ -282,26 +225,27 @@ def _of_one(
     name: str, inputs: Path, count: int, rng: random.Random, broken: list[str]
 ) -> Iterator[str]:
     """Which outputs stand there after each fault in one command."""
-    here, old_place = scene(name, inputs), inputs.with_name("old")
-    place = inputs.with_name("place")
+    words, outputs = WRITERS[name]
+    old, new = (words.format(k) for k in (1, 2))
+    old_place, place = inputs.with_name("old"), inputs.with_name("place")
     for folder in (old_place, place):
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(inputs, folder)
-    carried_out(old_place, *here.words[0])
+    carried_out(old_place, old)
     shutil.rmtree(place)
     shutil.copytree(old_place, place)
-    done = _traced(here, place, [])
+    done = _traced(new, place, [])
     if done.returncode not in (0, 1):
         broken.append(f"{name}: {done.stderr[-300:]}")
         return
-    states = {"old": here.content(old_place), "new": here.content(place)}
+    states = {"old": _content(old_place, outputs), "new": _content(place, outputs)}
     calls = _calls(place.with_name("strace"))
     for _ in range(count):
         shutil.rmtree(place)
         shutil.copytree(old_place, place)
         fault = _fault(name, calls, rng)
-        done = _traced(here, place, fault.options)
-        found = here.content(place)
+        done = _traced(new, place, fault.options)
+        found = _content(place, outputs)
         end = next((end for end, state in states.items() if state == found), "neither")
         pairs = {*states["old"].items(), *states["new"].items()}
         if end == "neither" and "KILL" in fault.what and pairs >= {*found.items()}:

@@ -21,6 +21,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from benchmarks.hostile.case import Case
 from benchmarks.hostile.datasets import IMPORT, OUTPUTS, Files, files_of, good, mapping_of
+from benchmarks.hostile.edits import spoiled
 from tests.helpers.foreign_files import FORMATS, _bag, some_log
 
 MANY = 100_000
@@ -48,22 +49,17 @@ def bag_folder() -> Files:
     return files_of(lambda place: _bag(place / "log", some_log(), StoragePlugin.SQLITE3))
 
 
-def _database(files: Files) -> str:
-    return next(name for name in files if name.endswith(".db3"))
-
-
-def _bag_with(target: str) -> Trap:
-    """A bag whose database is a link to something, or a pipe."""
-    files = dict(bag_folder())
-    name = _database(files)
-    files["elsewhere.db3"] = files.pop(name)
-    return Trap(files, "log", {name: target})
+def _with_link(files: Files, ending: str, target: str) -> Trap:
+    """A folder one of whose files is a link to something, or a pipe."""
+    name = max(each for each in files if each.endswith(ending))
+    kept = {each: data for each, data in files.items() if each != name}
+    return Trap(kept | {f"elsewhere{ending}": files[name]}, "log", {name: target})
 
 
 def _packed_bag(content: bytes) -> Trap:
     """A bag packed by zstd."""
     files = dict(bag_folder())
-    name = _database(files)
+    name = next(name for name in files if name.endswith(".db3"))
     del files[name]
     about = files["log/metadata.yaml"].decode().replace(Path(name).name, f"{Path(name).name}.zstd")
     for key, value in (("compression_format", "zstd"), ("compression_mode", "file")):
@@ -71,14 +67,6 @@ def _packed_bag(content: bytes) -> Trap:
         about = "\n".join([lines[0], f"  {key}: {value}", *lines[1:]])
     packed = zstandard.ZstdCompressor(level=3).compress(content)
     return Trap(files | {"log/metadata.yaml": about.encode(), f"{name}.zstd": packed}, "log")
-
-
-def _dataset_with(target: str) -> Trap:
-    """A dataset one of whose files is a link to something, or a pipe."""
-    files = dict(good("v3.0")[0])
-    name = max(each for each in files if each.endswith(".parquet"))
-    files["elsewhere.parquet"] = files.pop(name)
-    return Trap(files, "log", {name: target})
 
 
 def _wide_dataset() -> Trap:
@@ -97,8 +85,8 @@ def _parquet(table: pa.Table) -> bytes:
     return sink.getvalue()
 
 
-def _wide_parquet(count: int) -> Trap:
-    table = pa.table({f"q{k}": [0.0, 1.0, 2.0] for k in range(count)})
+def _wide_parquet() -> Trap:
+    table = pa.table({f"q{k}": [0.0, 1.0, 2.0] for k in range(20_000)})
     return Trap({"log.parquet": _parquet(table)}, "log.parquet")
 
 
@@ -113,7 +101,8 @@ def _csv(text: bytes, *, packed: bool = False) -> Trap:
     return Trap({name: gzip.compress(text) if packed else text}, name)
 
 
-def _c3d(points: int) -> Trap:
+def _c3d() -> Trap:
+    points = 65_535
     head = struct.pack("<BBHHHHHfHHf", 2, 80, points, 0, 1, 2, 10, 1.0, 3, 1, 100.0)
     data = head.ljust(512, b"\0") + b"\x01\x50\x01\x54".ljust(512, b"\0") + bytes(16 * points)
     return Trap({"log.c3d": data}, "log.c3d")
@@ -123,29 +112,20 @@ def _rows(count: int) -> bytes:
     return b"".join(b",".join([b"%d.5" % k] * 4) + b"\n" for k in range(count))
 
 
-def _pipe(name: str) -> Trap:
-    return Trap({}, name, {name: ""})
-
-
 LOG_TRAPS: dict[str, Callable[[], Trap]] = {
-    **{f"a pipe{end}": lambda end=end: _pipe(f"log{end}")  # type: ignore[misc]
+    **{f"a pipe{end}": lambda name=f"log{end}": Trap({}, name, {name: ""})  # type: ignore[misc]
        for end in (".csv", ".csv.gz", ".npz", ".parquet", ".mat", ".h5", ".bag", ".db3", ".mcap",
                    ".rrd", ".c3d")},
     "a device": lambda: Trap({}, "log.csv", {"log.csv": "/dev/zero"}),
-    "bag: a pipe": lambda: _bag_with(""),
-    "bag: a device": lambda: _bag_with("/dev/zero"),
-    "bag: a link outwards": lambda: _bag_with("../elsewhere.db3"),
-    "bag: a link to itself": lambda: _bag_with("log_0.db3"),
-    "bag: 200 MB by zstd": lambda: _packed_bag(bytes(200_000_000)),
+    "bag: a pipe": lambda: _with_link(bag_folder(), ".db3", ""),
+    "bag: a link outwards": lambda: _with_link(bag_folder(), ".db3", "../elsewhere.db3"),
+    "bag: a link to itself": lambda: _with_link(bag_folder(), ".db3", "log_0.db3"),
     "bag: 800 MB by zstd": lambda: _packed_bag(bytes(800_000_000)),
     "bag: noise by zstd": lambda: _packed_bag(b"noise" * 1000),
-    "dataset: a pipe": lambda: _dataset_with(""),
-    "dataset: a device": lambda: _dataset_with("/dev/zero"),
-    "dataset: a link outwards": lambda: _dataset_with("/etc/passwd"),
+    "dataset: a device": lambda: _with_link(good("v3.0")[0], ".parquet", "/dev/zero"),
+    "dataset: a link outwards": lambda: _with_link(good("v3.0")[0], ".parquet", "/etc/passwd"),
     "dataset: 3 million columns": _wide_dataset,
-    "parquet: 3000 columns": lambda: _wide_parquet(3000),
-    "parquet: 20000 columns": lambda: _wide_parquet(20_000),
-    "npz: 3000 arrays": lambda: _npz({f"q{k}": np.arange(9.0) for k in range(3000)}),
+    "parquet: 20000 columns": _wide_parquet,
     "npz: 12000 arrays": lambda: _npz({f"q{k}": np.arange(9.0) for k in range(12_000)}),
     "npz: a wide array": lambda: _npz({"q": np.zeros((3, 9000)), "p": np.zeros((9000, 9000), "?")}),
     "npz: two lengths": lambda: _npz({"time": np.arange(90.0), "q": np.arange(60.0)}),
@@ -156,35 +136,16 @@ LOG_TRAPS: dict[str, Callable[[], Trap]] = {
     "csv: one line by gzip": lambda: _csv(b"1," * 50_000_000, packed=True),
     "csv: no line by gzip": lambda: _csv(b"\n" * 100_000_000, packed=True),
     "csv: short lines by gzip": lambda: _csv(b"1,2\n" * 20_000_000, packed=True),
-    "csv: a time of -2^63": lambda: _csv(b"time,q,a\n" + b"-9223372036854775808,1,2\n" * 99),
     "csv: times of both ends": lambda: _csv(
         b"time,q,a\n" + b"-9223372036854775808,1,2\n9223372036854775807,2,3\n" * 99
     ),
-    "csv: cut in a number": lambda: _csv(_rows(99)[:-2]),
     "csv: cut in a line": lambda: _csv(_rows(99)[:-9]),
-    "c3d: 65535 points": lambda: _c3d(65_535),
-    "c3d: 9000 points": lambda: _c3d(3000),
+    "c3d: 65535 points": _c3d,
 }  # fmt: skip
 """Small logs that would harm a reader."""
 
 trap = cache(lambda name: LOG_TRAPS[name]())
 """A trap, made once."""
-
-
-@st.composite
-def changed(draw: DrawFn, data: bytes) -> bytes:
-    """Bytes with one to four of them changed, or cut.
-
-    Args:
-        draw: Hypothesis'.
-        data: To begin with.
-    """
-    made = bytearray(data)
-    for _ in range(draw(st.integers(1, 4))):
-        near = draw(st.sampled_from([len(made), 600, 4000]))  # plans of formats are in front
-        place = draw(st.integers(0, 2**31)) % min(near, len(made))
-        made[-place if draw(st.booleans()) else place] = draw(st.integers(0, 255))
-    return bytes(made[: draw(st.integers(1, len(made)))] if draw(st.integers(0, 7)) == 0 else made)
 
 
 @st.composite
@@ -197,7 +158,7 @@ def logs(draw: DrawFn) -> Case:
         kind = draw(st.sampled_from([*FORMATS, "bag folder"]))
         files, text = good(kind) if kind in FORMATS else (bag_folder(), mapping_of("log"))
         name = draw(st.sampled_from(sorted(files)))
-        found = Trap(files | {name: draw(changed(files[name]))}, name.partition("/")[0])
+        found = Trap(files | {name: draw(spoiled(files[name]))}, name.partition("/")[0])
     guess = draw(st.booleans())
     command = ("import", "--guess", found.name, "--out", "guess.toml") if guess else IMPORT
     named = (found.name,) if guess else (found.name, "map.toml")

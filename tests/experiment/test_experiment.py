@@ -13,7 +13,7 @@ import pytest
 from pydantic import BaseModel
 
 import testbed as tb
-from benchmarks.robot_files import MOST_SIGMAS
+from benchmarks.robots import MOST_SIGMAS
 from testbed.core.base.errors import ExperimentError, InertiaError, SettingsError, TestbedError
 from testbed.core.base.toml_text import LARGEST_FILE, override
 from testbed.core.robot.model_file import mimic_joints, nearest_bodies

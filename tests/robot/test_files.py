@@ -49,9 +49,7 @@ def test_a_file_of_either_format_is_the_robot_that_was_written(robot: Robot) -> 
 
 
 READ = {
-    "a chain of 20 joints": 20, "a chain of 60 joints": 60, "a chain of 150 joints": 150,
-    "a chain of 400 joints": 400, "400 sliding joints": 400, "a star of 300": 300,
-    "a bush of 200": 200,
+    "a chain of 400 joints": 400, "400 sliding joints": 400, "a bush of 200": 200,
     "a mesh from a network": 2, "a mesh of a package": 2, "8 files in a row": 8,
     "a mesh of four thousand million triangles": 2, "two models of ten each": 112,
     "a large texture": 1, "a large arena": 1, "30 bodies deep": 31, "no time": 1,

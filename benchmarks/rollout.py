@@ -10,9 +10,10 @@ from collections.abc import Iterator, Mapping
 from datetime import date
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 import testbed as tb
 from benchmarks.bench import FAST, RATE, Case, Happened, make, measured, simulated
@@ -39,13 +40,7 @@ WORDS = {"torque": "joint torques", "wrench": "joint torques and plate"}
 
 
 def rollouts(python: str, draws: int, docs: bool) -> str:
-    """A table of the errors of 2 s of an unseen motion, and of processor time.
-
-    Args:
-        python: Interpreter that has mujoco.sysid.
-        draws: Of bodies, motions and noise.
-        docs: Whether the table is written into the page.
-    """
+    """A table of the errors of 2 s of an unseen motion, and of processor time."""
     cases = [Case(ROBOT, "white", 2 * k) for k in range(draws)]  # the even ones are simulated
     with TemporaryDirectory() as place:
         folder = Path(place) / "set"
@@ -131,3 +126,12 @@ def _write(case: Case, folder: Path, methods: tuple[Method, ...], out: Path) -> 
 def _error(model: Path, motion: Recording) -> float:
     """Rms over joints and time [rad]."""
     return float(np.sqrt((replay(tb.ModelFile(model), motion) ** 2).mean()))
+
+
+def main(
+    python: Annotated[str, typer.Option(help="Interpreter that has mujoco.sysid.")],
+    draws: Annotated[int, typer.Option(min=1, help="Of bodies, motions and noise.")] = 5,
+    docs: Annotated[bool, typer.Option("--docs", help="Write docs/rivals.md.")] = False,
+) -> None:
+    """An unseen motion by written model files, beside mujoco.sysid as its documentation goes."""
+    print(rollouts(python, draws, docs))
