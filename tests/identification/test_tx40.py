@@ -1,4 +1,4 @@
-"""A real Staubli TX40, whose published numbers are reproduced, and twins of real recordings."""
+"""A real Staubli TX40, whose published numbers are reproduced."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import pytest
 from scipy import signal
 
 import testbed as tb
-from benchmarks.twins import GROUPS
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.selection.term_choice import choose_terms, held_out
@@ -153,22 +152,3 @@ def test_unseen_sixths_are_foretold_better_with_the_coupled_wrist() -> None:
         choice = choose_terms(Problem.of(tree, recording, "internal", asked))
         assert choice.parts == 6
         assert choice.after.rms <= min(choice.before.rms, most)
-
-
-ADVICE = {
-    "motors": set[str](),
-    "a joint that hardly moves": {"drives.one-way"},
-    "payload": set[str](),
-    "coarse poses": {"encoder.interpolated"},
-    "coarse poses, advice followed": set[str](),
-}
-
-
-@pytest.mark.parametrize("group", GROUPS)
-def test_an_estimate_is_better_than_the_file_and_says_what_helps(group: str) -> None:
-    """Intervals of 95 % hold; where the advice was followed, there is none left."""
-    found = GROUPS[group](1)
-    assert found.error < found.file
-    assert ADVICE[group] <= {*found.advice}
-    assert found.inside > 0.8
-    assert not (group == "coarse poses, advice followed" and found.advice)

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from testbed.core.robot.arms import joint_sets
 from testbed.core.robot.locks import Travel
 from testbed.core.robot.model_file import ModelFile, expressible
 from testbed.core.robot.tree import Tree
+from testbed.importing.arms import joint_sets
 from testbed.importing.check.remedies import own_joints
 from testbed.importing.guess import guessed
 from testbed.importing.import_report import Draft
