@@ -5,21 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Sequence
 
+from testbed.core.robot.grippers import fingers
 from testbed.core.robot.tree import Tree
 
 GRIPPER = r"finger|grip|hand|knuckle|thumb|jaw|claw|robotiq"
 """Words in names of joints of a tool, which few loggers write."""
-
-
-def fingers(tree: Tree, followed: Collection[str]) -> list[int]:
-    """Indices of joints that others follow and that carry no other joint.
-
-    Args:
-        tree: The robot.
-        followed: Names of joints that others follow.
-    """
-    carrying = {joint.parent for joint in tree.joints}
-    return [j for j, name in enumerate(tree.names) if name in followed and j not in carrying]
 
 
 def joint_sets(tree: Tree, names: Sequence[str], followed: Collection[str]) -> Iterator[list[str]]:

@@ -20,12 +20,12 @@ from testbed.core.base.errors import (
 from testbed.core.estimation.settings import Settings
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.robot.friction import VISCOUS
+from testbed.core.robot.grippers import fingers
 from testbed.core.robot.inertia import Inertia
 from testbed.core.robot.locks import Lock, Travel
 from testbed.core.robot.model_file import ModelFile, expressible, nearest_bodies
 from testbed.core.robot.repair import NAMED, Bodies, Repair
 from testbed.core.robot.tree import Tree
-from testbed.importing.arms import fingers
 from testbed.lab.experiment.assumptions import (
     PLATE_NOISE,
     STEPS,

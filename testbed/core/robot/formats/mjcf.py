@@ -107,7 +107,8 @@ def read_links(
 
 def _links(model: mujoco.MjModel, stated: dict[str, StatedInertia], path: Path) -> tuple[Link, ...]:
     """The bodies with their inertias as the file has them."""
-    jointed = {body.name for body in parse(path).bodies if body.joints}
+    spec = parse(path)  # kept while its bodies are read: they live in it
+    jointed = {body.name for body in spec.bodies if body.joints}
     found: dict[int, Link] = {}
     for b, (owner, rotation, position) in _places(model).items():
         name, below = model.body(b).name, found.get(model.body_parentid[b])
