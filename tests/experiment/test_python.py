@@ -91,7 +91,7 @@ def test_a_rig_records_what_its_sensors_measure(signals: Signals) -> None:
     wanted = motion.at(own.time).q
     assert np.abs(own.position - wanted)[500:].max() < 5e-3
     for sensors, culprit in (
-        ([tb.ForcePlate(), tb.ForcePlate()], "two of one kind"),
+        ([tb.ForcePlate(), tb.ForcePlate()], "more than one ForcePlate"),
         ([tb.JointTorques(gains={"wrist": 1.1})], "wrist"),
     ):
         with refuses(tb.TestbedError, culprit):

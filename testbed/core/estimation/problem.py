@@ -249,7 +249,7 @@ def check_source(source: Source, tree: Tree, method: Method) -> None:
         named = ", ".join(map(str, source.facts.get("sensors", ())))
         advice += f"; it has force sensors: --sensor NAME ({named})"
     raise RecordingError(
-        f"the recording has no {SIGNAL_OF[method]}, which this estimate needs{advice}"
+        f"the recording has no {SIGNAL_OF[method]}, which the {method} method needs{advice}"
     )
 
 
