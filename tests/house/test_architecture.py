@@ -14,10 +14,8 @@ import pytest
 from pydantic import BaseModel
 
 import testbed as tb
+from tests.helpers.modules import HOUSE, MODULES, module_name, syntax
 from tests.helpers.paths import ROOT
-
-HOUSE = ROOT / "testbed"
-MODULES = sorted(HOUSE.rglob("*.py"))
 
 ROBOT = "core/base core/robot core/parameters core/dynamics"
 CORE = f"{ROBOT} core/kernel core/recordings core/estimation"
@@ -80,12 +78,7 @@ LONGEST_MODULE = 500
 ESTIMATORS = ["linear_prior", "posterior", "verdict", "row_products", "prediction_errors"]
 
 
-TREES = {path: ast.parse(path.read_text()) for path in MODULES}
-
-
-def module_name(path: Path) -> str:
-    parts = path.relative_to(HOUSE.parent).with_suffix("").parts
-    return ".".join(parts).removesuffix(".__init__")
+TREES = {path: syntax(name) for name, path in MODULES.items()}
 
 
 def room(path: Path) -> str:
@@ -124,10 +117,9 @@ def stuck(needs: dict[str, set[str]]) -> set[str]:
 
 def test_imports_go_upstream_only_and_guests_stay_in_their_rooms() -> None:
     """See docs/architecture.md for who may import whom."""
-    paths = {module_name(path): path for path in MODULES}
-    for path in MODULES:
+    for path in TREES:
         place, names = path.relative_to(HOUSE).as_posix(), set(imported(path))
-        needs = {room(paths[name]) for name in names & paths.keys() - {"testbed"}}
+        needs = {room(MODULES[name]) for name in names & MODULES.keys() - {"testbed"}}
         if room(path) not in ANYWHERE:
             assert needs <= {room(path), *PLAN.get(room(path), "").split()}, (
                 f"{place} imports {needs}"
@@ -139,14 +131,13 @@ def test_imports_go_upstream_only_and_guests_stay_in_their_rooms() -> None:
 
 def test_neither_rooms_nor_files_need_each_other_in_a_circle() -> None:
     assert stuck({name: set(needs.split()) for name, needs in PLAN.items()}) == set()
-    names = {module_name(path) for path in MODULES}
-    needs = {module_name(p): names.intersection(imported(p, types=False)) for p in MODULES}
+    needs = {name: MODULES.keys() & {*imported(p, types=False)} for name, p in MODULES.items()}
     inner = {name: wants - {name, "testbed"} for name, wants in needs.items() if name != "testbed"}
     assert stuck(inner) == set()
 
 
 def test_every_room_is_in_the_plan_and_in_the_drawing() -> None:
-    rooms = {room(path) for path in MODULES} - ANYWHERE - {"core"}
+    rooms = {room(path) for path in TREES} - ANYWHERE - {"core"}
     assert rooms == set(PLAN)
     drawing = (ROOT / "docs/architecture.md").read_text()
     assert [name for name in rooms if not re.search(rf"\b{name}\b", drawing)] == []
@@ -160,7 +151,7 @@ def is_estimator(path: Path) -> bool:
 
 def test_the_estimator_never_speaks_of_the_truth() -> None:
     """Nothing in it reads what only a simulation knows, or runs text as code."""
-    for path in (path for path in MODULES if is_estimator(path)):
+    for path in (path for path in TREES if is_estimator(path)):
         for node in ast.walk(TREES[path]):
             if isinstance(node, ast.Attribute):
                 assert node.attr not in ("truth", "inertias", "pedestal", "coulomb"), path
@@ -169,14 +160,14 @@ def test_the_estimator_never_speaks_of_the_truth() -> None:
 
 
 def test_no_module_is_longer_than_a_person_reads() -> None:
-    lengths = {path.relative_to(HOUSE): path.read_text().count("\n") for path in MODULES}
+    lengths = {path.relative_to(HOUSE): path.read_text().count("\n") for path in TREES}
     assert {name: lines for name, lines in lengths.items() if lines > LONGEST_MODULE} == {}
 
 
 @pytest.mark.slow
 def test_values_are_frozen_and_those_with_arrays_are_themselves_alone() -> None:
     """What others hold cannot change under them, and `==` has one answer."""
-    for module in sorted(module_name(p) for p in MODULES if p.name != "__main__.py"):
+    for module in sorted(module_name(p) for p in TREES if p.name != "__main__.py"):
         for each in vars(importlib.import_module(module)).values():
             if isinstance(each, type) and each.__module__ == module:
                 if issubclass(each, BaseModel):
@@ -197,15 +188,15 @@ def test_what_is_promised_is_there_and_nothing_else() -> None:
 
 def test_no_module_gives_one_name_two_meanings() -> None:
     """If one fails, a constant silently has the value of its namesake further down."""
-    for path in MODULES:
-        targets = [t for n in TREES[path].body if isinstance(n, ast.Assign) for t in n.targets]
+    for path, tree in TREES.items():
+        targets = [t for n in tree.body if isinstance(n, ast.Assign) for t in n.targets]
         names = [x.id for t in targets for x in ast.walk(t) if isinstance(x, ast.Name)]
         assert len(set(names)) == len(names), path
 
 
 def test_nothing_names_a_machine_or_a_registry() -> None:
     texts = [ROOT / name for name in ("README.md", "CHANGELOG.md", "pyproject.toml", ".ci/run")]
-    texts += [*MODULES, *(ROOT / "docs").glob("*.md"), *(ROOT / "experiments").rglob("*.*")]
+    texts += [*TREES, *(ROOT / "docs").glob("*.md"), *(ROOT / "experiments").rglob("*.*")]
     texts += list(ROOT.glob("*.lock"))
     for path in texts:
         found = re.search(r"/(work|root|home)/|\.\./shared|pypi\.|--index-url", path.read_text())

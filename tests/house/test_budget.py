@@ -14,6 +14,7 @@ from typing import TypeVar
 import pytest
 
 from tests.helpers.blocks import PAGES
+from tests.helpers.modules import MODULES, syntax
 from tests.helpers.paths import ROOT
 
 DOCS = ROOT / "docs"
@@ -22,21 +23,6 @@ FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 DOCUMENTED = (ast.Module, ast.ClassDef, *FUNCTIONS)
 MANY_LOCALS = 15
 T = TypeVar("T")
-
-
-def module_name(path: Path) -> str:
-    """Dotted name of a module of the package."""
-    parts = path.relative_to(ROOT).with_suffix("").parts
-    return ".".join(parts).removesuffix(".__init__")
-
-
-MODULES = {module_name(path): path for path in sorted((ROOT / "testbed").rglob("*.py"))}
-
-
-@cache
-def syntax(module: str) -> ast.Module:
-    """Syntax tree of a module of the package."""
-    return ast.parse(MODULES[module].read_text("utf-8"))
 
 
 def is_text(node: ast.AST) -> bool:
