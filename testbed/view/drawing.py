@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
@@ -52,6 +53,8 @@ STYLE: dict[Any, Any] = {
 
 AXIS, LETTER = 1.6, 0.09
 """Least width of the axis beside names, and width of a letter of theirs [inches]."""
+
+TRANSPARENT = dict.fromkeys(("axes.facecolor", "figure.facecolor"), "none")
 
 WIDTH, HEIGHT, LOWER, ROW, FRAME = 4.1, 1.2, 0.85, 0.19, 0.65
 """Of a figure, its axes, axes below, a named row; what labels take of the height [inches]."""
@@ -152,8 +155,9 @@ def svg(panel: Panel) -> str:
     """
     file = StringIO()
     metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-    with rc_context(STYLE | {"svg.hashsalt": panel.title + panel.x_label}):
-        draw(panel).savefig(file, format="svg", transparent=True, metadata=metadata)
+    with rc_context(STYLE | TRANSPARENT | {"svg.hashsalt": panel.title + panel.x_label}):
+        # the canvas itself: savefig draws each figure once more, to no file
+        FigureCanvasSVG(draw(panel)).print_svg(file, metadata=metadata)  # type: ignore[no-untyped-call]
     text = REMOVED.sub("", file.getvalue()).replace("xlink:href", "href")
     for kind, colour in COLOURS.items():
         text = text.replace(colour, f"var(--{kind})")
