@@ -14,8 +14,9 @@ from testbed.core.base.blas import eigh
 from testbed.core.base.codec import with_properties
 from testbed.core.parameters.minimal_set import selection
 from testbed.core.parameters.rules import Model
+from testbed.core.parameters.symbols import parameter_scale
 from testbed.motion.fourier import Fourier
-from testbed.motion.samples import SampledRows, Samples, scale_of
+from testbed.motion.samples import SMALL, SampledRows, Samples
 
 Criterion: TypeAlias = Callable[[Array], tuple[float, Array]]
 """Of C, (N, N): the value, and its derivative by C, (N, N)."""
@@ -190,7 +191,7 @@ def information_of(
         prior: Covariance of the minimal parameters from before, (N, N); None for none.
     """
     main = rows["dynamic" if instrument == "joints" else "reaction"]
-    scale = scale_of(main.delta, main.minimal.units)
+    scale = parameter_scale(main.delta, main.minimal.units, SMALL)
     count = len(scale)
     unknowns = count if instrument == "plate" else count + 2 * len(torque_noise)
     parts = []

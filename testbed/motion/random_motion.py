@@ -11,13 +11,13 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.dynamics.newton_euler import Motion, regressor
 from testbed.core.parameters.minimal_set import MinimalSet
-from testbed.core.parameters.symbols import barycentric
+from testbed.core.parameters.symbols import barycentric, parameter_scale
 from testbed.core.robot.tree import Tree, require_tree
 from testbed.motion.clearance import CLEARANCE_UNIT, FAR, DistanceMeter
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import Limits, limits_of, motor_efforts
 from testbed.motion.proof import Proof, Rules, prove, seems_to_hold
-from testbed.motion.samples import Computed, scale_of
+from testbed.motion.samples import SMALL, Computed
 
 
 def rest_posture(rules: Rules) -> Array:
@@ -262,7 +262,7 @@ def relative_sigma(tree: Tree, motion: Fourier, minimal: MinimalSet, noise: Arra
     """
     times = _times(motion, *_SCORE)
     phi = regressor(tree, motion.at(times), minimal) / noise[:, None]
-    scale = scale_of(minimal.values(barycentric(tree)), minimal.units)
+    scale = parameter_scale(minimal.values(barycentric(tree)), minimal.units, SMALL)
     scaled = phi.reshape(-1, minimal.count) * scale
     spread = np.linalg.svd(scaled, compute_uv=False)
     if spread[-1] <= 1e-12 * spread[0]:

@@ -129,20 +129,6 @@ SMALL = 0.05
 """Values below this share of the largest of their unit count as that large."""
 
 
-def scale_of(values: Array, units: Sequence[str]) -> Array:
-    """What a relative error is relative to: the values, small ones counted as larger.
-
-    Args:
-        values: (N,).
-        units: Of each.
-    """
-    scale = np.abs(values)
-    for unit in set(units):
-        same = np.array([u == unit for u in units])
-        scale[same] = np.maximum(scale[same], SMALL * scale[same].max())
-    return scale
-
-
 class Instants(Protocol):
     """G instants of a motion, and forces by an a-priori model."""
 

@@ -12,6 +12,7 @@ from hypothesis import given
 import testbed as tb
 from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.parameters.rules import Model
+from testbed.core.parameters.symbols import parameter_scale
 from testbed.motion.design import DesignProblem, _start, criterion, design
 from testbed.motion.fourier import Fourier
 from testbed.motion.information import (
@@ -27,7 +28,7 @@ from testbed.motion.information import (
 from testbed.motion.limits import limits_of, motor_efforts
 from testbed.motion.proof import Proof, Rules, prove
 from testbed.motion.random_motion import random_motion
-from testbed.motion.samples import SampledRows, scale_of
+from testbed.motion.samples import SMALL, SampledRows
 from testbed.motion.terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot
@@ -140,7 +141,7 @@ def test_the_promise_is_least_squares_own_sigma(name: str) -> None:
     wanted = np.sqrt(np.diag(np.linalg.inv(flat.T @ flat)) * 200)
     found = predict(asked.information, rows, motion, ALL)
     np.testing.assert_allclose(found.sigma, wanted, rtol=1e-6)
-    scale = scale_of(rows["reaction"].delta, minimal.units)
+    scale = parameter_scale(rows["reaction"].delta, minimal.units, SMALL)
     np.testing.assert_allclose(found.relative, found.sigma / scale)
     spread = np.linalg.svd(flat * scale, compute_uv=False)
     assert found.condition == pytest.approx(spread[0] / spread[-1], rel=1e-6)

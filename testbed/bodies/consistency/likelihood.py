@@ -14,14 +14,14 @@ from scipy.linalg import null_space
 
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.drive_set import drive_set
-from testbed.core.estimation.diagnostics.rigid_bodies import sizes
+from testbed.core.estimation.diagnostics.rigid_bodies import SMALL
 from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.estimation.regression.normal_equations import (
     inverse_root,
     unit_diagonal,
 )
 from testbed.core.parameters.minimal_set import minimal_set, selection
-from testbed.core.parameters.symbols import on_standard
+from testbed.core.parameters.symbols import on_standard, parameter_scale
 from testbed.core.robot.friction import JointTerm
 from testbed.core.robot.tree import Tree
 
@@ -104,7 +104,7 @@ def evidence(tree: Tree, estimate: Estimate, terms: tuple[JointTerm, ...]) -> Li
         found[:, place] = rows[:, 10 * tree.n :]
         return found
 
-    size = sizes(estimate.values, estimate.units)
+    size = parameter_scale(estimate.values, estimate.units, SMALL)
     unknown = [name in estimate.unidentifiable for name in estimate.names]
     finest = (np.where(unknown, UNKNOWN, FINEST) * size) ** 2
     white = inverse_root(estimate.covariance + np.diag(finest)).T
@@ -138,7 +138,7 @@ def _contradiction(plate: Estimate, torques: Estimate) -> float:
     own = torques.base
     apart = likelihoods @ plate.base.values - own.values
     spread = likelihoods @ plate.base.covariance @ likelihoods.T + own.covariance
-    spread += np.diag((FINEST * sizes(own.values, own.units)) ** 2)
+    spread += np.diag((FINEST * parameter_scale(own.values, own.units, SMALL)) ** 2)
     rotors = () if torques.drives is None else torques.drives.regrouped.values()
     alone = np.array([not any(column[k] for column in rotors) for k in range(len(apart))])
     white = inverse_root(spread[np.ix_(alone, alone)]).T @ apart[alone]

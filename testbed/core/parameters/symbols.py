@@ -122,6 +122,21 @@ def to_standard(tree: Tree, theta: AnyArray) -> AnyArray:
     return own[:, _TO_STANDARD_ORDER]
 
 
+def parameter_scale(values: Array, units: Sequence[str], share: float) -> Array:
+    """Magnitudes of parameters; small ones are a share of the largest of their unit, (p,).
+
+    Args:
+        values: Parameters, (p,).
+        units: One each.
+        share: Least magnitude in parts of the largest of the same unit.
+    """
+    scale = np.abs(values)
+    for unit in set(units):
+        same = np.array([each == unit for each in units])
+        scale[same] = np.maximum(scale[same], share * scale[same].max())
+    return scale
+
+
 def parameter_symbols(tree: Tree) -> tuple[Symbol, ...]:
     """The 10 n barycentric parameters, body 1 first: mbar1, mb1x, ... K1zz, mbar2, ..."""
     return tuple(component_symbol(body, c) for body in range(tree.n) for c in range(10))

@@ -66,7 +66,7 @@ def provenance(found: Consistent, model: ModelFile, recordings: Sequence[Path]) 
 
 FIELDS = (
     "estimates", "failures", "score", "diagnostics", "validation", "drives", "consistent",
-    "posterior",
+    "posterior", "verdict",
 )  # fmt: skip
 """Of a run."""
 
@@ -164,7 +164,6 @@ def result_of(run: Run, source: Mapping[str, str] | None = None) -> Result:
         expect={} if asked is None else asked.expect,
         verdicts=run.verdicts,
         as_expected=run.as_expected,
-        verdict=verdict_of(run.estimates.values(), run.posterior.values()),
         model=used,
         **{name: getattr(run, name) for name in FIELDS},
     )

@@ -190,6 +190,7 @@ class Run(Diagnosed, Summarized):
         drives: What the plate says of the drives; None where it was not asked.
         consistent: Bodies that can exist; None where they were not asked for.
         posterior: What an imported recording adds to its model file, by method; {} of others.
+        verdict: Reservations about the estimates, or one line of their prediction errors.
     """
 
     name: str
@@ -207,6 +208,7 @@ class Run(Diagnosed, Summarized):
     drives: DriveFindings | None = None
     consistent: Consistent | None = None
     posterior: Mapping[Method, Posterior] = field(default_factory=dict)
+    verdict: tuple[Diagnostic, ...] = ()
 
     @property
     def summary(self) -> SummaryTable:
@@ -315,8 +317,9 @@ def assemble_run(
     errors = {} if judged is None else judged.errors
     known = diagnostics_of_run(tree, recording, estimates, failures, errors)
     made = found.posterior
-    doubts = verdict_of(estimates.values(), made.values()) if made else ()
-    said = [*(each for each in doubts if each.code != WELL), *known]
+    verdict = verdict_of(estimates.values(), made.values())
+    doubts = [each for each in verdict if each.code != WELL] if made else []
+    said = [*doubts, *known]
     if found.bodies is not None:
         said += found.bodies.diagnostics
     if found.bodies_failure is not None:
@@ -339,6 +342,7 @@ def assemble_run(
         drives=drives,
         consistent=found.bodies,
         posterior=made,
+        verdict=verdict,
     )
 
 

@@ -10,7 +10,7 @@ from scipy import special
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose, ordered, phrase
-from testbed.core.base.errors import few, round_significant
+from testbed.core.base.errors import few
 from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.estimation.noise.noise_model import NoiseModel
 from testbed.core.estimation.regression.normal_equations import TINY
@@ -314,6 +314,4 @@ def torque_factor(internal: Estimate, known: Array, spread: Array, joint: int) -
     if factor**2 * alone <= CLEAR * left or error >= KNOWN**2 * alone:
         return None
     rows = max(float(internal.normal_equations.used[joint]), 1.0)
-    sigma = float(np.sqrt((max(left, 0.0) / rows + error) / alone))
-    # sums of products depend on how arrays lie in memory: beyond these digits they differ
-    return Factor(round_significant(factor, 10), round_significant(sigma, 8))
+    return Factor(factor, float(np.sqrt((max(left, 0.0) / rows + error) / alone)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import clarabel
@@ -13,6 +12,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.regression.normal_equations import TINY, square_root
 from testbed.core.parameters.pseudo_inertia import standard_of_coordinates
+from testbed.core.parameters.symbols import parameter_scale
 
 SIGMAS = 5.0
 """A distance that noise exceeds as rarely as this is no noise, unless it is said otherwise."""
@@ -62,7 +62,7 @@ def rigid_body_test(
         model_error: Part of each parameter, taken as an error besides sigma.
     """
     base = estimate.base
-    scale = sizes(base.values, base.units)
+    scale = parameter_scale(base.values, base.units, SMALL)
     covariance = base.covariance + np.diag((model_error * scale) ** 2)
     unit = 1 / np.sqrt(np.maximum(np.diagonal(covariance), TINY))
     limit = float(np.sqrt(special.chdtri(len(scale), 2 * special.ndtr(-sigmas))))
@@ -73,20 +73,6 @@ def rigid_body_test(
     gap = -distance * (covariance @ (unit * normal))
     relative = np.abs(gap) / np.where(scale > 0, scale, 1.0)
     return RigidBodyTest(distance, limit, base.values + gap, relative)
-
-
-def sizes(values: Array, units: Sequence[str]) -> Array:
-    """How large parameters are, small ones counted as a share of the largest of their unit.
-
-    Args:
-        values: (p,).
-        units: One each.
-    """
-    found = np.abs(values)
-    for unit in set(units):
-        same = np.array([each == unit for each in units])
-        found[same] = np.maximum(found[same], SMALL * found[same].max())
-    return found
 
 
 def _rotors(estimate: Estimate) -> Array:
