@@ -21,6 +21,7 @@ from testbed.cli import main, starting
 from testbed.core.base.errors import LONGEST_MESSAGE, ModelError, TestbedError, UnknownName
 from testbed.view.output import Progress
 from tests.helpers.command import CLI, command_line
+from tests.helpers.modules import MODULES
 from tests.helpers.paths import ROOT
 
 pytestmark = pytest.mark.slow
@@ -166,6 +167,9 @@ def test_nothing_long_is_silent(place: Path, tmp_path: Path) -> None:
     """What is long ends at once here, and leaves word whether its progress was shown."""
     home = tmp_path / "home"
     shutil.copytree(place, home)
+    for module in MODULES:  # one that is first imported below would keep what stands in for another
+        if not module.endswith("__main__"):
+            import_module(module)
     for long, commands in LONG.items():
         module, _, function = long.partition(":")
         shown: list[bool] = []
