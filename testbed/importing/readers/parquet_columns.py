@@ -79,7 +79,10 @@ def read_column(file: pq.ParquetFile, name: str) -> NDArray[Any]:
     width = _width(file.schema_arrow.field(name), file.metadata)
     if width * file.metadata.num_rows > MOST_NUMBERS:  # a small file can hold as many equal ones
         raise ValueError(f"column '{name}' has more than {MOST_NUMBERS:.0e} numbers")
-    array = file.read([name]).column(0).combine_chunks()
+    try:
+        array = file.read([name]).column(0).combine_chunks()
+    except pa.ArrowInvalid as error:  # before version 26, of a list of one length that is missing
+        raise ValueError(f"column '{name}': {error}") from None
     array = array.combine_chunks() if isinstance(array, pa.ChunkedArray) else array
     rows, kind = len(array), array.type
     missing, listed = array.null_count, pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind)
