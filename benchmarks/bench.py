@@ -206,7 +206,7 @@ def simulated(model: Path, path: Fourier, seconds: float) -> Truth:
         seconds: Of it.
     """
     lasting = [f"motion.duration={seconds}"]
-    table6 = tb.Experiment.load(ROOT / "experiments/table6.toml", lasting)
+    table6 = tb.Experiment.from_toml(ROOT / "experiments/table6.toml", lasting)
     changed = {"model": str(model), "measurement": Instrument(rate=RATE)}
     made = tb.record(table6.model_copy(update=changed), motion=path).truth
     assert made is not None

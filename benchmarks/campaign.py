@@ -47,8 +47,8 @@ def run_cost(seconds: float, runs: int) -> dict[str, Any]:
         "identification.engine=compiled",
     ]  # fmt: skip
     files = ROOT / "experiments/table6.toml"
-    experiments = [tb.Experiment.load(files, [*words, f"seed={k}"]) for k in range(runs)]
-    short = tb.Experiment.load(files, [*words, "motion.duration=2.0"])
+    experiments = [tb.Experiment.from_toml(files, [*words, f"seed={k}"]) for k in range(runs)]
+    short = tb.Experiment.from_toml(files, [*words, "motion.duration=2.0"])
     with one_blas_thread():
         evaluate(short, tb.record(short), threads=1)  # a worker that has lived a while
         start = time.process_time()

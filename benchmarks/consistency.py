@@ -34,7 +34,7 @@ def accuracy(durations: tuple[float, ...], seeds: range) -> Iterator[dict[str, A
         errors: Errors = {}
         for seed in seeds:
             overrides = [f"motion.duration={seconds}", f"seed={seed}"]
-            experiment = tb.Experiment.load(ROOT / "experiments/table6.toml", overrides)
+            experiment = tb.Experiment.from_toml(ROOT / "experiments/table6.toml", overrides)
             tree, recording = tb.load_tree(experiment.model), tb.record(experiment)
             settings = experiment.identification
             made = [tb.identify(tree, recording, m, settings=settings) for m in METHODS]

@@ -126,7 +126,7 @@ def recorded(tree: tb.Tree, study: Study, seed: int) -> Recording:
     if speed is not None:
         listed = ",".join(f'"{name}"={speed}' for name in tree.names)
         settings.append(f"motion.max_velocity={{{listed}}}")
-    experiment = tb.Experiment.load(ROOT / "experiments/table6.toml", settings)
+    experiment = tb.Experiment.from_toml(ROOT / "experiments/table6.toml", settings)
     changed = {"model": str(ROBOTS[study.robot]), "measurement": instrument(study.noise)}
     return tb.record(experiment.model_copy(update=changed)).blind()
 

@@ -102,7 +102,7 @@ def recorded(model: Path, seed: int, seconds: float) -> Recording:
         "motion.candidates=5",
         "measurement.torque_constant_error={}",
     ]
-    experiment = tb.Experiment.load(ROOT / "experiments/table6.toml", settings)
+    experiment = tb.Experiment.from_toml(ROOT / "experiments/table6.toml", settings)
     found = tb.record(experiment.model_copy(update={"model": str(model)}))
     return found.blind()
 

@@ -29,7 +29,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.friction import COULOMB, LOADED, VISCOUS, JointLaw, stribeck
-from testbed.lab.experiment.experiment_robot import robot_of
+from testbed.lab.experiment.rig import robot_of
 from testbed.lab.instruments.chain import measured_again
 from testbed.lab.instruments.joints import TorqueNoise
 from tests.helpers.paths import ROOT
@@ -56,7 +56,7 @@ def happened(loss: float, seconds: float) -> tuple[tb.Experiment, Recording]:
         "measurement.torque_constant_error={}", f"simulation.effect=[{gear}]",
         f"motion.duration={seconds}",
     ]  # fmt: skip
-    asked = tb.Experiment.load(ROOT / "experiments/torque_constants.toml", words)
+    asked = tb.Experiment.from_toml(ROOT / "experiments/torque_constants.toml", words)
     return asked, tb.record(asked)
 
 

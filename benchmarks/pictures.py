@@ -18,7 +18,7 @@ from testbed.view.viewer.scene import scene_of
 
 def pictures(rounds: int = 3) -> dict[str, Any]:
     """Seconds of one core, and sizes, for table6."""
-    experiment = Experiment.load("experiments/table6.toml")
+    experiment = Experiment.from_toml("experiments/table6.toml")
     with tempfile.TemporaryDirectory() as folder:
         place, rrd, page = (Path(folder) / name for name in ("run", "run.rrd", "run.html"))
         write_run(carry_out(experiment), place)

@@ -94,7 +94,7 @@ def _series(tree: tb.Tree, motion: str, seed: int) -> Fourier:
 
 @lru_cache(maxsize=1)
 def _chosen(seed: int) -> Fourier:
-    table6 = tb.Experiment.load(ROOT / "experiments/table6.toml", [f"seed={seed}"])
+    table6 = tb.Experiment.from_toml(ROOT / "experiments/table6.toml", [f"seed={seed}"])
     return motion_of(table6, tb.load_tree(ROBOTS["puma"]))
 
 

@@ -98,7 +98,7 @@ def experiments(draw: DrawFn) -> Case:
 @cache
 def recorded() -> pa.Table:
     """A second of the PUMA on its plate."""
-    recording = tb.record(tb.Experiment.load(ROOT / "experiments/table6.toml", SHORT))
+    recording = tb.record(tb.Experiment.from_toml(ROOT / "experiments/table6.toml", SHORT))
     sink, columns = io.BytesIO(), recording.columns() | recording.true_columns()
     write_table(sink, recording.units(), recording.metadata, [columns])  # type: ignore[arg-type]
     return pq.read_table(io.BytesIO(sink.getvalue()))

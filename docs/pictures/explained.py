@@ -250,12 +250,12 @@ def indistinguishable(tree: tb.Tree) -> tb.Tree:
 
 def short(more: list[str]) -> tb.Experiment:
     """The experiment of Table 6, made short."""
-    return tb.Experiment.load(EXPERIMENT, ["motion.candidates=10", *more])
+    return tb.Experiment.from_toml(EXPERIMENT, ["motion.candidates=10", *more])
 
 
 def save_errors() -> None:
     """Table 6 by plate and by torques."""
-    run = tb.carry_out(tb.Experiment.load(EXPERIMENT))
+    run = tb.carry_out(tb.Experiment.from_toml(EXPERIMENT))
     width, height, parts = error_dots(errors_of(run), METHODS)
     save("errors", width, height, parts, "Relative errors of the nine parameters that both "
          "identify: by the plate around 0.02 %, by joint torques around 7 %")  # fmt: skip

@@ -192,4 +192,4 @@ class Campaign:
         Raises:
             ExperimentError: Something is said that is not understood.
         """
-        return Experiment.load(self.base, self.settings(cell, replicate))
+        return Experiment.from_toml(self.base, self.settings(cell, replicate))

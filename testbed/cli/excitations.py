@@ -155,7 +155,7 @@ def _experiment(file: Path, settings: list[str]) -> Experiment:
     from testbed.lab.experiment.experiment_robot import with_nearest_bodies
 
     if file.suffix.lower() == ".toml":
-        return Experiment.load(file, settings)
+        return Experiment.from_toml(file, settings)
     experiment, said = with_nearest_bodies(Experiment.of_model(file, settings))
     note(sentences(said))
     return experiment

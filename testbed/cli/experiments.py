@@ -58,7 +58,7 @@ def run(
     from testbed.lab.experiment.results import check_folder, default_folder, result_of
     from testbed.view import output, terminal
 
-    experiment = Experiment.load(file, settings or ())
+    experiment = Experiment.from_toml(file, settings or ())
     folder = out or default_folder(experiment)
     check_outputs(folder, force=True, folder=True)  # the same run again needs no --force
     check_folder(folder, experiment, force=force)
@@ -92,7 +92,7 @@ def simulate(
     from testbed.view import output
 
     check_outputs(out, force=force, read=(file,))
-    experiment = Experiment.load(file, settings or ())
+    experiment = Experiment.from_toml(file, settings or ())
     with output.Progress("simulating") as progress:
         recording = record(experiment, progress)
     recording.save(out)
@@ -108,7 +108,8 @@ def _unwatched(time: Array, truth: Truth) -> None:
 def _watcher(experiment: Experiment) -> Watch:
     """A view of the run in an open viewer."""
     from testbed.bodies.shapes.appearance import load_appearance
-    from testbed.lab.experiment.experiment_robot import model_of, robot_of
+    from testbed.lab.experiment.experiment_robot import model_of
+    from testbed.lab.experiment.rig import robot_of
     from testbed.view.viewer.live import Live
 
     look = load_appearance(robot_of(experiment), model_of(experiment))

@@ -245,7 +245,7 @@ def test_drives_and_plate_are_calibrated_though_a_joint_rests(place: Path, tmp_p
     """As of the robot that has this joint locked; witness: the recording without its column."""
     words = [*shlex.split(QUICK.replace("--set", "")), "robot.lock={elbow=0.5}"]
     words += ["measurement.torque_constant_error={waist=0.05}"]
-    two = tb.record(tb.Experiment.load(place / "table.toml", words))
+    two = tb.record(tb.Experiment.from_toml(place / "table.toml", words))
     still = np.full((len(two.time), 1), 0.5)
     three = tb.Recording(
         (*two.names, "elbow"), two.time, np.hstack([two.measured("position"), still]),

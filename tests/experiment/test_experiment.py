@@ -20,10 +20,10 @@ from testbed.core.robot.model_file import mimic_joints, nearest_bodies
 from testbed.lab.experiment.assumptions import DRY, assumptions
 from testbed.lab.experiment.evaluate import evaluate
 from testbed.lab.experiment.experiment import Experiment, run_name
-from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.experiment.motions import motion_of
 from testbed.lab.experiment.new_experiment import find_robot, new_experiment
 from testbed.lab.experiment.results import default_folder
+from testbed.lab.experiment.rig import robot_of
 from testbed.lab.experiment.robot_tables import JointTable
 from testbed.motion.limits import limits_of
 from tests.helpers.command import command_line
@@ -36,7 +36,7 @@ TABLE6 = ROOT / "experiments/table6.toml"
 
 def test_what_ships_is_readable_and_makes_a_claim() -> None:
     for path in sorted((ROOT / "experiments").glob("*.toml")):
-        experiment = tb.Experiment.load(path)
+        experiment = tb.Experiment.from_toml(path)
         assert experiment.claim
         assert experiment.expect
         assert Path(experiment.model).is_file()
@@ -44,12 +44,12 @@ def test_what_ships_is_readable_and_makes_a_claim() -> None:
 
 def test_settings_override_keys_and_the_resolved_file_says_the_same(tmp_path: Path) -> None:
     words = ["motion.duration=7", "measurement.torque_constant_error.elbow=-0.01", "name=other"]
-    experiment = tb.Experiment.load(TABLE6, words)
+    experiment = tb.Experiment.from_toml(TABLE6, words)
     assert (experiment.motion.duration, experiment.name) == (7, "other")
     assert experiment.measurement.torque_constant_error["elbow"] == -0.01
     assert experiment.measurement.torque_constant_error["waist"] == 0.08
     (tmp_path / "again.toml").write_text(experiment.as_toml())
-    again = tb.Experiment.load(tmp_path / "again.toml")
+    again = tb.Experiment.from_toml(tmp_path / "again.toml")
     assert again == experiment
     assert default_folder(again) == default_folder(experiment)
     assert default_folder(experiment.model_copy(update={"seed": 5})) != default_folder(experiment)
@@ -73,9 +73,9 @@ def test_what_is_not_understood_is_named() -> None:
         ('motion.file="a\\u0000b"', "motion.file"),
     ):
         with refuses(ExperimentError, *culprits):
-            tb.Experiment.load(TABLE6, [setting])
+            tb.Experiment.from_toml(TABLE6, [setting])
     with pytest.raises(ExperimentError) as caught:  # all faults at once
-        tb.Experiment.load(TABLE6, ["motion.duration=-1", "speed=1", "seed=-4"])
+        tb.Experiment.from_toml(TABLE6, ["motion.duration=-1", "speed=1", "seed=-4"])
     assert all(word in str(caught.value) for word in ("duration", "speed", "seed"))
 
 
@@ -101,7 +101,7 @@ def test_no_number_is_infinite() -> None:
     assert len(paths) > 10
     for k, path in enumerate(paths):
         with refuses(ExperimentError, path):
-            tb.Experiment.load(TABLE6, [f"{path}={('inf', '-inf', 'nan')[k % 3]}"])
+            tb.Experiment.from_toml(TABLE6, [f"{path}={('inf', '-inf', 'nan')[k % 3]}"])
 
 
 def test_files_that_would_cost_memory_or_the_stack_are_refused(tmp_path: Path) -> None:
@@ -109,7 +109,9 @@ def test_files_that_would_cost_memory_or_the_stack_are_refused(tmp_path: Path) -
     size = TABLE6.stat().st_size
     whole = TABLE6.read_text() + "#" * (LARGEST_FILE - size)
     path.write_text(whole)
-    assert tb.Experiment.load(path, [f"model='{ROOT / 'models/puma562.xml'}'"]).name == "table6"
+    assert (
+        tb.Experiment.from_toml(path, [f"model='{ROOT / 'models/puma562.xml'}'"]).name == "table6"
+    )
     for text in (
         whole + "#",
         f"a = {'[' * 100_000}",
@@ -118,7 +120,7 @@ def test_files_that_would_cost_memory_or_the_stack_are_refused(tmp_path: Path) -
     ):
         path.write_text(text)
         with refuses(ExperimentError, "e.toml"):
-            tb.Experiment.load(path)
+            tb.Experiment.from_toml(path)
 
 
 def test_what_does_not_fit_the_robot_or_the_clock_is_refused() -> None:
@@ -128,12 +130,12 @@ def test_what_does_not_fit_the_robot_or_the_clock_is_refused() -> None:
         ('robot.base="measured"', "robot.base"),
     ):
         with refuses(TestbedError, culprit):
-            robot_of(tb.Experiment.load(TABLE6, [word]))
+            robot_of(tb.Experiment.from_toml(TABLE6, [word]))
     for word in ("bandwidth=1e6", "step=1e-320", "step=3e-4"):
         with refuses(SettingsError, word.partition("=")[0]):
-            tb.record(tb.Experiment.load(TABLE6, [f"simulation.{word}"]))
+            tb.record(tb.Experiment.from_toml(TABLE6, [f"simulation.{word}"]))
     with refuses(ExperimentError, "fundamental"):
-        tb.record(tb.Experiment.load(TABLE6, ["motion.fundamental=1e-12"]))
+        tb.record(tb.Experiment.from_toml(TABLE6, ["motion.fundamental=1e-12"]))
 
 
 ARM = """<mujoco model="arm"><worldbody><body name="upper" pos="0 0 {l}">
@@ -157,7 +159,7 @@ def arm(folder: Path, length: float = 1.0, mass: float = 1.0, *changes: tuple[st
 def written(model: Path, folder: Path, *, tried: bool = False) -> tb.Experiment:
     file = folder / "new.toml"
     file.write_text(new_experiment(model, folder, tried=tried), encoding="utf-8")
-    return tb.Experiment.load(file)
+    return tb.Experiment.from_toml(file)
 
 
 @pytest.mark.parametrize("name", sorted(MODELS))
@@ -175,7 +177,7 @@ def test_what_it_says_is_the_models(name: str, tmp_path: Path) -> None:
         if before.coulomb or before.viscous:
             assert (joint.coulomb, joint.viscous) == (before.coulomb, before.viscous)
     (tmp_path / "shown.toml").write_text(text.replace("# gravity", "gravity"))
-    shown = tb.Experiment.load(tmp_path / "shown.toml")
+    shown = tb.Experiment.from_toml(tmp_path / "shown.toml")
     np.testing.assert_allclose(robot_of(shown).gravity, tree.gravity)
     assert experiment.identification.zeros is False  # symmetry is for a person to say
     gains = np.array(list(experiment.measurement.torque_constant_error.values()))
@@ -329,6 +331,6 @@ def test_any_robot_runs_as_new_writes_it(robot: str, tmp_path: Path) -> None:
     seconds = period if period > LONG else SHORT
     # distances to meshes take most of the time, and `new` has looked at them
     words = [f"motion.duration={seconds}", "motion.candidates=1", "excitation.clearance=off"]
-    experiment = tb.Experiment.load(tmp_path / "r.toml", words)
+    experiment = tb.Experiment.from_toml(tmp_path / "r.toml", words)
     run = evaluate(experiment, tb.record(experiment))
     assert 0 < run.metrics["external_max_z"] < MOST_SIGMAS

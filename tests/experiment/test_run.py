@@ -310,7 +310,7 @@ def test_the_floor_of_a_coarse_step_is_the_error_of_perfect_instruments() -> Non
     words = ["motion.duration=6.0", "motion.candidates=1", "excitation.clearance=off"]
 
     def load(name: str, *more: str) -> tb.Experiment:
-        return tb.Experiment.load(ROOT / f"experiments/{name}.toml", [*words, *more])
+        return tb.Experiment.from_toml(ROOT / f"experiments/{name}.toml", [*words, *more])
 
     coarse = "simulation.step=1e-3"
     fine, noisy = load("table6"), load("table6", coarse)

@@ -24,7 +24,7 @@ from testbed.core.base.errors import ExperimentError, InfeasibleMotion, TestbedE
 from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.excite import excite, frequencies_of
-from testbed.lab.experiment.experiment_robot import model_of, robot_of
+from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.motions import motion_of, rules_of
 from testbed.lab.experiment.read_result import (
     LARGEST_RESULT,
@@ -42,6 +42,7 @@ from testbed.lab.experiment.results import (
     write_run,
 )
 from testbed.lab.experiment.results import identified as identified_result
+from testbed.lab.experiment.rig import robot_of
 from testbed.lab.experiment.robot_tables import RecordingTables
 from testbed.lab.experiment.run import Run
 from testbed.motion.excite import Excitation
@@ -80,7 +81,7 @@ def experiment(folder: Path, text: str) -> tb.Experiment:
         f'name = "one"\nmodel = "{model.relative_to(folder)}"\n[motion]\nduration = 3.0\n'
         "candidates = 1\n[measurement]\nrate = 200.0\n[simulation]\nbandwidth = 30.0\n"
     )
-    return tb.Experiment.load(path)
+    return tb.Experiment.from_toml(path)
 
 
 @pytest.mark.slow
@@ -101,7 +102,7 @@ def test_a_run_folder_can_be_moved_and_its_model_may_go(text: str, tmp_path: Pat
     assert any(shape.kind == "mesh" for shape in found.shapes)
     for one, other in zip(found.shapes, looks.shapes, strict=True):
         np.testing.assert_array_equal(one.vertices, other.vertices)
-    recording = tb.record(tb.Experiment.load(tmp_path / "there/experiment.toml"))
+    recording = tb.record(tb.Experiment.from_toml(tmp_path / "there/experiment.toml"))
     np.testing.assert_array_equal(recording.measured("wrench"), run.recording.measured("wrench"))
 
 
@@ -175,7 +176,7 @@ def test_a_run_folder_takes_nothing_else_along(tmp_path: Path) -> None:
     model.write_text(model.read_text().replace("cube.obj", "key.txt"))
     write_recorded(asked, recording, tmp_path / "other")
     assert not list((tmp_path / "other").rglob("key.txt"))
-    copied = Path(tb.Experiment.load(place / "experiment.toml").model)
+    copied = Path(tb.Experiment.from_toml(place / "experiment.toml").model)
     for change in (lambda: copied.write_text(f"{URDF}<!-- changed -->"), copied.unlink):
         change()
         with refuses(ExperimentError, copied.name):

@@ -278,7 +278,7 @@ def test_the_terms_of_a_made_up_robot_are_chosen() -> None:
 def two_motions() -> tuple[Recording, Recording]:
     words = ["motion.duration=8", "motion.candidates=1"]
     one, other = (
-        tb.record(tb.Experiment.load(ROOT / "experiments/table6.toml", [*words, f"seed={k}"]))
+        tb.record(tb.Experiment.from_toml(ROOT / "experiments/table6.toml", [*words, f"seed={k}"]))
         for k in (5, 6)
     )
     return one, other

@@ -195,7 +195,7 @@ def test_every_fault_suits_every_robot_and_needs_no_simulation(
 def test_a_file_says_faults_as_python_does_and_every_kind_is_documented() -> None:
     """Read with defaults, written back, listed in the docs with its keys; sizes are sizes."""
     every = ",".join(entry.example for entry in map(in_words, KINDS.values()))
-    experiment = tb.Experiment.load(TABLE6, [f"measurement.fault=[{every}]"])
+    experiment = tb.Experiment.from_toml(TABLE6, [f"measurement.fault=[{every}]"])
     assert [fault.kind for fault in experiment.measurement.fault] == list(KINDS)
     for kind, made in KINDS.items():
         fault = made()
@@ -203,7 +203,7 @@ def test_a_file_says_faults_as_python_does_and_every_kind_is_documented() -> Non
         assert [name for name, _, _ in in_words(type(fault)).keys] == list(fault.known_keys())
         assert all(size > 0 for name, size in fault.table().items() if name != "kind")
     text = '[{kind="plate_bias",force=[1,2,3]},{kind="encoder_zero_error",error={elbow=1e-3}}]'
-    found = tb.Experiment.load(TABLE6, [f"measurement.fault={text}"]).measurement.fault
+    found = tb.Experiment.from_toml(TABLE6, [f"measurement.fault={text}"]).measurement.fault
     assert found == (PlateBias((1.0, 2.0, 3.0)), EncoderZeroError({"elbow": 1e-3}))
     assert catalogue() in (ROOT / "docs/instruments.md").read_text()
 
@@ -235,7 +235,7 @@ def test_what_no_instrument_can_be_is_refused_before_anything_is_simulated() -> 
     for text, culprit in WRONG.items():
         words = [f"measurement.fault=[{text}]", "motion.duration=1e3"]
         with refuses(TestbedError, culprit):
-            tb.record(tb.Experiment.load(TABLE6, words))
+            tb.record(tb.Experiment.from_toml(TABLE6, words))
     wrong: list[tuple[str, dict[str, Any]]] = [
         *((name, {name: value}) for value in (-1e-9, np.inf, np.nan)
           for name in ("encoder_resolution", "encoder_noise", "torque_noise", "moment_noise")),

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.nightly
 
 
 def test_the_figures_of_the_readme_are_those_of_its_experiment() -> None:
-    run = tb.carry_out(tb.Experiment.load(ROOT / "experiments/table6.toml"))
+    run = tb.carry_out(tb.Experiment.from_toml(ROOT / "experiments/table6.toml"))
     assert run.score is not None
     row = r"^\| (\w+) .* \| ([\d.]+|not)[^|]* \| \*\*([\d.]+)"
     said = {

@@ -24,8 +24,8 @@ from testbed.core.robot.free_base import FREE, on_free_base
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.evaluate import evaluate
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import sensed_robot
 from testbed.lab.experiment.record import record
+from testbed.lab.experiment.rig import sensed_robot
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.sensors import links_of, random_cut, random_sensors
@@ -90,7 +90,7 @@ def test_links_that_are_not_there_and_the_root_are_refused() -> None:
             beyond_sensor(model.tree(), model.links(), ForceSensor(link))
     for words in (["robot.sensor=link9"], ["sensors.other.link=link9", "robot.sensor=''"]):
         with pytest.raises(UnknownName):
-            record(Experiment.load(ROOT / "experiments/force_sensor.toml", words))
+            record(Experiment.from_toml(ROOT / "experiments/force_sensor.toml", words))
 
 
 @pytest.mark.parametrize("about", ["base", "link2", "link3", "plate"])
@@ -102,7 +102,7 @@ def test_mujocos_own_sensors_give_the_parameters_to_rounding(about: str, farther
     words += [f"sensors.{each}.rpy=[0.1, -0.2, 0.3]" for each in links]
     words += ["motion.duration=4", "simulation.step=1e-3", "simulation.friction=false"]
     words += ["identification.zeros=false", f"robot.sensor={about}"]
-    experiment = Experiment.load(ROOT / "experiments/noise_free.toml", words)
+    experiment = Experiment.from_toml(ROOT / "experiments/noise_free.toml", words)
     assert set(experiment.force_sensors) == links
     if about == "plate" and farther:  # all that moves lies beyond the first sensor
         with pytest.raises(ModelError):

@@ -93,7 +93,7 @@ SHORT = ["motion.duration=8", "simulation.step=5e-4", "motion.candidates=4"]
 
 
 def _puma() -> Run:
-    return tb.carry_out(tb.Experiment.load(ROOT / "experiments/table6.toml", SHORT))
+    return tb.carry_out(tb.Experiment.from_toml(ROOT / "experiments/table6.toml", SHORT))
 
 
 NOISES_OF_UR5 = {"encoder": 1e-5, "force": 0.3, "moment": 0.06, "torque": 0.3}

@@ -17,7 +17,7 @@ from testbed.core.robot.friction import COULOMB, VISCOUS
 from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.shafts import with_rotor_spin
 from testbed.core.robot.tree import Tree
-from testbed.lab.experiment.experiment_robot import robot_of
+from testbed.lab.experiment.rig import robot_of
 from testbed.lab.simulation.effect import Effect, StepForces
 from testbed.lab.simulation.effects import KINDS, effect_of
 from testbed.lab.simulation.plant import Plant, build_plant
@@ -205,7 +205,7 @@ def test_an_experiment_file_says_effects() -> None:
     """Every kind is read with its defaults and written back."""
     file = ROOT / "experiments/noise_free.toml"
     for kind, made in KINDS.items():
-        experiment = tb.Experiment.load(file, [f'simulation.effect=[{{kind="{kind}"}}]'])
+        experiment = tb.Experiment.from_toml(file, [f'simulation.effect=[{{kind="{kind}"}}]'])
         assert experiment.simulation.effect == (made(),)
         assert f'kind = "{kind}"' in experiment.as_toml()
 
@@ -253,7 +253,7 @@ def test_the_plate_feels_none_of_it_and_two_owners_are_refused() -> None:
     """Else the plate's estimate would be of another robot; and drives that warm up say so."""
     words = ["motion.duration=2", "motion.candidates=1", "measurement.averaged=false"]
     gear, warm = "{kind='load_friction'}", "{kind='warming_drives',rise=10,time_constant=2}"
-    asked = tb.Experiment.load(
+    asked = tb.Experiment.from_toml(
         ROOT / "experiments/table6.toml", [*words, f"simulation.effect=[{gear},{warm}]"]
     )
     recording, tree = tb.record(asked), tb.load_tree(ROOT / "models/puma562.xml")
@@ -264,4 +264,4 @@ def test_the_plate_feels_none_of_it_and_two_owners_are_refused() -> None:
     np.testing.assert_allclose(recording.temperature, np.tile(want[:, None], tree.n))
     both = [*words, f"simulation.effect=[{gear},{{kind='lugre_friction'}}]"]
     with refuses(ExperimentError, "lugre_friction"):
-        tb.record(tb.Experiment.load(ROOT / "experiments/table6.toml", both))
+        tb.record(tb.Experiment.from_toml(ROOT / "experiments/table6.toml", both))

@@ -73,7 +73,7 @@ def counted(robot: Robot) -> dict[str, int]:
 
 def carried_out(path: Path) -> dict[str, str]:
     """Carry out an experiment and draw what came of it."""
-    experiment = tb.Experiment.load(path)
+    experiment = tb.Experiment.from_toml(path)
     run = tb.carry_out(experiment)
     if run.drives is not None:
         shows = draw_friction(path.stem, run)

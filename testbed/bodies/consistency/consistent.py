@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
+from testbed.bodies.consistency.known_masses import known_masses
 from testbed.bodies.consistency.likelihood import (
     Likelihood,
     agreeing,
@@ -15,7 +16,7 @@ from testbed.bodies.consistency.likelihood import (
     precise,
     terms_of,
 )
-from testbed.bodies.consistency.options import ConsistencyOptions, known_masses
+from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.consistency.program import Program, program_of, solve
 from testbed.bodies.prior import Prior
 from testbed.core.base.arrays import Array, freeze

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.linalg import null_space
 
+from testbed.bodies.consistency.known_masses import KnownMasses
 from testbed.bodies.consistency.likelihood import Likelihood
-from testbed.bodies.consistency.options import KnownMasses
 from testbed.bodies.prior import Prior
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.regression.normal_equations import TINY

@@ -10,6 +10,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import Diagnostic
+from testbed.core.robot.inertia import align_z
 from testbed.core.robot.tree import Tree
 
 Kind = Literal["box", "ellipsoid", "cylinder", "capsule", "mesh"]
@@ -67,15 +68,6 @@ def poses_at_zero(tree: Tree) -> list[tuple[Array, Array]]:
     return poses
 
 
-def upright(direction: Array) -> Array:
-    """A rotation that takes z to a direction, (3, 3)."""
-    z = direction / np.linalg.norm(direction)
-    other = np.eye(3)[int(np.argmin(np.abs(z)))]
-    x = np.cross(other, z)
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
-
-
 def sticks(tree: Tree) -> Iterator[Shape]:
     """A figure of sticks for a robot that no file draws: every body from its joint to the next.
 
@@ -89,13 +81,13 @@ def sticks(tree: Tree) -> Iterator[Shape]:
         length = float(np.linalg.norm(joint.offset))
         if length > radius:
             size, middle = np.array([radius, length / 2]), joint.offset / 2
-            yield Shape(joint.parent, "capsule", size, middle, upright(joint.offset), grey)
+            yield Shape(joint.parent, "capsule", size, middle, align_z(joint.offset), grey)
         end = tree.inertias[j].com
         if not tree.children(j) and np.linalg.norm(end) > radius:
             half = np.array([radius, float(np.linalg.norm(end)) / 2])
-            yield Shape(j, "capsule", half, end / 2, upright(end), grey)
+            yield Shape(j, "capsule", half, end / 2, align_z(end), grey)
         size = np.array([1.6 * radius, 2.4 * radius])
-        yield Shape(j, "cylinder", size, np.zeros(3), upright(joint.axis), dark)
+        yield Shape(j, "cylinder", size, np.zeros(3), align_z(joint.axis), dark)
 
 
 def equivalent_ellipsoids(tree: Tree, colour: Sequence[float]) -> tuple[Shape, ...]:

@@ -20,10 +20,10 @@ from testbed.core.dynamics.newton_euler import Motion, base_wrench, joint_forces
 from testbed.core.robot.friction import COULOMB, ROTOR, VISCOUS
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.experiment.experiment_tables import ExcitationTable, SimulationTable
 from testbed.lab.experiment.motions import rules_of
 from testbed.lab.experiment.record import record
+from testbed.lab.experiment.rig import robot_of
 from testbed.lab.simulation.controller import mass_matrices
 from testbed.lab.simulation.rollout import SimulationDiverged
 from testbed.motion.clearance import DistanceMeter

@@ -21,10 +21,10 @@ from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.views import on_its_base
 from testbed.lab.experiment.evaluate import evaluate
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import robot_of
 from testbed.lab.experiment.motions import another_motion
 from testbed.lab.experiment.record import record
 from testbed.lab.experiment.results import write_recorded, write_run
+from testbed.lab.experiment.rig import robot_of
 from testbed.lab.experiment.run import Run, shown_motion
 from testbed.lab.experiment.score import Score, accuracies
 from testbed.lab.simulation.bodies import Payload

@@ -23,8 +23,9 @@ from testbed.core.robot.inertia import Inertia, upper_root
 from testbed.core.robot.shafts import with_rotor_spin
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import model_of, sensed_robot
+from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.experiment_tables import SimulationTable
+from testbed.lab.experiment.rig import sensed_robot
 from testbed.lab.experiment.run import Run, assemble_run
 from testbed.lab.experiment.score import relative_errors, root_mean_square, shared_errors
 from testbed.lab.instruments.chain import Instrument, measured_again

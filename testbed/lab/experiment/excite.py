@@ -17,8 +17,9 @@ from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.rules import Model
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import model_of, robot_of
+from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.motions import motion_of, plate_noise_of, rules_of
+from testbed.lab.experiment.rig import robot_of
 from testbed.motion.design import DesignProblem, Watch
 from testbed.motion.excite import Excitation
 from testbed.motion.excite import excite as excite_robot

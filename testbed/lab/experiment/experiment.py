@@ -26,8 +26,8 @@ from testbed.lab.experiment.experiment_tables import (
     RunName,
     SimulationTable,
 )
-from testbed.lab.experiment.rig import ForcePlate
 from testbed.lab.experiment.robot_tables import RobotTables, SensorTable
+from testbed.lab.experiment.sensors import ForcePlate
 from testbed.lab.instruments.chain import Instrument
 
 
@@ -58,7 +58,7 @@ class Experiment(RobotTables):
     """Bounds on metrics: the claim."""
 
     @staticmethod
-    def load(path: str | Path, settings: Iterable[str] = ()) -> Experiment:
+    def from_toml(path: str | Path, settings: Iterable[str] = ()) -> Experiment:
         """Read an experiment file.
 
         Args:
@@ -70,18 +70,6 @@ class Experiment(RobotTables):
         """
         path = Path(path)
         return Experiment.of_content(read_toml(path), path, settings)
-
-    @staticmethod
-    def from_toml(path: str | Path) -> Experiment:
-        """Read an experiment file.
-
-        Args:
-            path: The TOML file; `model` is taken relative to it.
-
-        Raises:
-            ExperimentError: The file cannot be read, or says what is not understood.
-        """
-        return Experiment.load(path)
 
     def with_(self, **changes: Any) -> Experiment:
         """The same with some values changed.

@@ -15,7 +15,8 @@ from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.robot.force_sensor import beyond_sensor
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import model_of, robot_of, with_nearest_bodies
+from testbed.lab.experiment.experiment_robot import model_of, with_nearest_bodies
+from testbed.lab.experiment.rig import robot_of
 from testbed.lab.experiment.robot_tables import PLATE
 from testbed.motion.collision_model import Obstacle
 from testbed.motion.fourier import Fourier

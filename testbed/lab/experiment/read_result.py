@@ -29,8 +29,9 @@ from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.evaluate import wrong_prior
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import model_of, robot_of
+from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.results import EXPERIMENT, RESULT
+from testbed.lab.experiment.rig import robot_of
 from testbed.lab.experiment.robot_tables import RecordingTables, Table
 
 Part = TypeVar("Part", EstimateSummary, Posterior)
@@ -230,7 +231,7 @@ def _of_run(
             f"{path}: no result: it names no model, as `identify --json` does, and is in no run "
             f"folder, with {EXPERIMENT}"
         )
-    experiment = Experiment.load(beside, words)
+    experiment = Experiment.from_toml(beside, words)
     used = content.get("model")
     sha256 = used.get("sha256") if isinstance(used, dict) else None
     place = _checked_model(model or Path(experiment.model), sha256, path)

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from testbed.core.base.errors import ExperimentError
 from testbed.core.recordings.recording import Recording
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import model_of, rig_of
+from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.motions import FAST, motion_of, rules_of
+from testbed.lab.experiment.rig import rig_of
 from testbed.lab.experiment.simulate import simulate
 from testbed.lab.simulation.effect import StepForces
 from testbed.lab.simulation.rollout import Watch

@@ -380,7 +380,7 @@ def _identity(experiment: Experiment) -> str:
 def _is_of(folder: Path, experiment: Experiment) -> bool:
     """Whether a run folder is of an experiment."""
     try:
-        return _identity(Experiment.load(folder / EXPERIMENT)) == _identity(experiment)
+        return _identity(Experiment.from_toml(folder / EXPERIMENT)) == _identity(experiment)
     except (OSError, ExperimentError):  # unreadable, or its model file is gone
         return False
 
@@ -400,7 +400,7 @@ def read_run(folder: Path) -> Run:
     missing = [name for name in (EXPERIMENT, RECORDING) if not (folder / name).is_file()]
     if missing:
         raise ExperimentError(f"'{folder}' is no run folder: it has no {', '.join(missing)}")
-    experiment = Experiment.load(folder / EXPERIMENT)
+    experiment = Experiment.from_toml(folder / EXPERIMENT)
     recording = Recording.load(folder / RECORDING)
     model = Path(experiment.model)
     if not model.is_file():

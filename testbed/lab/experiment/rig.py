@@ -6,18 +6,20 @@ or anything is simulated.
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
-from testbed.core.base.errors import SettingsError
+from testbed.core.base.errors import ExperimentError, SettingsError
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.robot.force_sensor import ForceSensor
 from testbed.core.robot.model_file import ModelFile, file_of
 from testbed.core.robot.tree import Tree, require_tree
+from testbed.lab.experiment.experiment import Experiment
+from testbed.lab.experiment.experiment_robot import model_of
+from testbed.lab.experiment.sensors import Encoders, ForcePlate, JointTorques, Sensor, sensors_of
 from testbed.lab.instruments.chain import Instrument
-from testbed.lab.instruments.fault import FULL_SCALE, Fault
+from testbed.lab.instruments.fault import Fault
 from testbed.lab.simulation.effect import Effect
 
 MOST_STEPS = 10_000
@@ -25,97 +27,6 @@ MOST_STEPS = 10_000
 
 MOST_SAMPLES = 2e6
 """Most samples of one run: they are held in memory."""
-
-
-class Sensor:
-    """One of the sensors of a rig."""
-
-    errors: Sequence[Fault]
-
-    @property
-    @abstractmethod
-    def settings(self) -> dict[str, Any]:
-        """Keys of `Instrument` that it sets, but for errors."""
-
-
-@dataclass(frozen=True)
-class ForcePlate(Sensor):
-    """Six-axis force plate under the robot, or force sensor in it; perfect by default.
-
-    It measures the wrench of the bedplate on the robot, (M, 6) [N, N m]: force first, bedplate
-    axes, moment about the bedplate's origin.
-
-    Attributes:
-        noise: Standard deviations of forces [N] and moments [N m].
-        errors: Further errors in order, as `PlateBias()` or `PlatePose()` (docs/instruments.md).
-        full_scale: Largest magnitudes of Fx, Fy, Fz [N], Mx, My, Mz [N m].
-        model: Name of a plate for sale, as "ati-axia80-m20": noise and range where not given.
-        mounting: Place in the robot; default under it.
-    """
-
-    noise: tuple[float, float] = (0.0, 0.0)
-    errors: Sequence[Fault] = ()
-    full_scale: tuple[float, float, float, float, float, float] = FULL_SCALE
-    model: str = ""
-    mounting: ForceSensor | None = None
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Keys of `Instrument` that it sets, but for errors."""
-        force, moment = self.noise
-        return {
-            "plate": self.model,
-            "force_noise": force,
-            "moment_noise": moment,
-            "full_scale": self.full_scale,
-        }
-
-
-@dataclass(frozen=True)
-class JointTorques(Sensor):
-    """Motor torques as the drives report them, (M, n) [N m or N]; perfect by default.
-
-    Attributes:
-        noise: Standard deviation [N m or N].
-        gains: Reported over true torque by joint, as {"waist": 1.08}; 1 for all others.
-        errors: Further errors in order, as `TorqueOffset()` (docs/instruments.md).
-    """
-
-    noise: float = 0.0
-    gains: Mapping[str, float] = field(default_factory=dict)
-    errors: Sequence[Fault] = ()
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Keys of `Instrument` that it sets, but for errors."""
-        errors = {joint: gain - 1 for joint, gain in self.gains.items()}
-        return {"torque_noise": self.noise, "torque_constant_error": errors}
-
-
-@dataclass(frozen=True)
-class Encoders(Sensor):
-    """Joint positions, (M, n) [rad or m]; perfect by default.
-
-    Attributes:
-        resolution: Least count; 0 for none [rad or m].
-        noise: Standard deviation [rad or m].
-        kinematics: Measure velocities and accelerations exactly, too.
-        errors: Further errors in order, as `EncoderEccentricity()` (docs/instruments.md).
-    """
-
-    resolution: float = 0.0
-    noise: float = 0.0
-    kinematics: bool = False
-    errors: Sequence[Fault] = ()
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Keys of `Instrument` that it sets, but for errors."""
-        return {
-            "encoder_resolution": self.resolution,
-            "encoder_noise": self.noise,
-            "senses_kinematics": self.kinematics,
-        }
 
 
 def _check_kinds(name: str, values: object, kind: type) -> None:
@@ -157,6 +68,13 @@ class Rig(Summarized):
         names = self.robot.names
         _check_kinds("plant", self.plant, Effect)
         _check_kinds("sensors", self.sensors, Sensor)
+        for sensor in self.sensors:
+            _check_kinds(f"errors of {type(sensor).__name__}", sensor.errors, Fault)
+        if not isinstance(self.friction, bool):
+            raise SettingsError(
+                f"Rig: friction is True or False, found {self.friction!r}; that of joints is the "
+                "robot's, as robot.with_joints({JOINT: {'coulomb': 4.0}})"
+            )
         object.__setattr__(self, "plant", tuple(effect.on(names) for effect in self.plant))
         object.__setattr__(self, "sensors", tuple(self.sensors))
         kinds = [type(sensor).__name__ for sensor in self.outer]
@@ -169,6 +87,18 @@ class Rig(Summarized):
         for joint in self.instrument.torque_constant_error:
             self.robot.index(joint)  # refuses joints that are not there
         self.instrument.stages(names)  # refuses errors of joints that are not there
+
+    @staticmethod
+    def from_toml(path: str | Path) -> Rig:
+        """Read the rig of an experiment file.
+
+        Args:
+            path: The TOML file; `model` is taken relative to it.
+
+        Raises:
+            TestbedError: The file cannot be read, or says what is not understood.
+        """
+        return rig_of(Experiment.from_toml(path))
 
     @property
     def summary(self) -> SummaryTable:
@@ -249,3 +179,41 @@ class Rig(Summarized):
                 f"{MOST_SAMPLES:.0e} samples that one run holds in memory; make several runs"
             )
         return round(steps)
+
+
+def rig_of(experiment: Experiment) -> Rig:
+    """The rig of an experiment: its robot under its gravity, plant and sensors.
+
+    Args:
+        experiment: Names the model file.
+
+    Raises:
+        UnknownName: A table names a joint that the robot has not.
+        ExperimentError: The base is measured, and not on a bedplate.
+    """
+    tree = model_of(experiment).tree()
+    for name in (*experiment.motion.max_velocity, *experiment.motion.max_acceleration):
+        tree.index(name)  # refuses joints that are not there
+    if experiment.robot.base == "measured":
+        raise ExperimentError(
+            'robot.base = "measured" is for recordings: experiments have a bedplate'
+        )
+    how = experiment.measurement
+    return Rig(
+        robot=experiment.robot.on(tree).with_gravity(experiment.gravity),
+        plant=experiment.simulation.effect,
+        sensors=(*sensors_of(how), *experiment.mounted_sensors),
+        rate=how.rate,
+        averaged=how.averaged,
+        **experiment.simulation.model_dump(exclude={"effect"}),
+    )
+
+
+def robot_of(experiment: Experiment) -> Tree:
+    """The robot of an experiment with what its plant adds to it, under its gravity."""
+    return rig_of(experiment).true_robot
+
+
+def sensed_robot(experiment: Experiment) -> Tree:
+    """What an experiment's wrench is of: its robot, or what lies beyond its force sensor."""
+    return experiment.sensed(robot_of(experiment), model_of(experiment))

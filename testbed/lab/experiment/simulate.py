@@ -21,7 +21,8 @@ from testbed.core.recordings.geometry import geometry
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.inertia import to_rpy
 from testbed.core.robot.tree import Tree
-from testbed.lab.experiment.rig import ForcePlate, JointTorques, Rig
+from testbed.lab.experiment.rig import Rig
+from testbed.lab.experiment.sensors import ForcePlate, JointTorques
 from testbed.lab.instruments.chain import measure, with_sensors
 from testbed.lab.simulation.controller import Reference
 from testbed.lab.simulation.effect import StepForces

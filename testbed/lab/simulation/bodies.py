@@ -12,9 +12,8 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.core.dynamics.newton_euler import poses
-from testbed.core.kernel.layout import upright
 from testbed.core.robot.formats.mjcf_compile import no_mujoco_warnings
-from testbed.core.robot.inertia import Inertia, about
+from testbed.core.robot.inertia import Inertia, about, align_z
 from testbed.core.robot.tree import Tree
 from testbed.lab.kind_table import PerJoint, each_joint, key
 from testbed.lab.simulation.effect import Effect
@@ -104,7 +103,7 @@ class GearedRotor(Effect):
         for joint, inertia, _ in self._each(tree):
             known = tree.joints[joint]
             hinge, moments = spec.joint(prefix + known.name), inertia * np.array([0.5, 0.5, 1.0])
-            frame = tree, joint, upright(known.axis), np.zeros(3)
+            frame = tree, joint, align_z(known.axis), np.zeros(3)
             _weld(spec, hinge.parent.parent, _rotor(known.name), *frame, MASSLESS, moments)
             hinge.armature = known.rotor_inertia
 

@@ -1,0 +1,135 @@
+"""Sensors of a rig, each with its errors: plain frozen values, perfect by default."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from testbed.core.base.errors import SettingsError
+from testbed.core.robot.force_sensor import ForceSensor
+from testbed.lab.instruments.chain import Instrument
+from testbed.lab.instruments.fault import FULL_SCALE, Fault
+
+
+class Sensor:
+    """One of the sensors of a rig."""
+
+    errors: Sequence[Fault]
+
+    @property
+    @abstractmethod
+    def settings(self) -> dict[str, Any]:
+        """Keys of `Instrument` that it sets, but for errors."""
+
+
+@dataclass(frozen=True)
+class ForcePlate(Sensor):
+    """Six-axis force plate under the robot, or force sensor in it; perfect by default.
+
+    It measures the wrench of the bedplate on the robot, (M, 6) [N, N m]: force first, bedplate
+    axes, moment about the bedplate's origin.
+
+    Attributes:
+        noise: Standard deviations of forces [N] and moments [N m].
+        errors: Further errors in order, as `PlateBias()` or `PlatePose()` (docs/instruments.md).
+        full_scale: Largest magnitudes of Fx, Fy, Fz [N], Mx, My, Mz [N m].
+        model: Name of a plate for sale, as "ati-axia80-m20": noise and range where not given.
+        mounting: Place in the robot; default under it.
+    """
+
+    noise: tuple[float, float] = (0.0, 0.0)
+    errors: Sequence[Fault] = ()
+    full_scale: tuple[float, float, float, float, float, float] = FULL_SCALE
+    model: str = ""
+    mounting: ForceSensor | None = None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Keys of `Instrument` that it sets, but for errors."""
+        if np.shape(self.noise) != (2,):
+            raise SettingsError(
+                f"ForcePlate: noise is (force [N], moment [N m]), found {self.noise!r}"
+            )
+        force, moment = self.noise
+        return {
+            "plate": self.model,
+            "force_noise": force,
+            "moment_noise": moment,
+            "full_scale": self.full_scale,
+        }
+
+
+@dataclass(frozen=True)
+class JointTorques(Sensor):
+    """Motor torques as the drives report them, (M, n) [N m or N]; perfect by default.
+
+    Attributes:
+        noise: Standard deviation [N m or N].
+        gains: Reported over true torque by joint, as {"waist": 1.08}; 1 for all others.
+        errors: Further errors in order, as `TorqueOffset()` (docs/instruments.md).
+    """
+
+    noise: float = 0.0
+    gains: Mapping[str, float] = field(default_factory=dict)
+    errors: Sequence[Fault] = ()
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Keys of `Instrument` that it sets, but for errors."""
+        errors = {joint: gain - 1 for joint, gain in self.gains.items()}
+        return {"torque_noise": self.noise, "torque_constant_error": errors}
+
+
+@dataclass(frozen=True)
+class Encoders(Sensor):
+    """Joint positions, (M, n) [rad or m]; perfect by default.
+
+    Attributes:
+        resolution: Least count; 0 for none [rad or m].
+        noise: Standard deviation [rad or m].
+        kinematics: Measure velocities and accelerations exactly, too.
+        errors: Further errors in order, as `EncoderEccentricity()` (docs/instruments.md).
+    """
+
+    resolution: float = 0.0
+    noise: float = 0.0
+    kinematics: bool = False
+    errors: Sequence[Fault] = ()
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Keys of `Instrument` that it sets, but for errors."""
+        return {
+            "encoder_resolution": self.resolution,
+            "encoder_noise": self.noise,
+            "senses_kinematics": self.kinematics,
+        }
+
+
+def sensors_of(how: Instrument) -> tuple[Sensor, ...]:
+    """Sensors as the table [measurement] has them.
+
+    Args:
+        how: The table.
+    """
+    signals = ("position", "torque", "wrench", "tare")
+    errors = {s: [fault for fault in how.fault if fault.signal == s] for s in signals}
+    gains = {joint: 1 + error for joint, error in how.torque_constant_error.items()}
+    return (
+        Encoders(
+            how.encoder_resolution,
+            how.encoder_noise,
+            how.senses_kinematics,
+            errors["position"],
+        ),
+        JointTorques(how.torque_noise, gains, errors["torque"]),
+        ForcePlate(
+            (how.force_noise, how.moment_noise),
+            errors["wrench"] + errors["tare"],
+            how.full_scale,
+        ),
+    )
