@@ -17,7 +17,7 @@ import typer
 import testbed as tb
 from benchmarks.lines import print_lines
 from testbed.core.base.errors import InfeasibleMotion
-from testbed.core.kernel.numba_engine import warm_up
+from testbed.core.kernel.warm_up import warm_up
 from testbed.lab.experiment.excite import design_problem
 from testbed.motion.design import DesignProblem, criterion, design
 from testbed.motion.fourier import Fourier

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import testbed as tb
 from benchmarks.lines import print_lines
-from testbed.core.dynamics.drive_set import verify, verify_drives
+from testbed.core.dynamics.rank_check import verify, verify_drives
 from testbed.core.parameters.joint_terms import with_joint_terms
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.symbols import parameter_names

@@ -105,7 +105,7 @@ def _load_libraries() -> None:
     import testbed.view.minimal_sets
     import testbed.view.output
     import testbed.view.viewer.log  # noqa: F401
-    from testbed.core.kernel.numba_engine import warm_up
+    from testbed.core.kernel.warm_up import warm_up
 
     warm_up()
 

@@ -16,7 +16,8 @@ from testbed.core.parameters.pseudo_inertia import (
     standard_of_coordinates,
 )
 from testbed.core.parameters.symbols import standard
-from testbed.core.robot.inertia import ROUNDING, SMALL, Inertia, nearest_body, upper_root
+from testbed.core.robot.inertia import Inertia, upper_root
+from testbed.core.robot.rigid_matter import ROUNDING, SMALL, nearest_body
 from testbed.core.robot.tree import Tree
 
 THINNEST = 1e-2

@@ -107,8 +107,8 @@ def _command() -> int:
 
     from testbed.cli.commands import app
     from testbed.cli.reading import joined_vectors
+    from testbed.core.base.cache import cache_folder
     from testbed.core.base.files import guarded
-    from testbed.core.base.installation import cache_folder
 
     warnings.simplefilter("ignore")  # numerical doubt is a field of the result
     # no command renders: else MuJoCo would start another Python to try a library of windows

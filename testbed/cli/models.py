@@ -93,7 +93,8 @@ def minimal(
 
     Example: testbed minimal models/puma562.urdf --zeros --map --verify
     """
-    from testbed.core.dynamics.drive_set import drive_set, verify, verify_drives
+    from testbed.core.dynamics.drive_set import drive_set
+    from testbed.core.dynamics.rank_check import verify, verify_drives
     from testbed.core.parameters.minimal_set import minimal_set
     from testbed.view import output
     from testbed.view.minimal_sets import Findings, as_document, print_latex, print_sets

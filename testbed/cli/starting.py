@@ -177,7 +177,7 @@ def doctor(
     Example: testbed doctor --compile
     """
     if compile_:
-        from testbed.core.kernel.numba_engine import warm_up
+        from testbed.core.kernel.warm_up import warm_up
         from testbed.view import output
 
         with output.Progress("compiling"):

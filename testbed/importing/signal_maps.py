@@ -9,7 +9,7 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.core.robot.free_base import UNIT
-from testbed.core.robot.inertia import from_rpy
+from testbed.core.robot.rpy import from_rpy
 from testbed.importing.foreign_table import (
     RAW,
     UNITS,

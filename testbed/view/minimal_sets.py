@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from testbed.core.base.errors import plural
-from testbed.core.dynamics.drive_set import Agreement, DriveAgreement
+from testbed.core.dynamics.rank_check import Agreement, DriveAgreement
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet, selection
 from testbed.core.parameters.regroup import Lengths

@@ -157,7 +157,7 @@ LONG = {
     "applications.calibration:calibrate": (f"calibrate {PUMA} --known mass=20",),
     "view.viewer.log:write_rrd": (f"view {PUMA} --save x.rrd",),
     "campaigns.conduct:conduct": ("campaign quick.toml --workers 0",),
-    "core.kernel.numba_engine:warm_up": ("doctor --compile",),
+    "core.kernel.warm_up:warm_up": ("doctor --compile",),
 }  # fmt: skip
 """What may take long, and the commands that do it."""
 

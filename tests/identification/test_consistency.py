@@ -24,7 +24,7 @@ from testbed.core.estimation.diagnostics.rigid_bodies import rigid_body_test
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
 from testbed.core.parameters.pseudo_inertia import coordinates, matrices, parameters
 from testbed.core.parameters.symbols import to_barycentric
-from testbed.core.robot.inertia import inertia_flaw
+from testbed.core.robot.rigid_matter import inertia_flaw
 from testbed.lab.experiment.evaluate import wrong_bodies
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.measured import measured

@@ -21,7 +21,11 @@ from testbed.core.base.diagnostics import (
     phrase,
     sentences,
 )
-from testbed.core.estimation.diagnostics.residuals import cross_check, diagnostics_of, torque_factor
+from testbed.core.estimation.diagnostics.cross_check import (
+    cross_check,
+    diagnostics_of,
+    torque_factor,
+)
 from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.estimation.sensor.correction import TESTED
 from testbed.core.parameters.minimal_set import selection

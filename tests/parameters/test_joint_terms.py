@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.applications.validate import motion_in, own_torque
 from testbed.core.base.errors import ModelError, UnknownName
-from testbed.core.dynamics.drive_set import drive_set, verify_drives
+from testbed.core.dynamics.drive_set import drive_set
+from testbed.core.dynamics.rank_check import verify_drives
 from testbed.core.parameters.joint_terms import DriveSet, with_joint_terms
 from testbed.core.robot.friction import COULOMB, LAWS, OFFSET, ROTOR, VISCOUS, JointLaw
 from testbed.core.robot.shafts import with_shafts

@@ -20,7 +20,7 @@ import testbed as tb
 from testbed.bodies.prior import THINNEST, Prior, prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import UnknownName
-from testbed.core.dynamics.drive_set import sampled_regressor, verify, verify_drives
+from testbed.core.dynamics.rank_check import sampled_regressor, verify, verify_drives
 from testbed.core.parameters.elimination import dense_rows, static_entries
 from testbed.core.parameters.identifiability import ALONE, COMBINED, NEVER, identifiability
 from testbed.core.parameters.joint_terms import with_joint_terms
@@ -38,7 +38,8 @@ from testbed.core.parameters.symbols import (
     to_standard,
 )
 from testbed.core.robot.friction import LAWS
-from testbed.core.robot.inertia import NOTHING, SMALL, Inertia
+from testbed.core.robot.inertia import NOTHING, Inertia
+from testbed.core.robot.rigid_matter import SMALL
 from testbed.core.robot.tree import Tree
 from tests.helpers.chains import X, Y, Z, chain
 from tests.helpers.paths import GOLDEN

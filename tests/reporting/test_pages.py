@@ -16,13 +16,14 @@ from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.verdict import verdict_of
 from testbed.core.base.diagnostics import phrase
 from testbed.core.base.summary_table import number_with_sigma
-from testbed.core.estimation.estimate import METHODS, NAMES, by_influence
+from testbed.core.estimation.estimate import METHODS, NAMES
 from testbed.lab.experiment.evaluate import wrong_bodies
 from testbed.lab.experiment.predict import predict
 from testbed.lab.experiment.run import assemble_run
 from testbed.lab.experiment.summary import summary, verdict
 from testbed.view.estimates import CLEAR, instrument_tables, matrix_maps
 from testbed.view.figures import Panel
+from testbed.view.influence import by_influence
 from testbed.view.run_page import write_report
 from testbed.view.signals import sections
 from tests.helpers.measured import measured

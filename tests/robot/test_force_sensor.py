@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ModelError, RecordingError, UnknownName
-from testbed.core.dynamics.drive_set import verify
 from testbed.core.dynamics.newton_euler import poses
+from testbed.core.dynamics.rank_check import verify
 from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.force_sensor import ForceSensor, before_sensors, beyond_sensor
 from testbed.core.robot.free_base import FREE, on_free_base

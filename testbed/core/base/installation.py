@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as _version
@@ -14,12 +13,6 @@ DISTRIBUTION = "bedplate"
 _HOME = Path(__file__).parents[2]
 _PLACES = (_HOME / "shipped", _HOME.parent)
 """Where what ships stands: inside an installed package, beside it in a clone."""
-
-
-def cache_folder() -> Path:
-    """The user's cache folder of testbed, below XDG_CACHE_HOME or ~/.cache; it need not exist."""
-    home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or "~/.cache"
-    return Path(os.path.expanduser(home)) / "testbed"  # noqa: PTH111  # where there is no home, too
 
 
 def version() -> str:

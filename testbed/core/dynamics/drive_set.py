@@ -9,95 +9,15 @@ axes may be a body's, the friction of a differential's two shafts may be that of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import Array, readonly
-from testbed.core.dynamics.newton_euler import Motion, parameter_regressor, regressor
+from testbed.core.dynamics.newton_euler import Motion, regressor
 from testbed.core.parameters.joint_terms import DriveSet, with_joint_terms
 from testbed.core.parameters.minimal_set import MinimalSet
-from testbed.core.parameters.regroup import Space, distance, recursive_space, row_space
-from testbed.core.parameters.rules import Model
 from testbed.core.robot.friction import JointLaw, JointTerm, joint_terms, term_torque
 from testbed.core.robot.tree import Tree
-
-ZERO = 1e-10
-"""Singular values of a sampled regressor below this share of the largest count as zero."""
-
-CLEAR_GAP = 1e3
-"""Least gap between singular values kept and dropped for the sampled rank to be trusted."""
-
-SAME = 1e-7
-"""Sine of the angle between two row spaces below which they are the same."""
-
-UNCHANGED = 1e-8
-"""Largest relative change of the model by regrouping; files with rounded angles come near it."""
-
-INVERSE = 1e-9
-"""Largest element of S lift - 1 that is rounding."""
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """Three answers to one question.
-
-    Attributes:
-        model: "dynamic" or "reaction".
-        rules: Count by the rules of Tables 2-5.
-        recursion: Count by the exact recursion.
-        sampled: Rank of a sampled regressor.
-        recursion_distance: Sine of the largest angle between rules and recursion.
-        sampled_distance: Likewise between rules and sampled regressor.
-        gap: Between singular values kept and dropped of the sampled regressor.
-        change: Largest relative change of the model when eliminated parameters are set to
-            zero and redefined ones used.
-        inverse: Largest element of S lift - 1.
-    """
-
-    model: Model
-    rules: int
-    recursion: int
-    sampled: int
-    recursion_distance: float
-    sampled_distance: float
-    gap: float
-    change: float
-    inverse: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether all three agree, and the sampled rank was a clear decision.
-
-        Sampling knows its space only as well as it separates it from rounding, to 1 / gap; that
-        regrouping does not change the model holds more exactly.
-        """
-        same = self.recursion_distance <= SAME
-        near = self.sampled_distance <= max(SAME, 1.0 / self.gap)
-        exact = self.change <= UNCHANGED and self.inverse <= INVERSE
-        return same and near and exact and self.gap >= CLEAR_GAP
-
-
-def sampled_regressor(
-    tree: Tree,
-    model: Model,
-    gravity: ArrayLike | None = None,
-    *,
-    tared: bool = False,
-    seed: int = 0,
-) -> Array:
-    """Regressor rows on the barycentric parameters at random states, (rows, 10 n).
-
-    Args:
-        tree: The robot; only its geometry matters.
-        model: "dynamic" for joint torques, "reaction" for the bedplate's wrench.
-        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
-        tared: Take off the rows of the robot at rest at q = 0.
-        seed: Of the states.
-    """
-    rows = parameter_regressor(tree, random_states(tree, seed), model, gravity)
-    return (rows - rows[:1] if tared else rows).reshape(-1, 10 * tree.n)
 
 
 def random_states(tree: Tree, seed: int = 0) -> Motion:
@@ -109,83 +29,6 @@ def random_states(tree: Tree, seed: int = 0) -> Motion:
     qd, qdd = rng.uniform(-3, 3, (2, samples, tree.n))
     q[0] = qd[0] = qdd[0] = 0.0
     return Motion(np.arange(samples, dtype=float), q, qd, qdd)
-
-
-def verify(tree: Tree, minimal: MinimalSet) -> Agreement:
-    """Compare a minimal set by the rules with two numerical witnesses.
-
-    Parameters known to be zero are so for all three.
-
-    Args:
-        tree: The robot.
-        minimal: Its set.
-    """
-    model, g, tared, zero = minimal.model, minimal.gravity, minimal.tared, minimal.known_zero
-    rows = sampled_regressor(tree, model, g, tared=tared)
-    sampled = row_space(rows, ZERO, zero)
-    size = np.abs(rows).max(initial=1e-300)
-    rows[:, zero.ravel()] = 0.0
-    recursion = recursive_space(tree, model, g, tared=tared, known_zero=zero)
-    rules = Space(np.linalg.qr(minimal.matrix.T)[0].T, np.inf)
-    regrouped = (rows @ minimal.lift) @ minimal.matrix
-    inverse = minimal.matrix @ minimal.lift - np.eye(minimal.count)
-    return Agreement(
-        model=minimal.model,
-        rules=minimal.count,
-        recursion=recursion.rank,
-        sampled=sampled.rank,
-        recursion_distance=distance(rules, recursion),
-        sampled_distance=distance(rules, sampled),
-        gap=sampled.gap,
-        change=float(np.abs(regrouped - rows).max(initial=0.0) / size),
-        inverse=float(np.abs(inverse).max(initial=0.0)),
-    )
-
-
-@dataclass(frozen=True)
-class DriveAgreement:
-    """Bodies and drives together, by structure and by sampling.
-
-    Attributes:
-        count: Unknowns, by the exact recursion.
-        sampled: Rank of the sampled regressor and the terms' columns together.
-        gap: Between singular values kept and dropped.
-        change: Largest relative difference between those columns and what the unknowns'
-            own columns give.
-    """
-
-    count: int
-    sampled: int
-    gap: float
-    change: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether both agree, and the sampled rank was a clear decision."""
-        same = self.count == self.sampled and self.gap >= CLEAR_GAP
-        return same and self.change <= UNCHANGED
-
-
-def verify_drives(tree: Tree, drives: DriveSet) -> DriveAgreement:
-    """Hold a minimal set of bodies and drives together against sampled columns.
-
-    Args:
-        tree: The robot.
-        drives: Its set.
-    """
-    minimal, states = drives.minimal, random_states(tree)
-    rows = sampled_regressor(tree, "dynamic", minimal.gravity)
-    rows[:, minimal.known_zero.ravel()] = 0.0
-    torques = np.zeros((len(states.qd), tree.n, len(drives.asked)))
-    for k, term in enumerate(drives.asked):
-        torques[:, :, k] = term_torque(tree, term, states.qd, states.qdd)
-    terms = torques.reshape(len(rows), len(drives.asked))
-    every = np.hstack([rows, terms])
-    space = row_space(every, ZERO)
-    own = [drives.asked.index(term) for term in drives.terms]
-    ours = np.hstack([rows @ minimal.lift, terms[:, own]])
-    change = np.abs(ours @ drives.matrix - every).max() / np.abs(every).max()
-    return DriveAgreement(drives.count, space.rank, space.gap, float(change))
 
 
 DEPENDENT = 1e-8

@@ -18,7 +18,7 @@ from llvmlite import binding, ir
 from numba import extending, njit, types
 from numba.core import config
 
-from testbed.core.base.installation import cache_folder
+from testbed.core.base.cache import cache_folder
 from testbed.core.robot import friction
 
 settings: Any = config  # whose names Numba makes while it loads

@@ -10,9 +10,8 @@ from threading import Lock
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.kernel.compiler import settings
 from testbed.core.kernel.gram import sweep as compiled
-from testbed.core.kernel.layout import Layout, layout
+from testbed.core.kernel.layout import Layout
 from testbed.core.kernel.records import (
     CHUNK,
     SEEDS,
@@ -23,13 +22,9 @@ from testbed.core.kernel.records import (
     Sums,
     Work,
     blocks,
-    sensed,
     sums_for,
 )
 from testbed.core.kernel.rows import BODY, SCREW, A
-from testbed.core.parameters.minimal_set import minimal_set
-from testbed.core.robot.inertia import NOTHING
-from testbed.core.robot.tree import Joint, Tree
 
 _compiling = Lock()
 _log = logging.getLogger(__name__)
@@ -147,15 +142,3 @@ def _fixed(signals: Signals) -> Signals:
         weights=fixed(signals.weights),
         varying=fixed(signals.varying),
     )
-
-
-def warm_up() -> str:
-    """Compile ahead of the first use; returns where the compiled code is kept."""
-    axis, eye = np.array([0.0, 0.0, 1.0]), np.eye(3)
-    joint = Joint("joint", "body", "revolute", -1, axis, np.zeros(3), eye)
-    tree = Tree("one joint", (joint,), (NOTHING,))
-    rows_of_it = layout(tree, minimal_set(tree, "dynamic"))
-    still = np.zeros((1, 1))
-    signals = sensed(still, still, still, 1)
-    sweep(rows_of_it, signals, workspace(rows_of_it, signals))
-    return str(settings.CACHE_DIR)

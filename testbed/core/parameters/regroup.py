@@ -8,12 +8,11 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array, skew
 from testbed.core.parameters.rules import NOTHING_KEPT, Model, Row, base_rule, mobilities, rule
 from testbed.core.parameters.symbols import (
-    STANDARD,
     TENSOR,
     UPPER,
     Formula,
@@ -21,53 +20,8 @@ from testbed.core.parameters.symbols import (
     Symbol,
     Term,
     component_symbol,
-    to_standard,
 )
 from testbed.core.robot.tree import Joint, Tree
-
-ROUNDING = 1e-13
-"""Part of all rows that is rounding of zero, whatever is left of them."""
-
-
-@dataclass(frozen=True, eq=False)
-class Space:
-    """A row space of functionals on the 10 n barycentric parameters.
-
-    Attributes:
-        rows: (rank, 10 n), orthonormal.
-        gap: Ratio of the smallest singular value kept to the largest one dropped: how
-            clear the decision on the rank was.
-    """
-
-    rows: Array
-    gap: float
-
-    @property
-    def rank(self) -> int:
-        """Number of functionals."""
-        return len(self.rows)
-
-
-def row_space(rows: Array, tolerance: float, known_zero: NDArray[np.bool_] | None = None) -> Space:
-    """The space spanned by rows, (k, 10 n).
-
-    Args:
-        rows: Of any sizes; rows are not rescaled, so rounding of zero stays small.
-        tolerance: Singular values below this share of the largest count as zero.
-        known_zero: Parameters known to be zero, (n, 10), whose columns do not count;
-            default none.
-    """
-    rounding = ROUNDING * float(np.linalg.norm(rows))
-    if known_zero is not None:
-        rows = np.where(known_zero.ravel(), 0.0, rows)
-    if not rows.any():
-        return Space(np.zeros((0, rows.shape[1])), np.inf)
-    _, spread, directions = np.linalg.svd(rows, full_matrices=False)
-    rank = int(np.sum(spread > max(tolerance * spread[0], rounding)))
-    if rank == 0:
-        return Space(directions[:0], np.inf)
-    dropped = spread[rank] if rank < len(spread) else 0.0
-    return Space(directions[:rank], float(spread[rank - 1] / max(dropped, 1e-300)))
 
 
 def beyond(vector: Array, basis: Array) -> Array:
@@ -77,20 +31,8 @@ def beyond(vector: Array, basis: Array) -> Array:
     return vector
 
 
-def distance(a: Space, b: Space) -> float:
-    """Sine of the largest angle between two row spaces of one rank; 1 if the ranks differ."""
-    if a.rank != b.rank:
-        return 1.0
-    if a.rank == 0:
-        return 0.0
-    return float(np.linalg.norm(a.rows - (a.rows @ b.rows.T) @ b.rows, 2))
-
-
 NEW = 1e-8
 """Part of a unit functional that must be left after projection for it to be a new one."""
-
-
-_INERTIA = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,37 +52,7 @@ class SeenWrench:
     @property
     def whole(self) -> Array:
         """All of them, orthonormal, (k, 10)."""
-        return _span(np.vstack([self.aside, self.inertia, self.weight]))
-
-
-def recursive_space(
-    tree: Tree,
-    model: Model,
-    gravity: ArrayLike | None = None,
-    *,
-    tared: bool = False,
-    known_zero: NDArray[np.bool_] | None = None,
-) -> Space:
-    """What a measurement can identify, by the exact recursion.
-
-    Args:
-        tree: The robot; only its geometry matters.
-        model: "dynamic" for joint torques, "reaction" for the bedplate's wrench.
-        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
-        tared: The bedplate's static wrench in one posture has been taken off.
-        known_zero: Barycentric parameters known to be zero, (n, 10); default none.
-    """
-    g = tree.gravity_or(gravity)
-    if tree.sensor is not None:
-        static = base_functionals(tree, g, tared=tared)
-    else:
-        static = _static(g) if model == "reaction" and not tared else np.zeros((0, 10))
-    seen = [each.whole for each in seen_wrenches(tree, model, g, static)]
-    if tree.sensor is not None:  # what leads to the base has no matter
-        seen[: tree.lead] = [np.zeros((0, 10))] * tree.lead
-        rows = _on_barycentric(tree, seen, static, tree.sensor_body)
-        return row_space(rows, NEW, known_zero)
-    return row_space(_on_barycentric(tree, seen, static), NEW, known_zero)
+        return span(np.vstack([self.aside, self.inertia, self.weight]))
 
 
 def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> Iterator[SeenWrench]:
@@ -160,14 +72,14 @@ def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> It
         turning, momentum = _ad(screw).T, _momentum(screw)
         still = rest[joint.parent + 1] @ into
         ahead = _closed(np.vstack([free[joint.parent + 1] @ into, still @ turning]), turning)
-        closure = _closed(known[joint.parent + 1] @ _composite_into(joint), rate)
-        aside = _span(np.vstack([ahead @ momentum, closure @ rate]))
+        closure = _closed(known[joint.parent + 1] @ composite_into(joint), rate)
+        aside = span(np.vstack([ahead @ momentum, closure @ rate]))
         here = SeenWrench(aside, screw @ momentum, still @ momentum)
         yield here
-        free.append(_span(np.vstack([ahead, screw])))
+        free.append(span(np.vstack([ahead, screw])))
         rest.append(still)
         is_base = tree.sensor is not None and j < tree.lead
-        known.append(static if is_base else _span(np.vstack([closure, here.whole])))
+        known.append(static if is_base else span(np.vstack([closure, here.whole])))
 
 
 def base_functionals(tree: Tree, gravity: Array, *, tared: bool) -> Array:
@@ -188,31 +100,10 @@ def base_functionals(tree: Tree, gravity: Array, *, tared: bool) -> Array:
         screw, into = _screw(joint), _twist_into(joint).T
         turning = _ad(screw).T
         weight = weight @ into
-        twists = _span(np.vstack([_closed(twists @ into, turning), screw]))
+        twists = span(np.vstack([_closed(twists @ into, turning), screw]))
         changes = _closed(np.vstack([changes @ into, weight @ turning]), turning)
     pulls = changes if tared else np.vstack([changes, weight])
-    return _span(np.vstack([_momentum(twist) for twist in (*twists, *_span(pulls))]))
-
-
-def _on_barycentric(tree: Tree, seen: list[Array], static: Array, base: int = -1) -> Array:
-    """Functionals of composites as functionals of the barycentric parameters, (k, 10 n)."""
-    n = tree.n
-    composite = np.zeros((n + 1, 10, 10 * n))  # at q = 0; the last is the bedplate's
-    to_ours = _standard_from_barycentric(tree)
-    rows: list[Array] = []
-    for j in reversed(range(n)):
-        composite[j] += to_ours[10 * j : 10 * j + 10]
-        composite[tree.parents[j]] += _composite_into(tree.joints[j]) @ composite[j]
-        rows.insert(0, seen[j] @ composite[j])
-    rows.append(static @ composite[base])
-    return np.vstack(rows)
-
-
-def _standard_from_barycentric(tree: Tree) -> Array:
-    """(m, h, I) of every body, I in the order xx xy xz yy yz zz, from theta, (10 n, 10 n)."""
-    theta = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
-    in_our_order = [STANDARD.index(name) for name in ("m", "mx", "my", "mz", *_INERTIA)]
-    return to_standard(tree, theta)[:, in_our_order].reshape(10 * tree.n, -1)
+    return span(np.vstack([_momentum(twist) for twist in (*twists, *span(pulls))]))
 
 
 def _screw(joint: Joint) -> Array:
@@ -244,7 +135,7 @@ def _momentum(screw: Array) -> Array:
     return np.vstack([linear, angular])
 
 
-def _composite_into(joint: Joint) -> Array:
+def composite_into(joint: Joint) -> Array:
     """(m, h, I) of composite j in frame i at q = 0, (10, 10)."""
     turn, l = joint.rotation, joint.offset
     moved = np.zeros((10, 10))
@@ -276,27 +167,17 @@ def _rate(joint: Joint) -> Array:
     return rate
 
 
-def _static(gravity: Array) -> Array:
-    """The static wrench's functionals: mass, and two first moments normal to gravity."""
-    if not gravity.any():
-        return np.zeros((0, 10))
-    rows = np.zeros((4, 10))
-    rows[0, 0] = 1.0
-    rows[1:, 1:4] = skew(gravity / np.linalg.norm(gravity))
-    return _span(rows)
-
-
 def _closed(rows: Array, operator: Array) -> Array:
     """The smallest space that holds `rows` and is mapped into itself by `operator`."""
-    space = _span(rows)
+    space = span(rows)
     while True:
-        larger = _span(np.vstack([space, space @ operator]))
+        larger = span(np.vstack([space, space @ operator]))
         if len(larger) == len(space):
             return space
         space = larger
 
 
-def _span(rows: Array) -> Array:
+def span(rows: Array) -> Array:
     """An orthonormal basis of the row space, (rank, columns).
 
     Rows are not rescaled: they are of order one, or rounding of zero, and rescaled

@@ -7,7 +7,6 @@ the mass centre, so the passage from there is here too.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,11 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import Array, freeze, readonly, skew
-
-_X, _Y, _Z = np.eye(3)
-
-LEVEL = 1e-9
-"""Cosine of the pitch below which it is a right angle."""
 
 
 def about(axis: Array, angle: float) -> Array:
@@ -48,38 +42,8 @@ def from_vector(rotation: Array) -> Array:
     return about(rotation / angle, angle) if angle else np.eye(3)
 
 
-def from_rpy(rpy: Sequence[float]) -> Array:
-    """Turns about the fixed axes x, y, z in this order by three angles [rad], (3, 3)."""
-    roll, pitch, yaw = rpy
-    turn: Array = about(_Z, yaw) @ about(_Y, pitch) @ about(_X, roll)
-    return turn
-
-
-def to_rpy(turn: Array) -> tuple[float, float, float]:
-    """Roll, pitch and yaw of a rotation [rad].
-
-    Roll first, then the others from what it leaves, so that they belong together; where the pitch
-    is a right angle, and only roll and yaw together count, the roll is zero.
-    """
-    level = np.hypot(turn[2, 1], turn[2, 2]) > LEVEL
-    roll = float(np.arctan2(turn[2, 1], turn[2, 2])) if level else 0.0
-    rest = turn @ about(_X, -roll)
-    yaw = float(np.arctan2(-rest[0, 1], rest[1, 1]))
-    along = np.cos(yaw) * rest[0, 0] + np.sin(yaw) * rest[1, 0]
-    return roll, float(np.arctan2(-rest[2, 0], along)), yaw
-
-
 HEAVIEST = 1e12
 """Masses, first moments and inertias beyond this are a mistake [kg, kg m, kg m^2]."""
-
-TRIANGLE_TOLERANCE = 1e-9
-"""Relative slack of the triangle inequality: rounding of a thin plate's exact equality."""
-
-ROUNDING = 1e-9
-"""Part of a body's second moments about its frame that is rounding: a point has no others."""
-
-SMALL = 0.1
-"""Radius of gyration of what was a point, in parts of its distance or of the robot's lengths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,64 +148,3 @@ def upper_root(matrix: Array) -> Array:
         LinAlgError: It is not.
     """
     return np.asarray(np.linalg.cholesky(matrix[::-1, ::-1])[::-1, ::-1])
-
-
-def nearest_body(body: Inertia, thinnest: float, mass: float, reach: float) -> Inertia:
-    """The nearest body of rigid matter: mass, mass centre and axes stay wherever they can.
-
-    Second moments about the mass centre are the nearest, by the sum of squares of their matrix,
-    of which none is below a least share of the greatest. A body without extent becomes a ball
-    around its mass centre. One without a mass gets one, about its frame's origin.
-
-    Source    [WKS18] for the condition; the shares are our own choice.
-
-    Args:
-        body: Such as a file may have it.
-        thinnest: Least principal second moment, as a share of the greatest.
-        mass: Of a body that has none [kg].
-        reach: A length of the robot, for a point at its frame's origin [m].
-    """
-    if body.mass <= 0:
-        body = Inertia(mass, np.zeros(3), body.tensor)
-    centre, matrix = body.com, np.array(body.pseudo)
-    offset = body.mass * np.outer(centre, centre)
-    size, axes = np.linalg.eigh(matrix[:3, :3] - offset)
-    if size[-1] <= ROUNDING * np.abs(matrix[:3, :3]).max():
-        radius = SMALL * (float(np.linalg.norm(centre)) or reach)
-        size = np.full(3, body.mass * radius**2 / 3)
-    raised = np.maximum(size, thinnest * size[-1])
-    matrix[:3, :3] = axes * raised @ axes.T + offset
-    return Inertia.of_pseudo(matrix)
-
-
-def inertia_flaw(link: str, mass: float, central: ArrayLike) -> str | None:
-    """What keeps a link from being a rigid body, in one line; None if nothing does.
-
-    A link without any matter (all ten parameters zero) is no flaw: files use such links
-    as frames.
-
-    Args:
-        link: The link's name, for the message.
-        mass: [kg].
-        central: Inertia about the mass centre, (3, 3) [kg m^2].
-    """
-    tensor = np.asarray(central, dtype=np.float64)
-    if not (np.isfinite(mass) and np.isfinite(tensor).all()):
-        return f"link '{link}' has a mass or inertia that is not a number"
-    if mass < 0:
-        return f"link '{link}' has negative mass {mass:g} kg"
-    if mass == 0 and not tensor.any():
-        return None
-    moments = np.linalg.eigvalsh(tensor)
-    listed = ", ".join(f"{m:.6g}" for m in moments)
-    if mass == 0 or moments[0] <= 0:
-        return (
-            f"link '{link}' has mass {mass:g} kg and principal moments of inertia ({listed}) "
-            "kg m^2, which are not all positive"
-        )
-    if moments[0] + moments[1] < moments[2] * (1 - TRIANGLE_TOLERANCE):
-        return (
-            f"link '{link}' has principal moments of inertia ({listed}) kg m^2, where the largest "
-            "exceeds the sum of the others"
-        )
-    return None

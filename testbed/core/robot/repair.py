@@ -16,7 +16,8 @@ import numpy as np
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import InertiaError, ModelError, UnknownName, quoted
-from testbed.core.robot.inertia import NOTHING, ROUNDING, SMALL, Inertia, inertia_flaw, nearest_body
+from testbed.core.robot.inertia import NOTHING, Inertia
+from testbed.core.robot.rigid_matter import ROUNDING, SMALL, inertia_flaw, nearest_body
 
 Bodies: TypeAlias = Mapping[str, Inertia]
 """By the link that carries all that is fixed to it: its inertia about and along its frame."""

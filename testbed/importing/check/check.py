@@ -30,7 +30,7 @@ from testbed.core.recordings.geometry import check_robot, geometry, in_its_gravi
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import on_its_base
-from testbed.core.robot.inertia import from_rpy
+from testbed.core.robot.rpy import from_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.explanation import APART, Explanation
 from testbed.importing.check.instants import CUTOFF, SLOW, middle

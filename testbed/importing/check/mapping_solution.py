@@ -24,7 +24,8 @@ from testbed.core.base.errors import (
 from testbed.core.base.toml_text import checked
 from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import on_its_base
-from testbed.core.robot.inertia import from_rpy, from_vector, to_rpy
+from testbed.core.robot.inertia import from_vector
+from testbed.core.robot.rpy import from_rpy, to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.check import Assessment, Prepared, assess, zero_hypothesis
 from testbed.importing.check.explanation import Explanation

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.robot.inertia import from_rpy, from_vector, to_rpy
+from testbed.core.robot.inertia import from_vector
+from testbed.core.robot.rpy import from_rpy, to_rpy
 from testbed.importing.check.instants import Instants, delay
 from testbed.importing.check.plate_map import (
     LASTS,

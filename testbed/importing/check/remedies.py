@@ -13,7 +13,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import few
 from testbed.core.recordings.columns import AXES
 from testbed.core.robot.free_base import FREE, coordinates, poses
-from testbed.core.robot.inertia import from_rpy, to_rpy
+from testbed.core.robot.rpy import from_rpy, to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.foreign_table import LENGTHS, factor
 from testbed.importing.import_report import Line

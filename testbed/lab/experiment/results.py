@@ -22,7 +22,7 @@ from testbed.core.base.errors import ExperimentError
 from testbed.core.base.files import fingerprint, replacing
 from testbed.core.base.installation import versions
 from testbed.core.dynamics.drive_set import drive_set
-from testbed.core.estimation.diagnostics.residuals import diagnostics_of
+from testbed.core.estimation.diagnostics.cross_check import diagnostics_of
 from testbed.core.estimation.estimate import METHODS, MODEL_OF, Estimate, Method
 from testbed.core.estimation.problem import set_of
 from testbed.core.estimation.selection.term_choice import with_chosen_settings

@@ -13,8 +13,9 @@ from testbed.core.base.toml_text import KNOWN_KEYS, Finite, NotNegative, Positiv
 from testbed.core.estimation.settings import Settings
 from testbed.core.robot.force_sensor import ForceSensor, before_sensors, beyond_sensor
 from testbed.core.robot.free_base import on_free_base
-from testbed.core.robot.inertia import Inertia, from_rpy
+from testbed.core.robot.inertia import Inertia
 from testbed.core.robot.model_file import ModelFile
+from testbed.core.robot.rpy import from_rpy
 from testbed.core.robot.shafts import with_shafts
 from testbed.core.robot.tree import Tree
 from testbed.lab.instruments.fault import FULL_SCALE, Fault

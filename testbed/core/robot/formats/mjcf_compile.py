@@ -17,8 +17,9 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ModelError
 from testbed.core.robot.asset_files import mjcf_files
-from testbed.core.robot.inertia import Inertia, inertia_flaw
+from testbed.core.robot.inertia import Inertia
 from testbed.core.robot.parsing import capture_stderr, decimals, read_xml
+from testbed.core.robot.rigid_matter import inertia_flaw
 
 MOST_MADE_BODIES, MOST_MADE_ELEMENTS = 5_000, 50_000
 """Bodies, and elements of all kinds, that a file may become, copies counted."""

@@ -19,10 +19,12 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import ModelError
 from testbed.core.robot.formats.urdf_xml import TENSOR, link_at, numbers_of, supported_xml
-from testbed.core.robot.inertia import NOTHING, Inertia, from_rpy, inertia_flaw
+from testbed.core.robot.inertia import NOTHING, Inertia
 from testbed.core.robot.locks import Lock
 from testbed.core.robot.parsing import capture_stderr, errors_of, plain, read_xml
 from testbed.core.robot.repair import Bodies, Link, Repair, repaired
+from testbed.core.robot.rigid_matter import inertia_flaw
+from testbed.core.robot.rpy import from_rpy
 from testbed.core.robot.tree import Joint, Kind, Tree
 
 
