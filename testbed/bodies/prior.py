@@ -10,6 +10,7 @@ import numpy as np
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.core.base.errors import quoted
+from testbed.core.base.summary_table import Value
 from testbed.core.parameters.pseudo_inertia import (
     matrices,
     parameters,
@@ -25,7 +26,7 @@ THINNEST = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
-class Prior(Diagnosed):
+class Prior(Diagnosed, Value):
     """Bodies and rotors as a model file has them.
 
     Attributes:

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import AnyArray, Array
-from testbed.core.base.errors import UnknownName
+from testbed.core.base.errors import UnknownName, plural
+from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import kinematics, transmitted
 from testbed.core.parameters.minimal_set import MinimalSet, known_zeros, minimal_set
 from testbed.core.parameters.rules import Model
@@ -267,8 +268,8 @@ class Equations:
     program: Program
 
 
-@dataclass(frozen=True, eq=False)
-class Listing:
+@dataclass(frozen=True, eq=False, repr=False)
+class Listing(Summarized):
     """Equations of one robot, and what they are about.
 
     Attributes:
@@ -290,6 +291,15 @@ class Listing:
     known_zero: AnyArray
     definitions: tuple[tuple[str, Expression], ...]
     equations: tuple[Equations, ...]
+
+    @property
+    def summary(self) -> SummaryTable:
+        """Kinds of equations, their shapes and numbers of lines."""
+        rows = [
+            (each.kind.name, str(each.shape), plural(len(each.program.lines), "line"))
+            for each in self.equations
+        ]
+        return SummaryTable(f"{self.form} equations of {self.tree.name}", tuple(rows))
 
 
 def equations(

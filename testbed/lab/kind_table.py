@@ -22,6 +22,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError, UnknownName
+from testbed.core.base.summary_table import Value
 
 LARGEST = 1e9
 """Sizes beyond this are a mistake; so are positive ones below its inverse."""
@@ -138,7 +139,7 @@ def hidden(default: Any) -> Any:
     return field(default=default, repr=False, compare=False)
 
 
-class KindTable(ABC):
+class KindTable(Value, ABC):
     """One value of a kind."""
 
     kind: ClassVar[str]

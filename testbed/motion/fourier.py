@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.summary_table import Value
 from testbed.core.dynamics.newton_euler import Motion
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Fourier:
+class Fourier(Value):
     """q_j(t) = offset_j + sum over k of sine_jk sin(k w t) + cosine_jk cos(k w t).
 
     Attributes:

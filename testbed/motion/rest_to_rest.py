@@ -14,6 +14,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import InfeasibleMotion
+from testbed.core.base.summary_table import Value
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.motion.fourier import Fourier
 from testbed.motion.proof import Margin, Rules, force_margins, spans_of
@@ -71,7 +72,7 @@ class Start:
 
 
 @dataclass(frozen=True, eq=False)
-class RestToRest:
+class RestToRest(Value):
     """Whole periods of a motion between two rests; t = 0 is where the periodic part begins.
 
     Attributes:

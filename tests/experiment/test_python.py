@@ -122,6 +122,9 @@ def test_what_is_exchanged_is_named(signals: Signals) -> None:
         (lambda: tb.identify("puma562.xml", data), "load_tree"),  # type: ignore[arg-type]
         (lambda: tb.minimal_set(data, "wrench"), "minimal_set"),  # type: ignore[arg-type]
         (lambda: tb.Rig("puma562.xml"), "load_tree"),  # type: ignore[arg-type]
+        (lambda: tb.Rig(robot).with_(rat=500), "'rate'"),
+        (lambda: tb.Rig(robot, friction=4.0), "with_joints"),  # type: ignore[arg-type]
+        (lambda: tb.Rig(robot, sensors=[tb.ForcePlate(noise=0.5)]), "moment"),  # type: ignore[arg-type]
         (lambda: tb.validate(data, plate), "validate"),  # type: ignore[arg-type]
         (lambda: tb.Recording.from_frame(robot, robot), "dict of arrays"),
         (lambda: tb.minimal_set(robot, "wrist"), "wrench"),  # type: ignore[arg-type]
@@ -134,8 +137,10 @@ def test_public_values_print_on_a_screen(signals: Signals, tmp_path: Path) -> No
     robot, data, plate, torque = signals
     found = tb.predict(data, plate, torque)
     assert len(found.time) == len(found.signals[0].measured) == found.to_frame()["time"].__len__()
-    values = (data, plate, plate + torque, tb.Rig(robot), found, tb.validate(plate, data))
-    for value in values:
+    rig, experiment = tb.Rig(robot), tb.Experiment.from_toml(tb.shipped("table6"))
+    plain = (robot, robot.joints[0], tb.minimal_set(robot, "wrench"), rig.sensors[0], tb.Tilt())
+    results = (data, plate, plate + torque, found, tb.validate(plate, data), tb.equations(robot))
+    for value in (*plain, *results, rig, experiment, tb.prior(robot), tb.Settings()):
         assert len(repr(value).splitlines()) < 45
         assert value._repr_html_().startswith("<table>")
     assert tb.plot(data, plate)._repr_png_().startswith(b"\x89PNG")

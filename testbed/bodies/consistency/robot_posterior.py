@@ -17,7 +17,7 @@ from testbed.bodies.write_model import Fixed
 from testbed.bodies.write_model import write_model as write_tree
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import SettingsError
-from testbed.core.base.summary_table import Summarized, SummaryTable, number_with_sigma
+from testbed.core.base.summary_table import Summarized, SummaryTable, Value, number_with_sigma
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.information import Information
 from testbed.core.parameters.symbols import STANDARD
@@ -26,7 +26,7 @@ from testbed.core.robot.tree import Tree, require_tree
 
 
 @dataclass(frozen=True, eq=False)
-class FilePrior:
+class FilePrior(Value):
     """Bodies of a model file before any data, to be added to estimates.
 
     Attributes:

@@ -27,6 +27,7 @@ from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
 from testbed.core.base.errors import SettingsError
+from testbed.core.base.summary_table import Summarized, SummaryTable, parameter_rows
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.parameters.pseudo_inertia import of_coordinates
 from testbed.core.parameters.symbols import STANDARD, with_standard
@@ -53,8 +54,8 @@ NAMES = (*STANDARD, *(law.kind for law in LOSSES))
 """Of what is drawn of a body and its joint."""
 
 
-@dataclass(frozen=True, eq=False)
-class Robots:
+@dataclass(frozen=True, eq=False, repr=False)
+class Robots(Summarized):
     """Draws of one robot.
 
     Attributes:
@@ -79,6 +80,14 @@ class Robots:
     def __post_init__(self) -> None:
         one = (len(self.joints), len(self.names))
         freeze(self, values=(len(self.values), *one), share=one)
+
+    @property
+    def summary(self) -> SummaryTable:
+        """Mass of every body: mean and standard deviation of the draws."""
+        masses = parameter_rows(
+            self.links, self.mean[:, 0], self.sigma[:, 0], ["kg"] * len(self.links)
+        )
+        return SummaryTable(f"{len(self.values)} draws of a robot", masses)
 
     @property
     def mean(self) -> Array:

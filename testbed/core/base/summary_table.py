@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from html import escape
+from typing import Any, Self, cast
 
 from testbed.core.base.arrays import Array
+from testbed.core.base.errors import UnknownName
 
 MOST_ROWS = 40
 """Rows that are printed; of more, how many are left out is said."""
@@ -54,13 +55,38 @@ class SummaryTable:
         return f"<table><caption>{escape(self.head)}</caption>{body}</table><ul>{notes}</ul>"
 
 
-class Summarized:
-    """A value that prints as its summary; a dataclass of this kind needs `repr=False`."""
+class Value:
+    """A frozen dataclass: a table in notebooks, copies with some fields changed."""
 
     @property
-    @abstractmethod
     def summary(self) -> SummaryTable:
-        """The value as a short table."""
+        """The value as a short table: its fields, if a class says nothing else."""
+        shown = (each.name for each in fields(cast(Any, self)) if each.repr)
+        rows = tuple((name, repr(getattr(self, name))) for name in shown)
+        return SummaryTable(type(self).__name__, rows)
+
+    def _repr_html_(self) -> str:
+        return self.summary.html()
+
+    def with_(self, **changes: Any) -> Self:
+        """Copy with some fields changed.
+
+        Args:
+            **changes: By name of the field.
+
+        Raises:
+            UnknownName: There is no such field.
+            TestbedError: Values do not fit each other.
+        """
+        known = [each.name for each in fields(cast(Any, self)) if each.init]
+        for name in changes:
+            if name not in known:
+                raise UnknownName(f"argument of {type(self).__name__}", name, known)
+        return replace(cast(Any, self), **changes)  # type: ignore[no-any-return]
+
+
+class Summarized(Value):
+    """A value that prints as its summary; a dataclass of this kind needs `repr=False`."""
 
     def __repr__(self) -> str:
         return self.summary.short.text()
@@ -68,9 +94,6 @@ class Summarized:
     def __str__(self) -> str:
         """All rows."""
         return self.summary.text()
-
-    def _repr_html_(self) -> str:
-        return self.summary.html()
 
 
 EXACT, EXACT_SHORT = 1e-7, 1e-10

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import AnyArray, Array, apply, freeze, skew
+from testbed.core.base.summary_table import Value
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.rules import Model
 from testbed.core.parameters.symbols import TENSOR, barycentric
@@ -17,7 +18,7 @@ from testbed.core.robot.tree import Placement, Tree
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(Value):
     """M samples of the motion of n joints, columns in the order of `tree.names`.
 
     Attributes:

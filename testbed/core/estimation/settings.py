@@ -20,6 +20,7 @@ from pydantic import (
 )
 
 from testbed.core.base.errors import SettingsError, UnknownName
+from testbed.core.base.summary_table import Value
 from testbed.core.robot.friction import STRIBECK, JointLaw, law_of
 
 LARGEST = 1e9
@@ -175,7 +176,7 @@ def _adapter(name: str) -> TypeAdapter[Any]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class Settings(Value):
     """How a recording becomes equations, and what is known before.
 
     Plain values only: an experiment file's table [identification] holds the same keys.

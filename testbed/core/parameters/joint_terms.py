@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import Array, readonly
 from testbed.core.base.codec import named
+from testbed.core.base.summary_table import Value
 from testbed.core.parameters.elimination import INDEPENDENT, Direction, echelon
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.regroup import NEW, Lengths, beyond, seen_wrenches
@@ -31,7 +32,7 @@ from testbed.core.robot.tree import Tree
 
 
 @dataclass(frozen=True, eq=False)
-class DriveSet:
+class DriveSet(Value):
     """The minimal parameters of bodies and drives together, for the joint torques.
 
     The unknowns are the minimal parameters of the bodies, to which regrouped terms may have

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from testbed.core.base.arrays import Array, readonly
 from testbed.core.base.codec import named
 from testbed.core.base.errors import UnknownName
+from testbed.core.base.summary_table import SummaryTable, Value
 from testbed.core.parameters.elimination import (
     BEDPLATE,
     Elimination,
@@ -42,7 +43,7 @@ NO_MATTER = 1e-12
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MinimalSet:
+class MinimalSet(Value):
     """The minimal parameters delta = S theta of one model of one robot.
 
     Attributes:
@@ -65,6 +66,17 @@ class MinimalSet:
 
     def __repr__(self) -> str:
         return f"<MinimalSet of the {self.model} model, {self.count}: {', '.join(self.names)}>"
+
+    def __str__(self) -> str:
+        """All parameters with their formulas."""
+        return self.summary.text()
+
+    @property
+    def summary(self) -> SummaryTable:
+        """Name, unit and formula of each parameter."""
+        rows = zip(self.names, self.units, (each.said for each in self.formulas), strict=True)
+        head = f"{self.count} minimal parameters of the {self.model} model of {self.robot.name}"
+        return SummaryTable(head, tuple(rows))
 
     @property
     def robot(self) -> Tree:

@@ -15,6 +15,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.errors import ModelError, UnknownName
+from testbed.core.base.summary_table import Value
 from testbed.core.robot.free_base import FREE
 from testbed.core.robot.inertia import NOTHING, Inertia
 from testbed.core.robot.repair import Link, total
@@ -22,7 +23,7 @@ from testbed.core.robot.tree import Placement, Tree
 
 
 @dataclass(frozen=True, eq=False)
-class ForceSensor:
+class ForceSensor(Value):
     """A six-axis sensor between a link and the one that carries it.
 
     It shows what it exerts on the links beyond the cut, force first.

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import Array, freeze, readonly, skew
+from testbed.core.base.summary_table import Value
 
 
 def about(axis: Array, angle: float) -> Array:
@@ -47,7 +48,7 @@ HEAVIEST = 1e12
 
 
 @dataclass(frozen=True, eq=False)
-class Inertia:
+class Inertia(Value):
     """Mass, first moment and inertia of one rigid body, about and along its body frame.
 
     Attributes:

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from testbed.core.base.arrays import Array, freeze, readonly
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic
 from testbed.core.base.errors import ModelError, SettingsError, UnknownName, plural
+from testbed.core.base.summary_table import SummaryTable, Value
 from testbed.core.robot.inertia import NOTHING, Inertia
 
 Kind = Literal["revolute", "prismatic"]
@@ -47,7 +48,7 @@ SETTABLE = (
 
 
 @dataclass(frozen=True, eq=False)
-class Joint:
+class Joint(Value):
     """One joint of one degree of freedom, and how its body sits on the carrying body.
 
     x_i = l + A Rot(e, q) x_j for a revolute joint, x_i = l + A (e q + x_j) for a prismatic
@@ -183,7 +184,7 @@ class Placement:
 
 
 @dataclass(frozen=True)
-class ModelSource:
+class ModelSource(Value):
     """A model file, and how it was read.
 
     Attributes:
@@ -201,7 +202,7 @@ class ModelSource:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Tree(Diagnosed):
+class Tree(Diagnosed, Value):
     """An open tree of bodies on a bedplate.
 
     Attributes:
@@ -247,6 +248,15 @@ class Tree(Diagnosed):
     def __repr__(self) -> str:
         joints = ", ".join(f"{each.name} ({each.kind})" for each in self.joints)
         return f"<Tree {self.name!r}, {plural(self.n, 'joint')}: {joints}>"
+
+    @property
+    def summary(self) -> SummaryTable:
+        """Joints, their kinds, and their bodies with masses."""
+        rows = [
+            (joint.name, joint.kind, joint.body, f"{body.mass:.4g} kg")
+            for joint, body in zip(self.joints, self.inertias, strict=True)
+        ]
+        return SummaryTable(f"{self.name}: {plural(self.n, 'joint')}", tuple(rows))
 
     @property
     def n(self) -> int:

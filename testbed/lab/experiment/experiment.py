@@ -16,6 +16,7 @@ from pydantic import Field
 
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.core.base.errors import ExperimentError
+from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.base.toml_text import Finite, checked, override, read_toml
 from testbed.core.estimation.settings import Settings
 from testbed.lab.experiment.experiment_tables import (
@@ -31,7 +32,7 @@ from testbed.lab.experiment.sensors import ForcePlate
 from testbed.lab.instruments.chain import Instrument
 
 
-class Experiment(RobotTables):
+class Experiment(Summarized, RobotTables):
     """Everything that determines a run, as an experiment file says it."""
 
     name: RunName
@@ -56,6 +57,13 @@ class Experiment(RobotTables):
     prior: PriorTable = PriorTable()
     expect: Expectations = Field(default_factory=dict)
     """Bounds on metrics: the claim."""
+
+    @property
+    def summary(self) -> SummaryTable:
+        """Tables and keys that are not at their defaults."""
+        said = self.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
+        rows = tuple((name, repr(value)) for name, value in said.items())
+        return SummaryTable(f"experiment {self.name}", rows)
 
     @staticmethod
     def from_toml(path: str | Path, settings: Iterable[str] = ()) -> Experiment:

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from testbed.core.base.errors import SettingsError
+from testbed.core.base.summary_table import Value
 from testbed.core.robot.force_sensor import ForceSensor
 from testbed.lab.instruments.chain import Instrument
 from testbed.lab.instruments.fault import FULL_SCALE, Fault
 
 
-class Sensor:
+class Sensor(Value):
     """One of the sensors of a rig."""
 
     errors: Sequence[Fault]
