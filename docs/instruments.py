@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from docs.marks import write
-from testbed.lab.instruments.fault import Place
+from testbed.lab.instruments.fault import StageOrder
 from testbed.lab.instruments.faults import KINDS
 from testbed.lab.kind_table import in_words, rows
 from testbed.lab.simulation.effects import KINDS as EFFECTS
@@ -31,7 +31,7 @@ def catalogue() -> str:
     kinds = tuple(KINDS.values())
     lines = ["", "| place | " + " | ".join(TITLES.values()) + " |"]
     lines += ["| --- " * (1 + len(TITLES)) + "|"]
-    for place in Place:
+    for place in StageOrder:
         here = [fault for fault in kinds if fault.place == place]
         cells = [", ".join(f"`{f.kind}`" for f in here if f.signal == s) for s in TITLES]
         lines.append(f"| {place.name.lower()} | {' | '.join(cells)} |")

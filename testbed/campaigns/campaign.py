@@ -18,7 +18,7 @@ from testbed.core.base.toml_text import Finite, checked, read_toml
 from testbed.core.estimation.estimate import METHODS, Method
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_tables import RunName
-from testbed.lab.experiment.robot_tables import Table
+from testbed.lab.experiment.robot_tables import StrictTable
 
 LARGEST_SEED = 2**62
 """Bound on the seeds of runs."""
@@ -33,7 +33,7 @@ Level: TypeAlias = int | float | str
 """A number, or the name of a level."""
 
 
-class LevelTable(Table):
+class LevelTable(StrictTable):
     """One level of a factor that has names for levels."""
 
     name: Annotated[str, Field(min_length=1, max_length=60)]
@@ -42,7 +42,7 @@ class LevelTable(Table):
     """What is different: "key=value" as `--set` takes it."""
 
 
-class FactorTable(Table):
+class FactorTable(StrictTable):
     """What is varied: all `values`, or all levels of a list."""
 
     name: Annotated[str, Field(pattern=r"^[^\n]+$", max_length=60)]
@@ -89,7 +89,7 @@ class FactorTable(Table):
         return multiples.replace("$", str(level))
 
 
-class CampaignTables(Table):
+class CampaignTables(StrictTable):
     """What a campaign's file says."""
 
     name: RunName

@@ -35,7 +35,7 @@ ASIDE: Any = {"model": True, "name": True, "claim": True, "motion": {"file"}}
 
 
 @dataclass(frozen=True)
-class Place:
+class CampaignRun:
     """One run of a campaign.
 
     Attributes:
@@ -49,7 +49,7 @@ class Place:
     replicate: int
 
 
-def places_of(campaign: Campaign) -> list[Place]:
+def places_of(campaign: Campaign) -> list[CampaignRun]:
     """List the runs of a campaign, replicate by replicate and in each cell by cell.
 
     Args:
@@ -67,7 +67,7 @@ def places_of(campaign: Campaign) -> list[Place]:
         if experiment.motion.file:
             parts.append(fingerprint(Path(experiment.motion.file)))
         run = hashlib.sha256("\n".join(parts).encode()).hexdigest()
-        places.append(Place(run, cell, replicate))
+        places.append(CampaignRun(run, cell, replicate))
     return places
 
 
@@ -127,7 +127,7 @@ def conduct(
         _write(path, campaign, places, rows)
 
 
-def _finished(path: Path, places: Sequence[Place]) -> dict[str, dict[str, Any]]:
+def _finished(path: Path, places: Sequence[CampaignRun]) -> dict[str, dict[str, Any]]:
     """Rows with a result, by run.
 
     Raises:
@@ -149,7 +149,10 @@ def _finished(path: Path, places: Sequence[Place]) -> dict[str, dict[str, Any]]:
 
 
 def _write(
-    path: Path, campaign: Campaign, places: Sequence[Place], rows: Mapping[str, Mapping[str, Any]]
+    path: Path,
+    campaign: Campaign,
+    places: Sequence[CampaignRun],
+    rows: Mapping[str, Mapping[str, Any]],
 ) -> None:
     """Write the rows that there are, each with its place in the campaign."""
     table = []
@@ -163,7 +166,7 @@ def _write(
 
 
 def _carried_out(
-    campaign: Campaign, places: Sequence[Place], workers: int
+    campaign: Campaign, places: Sequence[CampaignRun], workers: int
 ) -> Generator[dict[str, Any]]:
     """Rows of runs, in order."""
     run = partial(carry_out_run, campaign)
@@ -183,7 +186,7 @@ def _leave_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def carry_out_run(campaign: Campaign, place: Place) -> dict[str, Any]:
+def carry_out_run(campaign: Campaign, place: CampaignRun) -> dict[str, Any]:
     """Row of a run; a failure is a row like any other.
 
     Args:

@@ -30,7 +30,7 @@ from testbed.core.base.errors import UnknownName
 if TYPE_CHECKING:
     from testbed.core.parameters.identifiability import Visibility
     from testbed.core.robot.tree import Tree
-    from testbed.lab.kind_table import Entry
+    from testbed.lab.kind_table import KindDescription
 
 
 class _What(StrEnum):
@@ -254,7 +254,7 @@ def list_(kind: Kind = None) -> None:
     typer.echo("One of them, with its keys: testbed list KIND")
 
 
-def _describe(entry: Entry, key: str) -> None:
+def _describe(entry: KindDescription, key: str) -> None:
     typer.echo("\n".join(filter(None, (entry.summary, entry.details))))
     for name, default, meaning in entry.keys:
         typer.echo(f"  {name} = {default}: {meaning}")

@@ -32,7 +32,7 @@ from testbed.equations.expression import (
     sine,
     substitute,
 )
-from testbed.equations.robot import Robot, draw
+from testbed.equations.robot import SymbolicRobot, draw
 
 _SUMMAND_END = re.compile(
     r"((?<![\w.])(?>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_]\w*)|\))\s*(?=[+-])", re.ASCII
@@ -118,7 +118,7 @@ def _own_equations(listing: Listing) -> dict[str, Expression]:
     return ours
 
 
-def _names(listing: Listing, robot: Robot) -> dict[str, Expression]:
+def _names(listing: Listing, robot: SymbolicRobot) -> dict[str, Expression]:
     """What the names of a listing may stand for."""
     symbols = [*robot.q, *robot.qd, *robot.qdd, *map(of, robot.values)]
     for each in listing.equations:

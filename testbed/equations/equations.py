@@ -40,7 +40,7 @@ from testbed.equations.polynomial import Ring
 from testbed.equations.program import Program, literal, recursive
 from testbed.equations.robot import (
     Parameter,
-    Robot,
+    SymbolicRobot,
     barycentric,
     barycentric_definitions,
     distinct,
@@ -108,7 +108,7 @@ class Recursion:
         budget: Counts terms.
     """
 
-    robot: Robot
+    robot: SymbolicRobot
     theta: AnyArray
     columns: tuple[str, ...]
     budget: Budget
@@ -186,7 +186,7 @@ def _name(name: str) -> Factor:
 
 
 @dataclass(frozen=True)
-class Kind:
+class EquationKind:
     """One kind of equations.
 
     Attributes:
@@ -214,32 +214,32 @@ _MOTION = ("q", "qp", "qpp")
 KINDS = {
     kind.name: kind
     for kind in (
-        Kind(
+        EquationKind(
             "joint-forces", "Equations", "dynamic", _MOTION, r"Q\d+",
             "What the motors deliver at the joints, friction excluded [N m or N].", _forces,
         ),
-        Kind(
+        EquationKind(
             "base-wrench", "Reaction", "reaction", _MOTION, r"[FM][xyz]",
             "Wrench of the bedplate on the robot about the bedplate's origin, force first "
             "[N, N m].", _wrench,
         ),
-        Kind(
+        EquationKind(
             "dynamic-regressor", "Regressor of the joint forces",
             "dynamic", _MOTION, r"phi_Q\d+_\w+",
             "phi_d: joint forces for a unit of each parameter.",
             _dynamic_regressor, is_regressor=True,
         ),
-        Kind(
+        EquationKind(
             "reaction-regressor", "Regressor of the reaction",
             "reaction", _MOTION, r"phi_[FM][xyz]_\w+",
             "phi_r: the bedplate's wrench for a unit of each parameter.",
             _reaction_regressor, is_regressor=True,
         ),
-        Kind(
+        EquationKind(
             "mass-matrix", "Mass matrix", "dynamic", ("q",), r"M\d+(_\d+)?",
             "M(q): joint forces for unit accelerations.", _mass_matrix,
         ),
-        Kind(
+        EquationKind(
             "gravity-forces", "Gravity", "dynamic", ("q",), r"G\d+",
             "What holds the robot still [N m or N].", _gravity_forces,
         ),
@@ -260,7 +260,7 @@ class Equations:
         program: The lines.
     """
 
-    kind: Kind
+    kind: EquationKind
     shape: tuple[int, ...]
     places: dict[Factor, tuple[int, ...]]
     vector: str
@@ -349,14 +349,14 @@ class _Builder:
     """Derives the equations of one robot."""
 
     tree: Tree
-    robot: Robot
+    robot: SymbolicRobot
     form: Form
     minimal: Mapping[Model, MinimalSet]
     known_zero: AnyArray
     budget: Budget
     expand: Callable[[Any], Expression]
 
-    def build(self, kind: Kind) -> Equations:
+    def build(self, kind: EquationKind) -> Equations:
         """The equations of one kind."""
         vector, own, theta = self._parameters(kind)
         recursion = Recursion(self.robot, theta, tuple(p.name for p in own), self.budget)
@@ -375,7 +375,7 @@ class _Builder:
             shape = (rows, len(own) if kind.is_regressor else rows)
         return Equations(kind, shape, places, vector, own, program)
 
-    def _parameters(self, kind: Kind) -> tuple[str, tuple[Parameter, ...], AnyArray]:
+    def _parameters(self, kind: EquationKind) -> tuple[str, tuple[Parameter, ...], AnyArray]:
         """Name and entries of the vector, and what each barycentric parameter is, (n, 10, p)."""
         labels: Sequence[Label] = [Label((Term(each),)) for each in parameter_symbols(self.tree)]
         units: Sequence[str] = UNITS * self.tree.n
@@ -402,7 +402,7 @@ class _Builder:
         return shorter
 
 
-def expander(robot: Robot, budget: Budget) -> Callable[[Any], Expression]:
+def expander(robot: SymbolicRobot, budget: Budget) -> Callable[[Any], Expression]:
     """What multiplies expressions of a robot out, and writes them as one would.
 
     Args:

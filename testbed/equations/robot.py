@@ -84,7 +84,7 @@ class PaperJoint:
 
 
 @dataclass(frozen=True, eq=False)
-class Robot:
+class SymbolicRobot:
     """The geometry and coordinates of a tree, as symbols.
 
     Attributes:
@@ -110,7 +110,7 @@ class Robot:
     continued: tuple[Followers, ...]
 
 
-def draw(tree: Tree, gravity: Array) -> Robot:
+def draw(tree: Tree, gravity: Array) -> SymbolicRobot:
     """The robot on paper.
 
     Args:
@@ -143,11 +143,11 @@ def draw(tree: Tree, gravity: Array) -> Robot:
         )
     )
     weight = _gravity(gravity, constant)
-    return Robot(tree.n, tuple(joints), q, qd, qdd, weight, values, *_parallel(tree, q))
+    return SymbolicRobot(tree.n, tuple(joints), q, qd, qdd, weight, values, *_parallel(tree, q))
 
 
 def _parallel(tree: Tree, q: AnyArray) -> tuple[tuple[Group, ...], tuple[Followers, ...]]:
-    """Groups of parallel axes, and where they follow each other directly; see `Robot`."""
+    """Groups of parallel axes, and where they follow each other directly; see `SymbolicRobot`."""
     groups: list[Group] = []
     followers: list[list[tuple[int, int]]] = [[] for _ in tree.joints]
     bodies: dict[int, tuple[int, int, tuple[Expression, ...]]] = {}  # group, sense, angles
@@ -297,7 +297,7 @@ def _degree(name: str) -> int:
 
 
 def barycentric_definitions(
-    tree: Tree, robot: Robot, known_zero: AnyArray, budget: Budget
+    tree: Tree, robot: SymbolicRobot, known_zero: AnyArray, budget: Budget
 ) -> list[tuple[str, Expression]]:
     """Name and meaning of every barycentric parameter that is not known to be zero.
 

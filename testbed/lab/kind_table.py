@@ -278,7 +278,7 @@ def _plain(value: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Entry:
+class KindDescription:
     """One kind in words.
 
     Attributes:
@@ -298,7 +298,7 @@ class Entry:
     example: str
 
 
-def in_words(kind: type[KindTable]) -> Entry:
+def in_words(kind: type[KindTable]) -> KindDescription:
     """What there is to say of a kind.
 
     Args:
@@ -312,10 +312,12 @@ def in_words(kind: type[KindTable]) -> Entry:
     meanings = dict(re.findall(r"^    (\w+): ((?:.|\n {8})*)", attributes, re.MULTILINE))
     keys = tuple((k, _toml(table.get(k)), _line(meanings[k])) for k in kind.known_keys())
     example = ", ".join(f"{name} = {_toml(value)}" for name, value in table.items())
-    return Entry(kind.kind, _line(summary), _line(details), _line(source), keys, f"{{ {example} }}")
+    return KindDescription(
+        kind.kind, _line(summary), _line(details), _line(source), keys, f"{{ {example} }}"
+    )
 
 
-def rows(entries: list[Entry]) -> list[str]:
+def rows(entries: list[KindDescription]) -> list[str]:
     """A table of a document: kind, what it is, its keys, the source of the size."""
     lines = ["| kind | what it is | keys: default, meaning | source of the size |"]
     lines += ["| --- | --- | --- | --- |"]

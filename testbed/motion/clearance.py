@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.motion.collision_model import CollisionModel
-from testbed.motion.samples import Instants, Samples
+from testbed.motion.samples import MotionSamples, Samples
 
 FAR = 0.3
 """Distances beyond this are not distinguished [m]."""
@@ -129,7 +129,7 @@ class ClearanceTerm:
         self._postures = np.zeros((0, 0))
         self._found = self._meter.measure(np.zeros((0, 0)))
 
-    def values(self, samples: Instants) -> Array:
+    def values(self, samples: MotionSamples) -> Array:
         """Missing distances as shares, (k, G)."""
         return (self._least[:, None] - self._measured(samples.q).values.T) / CLEARANCE_UNIT
 

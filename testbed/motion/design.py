@@ -19,8 +19,8 @@ from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.parameters.rules import Model
 from testbed.motion.clearance import ClearanceTerm
 from testbed.motion.fourier import Fourier
-from testbed.motion.information import Information, Pipeline
-from testbed.motion.problem import Problem, Series, minimise
+from testbed.motion.information import DesignObjective, Pipeline
+from testbed.motion.problem import InteriorPointProblem, Series, minimise
 from testbed.motion.proof import Proof, Rules, prove
 from testbed.motion.random_motion import rest_posture, sample
 from testbed.motion.samples import SampledRows, stencil
@@ -58,7 +58,7 @@ class DesignProblem:
     """
 
     rules: Rules
-    information: Information
+    information: DesignObjective
     rows: Mapping[Model, SampledRows]
     pipeline: Pipeline
     frequencies: tuple[tuple[float, int], ...]
@@ -153,7 +153,7 @@ class _Progress:
         self._watch(self._done, self._starts, self._best[-1])
 
 
-def _search(problem: DesignProblem, fundamental: float, harmonics: int) -> Problem:
+def _search(problem: DesignProblem, fundamental: float, harmonics: int) -> InteriorPointProblem:
     """The search with these frequencies."""
     rules, information = problem.rules, problem.information
     terms: list[LimitTerm] = list(rules.terms)
@@ -161,7 +161,7 @@ def _search(problem: DesignProblem, fundamental: float, harmonics: int) -> Probl
         room = np.maximum(ROOM * rules.clearance, LEAST_ROOM)
         terms.append(ClearanceTerm(rules.collision, rules.clearance + room))
     instants = max(INSTANTS, DENSITY * harmonics)
-    return Problem(
+    return InteriorPointProblem(
         series=Series(rules.limits, fundamental, harmonics, instants, rules.margin),
         information=replace(information, prior=information.prior * instants),
         terms=terms,
@@ -171,7 +171,7 @@ def _search(problem: DesignProblem, fundamental: float, harmonics: int) -> Probl
     )
 
 
-def _start(problem: DesignProblem, number: int) -> tuple[Problem, Array]:
+def _start(problem: DesignProblem, number: int) -> tuple[InteriorPointProblem, Array]:
     """A search, and a random motion strictly inside its limits.
 
     Raises:
@@ -210,7 +210,7 @@ def _drawn(series: Series, rng: np.random.Generator, about: Array | None) -> Ite
         yield motion if about is None else motion.scaled(float(share), about)
 
 
-def _first_inside(search: Problem, motions: Iterable[Fourier]) -> Array | None:
+def _first_inside(search: InteriorPointProblem, motions: Iterable[Fourier]) -> Array | None:
     """Unknowns of the first motion that is strictly inside all limits; None for none."""
     unknowns = (search.series.unknowns(motion) for motion in motions)
     return next((x for x in unknowns if search.inside(x).holds), None)

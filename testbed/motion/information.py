@@ -63,7 +63,7 @@ SMOOTH = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class RegressorRows:
     """Rows of one model in terms of the unknowns.
 
     Attributes:
@@ -94,7 +94,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Information:
+class DesignObjective:
     """Unknowns that a motion should identify, and by which rows.
 
     Attributes:
@@ -108,7 +108,7 @@ class Information:
 
     names: tuple[str, ...]
     scale: Array
-    parts: tuple[Part, ...]
+    parts: tuple[RegressorRows, ...]
     prior: Array
     criterion: CriterionName = "a"
 
@@ -179,7 +179,7 @@ def information_of(
     torque_noise: Array,
     criterion: CriterionName = "a",
     prior: Array | None = None,
-) -> Information:
+) -> DesignObjective:
     """Collect what a motion should identify.
 
     Args:
@@ -203,11 +203,11 @@ def information_of(
         slots, bases = zip(*here.channels(), strict=True)
         leads = tuple(basis @ lead for basis in bases)
         weights = (torque_noise if joints else plate_noise) ** -2.0
-        parts.append(Part(model, slots, leads, weights, count if joints else None))
+        parts.append(RegressorRows(model, slots, leads, weights, count if joints else None))
     before = np.zeros((unknowns, unknowns))
     if prior is not None:
         before[:count, :count] = np.linalg.inv(prior) * np.outer(scale, scale)
-    return Information(main.minimal.names, scale, tuple(parts), before, criterion)
+    return DesignObjective(main.minimal.names, scale, tuple(parts), before, criterion)
 
 
 def models_of(instrument: Instrument) -> tuple[Model, ...]:
@@ -282,7 +282,7 @@ class Prediction:
 
 
 def predict(
-    information: Information,
+    information: DesignObjective,
     rows: Mapping[Model, SampledRows],
     motion: Fourier,
     pipeline: Pipeline,

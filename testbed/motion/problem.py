@@ -14,7 +14,7 @@ from scipy.linalg import LinAlgError, block_diag, cho_factor, cho_solve
 from testbed.core.base.arrays import Array
 from testbed.core.parameters.rules import Model
 from testbed.motion.fourier import Fourier, terms
-from testbed.motion.information import Information
+from testbed.motion.information import DesignObjective
 from testbed.motion.limits import Limits
 from testbed.motion.samples import SampledRows, Samples, Stencil
 from testbed.motion.terms import LimitTerm
@@ -66,7 +66,7 @@ class Point(Inside):
     jacobian: BlockJacobian
 
 
-class Search(Protocol):
+class Objective(Protocol):
     """What is to be minimised."""
 
     def inside(self, x: Array) -> Inside:
@@ -77,7 +77,10 @@ class Search(Protocol):
 
 
 def minimise(
-    search: Search, x: Array, iterations: int = STEPS, stop: Callable[[float], bool] | None = None
+    search: Objective,
+    x: Array,
+    iterations: int = STEPS,
+    stop: Callable[[float], bool] | None = None,
 ) -> Point:
     """A point strictly inside the limits where the function is small.
 
@@ -137,7 +140,7 @@ def _newton(
     return move, barrier / slack - dual + ratio * along, float(-downhill @ move)
 
 
-def _length(search: Search, here: Point, move: Array, slope: float, barrier: float) -> float:
+def _length(search: Objective, here: Point, move: Array, slope: float, barrier: float) -> float:
     """How far to go so that the barrier function falls; 0 if nowhere."""
     slack, along = -here.limits, here.jacobian.times(move)
     before = here.value - barrier * float(np.log(slack).sum())
@@ -323,7 +326,7 @@ class BlockJacobian:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class InteriorPointProblem:
     """What an interior point method is asked.
 
     Attributes:
@@ -336,7 +339,7 @@ class Problem:
     """
 
     series: Series
-    information: Information
+    information: DesignObjective
     terms: Sequence[LimitTerm]
     rows: Mapping[Model, SampledRows]
     stencil: Stencil

@@ -129,7 +129,7 @@ SMALL = 0.05
 """Values below this share of the largest of their unit count as that large."""
 
 
-class Instants(Protocol):
+class MotionSamples(Protocol):
     """G instants of a motion, and forces by an a-priori model."""
 
     @property

@@ -15,7 +15,7 @@ from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.robot.friction import COULOMB, ROTOR, VISCOUS
 from testbed.core.robot.tree import Joint, Tree
 from testbed.motion.limits import Limits
-from testbed.motion.samples import Instants, SampledRows, Samples
+from testbed.motion.samples import MotionSamples, SampledRows, Samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ class LimitTerm(Protocol):
     def labels(self) -> tuple[str, ...]:
         """What each is a limit of, (k,)."""
 
-    def values(self, samples: Instants) -> Array:
+    def values(self, samples: MotionSamples) -> Array:
         """Shares less what is allowed, (k, G); below zero inside."""
 
     def slopes(self, samples: Samples) -> Array:
@@ -194,14 +194,14 @@ class ForceTerm(ABC):
         self.labels, self.rows, self.most = labels, rows, most
 
     @abstractmethod
-    def forces(self, samples: Instants) -> Array:
+    def forces(self, samples: MotionSamples) -> Array:
         """The forces, (c, G)."""
 
     @abstractmethod
     def force_slopes(self, samples: Samples) -> Array:
         """Their derivatives by q, then qd, then qdd, (c, 3 n, G)."""
 
-    def values(self, samples: Instants) -> Array:
+    def values(self, samples: MotionSamples) -> Array:
         """Shares less what is allowed, (k, G)."""
         return self.rows @ self.forces(samples) - self.most[:, None]
 
@@ -224,7 +224,7 @@ class PlateTerm(ForceTerm):
         labels, rows, most = plate.rows(margin)
         super().__init__(labels, rows, most - rows @ pedestal)
 
-    def forces(self, samples: Instants) -> Array:
+    def forces(self, samples: MotionSamples) -> Array:
         """The bedplate's wrench, the pedestal's aside, (6, G)."""
         return samples.forces("reaction")
 
@@ -258,7 +258,7 @@ class SensorTerm(PlateTerm):
         self._beyond, self._joints = beyond, [tree.index(joint) for joint in beyond.names]
         self._sampled = SampledRows(beyond, minimal_set(beyond, "reaction"), self._joints)
 
-    def forces(self, samples: Instants) -> Array:
+    def forces(self, samples: MotionSamples) -> Array:
         """The sensor's wrench, (6, G)."""
         own = (each[:, self._joints] for each in (samples.q, samples.qd, samples.qdd))
         return base_wrench(self._beyond, Motion(np.arange(float(len(samples.q))), *own)).T
@@ -302,7 +302,7 @@ class EffortTerm(ForceTerm):
         rows = _both_signs(np.eye(tree.n)[limited] / limits.effort[limited, None])
         super().__init__(tuple(f"effort of '{name}'" for name in names), rows, most)
 
-    def forces(self, samples: Instants) -> Array:
+    def forces(self, samples: MotionSamples) -> Array:
         """Torques of the motors, dry friction aside, (n, G)."""
         lost = self._viscous * samples.qd + self._rotor * samples.qdd
         return samples.forces("dynamic") + lost.T

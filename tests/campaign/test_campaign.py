@@ -18,7 +18,7 @@ from scipy.stats import binomtest
 
 from testbed.campaigns import conduct as conducting
 from testbed.campaigns.campaign import Campaign
-from testbed.campaigns.conduct import Place, conduct, places_of
+from testbed.campaigns.conduct import CampaignRun, conduct, places_of
 from testbed.campaigns.results import read_results
 from testbed.campaigns.summary import coverage_of, summarise
 from testbed.core.base.errors import ExperimentError, TestbedError
@@ -124,7 +124,7 @@ def test_whatever_interrupts_it_it_goes_on_to_the_same_table(
     asked: list[str] = []
     left = [5]
 
-    def work(campaign: Campaign, place: Place) -> dict[str, Any]:
+    def work(campaign: Campaign, place: CampaignRun) -> dict[str, Any]:
         left[0] -= 1
         if left[0] == 0:
             raise Killed
@@ -191,7 +191,7 @@ def test_real_runs_give_the_same_bits_on_any_processes(tmp_path: Path) -> None:
     assert len({row["estimates"][0]["value"] for row in found if row["estimates"]}) == 4
 
 
-def end(campaign: Campaign, place: Place) -> dict[str, Any]:
+def end(campaign: Campaign, place: CampaignRun) -> dict[str, Any]:
     """End the process, as the kernel does where memory lacks."""
     os._exit(9)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from testbed.campaigns.campaign import Campaign
-from testbed.campaigns.conduct import Place
+from testbed.campaigns.conduct import CampaignRun
 from tests.helpers.paths import ROOT
 
 QUICK = (
@@ -55,7 +55,7 @@ values = [0.5, 2.0]
 TRUTH, SIGMA = np.array([1.0, -2.0]), np.array([0.1, 0.3])
 
 
-def made_up(campaign: Campaign, place: Place) -> dict[str, Any]:
+def made_up(campaign: Campaign, place: CampaignRun) -> dict[str, Any]:
     """Row that only the hash of a run decides; no simulation."""
     values = TRUTH + SIGMA * np.random.default_rng(int(place.run, 16)).normal(size=2)
     columns = zip("ab", TRUTH, values, SIGMA, (values - TRUTH) / TRUTH, strict=True)

@@ -20,7 +20,7 @@ from testbed.core.base.errors import RecordingError, SettingsError, TestbedError
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.lab.instruments import joints, plate, plate_clock
 from testbed.lab.instruments.chain import Instrument, measure, measured_again
-from testbed.lab.instruments.fault import FULL_SCALE, Fault, Place, apply_chain, stream
+from testbed.lab.instruments.fault import FULL_SCALE, Fault, StageOrder, apply_chain, stream
 from testbed.lab.instruments.faults import KINDS, fault_of
 from testbed.lab.instruments.joints import (
     EncoderEccentricity,
@@ -119,7 +119,11 @@ def test_a_fault_leaves_other_signals_and_the_noise_of_all_others_alone() -> Non
         for signal in SIGNALS:
             changed = getattr(recording, signal) != getattr(without, signal)
             assert changed.any() == (signal == fault.signal), (kind, signal)
-        if fault.place >= Place.RANGE or kind in ("encoder_noise", "torque_noise", "plate_noise"):
+        if fault.place >= StageOrder.RANGE or kind in (
+            "encoder_noise",
+            "torque_noise",
+            "plate_noise",
+        ):
             continue  # acts on the noise of the others as on all that it is given
         bare = seen(fault, what=truth(0)).measured(fault.signal)
         alone = seen(fault, what=truth(0), base=Instrument()).measured(fault.signal)

@@ -39,7 +39,7 @@ POOLED = 400
 """Coefficients of replicas, of a joint's regression: its sigma is found to 4 %."""
 
 
-class AttenuationCorrection(NamedTuple):
+class JointAttenuation(NamedTuple):
     """A regression as it would be, were the bodies known exactly.
 
     Attributes:
@@ -53,7 +53,7 @@ class AttenuationCorrection(NamedTuple):
     reliability: float
 
 
-def correct_attenuation(fit: NoiseFit, square: Array, spread: Array) -> AttenuationCorrection:
+def correct_attenuation(fit: NoiseFit, square: Array, spread: Array) -> JointAttenuation:
     """What errors of the bodies take of a constant is put back ([Ful87] section 1.2).
 
     A column with errors has more square than what it stands for, and the coefficient is too small
@@ -76,7 +76,7 @@ def correct_attenuation(fit: NoiseFit, square: Array, spread: Array) -> Attenuat
     if reliability > LEAST:
         unsure = constant * np.sqrt(max(2 * np.trace(spread @ spread), 0.0)) / alone / kept
     covariance = slope @ fit.covariance @ slope.T + unsure**2 * np.outer(toward, toward)
-    return AttenuationCorrection(slope, covariance, reliability)
+    return JointAttenuation(slope, covariance, reliability)
 
 
 ROUNDING = 1e-20

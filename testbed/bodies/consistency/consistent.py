@@ -17,7 +17,7 @@ from testbed.bodies.consistency.likelihood import (
     terms_of,
 )
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.bodies.consistency.program import Program, program_of, solve
+from testbed.bodies.consistency.program import NonlinearProgram, program_of, solve
 from testbed.bodies.prior import Prior
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
@@ -193,7 +193,7 @@ def consistent(
 
 def problem_of(
     tree: Tree, estimates: Sequence[Estimate], prior: Prior, options: ConsistencyOptions
-) -> tuple[list[Estimate], list[Likelihood], Program]:
+) -> tuple[list[Estimate], list[Likelihood], NonlinearProgram]:
     """Data, prior and conditions in numbers near one, and the estimates that count.
 
     Arguments and errors are those of `consistent`.
@@ -230,7 +230,7 @@ def robot_of(found: Consistent, tree: Tree) -> Tree:
     return with_standard(tree, np.array(found.standard)).with_joints(settings)
 
 
-def spread_at(program: Program, z: Array, weight: float) -> tuple[Array, Array]:
+def spread_at(program: NonlinearProgram, z: Array, weight: float) -> tuple[Array, Array]:
     """Covariance of x, (m, m), and the part of each variance that the data took away, (m,).
 
     Args:
@@ -280,7 +280,9 @@ def _eigenvalues(body: Array) -> Array:
     return np.linalg.eigvalsh(whole / np.outer(size, size))
 
 
-def _at_limits(tree: Tree, program: Program, terms: Sequence[JointTerm], z: Array) -> Iterator[str]:
+def _at_limits(
+    tree: Tree, program: NonlinearProgram, terms: Sequence[JointTerm], z: Array
+) -> Iterator[str]:
     """Bodies at the edge of what can be, and conditions that bind."""
     for body, own in zip(program.prior.massive, program.matrices(z), strict=True):
         if np.linalg.eigvalsh(own)[0] < THIN:

@@ -45,7 +45,7 @@ ZERO = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Program:
+class NonlinearProgram:
     """What is to be minimised, in scaled unknowns z: x = lead z.
 
     |rows z - right|^2 / 2 + w D(Y) + w |z - 1|^2 / 2 of the joints' terms that the file states,
@@ -149,7 +149,7 @@ class Program:
         return None
 
 
-def solve(program: Program, weight: float) -> tuple[Array, float]:
+def solve(program: NonlinearProgram, weight: float) -> tuple[Array, float]:
     """Where the program is least, (m,), and how many sigmas are left to be gained there.
 
     Data alone would throw the bodies at once to the edge of what can be, along which Newton's
@@ -174,7 +174,7 @@ def solve(program: Program, weight: float) -> tuple[Array, float]:
     return z, float(np.sqrt(max(gain, 0.0)))
 
 
-def _stages(program: Program, start: Array, last: float) -> Iterator[tuple[float, float]]:
+def _stages(program: NonlinearProgram, start: Array, last: float) -> Iterator[tuple[float, float]]:
     """Weights of the prior and of the barriers, one pair after the other."""
     weight = max(last, program.step(start, last, last)[1] / 10)
     while weight > last:
@@ -193,7 +193,7 @@ def program_of(
     likelihoods: Sequence[Likelihood],
     known: KnownMasses,
     terms: tuple[JointTerm, ...],
-) -> Program:
+) -> NonlinearProgram:
     """The problem in numbers near one.
 
     Args:
@@ -218,7 +218,7 @@ def program_of(
     right = [each.white @ each.estimate.values for each in likelihoods]
     right += [known.values[doubtful] / sigma, np.zeros(sum(map(len, zeros)))]
     start = np.outer(known.scale[list(prior.massive)], coordinates(np.eye(4)))
-    return Program(
+    return NonlinearProgram(
         prior=prior,
         lead=lead,
         rows=np.vstack([measured @ lead, masses[doubtful] / sigma[:, None], *zeros]),

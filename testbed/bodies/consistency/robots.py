@@ -21,7 +21,7 @@ from scipy import special
 from testbed.bodies.consistency.consistent import FAINT, problem_of, spread_at
 from testbed.bodies.consistency.likelihood import terms_of
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.bodies.consistency.program import Program, solve
+from testbed.bodies.consistency.program import NonlinearProgram, solve
 from testbed.bodies.prior import Prior
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
@@ -200,7 +200,7 @@ def _log_prior(bodies: Array, error: float) -> Array:
 
 
 def _draws(
-    program: Program,
+    program: NonlinearProgram,
     centre: Array,
     error: float,
     count: int,

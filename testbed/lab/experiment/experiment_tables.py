@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from testbed.core.base.errors import UnknownName
 from testbed.core.base.toml_text import Finite, NotNegative, Positive
-from testbed.lab.experiment.robot_tables import Table
+from testbed.lab.experiment.robot_tables import StrictTable
 from testbed.lab.kind_table import AsTable
 from testbed.lab.simulation.effect import Effect
 from testbed.lab.simulation.effects import effect_of
@@ -52,7 +52,7 @@ MOST_HARMONICS = 100
 """Of a motion."""
 
 
-class MotionTable(Table):
+class MotionTable(StrictTable):
     """Which motion: that of a file, or the best of a few random ones that are proven safe."""
 
     file: str = ""
@@ -75,7 +75,7 @@ class MotionTable(Table):
     """By joint [rad/s^2 or m/s^2]."""
 
 
-class ObstacleTable(Table):
+class ObstacleTable(StrictTable):
     """A box of the robot's cell, along the bedplate's axes."""
 
     centre: tuple[Finite, Finite, Finite]
@@ -84,7 +84,7 @@ class ObstacleTable(Table):
     """Lengths of its sides [m]."""
 
 
-class ExcitationTable(Table):
+class ExcitationTable(StrictTable):
     """What a motion must respect, and what `testbed excite` looks for."""
 
     instrument: Literal["plate", "joints", "both"] = "plate"
@@ -120,7 +120,7 @@ class ExcitationTable(Table):
     none: the plate is bolted down."""
 
 
-class SimulationTable(Table):
+class SimulationTable(StrictTable):
     """The plant and its controller."""
 
     step: Positive = 2.5e-4
@@ -135,14 +135,14 @@ class SimulationTable(Table):
     """What else is in the plant, `[[simulation.effect]]` (docs/instruments.md)."""
 
 
-class PriorTable(Table):
+class PriorTable(StrictTable):
     """The model file that consistent bodies start from: in an experiment it is the truth."""
 
     error: NotNegative = 0.3
     """How wrong its bodies are made first, in parts of themselves."""
 
 
-class Bound(Table):
+class Bound(StrictTable):
     """A claim about one metric."""
 
     at_most: Finite | None = None

@@ -32,7 +32,7 @@ from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.results import EXPERIMENT, RESULT
 from testbed.lab.experiment.rig import robot_of
-from testbed.lab.experiment.robot_tables import RecordingTables, Table
+from testbed.lab.experiment.robot_tables import RecordingTables, StrictTable
 
 Part = TypeVar("Part", EstimateSummary, Posterior)
 
@@ -85,7 +85,7 @@ class KeptResult:
         return hold_still(self.file, source, lock_only=True)[1]
 
 
-class _Model(Table):
+class _Model(StrictTable):
     path: str
     sha256: str
     weld_root: bool
@@ -161,7 +161,7 @@ def _decoded(kind: type[Part], content: Any, source: str) -> Part:
     try:
         found: Part = decode(kind, content, {})
     except ValidationError as error:
-        raise ExperimentError(f"{source}: {complaints(error, Table)}") from None
+        raise ExperimentError(f"{source}: {complaints(error, StrictTable)}") from None
     numbers = [each for each in vars(found).values() if isinstance(each, np.ndarray)]
     if not all(np.isfinite(each).all() for each in numbers) or (found.residual < 0).any():
         raise ExperimentError(

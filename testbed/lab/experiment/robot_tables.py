@@ -25,13 +25,13 @@ from testbed.lab.kind_table import AsTable
 Range = tuple[Finite, Finite]
 
 
-class Table(BaseModel):
+class StrictTable(BaseModel):
     """A table whose keys are all known."""
 
     model_config = KNOWN_KEYS
 
 
-class JointTable(Table):
+class JointTable(StrictTable):
     """What the model file does not say of a joint, or says wrongly."""
 
     position_range: Range | None = None
@@ -51,7 +51,7 @@ class JointTable(Table):
     as the minimal parameters' that hold it (docs/instruments.md) [kg m^2]."""
 
 
-class BodyTable(Table):
+class BodyTable(StrictTable):
     """A link with all that is fixed to it, along the link's axes."""
 
     mass: NotNegative
@@ -76,7 +76,7 @@ class BodyTable(Table):
         return Inertia.about_centre(self.mass, self.centre, central)
 
 
-class SensorTable(Table):
+class SensorTable(StrictTable):
     """A six-axis force sensor between a link and the one that carries it, by a name of your own."""
 
     link: str = ""
@@ -112,7 +112,7 @@ class SensorTable(Table):
         return ForceSensor(self.link or name, np.array(self.position), from_rpy(self.rpy), name)
 
 
-class RobotTable(Table):
+class RobotTable(StrictTable):
     """How the model file is read."""
 
     lock: dict[str, Finite] = {}
@@ -181,7 +181,7 @@ def _named(name: str) -> str:
 SensorName = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_named)]
 
 
-class RobotTables(Table):
+class RobotTables(StrictTable):
     """A robot and its force sensors."""
 
     robot: RobotTable = RobotTable()

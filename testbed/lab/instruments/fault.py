@@ -45,7 +45,7 @@ FULL_SCALE = (500.0, 500.0, 1000.0, 200.0, 200.0, 100.0)
 """Largest values that the plate's channels can show [N, N m]: a plate for loads of 100 kg."""
 
 
-class Place(IntEnum):
+class StageOrder(IntEnum):
     """Where in a chain a stage acts, whatever the order in the file."""
 
     SENSOR = 0
@@ -66,7 +66,7 @@ class Fault(KindTable):
     """One imperfection that an experiment file can ask for."""
 
     signal: ClassVar[Signal]
-    place: ClassVar[Place]
+    place: ClassVar[StageOrder]
 
     @abstractmethod
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:

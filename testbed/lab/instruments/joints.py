@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.lab.instruments.fault import EncoderFault, Fault, GainFault, Place, TorqueFault
+from testbed.lab.instruments.fault import EncoderFault, Fault, GainFault, StageOrder, TorqueFault
 from testbed.lab.kind_table import PerJoint, each_joint, key
 
 
@@ -45,7 +45,7 @@ class EncoderNoise(NoiseFault, EncoderFault):
     """
 
     kind: ClassVar[str] = "encoder_noise"
-    place: ClassVar[Place] = Place.NOISE
+    place: ClassVar[StageOrder] = StageOrder.NOISE
     sigma: PerJoint = key(1e-4, "joints", least=0)
 
 
@@ -60,7 +60,7 @@ class EncoderResolution(EncoderFault):
     """
 
     kind: ClassVar[str] = "encoder_resolution"
-    place: ClassVar[Place] = Place.CONVERTER
+    place: ClassVar[StageOrder] = StageOrder.CONVERTER
     count: PerJoint = key(1e-4, "joints", least=0)
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
@@ -82,7 +82,7 @@ class EncoderInstantSampling(EncoderFault):
     """
 
     kind: ClassVar[str] = "encoder_instant_sampling"
-    place: ClassVar[Place] = Place.CLOCK
+    place: ClassVar[StageOrder] = StageOrder.CLOCK
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Positions at instants, (M, n) [rad or m], of means over samples."""
@@ -101,7 +101,7 @@ class EncoderZeroError(OffsetFault, EncoderFault):
     """
 
     kind: ClassVar[str] = "encoder_zero_error"
-    place: ClassVar[Place] = Place.SENSOR
+    place: ClassVar[StageOrder] = StageOrder.SENSOR
     error: PerJoint = key(3.5e-3, "joints", "sign")
 
 
@@ -116,7 +116,7 @@ class EncoderGain(GainFault, EncoderFault):
     """
 
     kind: ClassVar[str] = "encoder_gain"
-    place: ClassVar[Place] = Place.SENSOR
+    place: ClassVar[StageOrder] = StageOrder.SENSOR
     error: PerJoint = key(0.01, "joints", "sign")
 
 
@@ -136,7 +136,7 @@ class EncoderEccentricity(EncoderFault):
     """
 
     kind: ClassVar[str] = "encoder_eccentricity"
-    place: ClassVar[Place] = Place.SENSOR
+    place: ClassVar[StageOrder] = StageOrder.SENSOR
     amplitude: PerJoint = key(4e-4, "joints")
     period: PerJoint = key(2 * np.pi, "joints", positive=True)
     phase: PerJoint | None = key(None, "joints", "phase")
@@ -180,7 +180,7 @@ class TorqueConstantError(GainFault, TorqueFault):
     """
 
     kind: ClassVar[str] = "torque_constant_error"
-    place: ClassVar[Place] = Place.SENSOR
+    place: ClassVar[StageOrder] = StageOrder.SENSOR
     error: PerJoint = key(0.05, "joints", "sign")
 
 
@@ -196,7 +196,7 @@ class TorqueOffset(OffsetFault, TorqueFault):
     """
 
     kind: ClassVar[str] = "torque_offset"
-    place: ClassVar[Place] = Place.NOISE
+    place: ClassVar[StageOrder] = StageOrder.NOISE
     error: PerJoint = key(1.0, "joints", "sign")
 
 
@@ -211,7 +211,7 @@ class TorqueNoise(NoiseFault, TorqueFault):
     """
 
     kind: ClassVar[str] = "torque_noise"
-    place: ClassVar[Place] = Place.NOISE
+    place: ClassVar[StageOrder] = StageOrder.NOISE
     sigma: PerJoint = key(0.5, "joints", least=0)
 
 

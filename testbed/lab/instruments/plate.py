@@ -17,9 +17,9 @@ from testbed.lab.instruments.fault import (
     Matrix,
     PerAxis,
     PerChannel,
-    Place,
     PlateFault,
     Signal,
+    StageOrder,
 )
 from testbed.lab.kind_table import hidden, key
 
@@ -27,7 +27,7 @@ from testbed.lab.kind_table import hidden, key
 class AddedWrench(PlateFault):
     """Error added to the plate's channels: their sizes times a pattern over time."""
 
-    place: ClassVar[Place] = Place.NOISE
+    place: ClassVar[StageOrder] = StageOrder.NOISE
     force: PerAxis
     moment: PerAxis
 
@@ -236,7 +236,7 @@ class PlateGain(GainFault, PlateFault):
     """
 
     kind: ClassVar[str] = "plate_gain"
-    place: ClassVar[Place] = Place.SENSOR
+    place: ClassVar[StageOrder] = StageOrder.SENSOR
     error: PerChannel = key(0.005, "channels", "sign")
 
 
@@ -257,7 +257,7 @@ class PlateCrosstalk(PlateFault):
     """
 
     kind: ClassVar[str] = "plate_crosstalk"
-    place: ClassVar[Place] = Place.SENSOR
+    place: ClassVar[StageOrder] = StageOrder.SENSOR
     size: float = key(0.01, least=0, most=1)
     matrix: Matrix | None = key(None, "matrix")
     full_scale: tuple[float, ...] = hidden(FULL_SCALE)
@@ -293,7 +293,7 @@ class PlatePose(PlateFault):
     """
 
     kind: ClassVar[str] = "plate_pose"
-    place: ClassVar[Place] = Place.SENSOR
+    place: ClassVar[StageOrder] = StageOrder.SENSOR
     rotation: PerAxis = key(3.5e-3, "axes", "sign")
     translation: PerAxis = key(1e-3, "axes", "sign")
 
@@ -320,7 +320,7 @@ class PlateSaturation(PlateFault):
     """
 
     kind: ClassVar[str] = "plate_saturation"
-    place: ClassVar[Place] = Place.RANGE
+    place: ClassVar[StageOrder] = StageOrder.RANGE
     covered: PerChannel = key(0.9, "channels", least=0)
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
@@ -344,7 +344,7 @@ class PlateConverter(PlateFault):
     """
 
     kind: ClassVar[str] = "plate_converter"
-    place: ClassVar[Place] = Place.CONVERTER
+    place: ClassVar[StageOrder] = StageOrder.CONVERTER
     bits: int = key(12, least=1, most=32, whole=True)
     full_scale: tuple[float, ...] = hidden(FULL_SCALE)
 
@@ -373,7 +373,7 @@ class MeasuredTare(Fault):
 
     kind: ClassVar[str] = "measured_tare"
     signal: ClassVar[Signal] = "tare"
-    place: ClassVar[Place] = Place.LINE
+    place: ClassVar[StageOrder] = StageOrder.LINE
     seconds: float = key(5.0, positive=True, most=60)
     before: float = key(60.0, least=0)
 

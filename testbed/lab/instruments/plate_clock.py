@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError
-from testbed.lab.instruments.fault import Fault, Place, PlateFault
+from testbed.lab.instruments.fault import Fault, PlateFault, StageOrder
 from testbed.lab.kind_table import key
 
 _LEAST_CUTOFF = 1e-5
@@ -32,7 +32,7 @@ class PlateAntiAliasFilter(PlateFault):
     """
 
     kind: ClassVar[str] = "plate_anti_alias_filter"
-    place: ClassVar[Place] = Place.FILTER
+    place: ClassVar[StageOrder] = StageOrder.FILTER
     cutoff: float = key(100.0, positive=True)
     order: int = key(2, least=1, most=8, whole=True)
 
@@ -70,7 +70,7 @@ class PlateDelay(PlateFault):
     """
 
     kind: ClassVar[str] = "plate_delay"
-    place: ClassVar[Place] = Place.CLOCK
+    place: ClassVar[StageOrder] = StageOrder.CLOCK
     delay: float = key(1e-3)
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
@@ -90,7 +90,7 @@ class PlateClockRate(PlateFault):
     """
 
     kind: ClassVar[str] = "plate_clock_rate"
-    place: ClassVar[Place] = Place.CLOCK
+    place: ClassVar[StageOrder] = StageOrder.CLOCK
     error: float = key(5e-5, least=-0.5, most=1.0)
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
@@ -110,7 +110,7 @@ class PlateDroppedSamples(PlateFault):
     """
 
     kind: ClassVar[str] = "plate_dropped_samples"
-    place: ClassVar[Place] = Place.LINE
+    place: ClassVar[StageOrder] = StageOrder.LINE
     share: float = key(1e-3, least=0, most=1)
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
