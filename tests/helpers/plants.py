@@ -25,7 +25,7 @@ def sensed(plant: Plant, q: Array, qd: Array, effort: Array) -> tuple[Array, Arr
     data.qpos[plant.order], data.qvel[plant.order], data.ctrl[:] = q, qd, effort
     mujoco.mj_forward(plant.model, data)
     friction = -(data.qfrc_passive + data.qfrc_constraint)[plant.order]
-    wrench = plant.bedplate_wrench(data.sensordata[plant.plate])
+    wrench = plant.X_BS.wrench(data.sensordata[plant.plate])
     return data.qacc[plant.order].copy(), friction, wrench
 
 

@@ -161,7 +161,7 @@ def test_a_rotors_spin_reaches_the_plate_by_its_law(robot: tuple[Tree, Path], pu
         still = tb.base_wrench(loaded, motion)[0]
         turning = with_rotor_spin(loaded, dict.fromkeys(loaded.names, -50.0 * 3e-4))
         spun = tb.base_wrench(turning, motion)[0] - still
-        felt = plant.bedplate_wrench(data.sensordata[plant.plate]) - plant.tare - still
+        felt = plant.X_BS.wrench(data.sensordata[plant.plate]) - plant.tare - still
         np.testing.assert_allclose(felt, spun, atol=1e-3 * np.abs(spun).max())
     minimal = tb.minimal_set(puma, "reaction", zeros=True)
     spun = with_rotor_spin(puma, {"waist": 0.018})

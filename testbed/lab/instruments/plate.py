@@ -9,6 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from testbed.core.base.arrays import Array
+from testbed.core.base.transform import Transform
 from testbed.core.robot.inertia import from_vector
 from testbed.lab.instruments.fault import (
     FULL_SCALE,
@@ -301,9 +302,8 @@ class PlatePose(PlateFault):
         """The wrench in the plate's own frame, (M, 6) [N, N m]."""
         del time, rng
         vector, origin = (np.broadcast_to(v, 3) for v in (self.rotation, self.translation))
-        force, moment = np.hsplit(signal, 2)
-        turn = from_vector(vector)
-        return np.hstack([force @ turn, (moment - np.cross(origin, force)) @ turn])
+        X_BP = Transform(from_vector(vector), origin)
+        return X_BP.inverse.wrench(signal)
 
 
 @dataclass(frozen=True)

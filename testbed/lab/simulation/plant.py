@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ModelError, UnknownName, few
+from testbed.core.base.transform import Transform
 from testbed.core.dynamics.newton_euler import Motion, base_wrench, joint_forces
 from testbed.core.robot.force_sensor import ForceSensor
 from testbed.core.robot.formats.mjcf import repaired_spec
@@ -46,8 +47,7 @@ class Plant:
         positions: Where its position stands among the sensor data, (n,).
         velocities: Likewise its velocity, (n,).
         plate: Where the plate's force and moment stand among the sensor data, (6,).
-        plate_turn: Rotation from the sensor's axes to the bedplate's, (3, 3).
-        plate_origin: The sensor's origin in the bedplate frame, (3,) [m].
+        X_BS: Pose of the plate's sensor S in the bedplate frame B.
         sensors: Where those of the robot's force sensors stand, (6 S,).
         tare: Static wrench of what stands on the plate without moving, (6,) [N, N m],
             bedplate axes, about O^0.
@@ -59,16 +59,9 @@ class Plant:
     positions: NDArray[np.int64]
     velocities: NDArray[np.int64]
     plate: NDArray[np.int64]
-    plate_turn: Array
-    plate_origin: Array
+    X_BS: Transform
     tare: Array
     sensors: NDArray[np.int64]
-
-    def bedplate_wrench(self, sensed: Array) -> Array:
-        """From the sensor's axes and origin to the bedplate's, (..., 6) [N, N m]."""
-        force = sensed[..., :3] @ self.plate_turn.T
-        moment = sensed[..., 3:] @ self.plate_turn.T + np.cross(self.plate_origin, force)
-        return np.concatenate([force, moment], axis=-1)
 
 
 def check_plant(plant: Plant, tree: Tree, path: Path) -> None:
@@ -145,7 +138,7 @@ def _driven(plant: Plant, tree: Tree, path: Path, moving: Array) -> _State:
         friction=friction,
         other=(data.qfrc_passive + data.qfrc_constraint)[plant.order],
         need=joint_forces(tree, motion)[0] + rotor * found,
-        wrench=plant.bedplate_wrench(data.sensordata[plant.plate]),
+        wrench=plant.X_BS.wrench(data.sensordata[plant.plate]),
         expected_wrench=base_wrench(tree, motion)[0] + plant.tare,
     )
 
@@ -333,8 +326,7 @@ def _plant_of(
         positions=addresses((_label("position", prefix + name) for name in tree.names), 1),
         velocities=addresses((_label("velocity", prefix + name) for name in tree.names), 1),
         plate=np.concatenate([model.sensor_adr[s] + np.arange(3) for s in plate]),
-        plate_turn=data.site_xmat[site].reshape(3, 3).copy(),
-        plate_origin=data.site_xpos[site].copy(),
+        X_BS=Transform(data.site_xmat[site].reshape(3, 3).copy(), data.site_xpos[site].copy()),
         tare=_tare(model, data, int(model.site_bodyid[site])),
         sensors=addresses(wrists, 3),
     )

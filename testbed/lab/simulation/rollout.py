@@ -144,7 +144,7 @@ class SampledLoop:
             acceleration=acceleration,
             torque=torque,
             friction=-lost @ plant.dofs,
-            wrench=plant.bedplate_wrench(sensed[:, plant.plate]),
+            wrench=plant.X_BS.wrench(sensed[:, plant.plate]),
             sensors=sensed[:, plant.sensors],
         )
 

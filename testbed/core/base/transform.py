@@ -1,0 +1,55 @@
+"""Rigid transforms of points, wrenches and twists, in monogram notation.
+
+X_AB is the pose of frame B in frame A: R_AB maps components along B's axes to components along
+A's, p_AB_A is the vector from A's origin to B's along A's axes. F_B is a wrench about B's origin
+along B's axes, force first; V_B a twist of B's origin, linear part first.
+
+Source    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 2
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from testbed.core.base.arrays import AnyArray, apply, skew
+
+
+@dataclass(frozen=True, eq=False)
+class Transform:
+    """Pose X_AB of frame B in frame A, or M of them.
+
+    Attributes:
+        R_AB: Rotation, (..., 3, 3).
+        p_AB_A: Translation, (..., 3) [m].
+    """
+
+    R_AB: AnyArray = field(default_factory=lambda: np.eye(3))
+    p_AB_A: AnyArray = field(default_factory=lambda: np.zeros(3))
+
+    def __matmul__(self, X_BC: Transform) -> Transform:
+        """Composition X_AC = X_AB @ X_BC."""
+        return Transform(self.R_AB @ X_BC.R_AB, self.point(X_BC.p_AB_A))
+
+    @property
+    def inverse(self) -> Transform:
+        """Pose X_BA of frame A in frame B."""
+        R_BA = np.swapaxes(self.R_AB, -1, -2)
+        return Transform(R_BA, -apply(R_BA, self.p_AB_A))
+
+    def point(self, p_B: AnyArray) -> AnyArray:
+        """Points given in B, in A, (..., 3) [m]."""
+        return apply(self.R_AB, p_B) + self.p_AB_A
+
+    def wrench(self, F_B: AnyArray) -> AnyArray:
+        """Wrenches about B's origin along B's axes, about A's along A's, (..., 6) [N, N m]."""
+        force = apply(self.R_AB, F_B[..., :3])
+        moment = apply(self.R_AB, F_B[..., 3:]) + np.cross(self.p_AB_A, force)
+        return np.concatenate([force, moment], axis=-1)
+
+    @property
+    def wrench_matrix(self) -> AnyArray:
+        """Matrix of `wrench`, (..., 6, 6); its transpose maps twists from A to B."""
+        nothing = np.zeros_like(self.R_AB)
+        return np.block([[self.R_AB, nothing], [skew(self.p_AB_A) @ self.R_AB, self.R_AB]])
