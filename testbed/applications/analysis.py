@@ -80,9 +80,14 @@ def analyse(
             continue
         try:
             problem = Problem.of(
-                tree, recording, method, settings,
-                gravity=gravity, threads=threads, progress=progress,
-            )  # fmt: skip
+                tree,
+                recording,
+                method,
+                settings,
+                gravity=gravity,
+                threads=threads,
+                progress=progress,
+            )
             problem, estimates[method] = estimate_of(problem, doubt)
         except RecordingError as error:
             failures[method] = error

@@ -27,9 +27,13 @@ EPISODE, LONGEST, FAINT = 4.0, 2, 0.05
 the channel's signal that it is at least."""
 
 OF_RECORDING = {
-    "recording.unexplained", "torque.gains", "torque.size", "position.step", "position.still",
+    "recording.unexplained",
+    "torque.gains",
+    "torque.size",
+    "position.step",
+    "position.still",
     "mapping.unlikely",
-}  # fmt: skip
+}
 """Doubts of a recording that concern all that is identified from it."""
 
 WELL = "verdict.well"

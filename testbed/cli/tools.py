@@ -103,9 +103,13 @@ def tool(
     link = flange_link(vendor, flange, reading.model_file(model), tree)
     with output.Progress("identifying") as progress:
         estimate = identify(
-            tree, source, gravity=gravity, settings=reading.tables().identification,
-            threads=threads, progress=progress,
-        )  # fmt: skip
+            tree,
+            source,
+            gravity=gravity,
+            settings=reading.tables().identification,
+            threads=threads,
+            progress=progress,
+        )
     found = tool_of(tree, estimate)
     known = [*tree.diagnostics, *estimate.diagnostics, *found.diagnostics]
     if as_json:

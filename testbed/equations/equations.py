@@ -215,36 +215,64 @@ KINDS = {
     kind.name: kind
     for kind in (
         EquationKind(
-            "joint-forces", "Equations", "dynamic", _MOTION, r"Q\d+",
-            "What the motors deliver at the joints, friction excluded [N m or N].", _forces,
+            "joint-forces",
+            "Equations",
+            "dynamic",
+            _MOTION,
+            r"Q\d+",
+            "What the motors deliver at the joints, friction excluded [N m or N].",
+            _forces,
         ),
         EquationKind(
-            "base-wrench", "Reaction", "reaction", _MOTION, r"[FM][xyz]",
+            "base-wrench",
+            "Reaction",
+            "reaction",
+            _MOTION,
+            r"[FM][xyz]",
             "Wrench of the bedplate on the robot about the bedplate's origin, force first "
-            "[N, N m].", _wrench,
+            "[N, N m].",
+            _wrench,
         ),
         EquationKind(
-            "dynamic-regressor", "Regressor of the joint forces",
-            "dynamic", _MOTION, r"phi_Q\d+_\w+",
+            "dynamic-regressor",
+            "Regressor of the joint forces",
+            "dynamic",
+            _MOTION,
+            r"phi_Q\d+_\w+",
             "phi_d: joint forces for a unit of each parameter.",
-            _dynamic_regressor, is_regressor=True,
+            _dynamic_regressor,
+            is_regressor=True,
         ),
         EquationKind(
-            "reaction-regressor", "Regressor of the reaction",
-            "reaction", _MOTION, r"phi_[FM][xyz]_\w+",
+            "reaction-regressor",
+            "Regressor of the reaction",
+            "reaction",
+            _MOTION,
+            r"phi_[FM][xyz]_\w+",
             "phi_r: the bedplate's wrench for a unit of each parameter.",
-            _reaction_regressor, is_regressor=True,
+            _reaction_regressor,
+            is_regressor=True,
         ),
         EquationKind(
-            "mass-matrix", "Mass matrix", "dynamic", ("q",), r"M\d+(_\d+)?",
-            "M(q): joint forces for unit accelerations.", _mass_matrix,
+            "mass-matrix",
+            "Mass matrix",
+            "dynamic",
+            ("q",),
+            r"M\d+(_\d+)?",
+            "M(q): joint forces for unit accelerations.",
+            _mass_matrix,
         ),
         EquationKind(
-            "gravity-forces", "Gravity", "dynamic", ("q",), r"G\d+",
-            "What holds the robot still [N m or N].", _gravity_forces,
+            "gravity-forces",
+            "Gravity",
+            "dynamic",
+            ("q",),
+            r"G\d+",
+            "What holds the robot still [N m or N].",
+            _gravity_forces,
         ),
     )
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, eq=False)

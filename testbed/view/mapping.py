@@ -42,8 +42,10 @@ def mapping_contents(title: str, solved: MappingSolution) -> dict[str, Any]:
         solved: The mapping, and what was found on the way.
     """
     figures = []
-    pairs = ((solved.before, "before", "by the columns' names alone"),
-             (solved.after, "after", "by this mapping"))  # fmt: skip
+    pairs = (
+        (solved.before, "before", "by the columns' names alone"),
+        (solved.after, "after", "by this mapping"),
+    )
     for read, place, how in pairs:
         if read is not None:
             figures.append(_channels(read, place, how))

@@ -68,9 +68,12 @@ def diagnose_tool(
             other = others[code]
             mass = float(np.linalg.norm(other.weight) / np.linalg.norm(tree.gravity))
             yield diagnose(
-                f"tool.{code}", residual=fit.scale, left=other.scale, mass=mass,
+                f"tool.{code}",
+                residual=fit.scale,
+                left=other.scale,
+                mass=mass,
                 place=_listed(other.centre),
-            )  # fmt: skip
+            )
             return
         level: Level = "error" if fit.share > GROSS else "warning"  # below, noise will do it
         yield diagnose("tool.residual", value=fit.share, level=level)

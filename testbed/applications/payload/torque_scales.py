@@ -126,10 +126,15 @@ def torque_scales(
         for number, recording in enumerate((without, loaded)):
             problem, _ = with_all_terms(
                 Problem.of(
-                    tree, recording, "internal", settings,
-                    gravity=gravity, threads=threads, progress=progress,
+                    tree,
+                    recording,
+                    "internal",
+                    settings,
+                    gravity=gravity,
+                    threads=threads,
+                    progress=progress,
                 )
-            )  # fmt: skip
+            )
             settings = replace(settings, terms=problem.settings.terms)
             halves.append(_half(problem, joint or tree.names[-1], mass, number))
         values, v = _solved(halves)

@@ -65,9 +65,16 @@ def provenance(found: Consistent, model: ModelFile, recordings: Sequence[Path]) 
 
 
 FIELDS = (
-    "estimates", "failures", "score", "diagnostics", "validation", "drives", "consistent",
-    "posterior", "verdict",
-)  # fmt: skip
+    "estimates",
+    "failures",
+    "score",
+    "diagnostics",
+    "validation",
+    "drives",
+    "consistent",
+    "posterior",
+    "verdict",
+)
 """Of a run."""
 
 LARGEST = 500_000_000
