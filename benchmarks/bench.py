@@ -42,9 +42,14 @@ ROBOTS = {"puma": "puma562", "ur5": "ur5", "panda": "panda", "gantry": "gantry",
 NOISES = ("white", "coloured", "coarse")
 """White noise; of torques and plate an autoregression of 0.3 s; white, and encoders of 1e-3."""
 
-FAULTS = ("constant", "late", "turned", "zero", "saturated")
-"""A torque constant 10 % off; the plate 20 ms late; the plate turned by 5 deg; the zero of an
-encoder off by 0.02; a drive's signal that saturates at half its range."""
+FAULTS = {
+    "constant": "torque of {} x 1.1",
+    "late": "wrench 20 ms late",
+    "turned": "plate turned 5 deg about x",
+    "zero": "encoder of {} + 0.02",
+    "saturated": "torque of {} saturated at half",
+}
+"""As `fault_trials` says it, of the second joint that turns."""
 
 RATE, SECONDS = 500.0, 20.0
 UNSEEN_RATE, UNSEEN_SECONDS = 50.0, 10.0
@@ -103,7 +108,7 @@ def cases(draws: int, every_fault: bool, robots: Sequence[str] = tuple(ROBOTS)) 
     for place, robot in enumerate(ROBOTS):
         if robot in robots:
             yield from (Case(robot, noise, k) for noise in NOISES for k in range(draws))
-            planted = FAULTS if every_fault else FAULTS[place : place + 1]
+            planted = [*FAULTS] if every_fault else [*FAULTS][place : place + 1]
             yield from (Case(robot, "white", 0, fault) for fault in planted)
 
 
@@ -286,13 +291,7 @@ def measured(case: Case, made: Happened, seed: int) -> Recording:
     if not case.fault:
         return recording
     name = [joint.name for joint in made.tree.joints if joint.revolute][1]
-    change = {
-        "constant": f"torque of {name} x 1.1",
-        "late": "wrench 20 ms late",
-        "turned": "plate turned 5 deg about x",
-        "zero": f"encoder of {name} + 0.02",
-        "saturated": f"torque of {name} saturated at half",
-    }[case.fault]
+    change = FAULTS[case.fault].format(name)
     return next(each for each in trials(made.tree) if each.fault == change).change(recording)
 
 
