@@ -6,8 +6,7 @@ The random ones are scaled like those of an experiment and swing less until they
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,30 +30,21 @@ SHARES = 0.95 ** np.arange(60)
 PLATE = ("measurement.force_noise=0.5", "measurement.moment_noise=0.1", "motion.duration=10")
 
 
-@dataclass(frozen=True)
-class Case:
-    """A robot, and whether it keeps clear."""
-
-    name: str
-    model: Path
-    settings: tuple[str, ...]
-
-
-def cases(models: list[Path]) -> Iterator[Case]:
-    """The PUMA without and with clearance, a seven-axis arm, and what else is named."""
-    zeros = "identification.zeros=true"
-    yield Case("puma562", PUMA, (zeros, "excitation.clearance=off"))
-    yield Case("puma562, clear", PUMA, (zeros, "excitation.starts=4"))
-    yield Case("kuka_lwr4", GOLDEN / "robots/kuka_lwr4.urdf", ("excitation.starts=2",))
-    for model in models:
-        yield Case(model.stem, model, ("excitation.starts=2",))
+CASES: dict[str, tuple[Path, tuple[str, ...]]] = {
+    "puma562": (PUMA, ("identification.zeros=true", "excitation.clearance=off")),
+    "puma562, clear": (PUMA, ("identification.zeros=true", "excitation.starts=4")),
+    "kuka_lwr4": (GOLDEN / "robots/kuka_lwr4.urdf", ("excitation.starts=2",)),
+}
+"""Models and settings, by what the robot is called."""
 
 
-def gain(case: Case, seeds: int, baseline: int) -> dict[str, Any]:
+def gain(
+    name: str, model: Path, settings: tuple[str, ...], seeds: int, baseline: int
+) -> dict[str, Any]:
     """How many times smaller the relative sigma is than the median of random motions."""
     warm_up()
     gains, seconds = [], []
-    experiment = tb.Experiment.of_model(case.model, [*PLATE, *case.settings])
+    experiment = tb.Experiment.of_model(model, [*PLATE, *settings])
     problem = design_problem(experiment)
     random = float(np.median([criterion(problem, motion) for motion in allowed(problem, baseline)]))
     for seed in range(seeds):
@@ -63,7 +53,7 @@ def gain(case: Case, seeds: int, baseline: int) -> dict[str, Any]:
         seconds.append(time.process_time() - start)
         gains.append(float(np.exp((random - found.value) / 2)))
     return {
-        "robot": case.name,
+        "robot": name,
         "joints": problem.rules.tree.n,
         "seeds": seeds,
         "random": baseline,
@@ -93,4 +83,5 @@ def main(
     only: Annotated[str, typer.Option(help="Only robots whose names hold this.")] = "",
 ) -> None:
     """Designed motions: gain over random ones with the same limits."""
-    print_lines(gain(each, seeds, baseline) for each in cases(model or []) if only in each.name)
+    every = CASES | {each.stem: (each, ("excitation.starts=2",)) for each in model or []}
+    print_lines(gain(name, *case, seeds, baseline) for name, case in every.items() if only in name)
