@@ -20,14 +20,15 @@ from scipy import signal
 
 import testbed as tb
 from benchmarks.lines import print_lines
-from benchmarks.random_recordings import ROOT, recorded
+from benchmarks.random_recordings import recorded
 from benchmarks.rivals.idyntree import regressor
 from benchmarks.timing import least
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import METHODS, Method
 from testbed.core.recordings.recording import Recording
+from tests.helpers.paths import GOLDEN, ROOT
 
-ROBOTS = {"puma": ROOT / "models/puma562.urdf", "ur5": ROOT / "tests/golden/robots/ur5.urdf"}
+ROBOTS = {"puma": ROOT / "models/puma562.urdf", "ur5": GOLDEN / "robots/ur5.urdf"}
 SECONDS = (20, 200)
 EVERY = 10
 """Samples from one row to the next."""

@@ -3,7 +3,7 @@
 `make` writes, for every case, `recordings/CASE/` (robot.urdf, recording.csv.gz, unseen.csv) and
 `truth/CASE.json`. The bodies of robot.urdf are wrong by 15 % and 2 cm, as those of CAD are. Every
 other draw is simulated by testbed, with MuJoCo's own dry friction in closed loop; the others are
-MuJoCo's plain inverse dynamics. Noise and faults are added here.
+Pinocchio's plain inverse dynamics. Noise and faults are added here.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import gzip
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from copy import deepcopy
 from dataclasses import dataclass
 from itertools import groupby, repeat
 from multiprocessing import get_context
@@ -29,6 +28,7 @@ import testbed as tb
 from benchmarks.fault_trials import trials
 from benchmarks.inverse_recordings import inverse, on_a_free_base, real_robot
 from benchmarks.lines import print_lines
+from benchmarks.rivals.case import read
 from testbed.core.base.arrays import Array
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.lab.instruments.chain import Instrument
@@ -42,9 +42,14 @@ ROBOTS = {"puma": "puma562", "ur5": "ur5", "panda": "panda", "gantry": "gantry",
 NOISES = ("white", "coloured", "coarse")
 """White noise; of torques and plate an autoregression of 0.3 s; white, and encoders of 1e-3."""
 
-FAULTS = ("constant", "late", "turned", "zero", "saturated")
-"""A torque constant 10 % off; the plate 20 ms late; the plate turned by 5 deg; the zero of an
-encoder off by 0.02; a drive's signal that saturates at half its range."""
+FAULTS = {
+    "constant": "torque of {} x 1.1",
+    "late": "wrench 20 ms late",
+    "turned": "plate turned 5 deg about x",
+    "zero": "encoder of {} + 0.02",
+    "saturated": "torque of {} saturated at half",
+}
+"""As `fault_trials` says it, of the second joint that turns."""
 
 RATE, SECONDS = 500.0, 20.0
 UNSEEN_RATE, UNSEEN_SECONDS = 50.0, 10.0
@@ -103,7 +108,7 @@ def cases(draws: int, every_fault: bool, robots: Sequence[str] = tuple(ROBOTS)) 
     for place, robot in enumerate(ROBOTS):
         if robot in robots:
             yield from (Case(robot, noise, k) for noise in NOISES for k in range(draws))
-            planted = FAULTS if every_fault else FAULTS[place : place + 1]
+            planted = [*FAULTS] if every_fault else [*FAULTS][place : place + 1]
             yield from (Case(robot, "white", 0, fault) for fault in planted)
 
 
@@ -180,7 +185,7 @@ def happen(folder: Path, robot: str, seed: int) -> Happened:
     tree = tb.load_tree(file)
     limits = limits_of(tree, {joint.name: FAST[joint.kind] for joint in tree.joints})
     path, other = (tb.random_motion(tree, limits, 0.1, 5, rng) for _ in range(2))
-    plain = on_a_free_base(deepcopy(real))
+    plain = on_a_free_base(real)
     t = np.arange(round(RATE * SECONDS)) / RATE
     seen, new = path.at(t), other.at(np.arange(UNSEEN_RATE * UNSEEN_SECONDS) / UNSEEN_RATE)
     expected = inverse(plain, tree.names, new.q, new.qd, new.qdd)
@@ -286,13 +291,7 @@ def measured(case: Case, made: Happened, seed: int) -> Recording:
     if not case.fault:
         return recording
     name = [joint.name for joint in made.tree.joints if joint.revolute][1]
-    change = {
-        "constant": f"torque of {name} x 1.1",
-        "late": "wrench 20 ms late",
-        "turned": "plate turned 5 deg about x",
-        "zero": f"encoder of {name} + 0.02",
-        "saturated": f"torque of {name} saturated at half",
-    }[case.fault]
+    change = FAULTS[case.fault].format(name)
     return next(each for each in trials(made.tree) if each.fault == change).change(recording)
 
 
@@ -361,26 +360,17 @@ def _rms(values: Array) -> float:
 
 def _predicted(place: Path, parameters: Mapping[str, Sequence[float]]) -> dict[str, Array]:
     """Torques and wrenches of bodies along the unseen motion, by Pinocchio."""
-    model = pin.buildModelFromUrdf(str(place / "robot.urdf"), pin.JointModelFreeFlyer())
-    data = model.createData()
-    with (place / "unseen.csv").open() as file:
-        names = [word.removeprefix("q_") for word in file.readline().split(",")]
-        states = np.loadtxt(file, delimiter=",")
-    names = names[1 : 1 + (len(names) - 1) // 3]
-    joints = [model.joints[model.getJointId(name)] for name in names]
+    model = on_a_free_base(ElementTree.parse(place / "robot.urdf").getroot())
+    given = read(place)
     bodies = np.zeros((model.njoints - 1, 10))
     for name, values in parameters.items():
         bodies[model.getJointId(name) - 1] = values
-    still = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
-    forces = []
-    for row in states:
-        filled = [each.copy() for each in still]
-        for values, kept in zip(row[1:].reshape(3, -1), filled, strict=True):
-            for value, joint in zip(values, joints, strict=True):
-                kept[joint.idx_q if kept is filled[0] else joint.idx_v] = value
-        forces.append(pin.computeJointTorqueRegressor(model, data, *filled) @ bodies.ravel())
-    found = np.array(forces)
-    return {"torque": found[:, [joint.idx_v for joint in joints]], "wrench": found[:, :6]}
+
+    def law(*state: Any) -> Array:
+        return np.asarray(pin.computeJointTorqueRegressor(*state) @ bodies.ravel())
+
+    torque, wrench = inverse(model, given.joints, *given.unseen, law)
+    return {"torque": torque, "wrench": wrench}
 
 
 main = typer.Typer(no_args_is_help=True, help="Recordings for any tool, and a score of answers.")

@@ -22,8 +22,8 @@ import psutil
 import typer
 
 from benchmarks.lines import print_lines
+from tests.helpers.paths import ROOT
 
-ROOT = Path(__file__).parents[1]
 PATIENCE = 300.0
 """Seconds after which a command hangs."""
 QUICK = (

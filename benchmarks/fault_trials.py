@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -18,6 +18,8 @@ POUND = 4.4482216152605
 """Of force [N]."""
 
 Change = Callable[[Recording], Recording]
+Told = tuple[str, str, Change]
+"""Kind, words and change."""
 
 
 @dataclass(frozen=True)
@@ -44,23 +46,34 @@ def trials(tree: tb.Tree) -> Iterator[Trial]:
             yield Trial(kind, fault, method, change, other)
 
 
-def _of_the_plate() -> Iterator[tuple[str, str, Change]]:
-    eye = np.eye(6)
-    yield "sign", "wrench and tare negated", lambda r: _tared(_mixed(r, -eye), -1.0)
-    yield "tare", "tare 0", lambda r: _tared(r, 0.0)
-    yield "unit", "wrench in lbf", lambda r: _mixed(r, eye / POUND)
-    yield "unit", "wrench in kgf", lambda r: _mixed(r, eye / 9.80665)
-    yield "unit", "moments in N mm", lambda r: _mixed(r, np.diag([1, 1, 1, 1e3, 1e3, 1e3]))
-    for k, axis in enumerate(AXES):
+def _of_channels(signal: str, names: Sequence[str], words: str, gain: float) -> Iterator[Told]:
+    """Of each channel: sense, gain, a stop; of each two: their order."""
+    eye = np.eye(len(names))
+    called = [words.format(name) for name in names]
+    for k, name in enumerate(called):
         unit = np.outer(eye[k], eye[k])
+        yield "sign", f"{name} of opposite sign", _linear(signal, eye - 2 * unit)
+        yield "gain", f"{name} x {gain:g}", _linear(signal, eye + (gain - 1) * unit)
+        if signal != "position":
+            yield "channel", f"{name} saturated at half", _saturated(signal, k)
+            yield "channel", f"{name} dead", _linear(signal, eye - unit)
+    for a, b in combinations(range(len(names)), 2):
+        both = called[a].replace(" of", "s of")
+        swapped = eye[[{a: b, b: a}.get(k, k) for k in range(len(names))]]
+        yield "order", f"{both} and {names[b]} exchanged", _linear(signal, swapped)
+
+
+def _of_the_plate() -> Iterator[Told]:
+    eye = np.eye(6)
+    yield "sign", "wrench and tare negated", lambda r: _tared(_linear("wrench", -eye)(r), -1.0)
+    yield "tare", "tare 0", lambda r: _tared(r, 0.0)
+    yield "unit", "wrench in lbf", _linear("wrench", eye / POUND)
+    yield "unit", "wrench in kgf", _linear("wrench", eye / 9.80665)
+    yield "unit", "moments in N mm", _linear("wrench", np.diag([1, 1, 1, 1e3, 1e3, 1e3]))
+    yield from _of_channels("wrench", AXES, "{}", 1.05)
+    for k, axis in enumerate(AXES):
         size = 20.0 if k < 3 else 4.0
-        yield "sign", f"{axis} of opposite sign", _linear("wrench", eye - 2 * unit)
-        yield "gain", f"{axis} x 1.05", _linear("wrench", eye + 0.05 * unit)
         yield "drift", f"{axis} drifts by {size:g}", _drift(size * eye[k])
-        yield "channel", f"{axis} saturated at half", _saturated("wrench", k)
-        yield "channel", f"{axis} dead", _linear("wrench", eye - unit)
-    for a, b in combinations(range(6), 2):
-        yield "order", f"{AXES[a]} and {AXES[b]} exchanged", _linear("wrench", _exchanged(6, a, b))
     for late in (5, 20):
         yield "clock", f"wrench {late} ms late", _late("wrench", late)
     for degrees, axes in ((5, "xyz"), (1, "xy")):
@@ -73,42 +86,28 @@ def _of_the_plate() -> Iterator[tuple[str, str, Change]]:
             yield "pose", f"moment point off by {100 * far:g} cm along {axis}", moved
 
 
-def _of_the_drives(names: tuple[str, ...]) -> Iterator[tuple[str, str, Change]]:
-    n = len(names)
-    eye = np.eye(n)
+def _of_the_drives(names: tuple[str, ...]) -> Iterator[Told]:
+    eye = np.eye(len(names))
     yield "sign", "torques of opposite sign", _linear("torque", -eye)
     yield "unit", "torques in N mm", _linear("torque", 1e3 * eye)
     yield "unit", "torques in lbf ft", _linear("torque", eye / (POUND * 0.3048))
-    for k, name in enumerate(names):
-        unit = np.outer(eye[k], eye[k])
-        yield "sign", f"torque of {name} of opposite sign", _linear("torque", eye - 2 * unit)
-        yield "gain", f"torque of {name} x 1.1", _linear("torque", eye + 0.1 * unit)
-        yield "unit", f"torque of {name} in N mm", _linear("torque", eye + 999 * unit)
-        yield "channel", f"torque of {name} saturated at half", _saturated("torque", k)
-        yield "channel", f"torque of {name} dead", _linear("torque", eye - unit)
-    for a, b in combinations(range(n), 2):
-        swapped = _linear("torque", _exchanged(n, a, b))
-        yield "order", f"torques of {names[a]} and {names[b]} exchanged", swapped
+    yield from _of_channels("torque", names, "torque of {}", 1.1)
+    for name, one in zip(names, eye, strict=True):
+        yield "unit", f"torque of {name} in N mm", _linear("torque", eye + 999 * np.diag(one))
     for late in (5, 20):
         yield "clock", f"torques {late} ms late", _late("torque", late)
 
 
-def _of_the_encoders(names: tuple[str, ...]) -> Iterator[tuple[str, str, Change]]:
-    n = len(names)
-    eye = np.eye(n)
+def _of_the_encoders(names: tuple[str, ...]) -> Iterator[Told]:
+    eye = np.eye(len(names))
     degrees = 180 / np.pi
     yield "unit", "encoders in degrees", _linear("position", degrees * eye)
-    for k, name in enumerate(names):
-        unit = np.outer(eye[k], eye[k])
-        yield "gain", f"encoder of {name} x 1.01", _linear("position", eye + 0.01 * unit)
-        yield "zero", f"encoder of {name} + 0.02", _shifted(0.02 * eye[k])
-        yield "sign", f"encoder of {name} of opposite sign", _linear("position", eye - 2 * unit)
-        in_degrees = _linear("position", eye + (degrees - 1) * unit)
+    yield from _of_channels("position", names, "encoder of {}", 1.01)
+    for k, (name, one) in enumerate(zip(names, eye, strict=True)):
+        yield "zero", f"encoder of {name} + 0.02", _shifted(0.02 * one)
+        in_degrees = _linear("position", eye + (degrees - 1) * np.diag(one))
         yield "unit", f"encoder of {name} in degrees", in_degrees
         yield "clock", f"encoder of {name} 20 ms late", _late("position", 20, k)
-    for a, b in combinations(range(n), 2):
-        swapped = _linear("position", _exchanged(n, a, b))
-        yield "order", f"encoders of {names[a]} and {names[b]} exchanged", swapped
     yield "clock", "1 % of samples lost", _lossy
     yield "clock", "clock 1 % fast", lambda r: replace(r, time=r.time / 1.01)
 
@@ -126,17 +125,9 @@ def _linear(signal: str, matrix: AnyArray) -> Change:
     return _with(signal, lambda values: values @ np.asarray(matrix).T)
 
 
-def _mixed(recording: Recording, matrix: AnyArray) -> Recording:
-    return _linear("wrench", matrix)(recording)
-
-
 def _tared(recording: Recording, factor: float) -> Recording:
     assert recording.tare is not None
     return replace(recording, tare=factor * recording.tare)
-
-
-def _exchanged(n: int, a: int, b: int) -> Array:
-    return np.eye(n)[[{a: b, b: a}.get(k, k) for k in range(n)]]
 
 
 def _drift(size: Array) -> Change:

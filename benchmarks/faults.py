@@ -8,7 +8,6 @@ it counts.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -22,8 +21,8 @@ from testbed.core.base.errors import TestbedError
 from testbed.core.estimation.diagnostics.cross_check import cross_check
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
 from testbed.core.recordings.recording import Recording
+from tests.helpers.paths import ROOT
 
-ROOT = Path(__file__).parent.parent
 MODEL = ROOT / "models/puma562.xml"
 
 HARMFUL, SIGMAS = 0.02, 8.0
@@ -57,7 +56,7 @@ NAMED = 3
 def results(seconds: float) -> Iterator[dict[str, Any]]:
     """Every trial: the worst error, in sigmas too, and what is said about it."""
     tree = tb.load_tree(MODEL)
-    recording = recorded(MODEL, 1996, seconds)
+    recording = recorded(seconds)
     told = {m: tb.identify(tree, recording, m, zeros=True) for m in METHODS}
     yield from (_line(None, tree, m, told) for m in METHODS)
     for trial in trials(tree):
@@ -94,16 +93,16 @@ def _which(line: dict[str, Any]) -> str:
     return f"{line['fault']} ({line['method']})"
 
 
-def recorded(model: Path, seed: int, seconds: float) -> Recording:
+def recorded(seconds: float) -> Recording:
     """A recording with the noise of table6 and exact torque constants."""
     settings = [
-        f"seed={seed}",
+        "seed=1996",
         f"motion.duration={seconds}",
         "motion.candidates=5",
         "measurement.torque_constant_error={}",
     ]
     experiment = tb.Experiment.from_toml(ROOT / "experiments/table6.toml", settings)
-    found = tb.record(experiment.model_copy(update={"model": str(model)}))
+    found = tb.record(experiment.model_copy(update={"model": str(MODEL)}))
     return found.blind()
 
 

@@ -93,15 +93,13 @@ class Files:
     Attributes:
         paths: Of the files.
         columns: By file's name and column: signal and number, (signal, k).
-        stamps: By file's name and column of times: these, (M,), in `tick`.
-        tick: What one of the stamps is [s].
+        stamps: By file's name and column of times: these, (M,), of ROS in nanoseconds.
         raw: Signals as the files hold them, (M, k) each.
     """
 
     paths: tuple[Path, ...]
     columns: Mapping[tuple[str, str], tuple[str, int]]
     stamps: Mapping[tuple[str, str], Stamps]
-    tick: float
     raw: Mapping[str, Array]
 
 
@@ -157,23 +155,6 @@ def raw_signals(made: Truth, told: Planted) -> dict[str, Array]:
     return raw
 
 
-def _csv(
-    path: Path,
-    stamps: Stamps,
-    columns: Mapping[str, Array],
-    stamp: str = "t",
-) -> None:
-    """Lines of text, the times first; nanoseconds since 1970 have digits of their own."""
-    counted = stamps.dtype.kind == "i"
-    first = f"{str(EPOCH)[:8]}%011d" if counted else "%.6f"
-    time = stamps - EPOCH if counted else stamps
-    np.savetxt(
-        path, np.column_stack([time, *columns.values()]), delimiter=",", comments="",
-        fmt=[first, *["%.9g"] * len(columns)],
-        header=",".join([stamp, *columns]),
-    )  # fmt: skip
-
-
 EPOCH = 1_700_000_000_000_000_000
 """Of the clocks of ROS [ns]."""
 
@@ -198,10 +179,8 @@ def two_csv(folder: Path, made: Truth, raw: dict[str, Array], seed: int) -> File
     one = _one(folder / "robot.csv", robot, raw, t + starts[0])
     plate: dict[str, tuple[str, int]] = {name: ("wrench", k) for k, name in enumerate(LETTERS)}
     other = _one(folder / "plate.csv", plate, raw, t + starts[1])
-    return Files(
-        one.paths + other.paths, {**one.columns, **other.columns}, {**one.stamps, **other.stamps},
-        1.0, raw,
-    )  # fmt: skip
+    stamps = {**one.stamps, **other.stamps}
+    return Files(one.paths + other.paths, {**one.columns, **other.columns}, stamps, raw)
 
 
 def mat(folder: Path, made: Truth, raw: dict[str, Array], seed: int) -> Files:
@@ -217,7 +196,7 @@ def mat(folder: Path, made: Truth, raw: dict[str, Array], seed: int) -> Files:
     else:
         said = {f"{names[s]}[{k}]": (s, k) for s in raw for k in range(raw[s].shape[1])}
         savemat(path, {"t": t, **{names[s]: values for s, values in raw.items()}})
-    return _files(path, said, {"t": t}, 1.0, raw)
+    return _files(path, said, {"t": t}, raw)
 
 
 def lerobot(folder: Path, made: Truth, raw: dict[str, Array], _seed: int) -> Files:
@@ -242,27 +221,29 @@ def lerobot(folder: Path, made: Truth, raw: dict[str, Array], _seed: int) -> Fil
     said = {f"{names[s]}[{k}]": (s, k) for s in names for k in range(raw[s].shape[1])}
     raw = {s: values.astype(np.float32).astype(float) for s, values in raw.items()}
     path = folder / "episode_000000.parquet"
-    return _files(path, said, {"timestamp": stamps.astype(float)}, 1.0, raw)
+    return _files(path, said, {"timestamp": stamps.astype(float)}, raw)
 
 
 def _one(
     path: Path, said: Mapping[str, tuple[str, int]], raw: Mapping[str, Array], stamps: Stamps,
     stamp: str = "t",
 ) -> Files:  # fmt: skip
-    """A text file."""
-    columns = {name: raw[s][:, k] for name, (s, k) in said.items()}
-    _csv(path, stamps, columns, stamp=stamp)
+    """A text file, the times first; nanoseconds since 1970 have digits of their own."""
     counted = stamps.dtype.kind == "i"
-    return _files(path, said, {stamp: stamps}, 1e-9 if counted else 1.0, raw)
+    columns = [stamps - EPOCH * counted, *(raw[s][:, k] for s, k in said.values())]
+    digits = [f"{str(EPOCH)[:8]}%011d" if counted else "%.6f", *["%.9g"] * len(said)]
+    head = ",".join([stamp, *said])
+    np.savetxt(path, np.column_stack(columns), digits, ",", header=head, comments="")
+    return _files(path, said, {stamp: stamps}, raw)
 
 
 def _files(
-    path: Path, said: Mapping[str, tuple[str, int]], stamps: Mapping[str, Stamps], tick: float,
+    path: Path, said: Mapping[str, tuple[str, int]], stamps: Mapping[str, Stamps],
     raw: Mapping[str, Array],
 ) -> Files:  # fmt: skip
     columns = {(path.name, name): each for name, each in said.items()}
     times = {(path.name, name): each for name, each in stamps.items()}
-    return Files((path,), columns, times, tick, raw)
+    return Files((path,), columns, times, raw)
 
 
 LAYOUTS: dict[str, Callable[[Path, Truth, dict[str, Array], int], Files]] = {

@@ -1,19 +1,19 @@
-"""Recordings that the project has not made: MuJoCo reads the URDF and inverts the dynamics.
+"""Recordings that the project has not made: Pinocchio reads the URDF and inverts the dynamics.
 
 The root link is put onto a free joint that rests: what holds it is the plate's wrench. Masses and
-centres are changed in the URDF before MuJoCo reads it, so that the robot is not the file's.
+centres are changed in the URDF before Pinocchio reads it, so that the robot is not the file's.
 Friction, noise and a 17-bit encoder are added here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-import mujoco
 import numpy as np
+import pinocchio as pin
 
 import testbed as tb
 from testbed.core.base.arrays import Array
@@ -82,7 +82,7 @@ def truth(
     rng = np.random.default_rng(seed)
     tree = tree_of(name)
     model = on_a_free_base(real_robot(name, rng, ROUGH, OFF))
-    motion = _motion(model, tree.names, rng)
+    motion = _motion(tree, rng)
     if moving is not None:
         motion[1][[k for k in range(tree.n) if k not in moving]] = 0
     t = np.arange(round(RATE * seconds)) / RATE
@@ -138,27 +138,14 @@ def real_robot(
     return robot
 
 
-def on_a_free_base(robot: ElementTree.Element) -> mujoco.MjModel:
-    """MuJoCo's model of `real_robot` on a free joint; the URDF is changed for it.
+def on_a_free_base(robot: ElementTree.Element) -> pin.Model:
+    """Pinocchio's model of `real_robot` on a free joint.
 
     Args:
         robot: The URDF.
     """
-    root = _root(robot)
-    base = next(link for link in robot.iterfind("link") if link.get("name") == root)
-    base.append(_inertial(1e-3, 1e-6))
-    base.set("name", "root")  # a name as world means MuJoCo's own
-    for parent in robot.iterfind(f"joint/parent[@link='{root}']"):
-        parent.set("link", "root")
-    robot.append(ElementTree.Element("link", name="bed"))
-    robot.append(_joint("floating", "bed", "root"))
-    compiler = ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler")
-    compiler.attrib |= {"fusestatic": "true", "balanceinertia": "true", "boundmass": "1e-9",
-                        "boundinertia": "1e-12"}  # fmt: skip
-    model = mujoco.MjModel.from_xml_string(ElementTree.tostring(robot, encoding="unicode"))
-    model.dof_damping[:] = model.dof_frictionloss[:] = model.dof_armature[:] = 0
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    return model
+    text = ElementTree.tostring(robot, encoding="unicode")
+    return pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
 
 
 def _root(robot: ElementTree.Element) -> str:
@@ -193,34 +180,13 @@ def _change(
     origin.set("xyz", " ".join(map(repr, centre.tolist())))
 
 
-def _inertial(mass: float, inertia: float) -> ElementTree.Element:
-    made = ElementTree.Element("inertial")
-    ElementTree.SubElement(made, "mass", value=repr(mass))
-    about = {axes: repr(inertia if axes[1] == axes[2] else 0.0)
-             for axes in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")}  # fmt: skip
-    ElementTree.SubElement(made, "inertia", about)
-    return made
-
-
-def _joint(kind: str, parent: str, child: str) -> ElementTree.Element:
-    made = ElementTree.Element("joint", name=f"{child}_{kind}", type=kind)
-    ElementTree.SubElement(made, "parent", link=parent)
-    ElementTree.SubElement(made, "child", link=child)
-    ElementTree.SubElement(made, "origin", xyz="0 0 0", rpy="0 0 0")
-    return made
-
-
-def _motion(
-    model: mujoco.MjModel, names: Sequence[str], rng: np.random.Generator
-) -> tuple[Array, Array, Array, Array]:
+def _motion(tree: tb.Tree, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
     """Middles (n,), sizes (n, 4), phases (n, 4) and waves (4,) of sines within the ranges."""
-    told = [model.joint(name) for name in names]
-    ranges = np.array([j.range if model.jnt_limited[j.id] else (-np.inf, np.inf) for j in told])
-    low, high = np.maximum(ranges[:, 0], -2.5), np.minimum(ranges[:, 1], 2.5)
+    low, high = np.clip([joint.position_range for joint in tree.joints], -2.5, 2.5).T
     wave = 2 * np.pi * 0.1 * np.array([1, 2, 3, 5])
-    size = rng.uniform(0.3, 1, (len(names), 4)) / [1, 1.5, 2, 3]
+    size = rng.uniform(0.3, 1, (tree.n, 4)) / [1, 1.5, 2, 3]
     size *= (1.2 * np.minimum(0.35 * (high - low), 0.8) / size.sum(axis=1))[:, None]
-    return (low + high) / 2, size, rng.uniform(0, 2 * np.pi, (len(names), 4)), wave
+    return (low + high) / 2, size, rng.uniform(0, 2 * np.pi, (tree.n, 4)), wave
 
 
 def _states(
@@ -236,26 +202,27 @@ def _states(
 
 
 def inverse(
-    model: mujoco.MjModel, names: Sequence[str], q: Array, qd: Array, qdd: Array
-) -> tuple[Array, Array]:
-    """Torques (M, n), and what holds a free base at rest, (M, 6): MuJoCo's inverse dynamics.
+    model: pin.Model, names: Sequence[str], q: Array, qd: Array, qdd: Array,
+    law: Callable[..., Array] = pin.rnea,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Torques (M, n), and what holds a free base at rest, (M, 6): Pinocchio's inverse dynamics.
 
     Args:
-        model: Of `real_model`.
+        model: Of `on_a_free_base`.
         names: Of the joints, in the order of the columns.
         q: Positions, (M, n).
         qd: Velocities, (M, n).
         qdd: Accelerations, (M, n).
+        law: Forces (nv,) of model, data, configuration, velocity and acceleration.
     """
-    data = mujoco.MjData(model)
-    columns = [model.joint(name).dofadr[0] for name in names]
-    places = [model.joint(name).qposadr[0] for name in names]
-    free = int(np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)[0])
-    first = int(model.jnt_dofadr[free])
-    own = model.body_mass[model.jnt_bodyid[free]] * model.opt.gravity
-    found = np.empty((len(q), model.nv))
-    for k in range(len(q)):
-        data.qpos[places], data.qvel[columns], data.qacc[columns] = q[k], qd[k], qdd[k]
-        mujoco.mj_inverse(model, data)
-        found[k] = data.qfrc_inverse
-    return found[:, columns], found[:, first : first + 6] + np.r_[own, np.zeros(3)]
+    data, found = model.createData(), []
+    joints = [model.joints[model.getJointId(name)] for name in names]
+    where, fast, faster = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
+    columns = [joint.idx_v for joint in joints]
+    for position, fast[columns], faster[columns] in zip(q, qd, qdd, strict=True):
+        for joint, angle in zip(joints, position, strict=True):
+            turned = angle if joint.nq == 1 else (np.cos(angle), np.sin(angle))  # without limits
+            where[joint.idx_q : joint.idx_q + joint.nq] = turned
+        found.append(np.array(law(model, data, where, fast, faster)))
+    forces = np.array(found)
+    return forces[:, columns], forces[:, :6]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import product
 from typing import Annotated, Any
 
 import numpy as np
@@ -71,38 +72,37 @@ def agreement(trees: int, zeros: bool) -> dict[str, Any]:
     return tally.said(f"{trees} trees") | {"benchmark": "agreement", "trees": trees, "zeros": zeros}
 
 
-def real_robots(zeros: bool) -> dict[str, Any]:
-    """The same on the robots of the package example-robot-data; roots welded, followers held."""
-    tally, read = Tally(), 0
+def _real() -> Iterator[tuple[str, ModelFile, Tree]]:
+    """The robots of the package example-robot-data; roots welded, followers held."""
     for path in sorted(REAL.rglob("*.urdf")):
         try:
-            followers = dict.fromkeys(mimic_joints(path))
-            tree = tb.load_tree(path, weld_root=True, lock=followers)
+            model = ModelFile(path, weld_root=True, lock=dict.fromkeys(mimic_joints(path)))
+            yield path.name, model, model.tree()
         except tb.TestbedError:  # refused with a reason, as tests/parameters checks
             continue
+
+
+def real_robots(zeros: bool) -> dict[str, Any]:
+    """The same on real robots."""
+    tally, read = Tally(), 0
+    for name, _, tree in _real():
         read += 1
-        tally.examine(path.name, tree, tree.gravity, zeros)
+        tally.examine(name, tree, tree.gravity, zeros)
     return tally.said(f"{read} robots") | {"benchmark": "robots", "robots": read, "zeros": zeros}
 
 
 def force_sensors() -> dict[str, Any]:
     """Force sensors at all joints of those robots, on welded roots and on roots that move."""
     tally, read, rng = Tally(), 0, np.random.default_rng(42)
-    for path in sorted(REAL.rglob("*.urdf")):
-        try:
-            model = ModelFile(path, weld_root=True, lock=dict.fromkeys(mimic_joints(path)))
-            tree = model.tree()
-        except tb.TestbedError:
-            continue
+    for name, model, tree in _real():
         read, links = read + 1, model.links()
         for joint in tree.joints:
             place, turn = rng.uniform(-0.3, 0.3, 3), Rotation.random(rng=rng).as_matrix()
             sensor = ForceSensor(joint.body, place, turn)
-            for base in (tree, on_free_base(tree)):
+            for base, tared in product((tree, on_free_base(tree)), (False, True)):
                 cut = beyond_sensor(base, links, sensor)
-                for tared in (False, True):
-                    minimal = tb.minimal_set(cut, "reaction", tared=tared)
-                    tally.compare(f"{path.name}, {joint.name}", cut, minimal)
+                minimal = tb.minimal_set(cut, "reaction", tared=tared)
+                tally.compare(f"{name}, {joint.name}", cut, minimal)
     said = tally.said(f"force sensors in {read} robots")
     return said | {"benchmark": "cuts", "robots": read}
 

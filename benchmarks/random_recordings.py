@@ -19,10 +19,10 @@ from testbed.lab.instruments.plate import PlateColouredNoise, PlatePinkNoise
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import limits_of
 from testbed.motion.random_motion import random_motion
+from tests.helpers.paths import GOLDEN, ROOT
 
-ROOT = Path(__file__).parent.parent
 ROBOTS: Mapping[str, Path] = {"puma": ROOT / "models/puma562.xml"} | {
-    name: ROOT / f"tests/golden/robots/{name}.urdf"
+    name: GOLDEN / f"robots/{name}.urdf"
     for name in ("ur5", "gantry_ppp_rrr", "stanford", "kuka_lwr4")
 }
 SPEEDS: Mapping[str, float | None] = {"default": None, "slow": 0.3}

@@ -30,7 +30,7 @@ def forget_peak() -> None:
 
 
 def peak_rss() -> float:
-    """Most memory this process held since `forget_peak` [MB]."""
+    """Most memory this process held since `forget_peak` [MiB]."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
 

@@ -13,7 +13,6 @@ from typing import Any
 import h5py
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import rerun as rr
 from google.protobuf import struct_pb2
 from google.protobuf.descriptor_pb2 import (
@@ -24,14 +23,15 @@ from google.protobuf.descriptor_pb2 import (
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag2 import StoragePlugin
 
-from benchmarks.hostile.case import Case
-from benchmarks.hostile.edits import edited, spoiled
-from tests.helpers.foreign_files import FORMATS, Log, lerobot, protobuf_schema, some_log
+from benchmarks.hostile.edits import changed
+from tests.helpers.foreign_files import FORMATS, Log, _bag, lerobot, protobuf_schema, some_log
 
 Files = dict[str, bytes]
 """By their paths in the case's folder."""
 
+LEROBOT = ("v2.1", "v3.0")
 IMPORT = ("import", "map.toml", "--out", "out.parquet")
 OUTPUTS = ("out.parquet", "guess.toml")
 
@@ -51,6 +51,7 @@ def good(kind: str) -> tuple[Files, str]:
     write: Mapping[str, Callable[[Path, Log], str]] = FORMATS | {
         "v2.1": lambda place, log: lerobot(place, log, "v2.1", 3),
         "v3.0": lambda place, log: lerobot(place, log, "v3.0", 2),
+        "bag folder": lambda place, log: _bag(place / "log", log, StoragePlugin.SQLITE3),
     }
     files = files_of(lambda place: made.append(write[kind](place, some_log())))
     return files, made[0]
@@ -76,17 +77,6 @@ ABOUT: tuple[tuple[str, Any], ...] = (
 )  # fmt: skip
 """Keys of a feature and what they say."""
 
-COLUMNS: tuple[Callable[[int], pa.Array], ...] = (
-    pa.nulls, lambda n: pa.array(["x"] * n), lambda n: pa.array([[]] * n),
-    lambda n: pa.array([[1.0]] * (n - 1) + [[1.0, 2.0]]), lambda n: pa.array([[1.0, 2.0]] * n),
-    lambda n: pa.array([[None, 1.0]] * n), lambda n: pa.array([[[1.0]], *[[]] * (n - 1)]),
-    lambda n: pa.array([{"a": 1.0}] * n), lambda n: pa.array([float("nan")] * n),
-    lambda n: pa.array([2**63 - 1] * n), lambda n: pa.array([1e308] * n),
-    lambda n: pa.array(range(n, 0, -1)), lambda n: pa.array([b"\0"] * n),
-    lambda n: pa.array([0] * (n // 2) + [1] * (n - n // 2 - 1) + [0]),
-)  # fmt: skip
-"""In the place of a column."""
-
 
 def _info(draw: DrawFn, files: Files) -> Files:
     """What the dataset says of itself, otherwise."""
@@ -103,26 +93,6 @@ def _info(draw: DrawFn, files: Files) -> Files:
     return files | {"log/meta/info.json": json.dumps(content).encode()}
 
 
-def _columns(draw: DrawFn, files: Files) -> Files:
-    """A Parquet file with another column, fewer or none."""
-    name = draw(st.sampled_from(sorted(name for name in files if name.endswith(".parquet"))))
-    table = pq.read_table(io.BytesIO(files[name]))
-    place = draw(st.integers(0, table.num_columns - 1))
-    made = draw(st.sampled_from(COLUMNS))(table.num_rows)
-    how = draw(st.sampled_from(["other", "other", "without", "twice", "few"]))
-    if how == "other":
-        table = table.set_column(place, table.column_names[place], made)
-    elif how == "without":
-        table = table.remove_column(place)
-    elif how == "twice":
-        table = table.append_column(table.column_names[place], made)
-    else:
-        table = table.slice(0, draw(st.integers(0, 3)))
-    sink = io.BytesIO()
-    pq.write_table(table, sink)
-    return files | {name: sink.getvalue()}
-
-
 def _missing(draw: DrawFn, files: Files) -> Files:
     """Files that are not there, or are of something else."""
     name = draw(st.sampled_from(sorted(files)))
@@ -133,6 +103,25 @@ def _missing(draw: DrawFn, files: Files) -> Files:
     return rest | draw(
         st.sampled_from([{}, {name: junk}, {f"{name}/x": junk}, {name + ".part": junk}])
     )
+
+
+def _columns(draw: DrawFn, files: Files) -> Files:
+    """A Parquet file of another table."""
+    name = draw(st.sampled_from(sorted(name for name in files if name.endswith(".parquet"))))
+    return files | {name: draw(changed(files[name]))}
+
+
+@st.composite
+def changed_dataset(draw: DrawFn, files: Files) -> Files:
+    """A dataset after one or two changes."""
+    for _ in range(draw(st.integers(1, 2))):
+        change = draw(st.sampled_from([_info, _info, _columns, _columns, _missing]))
+        if "log/meta/info.json" in files and any(name.endswith(".parquet") for name in files):
+            try:
+                files = change(draw, files)
+            except (pa.ArrowException, ValueError, TypeError, RecursionError, OSError):
+                continue  # the change before has left nothing to change
+    return files
 
 
 def _mcap(
@@ -359,10 +348,6 @@ def _copied(descriptor: Any) -> FileDescriptorProto:
     return made
 
 
-trap = cache(lambda name: TRAPS[name]())
-"""A trap's files, made once."""
-
-
 def mapping_of(name: str) -> str:
     """A mapping that reads what a trap may hold."""
     topics = {"mcap": 'topic = "/joint_states"', "rrd": 'topic = "position/j1"'}
@@ -372,35 +357,3 @@ def mapping_of(name: str) -> str:
         '[position]\nsource = "log"\ncolumns = ["q"]\nunit = "rad"\n'
         '[torque]\nsource = "log"\ncolumns = ["a"]\nunit = "N m"\n'
     )
-
-
-@st.composite
-def datasets(draw: DrawFn) -> Case:
-    """Hostile datasets, and mappings or guesses of them."""
-    kind = draw(
-        st.sampled_from(["v2.1", "v3.0", "v2.1", "v3.0", "trap", "trap", "trap", "file", "file"])
-    )
-    if kind == "trap":
-        files = trap(draw(st.sampled_from(sorted(TRAPS))))
-        name = next(iter(files))
-        text = mapping_of(name)
-    elif kind == "file":
-        own, text = good(draw(st.sampled_from(["mcap_json", "mcap_protobuf", "rrd"])))
-        ((name, data),) = own.items()
-        files = {name: draw(spoiled(data))}
-    else:
-        files, text = good(kind)
-        name = "log"
-        for _ in range(draw(st.integers(1, 2))):
-            change = draw(st.sampled_from([_info, _info, _columns, _columns, _missing]))
-            if "log/meta/info.json" in files and any(n.endswith(".parquet") for n in files):
-                try:
-                    files = change(draw, files)
-                except (pa.ArrowException, ValueError, OSError):
-                    continue  # the change before has left nothing to change
-    if draw(st.integers(0, 5)) == 0:
-        text = draw(
-            edited([text, text.replace("[sources.log]", '[sources.log]\ntopic = "episode 1"')])
-        ).decode(errors="replace")
-    command = IMPORT if draw(st.booleans()) else ("import", "--guess", name, "--out", "guess.toml")
-    return Case(command, files | {"map.toml": text.encode("utf-8", "replace")}, OUTPUTS)

@@ -1,12 +1,20 @@
-"""Changes of texts and bytes by Hypothesis: words, stretches, blocks that parsers dislike."""
+"""Changes of texts, bytes and tables by Hypothesis: words, blocks, values that parsers dislike."""
 
 from __future__ import annotations
 
+import io
+import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn, SearchStrategy
+
+from testbed.core.recordings.formats.parquet import KEY
 
 WORDS = (
     "nan", "inf", "-inf", "1e308", "1e400", "1e-320", "-0.0", "0", "-1", "1e20", "", " ", "0x10",
@@ -78,3 +86,106 @@ def spoiled(draw: DrawFn, data: bytes) -> bytes:
             ]
         )
     )  # fmt: skip
+
+
+COLUMNS: tuple[Callable[[int], pa.Array], ...] = (
+    pa.nulls, lambda n: pa.array(["x"] * n), lambda n: pa.array([[]] * n),
+    lambda n: pa.array([[1.0]] * (n - 1) + [[1.0, 2.0]]), lambda n: pa.array([[1.0, 2.0]] * n),
+    lambda n: pa.array([[None, 1.0]] * n), lambda n: pa.array([[[1.0]], *[[]] * (n - 1)]),
+    lambda n: pa.array([{"a": 1.0}] * n), lambda n: pa.array([float("nan")] * n),
+    lambda n: pa.array([2**63 - 1] * n), lambda n: pa.array([1e308] * n),
+    lambda n: pa.array(range(n, 0, -1)), lambda n: pa.array([b"\0"] * n),
+    lambda n: pa.array([0] * (n // 2) + [1] * (n - n // 2 - 1) + [0]),
+)  # fmt: skip
+"""In the place of a column."""
+
+
+Change = Callable[[DrawFn, pa.Table, int], pa.Table]
+
+
+def _values(draw: DrawFn, table: pa.Table, place: int) -> pa.Table:
+    """Values that no instrument reads, in a column or a place of it."""
+    column = table.column(place).to_numpy().astype(float).copy()
+    value = draw(st.sampled_from([np.nan, np.inf, 1e308, 1e13, 5e-324, 0.0, -1.0, 2.0**63]))
+    with np.errstate(all="ignore"):
+        how: dict[str, Callable[[], Any]] = {
+            "one": lambda: np.where(np.arange(len(column)) == len(column) // 2, value, column),
+            "all": lambda: np.full(len(column), value),
+            "times": lambda: column * value,
+            "plus": lambda: column + value,
+            "back": lambda: column[::-1],
+            "doubled": lambda: np.repeat(column[::2], 2)[: len(column)],
+        }
+        made = how[draw(st.sampled_from(sorted(how)))]()
+    return table.set_column(
+        place, table.schema.field(place), pa.array(np.resize(made, len(column)))
+    )
+
+
+def _type(draw: DrawFn, table: pa.Table, place: int) -> pa.Table:
+    """A column of another type, or of nothing."""
+    kinds = [
+        pa.int8(), pa.uint64(), pa.float16(), pa.bool_(), pa.null(), pa.string(), pa.binary(8),
+        pa.timestamp("ns"), pa.duration("ms"), pa.decimal128(30, 5), pa.list_(pa.float64()),
+        pa.struct({"x": pa.float64()}), pa.dictionary(pa.int8(), pa.float64()),
+    ]  # fmt: skip
+    array = pa.nulls(table.num_rows, draw(st.sampled_from(kinds)))
+    if draw(st.booleans()):
+        array = pa.array([str(value) for value in table.column(place).to_pylist()])
+    return table.set_column(place, pa.field(table.column_names[place], array.type), array)
+
+
+def _names(draw: DrawFn, table: pa.Table, place: int) -> pa.Table:
+    """Columns renamed, doubled, left out or in another order."""
+    names = list(table.column_names)
+    names[place] = draw(st.one_of(words, st.sampled_from(names)))
+    names[place] = names[place].encode("utf-8", "replace").decode()
+    renamed = table.rename_columns(names)
+    return (
+        renamed if draw(st.booleans()) else table.select(draw(st.permutations(range(len(names)))))
+    )
+
+
+def _rows(draw: DrawFn, table: pa.Table, place: int) -> pa.Table:
+    """Few samples, or many times as many."""
+    count = draw(st.sampled_from([0, 1, 2, 5, 30, 200, 300_000]))
+    few = table.slice(place, count)
+    return few if count < table.num_rows else pa.concat_tables([table] * (count // table.num_rows))
+
+
+def _metadata(draw: DrawFn, table: pa.Table, place: int) -> pa.Table:
+    """What the file says of itself, as other JSON or none."""
+    text = (table.schema.metadata or {}).get(KEY.encode(), b"{}").decode()
+    made = draw(edited([json.dumps(json.loads(text), indent=place % 2)]))
+    return table.replace_schema_metadata({KEY: made})
+
+
+def _columns(draw: DrawFn, table: pa.Table, place: int) -> pa.Table:
+    """Another column, fewer or one more."""
+    made = draw(st.sampled_from(COLUMNS))(table.num_rows)
+    how = draw(st.sampled_from(["other", "other", "without", "twice"]))
+    if how == "without":
+        return table.remove_column(place)
+    if how == "twice":
+        return table.append_column(table.column_names[place], made)
+    return table.set_column(place, table.column_names[place], made)
+
+
+CHANGES: tuple[Change, ...] = (_values, _values, _type, _names, _rows, _metadata, _columns)
+
+
+@st.composite
+def changed(draw: DrawFn, data: bytes) -> bytes:
+    """A Parquet file after one or two changes of its table."""
+    table, sink = pq.read_table(io.BytesIO(data)), io.BytesIO()
+    for change in draw(st.lists(st.sampled_from(CHANGES), min_size=1, max_size=2)):
+        place = draw(st.one_of(st.just(0), st.integers(0, 200))) % max(table.num_columns, 1)
+        try:
+            table = change(draw, table, place)
+        except (pa.ArrowException, ArithmeticError, ValueError, TypeError, IndexError):
+            continue  # the change before has left nothing to change
+    try:
+        pq.write_table(table, sink)
+    except (pa.ArrowException, OSError, ValueError):  # what Parquet itself cannot hold
+        return data
+    return sink.getvalue()

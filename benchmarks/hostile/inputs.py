@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import io
-import json
 import tomllib
-from collections.abc import Callable
+from collections.abc import Sequence
 from functools import cache
-from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import tomli_w
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn, SearchStrategy
@@ -19,10 +15,18 @@ from hypothesis.strategies import DrawFn, SearchStrategy
 import testbed as tb
 from benchmarks.hostile.bombs import BOMBS
 from benchmarks.hostile.case import Case
-from benchmarks.hostile.datasets import IMPORT, OUTPUTS, datasets, good
-from benchmarks.hostile.edits import edited, spoiled, words
-from benchmarks.hostile.logs import logs
-from testbed.core.recordings.formats.parquet import KEY, write_table
+from benchmarks.hostile.datasets import (
+    IMPORT,
+    LEROBOT,
+    OUTPUTS,
+    TRAPS,
+    changed_dataset,
+    good,
+    mapping_of,
+)
+from benchmarks.hostile.edits import changed, edited, spoiled, words
+from benchmarks.hostile.logs import LOG_TRAPS, Trap, trap
+from testbed.core.recordings.formats.parquet import write_table
 from tests.helpers.foreign_files import FORMATS
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.robots import random_robot
@@ -96,94 +100,19 @@ def experiments(draw: DrawFn) -> Case:
 
 
 @cache
-def recorded() -> pa.Table:
-    """A second of the PUMA on its plate."""
+def recorded() -> bytes:
+    """A second of the PUMA on its plate, as Parquet."""
     recording = tb.record(tb.Experiment.from_toml(ROOT / "experiments/table6.toml", SHORT))
     sink, columns = io.BytesIO(), recording.columns() | recording.true_columns()
     write_table(sink, recording.units(), recording.metadata, [columns])  # type: ignore[arg-type]
-    return pq.read_table(io.BytesIO(sink.getvalue()))
-
-
-Change = Callable[[DrawFn, pa.Table, int], pa.Table]
-
-
-def _values(draw: DrawFn, table: pa.Table, place: int) -> pa.Table:
-    """Values that no instrument reads, in a column or a place of it."""
-    column = table.column(place).to_numpy().astype(float).copy()
-    value = draw(st.sampled_from([np.nan, np.inf, 1e308, 1e13, 5e-324, 0.0, -1.0, 2.0**63]))
-    with np.errstate(all="ignore"):
-        how: dict[str, Callable[[], Any]] = {
-            "one": lambda: np.where(np.arange(len(column)) == len(column) // 2, value, column),
-            "all": lambda: np.full(len(column), value),
-            "times": lambda: column * value,
-            "plus": lambda: column + value,
-            "back": lambda: column[::-1],
-            "doubled": lambda: np.repeat(column[::2], 2)[: len(column)],
-        }
-        made = how[draw(st.sampled_from(sorted(how)))]()
-    return table.set_column(
-        place, table.schema.field(place), pa.array(np.resize(made, len(column)))
-    )
-
-
-def _type(draw: DrawFn, table: pa.Table, place: int) -> pa.Table:
-    """A column of another type, or of nothing."""
-    kinds = [
-        pa.int8(), pa.uint64(), pa.float16(), pa.bool_(), pa.null(), pa.string(), pa.binary(8),
-        pa.timestamp("ns"), pa.duration("ms"), pa.decimal128(30, 5), pa.list_(pa.float64()),
-        pa.struct({"x": pa.float64()}), pa.dictionary(pa.int8(), pa.float64()),
-    ]  # fmt: skip
-    array = pa.nulls(table.num_rows, draw(st.sampled_from(kinds)))
-    if draw(st.booleans()):
-        array = pa.array([str(value) for value in table.column(place).to_pylist()])
-    return table.set_column(place, pa.field(table.column_names[place], array.type), array)
-
-
-def _names(draw: DrawFn, table: pa.Table, place: int) -> pa.Table:
-    """Columns renamed, doubled, left out or in another order."""
-    names = list(table.column_names)
-    names[place] = draw(st.one_of(words, st.sampled_from(names)))
-    names[place] = names[place].encode("utf-8", "replace").decode()
-    renamed = table.rename_columns(names)
-    return (
-        renamed if draw(st.booleans()) else table.select(draw(st.permutations(range(len(names)))))
-    )
-
-
-def _rows(draw: DrawFn, table: pa.Table, place: int) -> pa.Table:
-    """Few samples, or many times as many."""
-    count = draw(st.sampled_from([0, 1, 2, 5, 30, 200, 300_000]))
-    few = table.slice(place, count)
-    return few if count < table.num_rows else pa.concat_tables([table] * (count // table.num_rows))
-
-
-def _metadata(draw: DrawFn, table: pa.Table, place: int) -> pa.Table:
-    """What the file says of itself, as other JSON or none."""
-    text = (table.schema.metadata or {}).get(KEY.encode(), b"{}").decode()
-    made = draw(edited([json.dumps(json.loads(text), indent=place % 2)]))
-    return table.replace_schema_metadata({KEY: made})
-
-
-CHANGES: tuple[Change, ...] = (_values, _values, _type, _names, _rows, _metadata)
+    return sink.getvalue()
 
 
 @st.composite
 def recordings(draw: DrawFn) -> Case:
     """Recordings with wrong types, values, times, names and metadata, and spoiled files."""
-    table, sink = recorded(), io.BytesIO()
-    for change in draw(st.lists(st.sampled_from(CHANGES), max_size=2)):
-        place = draw(st.one_of(st.just(0), st.integers(0, 200))) % max(table.num_columns, 1)
-        try:
-            table = change(draw, table, place)
-        except (pa.ArrowException, ArithmeticError, ValueError, TypeError, IndexError):
-            continue  # the change before has left nothing to change
-    try:
-        pq.write_table(table, sink)
-    except (pa.ArrowException, OSError, ValueError):  # what Parquet itself cannot hold
-        pq.write_table(recorded(), sink)
-    data = sink.getvalue()
-    if table is recorded():
-        data = draw(spoiled(data))
+    data = recorded()
+    data = draw(st.one_of(changed(data), changed(data), spoiled(data)))
     command = draw(
         st.sampled_from(
             [
@@ -200,16 +129,30 @@ def recordings(draw: DrawFn) -> Case:
 
 
 @st.composite
-def foreign(draw: DrawFn) -> Case:
-    """Spoiled files of other programs, and mappings."""
-    files, text = good(draw(st.sampled_from(sorted(FORMATS))))
-    name = draw(st.sampled_from(sorted(files)))
-    if draw(st.integers(0, 4)):
-        made = files | {name: draw(spoiled(files[name])), "map.toml": text.encode()}
+def foreign(draw: DrawFn, kinds: Sequence[str]) -> Case:
+    """Files of other programs and traps, spoiled, and mappings or guesses of them."""
+    kind = draw(st.sampled_from(kinds))
+    if kind == "trap":
+        kind = draw(st.sampled_from(sorted({*TRAPS, *LOG_TRAPS})))
+        found = trap(kind)
+        text = mapping_of(found.name)
     else:
-        made = files | {"map.toml": draw(edited([text]))}
-    guess = ("import", "--guess", name.partition("/")[0], "--out", "guess.toml")
-    return Case(IMPORT if draw(st.integers(0, 6)) else guess, made, OUTPUTS)
+        files, text = good(kind)
+        name = draw(st.sampled_from(sorted(files)))
+        if draw(st.integers(0, 4)) and kind in LEROBOT:
+            files = draw(changed_dataset(files))
+        elif kind not in LEROBOT:
+            files = files | {name: draw(spoiled(files[name]))}
+        found = Trap(files, name.partition("/")[0])
+    named = () if kind in LEROBOT or kind in TRAPS else (found.name, "map.toml")
+    if draw(st.integers(0, 5)) == 0:
+        topic = text.replace("[sources.log]", '[sources.log]\ntopic = "episode 1"')
+        text, named = draw(edited([text, topic])).decode(errors="replace"), ()
+    files = found.files | {"map.toml": text.encode("utf-8", "replace")}
+    if draw(st.booleans()):
+        guess = ("import", "--guess", found.name, "--out", "guess.toml")
+        return Case(guess, files, OUTPUTS, found.links, named[:1])
+    return Case(IMPORT, files, OUTPUTS, found.links, named)
 
 
 @cache
@@ -232,9 +175,9 @@ def listings(draw: DrawFn) -> Case:
 KINDS: dict[str, SearchStrategy[Case]] = {
     "models": models(),
     "recordings": recordings(),
-    "foreign": foreign(),
-    "datasets": datasets(),
-    "logs": logs(),
+    "foreign": foreign([*FORMATS, "bag folder"]),
+    "datasets": foreign(LEROBOT),
+    "logs": foreign(["trap"]),
     "experiments": experiments(),
     "listings": listings(),
 }

@@ -7,7 +7,7 @@ import io
 import json
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
@@ -15,14 +15,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import zstandard
-from hypothesis import strategies as st
-from hypothesis.strategies import DrawFn
-from rosbags.rosbag2 import StoragePlugin
 
-from benchmarks.hostile.case import Case
-from benchmarks.hostile.datasets import IMPORT, OUTPUTS, Files, files_of, good, mapping_of
-from benchmarks.hostile.edits import spoiled
-from tests.helpers.foreign_files import FORMATS, _bag, some_log
+from benchmarks.hostile.datasets import TRAPS, Files, good
 
 MANY = 100_000
 """Columns that no robot has."""
@@ -43,12 +37,6 @@ class Trap:
     links: dict[str, str] = field(default_factory=dict)
 
 
-@cache
-def bag_folder() -> Files:
-    """A bag of ROS 2, as a folder."""
-    return files_of(lambda place: _bag(place / "log", some_log(), StoragePlugin.SQLITE3))
-
-
 def _with_link(files: Files, ending: str, target: str) -> Trap:
     """A folder one of whose files is a link to something, or a pipe."""
     name = max(each for each in files if each.endswith(ending))
@@ -58,7 +46,7 @@ def _with_link(files: Files, ending: str, target: str) -> Trap:
 
 def _packed_bag(content: bytes) -> Trap:
     """A bag packed by zstd."""
-    files = dict(bag_folder())
+    files = dict(good("bag folder")[0])
     name = next(name for name in files if name.endswith(".db3"))
     del files[name]
     about = files["log/metadata.yaml"].decode().replace(Path(name).name, f"{Path(name).name}.zstd")
@@ -117,9 +105,9 @@ LOG_TRAPS: dict[str, Callable[[], Trap]] = {
        for end in (".csv", ".csv.gz", ".npz", ".parquet", ".mat", ".h5", ".bag", ".db3", ".mcap",
                    ".rrd", ".c3d")},
     "a device": lambda: Trap({}, "log.csv", {"log.csv": "/dev/zero"}),
-    "bag: a pipe": lambda: _with_link(bag_folder(), ".db3", ""),
-    "bag: a link outwards": lambda: _with_link(bag_folder(), ".db3", "../elsewhere.db3"),
-    "bag: a link to itself": lambda: _with_link(bag_folder(), ".db3", "log_0.db3"),
+    "bag: a pipe": lambda: _with_link(good("bag folder")[0], ".db3", ""),
+    "bag: a link outwards": lambda: _with_link(good("bag folder")[0], ".db3", "../elsewhere.db3"),
+    "bag: a link to itself": lambda: _with_link(good("bag folder")[0], ".db3", "log_0.db3"),
     "bag: 800 MB by zstd": lambda: _packed_bag(bytes(800_000_000)),
     "bag: noise by zstd": lambda: _packed_bag(b"noise" * 1000),
     "dataset: a device": lambda: _with_link(good("v3.0")[0], ".parquet", "/dev/zero"),
@@ -144,23 +132,11 @@ LOG_TRAPS: dict[str, Callable[[], Trap]] = {
 }  # fmt: skip
 """Small logs that would harm a reader."""
 
-trap = cache(lambda name: LOG_TRAPS[name]())
-"""A trap, made once."""
 
-
-@st.composite
-def logs(draw: DrawFn) -> Case:
-    """Hostile logs, and mappings or guesses of them."""
-    if draw(st.integers(0, 3)) == 0:
-        found = trap(draw(st.sampled_from(sorted(LOG_TRAPS))))
-        text = mapping_of(found.name)
-    else:
-        kind = draw(st.sampled_from([*FORMATS, "bag folder"]))
-        files, text = good(kind) if kind in FORMATS else (bag_folder(), mapping_of("log"))
-        name = draw(st.sampled_from(sorted(files)))
-        found = Trap(files | {name: draw(spoiled(files[name]))}, name.partition("/")[0])
-    guess = draw(st.booleans())
-    command = ("import", "--guess", found.name, "--out", "guess.toml") if guess else IMPORT
-    named = (found.name,) if guess else (found.name, "map.toml")
-    case = Case(command, found.files | {"map.toml": text.encode()}, OUTPUTS, found.links)
-    return replace(case, named=named)
+@cache
+def trap(name: str) -> Trap:
+    """A trap of this module or of `datasets`, made once."""
+    if name in LOG_TRAPS:
+        return LOG_TRAPS[name]()
+    files = TRAPS[name]()
+    return Trap(files, next(iter(files)))

@@ -6,11 +6,9 @@ line each; what the commands print goes to files in memory.
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import resource
-import signal
 import sys
 import time
 from pathlib import Path
@@ -39,52 +37,22 @@ def main() -> None:
 
 def carried_out(folder: str, words: list[str]) -> dict[str, Any]:
     """Exit code, streams, seconds and megabytes of a command line."""
-    from testbed.cli.main import main as command
+    from benchmarks.timing import forget_peak, peak_rss
+    from tests.helpers.command import command_line
 
-    os.chdir(folder)
-    sys.argv = ["testbed", *words]
-    for stream in (1, 2):
-        os.ftruncate(stream, 0)
-        os.lseek(stream, 0, os.SEEK_SET)
-    sys.stdout = io.TextIOWrapper(io.FileIO(1, "w", closefd=False))
-    sys.stderr = io.TextIOWrapper(io.FileIO(2, "w", closefd=False), errors="backslashreplace")
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
     used = int(time.process_time())
     resource.setrlimit(resource.RLIMIT_CPU, (used + 2 * SECONDS, resource.RLIM_INFINITY))
-    before = _resident(reset=True)
-    start, wall = time.process_time(), time.monotonic()
-    code: Any = "it returned"
-    try:
-        command()
-    except SystemExit as done:
-        code = done.code
-    seconds = time.process_time() - start
-    sys.stdout.flush()
-    sys.stderr.flush()
+    forget_peak()
+    before, start, wall = peak_rss(), time.process_time(), time.monotonic()
+    done = command_line(*words, cwd=Path(folder))
     return {
-        "code": code,
-        "seconds": seconds,
+        "code": done.returncode,
+        "seconds": time.process_time() - start,
         "wall": time.monotonic() - wall,
-        "megabytes": (_resident(peak=True) - before) / 1e6,
-        "stdout": _content(1),
-        "stderr": _content(2),
+        "megabytes": (peak_rss() - before) * 1.024**2,
+        "stdout": done.stdout[:SHOWN],
+        "stderr": done.stderr[:SHOWN],
     }
-
-
-def _content(stream: int) -> str:
-    size = os.fstat(stream).st_size
-    text = os.pread(stream, min(size, SHOWN), 0).decode(errors="replace")
-    return text if size <= SHOWN else f"{text}\n({size} bytes)"
-
-
-def _resident(*, peak: bool = False, reset: bool = False) -> int:
-    """Bytes in memory, now or at most since the last reset."""
-    if reset:
-        Path("/proc/self/clear_refs").write_text("5")
-    word = "VmHWM:" if peak else "VmRSS:"
-    lines = Path("/proc/self/status").read_text().splitlines()
-    (line,) = [line for line in lines if line.startswith(word)]
-    return int(line.split()[1]) * 1024
 
 
 def _limit_memory() -> None:

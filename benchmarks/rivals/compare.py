@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import date
@@ -20,7 +20,6 @@ import numpy as np
 
 from benchmarks.bench import NOISES, ROBOTS, cases, make, score
 from docs.marks import table, write
-from testbed.core.base.arrays import Array
 from tests.helpers.paths import ROOT
 
 PAGE = ROOT / "docs/rivals.md"
@@ -112,7 +111,7 @@ def rivals(folder: Path, pythons: Mapping[str, str], draws: int, jobs: int, docs
     elif docs:
         head = f"{date.today()}, {draws} draws of each robot and noise (of mujoco.sysid fewer)."
         write(PAGE, MODULE, lambda _: "\n".join(["", head, *lines, "", ""]))
-    return max(_mean(np.array(list(by.values()))) for by in found.own["over"].values())
+    return max(_mean(by.values()) for by in found.own["over"].values())
 
 
 def _answers(folder: Path, rival: Rival, setting: str) -> Path:
@@ -190,58 +189,50 @@ class Findings:
                 if not scored["whole"]:
                     usual = score(folder, {name: own[name] for name in each})["error"]
                     scored["same"] = {
-                        signal: _mean(np.array([usual[signal][c] / e for c, e in by.items()]))
+                        signal: _mean(usual[signal][cell] / e for cell, e in by.items())
                         for signal, by in least.items()
                     }
                 self.scores[rival.name, setting] = scored
-        self.bound = self.scores.pop(("Cramer-Rao bound", "bound"))
+        del self.scores["Cramer-Rao bound", "bound"]
         self.own = self.scores["testbed", "default"]
 
-    def best(self, signal: str) -> dict[str, tuple[float, str]]:
-        """By cell, least error over the bound of experts' settings with all draws, and whose."""
-        return {
-            cell: min(
-                (
-                    (scored["over"][signal][cell], f"{name} {setting.removeprefix('expert, ')}")
-                    for (name, setting), scored in self.scores.items()
-                    if setting.startswith("expert") and scored["whole"] and scored["over"][signal]
-                ),
-                default=(np.nan, "nobody"),  # by plate only FIGAROH is there, which has no way
-            )
-            for cell in self.own["over"][signal]
-        }
+    def best(self, signal: str) -> dict[str, float]:
+        """By cell, least error over the bound of experts' settings with all draws."""
+        every = [
+            scored["over"][signal]
+            for (_, setting), scored in self.scores.items()
+            if setting.startswith("expert") and scored["whole"] and scored["over"][signal]
+        ]  # by plate nobody if FIGAROH alone is there, which has no way
+        cells = self.own["over"][signal]
+        return {cell: min((over[cell] for over in every), default=np.nan) for cell in cells}
 
     def _same(self, scored: Mapping[str, Any], signal: str) -> float:
         """The error of testbed over the bound for the recordings that another tool has answered."""
-        whole = _mean(np.array(list(self.own["over"][signal].values())))
+        whole = _mean(self.own["over"][signal].values())
         return float(scored.get("same", {}).get(signal, whole))
 
     def _one_setting(self, signal: str) -> float:
         """Least mean over cells of another tool's setting with all draws."""
-        return min(
-            (
-                _mean(np.array(list(scored["over"][signal].values())))
-                for (name, _), scored in self.scores.items()
-                if name != "testbed" and scored["whole"] and scored["over"][signal]
-            ),
-            default=np.nan,
-        )
+        others = (scored for (name, _), scored in self.scores.items() if name != "testbed")
+        whole = (scored["over"][signal].values() for scored in others if scored["whole"])
+        return min((_mean(over) for over in whole if over), default=np.nan)
 
     def summary(self) -> Iterator[str]:
         """A table of tools for each signal, the best one first."""
         for signal, words in SIGNALS.items():
             rows = []
             for (name, setting), scored in self.scores.items():
-                over = np.array(list(scored["over"][signal].values()))
-                if not len(over):
+                over = scored["over"][signal].values()
+                if not over:
                     continue
                 held = list(scored["coverage"][signal].values())
                 faults = self.said.get(name, {"noticed": (), "missed": ()})
-                noticed, planted = len(faults["noticed"]), sum(map(len, _lists(faults)))
+                noticed = len(faults["noticed"])
+                planted = noticed + len(faults["missed"])
                 cells = (
                     f"{self.titles[name]}, {setting}",
                     f"{_mean(over):.2f}",
-                    f"{over.max():.1f}",
+                    f"{max(over):.1f}",
                     f"{self._same(scored, signal):.2f}",
                     f"{np.mean(held):.2f} ({min(held):.2f} to {max(held):.2f})" if held else "none",
                     f"{scored['cpu'][signal]:.2f}",
@@ -262,13 +253,13 @@ class Findings:
         rows = []
         for signal, words in SIGNALS.items():
             best, own = self.best(signal), self.own["over"][signal]
-            ratio = np.array([own[cell] / over for cell, (over, _) in best.items()])
+            ratio = np.array([own[cell] / over for cell, over in best.items()])
             held = f"{(ratio <= 1.05).sum()} of {len(ratio)} cells, worst {ratio.max():.2f}"
             rows += [
                 (f"by {words}, over the best expert, each cell: at most 1.05", held),
                 (f"by {words}, over the best expert, mean: below 1", f"{_mean(ratio):.2f}"),
                 (f"by {words}, over the best of all settings that are the same in all cells",
-                 f"{_mean(np.array(list(own.values()))) / self._one_setting(signal):.2f}"),
+                 f"{_mean(own.values()) / self._one_setting(signal):.2f}"),
             ]  # fmt: skip
         plain = self.scores.get(("FIGAROH", "plain"))
         if plain is not None:
@@ -287,10 +278,6 @@ class Findings:
         yield from ("", *table("testbed's error: asked | obtained", rows))
 
 
-def _mean(ratios: Array) -> float:
+def _mean(ratios: Iterable[float]) -> float:
     """Geometric."""
-    return float(np.exp(np.log(ratios).mean()))
-
-
-def _lists(faults: Mapping[str, Any]) -> tuple[Sequence[str], Sequence[str]]:
-    return faults["noticed"], faults["missed"]
+    return float(np.exp(np.log([*ratios]).mean()))

@@ -15,7 +15,7 @@ from benchmarks.rivals.case import read
 from benchmarks.rivals.testbed import solve
 
 CLEAN = [Case("puma", "white", 0), Case("puma", "white", 1)]
-"""One simulated by testbed, one by MuJoCo's inverse dynamics alone."""
+"""One simulated by testbed, one by Pinocchio's inverse dynamics alone."""
 
 
 @pytest.fixture(scope="module")
