@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.dynamics.newton_euler import Motion, linear
+from testbed.core.dynamics.newton_euler import linear
 from testbed.importing.check.instants import Instants
 from testbed.importing.check.plate import WEIGHT, Frame, PlateEvidence, PlateExplanation
 from testbed.importing.check.prior import Prior
@@ -167,11 +167,9 @@ class HypothesisFit:
             instants: Of the recording by these.
         """
         self.prior, self.hypotheses, self.instants = prior, hypotheses, instants
-        time = np.arange(len(instants.position), dtype=np.float64) * instants.spacing
-        motion = Motion(time, instants.position, instants.velocity, instants.acceleration)
         tree = prior.tree
         theta = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
-        self._joint_rows, base_rows = linear(tree, motion, theta)
+        self._joint_rows, base_rows = linear(tree, instants.motion, theta)
         self.plate = PlateEvidence(prior, frame, base_rows, instants)
         measured = instants.torque.size > 0
         self.torques = self.evidence(prior.mean, prior.root) if measured else None

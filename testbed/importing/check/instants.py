@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
+from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.regression.windows import motion_taps
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
@@ -46,9 +47,7 @@ class Instants:
     """Signals at T instants of a recording.
 
     Attributes:
-        position: (T, n) [rad or m].
-        velocity: (T, n) [rad/s or m/s].
-        acceleration: (T, n) [rad/s^2 or m/s^2].
+        motion: Of the joints.
         torque: (T, n) [N m or N]; (T, 0) where it was not measured.
         wrench: (T, 6) [N, N m]; (T, 0) where it was not measured.
         wrench_rate: Its derivative, (T, 6) [N/s, N m/s], or (T, 0).
@@ -57,9 +56,7 @@ class Instants:
         spacing: From one instant to the next [s].
     """
 
-    position: Array
-    velocity: Array
-    acceleration: Array
+    motion: Motion
     torque: Array
     wrench: Array
     wrench_rate: Array
@@ -85,21 +82,19 @@ def sample(recording: Recording, late: float = 0.0, cutoff: float = CUTOFF) -> I
         return None
     later = round(late * rate)
     at = np.linspace(0, inside - 1 - abs(later), count).astype(int) + max(0, -later)
+    spacing = (inside - abs(later)) / rate / count
     none = np.zeros((recording.samples, 0))
     torque = none if recording.torque is None else recording.torque
     wrench = none if recording.wrench is None else recording.wrench
     smoothing = float((taps[0] ** 2).sum())
-    position, velocity, acceleration = (decimate(recording.position, each, at) for each in taps)
     return Instants(
-        position,
-        velocity,
-        acceleration,
+        motion_at(recording, taps, at, spacing),
         torque=decimate(torque, taps[0], at),
         wrench=decimate(wrench, taps[0], at + later),
         wrench_rate=decimate(wrench, taps[1], at + later),
         torque_noise=_white_noise(torque) * smoothing,
         wrench_noise=_noise_above(wrench, taps[0], motion_taps(rate, 2 * passed)[0]),
-        spacing=(inside - abs(later)) / rate / count,
+        spacing=spacing,
     )
 
 
@@ -112,6 +107,21 @@ def middle(source: Source, samples: int) -> Recording:
     """
     first = max(0, (source.samples - samples) // 2)
     return source.part(first, min(source.samples, first + samples))
+
+
+def motion_at(
+    recording: Recording, taps: Array, at: slice | NDArray[np.intp], spacing: float
+) -> Motion:
+    """Positions at some instants by a low-pass, with their derivatives.
+
+    Args:
+        recording: Of M samples.
+        taps: Weights of the low-pass and of its derivatives, (3, 2 L + 1).
+        at: As of `decimate`.
+        spacing: From one instant to the next [s].
+    """
+    signals = [decimate(recording.position, each, at) for each in taps]
+    return Motion(spacing * np.arange(len(signals[0])), *signals)
 
 
 def decimate(signal: Array, weights: Array, at: slice | NDArray[np.intp]) -> Array:
@@ -163,7 +173,7 @@ def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
     if not 0 < ENOUGH * basis.shape[1] < len(basis):
         return 0.0, 1.0  # nothing moves, or columns explain whatever is measured
     basis = basis.reshape(*rows.shape[:2], -1)
-    counted = np.any(rows, axis=2) * np.ones(rows.shape[:2])
+    counted = np.any(rows, axis=2).astype(np.float64)
     explained = fftconvolve(signal[..., None], basis[::-1], "valid", axes=0).sum(axis=1)
     whole = fftconvolve(signal**2, counted[::-1], "valid", axes=0).sum(axis=1)
     share = (explained**2).sum(axis=1) / np.maximum(whole, 1e-300)

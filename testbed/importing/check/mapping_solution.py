@@ -449,7 +449,7 @@ def _list(values: Array, digits: int) -> str:
 def _too_short(best: Explanation) -> Iterator[Diagnostic]:
     """Whether another mapping may fit a recording as well."""
     instants, parameters = best.fit.instants, best.fit.prior.parameters
-    count, joints = instants.position.shape
+    count, joints = instants.motion.q.shape
     if count * (6 if best.has_plate else joints) <= SHORT * parameters:
         yield diagnose("recording.short", value=count * instants.spacing, parameters=parameters)
 

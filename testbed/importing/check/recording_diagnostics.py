@@ -129,7 +129,7 @@ def at_rest(tree: Tree, instants: Instants) -> Iterator[Diagnostic]:
         tree: The robot.
         instants: Of the recording.
     """
-    position = instants.position[:, list(own_joints(tree))]
+    position = instants.motion.q[:, list(own_joints(tree))]
     moved, wrench = np.ptp(position, axis=0).max(initial=0.0), instants.wrench
     # in a wrong unit noise may be larger: it changes from instant to instant, as no motion does
     noise = (np.diff(position, axis=0).var(axis=0) > position.var(axis=0)).all()
@@ -146,7 +146,7 @@ def still_joints(tree: Tree, as_read: Explanation) -> Iterator[Diagnostic]:
         tree: The robot.
         as_read: The recording as it is.
     """
-    position, odd = as_read.fit.instants.position, as_read.odd_torques()
+    position, odd = as_read.fit.instants.motion.q, as_read.odd_torques()
     still = [k for k in own_joints(tree) if np.ptp(position[:, k]) < STILL]
     dead = [k for k in still if k in odd]
     if dead:

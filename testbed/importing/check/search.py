@@ -172,7 +172,7 @@ class Search:
         """
         tree = self.prior.tree
         yield first.explanations
-        hypotheses = list(position_hypotheses(tree, first.instants.position, ()))
+        hypotheses = list(position_hypotheses(tree, first.instants.motion.q, ()))
         units = [each for each in hypotheses if each.kind in UNITS]
         for looked_at in (units, hypotheses):
             self._look(first, looked_at)
@@ -198,7 +198,7 @@ class Search:
         self._look(first, rarer_hypotheses(tree, pairs=not self._has_plate))
         yield self._at_best_zeros(3)
         for each in self._nearest(2 if self._has_plate else 4):
-            self._look(each, position_hypotheses(tree, each.instants.position, each.hypotheses))
+            self._look(each, position_hypotheses(tree, each.instants.motion.q, each.hypotheses))
         yield self._promising()
 
     def _in_time(

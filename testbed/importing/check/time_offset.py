@@ -33,6 +33,7 @@ from testbed.importing.check.instants import (
     decimate,
     delay,
     middle,
+    motion_at,
     orthonormal_basis,
 )
 from testbed.importing.check.remedies import wrench_tables
@@ -261,14 +262,13 @@ def _regression(
     weights = row_weights(rate / step, slow * ROW_CUTOFF)
     coarse = slice(None, None, max(1, int(rate / step / ROWS_A_SECOND)))
     time, measured = _filtered(recording, kind, fine, taps[0], weights)
-    q, qd, qdd = (decimate(recording.position, each, fine) for each in taps)
-    motion = Motion(np.arange(len(q)) * step / rate, q, qd, qdd)
+    motion = motion_at(recording, taps, fine, step / rate)
     columns = _columns(kind, tree, motion, bodies)
-    rows = decimate(columns.reshape(len(q), -1), weights, coarse)
+    rows = decimate(columns.reshape(len(columns), -1), weights, coarse)
     rows = rows.reshape(len(rows), *columns.shape[1:])
     counted = np.ones(rows.shape[:2])
     if kind == "torque":
-        moving = decimate((np.abs(qd) > DEADBAND).astype(np.float64), weights, coarse)
+        moving = decimate((np.abs(motion.qd) > DEADBAND).astype(np.float64), weights, coarse)
         counted = (np.abs(moving - 1) < NEARLY).astype(np.float64)
     size = np.sqrt((rows**2).sum(axis=(0, 1)))
     return _Regression(rows[:, :, size > 1e-9 * size.max()], counted, time[coarse], measured)
@@ -311,11 +311,7 @@ def _fit(kind: str, regression: _Regression, start: Sequence[float]) -> TimeOffs
     powers = np.vander(time - middle, len(start), increasing=True)
     unknowns, weights = np.array(start), counted
     for _ in range(2):  # the second time by what is left in each channel
-        rest = _remainder(rows, weights)
-
-        def residuals(late: Array, rest: Callable[[Array], Array] = rest) -> Array:
-            return rest(measured(time + powers @ late)).ravel()
-
+        residuals = _residuals(regression, powers, weights)
         best = least_squares(residuals, unknowns, method="lm")
         unknowns, residual = best.x, best.fun.reshape(counted.shape)
         square = counted * (residual / np.maximum(weights, 1e-30)) ** 2
@@ -323,7 +319,7 @@ def _fit(kind: str, regression: _Regression, start: Sequence[float]) -> TimeOffs
         weights = counted / np.maximum(size, 1e-12)
     values = measured(time + powers @ unknowns)
     alone = float(np.linalg.norm(weights * (values - values.mean(axis=0))))
-    before = float(np.linalg.norm(rest(measured(time)))) / alone
+    before = float(np.linalg.norm(residuals(0 * unknowns))) / alone
     after = float(np.linalg.norm(residual)) / alone
     sigma = _sigma(residual, best.jac.reshape(*residual.shape, -1))
     late, skew = np.append(unknowns, 0.0)[:2].tolist()
@@ -331,16 +327,19 @@ def _fit(kind: str, regression: _Regression, start: Sequence[float]) -> TimeOffs
     return TimeOffset(kind, late, late_sigma, skew, skew_sigma, middle, before, after)
 
 
-def _remainder(rows: Array, weights: Array) -> Callable[[Array], Array]:
-    """What of a signal, weighed, no unknowns of the rows explain, (T, C) of (T, C)."""
+def _residuals(
+    regression: _Regression, powers: Array, weights: Array
+) -> Callable[[Array], Array]:
+    """What of a signal that is so late, weighed, no unknowns explain, (T C,), by its delay."""
+    rows, _, time, measured = regression
     columns = (rows * weights[..., None]).reshape(-1, rows.shape[2])
     basis = orthonormal_basis(columns, DEPENDENT)
 
-    def rest(signal: Array) -> Array:
-        flat = (signal * weights).ravel()
-        return (flat - basis @ (basis.T @ flat)).reshape(signal.shape)
+    def residuals(late: Array) -> Array:
+        flat = (measured(time + powers @ late) * weights).ravel()
+        return np.asarray(flat - basis @ (basis.T @ flat))
 
-    return rest
+    return residuals
 
 
 def _sigma(residual: Array, columns: Array) -> Array:

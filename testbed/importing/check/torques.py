@@ -64,17 +64,16 @@ class _Rows(NamedTuple):
     """One joint's torques, white where what models leave is.
 
     Attributes:
-        bodies: By the mean of the parameters, (T,).
-        friction: Of size one, (T, 4).
+        raw: Friction of size one, and bodies by the mean of the parameters, before they are white,
+            (T, 5).
+        white: The same white, (T, 5).
         spread: By which parameters move them, along directions of their own, (T, k).
-        raw: The first two before they are white, (T, 5).
-        moved: Variance of the last.
+        moved: Variance of the last before it is white.
     """
 
-    bodies: Array
-    friction: Array
-    spread: Array
     raw: Array
+    white: Array
+    spread: Array
     moved: float
 
 
@@ -102,12 +101,10 @@ class TorqueEvidence:
             moved = rows[:, joint] @ root
             wide, spread, _ = np.linalg.svd(white @ moved, full_matrices=False)
             moves = spread > NOTHING * spread[:1]
-            friction = _friction(instants.velocity[:, joint], instants.acceleration[:, joint])
-            raw = np.column_stack([rows[:, joint] @ mean, friction])
-            whitened = white @ raw
+            friction = _friction(instants.motion.qd[:, joint], instants.motion.qdd[:, joint])
+            raw = np.column_stack([friction, rows[:, joint] @ mean])
             variance = float(moved.var(axis=0).sum())
-            spread = (wide * spread)[:, moves]
-            self._rows.append(_Rows(whitened[:, 0], whitened[:, 1:], spread, raw, variance))
+            self._rows.append(_Rows(raw, white @ raw, (wide * spread)[:, moves], variance))
 
     def log(self, joint: int, column: int, gain: float = 1.0) -> Array:
         """Log evidence that a column is a joint's torques, in its sense and in the other, (2,).
@@ -120,18 +117,16 @@ class TorqueEvidence:
         if self._constant[column]:
             return np.zeros(2)
         rows, size = self._rows[joint], gain / self._rms[column]
-        expected = size * rows.bodies + rows.friction @ FRICTION
-        moved = np.hstack([rows.friction * SPREAD, size * rows.spread])
+        expected = rows.white @ [*FRICTION, size]
+        moved = np.hstack([rows.white[:, :-1] * SPREAD, size * rows.spread])
         rest = np.outer([1.0, -1.0], self._white_torque[:, column] / self._rms[column]) - expected
         spread, axes = eigh(moved.T @ moved)
         along = rest @ moved @ axes
-        variance = LEFT[:, None] ** 2
-        within = np.maximum(spread, 0.0) + variance  # (12, k)
-        determinant = np.log(within / variance).sum(axis=1) + rest.shape[1] * np.log(variance[:, 0])
-        square = (rest**2).sum(axis=1) / variance - (along[:, None] ** 2 / (within * variance)).sum(
-            axis=2
-        ).T
-        return np.asarray(-0.5 * (square + determinant[:, None]).min(axis=0))
+        variance = LEFT**2
+        within = np.maximum(spread, 0.0)[:, None] + variance  # (k, 12)
+        determinant = np.log(within / variance).sum(axis=0) + rest.shape[1] * np.log(variance)
+        square = ((rest**2).sum(axis=1, keepdims=True) - along**2 @ (1 / within)) / variance
+        return np.asarray(-0.5 * (square + determinant).min(axis=1))
 
     def fit(self, joint: int, column: int) -> ColumnFit:
         """A column as a joint's torques, in the likeliest sense and size.
@@ -163,7 +158,7 @@ class TorqueEvidence:
             return 0.0
         raw, torque = self._rows[joint].raw, sense * self._torque[:, column] / gain
         columns, torque = raw - raw.mean(axis=0), torque - torque.mean()
-        rest = nnls(columns[:, [1, 2, 4]], torque - columns[:, 0])[1]
+        rest = nnls(columns[:, [0, 1, 3]], torque - columns[:, 4])[1]
         return float(rest**2 / (torque @ torque))
 
     def spread(self, joint: int, column: int) -> float:
@@ -183,8 +178,8 @@ class TorqueEvidence:
             column: Of the recording.
             times: What is left that bodies must explain.
         """
-        rows, torque = self._rows[joint], self._white_torque[:, column]
-        columns = np.column_stack([rows.friction, rows.bodies, torque])
+        torque = self._white_torque[:, column]
+        columns = np.column_stack([self._rows[joint].white, torque])
         triangle = np.asarray(np.linalg.qr(columns, mode="r"))
         own = np.abs(np.diagonal(triangle))
         explained, left = triangle[-2:, -1] ** 2
