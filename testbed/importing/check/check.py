@@ -199,14 +199,14 @@ def _judge(
         doubted = [replace(each, level="error" if foreign else "warning") for each in still]
         return Assessment(tuple(doubted), best.torques.sizes)
     wrong = gain > LIKELY and not foreign
-    hypotheses = [_timed(each, best) for each in best.hypotheses if wrong]
-    hypotheses = [each for each in hypotheses if each.kind != "torque_size"]
+    believed = [each for each in best.hypotheses if wrong and each.kind != "torque_size"]
+    hypotheses = [_timed(each, best) for each in believed]
     wrong = bool(hypotheses)
     zero = None if foreign or not best.has_plate else zero_hypothesis(best, part.tare)
     hypotheses += [] if zero is None else [zero]
-    remedies = remedies_for(
-        tree, hypotheses, *_shares(as_read, best), mapping, len(best.torques.unexplained)
-    )
+    before = replace(as_read, torques=best.torques.as_recorded()).unexplained
+    torques = len(best.torques.unexplained)
+    remedies = remedies_for(tree, hypotheses, before, best.unexplained, mapping, torques)
     equals = tuple(dict.fromkeys(_equals(tree, explanations)))
     said = [] if wrong and clear else list(beyond)
     vain = [each for each in remedies if each.after > EXPLAINING]
@@ -235,13 +235,6 @@ def _timed(hypothesis: Hypothesis, best: Explanation) -> Hypothesis:
     if hypothesis.kind != "late":
         return hypothesis
     return replace(hypothesis, values=(hypothesis.values[0] + best.plate.late,))
-
-
-def _shares(as_read: Explanation, best: Explanation) -> tuple[Array, Array]:
-    """Part of each channel's variance that is unexplained as recorded, and by the best, (C,)."""
-    before = as_read.unexplained
-    before[: len(best.torques.unexplained)] = best.torques.unexplained_as_recorded
-    return before, best.unexplained
 
 
 def _explains(as_read: Explanation, best: Explanation) -> bool:

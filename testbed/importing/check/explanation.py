@@ -193,11 +193,10 @@ class HypothesisFit:
         """
         cost = 3 * WEIGHT * float(np.log(self.plate.least)) if self.plate.measured else 0.0
         if self.torques is not None:
-            fit, same = self.torques.fit, range(self.prior.tree.n)
-            orders = [same, *(h.values for h in self.hypotheses if h.kind == "position_order")]
-            cost += min(
-                sum(fit(j, k).cost for j, k in zip(same, each, strict=True)) for each in orders
-            )
+            orders = [h.values for h in self.hypotheses if h.kind == "position_order"]
+            orders.append(tuple(range(self.prior.tree.n)))
+            fit = self.torques.fit
+            cost += min(sum(fit(*place).cost for place in enumerate(each)) for each in orders)
         return cost
 
     @cached_property

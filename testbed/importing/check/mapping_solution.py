@@ -28,7 +28,7 @@ from testbed.core.robot.inertia import from_rpy, from_vector, to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.check import Assessment, Prepared, assess, zero_hypothesis
 from testbed.importing.check.explanation import Explanation
-from testbed.importing.check.plate import FAR, WrenchFit, frame_of
+from testbed.importing.check.plate import FAR, WrenchFit, frame_of, unit_ratio
 from testbed.importing.check.plate_map import (
     LATE,
     RATIO,
@@ -47,7 +47,7 @@ from testbed.importing.check.search import Progress
 from testbed.importing.check.time_offset import TimeOffset, alignment, time_offsets
 from testbed.importing.convert import clock_ranges, pieces
 from testbed.importing.derivative import DerivativeError
-from testbed.importing.foreign_table import FORCES, MOMENTS, TURNING
+from testbed.importing.foreign_table import TURNING
 from testbed.importing.import_report import Draft, in_toml
 from testbed.importing.mapping import Mapping as MappingFile
 from testbed.importing.mapping import empty_keys
@@ -170,11 +170,9 @@ def missing(draft: Draft) -> list[str]:
         draft: A mapping.
     """
     content = draft.content
-    rates = {"rate": content["rate"]} | {
-        f"sources.{name}.rate": each.get("rate", 1.0) for name, each in content["sources"].items()
-    }
-    none = [key for key in ("position",) if key not in content]
-    rateless = (key for key, rate in rates.items() if not rate)
+    clocks = {"": content} | {f"sources.{k}.": each for k, each in content["sources"].items()}
+    rateless = (f"{name}rate" for name, each in clocks.items() if not each.get("rate", 1.0))
+    none = ["position"] * ("position" not in content)
     return [*dict.fromkeys((*empty_keys(content), *rateless, *none))]
 
 
@@ -382,11 +380,11 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     frame = frame_of(draft.content)
     moves, covariance = best.fit.plate.correction(best.plate)
     sigma = np.sqrt(np.diagonal(covariance))
-    moved = from_vector(moves[list(TURN)])
-    turn, xyz = moved @ frame.turn, moved @ frame.place + moves[list(SHIFT)]
+    moved = from_vector(moves[TURN])
+    turn, xyz = moved @ frame.turn, moved @ frame.place + moves[SHIFT]
     rpy = _plain_angles(turn, covariance[np.ix_(TURN, TURN)])
     draft = _with_place(draft, (turn, xyz), rpy, sigma)
-    ratio = FORCES[frame.units[0]] / MOMENTS[frame.units[1]] / (1 + moves[RATIO])
+    ratio = 1 / unit_ratio(frame.units) / (1 + moves[RATIO])
     note = draft.notes.get(("wrench", "units"), "by the file")
     note += f"; ratio {ratio:.6g} +- {ratio * sigma[RATIO]:.2g}"
     draft = draft.saying("wrench", "units", table["units"], note)
@@ -403,8 +401,8 @@ def _with_place(
 ) -> Draft:
     """Mapping with a plate's place, its rounded angles `rpy`, and how well it is known."""
     turn, xyz = place
-    angles, wide = np.rad2deg(to_rpy(turn)), np.rad2deg(sigma[list(TURN)])
-    spread = sigma[list(SHIFT)]
+    angles, wide = np.rad2deg(to_rpy(turn)), np.rad2deg(sigma[TURN])
+    spread = sigma[SHIFT]
     origin = draft.notes.get(("wrench", "place"), "solved")
     note = f"{origin}; rpy {_list(angles, 3)} +- {_list(wide, 3)} deg"
     note += f"; xyz {_list(1e3 * xyz, 2)} +- {_list(1e3 * spread, 2)} mm"

@@ -21,11 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.base.arrays import Array, skew
-from testbed.core.base.blas import eigh
+from testbed.core.dynamics.newton_euler import sensor_transform
+from testbed.core.estimation.regression.normal_equations import inverse_root, unit_diagonal
+from testbed.core.robot.tree import Placement
 from testbed.importing.check.instants import Instants
-
-HALVES = (slice(0, 3), slice(3, 6))
-"""Forces, moments."""
 
 LASTS = 10.0
 """Instants over which what models leave lasts: it is no white noise."""
@@ -47,7 +46,7 @@ turn [rad] and of the ratio."""
 LOOSE = 1e-7
 """Weight of these beside the data where maps are compared."""
 
-SHIFT, LATE, TURN, RATIO = (0, 1, 2), 3, (4, 5, 6), 7
+SHIFT, LATE, TURN, RATIO = [0, 1, 2], 3, [4, 5, 6], 7
 """Places of what may be fitted beside a map: [m], [s], [rad], moments over forces."""
 
 
@@ -58,10 +57,7 @@ def transform(turn: Array, place: Array) -> Array:
         turn: Of the sensor's frame, (3, 3).
         place: Of its origin, (3,) [m].
     """
-    matrix: Array = np.zeros((6, 6))
-    matrix[:3, :3] = matrix[3:, 3:] = turn
-    matrix[3:, :3] = skew(place) @ turn
-    return matrix
+    return sensor_transform(Placement(-turn.T @ place, turn.T))
 
 
 def rotation_vector(turn: Array) -> Array:
@@ -74,9 +70,7 @@ def rotation_vector(turn: Array) -> Array:
 def _slopes() -> Array:
     """Derivatives of a map, to be multiplied by it, by what is fitted beside it, (8, 6, 6)."""
     slopes = np.zeros((8, 6, 6))
-    slopes[list(SHIFT), 3:, :3] = skew(np.eye(3))
-    for half in HALVES:
-        slopes[list(TURN), half, half] = skew(np.eye(3))
+    slopes[SHIFT, 3:, :3] = slopes[TURN, :3, :3] = slopes[TURN, 3:, 3:] = skew(np.eye(3))
     slopes[LATE] = np.eye(6)  # of the wrench's derivative
     slopes[RATIO, 3:, 3:] = np.eye(3)
     return slopes
@@ -102,8 +96,7 @@ def ridge_regression(rows: Array, target: Array, sigma: Array) -> tuple[Array, A
     columns = ((rows - rows.mean(axis=0)) / sigma[:, None]).reshape(-1, rows.shape[2])
     varied = target - target.mean(axis=0)
     scaled = (varied / sigma[:, None]).reshape(len(columns), -1)
-    spread, axes = eigh(columns.T @ columns + np.eye(columns.shape[1]))
-    root = axes / np.sqrt(np.maximum(spread, 1.0))
+    root = inverse_root(columns.T @ columns + np.eye(columns.shape[1]))
     departure = root @ (root.T @ (columns.T @ scaled))
     left = varied - (columns @ departure).reshape(varied.shape) * sigma[:, None]
     return departure, root, left
@@ -163,19 +156,18 @@ class PlateRows:
         self._departure = departure.T @ departure
         self._residual = np.einsum("tcx,tcy->cxy", signals, signals, optimize=True)
 
-    def fit(self, each: Array, free: Sequence[int] = (*SHIFT, LATE)) -> MapFit:
+    def fit(self, each: Array, places: Sequence[int] = (*SHIFT, LATE)) -> MapFit:
         """What a map leaves, with what is free fitted beside it.
 
         Args:
             each: From what was recorded to the bedplate's wrench, (6, 6).
-            free: Places of what may be fitted.
+            places: Of what may be fitted.
         """
-        places = list(free)
-        terms = np.zeros((1 + len(places), 6, 12))
-        terms[:, :, :6] = [each, *(SLOPES[places] @ each)]
-        if LATE in places:  # it is the wrench's derivative that is multiplied
-            terms[1 + places.index(LATE)] = np.hstack([np.zeros((6, 6)), each])
-        flat = terms.reshape(-1, 72)
+        places = list(places)
+        terms = np.zeros((1 + len(SLOPES), 6, 12))
+        terms[:, :, :6] = [each, *(SLOPES @ each)]
+        terms[1 + LATE] = np.roll(terms[0], 6, axis=1)  # of the wrench's derivative
+        flat = terms.reshape(-1, 72)[[0, *(1 + np.array(places))]]
         residual = flat @ self._residual @ flat.T  # (6, 1 + k, 1 + k)
         whole, noise = _at_least(self._variance(each)), self.weight**2 * (each**2 @ self._noise)
         weight = QUIET / (QUIET * whole + noise)
@@ -210,10 +202,9 @@ class PlateRows:
         from scipy.linalg import eigh as generalized
 
         whole = np.kron(np.diag(self.weight**2), self._covariance)
-        size = np.sqrt(np.diagonal(whole)) + 1e-300
-        size = np.outer(size, size)
-        scaled = whole / size + 1e-10 * np.eye(len(whole))
-        residual = self._residual.sum(axis=0) / size
+        scaled, size = unit_diagonal(whole)
+        residual = self._residual.sum(axis=0) / np.outer(size, size)
+        scaled += 1e-10 * np.eye(len(whole))
         least = generalized(residual, scaled, eigvals_only=True, subset_by_index=[0, 0])
         return max(float(least[0]), 1e-12)
 

@@ -91,17 +91,16 @@ def spikes(recording: Recording) -> Iterator[Diagnostic]:
             yield diagnose("channel.spikes", name, len(at), spikes=said, low=low[k], high=high[k])
 
 
-def out_of_range(tree: Tree, position: Array, outside: float = OUTSIDE) -> Iterator[Diagnostic]:
+def out_of_range(tree: Tree, position: Array) -> Iterator[Diagnostic]:
     """Positions that no joint of this robot can have.
 
     Args:
         tree: The robot.
         position: (M, n) [rad or m].
-        outside: Ranges by which they leave the joint's range.
     """
     low, high = np.array([joint.position_range for joint in tree.joints]).T
     least, most = position.min(axis=0), position.max(axis=0)
-    room = outside * (high - low)
+    room = OUTSIDE * (high - low)
     beyond = np.flatnonzero((least < low - room) | (most > high + room))
     if not beyond.size:
         return
@@ -152,9 +151,9 @@ def still_joints(tree: Tree, as_read: Explanation) -> Iterator[Diagnostic]:
     if dead:
         yield diagnose("position.still", few([tree.names[k] for k in dead]), len(dead))
     elif still:
-        places = position[:, still].mean(axis=0)
-        pairs = zip(still, places, strict=True)
-        yield diagnose("position.held", few([f"{tree.names[k]} at {q:.4g}" for k, q in pairs]))
+        places = position.mean(axis=0)
+        held = [f"{tree.names[k]} at {places[k]:.4g}" for k in still]
+        yield diagnose("position.held", few(held))
 
 
 def unexplained_plate(best: Explanation) -> Iterator[Diagnostic]:
@@ -323,10 +322,10 @@ def odd_sizes(
         causes, lines = ("unit-n-mm",), f'[torque] unit = "{units[unit]}"'
     elif small:
         causes = ("motor-side", "currents")
-        gains = [f"{round_significant(float(1 / x), 5):g}" if x > 0 else "?" for x in sizes]
+        gains = ", ".join(f"{round_significant(1 / x, 5):g}" if x > 0 else "?" for x in sizes)
         lines = (
-            f'[torque] side = "motor" with a table [gear] (ratio about [{", ".join(gains)}]), or '
-            f'unit = "A" with gain about [{", ".join(gains)}]'
+            f'[torque] side = "motor" with a table [gear] (ratio about [{gains}]), or '
+            f'unit = "A" with gain about [{gains}]'
         )
     yield diagnose(
         "torque.size",

@@ -64,6 +64,9 @@ BEYOND = 2 * np.pi
 LITTLE = np.deg2rad(2 * BEYOND)
 """Excursions below this may be radians that were taken for degrees [rad]."""
 
+FACTORS = {"position_sign": -1.0, "degrees": np.pi / 180, "radians": 180 / np.pi}
+"""What positions are multiplied by."""
+
 BASE_UNITS = (1e-3, 1e-2, 1e2, 1e3)
 """Times that a base's positions are taken too small or too large: mm or cm for m."""
 
@@ -101,8 +104,9 @@ class Hypothesis:
             angles = np.array(self.values)
             odd = [np.abs(angles - np.round(angles / step) * step).max() > 1e-4 for step in STEPS]
             return float(ODD * sum(odd))
-        odd_zeros = self.kind == "zero" and not set(self.values) <= set(QUARTERS)
-        times = len(self.joints) + odd_zeros if self.kind == "zero" else 1
+        times = 1
+        if self.kind == "zero":
+            times = len(self.joints) + (not set(self.values) <= set(QUARTERS))
         return KINDS[self.kind].penalty * times
 
 
@@ -183,13 +187,23 @@ def _inner_joints(tree: Tree) -> list[int]:
     return [k for k in own_joints(tree) if tree.joints[k].revolute and tree.children(k)]
 
 
-def _orders(own: range) -> Iterator[tuple[int, ...]]:
-    """Two joints exchanged; all of them rolled or in reverse."""
-    base, rest = [*range(own.start)], [*own]
+def exchanges(own: range, count: int) -> Iterator[tuple[int, ...]]:
+    """Orders of joints or channels of which two are exchanged.
+
+    Args:
+        own: Those that may be.
+        count: How many there are in all.
+    """
     for one, other in combinations(own, 2):
-        order = [*base, *rest]
+        order = [*range(count)]
         order[one], order[other] = other, one
         yield tuple(order)
+
+
+def _orders(own: range) -> Iterator[tuple[int, ...]]:
+    """Two joints exchanged; all of them rolled or in reverse."""
+    yield from exchanges(own, own.stop)
+    base, rest = [*range(own.start)], [*own]
     if len(rest) > 2:
         for k in range(1, len(rest)):
             yield (*base, *rest[-k:], *rest[:-k])
@@ -215,12 +229,9 @@ def corrected(hypothesis: Hypothesis, position: Array, offset: Array) -> Array:
         pose[:, 3:] = pose[:, 3:][:, list(values)]
         return np.hstack([coordinates(pose), position[:, FREE:]])
     fixed = position.copy()
-    if kind == "position_sign":
-        fixed[:, here] *= -1
-    if kind == "degrees":
-        fixed[:, here] *= np.pi / 180
+    fixed[:, here] *= FACTORS.get(kind, 1.0)
     if kind == "radians":
-        fixed[:, here] = offset[here] + 180 / np.pi * (position - offset)[:, here]
+        fixed[:, here] -= (FACTORS[kind] - 1) * offset[here]
     if kind == "zero":
         fixed[:, here] += values
     if kind == "base_unit":
@@ -359,6 +370,16 @@ def wrench_tables(mapping: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     return {"wrench": mapping.get("wrench") or {}}
 
 
+def place_of(table: Mapping[str, Any]) -> tuple[Sequence[float], Array]:
+    """Roll, pitch and yaw [rad] of a plate's frame, and its origin, (3,) [m].
+
+    Args:
+        table: What a mapping says of the plate; the bedplate's frame by default.
+    """
+    place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
+    return place["rpy"], np.array(place["xyz"], float)
+
+
 def _plate_line(
     hypothesis: Hypothesis, table: Mapping[str, Any], *, alone: bool
 ) -> tuple[str, Any]:
@@ -374,8 +395,7 @@ def _plate_line(
         return "delay", round(float(table.get("delay", 0.0)) + values[0], 4)
     if kind in ("units", "tare"):
         return kind, list(values)
-    place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
-    rpy, xyz = place["rpy"], np.array(place["xyz"], float)
+    rpy, xyz = place_of(table)
     if kind == "turn":
         turn = from_rpy(values)
         rpy = values if alone else to_rpy(turn @ from_rpy(rpy))
@@ -391,8 +411,8 @@ def _base_line(hypothesis: Hypothesis, table: Mapping[str, Any]) -> tuple[str, A
         columns = table.get("quaternion", ("x", "y", "z", "w"))
         return "quaternion", [columns[k] for k in hypothesis.values]
     wanted = factor("position", table.get("unit", "m")) / hypothesis.values[0]
-    units = [unit for unit, size in LENGTHS.items() if np.isclose(size, wanted)]
-    return "unit", units[0] if units else f"one of {wanted:g} m"
+    units = (unit for unit, size in LENGTHS.items() if np.isclose(size, wanted))
+    return "unit", next(units, f"one of {wanted:g} m")
 
 
 def _joint_lines(
@@ -412,11 +432,9 @@ def _joint_lines(
     elif kind in ("degrees", "radians"):
         yield "unit", _angle_units(tree, kind, table.get("unit"), order)
     elif kind == "zero":
-        angles = np.zeros(tree.n)
-        angles[list(hypothesis.joints)] = hypothesis.values
-        before = offset or [0.0] * len(order)
-        after = zip(before, angles[list(order)].tolist(), strict=True)
-        yield "offset", [round(x + angle, 5) if angle else x for x, angle in after]
+        angles = dict(zip(hypothesis.joints, hypothesis.values, strict=True))
+        before = zip(order, offset or [0.0] * len(order), strict=True)
+        yield "offset", [round(x + angles[k], 5) if k in angles else x for k, x in before]
     else:
         columns = table.get("columns", ())
         if matrix or len(columns) != len(order):
@@ -427,9 +445,8 @@ def _joint_lines(
 
 def _angle_units(tree: Tree, kind: str, unit: Any, order: Sequence[int]) -> str | list[str]:
     """Units of positions, those of joints that turn in the right one."""
-    right, other = ("deg", "rad") if kind == "degrees" else ("rad", "deg")
-    turning = [tree.joints[k].revolute for k in order]
-    if not isinstance(unit, list):
-        unit = [other if each else "m" for each in turning]
-    units = [right if turns else each for each, turns in zip(unit, turning, strict=True)]
+    right = "deg" if kind == "degrees" else "rad"
+    said = unit if isinstance(unit, list) else ["m"] * len(order)
+    pairs = zip(order, said, strict=True)
+    units = [right if tree.joints[k].revolute else each for k, each in pairs]
     return right if {*units} == {right} else units

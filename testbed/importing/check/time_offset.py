@@ -306,7 +306,7 @@ def _fit(kind: str, regression: _Regression, start: Sequence[float]) -> TimeOffs
     """Delay, and drift if `start` has two values, channels weighed by what is left in them."""
     from scipy.optimize import least_squares
 
-    rows, counted, time, measured = regression
+    _, counted, time, measured = regression
     middle = float(time.mean())
     powers = np.vander(time - middle, len(start), increasing=True)
     unknowns, weights = np.array(start), counted

@@ -20,6 +20,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
+from testbed.core.estimation.regression.normal_equations import inverse_root
 from testbed.importing.check.instants import Instants
 from testbed.importing.check.remedies import MOST_JOINTS, Hypothesis
 
@@ -269,12 +270,11 @@ def _hypotheses(order: Array, sense: Array, gain: Array) -> Iterator[Hypothesis]
 @cache
 def _whitening(count: int, spacing: float) -> Array:
     """The matrix that makes what is left white, (T, T)."""
-    from scipy.linalg import solve_triangular, toeplitz
+    from scipy.linalg import toeplitz
 
     correlation = LASTING * np.exp(-np.arange(count) * spacing / MEMORY)
-    covariance = toeplitz(correlation) + (1 - LASTING) * np.eye(count)
-    white: Array = solve_triangular(np.linalg.cholesky(covariance), np.eye(count), lower=True)
-    return white
+    correlation[0] = 1.0
+    return inverse_root(toeplitz(correlation)).T
 
 
 def _friction(velocity: Array, acceleration: Array) -> Array:
