@@ -89,9 +89,6 @@ METHOD = 3
 MOST_SAMPLES = 200_000
 """Samples that are looked at, from the recording's middle."""
 
-RobotOf = Callable[[Recording], tuple[Tree, Source]]
-"""The robot of a recording, whose joints may be held, and the recording as its."""
-
 
 @dataclass(frozen=True, eq=False)
 class Assessment(Diagnosed):
@@ -204,17 +201,16 @@ def _judge(
     wrong = bool(hypotheses)
     zero = None if foreign or not best.has_plate else zero_hypothesis(best, part.tare)
     hypotheses += [] if zero is None else [zero]
-    before = replace(as_read, torques=best.torques.as_recorded()).unexplained
+    recorded = replace(as_read, torques=best.torques.as_recorded()).unexplained
     torques = len(best.torques.unexplained)
-    remedies = remedies_for(tree, hypotheses, before, best.unexplained, mapping, torques)
+    remedies = remedies_for(tree, hypotheses, recorded, best.unexplained, mapping, torques)
     equals = tuple(dict.fromkeys(_equals(tree, explanations)))
-    said = [] if wrong and clear else list(beyond)
+    said = [] if wrong and clear else [*beyond, *plate]
     vain = [each for each in remedies if each.after > EXPLAINING]
     if wrong and vain and not best.has_plate:
         before, after = share(vain[0].before), share(vain[0].after)
         said.append(diagnose("recording.unexplained", vain[0].channel, before=before, after=after))
         wrong, remedies = False, ()
-    said += [] if wrong and clear else plate
     if wrong:
         said.append(wrong_mapping(tree, remedies, equals, gain, certain=clear))
     if not foreign:
@@ -377,8 +373,8 @@ def _base_motion(source: Source) -> Iterator[Diagnostic]:
 
 
 def import_and_check(
-    path: Path, robot_of: RobotOf, *, align: bool = False, unchecked: bool = False,
-    progress: Progress | None = None, prepared: Prepared | None = None,
+    path: Path, robot_of: Callable[[Recording], tuple[Tree, Source]], *, align: bool = False,
+    unchecked: bool = False, progress: Progress | None = None, prepared: Prepared | None = None,
 ) -> tuple[tuple[Recording, ...], list[Diagnostic], CheckReport]:  # fmt: skip
     """Recordings made by a mapping file, the longest of which is held against its robot.
 

@@ -127,7 +127,7 @@ class Explanation:
         """The same with torques judged by the plate's estimate of the parameters."""
         if not self.has_plate or self.fit.torques is None:
             return self
-        mean, root = self.fit.plate.posterior(self.plate)
+        mean, root, _ = self.fit.plate.posterior(self.plate)
         return replace(self, torques=assign(self.fit.evidence(mean, root)))
 
     def as_recorded(self) -> Explanation:

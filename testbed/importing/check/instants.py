@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
@@ -121,7 +122,7 @@ def motion_at(
         spacing: From one instant to the next [s].
     """
     signals = [decimate(recording.position, each, at) for each in taps]
-    return Motion(spacing * np.arange(len(signals[0])), *signals)
+    return Motion(spacing * np.arange(float(len(signals[0]))), *signals)
 
 
 def decimate(signal: Array, weights: Array, at: slice | NDArray[np.intp]) -> Array:
@@ -132,7 +133,7 @@ def decimate(signal: Array, weights: Array, at: slice | NDArray[np.intp]) -> Arr
         weights: Of the filter, in the order of time, (2 L + 1,).
         at: Which of the M - 2 L others are kept.
     """
-    windows = np.lib.stride_tricks.sliding_window_view(signal, len(weights), axis=0)[at]
+    windows = sliding_window_view(signal, len(weights), axis=0)[at]
     filtered: Array = np.einsum("mkl,l->mk", windows, weights)
     return filtered
 
@@ -158,29 +159,28 @@ def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
     """How late a signal is beside columns, to a row [s], and times less that they leave of it then.
 
     For all delays at once: what orthonormal columns explain are their correlations. Rows of zeros
-    do not count.
+    do not count. A signal of which columns leave more than a share (`LATE`) is not late.
 
     Args:
         columns: Of the signal, (T, C, N).
         signal: (T, C).
         spacing: From one row to the next [s].
     """
-    from scipy.signal import fftconvolve
-
     most = int(min(LATEST / spacing, SPARE * len(signal)))
     rows = columns[most : len(columns) - most]
     basis = orthonormal_basis(rows.reshape(-1, rows.shape[2]))
     if not 0 < ENOUGH * basis.shape[1] < len(basis):
         return 0.0, 1.0  # nothing moves, or columns explain whatever is measured
     basis = basis.reshape(*rows.shape[:2], -1)
-    counted = np.any(rows, axis=2).astype(np.float64)
-    explained = fftconvolve(signal[..., None], basis[::-1], "valid", axes=0).sum(axis=1)
-    whole = fftconvolve(signal**2, counted[::-1], "valid", axes=0).sum(axis=1)
+    windows = sliding_window_view(signal, len(rows), axis=0)  # (delays, C, rows)
+    explained = np.einsum("dct,tcn->dn", windows, basis, optimize=True)
+    whole = np.einsum("dct,tc->d", windows**2, np.any(rows, axis=2))
     share = (explained**2).sum(axis=1) / np.maximum(whole, 1e-300)
     best = int(np.argmax(share))
-    if best in (0, 2 * most):  # no delay is best, the farther the better
+    times = float((1 - share[best]) / max(1 - share[most], 1e-300))
+    if best in (0, 2 * most) or times > LATE:  # no delay is best, the farther the better
         return 0.0, 1.0
-    return spacing * (best - most), float((1 - share[best]) / max(1 - share[most], 1e-300))
+    return spacing * (best - most), times
 
 
 def _white_noise(signal: Array) -> Array:

@@ -22,6 +22,7 @@ from testbed.core.base.errors import (
     round_significant,
 )
 from testbed.core.base.toml_text import checked
+from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.inertia import from_rpy, from_vector, to_rpy
@@ -136,19 +137,18 @@ def solve_mapping(
         assessment.require()
         source = on_its_base(prepared.longest, tree)
         said = (*encoder_steps(source), *assessment.likely)
-        if assessment.best is None:
-            return MappingSolution(draft, said)
-        draft = _by_the_data(draft, assessment.best, said)
-        offsets = time_offsets(tree, source)
-        in_time = _with_clocks(draft, source, offsets)
-        prepared = replace(prepared, offsets=offsets)
-        if in_time is not draft:
-            draft, prepared, assessment = _assessed(in_time, out, tree, progress)
+        if assessment.best is not None:
+            draft = _by_the_data(draft, assessment.best, said)
+            offsets = time_offsets(tree, source)
+            in_time = _with_clocks(draft, source, offsets)
+            prepared = replace(prepared, offsets=offsets)
+            if in_time is not draft:
+                draft, prepared, assessment = _assessed(in_time, out, tree, progress)
     except (RecordingError, ExperimentError) as error:
         return MappingSolution(draft, refusal=error)
     best = assessment.best
     if best is None:
-        return MappingSolution(draft, assessment.likely, prepared=prepared)
+        return MappingSolution(draft, said, prepared=prepared)
     refined = _with_plate(draft, best)
     said = (*encoder_steps(source), *assessment.likely, *_too_short(best))
     last = prepared if refined is draft else None
@@ -337,15 +337,17 @@ def _with_rates(draft: Draft, unit: str | list[str]) -> Draft:
     return draft
 
 
-def _by_the_data(draft: Draft, best: Explanation, said: Sequence[Diagnostic]) -> Draft:
+def _by_the_data(draft: Draft, best: Explanation, doubts: Sequence[Diagnostic]) -> Draft:
     """Mapping with notes on keys that were assumed and that a plate's data bear out."""
-    if not best.has_plate or any(each.level == "warning" for each in said):
+    if not best.has_plate or any(each.level == "warning" for each in doubts):
         return draft
     unexplained = share(best.plate.unexplained.max())
     note = f"by the data: {unexplained} of the plate's channels is unexplained"
-    assumed = [place for place, each in draft.notes.items() if each == ASSUMED]
-    notes = {place: note for place in assumed if place != ("torque", "gain")}
-    return replace(draft, notes={**draft.notes, **notes})
+    notes = {
+        place: note if said == ASSUMED and place != ("torque", "gain") else said
+        for place, said in draft.notes.items()
+    }
+    return replace(draft, notes=notes)
 
 
 def _with_clocks(draft: Draft, source: Source, offsets: Sequence[TimeOffset]) -> Draft:
@@ -446,7 +448,8 @@ def _list(values: Array, digits: int) -> str:
 
 def _too_short(best: Explanation) -> Iterator[Diagnostic]:
     """Whether another mapping may fit a recording as well."""
-    instants, parameters = best.fit.instants, best.fit.prior.parameters
+    instants = best.fit.instants
+    parameters = minimal_set(best.fit.prior.tree, "reaction").count
     count, joints = instants.motion.q.shape
     if count * (6 if best.has_plate else joints) <= SHORT * parameters:
         yield diagnose("recording.short", value=count * instants.spacing, parameters=parameters)

@@ -37,7 +37,7 @@ from testbed.importing.check.plate_map import (
     transform,
 )
 from testbed.importing.check.prior import Prior
-from testbed.importing.check.remedies import STEPS, Hypothesis, exchanges, place_of, wrench_tables
+from testbed.importing.check.remedies import STEPS, Hypothesis, exchanges, place_of, tables_of
 from testbed.importing.foreign_table import FORCES, MOMENTS, plain
 
 AS_READ = (0, 1, 2, 3, 4, 5)
@@ -145,7 +145,7 @@ def frame_of(mapping: Mapping[str, Any]) -> Frame:
     Args:
         mapping: What the recording's mapping file says; empty if it has none.
     """
-    tables = wrench_tables(mapping)
+    tables = tables_of(mapping, "wrench")
     table = next((each for name, each in tables.items() if not name.startswith("plates.")), {})
     rpy, xyz = place_of(table)
     force, moment = (plain(each) for each in table.get("units", ("N", "N m")))
@@ -162,7 +162,7 @@ def unit_ratio(units: tuple[str, str]) -> float:
 
 
 def best_hypotheses(
-    plate: PlateRows, frame: Frame, order: Sequence[int]
+    plate: PlateRows, frame: Frame, order: tuple[int, ...]
 ) -> Iterator[MapHypothesis]:
     """The turns and units that explain a plate best, its columns in one order.
 
@@ -185,7 +185,7 @@ def best_hypotheses(
         if apart > NEAR and units != frame.units:  # as read always: forces may be noise
             continue
         for each in (turn, *near):
-            hypotheses = [Hypothesis("plate_order", (), tuple(order))] * (tuple(order) != AS_READ)
+            hypotheses = [Hypothesis("plate_order", (), order)] * (order != AS_READ)
             hypotheses += [Hypothesis("units", (), units)] * (units != frame.units)
             if np.linalg.norm(each - frame.turn) > 1e-6:
                 angles = np.round(to_rpy(each), 6).tolist()
@@ -376,18 +376,21 @@ class PlateEvidence:
         data = self._instants
         return (data.wrench + each.late * data.wrench_rate) @ each.map.T
 
-    def posterior(self, each: PlateExplanation) -> tuple[Array, Array]:
+    def posterior(self, each: PlateExplanation) -> tuple[Array, Array, Array]:
         """Parameters by the varying part of the wrench, (10 n,), and their sigmas' root, (10 n, k).
 
         Args:
             each: Of the plate.
+
+        Returns:
+            Besides these what they leave of the wrench, (T, 6) [N, N m].
         """
         prior, wrench = self._prior, self.wrench(each)
         share = np.maximum(each.unexplained, LEAST_LEFT) * LASTS
         sigma = np.sqrt(share * np.maximum(wrench.var(axis=0), 1e-12))
         rest = wrench - self._expected
-        departure, root, _ = ridge_regression(self._spread, rest[..., None], sigma)
-        return prior.mean + prior.root @ departure[:, 0], prior.root @ root
+        departure, root, left = ridge_regression(self._spread, rest[..., None], sigma)
+        return prior.mean + prior.root @ departure[:, 0], prior.root @ root, left[..., 0]
 
     def zero(self, each: PlateExplanation) -> tuple[Array, Array]:
         """What the plate shows without the robot, and its sigma, (6,) [N, N m].
@@ -398,7 +401,7 @@ class PlateEvidence:
         Args:
             each: Of the plate.
         """
-        mean, root = self.posterior(each)
+        mean, root, _ = self.posterior(each)
         rest = self.wrench(each) - self.rows @ mean
         return rest.mean(axis=0), np.linalg.norm(self.rows.mean(axis=0) @ root, axis=1)
 
@@ -463,11 +466,8 @@ class PlateEvidence:
         Args:
             each: Of the plate.
         """
-        wrench = self.wrench(each)
-        fit = self.rows @ self.posterior(each)[0]
-        fit = fit - fit.mean(axis=0) + wrench.mean(axis=0)
-        time = self._instants.spacing * np.arange(len(wrench), dtype=np.float64)
-        return WrenchFit(time, wrench, fit, each.unexplained)
+        wrench, left = self.wrench(each), self.posterior(each)[2]
+        return WrenchFit(self._instants.motion.t, wrench, wrench - left, each.unexplained)
 
 
 def _spectral_weights(residual: Array, leverage: Array) -> Array:

@@ -47,11 +47,9 @@ PULLED = -0.1
 LIGHT = 0.03
 """Part of the robot's mass below which nobody sees whether a pedestal was weighed."""
 
-SMALL, LARGE = 0.4, 2.5
-"""Times what the model file says beyond which torques are doubted."""
-
-LEAST, MOST = 0.25, 4.0
-"""The same where they are refused: no masses are so wrong."""
+DOUBTED, REFUSED = 2.5, 4.0
+"""Times too large or too small, by the model file, from which torques are doubted, and from which
+they are refused: no masses are so wrong."""
 
 SMALLER = {"N m": "N mm", "A": "mA", "V": "mV", "kN m": "N m", "N": "mN"}
 """Units a thousand times smaller."""
@@ -307,10 +305,9 @@ def odd_sizes(
         mapping: What the recording's mapping file says; empty if it has none.
         certain: Whether other sizes explain the torques far better.
     """
-    known = sizes[np.isfinite(sizes)]
-    certain = certain and bool(((known <= LEAST) | (known >= MOST)).any())
-    least, most = (LEAST, MOST) if certain else (SMALL, LARGE)
-    odd = np.flatnonzero((sizes <= least) | (sizes >= most))
+    apart = np.maximum(sizes, 1 / sizes)
+    certain = certain and bool((apart >= REFUSED).any())
+    odd = np.flatnonzero(apart >= (REFUSED if certain else DOUBTED))
     if not odd.size:
         return
     small = bool((sizes[odd] < 1).all())
@@ -318,7 +315,7 @@ def odd_sizes(
     units = {large: little for little, large in SMALLER.items()} if small else SMALLER
     causes: tuple[str, ...] = ("tool", "other-masses", "unit-n-mm")
     lines = "[torque] unit; or add the tool to the model file"
-    if unit in units and 0.5 < np.median(known) * (1e3 if small else 1e-3) < 2.0:
+    if unit in units and 0.5 < np.nanmedian(sizes) * (1e3 if small else 1e-3) < 2.0:
         causes, lines = ("unit-n-mm",), f'[torque] unit = "{units[unit]}"'
     elif small:
         causes = ("motor-side", "currents")
@@ -347,10 +344,11 @@ def undecided(tree: Tree, hypotheses: Sequence[Hypothesis]) -> Iterator[Diagnost
         hypotheses: That explain a recording about as well as none.
     """
     parts = []
-    for what, kind in (("zero", "zero"), ("sign", "position_sign"), ("order", "position_order")):
-        joints = {k for each in hypotheses if each.kind == kind for k in each.joints}
+    for kind in ("zero", "position_sign", "position_order"):
+        joints = sorted({k for each in hypotheses if each.kind == kind for k in each.joints})
         if joints:
-            parts.append(f"the {what} of {few([tree.names[k] for k in sorted(joints)])}")
+            what = kind.removeprefix("position_")
+            parts.append(f"the {what} of {few([tree.names[k] for k in joints])}")
     if parts:
         yield diagnose("recording.undecided", "; ".join(parts))
 

@@ -18,8 +18,6 @@ from testbed.core.robot.tree import Tree
 from testbed.importing.foreign_table import LENGTHS, factor
 from testbed.importing.import_report import Line
 
-Table = Literal["position", "torque", "wrench", "base"]
-
 
 class Kind(NamedTuple):
     """A kind of hypothesis: what is wrong in words, in which table, and what it must explain more.
@@ -28,7 +26,7 @@ class Kind(NamedTuple):
     """
 
     words: str
-    table: Table
+    table: Literal["position", "torque", "wrench", "base"]
     penalty: float = 0.0
 
 
@@ -344,30 +342,30 @@ def with_lines(mapping: Mapping[str, Any], lines: Iterable[Line]) -> dict[str, A
 
 def _lines(tree: Tree, hypothesis: Hypothesis, mapping: Mapping[str, Any]) -> Iterator[Line]:
     """What to write of one hypothesis, in terms of what is written if that is known."""
-    name = KINDS[hypothesis.kind].table
-    table = mapping.get(name) or {}
-    if name == "wrench":
-        for plate, each in wrench_tables(mapping).items():
-            alone = not plate.startswith("plates.")
-            yield (plate, *_plate_line(hypothesis, each, alone=alone))
-    elif name == "base":
-        yield (name, *_base_line(hypothesis, table))
-    else:
-        order = [tree.names.index(joint) for joint in mapping.get("joints", tree.names)]
-        for key, value in _joint_lines(tree, hypothesis, table, order):
-            yield name, key, value
+    signal = KINDS[hypothesis.kind].table
+    for name, table in tables_of(mapping, signal).items():
+        if signal == "wrench":
+            pairs = [_plate_line(hypothesis, table, alone=not name.startswith("plates."))]
+        elif signal == "base":
+            pairs = [_base_line(hypothesis, table)]
+        else:
+            order = [tree.names.index(joint) for joint in mapping.get("joints", tree.names)]
+            pairs = [*_joint_lines(tree, hypothesis, table, order)]
+        yield from ((name, *pair) for pair in pairs)
 
 
-def wrench_tables(mapping: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Tables of which a recording's wrench was made: the plate's, several plates', or a sensor's.
+def tables_of(mapping: Mapping[str, Any], signal: str) -> dict[str, Mapping[str, Any]]:
+    """Tables of which a recording's signal was made: a wrench by several plates, or a sensor.
 
     Args:
         mapping: As a recording keeps it.
+        signal: Of the recording; its own table may be empty.
     """
+    own = mapping.get(signal) or {}
     for group in ("plates", "sensors"):
-        if mapping.get(group) and not mapping.get("wrench"):
+        if signal == "wrench" and mapping.get(group) and not own:
             return {f"{group}.{name}": table for name, table in mapping[group].items()}
-    return {"wrench": mapping.get("wrench") or {}}
+    return {signal: own}
 
 
 def place_of(table: Mapping[str, Any]) -> tuple[Sequence[float], Array]:
@@ -434,7 +432,7 @@ def _joint_lines(
     elif kind == "zero":
         angles = dict(zip(hypothesis.joints, hypothesis.values, strict=True))
         before = zip(order, offset or [0.0] * len(order), strict=True)
-        yield "offset", [round(x + angles[k], 5) if k in angles else x for k, x in before]
+        yield "offset", [round(float(x + angles[k]), 5) if k in angles else x for k, x in before]
     else:
         columns = table.get("columns", ())
         if matrix or len(columns) != len(order):

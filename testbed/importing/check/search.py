@@ -19,9 +19,9 @@ from testbed.importing.check.explanation import (
     HypothesisFit,
     ranked,
 )
-from testbed.importing.check.instants import LATE, sample
+from testbed.importing.check.instants import sample
 from testbed.importing.check.plate import EXPLAINED, frame_of
-from testbed.importing.check.prior import prior_of
+from testbed.importing.check.prior import Prior
 from testbed.importing.check.remedies import (
     Hypothesis,
     corrected,
@@ -87,7 +87,7 @@ class Search:
             cutoff: Up to which frequency [Hz].
             progress: Called with how many hypotheses are fitted, and 0: of how many is not known.
         """
-        self.prior = prior_of(tree)
+        self.prior = Prior(tree)
         self.frame = frame_of(mapping)
         self.fits: dict[tuple[Hypothesis, ...], HypothesisFit] = {}
         self._recording, self._progress, self._cutoff = recording, progress, cutoff
@@ -115,14 +115,9 @@ class Search:
         But for such as change nothing at all: a zero about an axis along gravity is a name.
         """
         misfit = self.fits[()].misfit
-        least = -(APART if self._has_plate else ROUGHLY_APART)
-        return [
-            hypotheses[0]
-            for hypotheses, fit in self.fits.items()
-            if len(hypotheses) == 1
-            and misfit - fit.misfit > least
-            and abs(misfit - fit.misfit) > NOTHING
-        ]
+        most = APART if self._has_plate else ROUGHLY_APART
+        worse = {each: fit.misfit - misfit for each, fit in self.fits.items() if len(each) == 1}
+        return [each for (each,), by in worse.items() if by < most and abs(by) > NOTHING]
 
     def _fit(self, *hypotheses: Hypothesis) -> HypothesisFit | None:
         """A fit by hypotheses about positions and clocks, made once; None where it is no motion."""
@@ -141,6 +136,8 @@ class Search:
             if instants is None:
                 return None
             self.fits[hypotheses] = HypothesisFit(self.prior, self.frame, hypotheses, instants)
+            if self._progress is not None:
+                self._progress(len(self.fits), 0)
         return self.fits[hypotheses]
 
     def _explanations(self, first: HypothesisFit) -> list[Explanation]:
@@ -208,16 +205,12 @@ class Search:
         explained = any(each.explained for each in several)
         if first.hypotheses or not self._has_plate or explained:
             return None
-        late, times = min((each.plate.delay for each in self.fits.values()), key=lambda d: d[1])
-        return None if times > LATE else self._fit(Hypothesis("late", (), (late,)))
+        late, _ = min((each.plate.delay for each in self.fits.values()), key=lambda d: d[1])
+        return self._fit(Hypothesis("late", (), (late,))) if late else None
 
     def _look(self, beside: HypothesisFit, hypotheses: Iterable[Hypothesis]) -> list[HypothesisFit]:
         """Fits by one hypothesis more each."""
-        fits = []
-        for each in hypotheses:
-            fits.append(self._fit(*beside.hypotheses, each))
-            if self._progress is not None:
-                self._progress(len(self.fits), 0)
+        fits = [self._fit(*beside.hypotheses, each) for each in hypotheses]
         return [each for each in fits if each is not None]
 
     def _nearest(self, count: int) -> list[HypothesisFit]:
@@ -244,10 +237,7 @@ class Search:
             return self._fit(*before, replace(last, values=angles)) or fit
 
         best = minimize_scalar(
-            lambda step: moved(step).misfit,
-            bounds=(-STEP, STEP),
-            method="bounded",
-            options={"xatol": FINEST},
+            lambda step: moved(step).misfit, bounds=(-STEP, STEP), options={"xatol": FINEST}
         )
         return min(fit, moved(float(best.x)), key=lambda each: each.misfit)
 

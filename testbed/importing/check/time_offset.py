@@ -29,14 +29,13 @@ from testbed.core.recordings.source import Source
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.instants import (
     ENOUGH,
-    LATE,
     decimate,
     delay,
     middle,
     motion_at,
     orthonormal_basis,
 )
-from testbed.importing.check.remedies import wrench_tables
+from testbed.importing.check.remedies import tables_of
 from testbed.importing.import_report import ImportReport, Line
 
 ROW_CUTOFF, POSITION_CUTOFF = 5.0, 40.0
@@ -199,9 +198,7 @@ def alignment(
         facts: Of the recording that it made.
     """
     clocks = ImportReport.from_dict(facts["import"]).clocks if "import" in facts else {}
-    own = {offset.signal: mapping.get(offset.signal, {})}
-    tables = wrench_tables(mapping) if offset.signal == "wrench" else own
-    for name, table in tables.items():
+    for name, table in tables_of(mapping, offset.signal).items():
         source, delay = str(table.get("source")), float(table.get("delay", 0.0)) + offset.delay
         if offset.drifts and source != mapping["position"]["source"]:
             lead, own = clocks[source].lead, mapping["sources"][source].get("skew", 0.0)
@@ -241,8 +238,7 @@ def _offset(
     weights = 1 / np.maximum(values.std(axis=0), 1e-12)
     columns = rows * (counted * weights)[..., None]
     spacing = float(np.diff(time).mean())
-    late, times = delay(columns, (values - values.mean(axis=0)) * weights, spacing)
-    start = late if times < LATE else 0.0
+    start, _ = delay(columns, (values - values.mean(axis=0)) * weights, spacing)
     counted = counted * ((time >= time[0] - start) & (time <= time[-1] - start))[:, None]
     regression = _Regression(rows, counted, time, measured)
     offset = _fit(kind, regression, [start, 0.0])
@@ -278,15 +274,13 @@ def _columns(kind: str, tree: Tree, motion: Motion, bodies: Estimate | None) -> 
     """Columns of bodies, constants and friction before the filter, (M, C, N)."""
     minimal = minimal_set(tree, "dynamic" if kind == "torque" else "reaction")
     columns = regressor(tree, motion, minimal)
-    constant = np.ones(columns.shape[:2])
-    channels = np.eye(columns.shape[1])
-    if kind != "torque":
-        return np.concatenate([columns, constant[:, :, None] * channels], axis=2)
+    channels, own = np.eye(columns.shape[1]), [np.ones(columns.shape[:2])]
+    if kind == "torque":
+        own += [np.sign(motion.qd), motion.qd, motion.qdd]
     if bodies is not None:
         theta = bodies.minimal.lift @ bodies.values[: bodies.minimal.count]
         columns = (columns @ (minimal.matrix @ theta))[:, :, None] * channels
-    friction = np.stack([constant, np.sign(motion.qd), motion.qd, motion.qdd])
-    return np.concatenate([columns, *(friction[..., None] * channels)], axis=2)
+    return np.concatenate([columns, *(each[..., None] * channels for each in own)], axis=2)
 
 
 def _filtered(
@@ -327,9 +321,7 @@ def _fit(kind: str, regression: _Regression, start: Sequence[float]) -> TimeOffs
     return TimeOffset(kind, late, late_sigma, skew, skew_sigma, middle, before, after)
 
 
-def _residuals(
-    regression: _Regression, powers: Array, weights: Array
-) -> Callable[[Array], Array]:
+def _residuals(regression: _Regression, powers: Array, weights: Array) -> Callable[[Array], Array]:
     """What of a signal that is so late, weighed, no unknowns explain, (T C,), by its delay."""
     rows, _, time, measured = regression
     columns = (rows * weights[..., None]).reshape(-1, rows.shape[2])

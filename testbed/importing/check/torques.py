@@ -235,7 +235,8 @@ def assign(torques: TorqueEvidence) -> TorqueAssignment:
     pairs = product(range(n), repeat=2)
     fits = {pair: torques.fit(*pair) for pair in pairs if n <= MOST_JOINTS or pair[0] == pair[1]}
     costs = np.full((n, n), np.inf)
-    costs[tuple(np.transpose([*fits]))] = [fit.cost for fit in fits.values()]
+    for place, fit in fits.items():
+        costs[place] = fit.cost
     joints, order = linear_sum_assignment(costs)
     if costs[joints, order].sum() >= np.trace(costs) - ORDER:
         order = joints
