@@ -203,7 +203,7 @@ def _judge(
     hypotheses += [] if zero is None else [zero]
     recorded = replace(as_read, torques=best.torques.as_recorded()).unexplained
     torques = len(best.torques.unexplained)
-    remedies = remedies_for(tree, hypotheses, recorded, best.unexplained, mapping, torques)
+    remedies = tuple(remedies_for(tree, hypotheses, recorded, best.unexplained, mapping, torques))
     equals = tuple(dict.fromkeys(_equals(tree, explanations)))
     said = [] if wrong and clear else [*beyond, *plate]
     vain = [each for each in remedies if each.after > EXPLAINING]

@@ -182,8 +182,7 @@ class HypothesisFit:
     def torque_noise(self) -> Array:
         """Part of each torque's variance that is its noise, (n,) or (0,)."""
         variance = self.instants.torque.var(axis=0)
-        share: Array = self.instants.torque_noise / np.maximum(variance, 1e-30)
-        return share
+        return np.asarray(self.instants.torque_noise / np.maximum(variance, 1e-30))
 
     @cached_property
     def misfit(self) -> float:

@@ -224,8 +224,8 @@ def _assume(draft: Draft, tree: Tree) -> Draft:
             draft = draft.saying(kind, "unit", units if len({*units}) > 1 else units[0], note)
     if tables.get("torque", {}).get("gain") == "":
         draft = draft.saying("torque", "gain", 1.0, f"{ASSUMED}: torque of one unit [N m]")
-    for name in [each for each in tables if each == "wrench" or each.startswith("plates.")]:
-        plate = tables[name]
+    plates = {name: each for name, each in tables.items() if name.startswith(("wrench", "plates."))}
+    for name, plate in plates.items():
         units = [each or usual for each, usual in zip(plate["units"], ("N", "N m"), strict=True)]
         if units != plate["units"]:
             draft = draft.saying(name, "units", units, ASSUMED)

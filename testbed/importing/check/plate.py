@@ -178,13 +178,14 @@ def best_hypotheses(
         (_descend(plate, frame, order, start) for start in starts), key=lambda each: each[-1]
     )
     angles = [round(angle / STEPS[-1]) * STEPS[-1] for angle in to_rpy(turn)]
-    near = [from_rpy(angles), frame.turn]
-    near = [each for each in near if np.linalg.norm(turn - each) < max(SNAP, SIGMAS * sigma)]
+    near = max(SNAP, SIGMAS * sigma)
+    turns = [turn, from_rpy(angles), frame.turn]
+    turns = [each for each in turns if np.linalg.norm(turn - each) < near]
     for units in product(FORCES, MOMENTS):
         apart = abs(unit_ratio(units) / (ratio * unit_ratio(frame.units)) - 1)
         if apart > NEAR and units != frame.units:  # as read always: forces may be noise
             continue
-        for each in (turn, *near):
+        for each in turns:
             hypotheses = [Hypothesis("plate_order", (), order)] * (order != AS_READ)
             hypotheses += [Hypothesis("units", (), units)] * (units != frame.units)
             if np.linalg.norm(each - frame.turn) > 1e-6:

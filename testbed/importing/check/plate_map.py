@@ -138,7 +138,7 @@ class PlateRows:
             instants: With a wrench.
         """
         varied = expected - expected.mean(axis=0)
-        size = np.sqrt((varied.reshape(-1, 2, 3) ** 2).mean(axis=(0, 2)))
+        size = np.sqrt(_halves((varied**2).mean(axis=0)))
         self.weight = np.repeat(1 / np.where(size > 0, size, 1.0), 3)
         self.expected = varied * self.weight
         self.channels = np.hstack([instants.wrench, instants.wrench_rate])
@@ -189,8 +189,8 @@ class PlateRows:
         Args:
             each: The map, (6, 6).
         """
-        varied = self._variance(each).reshape(2, 3).sum(axis=1)
-        return float(np.sqrt(varied[0] / varied[1])) if varied.min() > 0 else 1.0
+        force, moment = _halves(self._variance(each))
+        return float(np.sqrt(force / moment)) if min(force, moment) > 0 else 1.0
 
     def _variance(self, each: Array) -> Array:
         """Of each channel after a map, in parts of the model's, (6,)."""
@@ -211,8 +211,8 @@ class PlateRows:
 
 def _sigma(instants: Instants) -> Array:
     """Of what is left of the channels, in parts of forces or moments, (6,)."""
-    variance = instants.wrench.var(axis=0).reshape(2, 3).sum(axis=1)
-    noise = instants.wrench_noise.reshape(2, 3).sum(axis=1) / np.maximum(variance, 1e-30)
+    variance = _halves(instants.wrench.var(axis=0))
+    noise = _halves(instants.wrench_noise) / np.maximum(variance, 1e-30)
     if noise.max() < NOISY:
         return np.full(6, FREE)
     return np.repeat(np.sqrt(QUIET + LASTS * noise), 3)
@@ -220,5 +220,10 @@ def _sigma(instants: Instants) -> Array:
 
 def _at_least(variance: Array) -> Array:
     """Variances of channels, (6,), each at least a part of its neighbours' mean."""
-    mean = np.repeat(variance.reshape(2, 3).mean(axis=1), 3)
+    mean = np.repeat(_halves(variance), 3)
     return np.maximum(variance, np.maximum(SILENT * mean, 1e-300))
+
+
+def _halves(channels: Array) -> Array:
+    """Means of forces' and of moments' values, (2,) of (6,)."""
+    return np.asarray(channels.reshape(2, 3).mean(axis=1))

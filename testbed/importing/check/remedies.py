@@ -8,8 +8,9 @@ from itertools import combinations, product
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from testbed.core.base.arrays import Array
+from testbed.core.base.arrays import AnyArray, Array
 from testbed.core.base.errors import few
 from testbed.core.recordings.columns import AXES
 from testbed.core.robot.free_base import FREE, coordinates, poses
@@ -255,23 +256,38 @@ def merge(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
     Args:
         hypotheses: In the order in which they are applied.
     """
-    signs: dict[str, set[int]] = {"position_sign": set(), "torque_sign": set()}
-    zeros: dict[int, float] = {}
+    count = 1 + max((k for each in hypotheses for k in each.joints), default=0)
+    signs = {"position_sign": np.ones(count), "torque_sign": np.ones(count)}
+    zeros = np.zeros(count)
     merged = []
     for each in hypotheses:
+        here = list(each.joints)
         if each.kind in signs:
-            signs[each.kind] ^= set(each.joints)
+            signs[each.kind][here] *= -1
             if each.kind == "position_sign":  # of what was added before, too
-                zeros |= {joint: -zeros[joint] for joint in each.joints if joint in zeros}
+                zeros[here] *= -1
         elif each.kind == "zero":
-            for joint, angle in zip(each.joints, each.values, strict=True):
-                zeros[joint] = zeros.get(joint, 0.0) + angle
+            zeros[here] += each.values
         else:
             merged.append(each)
-    zeros = {joint: angle for joint, angle in sorted(zeros.items()) if angle}
-    merged += [Hypothesis(kind, tuple(sorted(joints))) for kind, joints in signs.items() if joints]
-    merged += [Hypothesis("zero", tuple(zeros), tuple(zeros.values()))] if zeros else []
-    return tuple(merged)
+    for kind, sign in signs.items():
+        merged += of_joints(kind, sign < 0)
+    return (*merged, *of_joints("zero", zeros != 0, zeros[zeros != 0]))
+
+
+def of_joints(
+    kind: str, those: NDArray[np.bool_], values: AnyArray | None = None
+) -> Iterator[Hypothesis]:
+    """The hypothesis of a kind about some joints, if there are any.
+
+    Args:
+        kind: A key of `KINDS`.
+        those: Which joints it is about, (n,).
+        values: As of the hypothesis; none by default.
+    """
+    if those.any():
+        joints = np.flatnonzero(those).tolist()
+        yield Hypothesis(kind, tuple(joints), () if values is None else tuple(values.tolist()))
 
 
 @dataclass(frozen=True)
@@ -298,7 +314,7 @@ class Remedy:
 
 
 def remedies_for(tree: Tree, hypotheses: Sequence[Hypothesis], before: Array, after: Array,
-                 mapping: Mapping[str, Any], torques: int) -> tuple[Remedy, ...]:  # fmt: skip
+                 mapping: Mapping[str, Any], torques: int) -> Iterator[Remedy]:  # fmt: skip
     """What to change in a mapping if hypotheses hold.
 
     Args:
@@ -310,7 +326,6 @@ def remedies_for(tree: Tree, hypotheses: Sequence[Hypothesis], before: Array, af
         torques: How many of the channels, the first, are torques.
     """
     channels = [*(f"the torque of '{name}'" for name in tree.names[:torques]), *AXES]
-    remedies = []
     for each in hypotheses:
         lines = tuple(_lines(tree, each, mapping))
         mapping = with_lines(mapping, lines)  # on which the next ones build
@@ -319,8 +334,7 @@ def remedies_for(tree: Tree, hypotheses: Sequence[Hypothesis], before: Array, af
         best = max(own, key=lambda k: before[k] - after[k])
         joints = tuple(tree.names[k] for k in each.joints)
         shares = float(before[best]), float(after[best])
-        remedies.append(Remedy(each.kind, joints, each.values, lines, channels[best], *shares))
-    return tuple(remedies)
+        yield Remedy(each.kind, joints, each.values, lines, channels[best], *shares)
 
 
 def with_lines(mapping: Mapping[str, Any], lines: Iterable[Line]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
 from testbed.core.estimation.regression.normal_equations import inverse_root
 from testbed.importing.check.instants import Instants
-from testbed.importing.check.remedies import MOST_JOINTS, Hypothesis
+from testbed.importing.check.remedies import MOST_JOINTS, Hypothesis, of_joints
 
 FRICTION, SPREAD = (0.3, 0.3, 0.0, 0.1), 0.3
 """Viscous, dry, constant and rotor's part of a torque's rms that are expected, and their sigma."""
@@ -257,15 +257,9 @@ def assign(torques: TorqueEvidence) -> TorqueAssignment:
 
 def _hypotheses(order: Array, sense: Array, gain: Array) -> Iterator[Hypothesis]:
     """What columns, senses and gains of the joints' torques (n,) mean for a mapping."""
-    moved = np.flatnonzero(order != np.arange(len(order)))
-    odd = np.flatnonzero(gain != 1)
-    for kind, joints, values in (
-        ("torque_order", moved, order),
-        ("torque_sign", np.flatnonzero(sense < 0), np.zeros(0)),
-        ("torque_size", odd, gain[odd]),
-    ):
-        if joints.size:
-            yield Hypothesis(kind, tuple(joints.tolist()), tuple(values.tolist()))
+    yield from of_joints("torque_order", order != np.arange(len(order)), order)
+    yield from of_joints("torque_sign", sense < 0)
+    yield from of_joints("torque_size", gain != 1, gain[gain != 1])
 
 
 @cache
