@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -424,7 +423,7 @@ def import_and_check(
 def _alignment(offsets: Sequence[TimeOffset], source: Source) -> list[Any]:
     """Lines of a mapping that take offsets back."""
     mapping = source.facts.get("mapping", {})
-    return [*chain.from_iterable(alignment(each, mapping, source.facts) for each in offsets)]
+    return [line for each in offsets for line in alignment(each, mapping, source.facts)]
 
 
 def digest(tree: Tree, source: Source) -> str:

@@ -9,10 +9,10 @@ the mapping says, it is tried.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain, product
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -330,13 +330,14 @@ class PlateEvidence:
         if not self.measured:
             return [NO_PLATE]
         plate, frame = self._products, self._frame
-        several = self._judge([*best_hypotheses(plate, frame, AS_READ)])
+        several = self._judge(best_hypotheses(plate, frame, AS_READ))
         if not any(each.explained() for each in several):
-            others = (best_hypotheses(plate, frame, order) for order in PLATE_ORDERS)
-            several += self._judge([*chain.from_iterable(others)])
+            several += self._judge(
+                each for order in PLATE_ORDERS for each in best_hypotheses(plate, frame, order)
+            )
         return several
 
-    def _judge(self, hypotheses: Sequence[MapHypothesis]) -> list[PlateExplanation]:
+    def _judge(self, hypotheses: Iterable[MapHypothesis]) -> list[PlateExplanation]:
         """Explanations by maps, a shift and lateness fitted."""
         several = []
         for known, each in hypotheses:

@@ -201,7 +201,7 @@ class PlateRows:
         """What the best of all maps leaves, crosstalk, derivatives of the channels and all."""
         from scipy.linalg import eigh as generalized
 
-        whole: Array = np.kron(np.diag(self.weight**2), self._covariance)
+        whole = np.kron(np.diag(self.weight**2), self._covariance).astype(np.float64)
         scaled, size = unit_diagonal(whole)
         residual = self._residual.sum(axis=0) / np.outer(size, size)
         scaled += 1e-10 * np.eye(len(whole))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -156,7 +155,7 @@ class Search:
         """What explains it with other senses of the positions whose torques are unclear."""
         signs = [Hypothesis("position_sign", (joint,)) for joint in sorted(after.unclear)]
         signs = [each for each in signs if each not in after.fit.hypotheses]
-        return list(chain.from_iterable(fit.explanations for fit in self._look(after.fit, signs)))
+        return [each for fit in self._look(after.fit, signs) for each in fit.explanations]
 
     def _stages(
         self, first: HypothesisFit, several: list[Explanation]
@@ -224,7 +223,7 @@ class Search:
 
     def _at_best_zeros(self, count: int) -> list[Explanation]:
         fits = [self._refine(each) for each in self._nearest(count) if _moves_zero(each)]
-        return list(chain.from_iterable(each.explanations for each in fits))
+        return [each for fit in fits for each in fit.explanations]
 
     def _refine(self, fit: HypothesisFit) -> HypothesisFit:
         """A fit whose last zero is the best angle, not one that was tried."""

@@ -10,7 +10,6 @@ posterior is the prior here.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
@@ -20,6 +19,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
+from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.regression.normal_equations import inverse_root
 from testbed.importing.check.instants import Instants
 from testbed.importing.check.remedies import MOST_JOINTS, Hypothesis, of_joints
@@ -102,7 +102,7 @@ class TorqueEvidence:
             moved = rows[:, joint] @ root
             wide, spread, _ = np.linalg.svd(white @ moved, full_matrices=False)
             moves = spread > NOTHING * spread[:1]
-            friction = _friction(instants.motion.qd[:, joint], instants.motion.qdd[:, joint])
+            friction = _friction(instants.motion, joint)
             raw = np.column_stack([friction, rows[:, joint] @ mean])
             variance = float(moved.var(axis=0).sum())
             self._rows.append(_Rows(raw, white @ raw, (wide * spread)[:, moves], variance))
@@ -244,8 +244,13 @@ def assign(torques: TorqueEvidence) -> TorqueAssignment:
     cost, sense, gain = np.array([fits[place] for place in places]).T
     sizes = sense * [torques.size(*place, TIMES) for place in places]
     sizes = np.where(gain != 1, gain, sizes)
+    hypotheses = (
+        *of_joints("torque_order", order != joints, order),
+        *of_joints("torque_sign", sense < 0),
+        *of_joints("torque_size", gain != 1, gain[gain != 1]),
+    )
     return TorqueAssignment(
-        tuple(_hypotheses(order, sense, gain)),
+        hypotheses,
         float(cost.sum()),
         -sum(float(torques.log(k, k)[0]) for k in range(n)),
         np.array([torques.unexplained(*place, *fits[place][1:]) for place in places]),
@@ -253,13 +258,6 @@ def assign(torques: TorqueEvidence) -> TorqueAssignment:
         np.array([torques.spread(*place) for place in places]),
         np.where(sizes > 0, sizes, np.nan),
     )
-
-
-def _hypotheses(order: Array, sense: Array, gain: Array) -> Iterator[Hypothesis]:
-    """What columns, senses and gains of the joints' torques (n,) mean for a mapping."""
-    yield from of_joints("torque_order", order != np.arange(len(order)), order)
-    yield from of_joints("torque_sign", sense < 0)
-    yield from of_joints("torque_size", gain != 1, gain[gain != 1])
 
 
 @cache
@@ -272,8 +270,8 @@ def _whitening(count: int, spacing: float) -> Array:
     return inverse_root(toeplitz(correlation)).T
 
 
-def _friction(velocity: Array, acceleration: Array) -> Array:
+def _friction(motion: Motion, joint: int) -> Array:
     """Viscous and dry friction, a constant, the rotor; of size one, (T, 4)."""
-    speed = velocity / max(float(np.abs(velocity).max()), 1e-9)
-    rotor = acceleration / max(float(np.abs(acceleration).max()), 1e-9)
+    signals = motion.qd[:, joint], motion.qdd[:, joint]
+    speed, rotor = (each / max(float(np.abs(each).max()), 1e-9) for each in signals)
     return np.column_stack([speed, np.tanh(100 * speed), np.ones(len(speed)), rotor])
