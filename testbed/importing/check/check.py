@@ -72,9 +72,9 @@ EXPLAINING = 0.5
 ALONG = 1e-3
 """By how much a rotation vector may leave a joint's axis [rad]."""
 
-MOVED, CLEAR, ARM = 0.03, 5.0, 1.0
-"""Parts of the robot's weight, and sigmas, from which a plate's zero is another one; lever by which
-a weight counts as a moment [m]."""
+MOVED, CLEAR = 0.03, 5.0
+"""Parts of the robot's weight, for moments at a lever of 1 m, and sigmas, from which a plate's zero
+is another one."""
 
 RESTS = 5e-3
 """By how much a base that is welded may seem to move [m]."""
@@ -256,8 +256,7 @@ def zero_hypothesis(
     prior = best.fit.prior
     expected = prior.zero(tare)
     zero, sigma = best.fit.plate.zero(best.plate)
-    smallest = least * prior.weight * np.repeat([1.0, ARM], 3)
-    moved = np.abs(zero - expected) > np.maximum(smallest, CLEAR * sigma)
+    moved = np.abs(zero - expected) > np.maximum(least * prior.weight, CLEAR * sigma)
     zero = np.where(moved, zero, expected)
     return Hypothesis("tare", (), tuple(np.round(zero, 3).tolist())) if moved.any() else None
 
@@ -400,7 +399,7 @@ def import_and_check(
     report = check_recording(
         tree, own, align=align, unchecked=unchecked, progress=progress, prepared=prepared
     )
-    lines = _alignment([each for each in report.offsets if each.matters], longest)
+    lines = _alignment(report.offsets, longest)
     if align and lines:
         mapping = with_lines(longest.facts["mapping"], lines)
         prepared = Prepared(*pieces(path, checked(Mapping, mapping, str(path))))

@@ -354,7 +354,7 @@ def _with_clocks(draft: Draft, source: Source, offsets: Sequence[TimeOffset]) ->
     """Delays and drifts that are clear."""
     content = draft.content
     for each in offsets:
-        for table, key, value in alignment(each, content, source.facts) if each.matters else ():
+        for table, key, value in alignment(each, content, source.facts):
             if key == "delay":
                 draft = _delayed(draft, table, value, each.sigma)
             else:
@@ -385,7 +385,7 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     moved = from_vector(moves[TURN])
     turn, xyz = moved @ frame.turn, moved @ frame.place + moves[SHIFT]
     rpy = _plain_angles(turn, covariance[np.ix_(TURN, TURN)])
-    draft = _with_place(draft, (turn, xyz), rpy, sigma)
+    draft = _with_place(draft, turn, xyz, rpy, sigma)
     ratio = 1 / unit_ratio(frame.units) / (1 + moves[RATIO])
     note = draft.notes.get(("wrench", "units"), "by the file")
     note += f"; ratio {ratio:.6g} +- {ratio * sigma[RATIO]:.2g}"
@@ -398,11 +398,8 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     return _with_zero(draft, replace(best, plate=replace(best.plate, map=placed)))
 
 
-def _with_place(
-    draft: Draft, place: tuple[Array, Array], rpy: Sequence[float], sigma: Array
-) -> Draft:
+def _with_place(draft: Draft, turn: Array, xyz: Array, rpy: Sequence[float], sigma: Array) -> Draft:
     """Mapping with a plate's place, its rounded angles `rpy`, and how well it is known."""
-    turn, xyz = place
     angles, wide = np.rad2deg(to_rpy(turn)), np.rad2deg(sigma[TURN])
     spread = sigma[SHIFT]
     origin = draft.notes.get(("wrench", "place"), "solved")

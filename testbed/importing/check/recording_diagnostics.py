@@ -35,9 +35,6 @@ signal's channels that each has at least."""
 SHOWN, WIDE = 60, 110
 """Characters that spikes, and ranges, may take."""
 
-OUTSIDE = 1.0
-"""Ranges of a joint by which its positions must leave it to be certainly wrong."""
-
 NOISY = 3.0
 """Times a channel's noise that may be left besides."""
 
@@ -90,7 +87,7 @@ def spikes(recording: Recording) -> Iterator[Diagnostic]:
 
 
 def out_of_range(tree: Tree, position: Array) -> Iterator[Diagnostic]:
-    """Positions that no joint of this robot can have.
+    """Positions that no joint of this robot can have: beyond its range by as much as that spans.
 
     Args:
         tree: The robot.
@@ -98,7 +95,7 @@ def out_of_range(tree: Tree, position: Array) -> Iterator[Diagnostic]:
     """
     low, high = np.array([joint.position_range for joint in tree.joints]).T
     least, most = position.min(axis=0), position.max(axis=0)
-    room = OUTSIDE * (high - low)
+    room = high - low
     beyond = np.flatnonzero((least < low - room) | (most > high + room))
     if not beyond.size:
         return
@@ -166,15 +163,14 @@ def unexplained_plate(best: Explanation) -> Iterator[Diagnostic]:
     shares, noise = plate.unexplained, plate.noise
     channel = int(np.argmax(shares - NOISY * noise))
     certain = not plate.explained(UNEXPLAINED)
-    mixed = evidence.mixed(shares)
     yield diagnose(
-        "plate.crosstalk" if mixed else "plate.foreign",
+        "plate.crosstalk" if evidence.mixed(shares) else "plate.foreign",
         "the plate",
         shares[channel],
         level="error" if certain else "warning",
         channel=AXES[channel],
         share=share(shares[channel]),
-        mixed=share(evidence.least) if mixed else "",
+        mixed=share(evidence.least),
     )
 
 

@@ -188,7 +188,7 @@ def delivered(tree: Tree, source: Source, bodies: Estimate) -> tuple[Recording, 
 def alignment(
     offset: TimeOffset, mapping: Mapping[str, Any], facts: Mapping[str, Any]
 ) -> Iterator[Line]:
-    """Lines by which a mapping takes an offset back.
+    """Lines by which a mapping takes an offset back; none of one that is noise.
 
     `delay`, of all plates, and `skew` of a source that has not the positions' clock.
 
@@ -197,6 +197,8 @@ def alignment(
         mapping: What the mapping file says, as a recording keeps it.
         facts: Of the recording that it made.
     """
+    if not offset.matters:
+        return
     clocks = ImportReport.from_dict(facts["import"]).clocks if "import" in facts else {}
     for name, table in tables_of(mapping, offset.signal).items():
         source, delay = str(table.get("source")), float(table.get("delay", 0.0)) + offset.delay
