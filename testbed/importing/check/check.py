@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -73,9 +72,9 @@ EXPLAINING = 0.5
 ALONG = 1e-3
 """By how much a rotation vector may leave a joint's axis [rad]."""
 
-MOVED, CLEAR, ARM = 0.03, 5.0, 1.0
-"""Parts of the robot's weight, and sigmas, from which a plate's zero is another one; lever by which
-a weight counts as a moment [m]."""
+MOVED, CLEAR = 0.03, 5.0
+"""Parts of the robot's weight, for moments at a lever of 1 m, and sigmas, from which a plate's zero
+is another one."""
 
 RESTS = 5e-3
 """By how much a base that is welded may seem to move [m]."""
@@ -88,9 +87,6 @@ METHOD = 3
 
 MOST_SAMPLES = 200_000
 """Samples that are looked at, from the recording's middle."""
-
-RobotOf = Callable[[Recording], tuple[Tree, Source]]
-"""The robot of a recording, whose joints may be held, and the recording as its."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,22 +195,21 @@ def _judge(
         doubted = [replace(each, level="error" if foreign else "warning") for each in still]
         return Assessment(tuple(doubted), best.torques.sizes)
     wrong = gain > LIKELY and not foreign
-    hypotheses = [_timed(each, best) for each in best.hypotheses if wrong]
-    hypotheses = [each for each in hypotheses if each.kind != "torque_size"]
+    believed = [each for each in best.hypotheses if wrong and each.kind != "torque_size"]
+    hypotheses = [_timed(each, best) for each in believed]
     wrong = bool(hypotheses)
     zero = None if foreign or not best.has_plate else zero_hypothesis(best, part.tare)
     hypotheses += [] if zero is None else [zero]
-    remedies = remedies_for(
-        tree, hypotheses, *_shares(as_read, best), mapping, len(best.torques.unexplained)
-    )
+    recorded = replace(as_read, torques=best.torques.as_recorded()).unexplained
+    torques = len(best.torques.unexplained)
+    remedies = tuple(remedies_for(tree, hypotheses, recorded, best.unexplained, mapping, torques))
     equals = tuple(dict.fromkeys(_equals(tree, explanations)))
-    said = [] if wrong and clear else list(beyond)
+    said = [] if wrong and clear else [*beyond, *plate]
     vain = [each for each in remedies if each.after > EXPLAINING]
     if wrong and vain and not best.has_plate:
         before, after = share(vain[0].before), share(vain[0].after)
         said.append(diagnose("recording.unexplained", vain[0].channel, before=before, after=after))
         wrong, remedies = False, ()
-    said += [] if wrong and clear else plate
     if wrong:
         said.append(wrong_mapping(tree, remedies, equals, gain, certain=clear))
     if not foreign:
@@ -235,13 +230,6 @@ def _timed(hypothesis: Hypothesis, best: Explanation) -> Hypothesis:
     if hypothesis.kind != "late":
         return hypothesis
     return replace(hypothesis, values=(hypothesis.values[0] + best.plate.late,))
-
-
-def _shares(as_read: Explanation, best: Explanation) -> tuple[Array, Array]:
-    """Part of each channel's variance that is unexplained as recorded, and by the best, (C,)."""
-    before = as_read.unexplained
-    before[: len(best.torques.unexplained)] = best.torques.unexplained_as_recorded
-    return before, best.unexplained
 
 
 def _explains(as_read: Explanation, best: Explanation) -> bool:
@@ -268,8 +256,7 @@ def zero_hypothesis(
     prior = best.fit.prior
     expected = prior.zero(tare)
     zero, sigma = best.fit.plate.zero(best.plate)
-    smallest = least * prior.weight * np.repeat([1.0, ARM], 3)
-    moved = np.abs(zero - expected) > np.maximum(smallest, CLEAR * sigma)
+    moved = np.abs(zero - expected) > np.maximum(least * prior.weight, CLEAR * sigma)
     zero = np.where(moved, zero, expected)
     return Hypothesis("tare", (), tuple(np.round(zero, 3).tolist())) if moved.any() else None
 
@@ -384,8 +371,8 @@ def _base_motion(source: Source) -> Iterator[Diagnostic]:
 
 
 def import_and_check(
-    path: Path, robot_of: RobotOf, *, align: bool = False, unchecked: bool = False,
-    progress: Progress | None = None, prepared: Prepared | None = None,
+    path: Path, robot_of: Callable[[Recording], tuple[Tree, Source]], *, align: bool = False,
+    unchecked: bool = False, progress: Progress | None = None, prepared: Prepared | None = None,
 ) -> tuple[tuple[Recording, ...], list[Diagnostic], CheckReport]:  # fmt: skip
     """Recordings made by a mapping file, the longest of which is held against its robot.
 
@@ -412,7 +399,7 @@ def import_and_check(
     report = check_recording(
         tree, own, align=align, unchecked=unchecked, progress=progress, prepared=prepared
     )
-    lines = _alignment([each for each in report.offsets if each.matters], longest)
+    lines = _alignment(report.offsets, longest)
     if align and lines:
         mapping = with_lines(longest.facts["mapping"], lines)
         prepared = Prepared(*pieces(path, checked(Mapping, mapping, str(path))))
@@ -435,7 +422,7 @@ def import_and_check(
 def _alignment(offsets: Sequence[TimeOffset], source: Source) -> list[Any]:
     """Lines of a mapping that take offsets back."""
     mapping = source.facts.get("mapping", {})
-    return [*chain.from_iterable(alignment(each, mapping, source.facts) for each in offsets)]
+    return [line for each in offsets for line in alignment(each, mapping, source.facts)]
 
 
 def digest(tree: Tree, source: Source) -> str:

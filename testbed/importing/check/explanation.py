@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.dynamics.newton_euler import Motion, linear
+from testbed.core.dynamics.newton_euler import linear
 from testbed.importing.check.instants import Instants
 from testbed.importing.check.plate import WEIGHT, Frame, PlateEvidence, PlateExplanation
 from testbed.importing.check.prior import Prior
@@ -127,7 +127,7 @@ class Explanation:
         """The same with torques judged by the plate's estimate of the parameters."""
         if not self.has_plate or self.fit.torques is None:
             return self
-        mean, root = self.fit.plate.posterior(self.plate)
+        mean, root, _ = self.fit.plate.posterior(self.plate)
         return replace(self, torques=assign(self.fit.evidence(mean, root)))
 
     def as_recorded(self) -> Explanation:
@@ -167,11 +167,9 @@ class HypothesisFit:
             instants: Of the recording by these.
         """
         self.prior, self.hypotheses, self.instants = prior, hypotheses, instants
-        time = np.arange(len(instants.position), dtype=np.float64) * instants.spacing
-        motion = Motion(time, instants.position, instants.velocity, instants.acceleration)
         tree = prior.tree
         theta = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
-        self._joint_rows, base_rows = linear(tree, motion, theta)
+        self._joint_rows, base_rows = linear(tree, instants.motion, theta)
         self.plate = PlateEvidence(prior, frame, base_rows, instants)
         measured = instants.torque.size > 0
         self.torques = self.evidence(prior.mean, prior.root) if measured else None
@@ -184,8 +182,7 @@ class HypothesisFit:
     def torque_noise(self) -> Array:
         """Part of each torque's variance that is its noise, (n,) or (0,)."""
         variance = self.instants.torque.var(axis=0)
-        share: Array = self.instants.torque_noise / np.maximum(variance, 1e-30)
-        return share
+        return np.asarray(self.instants.torque_noise / np.maximum(variance, 1e-30))
 
     @cached_property
     def misfit(self) -> float:
@@ -195,11 +192,10 @@ class HypothesisFit:
         """
         cost = 3 * WEIGHT * float(np.log(self.plate.least)) if self.plate.measured else 0.0
         if self.torques is not None:
-            fit, same = self.torques.fit, range(self.prior.tree.n)
-            orders = [same, *(h.values for h in self.hypotheses if h.kind == "position_order")]
-            cost += min(
-                sum(fit(j, k).cost for j, k in zip(same, each, strict=True)) for each in orders
-            )
+            orders = [h.values for h in self.hypotheses if h.kind == "position_order"]
+            orders.append(tuple(range(self.prior.tree.n)))
+            fit = self.torques.fit
+            cost += min(sum(fit(*place).cost for place in enumerate(each)) for each in orders)
         return cost
 
     @cached_property

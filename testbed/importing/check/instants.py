@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
+from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.regression.windows import motion_taps
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
@@ -46,9 +48,7 @@ class Instants:
     """Signals at T instants of a recording.
 
     Attributes:
-        position: (T, n) [rad or m].
-        velocity: (T, n) [rad/s or m/s].
-        acceleration: (T, n) [rad/s^2 or m/s^2].
+        motion: Of the joints.
         torque: (T, n) [N m or N]; (T, 0) where it was not measured.
         wrench: (T, 6) [N, N m]; (T, 0) where it was not measured.
         wrench_rate: Its derivative, (T, 6) [N/s, N m/s], or (T, 0).
@@ -57,9 +57,7 @@ class Instants:
         spacing: From one instant to the next [s].
     """
 
-    position: Array
-    velocity: Array
-    acceleration: Array
+    motion: Motion
     torque: Array
     wrench: Array
     wrench_rate: Array
@@ -85,21 +83,19 @@ def sample(recording: Recording, late: float = 0.0, cutoff: float = CUTOFF) -> I
         return None
     later = round(late * rate)
     at = np.linspace(0, inside - 1 - abs(later), count).astype(int) + max(0, -later)
+    spacing = (inside - abs(later)) / rate / count
     none = np.zeros((recording.samples, 0))
     torque = none if recording.torque is None else recording.torque
     wrench = none if recording.wrench is None else recording.wrench
     smoothing = float((taps[0] ** 2).sum())
-    position, velocity, acceleration = (decimate(recording.position, each, at) for each in taps)
     return Instants(
-        position,
-        velocity,
-        acceleration,
+        motion_at(recording, taps, at, spacing),
         torque=decimate(torque, taps[0], at),
         wrench=decimate(wrench, taps[0], at + later),
         wrench_rate=decimate(wrench, taps[1], at + later),
         torque_noise=_white_noise(torque) * smoothing,
         wrench_noise=_noise_above(wrench, taps[0], motion_taps(rate, 2 * passed)[0]),
-        spacing=(inside - abs(later)) / rate / count,
+        spacing=spacing,
     )
 
 
@@ -114,6 +110,21 @@ def middle(source: Source, samples: int) -> Recording:
     return source.part(first, min(source.samples, first + samples))
 
 
+def motion_at(
+    recording: Recording, taps: Array, at: slice | NDArray[np.intp], spacing: float
+) -> Motion:
+    """Positions at some instants by a low-pass, with their derivatives.
+
+    Args:
+        recording: Of M samples.
+        taps: Weights of the low-pass and of its derivatives, (3, 2 L + 1).
+        at: As of `decimate`.
+        spacing: From one instant to the next [s].
+    """
+    signals = [decimate(recording.position, each, at) for each in taps]
+    return Motion(spacing * np.arange(float(len(signals[0]))), *signals)
+
+
 def decimate(signal: Array, weights: Array, at: slice | NDArray[np.intp]) -> Array:
     """Filter and downsample a signal; samples that the filter reaches beyond the ends are lost.
 
@@ -122,7 +133,7 @@ def decimate(signal: Array, weights: Array, at: slice | NDArray[np.intp]) -> Arr
         weights: Of the filter, in the order of time, (2 L + 1,).
         at: Which of the M - 2 L others are kept.
     """
-    windows = np.lib.stride_tricks.sliding_window_view(signal, len(weights), axis=0)[at]
+    windows = sliding_window_view(signal, len(weights), axis=0)[at]
     filtered: Array = np.einsum("mkl,l->mk", windows, weights)
     return filtered
 
@@ -148,29 +159,28 @@ def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
     """How late a signal is beside columns, to a row [s], and times less that they leave of it then.
 
     For all delays at once: what orthonormal columns explain are their correlations. Rows of zeros
-    do not count.
+    do not count. A signal of which columns leave more than a share (`LATE`) is not late.
 
     Args:
         columns: Of the signal, (T, C, N).
         signal: (T, C).
         spacing: From one row to the next [s].
     """
-    from scipy.signal import fftconvolve
-
     most = int(min(LATEST / spacing, SPARE * len(signal)))
     rows = columns[most : len(columns) - most]
     basis = orthonormal_basis(rows.reshape(-1, rows.shape[2]))
     if not 0 < ENOUGH * basis.shape[1] < len(basis):
         return 0.0, 1.0  # nothing moves, or columns explain whatever is measured
     basis = basis.reshape(*rows.shape[:2], -1)
-    counted = np.any(rows, axis=2) * np.ones(rows.shape[:2])
-    explained = fftconvolve(signal[..., None], basis[::-1], "valid", axes=0).sum(axis=1)
-    whole = fftconvolve(signal**2, counted[::-1], "valid", axes=0).sum(axis=1)
+    windows = sliding_window_view(signal, len(rows), axis=0)  # (delays, C, rows)
+    explained = np.einsum("dct,tcn->dn", windows, basis, optimize=True)
+    whole = np.einsum("dct,tc->d", windows**2, np.any(rows, axis=2))
     share = (explained**2).sum(axis=1) / np.maximum(whole, 1e-300)
     best = int(np.argmax(share))
-    if best in (0, 2 * most):  # no delay is best, the farther the better
+    times = float((1 - share[best]) / max(1 - share[most], 1e-300))
+    if best in (0, 2 * most) or times > LATE:  # no delay is best, the farther the better
         return 0.0, 1.0
-    return spacing * (best - most), float((1 - share[best]) / max(1 - share[most], 1e-300))
+    return spacing * (best - most), times
 
 
 def _white_noise(signal: Array) -> Array:

@@ -22,6 +22,7 @@ from testbed.core.base.errors import (
     round_significant,
 )
 from testbed.core.base.toml_text import checked
+from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.inertia import from_vector
@@ -29,7 +30,7 @@ from testbed.core.robot.rpy import from_rpy, to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.check import Assessment, Prepared, assess, zero_hypothesis
 from testbed.importing.check.explanation import Explanation
-from testbed.importing.check.plate import FAR, WrenchFit, frame_of
+from testbed.importing.check.plate import FAR, WrenchFit, frame_of, unit_ratio
 from testbed.importing.check.plate_map import (
     LATE,
     RATIO,
@@ -48,7 +49,7 @@ from testbed.importing.check.search import Progress
 from testbed.importing.check.time_offset import TimeOffset, alignment, time_offsets
 from testbed.importing.convert import clock_ranges, pieces
 from testbed.importing.derivative import DerivativeError
-from testbed.importing.foreign_table import FORCES, MOMENTS, TURNING
+from testbed.importing.foreign_table import TURNING
 from testbed.importing.import_report import Draft, in_toml
 from testbed.importing.mapping import Mapping as MappingFile
 from testbed.importing.mapping import empty_keys
@@ -137,19 +138,18 @@ def solve_mapping(
         assessment.require()
         source = on_its_base(prepared.longest, tree)
         said = (*encoder_steps(source), *assessment.likely)
-        if assessment.best is None:
-            return MappingSolution(draft, said)
-        draft = _by_the_data(draft, assessment.best, said)
-        offsets = time_offsets(tree, source)
-        in_time = _with_clocks(draft, source, offsets)
-        prepared = replace(prepared, offsets=offsets)
-        if in_time is not draft:
-            draft, prepared, assessment = _assessed(in_time, out, tree, progress)
+        if assessment.best is not None:
+            draft = _by_the_data(draft, assessment.best, said)
+            offsets = time_offsets(tree, source)
+            in_time = _with_clocks(draft, source, offsets)
+            prepared = replace(prepared, offsets=offsets)
+            if in_time is not draft:
+                draft, prepared, assessment = _assessed(in_time, out, tree, progress)
     except (RecordingError, ExperimentError) as error:
         return MappingSolution(draft, refusal=error)
     best = assessment.best
     if best is None:
-        return MappingSolution(draft, assessment.likely, prepared=prepared)
+        return MappingSolution(draft, said, prepared=prepared)
     refined = _with_plate(draft, best)
     said = (*encoder_steps(source), *assessment.likely, *_too_short(best))
     last = prepared if refined is draft else None
@@ -171,11 +171,9 @@ def missing(draft: Draft) -> list[str]:
         draft: A mapping.
     """
     content = draft.content
-    rates = {"rate": content["rate"]} | {
-        f"sources.{name}.rate": each.get("rate", 1.0) for name, each in content["sources"].items()
-    }
-    none = [key for key in ("position",) if key not in content]
-    rateless = (key for key, rate in rates.items() if not rate)
+    clocks = {"": content} | {f"sources.{k}.": each for k, each in content["sources"].items()}
+    rateless = (f"{name}rate" for name, each in clocks.items() if not each.get("rate", 1.0))
+    none = ["position"] * ("position" not in content)
     return [*dict.fromkeys((*empty_keys(content), *rateless, *none))]
 
 
@@ -227,8 +225,8 @@ def _assume(draft: Draft, tree: Tree) -> Draft:
             draft = draft.saying(kind, "unit", units if len({*units}) > 1 else units[0], note)
     if tables.get("torque", {}).get("gain") == "":
         draft = draft.saying("torque", "gain", 1.0, f"{ASSUMED}: torque of one unit [N m]")
-    for name in [each for each in tables if each == "wrench" or each.startswith("plates.")]:
-        plate = tables[name]
+    plates = {name: each for name, each in tables.items() if name.startswith(("wrench", "plates."))}
+    for name, plate in plates.items():
         units = [each or usual for each, usual in zip(plate["units"], ("N", "N m"), strict=True)]
         if units != plate["units"]:
             draft = draft.saying(name, "units", units, ASSUMED)
@@ -340,22 +338,24 @@ def _with_rates(draft: Draft, unit: str | list[str]) -> Draft:
     return draft
 
 
-def _by_the_data(draft: Draft, best: Explanation, said: Sequence[Diagnostic]) -> Draft:
+def _by_the_data(draft: Draft, best: Explanation, doubts: Sequence[Diagnostic]) -> Draft:
     """Mapping with notes on keys that were assumed and that a plate's data bear out."""
-    if not best.has_plate or any(each.level == "warning" for each in said):
+    if not best.has_plate or any(each.level == "warning" for each in doubts):
         return draft
     unexplained = share(best.plate.unexplained.max())
     note = f"by the data: {unexplained} of the plate's channels is unexplained"
-    assumed = [place for place, each in draft.notes.items() if each == ASSUMED]
-    notes = {place: note for place in assumed if place != ("torque", "gain")}
-    return replace(draft, notes={**draft.notes, **notes})
+    notes = {
+        place: note if said == ASSUMED and place != ("torque", "gain") else said
+        for place, said in draft.notes.items()
+    }
+    return replace(draft, notes=notes)
 
 
 def _with_clocks(draft: Draft, source: Source, offsets: Sequence[TimeOffset]) -> Draft:
     """Delays and drifts that are clear."""
     content = draft.content
     for each in offsets:
-        for table, key, value in alignment(each, content, source.facts) if each.matters else ():
+        for table, key, value in alignment(each, content, source.facts):
             if key == "delay":
                 draft = _delayed(draft, table, value, each.sigma)
             else:
@@ -383,11 +383,11 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     frame = frame_of(draft.content)
     moves, covariance = best.fit.plate.correction(best.plate)
     sigma = np.sqrt(np.diagonal(covariance))
-    moved = from_vector(moves[list(TURN)])
-    turn, xyz = moved @ frame.turn, moved @ frame.place + moves[list(SHIFT)]
+    moved = from_vector(moves[TURN])
+    turn, xyz = moved @ frame.turn, moved @ frame.place + moves[SHIFT]
     rpy = _plain_angles(turn, covariance[np.ix_(TURN, TURN)])
-    draft = _with_place(draft, (turn, xyz), rpy, sigma)
-    ratio = FORCES[frame.units[0]] / MOMENTS[frame.units[1]] / (1 + moves[RATIO])
+    draft = _with_place(draft, turn, xyz, rpy, sigma)
+    ratio = 1 / unit_ratio(frame.units) / (1 + moves[RATIO])
     note = draft.notes.get(("wrench", "units"), "by the file")
     note += f"; ratio {ratio:.6g} +- {ratio * sigma[RATIO]:.2g}"
     draft = draft.saying("wrench", "units", table["units"], note)
@@ -399,13 +399,10 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     return _with_zero(draft, replace(best, plate=replace(best.plate, map=placed)))
 
 
-def _with_place(
-    draft: Draft, place: tuple[Array, Array], rpy: Sequence[float], sigma: Array
-) -> Draft:
+def _with_place(draft: Draft, turn: Array, xyz: Array, rpy: Sequence[float], sigma: Array) -> Draft:
     """Mapping with a plate's place, its rounded angles `rpy`, and how well it is known."""
-    turn, xyz = place
-    angles, wide = np.rad2deg(to_rpy(turn)), np.rad2deg(sigma[list(TURN)])
-    spread = sigma[list(SHIFT)]
+    angles, wide = np.rad2deg(to_rpy(turn)), np.rad2deg(sigma[TURN])
+    spread = sigma[SHIFT]
     origin = draft.notes.get(("wrench", "place"), "solved")
     note = f"{origin}; rpy {_list(angles, 3)} +- {_list(wide, 3)} deg"
     note += f"; xyz {_list(1e3 * xyz, 2)} +- {_list(1e3 * spread, 2)} mm"
@@ -449,8 +446,9 @@ def _list(values: Array, digits: int) -> str:
 
 def _too_short(best: Explanation) -> Iterator[Diagnostic]:
     """Whether another mapping may fit a recording as well."""
-    instants, parameters = best.fit.instants, best.fit.prior.parameters
-    count, joints = instants.position.shape
+    instants = best.fit.instants
+    parameters = minimal_set(best.fit.prior.tree, "reaction").count
+    count, joints = instants.motion.q.shape
     if count * (6 if best.has_plate else joints) <= SHORT * parameters:
         yield diagnose("recording.short", value=count * instants.spacing, parameters=parameters)
 

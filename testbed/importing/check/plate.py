@@ -9,17 +9,21 @@ the mapping says, it is tried.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain, product
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
+from testbed.core.dynamics.newton_euler import sensor_transform
+from testbed.core.estimation.regression.normal_equations import inverse_and_solution
 from testbed.core.robot.inertia import from_vector
 from testbed.core.robot.rpy import from_rpy, to_rpy
+from testbed.core.robot.tree import Placement
 from testbed.importing.check.instants import Instants, delay
 from testbed.importing.check.plate_map import (
     LASTS,
@@ -35,15 +39,16 @@ from testbed.importing.check.plate_map import (
     transform,
 )
 from testbed.importing.check.prior import Prior
-from testbed.importing.check.remedies import STEPS, Hypothesis, wrench_tables
+from testbed.importing.check.remedies import STEPS, Hypothesis, exchanges, place_of, tables_of
 from testbed.importing.foreign_table import FORCES, MOMENTS, plain
 
 AS_READ = (0, 1, 2, 3, 4, 5)
 
 PLATE_ORDERS = (
-    (3, 4, 5, 0, 1, 2), (1, 0, 2, 3, 4, 5), (0, 2, 1, 3, 4, 5), (2, 1, 0, 3, 4, 5),
-    (0, 1, 2, 4, 3, 5), (0, 1, 2, 3, 5, 4), (0, 1, 2, 5, 4, 3),
-)  # fmt: skip
+    (3, 4, 5, 0, 1, 2),
+    *exchanges(range(3), 6),
+    *exchanges(range(3, 6), 6),
+)
 """Moments before forces, and two channels exchanged; axes in another order are a turn."""
 
 ROUNDS, LARGEST = 7, 0.6
@@ -117,7 +122,7 @@ class Frame:
     @cached_property
     def map_inverse(self) -> Array:
         """The wrench in the sensor's frame of one in the bedplate's, (6, 6)."""
-        return np.asarray(np.linalg.inv(transform(self.turn, self.place)))
+        return sensor_transform(Placement(self.place, self.turn))
 
     def map(
         self, turn: Array, units: tuple[str, str], order: Sequence[int], ratio: float = 1.0
@@ -132,7 +137,7 @@ class Frame:
         """
         size = np.repeat([FORCES[units[0]], ratio * MOMENTS[units[1]]], 3)
         own_size = np.repeat([FORCES[self.units[0]], MOMENTS[self.units[1]]], 3)
-        columns = np.diag(size) @ np.eye(6)[list(order)] @ np.diag(1 / own_size)
+        columns = np.eye(6)[list(order)] * np.outer(size, 1 / own_size)
         return transform(turn, self.place) @ columns @ self.map_inverse
 
 
@@ -142,15 +147,24 @@ def frame_of(mapping: Mapping[str, Any]) -> Frame:
     Args:
         mapping: What the recording's mapping file says; empty if it has none.
     """
-    tables = wrench_tables(mapping)
+    tables = tables_of(mapping, "wrench")
     table = next((each for name, each in tables.items() if not name.startswith("plates.")), {})
-    place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
+    rpy, xyz = place_of(table)
     force, moment = (plain(each) for each in table.get("units", ("N", "N m")))
-    return Frame(from_rpy(place["rpy"]), np.array(place["xyz"], float), (force, moment))
+    return Frame(from_rpy(rpy), xyz, (force, moment))
+
+
+def unit_ratio(units: tuple[str, str]) -> float:
+    """What one of a moment's unit is in SI, for one of a force's.
+
+    Args:
+        units: Of forces and moments.
+    """
+    return MOMENTS[units[1]] / FORCES[units[0]]
 
 
 def best_hypotheses(
-    plate: PlateRows, frame: Frame, order: Sequence[int]
+    plate: PlateRows, frame: Frame, order: tuple[int, ...]
 ) -> Iterator[MapHypothesis]:
     """The turns and units that explain a plate best, its columns in one order.
 
@@ -166,15 +180,15 @@ def best_hypotheses(
         (_descend(plate, frame, order, start) for start in starts), key=lambda each: each[-1]
     )
     angles = [round(angle / STEPS[-1]) * STEPS[-1] for angle in to_rpy(turn)]
-    near = [from_rpy(angles), frame.turn]
-    near = [each for each in near if np.linalg.norm(turn - each) < max(SNAP, SIGMAS * sigma)]
-    own = MOMENTS[frame.units[1]] / FORCES[frame.units[0]]
+    near = max(SNAP, SIGMAS * sigma)
+    turns = [turn, from_rpy(angles), frame.turn]
+    turns = [each for each in turns if np.linalg.norm(turn - each) < near]
     for units in product(FORCES, MOMENTS):
-        apart = abs(MOMENTS[units[1]] / FORCES[units[0]] / (ratio * own) - 1)
+        apart = abs(unit_ratio(units) / (ratio * unit_ratio(frame.units)) - 1)
         if apart > NEAR and units != frame.units:  # as read always: forces may be noise
             continue
-        for each in (turn, *near):
-            hypotheses = [Hypothesis("plate_order", (), tuple(order))] * (tuple(order) != AS_READ)
+        for each in turns:
+            hypotheses = [Hypothesis("plate_order", (), order)] * (order != AS_READ)
             hypotheses += [Hypothesis("units", (), units)] * (units != frame.units)
             if np.linalg.norm(each - frame.turn) > 1e-6:
                 angles = np.round(to_rpy(each), 6).tolist()
@@ -185,13 +199,16 @@ def best_hypotheses(
 def _aligned(plate: PlateRows, frame: Frame, order: Sequence[int]) -> Iterator[Array]:
     """Turns that bring the channels nearest to what the model file predicts, in either sense.
 
-    Wahba's problem by Kabsch's algorithm.
+    Wahba's problem.
     """
+    from scipy.spatial.transform import Rotation
+
     channels = plate.channels[:, :6] @ frame.map(np.eye(3), frame.units, order).T * plate.weight
-    correlation = plate.expected.reshape(-1, 3).T @ channels.reshape(-1, 3)
-    for sense in (1.0, -1.0):
-        left, _, right = np.linalg.svd(sense * correlation)
-        yield left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    vectors, expected = channels.reshape(-1, 3), plate.expected.reshape(-1, 3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of vectors along one line: any turn will do
+        both = [Rotation.align_vectors(expected, sense * vectors)[0] for sense in (1.0, -1.0)]
+    yield from (turn.as_matrix() for turn in both)
 
 
 def _descend(
@@ -211,7 +228,7 @@ def _descend(
         turn = from_vector(step[:3]) @ turn
         ratio *= float(np.exp(step[3]))
     cost = float(np.log(fit.unexplained + TINY).sum())
-    return turn, ratio, float(fit.sigma[list(TURN)].max()), cost
+    return turn, ratio, float(fit.sigma[TURN].max()), cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,7 +300,8 @@ class PlateEvidence:
         self._prior, self._frame, self.rows, self._instants = prior, frame, rows, instants
         self.measured = instants.wrench.size > 0
         if self.measured:
-            self._products = PlateRows(rows @ prior.root, rows @ prior.mean, instants)
+            self._spread, self._expected = rows @ prior.root, rows @ prior.mean
+            self._products = PlateRows(self._spread, self._expected, instants)
 
     @property
     def least(self) -> float:
@@ -316,19 +334,20 @@ class PlateEvidence:
         if not self.measured:
             return [NO_PLATE]
         plate, frame = self._products, self._frame
-        several = self._judge([*best_hypotheses(plate, frame, AS_READ)])
+        several = self._judge(best_hypotheses(plate, frame, AS_READ))
         if not any(each.explained() for each in several):
-            others = (best_hypotheses(plate, frame, order) for order in PLATE_ORDERS)
-            several += self._judge([*chain.from_iterable(others)])
+            several += self._judge(
+                each for order in PLATE_ORDERS for each in best_hypotheses(plate, frame, order)
+            )
         return several
 
-    def _judge(self, hypotheses: Sequence[MapHypothesis]) -> list[PlateExplanation]:
+    def _judge(self, hypotheses: Iterable[MapHypothesis]) -> list[PlateExplanation]:
         """Explanations by maps, a shift and lateness fitted."""
         several = []
         for known, each in hypotheses:
             fit, about = self._products.fit(each), list(known)
-            shift = fit.extras[list(SHIFT)]
-            sigma = float(np.linalg.norm(fit.sigma[list(SHIFT)]))
+            shift = fit.extras[SHIFT]
+            sigma = float(np.linalg.norm(fit.sigma[SHIFT]))
             if np.linalg.norm(shift) > max(SHIFTED, CLEAR * sigma):
                 place = np.round(self._frame.place + shift, 4)
                 about.append(Hypothesis("shift", (), tuple(place.tolist())))
@@ -363,18 +382,21 @@ class PlateEvidence:
         data = self._instants
         return (data.wrench + each.late * data.wrench_rate) @ each.map.T
 
-    def posterior(self, each: PlateExplanation) -> tuple[Array, Array]:
+    def posterior(self, each: PlateExplanation) -> tuple[Array, Array, Array]:
         """Parameters by the varying part of the wrench, (10 n,), and their sigmas' root, (10 n, k).
 
         Args:
             each: Of the plate.
+
+        Returns:
+            Besides these what they leave of the wrench, (T, 6) [N, N m].
         """
         prior, wrench = self._prior, self.wrench(each)
         share = np.maximum(each.unexplained, LEAST_LEFT) * LASTS
         sigma = np.sqrt(share * np.maximum(wrench.var(axis=0), 1e-12))
-        rest = wrench - self.rows @ prior.mean
-        departure, root, _ = ridge_regression(self.rows @ prior.root, rest[..., None], sigma)
-        return prior.mean + prior.root @ departure[:, 0], prior.root @ root
+        rest = wrench - self._expected
+        departure, root, left = ridge_regression(self._spread, rest[..., None], sigma)
+        return prior.mean + prior.root @ departure[:, 0], prior.root @ root, left[..., 0]
 
     def zero(self, each: PlateExplanation) -> tuple[Array, Array]:
         """What the plate shows without the robot, and its sigma, (6,) [N, N m].
@@ -385,7 +407,7 @@ class PlateEvidence:
         Args:
             each: Of the plate.
         """
-        mean, root = self.posterior(each)
+        mean, root, _ = self.posterior(each)
         rest = self.wrench(each) - self.rows @ mean
         return rest.mean(axis=0), np.linalg.norm(self.rows.mean(axis=0) @ root, axis=1)
 
@@ -410,16 +432,16 @@ class PlateEvidence:
         """
         from scipy.fft import dct
 
-        data, prior, count = self._instants, self._prior, len(self._instants.wrench)
+        data, count = self._instants, len(self._instants.wrench)
         constants = np.broadcast_to(np.eye(6), (count, 6, 6))
-        model = np.concatenate([self.rows @ prior.root, constants], axis=2)
+        model = np.concatenate([self._spread, constants], axis=2)
         model = dct(model, axis=0, norm="ortho")
         wrench, rate = (dct(x, axis=0, norm="ortho") for x in (data.wrench, data.wrench_rate))
-        target = wrench - dct(self.rows @ prior.mean, axis=0, norm="ortho")
-        parameters, moves = slice(prior.root.shape[1]), slice(model.shape[2], None)
+        target = wrench - dct(self._expected, axis=0, norm="ortho")
+        parameters, moves = slice(self._spread.shape[2]), slice(model.shape[2], None)
         precision = np.concatenate([np.ones(parameters.stop), np.zeros(6), 1 / WIDE**2])
         mean = np.zeros(len(precision))
-        mean[moves][list(SHIFT)] = -self._frame.place
+        mean[moves][SHIFT] = -self._frame.place
         left = np.maximum(each.unexplained * data.wrench.var(axis=0), 1e-30)
         weight, predicted = np.tile(1 / np.sqrt(left), (count, 1)), wrench
         for _ in range(CORRECTIONS):
@@ -427,8 +449,9 @@ class PlateEvidence:
             slopes[:, :, LATE] = -rate
             columns = np.concatenate([model, slopes], axis=2)
             scaled = (columns * weight[..., None]).reshape(6 * count, -1)
-            covariance = np.linalg.inv(scaled.T @ scaled + np.diag(precision))
-            values = covariance @ (scaled.T @ (target * weight).ravel() + precision * mean)
+            right = scaled.T @ (target * weight).ravel() + precision * mean
+            matrix = scaled.T @ scaled + np.diag(precision)
+            covariance, values = inverse_and_solution(matrix, right)
             residual = target - columns @ values
             predicted = wrench - residual
             leverage = ((scaled @ covariance) * scaled).sum(axis=1).reshape(count, 6)
@@ -449,11 +472,8 @@ class PlateEvidence:
         Args:
             each: Of the plate.
         """
-        wrench = self.wrench(each)
-        fit = self.rows @ self.posterior(each)[0]
-        fit = fit - fit.mean(axis=0) + wrench.mean(axis=0)
-        time = self._instants.spacing * np.arange(len(wrench), dtype=np.float64)
-        return WrenchFit(time, wrench, fit, each.unexplained)
+        wrench, left = self.wrench(each), self.posterior(each)[2]
+        return WrenchFit(self._instants.motion.t, wrench, wrench - left, each.unexplained)
 
 
 def _spectral_weights(residual: Array, leverage: Array) -> Array:

@@ -21,11 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.base.arrays import Array, skew
-from testbed.core.base.blas import eigh
+from testbed.core.dynamics.newton_euler import sensor_transform
+from testbed.core.estimation.regression.normal_equations import inverse_root, unit_diagonal
+from testbed.core.robot.tree import Placement
 from testbed.importing.check.instants import Instants
-
-HALVES = (slice(0, 3), slice(3, 6))
-"""Forces, moments."""
 
 LASTS = 10.0
 """Instants over which what models leave lasts: it is no white noise."""
@@ -47,7 +46,7 @@ turn [rad] and of the ratio."""
 LOOSE = 1e-7
 """Weight of these beside the data where maps are compared."""
 
-SHIFT, LATE, TURN, RATIO = (0, 1, 2), 3, (4, 5, 6), 7
+SHIFT, LATE, TURN, RATIO = [0, 1, 2], 3, [4, 5, 6], 7
 """Places of what may be fitted beside a map: [m], [s], [rad], moments over forces."""
 
 
@@ -58,10 +57,7 @@ def transform(turn: Array, place: Array) -> Array:
         turn: Of the sensor's frame, (3, 3).
         place: Of its origin, (3,) [m].
     """
-    matrix: Array = np.zeros((6, 6))
-    matrix[:3, :3] = matrix[3:, 3:] = turn
-    matrix[3:, :3] = skew(place) @ turn
-    return matrix
+    return sensor_transform(Placement(-turn.T @ place, turn.T))
 
 
 def rotation_vector(turn: Array) -> Array:
@@ -74,9 +70,7 @@ def rotation_vector(turn: Array) -> Array:
 def _slopes() -> Array:
     """Derivatives of a map, to be multiplied by it, by what is fitted beside it, (8, 6, 6)."""
     slopes = np.zeros((8, 6, 6))
-    slopes[list(SHIFT), 3:, :3] = skew(np.eye(3))
-    for half in HALVES:
-        slopes[list(TURN), half, half] = skew(np.eye(3))
+    slopes[SHIFT, 3:, :3] = slopes[TURN, :3, :3] = slopes[TURN, 3:, 3:] = skew(np.eye(3))
     slopes[LATE] = np.eye(6)  # of the wrench's derivative
     slopes[RATIO, 3:, 3:] = np.eye(3)
     return slopes
@@ -102,8 +96,7 @@ def ridge_regression(rows: Array, target: Array, sigma: Array) -> tuple[Array, A
     columns = ((rows - rows.mean(axis=0)) / sigma[:, None]).reshape(-1, rows.shape[2])
     varied = target - target.mean(axis=0)
     scaled = (varied / sigma[:, None]).reshape(len(columns), -1)
-    spread, axes = eigh(columns.T @ columns + np.eye(columns.shape[1]))
-    root = axes / np.sqrt(np.maximum(spread, 1.0))
+    root = inverse_root(columns.T @ columns + np.eye(columns.shape[1]))
     departure = root @ (root.T @ (columns.T @ scaled))
     left = varied - (columns @ departure).reshape(varied.shape) * sigma[:, None]
     return departure, root, left
@@ -145,7 +138,7 @@ class PlateRows:
             instants: With a wrench.
         """
         varied = expected - expected.mean(axis=0)
-        size = np.sqrt((varied.reshape(-1, 2, 3) ** 2).mean(axis=(0, 2)))
+        size = np.sqrt(_halves((varied**2).mean(axis=0)))
         self.weight = np.repeat(1 / np.where(size > 0, size, 1.0), 3)
         self.expected = varied * self.weight
         self.channels = np.hstack([instants.wrench, instants.wrench_rate])
@@ -163,19 +156,18 @@ class PlateRows:
         self._departure = departure.T @ departure
         self._residual = np.einsum("tcx,tcy->cxy", signals, signals, optimize=True)
 
-    def fit(self, each: Array, free: Sequence[int] = (*SHIFT, LATE)) -> MapFit:
+    def fit(self, each: Array, places: Sequence[int] = (*SHIFT, LATE)) -> MapFit:
         """What a map leaves, with what is free fitted beside it.
 
         Args:
             each: From what was recorded to the bedplate's wrench, (6, 6).
-            free: Places of what may be fitted.
+            places: Of what may be fitted.
         """
-        places = list(free)
-        terms = np.zeros((1 + len(places), 6, 12))
-        terms[:, :, :6] = [each, *(SLOPES[places] @ each)]
-        if LATE in places:  # it is the wrench's derivative that is multiplied
-            terms[1 + places.index(LATE)] = np.hstack([np.zeros((6, 6)), each])
-        flat = terms.reshape(-1, 72)
+        places = list(places)
+        terms = np.zeros((1 + len(SLOPES), 6, 12))
+        terms[:, :, :6] = [each, *(SLOPES @ each)]
+        terms[1 + LATE] = np.roll(terms[0], 6, axis=1)  # of the wrench's derivative
+        flat = terms.reshape(-1, 72)[[0, *(1 + np.array(places))]]
         residual = flat @ self._residual @ flat.T  # (6, 1 + k, 1 + k)
         whole, noise = _at_least(self._variance(each)), self.weight**2 * (each**2 @ self._noise)
         weight = QUIET / (QUIET * whole + noise)
@@ -197,8 +189,8 @@ class PlateRows:
         Args:
             each: The map, (6, 6).
         """
-        varied = self._variance(each).reshape(2, 3).sum(axis=1)
-        return float(np.sqrt(varied[0] / varied[1])) if varied.min() > 0 else 1.0
+        force, moment = _halves(self._variance(each))
+        return float(np.sqrt(force / moment)) if min(force, moment) > 0 else 1.0
 
     def _variance(self, each: Array) -> Array:
         """Of each channel after a map, in parts of the model's, (6,)."""
@@ -209,19 +201,18 @@ class PlateRows:
         """What the best of all maps leaves, crosstalk, derivatives of the channels and all."""
         from scipy.linalg import eigh as generalized
 
-        whole = np.kron(np.diag(self.weight**2), self._covariance)
-        size = np.sqrt(np.diagonal(whole)) + 1e-300
-        size = np.outer(size, size)
-        scaled = whole / size + 1e-10 * np.eye(len(whole))
-        residual = self._residual.sum(axis=0) / size
+        whole = np.kron(np.diag(self.weight**2), self._covariance).astype(np.float64)
+        scaled, size = unit_diagonal(whole)
+        residual = self._residual.sum(axis=0) / np.outer(size, size)
+        scaled += 1e-10 * np.eye(len(whole))
         least = generalized(residual, scaled, eigvals_only=True, subset_by_index=[0, 0])
         return max(float(least[0]), 1e-12)
 
 
 def _sigma(instants: Instants) -> Array:
     """Of what is left of the channels, in parts of forces or moments, (6,)."""
-    variance = instants.wrench.var(axis=0).reshape(2, 3).sum(axis=1)
-    noise = instants.wrench_noise.reshape(2, 3).sum(axis=1) / np.maximum(variance, 1e-30)
+    variance = _halves(instants.wrench.var(axis=0))
+    noise = _halves(instants.wrench_noise) / np.maximum(variance, 1e-30)
     if noise.max() < NOISY:
         return np.full(6, FREE)
     return np.repeat(np.sqrt(QUIET + LASTS * noise), 3)
@@ -229,5 +220,10 @@ def _sigma(instants: Instants) -> Array:
 
 def _at_least(variance: Array) -> Array:
     """Variances of channels, (6,), each at least a part of its neighbours' mean."""
-    mean = np.repeat(variance.reshape(2, 3).mean(axis=1), 3)
+    mean = np.repeat(_halves(variance), 3)
     return np.maximum(variance, np.maximum(SILENT * mean, 1e-300))
+
+
+def _halves(channels: Array) -> Array:
+    """Means of forces' and of moments' values, (2,) of (6,)."""
+    return np.asarray(channels.reshape(2, 3).mean(axis=1))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.newton_euler import pedestal_wrench
-from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.symbols import barycentric, standard, to_barycentric
 from testbed.core.robot.tree import Tree
 
@@ -23,16 +23,28 @@ class Prior:
 
     Attributes:
         tree: The robot, its masses roughly right.
-        mean: Barycentric parameters by the model file, (10 n,).
-        root: Of their covariance, (10 n, 10 n): masses within a half, centres within some
-            centimetres.
-        parameters: How many a wrench determines.
     """
 
     tree: Tree
-    mean: Array
-    root: Array
-    parameters: int
+
+    @cached_property
+    def mean(self) -> Array:
+        """Barycentric parameters by the model file, (10 n,)."""
+        return barycentric(self.tree).ravel()
+
+    @cached_property
+    def root(self) -> Array:
+        """Root of their covariance, (10 n, 10 n): masses within a half, centres within some cm."""
+        own = standard(self.tree)
+        file, moments, tensor = own[:, :1], own[:, 1:4], own[:, 4:]
+        mass = np.maximum(file, LIGHT * file.sum())
+        centre = np.linalg.norm(moments, axis=1, keepdims=True) / np.where(file > 0, file, 1.0)
+        reach = REACH + MASS * centre
+        lever = np.repeat(mass * reach, 3, axis=1)
+        sigma = np.hstack([MASS * mass, lever, MASS * np.abs(tensor) + mass * reach**2])
+        sigma[: self.tree.massless] = 0.0
+        spread = np.diag(sigma.ravel()).reshape(self.tree.n, 10, -1)
+        return to_barycentric(self.tree, spread).reshape(sigma.size, -1)
 
     @property
     def weight(self) -> float:
@@ -47,27 +59,3 @@ class Prior:
             tare: What its recording says; None for the model's pedestal.
         """
         return pedestal_wrench(self.tree) if tare is None else tare
-
-
-def prior_of(tree: Tree) -> Prior:
-    """What a model file says.
-
-    Args:
-        tree: The robot.
-    """
-    parameters = minimal_set(tree, "reaction").count
-    return Prior(tree, barycentric(tree).ravel(), _root(tree), parameters)
-
-
-def _root(tree: Tree) -> Array:
-    """Sigmas of the standard parameters, on the barycentric ones, (10 n, 10 n)."""
-    own = standard(tree)
-    file, moments, tensor = own[:, :1], own[:, 1:4], own[:, 4:]
-    mass = np.maximum(file, LIGHT * file.sum())
-    centre = np.linalg.norm(moments, axis=1, keepdims=True) / np.where(file > 0, file, 1.0)
-    reach = REACH + MASS * centre
-    lever = np.repeat(mass * reach, 3, axis=1)
-    sigma = np.hstack([MASS * mass, lever, MASS * np.abs(tensor) + mass * reach**2])
-    sigma[: tree.massless] = 0.0
-    spread = np.diag(sigma.ravel()).reshape(tree.n, 10, -1)
-    return to_barycentric(tree, spread).reshape(10 * tree.n, -1)

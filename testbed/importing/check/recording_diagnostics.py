@@ -35,9 +35,6 @@ signal's channels that each has at least."""
 SHOWN, WIDE = 60, 110
 """Characters that spikes, and ranges, may take."""
 
-OUTSIDE = 1.0
-"""Ranges of a joint by which its positions must leave it to be certainly wrong."""
-
 NOISY = 3.0
 """Times a channel's noise that may be left besides."""
 
@@ -47,11 +44,9 @@ PULLED = -0.1
 LIGHT = 0.03
 """Part of the robot's mass below which nobody sees whether a pedestal was weighed."""
 
-SMALL, LARGE = 0.4, 2.5
-"""Times what the model file says beyond which torques are doubted."""
-
-LEAST, MOST = 0.25, 4.0
-"""The same where they are refused: no masses are so wrong."""
+DOUBTED, REFUSED = 2.5, 4.0
+"""Times too large or too small, by the model file, from which torques are doubted, and from which
+they are refused: no masses are so wrong."""
 
 SMALLER = {"N m": "N mm", "A": "mA", "V": "mV", "kN m": "N m", "N": "mN"}
 """Units a thousand times smaller."""
@@ -91,17 +86,16 @@ def spikes(recording: Recording) -> Iterator[Diagnostic]:
             yield diagnose("channel.spikes", name, len(at), spikes=said, low=low[k], high=high[k])
 
 
-def out_of_range(tree: Tree, position: Array, outside: float = OUTSIDE) -> Iterator[Diagnostic]:
-    """Positions that no joint of this robot can have.
+def out_of_range(tree: Tree, position: Array) -> Iterator[Diagnostic]:
+    """Positions that no joint of this robot can have: beyond its range by as much as that spans.
 
     Args:
         tree: The robot.
         position: (M, n) [rad or m].
-        outside: Ranges by which they leave the joint's range.
     """
     low, high = np.array([joint.position_range for joint in tree.joints]).T
     least, most = position.min(axis=0), position.max(axis=0)
-    room = outside * (high - low)
+    room = high - low
     beyond = np.flatnonzero((least < low - room) | (most > high + room))
     if not beyond.size:
         return
@@ -129,7 +123,7 @@ def at_rest(tree: Tree, instants: Instants) -> Iterator[Diagnostic]:
         tree: The robot.
         instants: Of the recording.
     """
-    position = instants.position[:, list(own_joints(tree))]
+    position = instants.motion.q[:, list(own_joints(tree))]
     moved, wrench = np.ptp(position, axis=0).max(initial=0.0), instants.wrench
     # in a wrong unit noise may be larger: it changes from instant to instant, as no motion does
     noise = (np.diff(position, axis=0).var(axis=0) > position.var(axis=0)).all()
@@ -146,15 +140,15 @@ def still_joints(tree: Tree, as_read: Explanation) -> Iterator[Diagnostic]:
         tree: The robot.
         as_read: The recording as it is.
     """
-    position, odd = as_read.fit.instants.position, as_read.odd_torques()
+    position, odd = as_read.fit.instants.motion.q, as_read.odd_torques()
     still = [k for k in own_joints(tree) if np.ptp(position[:, k]) < STILL]
     dead = [k for k in still if k in odd]
     if dead:
         yield diagnose("position.still", few([tree.names[k] for k in dead]), len(dead))
     elif still:
-        places = position[:, still].mean(axis=0)
-        pairs = zip(still, places, strict=True)
-        yield diagnose("position.held", few([f"{tree.names[k]} at {q:.4g}" for k, q in pairs]))
+        places = position.mean(axis=0)
+        held = [f"{tree.names[k]} at {places[k]:.4g}" for k in still]
+        yield diagnose("position.held", few(held))
 
 
 def unexplained_plate(best: Explanation) -> Iterator[Diagnostic]:
@@ -169,15 +163,14 @@ def unexplained_plate(best: Explanation) -> Iterator[Diagnostic]:
     shares, noise = plate.unexplained, plate.noise
     channel = int(np.argmax(shares - NOISY * noise))
     certain = not plate.explained(UNEXPLAINED)
-    mixed = evidence.mixed(shares)
     yield diagnose(
-        "plate.crosstalk" if mixed else "plate.foreign",
+        "plate.crosstalk" if evidence.mixed(shares) else "plate.foreign",
         "the plate",
         shares[channel],
         level="error" if certain else "warning",
         channel=AXES[channel],
         share=share(shares[channel]),
-        mixed=share(evidence.least) if mixed else "",
+        mixed=share(evidence.least),
     )
 
 
@@ -308,10 +301,9 @@ def odd_sizes(
         mapping: What the recording's mapping file says; empty if it has none.
         certain: Whether other sizes explain the torques far better.
     """
-    known = sizes[np.isfinite(sizes)]
-    certain = certain and bool(((known <= LEAST) | (known >= MOST)).any())
-    least, most = (LEAST, MOST) if certain else (SMALL, LARGE)
-    odd = np.flatnonzero((sizes <= least) | (sizes >= most))
+    apart = np.maximum(sizes, 1 / sizes)
+    certain = certain and bool((apart >= REFUSED).any())
+    odd = np.flatnonzero(apart >= (REFUSED if certain else DOUBTED))
     if not odd.size:
         return
     small = bool((sizes[odd] < 1).all())
@@ -319,14 +311,14 @@ def odd_sizes(
     units = {large: little for little, large in SMALLER.items()} if small else SMALLER
     causes: tuple[str, ...] = ("tool", "other-masses", "unit-n-mm")
     lines = "[torque] unit; or add the tool to the model file"
-    if unit in units and 0.5 < np.median(known) * (1e3 if small else 1e-3) < 2.0:
+    if unit in units and 0.5 < np.nanmedian(sizes) * (1e3 if small else 1e-3) < 2.0:
         causes, lines = ("unit-n-mm",), f'[torque] unit = "{units[unit]}"'
     elif small:
         causes = ("motor-side", "currents")
-        gains = [f"{round_significant(float(1 / x), 5):g}" if x > 0 else "?" for x in sizes]
+        gains = ", ".join(f"{round_significant(1 / x, 5):g}" if x > 0 else "?" for x in sizes)
         lines = (
-            f'[torque] side = "motor" with a table [gear] (ratio about [{", ".join(gains)}]), or '
-            f'unit = "A" with gain about [{", ".join(gains)}]'
+            f'[torque] side = "motor" with a table [gear] (ratio about [{gains}]), or '
+            f'unit = "A" with gain about [{gains}]'
         )
     yield diagnose(
         "torque.size",
@@ -348,10 +340,11 @@ def undecided(tree: Tree, hypotheses: Sequence[Hypothesis]) -> Iterator[Diagnost
         hypotheses: That explain a recording about as well as none.
     """
     parts = []
-    for what, kind in (("zero", "zero"), ("sign", "position_sign"), ("order", "position_order")):
-        joints = {k for each in hypotheses if each.kind == kind for k in each.joints}
+    for kind in ("zero", "position_sign", "position_order"):
+        joints = sorted({k for each in hypotheses if each.kind == kind for k in each.joints})
         if joints:
-            parts.append(f"the {what} of {few([tree.names[k] for k in sorted(joints)])}")
+            what = kind.removeprefix("position_")
+            parts.append(f"the {what} of {few([tree.names[k] for k in joints])}")
     if parts:
         yield diagnose("recording.undecided", "; ".join(parts))
 

@@ -8,8 +8,9 @@ from itertools import combinations, product
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from testbed.core.base.arrays import Array
+from testbed.core.base.arrays import AnyArray, Array
 from testbed.core.base.errors import few
 from testbed.core.recordings.columns import AXES
 from testbed.core.robot.free_base import FREE, coordinates, poses
@@ -17,8 +18,6 @@ from testbed.core.robot.rpy import from_rpy, to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.foreign_table import LENGTHS, factor
 from testbed.importing.import_report import Line
-
-Table = Literal["position", "torque", "wrench", "base"]
 
 
 class Kind(NamedTuple):
@@ -28,7 +27,7 @@ class Kind(NamedTuple):
     """
 
     words: str
-    table: Table
+    table: Literal["position", "torque", "wrench", "base"]
     penalty: float = 0.0
 
 
@@ -63,6 +62,9 @@ BEYOND = 2 * np.pi
 
 LITTLE = np.deg2rad(2 * BEYOND)
 """Excursions below this may be radians that were taken for degrees [rad]."""
+
+FACTORS = {"position_sign": -1.0, "degrees": np.pi / 180, "radians": 180 / np.pi}
+"""What positions are multiplied by."""
 
 BASE_UNITS = (1e-3, 1e-2, 1e2, 1e3)
 """Times that a base's positions are taken too small or too large: mm or cm for m."""
@@ -101,8 +103,9 @@ class Hypothesis:
             angles = np.array(self.values)
             odd = [np.abs(angles - np.round(angles / step) * step).max() > 1e-4 for step in STEPS]
             return float(ODD * sum(odd))
-        odd_zeros = self.kind == "zero" and not set(self.values) <= set(QUARTERS)
-        times = len(self.joints) + odd_zeros if self.kind == "zero" else 1
+        times = 1
+        if self.kind == "zero":
+            times = len(self.joints) + (not set(self.values) <= set(QUARTERS))
         return KINDS[self.kind].penalty * times
 
 
@@ -183,13 +186,23 @@ def _inner_joints(tree: Tree) -> list[int]:
     return [k for k in own_joints(tree) if tree.joints[k].revolute and tree.children(k)]
 
 
-def _orders(own: range) -> Iterator[tuple[int, ...]]:
-    """Two joints exchanged; all of them rolled or in reverse."""
-    base, rest = [*range(own.start)], [*own]
+def exchanges(own: range, count: int) -> Iterator[tuple[int, ...]]:
+    """Orders of joints or channels of which two are exchanged.
+
+    Args:
+        own: Those that may be.
+        count: How many there are in all.
+    """
     for one, other in combinations(own, 2):
-        order = [*base, *rest]
+        order = [*range(count)]
         order[one], order[other] = other, one
         yield tuple(order)
+
+
+def _orders(own: range) -> Iterator[tuple[int, ...]]:
+    """Two joints exchanged; all of them rolled or in reverse."""
+    yield from exchanges(own, own.stop)
+    base, rest = [*range(own.start)], [*own]
     if len(rest) > 2:
         for k in range(1, len(rest)):
             yield (*base, *rest[-k:], *rest[:-k])
@@ -215,12 +228,9 @@ def corrected(hypothesis: Hypothesis, position: Array, offset: Array) -> Array:
         pose[:, 3:] = pose[:, 3:][:, list(values)]
         return np.hstack([coordinates(pose), position[:, FREE:]])
     fixed = position.copy()
-    if kind == "position_sign":
-        fixed[:, here] *= -1
-    if kind == "degrees":
-        fixed[:, here] *= np.pi / 180
+    fixed[:, here] *= FACTORS.get(kind, 1.0)
     if kind == "radians":
-        fixed[:, here] = offset[here] + 180 / np.pi * (position - offset)[:, here]
+        fixed[:, here] -= (FACTORS[kind] - 1) * offset[here]
     if kind == "zero":
         fixed[:, here] += values
     if kind == "base_unit":
@@ -246,23 +256,38 @@ def merge(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
     Args:
         hypotheses: In the order in which they are applied.
     """
-    signs: dict[str, set[int]] = {"position_sign": set(), "torque_sign": set()}
-    zeros: dict[int, float] = {}
+    count = 1 + max((k for each in hypotheses for k in each.joints), default=0)
+    signs = {"position_sign": np.ones(count), "torque_sign": np.ones(count)}
+    zeros = np.zeros(count)
     merged = []
     for each in hypotheses:
+        here = list(each.joints)
         if each.kind in signs:
-            signs[each.kind] ^= set(each.joints)
+            signs[each.kind][here] *= -1
             if each.kind == "position_sign":  # of what was added before, too
-                zeros |= {joint: -zeros[joint] for joint in each.joints if joint in zeros}
+                zeros[here] *= -1
         elif each.kind == "zero":
-            for joint, angle in zip(each.joints, each.values, strict=True):
-                zeros[joint] = zeros.get(joint, 0.0) + angle
+            zeros[here] += each.values
         else:
             merged.append(each)
-    zeros = {joint: angle for joint, angle in sorted(zeros.items()) if angle}
-    merged += [Hypothesis(kind, tuple(sorted(joints))) for kind, joints in signs.items() if joints]
-    merged += [Hypothesis("zero", tuple(zeros), tuple(zeros.values()))] if zeros else []
-    return tuple(merged)
+    for kind, sign in signs.items():
+        merged += of_joints(kind, sign < 0)
+    return (*merged, *of_joints("zero", zeros != 0, zeros[zeros != 0]))
+
+
+def of_joints(
+    kind: str, those: NDArray[np.bool_], values: AnyArray | None = None
+) -> Iterator[Hypothesis]:
+    """The hypothesis of a kind about some joints, if there are any.
+
+    Args:
+        kind: A key of `KINDS`.
+        those: Which joints it is about, (n,).
+        values: As of the hypothesis; none by default.
+    """
+    if those.any():
+        joints = np.flatnonzero(those).tolist()
+        yield Hypothesis(kind, tuple(joints), () if values is None else tuple(values.tolist()))
 
 
 @dataclass(frozen=True)
@@ -289,7 +314,7 @@ class Remedy:
 
 
 def remedies_for(tree: Tree, hypotheses: Sequence[Hypothesis], before: Array, after: Array,
-                 mapping: Mapping[str, Any], torques: int) -> tuple[Remedy, ...]:  # fmt: skip
+                 mapping: Mapping[str, Any], torques: int) -> Iterator[Remedy]:  # fmt: skip
     """What to change in a mapping if hypotheses hold.
 
     Args:
@@ -301,7 +326,6 @@ def remedies_for(tree: Tree, hypotheses: Sequence[Hypothesis], before: Array, af
         torques: How many of the channels, the first, are torques.
     """
     channels = [*(f"the torque of '{name}'" for name in tree.names[:torques]), *AXES]
-    remedies = []
     for each in hypotheses:
         lines = tuple(_lines(tree, each, mapping))
         mapping = with_lines(mapping, lines)  # on which the next ones build
@@ -310,8 +334,7 @@ def remedies_for(tree: Tree, hypotheses: Sequence[Hypothesis], before: Array, af
         best = max(own, key=lambda k: before[k] - after[k])
         joints = tuple(tree.names[k] for k in each.joints)
         shares = float(before[best]), float(after[best])
-        remedies.append(Remedy(each.kind, joints, each.values, lines, channels[best], *shares))
-    return tuple(remedies)
+        yield Remedy(each.kind, joints, each.values, lines, channels[best], *shares)
 
 
 def with_lines(mapping: Mapping[str, Any], lines: Iterable[Line]) -> dict[str, Any]:
@@ -333,30 +356,40 @@ def with_lines(mapping: Mapping[str, Any], lines: Iterable[Line]) -> dict[str, A
 
 def _lines(tree: Tree, hypothesis: Hypothesis, mapping: Mapping[str, Any]) -> Iterator[Line]:
     """What to write of one hypothesis, in terms of what is written if that is known."""
-    name = KINDS[hypothesis.kind].table
-    table = mapping.get(name) or {}
-    if name == "wrench":
-        for plate, each in wrench_tables(mapping).items():
-            alone = not plate.startswith("plates.")
-            yield (plate, *_plate_line(hypothesis, each, alone=alone))
-    elif name == "base":
-        yield (name, *_base_line(hypothesis, table))
-    else:
-        order = [tree.names.index(joint) for joint in mapping.get("joints", tree.names)]
-        for key, value in _joint_lines(tree, hypothesis, table, order):
-            yield name, key, value
+    signal = KINDS[hypothesis.kind].table
+    for name, table in tables_of(mapping, signal).items():
+        if signal == "wrench":
+            pairs = [_plate_line(hypothesis, table, alone=not name.startswith("plates."))]
+        elif signal == "base":
+            pairs = [_base_line(hypothesis, table)]
+        else:
+            order = [tree.names.index(joint) for joint in mapping.get("joints", tree.names)]
+            pairs = [*_joint_lines(tree, hypothesis, table, order)]
+        yield from ((name, *pair) for pair in pairs)
 
 
-def wrench_tables(mapping: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Tables of which a recording's wrench was made: the plate's, several plates', or a sensor's.
+def tables_of(mapping: Mapping[str, Any], signal: str) -> dict[str, Mapping[str, Any]]:
+    """Tables of which a recording's signal was made: a wrench by several plates, or a sensor.
 
     Args:
         mapping: As a recording keeps it.
+        signal: Of the recording; its own table may be empty.
     """
+    own = mapping.get(signal) or {}
     for group in ("plates", "sensors"):
-        if mapping.get(group) and not mapping.get("wrench"):
+        if signal == "wrench" and mapping.get(group) and not own:
             return {f"{group}.{name}": table for name, table in mapping[group].items()}
-    return {"wrench": mapping.get("wrench") or {}}
+    return {signal: own}
+
+
+def place_of(table: Mapping[str, Any]) -> tuple[Sequence[float], Array]:
+    """Roll, pitch and yaw [rad] of a plate's frame, and its origin, (3,) [m].
+
+    Args:
+        table: What a mapping says of the plate; the bedplate's frame by default.
+    """
+    place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
+    return place["rpy"], np.array(place["xyz"], float)
 
 
 def _plate_line(
@@ -374,8 +407,7 @@ def _plate_line(
         return "delay", round(float(table.get("delay", 0.0)) + values[0], 4)
     if kind in ("units", "tare"):
         return kind, list(values)
-    place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
-    rpy, xyz = place["rpy"], np.array(place["xyz"], float)
+    rpy, xyz = place_of(table)
     if kind == "turn":
         turn = from_rpy(values)
         rpy = values if alone else to_rpy(turn @ from_rpy(rpy))
@@ -391,8 +423,8 @@ def _base_line(hypothesis: Hypothesis, table: Mapping[str, Any]) -> tuple[str, A
         columns = table.get("quaternion", ("x", "y", "z", "w"))
         return "quaternion", [columns[k] for k in hypothesis.values]
     wanted = factor("position", table.get("unit", "m")) / hypothesis.values[0]
-    units = [unit for unit, size in LENGTHS.items() if np.isclose(size, wanted)]
-    return "unit", units[0] if units else f"one of {wanted:g} m"
+    units = (unit for unit, size in LENGTHS.items() if np.isclose(size, wanted))
+    return "unit", next(units, f"one of {wanted:g} m")
 
 
 def _joint_lines(
@@ -412,11 +444,9 @@ def _joint_lines(
     elif kind in ("degrees", "radians"):
         yield "unit", _angle_units(tree, kind, table.get("unit"), order)
     elif kind == "zero":
-        angles = np.zeros(tree.n)
-        angles[list(hypothesis.joints)] = hypothesis.values
-        before = offset or [0.0] * len(order)
-        after = zip(before, angles[list(order)].tolist(), strict=True)
-        yield "offset", [round(x + angle, 5) if angle else x for x, angle in after]
+        angles = dict(zip(hypothesis.joints, hypothesis.values, strict=True))
+        before = zip(order, offset or [0.0] * len(order), strict=True)
+        yield "offset", [round(float(x + angles[k]), 5) if k in angles else x for k, x in before]
     else:
         columns = table.get("columns", ())
         if matrix or len(columns) != len(order):
@@ -427,9 +457,8 @@ def _joint_lines(
 
 def _angle_units(tree: Tree, kind: str, unit: Any, order: Sequence[int]) -> str | list[str]:
     """Units of positions, those of joints that turn in the right one."""
-    right, other = ("deg", "rad") if kind == "degrees" else ("rad", "deg")
-    turning = [tree.joints[k].revolute for k in order]
-    if not isinstance(unit, list):
-        unit = [other if each else "m" for each in turning]
-    units = [right if turns else each for each, turns in zip(unit, turning, strict=True)]
+    right = "deg" if kind == "degrees" else "rad"
+    said = unit if isinstance(unit, list) else ["m"] * len(order)
+    pairs = zip(order, said, strict=True)
+    units = [right if tree.joints[k].revolute else each for k, each in pairs]
     return right if {*units} == {right} else units

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -19,9 +18,9 @@ from testbed.importing.check.explanation import (
     HypothesisFit,
     ranked,
 )
-from testbed.importing.check.instants import LATE, sample
+from testbed.importing.check.instants import sample
 from testbed.importing.check.plate import EXPLAINED, frame_of
-from testbed.importing.check.prior import prior_of
+from testbed.importing.check.prior import Prior
 from testbed.importing.check.remedies import (
     Hypothesis,
     corrected,
@@ -87,7 +86,7 @@ class Search:
             cutoff: Up to which frequency [Hz].
             progress: Called with how many hypotheses are fitted, and 0: of how many is not known.
         """
-        self.prior = prior_of(tree)
+        self.prior = Prior(tree)
         self.frame = frame_of(mapping)
         self.fits: dict[tuple[Hypothesis, ...], HypothesisFit] = {}
         self._recording, self._progress, self._cutoff = recording, progress, cutoff
@@ -115,14 +114,9 @@ class Search:
         But for such as change nothing at all: a zero about an axis along gravity is a name.
         """
         misfit = self.fits[()].misfit
-        least = -(APART if self._has_plate else ROUGHLY_APART)
-        return [
-            hypotheses[0]
-            for hypotheses, fit in self.fits.items()
-            if len(hypotheses) == 1
-            and misfit - fit.misfit > least
-            and abs(misfit - fit.misfit) > NOTHING
-        ]
+        most = APART if self._has_plate else ROUGHLY_APART
+        worse = {each: fit.misfit - misfit for each, fit in self.fits.items() if len(each) == 1}
+        return [each for (each,), by in worse.items() if by < most and abs(by) > NOTHING]
 
     def _fit(self, *hypotheses: Hypothesis) -> HypothesisFit | None:
         """A fit by hypotheses about positions and clocks, made once; None where it is no motion."""
@@ -141,6 +135,8 @@ class Search:
             if instants is None:
                 return None
             self.fits[hypotheses] = HypothesisFit(self.prior, self.frame, hypotheses, instants)
+            if self._progress is not None:
+                self._progress(len(self.fits), 0)
         return self.fits[hypotheses]
 
     def _explanations(self, first: HypothesisFit) -> list[Explanation]:
@@ -159,7 +155,7 @@ class Search:
         """What explains it with other senses of the positions whose torques are unclear."""
         signs = [Hypothesis("position_sign", (joint,)) for joint in sorted(after.unclear)]
         signs = [each for each in signs if each not in after.fit.hypotheses]
-        return list(chain.from_iterable(fit.explanations for fit in self._look(after.fit, signs)))
+        return [each for fit in self._look(after.fit, signs) for each in fit.explanations]
 
     def _stages(
         self, first: HypothesisFit, several: list[Explanation]
@@ -172,7 +168,7 @@ class Search:
         """
         tree = self.prior.tree
         yield first.explanations
-        hypotheses = list(position_hypotheses(tree, first.instants.position, ()))
+        hypotheses = list(position_hypotheses(tree, first.instants.motion.q, ()))
         units = [each for each in hypotheses if each.kind in UNITS]
         for looked_at in (units, hypotheses):
             self._look(first, looked_at)
@@ -198,7 +194,7 @@ class Search:
         self._look(first, rarer_hypotheses(tree, pairs=not self._has_plate))
         yield self._at_best_zeros(3)
         for each in self._nearest(2 if self._has_plate else 4):
-            self._look(each, position_hypotheses(tree, each.instants.position, each.hypotheses))
+            self._look(each, position_hypotheses(tree, each.instants.motion.q, each.hypotheses))
         yield self._promising()
 
     def _in_time(
@@ -208,16 +204,12 @@ class Search:
         explained = any(each.explained for each in several)
         if first.hypotheses or not self._has_plate or explained:
             return None
-        late, times = min((each.plate.delay for each in self.fits.values()), key=lambda d: d[1])
-        return None if times > LATE else self._fit(Hypothesis("late", (), (late,)))
+        late, _ = min((each.plate.delay for each in self.fits.values()), key=lambda d: d[1])
+        return self._fit(Hypothesis("late", (), (late,))) if late else None
 
     def _look(self, beside: HypothesisFit, hypotheses: Iterable[Hypothesis]) -> list[HypothesisFit]:
         """Fits by one hypothesis more each."""
-        fits = []
-        for each in hypotheses:
-            fits.append(self._fit(*beside.hypotheses, each))
-            if self._progress is not None:
-                self._progress(len(self.fits), 0)
+        fits = [self._fit(*beside.hypotheses, each) for each in hypotheses]
         return [each for each in fits if each is not None]
 
     def _nearest(self, count: int) -> list[HypothesisFit]:
@@ -231,7 +223,7 @@ class Search:
 
     def _at_best_zeros(self, count: int) -> list[Explanation]:
         fits = [self._refine(each) for each in self._nearest(count) if _moves_zero(each)]
-        return list(chain.from_iterable(each.explanations for each in fits))
+        return [each for fit in fits for each in fit.explanations]
 
     def _refine(self, fit: HypothesisFit) -> HypothesisFit:
         """A fit whose last zero is the best angle, not one that was tried."""
@@ -244,10 +236,7 @@ class Search:
             return self._fit(*before, replace(last, values=angles)) or fit
 
         best = minimize_scalar(
-            lambda step: moved(step).misfit,
-            bounds=(-STEP, STEP),
-            method="bounded",
-            options={"xatol": FINEST},
+            lambda step: moved(step).misfit, bounds=(-STEP, STEP), options={"xatol": FINEST}
         )
         return min(fit, moved(float(best.x)), key=lambda each: each.misfit)
 

@@ -29,13 +29,13 @@ from testbed.core.recordings.source import Source
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.instants import (
     ENOUGH,
-    LATE,
     decimate,
     delay,
     middle,
+    motion_at,
     orthonormal_basis,
 )
-from testbed.importing.check.remedies import wrench_tables
+from testbed.importing.check.remedies import tables_of
 from testbed.importing.import_report import ImportReport, Line
 
 ROW_CUTOFF, POSITION_CUTOFF = 5.0, 40.0
@@ -188,7 +188,7 @@ def delivered(tree: Tree, source: Source, bodies: Estimate) -> tuple[Recording, 
 def alignment(
     offset: TimeOffset, mapping: Mapping[str, Any], facts: Mapping[str, Any]
 ) -> Iterator[Line]:
-    """Lines by which a mapping takes an offset back.
+    """Lines by which a mapping takes an offset back; none of one that is noise.
 
     `delay`, of all plates, and `skew` of a source that has not the positions' clock.
 
@@ -197,10 +197,10 @@ def alignment(
         mapping: What the mapping file says, as a recording keeps it.
         facts: Of the recording that it made.
     """
+    if not offset.matters:
+        return
     clocks = ImportReport.from_dict(facts["import"]).clocks if "import" in facts else {}
-    own = {offset.signal: mapping.get(offset.signal, {})}
-    tables = wrench_tables(mapping) if offset.signal == "wrench" else own
-    for name, table in tables.items():
+    for name, table in tables_of(mapping, offset.signal).items():
         source, delay = str(table.get("source")), float(table.get("delay", 0.0)) + offset.delay
         if offset.drifts and source != mapping["position"]["source"]:
             lead, own = clocks[source].lead, mapping["sources"][source].get("skew", 0.0)
@@ -240,8 +240,7 @@ def _offset(
     weights = 1 / np.maximum(values.std(axis=0), 1e-12)
     columns = rows * (counted * weights)[..., None]
     spacing = float(np.diff(time).mean())
-    late, times = delay(columns, (values - values.mean(axis=0)) * weights, spacing)
-    start = late if times < LATE else 0.0
+    start, _ = delay(columns, (values - values.mean(axis=0)) * weights, spacing)
     counted = counted * ((time >= time[0] - start) & (time <= time[-1] - start))[:, None]
     regression = _Regression(rows, counted, time, measured)
     offset = _fit(kind, regression, [start, 0.0])
@@ -261,14 +260,13 @@ def _regression(
     weights = row_weights(rate / step, slow * ROW_CUTOFF)
     coarse = slice(None, None, max(1, int(rate / step / ROWS_A_SECOND)))
     time, measured = _filtered(recording, kind, fine, taps[0], weights)
-    q, qd, qdd = (decimate(recording.position, each, fine) for each in taps)
-    motion = Motion(np.arange(len(q)) * step / rate, q, qd, qdd)
+    motion = motion_at(recording, taps, fine, step / rate)
     columns = _columns(kind, tree, motion, bodies)
-    rows = decimate(columns.reshape(len(q), -1), weights, coarse)
+    rows = decimate(columns.reshape(len(columns), -1), weights, coarse)
     rows = rows.reshape(len(rows), *columns.shape[1:])
     counted = np.ones(rows.shape[:2])
     if kind == "torque":
-        moving = decimate((np.abs(qd) > DEADBAND).astype(np.float64), weights, coarse)
+        moving = decimate((np.abs(motion.qd) > DEADBAND).astype(np.float64), weights, coarse)
         counted = (np.abs(moving - 1) < NEARLY).astype(np.float64)
     size = np.sqrt((rows**2).sum(axis=(0, 1)))
     return _Regression(rows[:, :, size > 1e-9 * size.max()], counted, time[coarse], measured)
@@ -278,15 +276,13 @@ def _columns(kind: str, tree: Tree, motion: Motion, bodies: Estimate | None) -> 
     """Columns of bodies, constants and friction before the filter, (M, C, N)."""
     minimal = minimal_set(tree, "dynamic" if kind == "torque" else "reaction")
     columns = regressor(tree, motion, minimal)
-    constant = np.ones(columns.shape[:2])
-    channels = np.eye(columns.shape[1])
-    if kind != "torque":
-        return np.concatenate([columns, constant[:, :, None] * channels], axis=2)
+    channels, own = np.eye(columns.shape[1]), [np.ones(columns.shape[:2])]
+    if kind == "torque":
+        own += [np.sign(motion.qd), motion.qd, motion.qdd]
     if bodies is not None:
         theta = bodies.minimal.lift @ bodies.values[: bodies.minimal.count]
         columns = (columns @ (minimal.matrix @ theta))[:, :, None] * channels
-    friction = np.stack([constant, np.sign(motion.qd), motion.qd, motion.qdd])
-    return np.concatenate([columns, *(friction[..., None] * channels)], axis=2)
+    return np.concatenate([columns, *(each[..., None] * channels for each in own)], axis=2)
 
 
 def _filtered(
@@ -306,16 +302,12 @@ def _fit(kind: str, regression: _Regression, start: Sequence[float]) -> TimeOffs
     """Delay, and drift if `start` has two values, channels weighed by what is left in them."""
     from scipy.optimize import least_squares
 
-    rows, counted, time, measured = regression
+    _, counted, time, measured = regression
     middle = float(time.mean())
     powers = np.vander(time - middle, len(start), increasing=True)
     unknowns, weights = np.array(start), counted
     for _ in range(2):  # the second time by what is left in each channel
-        rest = _remainder(rows, weights)
-
-        def residuals(late: Array, rest: Callable[[Array], Array] = rest) -> Array:
-            return rest(measured(time + powers @ late)).ravel()
-
+        residuals = _residuals(regression, powers, weights)
         best = least_squares(residuals, unknowns, method="lm")
         unknowns, residual = best.x, best.fun.reshape(counted.shape)
         square = counted * (residual / np.maximum(weights, 1e-30)) ** 2
@@ -323,7 +315,7 @@ def _fit(kind: str, regression: _Regression, start: Sequence[float]) -> TimeOffs
         weights = counted / np.maximum(size, 1e-12)
     values = measured(time + powers @ unknowns)
     alone = float(np.linalg.norm(weights * (values - values.mean(axis=0))))
-    before = float(np.linalg.norm(rest(measured(time)))) / alone
+    before = float(np.linalg.norm(residuals(0 * unknowns))) / alone
     after = float(np.linalg.norm(residual)) / alone
     sigma = _sigma(residual, best.jac.reshape(*residual.shape, -1))
     late, skew = np.append(unknowns, 0.0)[:2].tolist()
@@ -331,16 +323,17 @@ def _fit(kind: str, regression: _Regression, start: Sequence[float]) -> TimeOffs
     return TimeOffset(kind, late, late_sigma, skew, skew_sigma, middle, before, after)
 
 
-def _remainder(rows: Array, weights: Array) -> Callable[[Array], Array]:
-    """What of a signal, weighed, no unknowns of the rows explain, (T, C) of (T, C)."""
+def _residuals(regression: _Regression, powers: Array, weights: Array) -> Callable[[Array], Array]:
+    """What of a signal that is so late, weighed, no unknowns explain, (T C,), by its delay."""
+    rows, _, time, measured = regression
     columns = (rows * weights[..., None]).reshape(-1, rows.shape[2])
     basis = orthonormal_basis(columns, DEPENDENT)
 
-    def rest(signal: Array) -> Array:
-        flat = (signal * weights).ravel()
-        return (flat - basis @ (basis.T @ flat)).reshape(signal.shape)
+    def residuals(late: Array) -> Array:
+        flat = (measured(time + powers @ late) * weights).ravel()
+        return np.asarray(flat - basis @ (basis.T @ flat))
 
-    return rest
+    return residuals
 
 
 def _sigma(residual: Array, columns: Array) -> Array:

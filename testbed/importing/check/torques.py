@@ -10,7 +10,6 @@ posterior is the prior here.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
@@ -20,8 +19,10 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
+from testbed.core.dynamics.newton_euler import Motion
+from testbed.core.estimation.regression.normal_equations import inverse_root
 from testbed.importing.check.instants import Instants
-from testbed.importing.check.remedies import MOST_JOINTS, Hypothesis
+from testbed.importing.check.remedies import MOST_JOINTS, Hypothesis, of_joints
 
 FRICTION, SPREAD = (0.3, 0.3, 0.0, 0.1), 0.3
 """Viscous, dry, constant and rotor's part of a torque's rms that are expected, and their sigma."""
@@ -64,17 +65,16 @@ class _Rows(NamedTuple):
     """One joint's torques, white where what models leave is.
 
     Attributes:
-        bodies: By the mean of the parameters, (T,).
-        friction: Of size one, (T, 4).
+        raw: Friction of size one, and bodies by the mean of the parameters, before they are white,
+            (T, 5).
+        white: The same white, (T, 5).
         spread: By which parameters move them, along directions of their own, (T, k).
-        raw: The first two before they are white, (T, 5).
-        moved: Variance of the last.
+        moved: Variance of the last before it is white.
     """
 
-    bodies: Array
-    friction: Array
-    spread: Array
     raw: Array
+    white: Array
+    spread: Array
     moved: float
 
 
@@ -102,12 +102,10 @@ class TorqueEvidence:
             moved = rows[:, joint] @ root
             wide, spread, _ = np.linalg.svd(white @ moved, full_matrices=False)
             moves = spread > NOTHING * spread[:1]
-            friction = _friction(instants.velocity[:, joint], instants.acceleration[:, joint])
-            raw = np.column_stack([rows[:, joint] @ mean, friction])
-            whitened = white @ raw
+            friction = _friction(instants.motion, joint)
+            raw = np.column_stack([friction, rows[:, joint] @ mean])
             variance = float(moved.var(axis=0).sum())
-            spread = (wide * spread)[:, moves]
-            self._rows.append(_Rows(whitened[:, 0], whitened[:, 1:], spread, raw, variance))
+            self._rows.append(_Rows(raw, white @ raw, (wide * spread)[:, moves], variance))
 
     def log(self, joint: int, column: int, gain: float = 1.0) -> Array:
         """Log evidence that a column is a joint's torques, in its sense and in the other, (2,).
@@ -120,18 +118,16 @@ class TorqueEvidence:
         if self._constant[column]:
             return np.zeros(2)
         rows, size = self._rows[joint], gain / self._rms[column]
-        expected = size * rows.bodies + rows.friction @ FRICTION
-        moved = np.hstack([rows.friction * SPREAD, size * rows.spread])
+        expected = rows.white @ [*FRICTION, size]
+        moved = np.hstack([rows.white[:, :-1] * SPREAD, size * rows.spread])
         rest = np.outer([1.0, -1.0], self._white_torque[:, column] / self._rms[column]) - expected
         spread, axes = eigh(moved.T @ moved)
         along = rest @ moved @ axes
-        variance = LEFT[:, None] ** 2
-        within = np.maximum(spread, 0.0) + variance  # (12, k)
-        determinant = np.log(within / variance).sum(axis=1) + rest.shape[1] * np.log(variance[:, 0])
-        square = (rest**2).sum(axis=1) / variance - (along[:, None] ** 2 / (within * variance)).sum(
-            axis=2
-        ).T
-        return np.asarray(-0.5 * (square + determinant[:, None]).min(axis=0))
+        variance = LEFT**2
+        within = np.maximum(spread, 0.0)[:, None] + variance  # (k, 12)
+        determinant = np.log(within / variance).sum(axis=0) + rest.shape[1] * np.log(variance)
+        square = ((rest**2).sum(axis=1, keepdims=True) - along**2 @ (1 / within)) / variance
+        return np.asarray(-0.5 * (square + determinant).min(axis=1))
 
     def fit(self, joint: int, column: int) -> ColumnFit:
         """A column as a joint's torques, in the likeliest sense and size.
@@ -163,7 +159,7 @@ class TorqueEvidence:
             return 0.0
         raw, torque = self._rows[joint].raw, sense * self._torque[:, column] / gain
         columns, torque = raw - raw.mean(axis=0), torque - torque.mean()
-        rest = nnls(columns[:, [1, 2, 4]], torque - columns[:, 0])[1]
+        rest = nnls(columns[:, [0, 1, 3]], torque - columns[:, 4])[1]
         return float(rest**2 / (torque @ torque))
 
     def spread(self, joint: int, column: int) -> float:
@@ -183,8 +179,8 @@ class TorqueEvidence:
             column: Of the recording.
             times: What is left that bodies must explain.
         """
-        rows, torque = self._rows[joint], self._white_torque[:, column]
-        columns = np.column_stack([rows.friction, rows.bodies, torque])
+        torque = self._white_torque[:, column]
+        columns = np.column_stack([self._rows[joint].white, torque])
         triangle = np.asarray(np.linalg.qr(columns, mode="r"))
         own = np.abs(np.diagonal(triangle))
         explained, left = triangle[-2:, -1] ** 2
@@ -239,7 +235,8 @@ def assign(torques: TorqueEvidence) -> TorqueAssignment:
     pairs = product(range(n), repeat=2)
     fits = {pair: torques.fit(*pair) for pair in pairs if n <= MOST_JOINTS or pair[0] == pair[1]}
     costs = np.full((n, n), np.inf)
-    costs[tuple(np.transpose([*fits]))] = [fit.cost for fit in fits.values()]
+    for place, fit in fits.items():
+        costs[place] = fit.cost
     joints, order = linear_sum_assignment(costs)
     if costs[joints, order].sum() >= np.trace(costs) - ORDER:
         order = joints
@@ -247,8 +244,13 @@ def assign(torques: TorqueEvidence) -> TorqueAssignment:
     cost, sense, gain = np.array([fits[place] for place in places]).T
     sizes = sense * [torques.size(*place, TIMES) for place in places]
     sizes = np.where(gain != 1, gain, sizes)
+    hypotheses = (
+        *of_joints("torque_order", order != joints, order),
+        *of_joints("torque_sign", sense < 0),
+        *of_joints("torque_size", gain != 1, gain[gain != 1]),
+    )
     return TorqueAssignment(
-        tuple(_hypotheses(order, sense, gain)),
+        hypotheses,
         float(cost.sum()),
         -sum(float(torques.log(k, k)[0]) for k in range(n)),
         np.array([torques.unexplained(*place, *fits[place][1:]) for place in places]),
@@ -258,32 +260,18 @@ def assign(torques: TorqueEvidence) -> TorqueAssignment:
     )
 
 
-def _hypotheses(order: Array, sense: Array, gain: Array) -> Iterator[Hypothesis]:
-    """What columns, senses and gains of the joints' torques (n,) mean for a mapping."""
-    moved = np.flatnonzero(order != np.arange(len(order)))
-    odd = np.flatnonzero(gain != 1)
-    for kind, joints, values in (
-        ("torque_order", moved, order),
-        ("torque_sign", np.flatnonzero(sense < 0), np.zeros(0)),
-        ("torque_size", odd, gain[odd]),
-    ):
-        if joints.size:
-            yield Hypothesis(kind, tuple(joints.tolist()), tuple(values.tolist()))
-
-
 @cache
 def _whitening(count: int, spacing: float) -> Array:
     """The matrix that makes what is left white, (T, T)."""
-    from scipy.linalg import solve_triangular, toeplitz
+    from scipy.linalg import toeplitz
 
     correlation = LASTING * np.exp(-np.arange(count) * spacing / MEMORY)
-    covariance = toeplitz(correlation) + (1 - LASTING) * np.eye(count)
-    white: Array = solve_triangular(np.linalg.cholesky(covariance), np.eye(count), lower=True)
-    return white
+    correlation[0] = 1.0
+    return inverse_root(toeplitz(correlation)).T
 
 
-def _friction(velocity: Array, acceleration: Array) -> Array:
+def _friction(motion: Motion, joint: int) -> Array:
     """Viscous and dry friction, a constant, the rotor; of size one, (T, 4)."""
-    speed = velocity / max(float(np.abs(velocity).max()), 1e-9)
-    rotor = acceleration / max(float(np.abs(acceleration).max()), 1e-9)
+    signals = motion.qd[:, joint], motion.qdd[:, joint]
+    speed, rotor = (each / max(float(np.abs(each).max()), 1e-9) for each in signals)
     return np.column_stack([speed, np.tanh(100 * speed), np.ones(len(speed)), rotor])
