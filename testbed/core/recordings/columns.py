@@ -49,11 +49,6 @@ UNITS = {
 """Of what is measured at a joint, by the joint's kind."""
 
 
-def axis_unit(axis: str) -> str:
-    """Of one of the plate's channels: N or N m."""
-    return "N" if axis.startswith("F") else "N m"
-
-
 def unit_of(column: str, kinds: Mapping[str, str]) -> str:
     """Unit of a column.
 
@@ -65,7 +60,7 @@ def unit_of(column: str, kinds: Mapping[str, str]) -> str:
         return "s"
     signal, _, member = column.removeprefix("truth/").partition("/")
     if signal in ("wrench", "sensors"):
-        return axis_unit(member.rpartition("/")[2])
+        return "N" if member.rpartition("/")[2].startswith("F") else "N m"
     if signal == "base":
         return "1" if member.startswith("q") else "m"
     return UNITS[kinds.get(member, "revolute")][signal]

@@ -28,7 +28,7 @@ from testbed.core.base.diagnostics import (
 from testbed.core.base.errors import RecordingError, TestbedError, plural
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
-from testbed.core.estimation.diagnostics.cross_check import diagnostics_of
+from testbed.core.estimation.diagnostics.torques import diagnostics_of
 from testbed.core.estimation.estimate import (
     METHODS,
     NAMES,

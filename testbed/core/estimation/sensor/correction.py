@@ -122,22 +122,18 @@ class CalibrationCovariance:
         )
 
 
-Values = Mapping[str, Array]
-"""Numbers of nuisances, by kind."""
-
-
 class Corrected(DerivedSource):
     """A recording as another instrument would have made it, joints in the order of the tree.
 
     Samples at the ends that a delay leaves without neighbours are left out.
     """
 
-    def __init__(self, source: Source, values: Values, tree: Tree) -> None:
+    def __init__(self, source: Source, values: Mapping[str, Array], tree: Tree) -> None:
         """The same samples, corrected.
 
         Args:
             source: As they were measured.
-            values: What is to be taken back.
+            values: What is to be taken back, by kind of nuisance.
             tree: The robot.
         """
         self._source, self._values, self._tree = source, values, tree

@@ -133,7 +133,6 @@ Undo = Callable[[Recording, Array, Array, Tree], Recording]
 """A recording as it would be without: of a recording, the nuisance's numbers, (k,), the samples'
 times from the middle of the whole recording, (M,) [s], and the robot."""
 
-
 Unmix = Callable[[Array], Array]
 """What takes a mixture of the channels back, (6, 6), of the nuisance's numbers, (k,)."""
 
@@ -158,6 +157,7 @@ class Nuisance:
         added: Whether its columns are what it adds to the plate's channels as they are, before
             any mixture of them is taken back.
         unmixed: What takes its mixture of the channels back; None where it mixes none.
+        of_encoders: Whether it spoils estimates by torques as well.
         unfolded: Whether its columns are made at so many instants that the encoders' noise is not
             folded. Of all kinds an error that does not last would have too much in common with
             that noise in the rows.
@@ -173,6 +173,7 @@ class Nuisance:
     whole: bool = False
     added: bool = False
     unmixed: Unmix | None = None
+    of_encoders: bool = False
     unfolded: bool = False
 
     __get_pydantic_core_schema__ = named(lambda nuisance: nuisance.kind)

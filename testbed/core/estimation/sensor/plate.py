@@ -24,16 +24,6 @@ def _late(predicted: PredictedWrench) -> Array:
     return -predicted.rates(predicted.moving[..., None])
 
 
-def _late_as_measured(predicted: PredictedWrench) -> Array:
-    return -predicted.shown_rate[..., None]
-
-
-def _earlier(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
-    del tree
-    late = float(values[0]) * (len(time) - 1) / float(time[-1] - time[0])
-    return replace(recording, wrench=shifted(recording.measured("wrench"), late))
-
-
 def shifted(signal: Array, samples: float) -> Array:
     """A signal read so many samples later, by Lagrange's interpolation between neighbours.
 
@@ -67,37 +57,44 @@ def reach(delay: float, rate: float) -> int:
     return int(np.ceil(abs(delay) * rate)) + _POINTS // 2 if delay else 0
 
 
-def _faster(predicted: PredictedWrench) -> Array:
-    return _late(predicted) * predicted.time[:, None, None]
+def _with_wrench(change: Callable[[Array, Array, Array], Array]) -> Undo:
+    """Undo by a function of the wrench, the numbers, and time."""
+
+    def undo(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
+        del tree
+        return replace(recording, wrench=change(recording.measured("wrench"), values, time))
+
+    return undo
 
 
 SKEW = Nuisance(
     "skew",
     always(Part("skew", "s")),
     _late,
-    _earlier,
-    by_measured=_late_as_measured,
+    _with_wrench(
+        lambda wrench, values, time: shifted(
+            wrench, float(values[0]) * (len(time) - 1) / float(time[-1] - time[0])
+        )
+    ),
+    by_measured=lambda predicted: -predicted.shown_rate[..., None],
 )
 """By how much the plate is late."""
 
 CLOCK_RATE = Nuisance(
     "clock_rate",
     always(Part("clock_rate", "")),
-    _faster,
+    lambda predicted: _late(predicted) * predicted.time[:, None, None],
 )
 """By how much the plate gets later, relative to time."""
 
 
-_UNITS = {("F", "M"): "1/m", ("M", "F"): "m"}
-
-
-def _part(shown: str, felt: str) -> Part:
-    if shown == felt:
-        return Part(f"gain/{shown}", "", 1.0)
-    return Part(f"crosstalk/{shown}/{felt}", _UNITS.get((shown[0], felt[0]), ""))
-
-
-SENSITIVITIES = tuple(_part(shown, felt) for shown in AXES for felt in AXES)
+SENSITIVITIES = tuple(
+    Part(f"gain/{shown}", "", 1.0)
+    if shown == felt
+    else Part(f"crosstalk/{shown}/{felt}", {"FM": "1/m", "MF": "m"}.get(f"{shown[0]}{felt[0]}", ""))
+    for shown in AXES
+    for felt in AXES
+)
 """Row by row: `gain/Fz` is what the plate shows of a force Fz there, `crosstalk/Fx/Fz` what Fx
 shows of it."""
 
@@ -108,16 +105,6 @@ def _columns(predicted: PredictedWrench) -> Array:
     for shown in range(6):
         found[:, shown, 6 * shown : 6 * shown + 6] = filtered
     return found
-
-
-def _with_wrench(change: Callable[[Array, Array, Array], Array]) -> Undo:
-    """Undo by a function of the wrench, the numbers, and time."""
-
-    def undo(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
-        del tree
-        return replace(recording, wrench=change(recording.measured("wrench"), values, time))
-
-    return undo
 
 
 def _unmixed(values: Array) -> Array:
@@ -136,43 +123,23 @@ MATRIX = Nuisance(
 )
 
 
-_PAIRS = [(shown, felt) for shown in range(6) for felt in range(6) if shown != felt]
+_MIXED = np.flatnonzero(~np.eye(6, dtype=np.bool_))
+"""Sensitivities of a channel to the load of another."""
 
-
-_of_channels = always(*(Part(f"gains/{axis}", "") for axis in AXES))
-
-_of_pairs = always(*(Part(f"crosstalk/{AXES[s]}/{AXES[f]}", "") for s, f in _PAIRS))
-
-
-def _own(predicted: PredictedWrench) -> Array:
-    return _columns(predicted)[..., ::7]
-
-
-def _others(predicted: PredictedWrench) -> Array:
-    return _columns(predicted)[..., [6 * shown + felt for shown, felt in _PAIRS]]
-
-
-GAINS = Nuisance("gains", _of_channels, _own)
+GAINS = Nuisance(
+    "gains",
+    always(*(Part(f"gains/{axis}", "") for axis in AXES)),
+    lambda predicted: _columns(predicted)[..., ::7],
+)
 """Relative."""
 
 CROSSTALK = Nuisance(
     "crosstalk",
-    _of_pairs,
-    _others,
+    always(*(Part(SENSITIVITIES[k].name, "") for k in _MIXED)),
+    lambda predicted: _columns(predicted)[..., _MIXED],
     covers=("pose",),
 )
 """What a channel shows of another's load; a plate that is turned or shifted does that, too."""
-
-
-def _constant(predicted: PredictedWrench) -> Array:
-    return np.broadcast_to(np.eye(6), (len(predicted.time), 6, 6))
-
-
-def _trend(predicted: PredictedWrench) -> Array:
-    return predicted.time[:, None, None] * np.eye(6)
-
-
-_without_constant = _with_wrench(lambda wrench, values, time: wrench - values)
 
 
 def _channels(kind: str, per: str = "") -> Numbers:
@@ -183,15 +150,11 @@ def _channels(kind: str, per: str = "") -> Numbers:
 BIAS = Nuisance(
     "bias",
     _channels("bias"),
-    _constant,
-    _without_constant,
+    lambda predicted: np.broadcast_to(np.eye(6), (len(predicted.time), 6, 6)),
+    _with_wrench(lambda wrench, values, time: wrench - values),
     passing=True,
     added=True,
 )
-
-
-def _of_next(tree: Tree) -> tuple[Part, ...]:
-    return tuple(part for cut in tree.cuts for part in _channels(f"bias/{cut.name}")(tree))
 
 
 def _moving_constants(predicted: PredictedWrench) -> Array:
@@ -212,7 +175,7 @@ def _without_moving_constants(
 
 NEXT_BIAS = Nuisance(
     "next_bias",
-    _of_next,
+    lambda tree: tuple(part for cut in tree.cuts for part in _channels(f"bias/{cut.name}")(tree)),
     _moving_constants,
     _without_moving_constants,
     added=True,
@@ -222,28 +185,15 @@ NEXT_BIAS = Nuisance(
 SLOPE = Nuisance(
     "slope",
     _channels("slope", "/s"),
-    _trend,
+    lambda predicted: predicted.time[:, None, None] * np.eye(6),
     _with_wrench(lambda wrench, values, time: wrench - time[:, None] * values),
     passing=True,
     added=True,
 )
 """From the middle of the recording."""
 
-TARE = Nuisance("tare", _channels("tare"), _constant, _without_constant, added=True)
+TARE = replace(BIAS, kind="tare", parts=_channels("tare"), passing=False)
 """What the plate shows of the pedestal beyond the tare: to a fixed plate the same as a bias."""
-
-
-_PARTS = tuple(Part(f"pose/r{a}", "rad") for a in "xyz") + tuple(
-    Part(f"pose/p{a}", "m") for a in "xyz"
-)
-
-
-def _pose(predicted: PredictedWrench) -> Array:
-    return predicted.rows(_moved(predicted.wrench))
-
-
-def _pose_of_measured(predicted: PredictedWrench) -> Array:
-    return _moved(predicted.shown)
 
 
 def _moved(wrench: Array) -> Array:
@@ -257,14 +207,6 @@ def _moved(wrench: Array) -> Array:
     return found
 
 
-def _height(predicted: PredictedWrench) -> Array:
-    return _pose(predicted)[..., 5:]
-
-
-def _height_of_measured(predicted: PredictedWrench) -> Array:
-    return _pose_of_measured(predicted)[..., 5:]
-
-
 def _moved_back(wrench: Array, pose: Array) -> Array:
     """Wrench in the bedplate's frame of one that a plate in a pose, (6,), shows, (M, 6)."""
     turn = from_vector(pose[:3])
@@ -275,17 +217,20 @@ def _moved_back(wrench: Array, pose: Array) -> Array:
 
 POSE = Nuisance(
     "pose",
-    always(*_PARTS),
-    _pose,
+    always(
+        *(Part(f"pose/r{axis}", "rad") for axis in "xyz"),
+        *(Part(f"pose/p{axis}", "m") for axis in "xyz"),
+    ),
+    lambda predicted: predicted.rows(_moved(predicted.wrench)),
     _with_wrench(lambda wrench, values, time: _moved_back(wrench, values)),
-    by_measured=_pose_of_measured,
+    by_measured=lambda predicted: _moved(predicted.shown),
 )
 
 HEIGHT = Nuisance(
     "height",
     always(Part("height", "m")),
-    _height,
+    lambda predicted: predicted.rows(_moved(predicted.wrench))[..., 5:],
     _with_wrench(lambda wrench, values, time: _moved_back(wrench, np.pad(values, (5, 0)))),
-    by_measured=_height_of_measured,
+    by_measured=lambda predicted: _moved(predicted.shown)[..., 5:],
 )
 """The third component of the pose's shift alone."""
