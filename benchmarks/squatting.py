@@ -14,7 +14,7 @@ from benchmarks.lines import print_lines
 from testbed.core.base.arrays import Array
 from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.core.robot.free_base import on_free_base
+from testbed.core.robot.free_root import on_free_base
 from testbed.core.robot.model_file import ModelFile
 from tests.helpers.humanoid import G1, humanoid
 

@@ -16,9 +16,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.core.base.errors import InertiaError, MimicError, ModelError, UnknownName
+from testbed.core.base.errors import ModelError, UnknownName
 from testbed.core.robot.locks import Lock, parse_lock
 from testbed.core.robot.model_file import ModelFile, mimic_joints, nearest_bodies
+from testbed.core.robot.refusals import InertiaError, MimicError
 from testbed.core.robot.repair import LIGHTEST, THINNEST
 from testbed.core.robot.rigid_matter import SMALL, inertia_flaw, nearest_body
 from testbed.core.robot.rpy import from_rpy

@@ -219,6 +219,20 @@ def paragraphs(diagnostics: Iterable[Diagnostic]) -> tuple[tuple[str, ...], ...]
     )
 
 
+def from_json(content: Any) -> tuple[Diagnostic, ...]:
+    """Diagnostics of tables as `as_dict` makes them.
+
+    Args:
+        content: A list of tables with at least code and text.
+
+    Raises:
+        ValueError: It is something else.
+    """
+    from testbed.core.base.codec import decode  # loads NumPy
+
+    return tuple(decode(list[Diagnostic], content, {}))
+
+
 def of_recording(facts: Mapping[str, Any]) -> tuple[Diagnostic, ...]:
     """What a recording keeps about itself.
 
@@ -228,10 +242,8 @@ def of_recording(facts: Mapping[str, Any]) -> tuple[Diagnostic, ...]:
     Raises:
         ValueError: Its diagnostics are something else.
     """
-    from testbed.core.base.codec import decode  # loads NumPy
-
     try:
-        return tuple(decode(list[Diagnostic], facts.get("diagnostics", []), {}))
+        return from_json(facts.get("diagnostics", []))
     except ValueError:
         raise ValueError("its 'diagnostics' are not a list of tables with code and text") from None
 

@@ -5,7 +5,7 @@ Gravity, gear, base, samples, filters, terms and tare are settled here, once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -98,9 +98,10 @@ class Problem:
             RecordingError: The recording is of another robot, or lacks what the method needs.
             SettingsError: A span of time is said of several recordings.
         """
-        said = {signal: each for each, signal in SIGNAL_OF.items()}.get(method, method)
+        by_signal: Mapping[str, Method] = {SIGNAL_OF[each]: each for each in METHODS}
+        said = by_signal.get(method, method)
         if said not in METHODS:
-            raise UnknownName("signal", method, SIGNAL_OF.values())
+            raise UnknownName("signal", method, by_signal)
         method = said
         source, repeated = without_repeated_poses(
             on_its_base(samples_of(recording, settings), tree)

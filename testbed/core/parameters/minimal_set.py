@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -265,7 +264,7 @@ def minimal_set(
     found = MODEL_OF.get(model, model)
     if found not in ("dynamic", "reaction"):
         raise UnknownName("signal", model, MODEL_OF)
-    model = cast(Model, found)
+    model = found
     g = tree.gravity_or(gravity)
     known_zero = known_zeros(tree, zeros)
     bodies = regroup(tree, model, g, tared=tared)

@@ -27,9 +27,6 @@ PLATE_UNITS = ("N", "N", "N", "N m", "N m", "N m")
 JOINT_SIGNALS = ("position", "velocity", "acceleration", "torque", "temperature")
 """What is measured joint by joint."""
 
-POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
-"""Of a base that moves: position [m] and quaternion of its frame on the ground."""
-
 SIGNALS = ("time", *JOINT_SIGNALS, "wrench", "sensors", "base")
 """What is measured."""
 
@@ -83,7 +80,8 @@ def members_of(
         sensors: Names of force sensors.
     """
     of_sensors = tuple(f"{name}/{axis}" for name in sensors for axis in AXES)
-    own = {"wrench": AXES, "sensors": of_sensors, "base": POSE}
+    pose = ("x", "y", "z", "qw", "qx", "qy", "qz")  # position [m] and quaternion on the ground
+    own = {"wrench": AXES, "sensors": of_sensors, "base": pose}
     return own.get(signal.removeprefix("truth/"), joints)
 
 

@@ -137,11 +137,14 @@ SLOPE = JointLaw("slope", "N m/s", "N/s", _one, by="time")
 ROOM = 25.0
 """Temperature at which friction is what its laws without temperature say [degC]."""
 
+WARM_VISCOUS = JointLaw("warm_viscous", "N m s/(rad K)", "N s/(m K)", _velocity, by="temperature")
+"""Change of viscous friction with the drive's temperature, from ROOM on."""
+
 VARYING = (
     SLOPE,
-    # changes of dry and of viscous friction with the drive's temperature, from ROOM on
+    # change of dry friction with the drive's temperature
     JointLaw("warm_coulomb", "N m/K", "N/K", _sign, jumps=True, by="temperature"),
-    JointLaw("warm_viscous", "N m s/(rad K)", "N s/(m K)", _velocity, by="temperature"),
+    WARM_VISCOUS,
 )
 """Laws that depend on more than the motion."""
 
@@ -298,34 +301,3 @@ def term_torque(
     turn = shares(tree)[term.joint]
     column = term.law.columns(qd @ turn, qdd @ turn)
     return np.outer(column * by if term.law.by else column, turn)
-
-
-def friction_torque(tree: Tree, qd: Array, smooth: float = 0.0) -> Array:
-    """What friction takes at the joints, (..., n) [N m or N].
-
-    Args:
-        tree: Gives the coefficients.
-        qd: Velocities, (..., n) [rad/s or m/s].
-        smooth: Speed over which the sign of dry friction is smoothed [rad/s or m/s].
-    """
-    laws = [law for law in LAWS if law.resists]
-    still = np.zeros_like(qd)
-    return _sum([law.coefficients(tree) * law.columns(qd, still, smooth) for law in laws])
-
-
-def drive_torque(tree: Tree, qd: Array, qdd: Array, smooth: float = 0.0) -> Array:
-    """What the drives deliver besides what moves the bodies, (..., n) [N m or N].
-
-    Args:
-        tree: Gives the coefficients: friction, and the rotors' inertias.
-        qd: Velocities, (..., n) [rad/s or m/s].
-        qdd: Accelerations, (..., n) [rad/s^2 or m/s^2].
-        smooth: Speed over which the sign of dry friction is smoothed [rad/s or m/s].
-    """
-    laws = [law for law in LAWS if law.parameter is not None]
-    return _sum([law.coefficients(tree) * law.columns(qd, qdd, smooth) for law in laws])
-
-
-def _sum(torques: list[Array]) -> Array:
-    total: Array = sum(torques[1:], torques[0])
-    return total

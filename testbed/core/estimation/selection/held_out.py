@@ -29,10 +29,14 @@ from testbed.core.robot.friction import (
 ALWAYS = (COULOMB, VISCOUS)
 """What every joint has."""
 
-SPEEDS = tuple(round_significant(speed, 2) for speed in np.geomspace(0.02, 1.0, 14))
-"""At which friction may fade out [rad/s or m/s]."""
-
-OFFERED = (OFFSET, ASYMMETRIC, QUADRATIC, SQUARE_ROOT, *(stribeck(speed) for speed in SPEEDS))
+OFFERED = (
+    OFFSET,
+    ASYMMETRIC,
+    QUADRATIC,
+    SQUARE_ROOT,
+    # friction that fades out between these speeds [rad/s or m/s]
+    *(stribeck(round_significant(speed, 2)) for speed in np.geomspace(0.02, 1.0, 14)),
+)
 """What may be added."""
 
 

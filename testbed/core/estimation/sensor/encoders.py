@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.estimation.sensor.estimates import Effect, Nuisance, Numbers, Part, always
+from testbed.core.estimation.sensor.estimates import Effect, Nuisance, Numbers, Part
 from testbed.core.estimation.sensor.predicted_wrench import Change, PredictedWrench
 
 
@@ -39,54 +39,50 @@ def _wave(value: Callable[[Array], Array], slope: Callable[[Array], Array]) -> C
     return lambda q, qd, qdd: (value(q), slope(q) * qd, slope(q) * qdd - value(q) * qd**2)
 
 
-def _hurried(predicted: PredictedWrench) -> Array:
-    each = [
-        predicted.along(j, lambda q, qd, qdd: (0.0, qd, 2 * qdd)) for j in range(predicted.tree.n)
-    ]
-    return predicted.rows(-np.sum(each, axis=0)[..., None])
-
-
 JOINT_ZEROS = Nuisance(
     "joint_zeros",
     _of_joints("joint_zeros", "rad", "m"),
     _shown(lambda q, qd, qdd: (1.0, 0.0, 0.0)),
     lambda recording, values, time, tree: replace(recording, position=recording.position - values),
     of_encoders=True,
+    tested=True,
     unfolded=True,
 )
 """What the encoders show too much."""
 
-ENCODER_GAINS = Nuisance(
-    "encoder_gains",
-    _of_joints("encoder_gains", "", ""),
-    _shown(lambda q, qd, qdd: (q, qd, qdd)),
-    of_encoders=True,
-)
-"""Relative."""
-
-ECCENTRICITY = Nuisance(
-    "eccentricity",
-    lambda tree: tuple(
-        Part(f"eccentricity/{joint.name}/{wave}", "rad")
-        for joint in tree.joints
-        if joint.revolute
-        for wave in ("sin", "cos")
+ENCODERS = (
+    JOINT_ZEROS,
+    # relative
+    Nuisance(
+        "encoder_gains",
+        _of_joints("encoder_gains", "", ""),
+        _shown(lambda q, qd, qdd: (q, qd, qdd)),
+        of_encoders=True,
+        tested=True,
     ),
-    _shown(_wave(np.sin, np.cos), _wave(np.cos, lambda q: -np.sin(q)), turning=True),
-    of_encoders=True,
-)
-"""Errors that repeat with every turn."""
-
-ENCODER_DELAYS = Nuisance(
-    "encoder_delays",
-    _of_joints("encoder_delays", "s", "s"),
-    lambda predicted: np.concatenate(
-        [predicted.passing(j) for j in range(predicted.tree.n)], axis=2
+    # by how much each is late; all of them by as much are a plate that is early
+    Nuisance(
+        "encoder_delays",
+        _of_joints("encoder_delays", "s", "s"),
+        lambda predicted: np.concatenate(
+            [predicted.passing(j) for j in range(predicted.tree.n)], axis=2
+        ),
+        of_encoders=True,
+        tested=True,
+        covers=("skew",),
     ),
-    of_encoders=True,
-    covers=("skew",),
+    # what repeats with every turn
+    Nuisance(
+        "eccentricity",
+        lambda tree: tuple(
+            Part(f"eccentricity/{joint.name}/{wave}", "rad")
+            for joint in tree.joints
+            if joint.revolute
+            for wave in ("sin", "cos")
+        ),
+        _shown(_wave(np.sin, np.cos), _wave(np.cos, lambda q: -np.sin(q)), turning=True),
+        of_encoders=True,
+        tested=True,
+    ),
 )
-"""By how much each is late; all of them by as much are a plate that is early."""
-
-SAMPLING = Nuisance("sampling", always(Part("sampling", "")), _hurried, of_encoders=True)
-"""By how much more time passes between samples than their stamps say, relative."""
+"""Errors of encoders."""
