@@ -21,8 +21,6 @@ ENOUGH = 3
 """Values for each unknown that are enough of a motion that does not repeat."""
 LISTED, WIDTH = 6, 100
 """Names that a line lists of many, and characters that an error's may have together."""
-FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
-"""How cells of a CSV file begin that spreadsheets compute."""
 NEAR, SEARCHED = 5, 2000
 """Likely meant names that come first in a list, and names that are searched for them."""
 
@@ -54,11 +52,6 @@ def visible(text: str) -> str:
         c if c.isprintable() or c in "\n\t\u00a0" else c.encode("unicode_escape").decode()
         for c in text
     )
-
-
-def formula_free(text: str) -> str:
-    """Cell of a CSV file, after an apostrophe where spreadsheets would compute it."""
-    return f"'{text}" if text.startswith(FORMULA) else text
 
 
 def round_significant(value: float, digits: int) -> float:

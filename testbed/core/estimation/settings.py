@@ -37,22 +37,6 @@ def finite_number(value: object) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def stated_values(given: object) -> dict[str, Any]:
-    """A table of values, or of values and sigmas, checked.
-
-    Args:
-        given: As it was written.
-
-    Raises:
-        SettingsError: It is none.
-    """
-    try:
-        found: dict[str, Any] = _adapter("known").validate_python(given)
-    except ValidationError:
-        raise SettingsError(f"known is {FIELDS['known'][1]}, found {given!r}") from None
-    return found
-
-
 def with_sigmas(stated: Mapping[str, float | Sequence[float]]) -> dict[str, tuple[float, float]]:
     """Value and sigma by name; zero where none is stated.
 

@@ -70,9 +70,6 @@ class _Body:
     pivot: _Line | Array | Literal["no"] | None
 
 
-_BEDPLATE = _Body(np.eye(3), np.zeros(3), None, None, None)
-
-
 def parallel(a: Array, b: Array) -> bool:
     """Whether two vectors are parallel or one of them is zero."""
     scale = float(np.sqrt((a @ a) * (b @ b)))
@@ -88,9 +85,10 @@ def mobilities(tree: Tree, gravity: Array) -> tuple[Mobility, ...]:
     """
     bodies: list[_Body] = []
     found: list[Mobility] = []
+    bedplate = _Body(np.eye(3), np.zeros(3), None, None, None)
     weightless = not gravity.any()
     for joint in tree.joints:
-        carrier = bodies[joint.parent] if joint.parent >= 0 else _BEDPLATE
+        carrier = bodies[joint.parent] if joint.parent >= 0 else bedplate
         body = _placed(joint, carrier)
         axis = body.turn @ joint.axis
         found.append(_mobility(carrier, body.origin, axis, gravity))

@@ -38,7 +38,7 @@ from testbed.core.estimation.estimate import (
     sensor_of,
 )
 from testbed.core.estimation.regression.passes import Progress
-from testbed.core.estimation.selection.term_choice import with_chosen_settings
+from testbed.core.estimation.selection.chosen import with_chosen_settings
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.columns import AXES

@@ -238,8 +238,7 @@ def _gains(before: Array, after: Array) -> Array:
 
     Shares of what is left: what changes most in one part, as a drift does, is gained in all.
     """
-    tiny = TINY
     same = np.where(np.isfinite(after), after, before[:, None])
-    gained = np.log(np.maximum(before, tiny)[:, None] / np.maximum(same, tiny))
+    gained = np.log(np.maximum(before, TINY)[:, None] / np.maximum(same, TINY))
     error = gained.std(axis=0, ddof=1) / np.sqrt(len(gained))
     return np.asarray(gained.mean(axis=0) / np.maximum(error, TINY))
