@@ -89,16 +89,12 @@ def mobilities(tree: Tree, gravity: Array) -> tuple[Mobility, ...]:
     weightless = not gravity.any()
     for joint in tree.joints:
         carrier = bodies[joint.parent] if joint.parent >= 0 else bedplate
-        body = _placed(joint, carrier)
+        origin = carrier.origin + carrier.turn @ joint.offset
+        body = replace(carrier, turn=carrier.turn @ joint.rotation, origin=origin)
         axis = body.turn @ joint.axis
         found.append(_mobility(carrier, body.origin, axis, gravity))
         bodies.append(_moved(joint, carrier, body, axis, weightless))
     return tuple(found)
-
-
-def _placed(joint: Joint, carrier: _Body) -> _Body:
-    turn = carrier.turn @ joint.rotation
-    return replace(carrier, turn=turn, origin=carrier.origin + carrier.turn @ joint.offset)
 
 
 def _mobility(carrier: _Body, origin: Array, axis: Array, gravity: Array) -> Mobility:

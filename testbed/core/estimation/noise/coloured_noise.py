@@ -39,7 +39,6 @@ from testbed.core.estimation.noise.noise_model import (
 )
 from testbed.core.estimation.noise.score_tests import Question, Replicas, ScoreTests, Trace
 from testbed.core.estimation.noise.whitening import (
-    NOTHING,
     NuisanceColumns,
     Products,
     Rows,
@@ -301,7 +300,7 @@ def generalized_least_squares(
     start: solvers.Fit,
     passes: Passes,
     names: tuple[str, ...],
-    beside: NuisanceColumns = NOTHING,
+    beside: NuisanceColumns,
 ) -> GlsFit:
     """Go on from a weighted solution.
 
