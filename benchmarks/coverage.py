@@ -29,7 +29,7 @@ from testbed.core.estimation.estimate import Method
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.core.robot.free_base import on_free_base
+from testbed.core.robot.free_root import on_free_base
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.instruments.fault import Fault
 from testbed.lab.instruments.joints import EncoderGain, EncoderResolution

@@ -18,7 +18,7 @@ from benchmarks.fault_trials import Trial, trials
 from benchmarks.lines import print_lines
 from testbed.core.base.diagnostics import Diagnostic, sentences
 from testbed.core.base.errors import TestbedError
-from testbed.core.estimation.diagnostics.cross_check import cross_check
+from testbed.core.estimation.diagnostics.torques import cross_check
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
 from testbed.core.recordings.recording import Recording
 from tests.helpers.paths import ROOT

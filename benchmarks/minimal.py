@@ -21,7 +21,7 @@ from testbed.core.parameters.joint_terms import with_joint_terms
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.symbols import parameter_names
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.core.robot.free_base import on_free_base
+from testbed.core.robot.free_root import on_free_base
 from testbed.core.robot.friction import LAWS
 from testbed.core.robot.model_file import ModelFile, mimic_joints
 from testbed.core.robot.tree import Tree

@@ -21,12 +21,9 @@ from testbed.core.estimation.regression.normal_equations import (
     unit_diagonal,
 )
 from testbed.core.estimation.regression.passes import Progress
-from testbed.core.estimation.sensor.correction import (
-    NUISANCES,
-    CalibrationCovariance,
-    lastingly_corrected,
-)
+from testbed.core.estimation.sensor.correction import NUISANCES, CalibrationCovariance
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
+from testbed.core.estimation.sensor.lasting import lastingly_corrected
 from testbed.core.estimation.sensor.plate import SENSITIVITIES
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.source import RecordingLike, Source

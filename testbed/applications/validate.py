@@ -43,7 +43,7 @@ from testbed.core.estimation.estimate import (
 from testbed.core.estimation.problem import Problem, tare_of
 from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.regression.windows import motion_taps
-from testbed.core.estimation.selection.term_choice import with_chosen_settings
+from testbed.core.estimation.selection.chosen import with_chosen_settings
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.geometry import in_its_gravity
 from testbed.core.recordings.recording import Recording

@@ -16,7 +16,7 @@ from testbed.core.estimation.regression.normal_equations import (
     NormalEquations,
     standard_deviations,
 )
-from testbed.core.estimation.sensor.correction import lastingly_corrected
+from testbed.core.estimation.sensor.lasting import lastingly_corrected
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.source import Source
 from testbed.core.robot.tree import Tree

@@ -14,8 +14,8 @@ from testbed.bodies.posterior import Posterior
 from testbed.bodies.prediction_errors import POSTERIOR
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose, messages, ordered, phrase
-from testbed.core.estimation.diagnostics.cross_check import diagnostics_of
 from testbed.core.estimation.diagnostics.diagnosis import UNEXPLAINED
+from testbed.core.estimation.diagnostics.torques import diagnostics_of
 from testbed.core.estimation.estimate import Estimate, channel_label, matters
 from testbed.core.estimation.regression.normal_equations import TINY
 

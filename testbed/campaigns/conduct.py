@@ -21,8 +21,8 @@ import testbed
 from testbed.campaigns.campaign import Campaign
 from testbed.campaigns.results import RESULTS, read_results, write_rows
 from testbed.core.base.blas import one_blas_thread
+from testbed.core.base.contents import fingerprint
 from testbed.core.base.errors import ExperimentError, TestbedError, printable
-from testbed.core.base.files import fingerprint
 from testbed.core.base.installation import versions
 from testbed.core.robot.model_file import references
 from testbed.lab.experiment.experiment import Experiment

@@ -49,34 +49,6 @@ Flange = Annotated[
 ]
 
 
-def parse_known(words: Iterable[str]) -> dict[str, tuple[float, float]]:
-    """Value and sigma by name, of words such as mass=20 and gain/Fz=1+-0.001.
-
-    Args:
-        words: As written.
-
-    Raises:
-        SettingsError: A word is not of that form, two say something of one name, or a mass is none.
-    """
-    from testbed.core.base.errors import SettingsError
-
-    found: dict[str, tuple[float, float]] = {}
-    for word in words:
-        name, equals, numbers = word.rpartition("=")
-        value, _, sigma = numbers.partition("+-")
-        if name in found:
-            raise SettingsError(f"--known says {name} twice")
-        try:
-            found[name] = float(value), float(sigma or 0.0)
-        except ValueError:
-            equals = ""
-        if not equals or not name:
-            raise SettingsError(f"--known '{word}': write it as mass=20 or mass=20+-0.01")
-        if name == "mass" and not found[name][0] > 0:
-            raise SettingsError(f"--known '{word}': a mass is positive")
-    return found
-
-
 def flange_link(vendor: str | None, flange: str | None, file: ModelFile, tree: Tree) -> Link | None:
     """The flange that is named for a controller, in a tree's bodies; None for none.
 
@@ -167,6 +139,7 @@ def calibrate(
     from testbed.applications.payload.torque_scales import torque_scales
     from testbed.core.base.codec import encode
     from testbed.core.base.errors import SettingsError
+    from testbed.core.estimation.known import parse_known
     from testbed.lab.experiment.plate_file import write_plate
     from testbed.view import estimates as shown
     from testbed.view import output, terminal

@@ -156,7 +156,8 @@ def equations(
 
     Example: testbed equations models/puma562.xml --zeros --form reduced
     """
-    from testbed.core.base.files import fingerprint, replacing
+    from testbed.core.base.contents import fingerprint
+    from testbed.core.base.files import replacing
     from testbed.equations.equations import KINDS
     from testbed.equations.equations import equations as derived
     from testbed.equations.expression import MAX_TERMS
@@ -213,7 +214,7 @@ def _compare(
     max_terms: int,
 ) -> NoReturn:
     """Say where a listing differs; exit code 1 if it does."""
-    from testbed.core.base.files import read_text
+    from testbed.core.base.contents import read_text
     from testbed.equations.compare import TERM_LENGTH, compare_equations
     from testbed.equations.languages.latex import line
     from testbed.view import output

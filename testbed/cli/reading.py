@@ -12,9 +12,10 @@ import typer
 
 from testbed.cli.opening import corrected_source, opened_pieces, require_different
 from testbed.core.base.diagnostics import Diagnostic
-from testbed.core.base.errors import FreeRootError, printable
+from testbed.core.base.errors import printable
 from testbed.core.base.installation import own_or_shipped
 from testbed.core.base.stages import stage
+from testbed.core.robot.refusals import FreeRootError
 
 if TYPE_CHECKING:
     from testbed.core.estimation.sensor.correction import CalibrationCovariance

@@ -10,7 +10,7 @@ import numpy as np
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.errors import InfeasibleMotion
 from testbed.core.dynamics.newton_euler import Motion, joint_forces
-from testbed.core.robot.friction import drive_torque
+from testbed.core.robot.drive_torque import drive_torque
 from testbed.core.robot.tree import Joint, Tree
 
 CALM = {"revolute": (np.pi, 2.0, 6.0), "prismatic": (0.5, 0.5, 2.0)}

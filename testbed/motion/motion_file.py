@@ -12,8 +12,9 @@ import numpy as np
 import tomli_w
 from pydantic import BaseModel, Field
 
+from testbed.core.base.contents import fingerprint
 from testbed.core.base.errors import ExperimentError
-from testbed.core.base.files import fingerprint, replacing
+from testbed.core.base.files import replacing
 from testbed.core.base.installation import version
 from testbed.core.base.toml_text import KNOWN_KEYS, Finite, Positive, checked, read_toml
 from testbed.core.robot.tree import Tree

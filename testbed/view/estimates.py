@@ -14,11 +14,11 @@ from testbed.core.base.diagnostics import phrase
 from testbed.core.base.errors import plural, printable
 from testbed.core.base.summary_table import number_with_sigma
 from testbed.core.estimation.estimate import Estimate
+from testbed.core.estimation.influence import by_influence
 from testbed.core.estimation.selection.held_out import HeldOut, TermChoice
 from testbed.core.estimation.sensor.estimates import TraceTest
 from testbed.core.recordings.columns import AXES
 from testbed.lab.experiment.run import SAID, Run, matrix_errors
-from testbed.view.influence import by_influence
 from testbed.view.section import HeatTable, Table
 
 if TYPE_CHECKING:

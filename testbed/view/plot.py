@@ -10,6 +10,7 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.summary_table import ROUNDING
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
+from testbed.core.estimation.influence import by_influence
 from testbed.core.estimation.information import Information
 from testbed.core.recordings.recording import Recording
 from testbed.lab.experiment.predict import Predictions, predict
@@ -17,7 +18,6 @@ from testbed.lab.experiment.run import Run
 from testbed.lab.experiment.score import Errors
 from testbed.view.drawing import Picture, draw
 from testbed.view.figures import Panel, decades, named_panel, named_panels
-from testbed.view.influence import by_influence
 from testbed.view.section import Section, Table
 
 WIDTH = 6.4

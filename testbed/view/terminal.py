@@ -15,7 +15,7 @@ from testbed.bodies.verdict import WELL, verdict_of
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import printable
 from testbed.core.base.summary_table import OPEN_ZERO
-from testbed.core.estimation.diagnostics.cross_check import diagnostics_of
+from testbed.core.estimation.diagnostics.torques import diagnostics_of
 from testbed.lab.experiment.summary import (
     accuracy_lines,
     data_lines,

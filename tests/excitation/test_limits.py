@@ -12,7 +12,6 @@ from hypothesis import given
 import testbed as tb
 from testbed.bodies.shapes.shapes import Kind, Shape
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import InfeasibleMotion, UnknownName
 from testbed.core.dynamics.newton_euler import poses
 from testbed.core.robot.inertia import about
@@ -385,5 +384,5 @@ def test_pairs_that_always_touch_are_left_out_and_near_ones_keep_half(puma: tb.T
         collision = collision_model(puma, list(shapes))
         found = watched(collision, limits_of(puma), clearance)
         np.testing.assert_allclose(found.clearance, kept, rtol=0.2)
-        (note,) = sentences(found.diagnostics)
+        (note,) = tb.sentences(found.diagnostics)
         assert [link for link in ("'link1'", "'link3'") if link not in note] == []

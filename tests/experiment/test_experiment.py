@@ -14,9 +14,10 @@ from pydantic import BaseModel
 
 import testbed as tb
 from benchmarks.robots import MOST_SIGMAS
-from testbed.core.base.errors import ExperimentError, InertiaError, SettingsError, TestbedError
+from testbed.core.base.errors import ExperimentError, SettingsError, TestbedError
 from testbed.core.base.toml_text import LARGEST_FILE, override
 from testbed.core.robot.model_file import mimic_joints, nearest_bodies
+from testbed.core.robot.refusals import InertiaError
 from testbed.lab.experiment.assumptions import DRY, assumptions
 from testbed.lab.experiment.evaluate import evaluate
 from testbed.lab.experiment.experiment import Experiment, run_name

@@ -33,7 +33,6 @@ from testbed.lab.experiment.results import result_of
 from testbed.lab.experiment.run import Run, assemble_run, correlated, systematic_errors
 from testbed.lab.experiment.score import accuracies, relative_errors, shared_errors
 from testbed.lab.experiment.summary import headline
-from testbed.motion.fourier import Fourier
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.paths import ROOT
 from tests.helpers.runs import MODELS, ROBOTS, experiment, judged_run, noisy, robot, run_of, without
@@ -262,7 +261,7 @@ def test_another_motion_is_about_as_fast_lasts_no_longer_and_shows_what_it_shows
     assert (np.abs(second - first).max(axis=0) > 0.2 * np.ptp(first, axis=0)).all()
     seen: list[tb.Experiment] = []
 
-    def kept(asked: tb.Experiment, *_: object, installed: int, motion: Fourier) -> None:
+    def kept(asked: tb.Experiment, *_: object, installed: int, motion: tb.Fourier) -> None:
         assert installed == asked.seed - 1  # what chance decides once stays
         assert motion.fundamental == asked.motion.fundamental
         seen.append(asked)

@@ -7,7 +7,7 @@ import numpy as np
 import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.recordings.recording import Recording, Truth
-from testbed.core.robot.friction import drive_torque
+from testbed.core.robot.drive_torque import drive_torque
 from testbed.lab.instruments.chain import Instrument, measure
 from testbed.motion.fourier import Fourier
 

@@ -23,8 +23,8 @@ from testbed.core.base.errors import SettingsError, TestbedError, UnknownName
 from testbed.core.estimation.regression import windows
 from testbed.core.estimation.regression.constraints import centre_of_mass, total_mass
 from testbed.core.estimation.regression.windows import make_plan, row_weights
+from testbed.core.estimation.sensor.clocks import shifted
 from testbed.core.estimation.sensor.correction import NUISANCES, TESTED
-from testbed.core.estimation.sensor.plate import shifted
 from testbed.core.estimation.sensor.predicted_wrench import row_filter
 from testbed.core.estimation.sensor.unknowns import Columns, unknowns_of
 from testbed.core.kernel.layout import layout

@@ -21,11 +21,7 @@ from testbed.core.base.diagnostics import (
     phrase,
     sentences,
 )
-from testbed.core.estimation.diagnostics.cross_check import (
-    cross_check,
-    diagnostics_of,
-    torque_factor,
-)
+from testbed.core.estimation.diagnostics.torques import cross_check, diagnostics_of, torque_factor
 from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.estimation.sensor.correction import TESTED
 from testbed.core.parameters.minimal_set import selection

@@ -12,7 +12,8 @@ from hypothesis import given
 import testbed as tb
 from testbed.core.base.errors import ModelError, RecordingError
 from testbed.core.recordings.views import with_base_joints
-from testbed.core.robot.free_base import coordinates, on_free_base
+from testbed.core.robot.free_base import coordinates
+from testbed.core.robot.free_root import on_free_base
 from tests.helpers.humanoid import G1, humanoid, squatting
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot

@@ -16,7 +16,6 @@ from testbed.applications.drives.friction_files import bam_parameters, write_fri
 from testbed.applications.drives.identify_drives import DriveFindings, identify_drives
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
-from testbed.core.dynamics.newton_euler import joint_forces
 from testbed.core.estimation.regression.windows import drive_filter
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.friction import SLOPE, VARYING, WARM_VISCOUS, joint_law
@@ -152,7 +151,7 @@ def loads(tree: tb.Tree, recording: Recording) -> Array:
     """The torques that move the links, (M, n), by Newton and Euler."""
     true = recording.truth
     assert true is not None
-    return joint_forces(
+    return tb.joint_forces(
         tree, tb.Motion(recording.time, true.position, true.velocity, true.acceleration)
     )
 

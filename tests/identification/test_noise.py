@@ -16,12 +16,13 @@ from scipy import linalg, stats
 
 import testbed as tb
 from testbed.applications.validate import motion_in
-from testbed.cli.calibrations import parse_known
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import encode, json_text
 from testbed.core.base.errors import SettingsError, TestbedError
 from testbed.core.estimation.diagnostics.diagnosis import UNLIKELY
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
+from testbed.core.estimation.influence import by_influence, influence
+from testbed.core.estimation.known import parse_known
 from testbed.core.estimation.noise.coloured_noise import averaged, averaged_fit
 from testbed.core.estimation.noise.fits import NoiseFit, weighted_fits, whitened_fits
 from testbed.core.estimation.noise.lagged_products import (
@@ -40,7 +41,6 @@ from testbed.core.estimation.noise.noise_model import (
     period_of,
 )
 from testbed.core.robot.inertia import about
-from testbed.view.influence import by_influence, influence
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.plates import mass_of

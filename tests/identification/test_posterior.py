@@ -28,7 +28,7 @@ from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.estimation.estimate import Method
 from testbed.core.estimation.problem import Problem
 from testbed.core.recordings.recording import Recording
-from testbed.core.robot.friction import drive_torque
+from testbed.core.robot.drive_torque import drive_torque
 from testbed.lab.experiment.evaluate import wrong_bodies
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured, random_fourier

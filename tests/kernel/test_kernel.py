@@ -24,7 +24,7 @@ from testbed.core.kernel.layout import Layout, layout
 from testbed.core.kernel.records import NB, Signals, Sums
 from testbed.core.kernel.rows import sine_cosine
 from testbed.core.parameters.rules import Model
-from testbed.core.robot.free_base import on_free_base
+from testbed.core.robot.free_root import on_free_base
 from testbed.core.robot.friction import LAWS, joint_terms
 from tests.helpers.paths import ROOT
 from tests.helpers.sensors import random_cut

@@ -24,7 +24,6 @@ from testbed.core.dynamics.rank_check import sampled_regressor, verify, verify_d
 from testbed.core.parameters.elimination import dense_rows, static_entries
 from testbed.core.parameters.identifiability import ALONE, COMBINED, NEVER, identifiability
 from testbed.core.parameters.joint_terms import with_joint_terms
-from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.pseudo_inertia import matrices
 from testbed.core.parameters.regroup import length_symbol, regroup
 from testbed.core.parameters.rules import REASONS, Model
@@ -40,7 +39,6 @@ from testbed.core.parameters.symbols import (
 from testbed.core.robot.friction import LAWS
 from testbed.core.robot.inertia import NOTHING, Inertia
 from testbed.core.robot.rigid_matter import SMALL
-from testbed.core.robot.tree import Tree
 from tests.helpers.chains import X, Y, Z, chain
 from tests.helpers.paths import GOLDEN
 from tests.helpers.robots import Robot, random_robot, with_zeros
@@ -52,13 +50,13 @@ CATALOGUE = json.loads((GOLDEN / "counts.json").read_text())
 OFF = np.zeros(3)
 
 
-def all_sets(tree: Tree, zeros: bool | list[str] = False) -> list[MinimalSet]:
+def all_sets(tree: tb.Tree, zeros: bool | list[str] = False) -> list[tb.MinimalSet]:
     """Dynamic, bedplate and tared bedplate."""
     given_ = [("dynamic", False), ("reaction", False), ("reaction", True)]
     return [tb.minimal_set(tree, m, None, zeros, tared=t) for m, t in given_]  # type: ignore[arg-type]
 
 
-def hold(tree: Tree, zeros: bool | list[str] = False) -> None:
+def hold(tree: tb.Tree, zeros: bool | list[str] = False) -> None:
     """Rules, exact recursion and sampled rank tell the same, in every set of a robot."""
     dynamic, *plates = all_sets(tree, zeros)
     theta, standard = tb.barycentric(tree), tb.standard(tree).ravel()
@@ -142,7 +140,7 @@ def starred(name: str) -> str:
     return others.get(name, re.sub(r"^(mb|K)s", r"\1*", name))
 
 
-def test_the_pumas_sets_are_the_papers(puma: Tree, golden: Any) -> None:
+def test_the_pumas_sets_are_the_papers(puma: tb.Tree, golden: Any) -> None:
     """Names, order, values, and the printed column of table 6."""
     truth, theta = golden["variants"]["ref18_exact"], tb.barycentric(puma)
     names = [name.replace("mbar", "mm") for name in parameter_names(puma)]
@@ -158,7 +156,7 @@ def test_the_pumas_sets_are_the_papers(puma: Tree, golden: Any) -> None:
     np.testing.assert_array_equal(tb.selection(dynamic, reaction), np.eye(9, 12))
 
 
-def test_counts_units_and_reasons_of_a_puma_with_general_bodies(puma: Tree) -> None:
+def test_counts_units_and_reasons_of_a_puma_with_general_bodies(puma: tb.Tree) -> None:
     for gravity, counts in (((0, 0, -9.81), [15, 20]), ((3, -5, -8), [17, 21]), (OFF, [13, 19])):
         assert [tb.minimal_set(puma, m, gravity).count for m in MODELS] == counts
     reaction = tb.minimal_set(puma, "reaction")

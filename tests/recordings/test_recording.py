@@ -30,7 +30,7 @@ from testbed.core.recordings.views import (
     with_base_joints,
     with_gear,
 )
-from testbed.core.robot.free_base import on_free_base
+from testbed.core.robot.free_root import on_free_base
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.parts import write_parts

@@ -17,13 +17,11 @@ from testbed.bodies.verdict import verdict_of
 from testbed.core.base.diagnostics import phrase
 from testbed.core.base.summary_table import number_with_sigma
 from testbed.core.estimation.estimate import METHODS, NAMES
+from testbed.core.estimation.influence import by_influence
 from testbed.lab.experiment.evaluate import wrong_bodies
-from testbed.lab.experiment.predict import predict
-from testbed.lab.experiment.run import assemble_run
 from testbed.lab.experiment.summary import summary, verdict
 from testbed.view.estimates import CLEAR, instrument_tables, matrix_maps
 from testbed.view.figures import Panel
-from testbed.view.influence import by_influence
 from testbed.view.run_page import write_report
 from testbed.view.signals import sections
 from tests.helpers.measured import measured
@@ -141,8 +139,8 @@ def test_page_and_numbers_are_those_of_the_run(name: str) -> None:
 
 def test_residuals_in_tables_and_plots_are_those_of_the_predictions() -> None:
     run = run_named("ur5")
-    smooth = predict(run).smoothed(10.0)
-    figure = sections(predict(run))[0]
+    smooth = tb.predict(run).smoothed(10.0)
+    figure = sections(tb.predict(run))[0]
     panels, rows = iter(figure.panels), iter(figure.table.rows)
     for signal in smooth.signals:
         for c, channel in enumerate(signal.channels):
@@ -178,7 +176,7 @@ def test_the_plates_matrix_is_shown_before_and_after() -> None:
     matrix = np.eye(6)  # predictions are held against what the plate ought to have shown
     matrix[1, 1], matrix[3, 2] = 1.01, 0.02
     right = run.recording.measured("wrench") @ np.linalg.inv(matrix).T
-    np.testing.assert_allclose(predict(run).recording.measured("wrench"), right, rtol=1e-9)
+    np.testing.assert_allclose(tb.predict(run).recording.measured("wrench"), right, rtol=1e-9)
 
 
 def test_drives_and_bodies_of_the_page_are_the_runs() -> None:
@@ -241,7 +239,7 @@ def test_a_page_of_torques_says_nothing_of_a_plate_and_has_one_prior(tmp_path: P
     wrong = wrong_bodies(tree, 0.3, np.random.default_rng(3))
     slow = replace(measured(tree, 5, speed=0.1), wrench=None, facts={"mapping": {}})
     bodies = tb.prior_of(wrong), ConsistencyOptions()
-    run = assemble_run(wrong, slow, name="slow", prior_error=0.2, bodies=bodies)
+    run = tb.assemble_run(wrong, slow, name="slow", prior_error=0.2, bodies=bodies)
     assert run.consistent is not None
     assert run.posterior["internal"].prior_error == run.consistent.prior_error == 0.2
     said = verdict_of(run.estimates.values(), run.posterior.values())

@@ -19,11 +19,13 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from benchmarks.hostile.bombs import BOMBS
-from testbed.core.base.errors import FreeRootError, ModelError, UnknownName
-from testbed.core.robot.friction import LAWS, drive_torque, friction_torque, joint_law, joint_terms
+from testbed.core.base.errors import ModelError, UnknownName
+from testbed.core.robot.drive_torque import drive_torque, friction_torque
+from testbed.core.robot.friction import LAWS, joint_law, joint_terms
 from testbed.core.robot.locks import Travel
 from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.parsing import capture_stderr
+from testbed.core.robot.refusals import FreeRootError
 from testbed.core.robot.tree import FARTHEST, SETTABLE
 from testbed.lab.simulation.plant import build_plant
 from tests.helpers.refusals import refuses

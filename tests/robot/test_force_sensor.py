@@ -20,11 +20,11 @@ from testbed.core.dynamics.newton_euler import poses
 from testbed.core.dynamics.rank_check import verify
 from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.force_sensor import ForceSensor, before_sensors, beyond_sensor
-from testbed.core.robot.free_base import FREE, on_free_base
+from testbed.core.robot.free_base import FREE
+from testbed.core.robot.free_root import on_free_base
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.evaluate import evaluate
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.record import record
 from testbed.lab.experiment.rig import sensed_robot
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
@@ -90,7 +90,7 @@ def test_links_that_are_not_there_and_the_root_are_refused() -> None:
             beyond_sensor(model.tree(), model.links(), ForceSensor(link))
     for words in (["robot.sensor=link9"], ["sensors.other.link=link9", "robot.sensor=''"]):
         with pytest.raises(UnknownName):
-            record(Experiment.from_toml(ROOT / "experiments/force_sensor.toml", words))
+            tb.record(Experiment.from_toml(ROOT / "experiments/force_sensor.toml", words))
 
 
 @pytest.mark.parametrize("about", ["base", "link2", "link3", "plate"])
@@ -108,7 +108,7 @@ def test_mujocos_own_sensors_give_the_parameters_to_rounding(about: str, farther
         with pytest.raises(ModelError):
             sensed_robot(experiment)
         return
-    run = evaluate(experiment, record(experiment), methods=("external",))
+    run = evaluate(experiment, tb.record(experiment), methods=("external",))
     assert run.score is not None
     assert run.score.metrics["external_max_relative_error"] < 1e-10
 

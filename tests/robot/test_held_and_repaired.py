@@ -16,10 +16,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.core.base.errors import InertiaError, MimicError, ModelError, UnknownName
-from testbed.core.robot.inertia import Inertia
+from testbed.core.base.errors import ModelError, UnknownName
 from testbed.core.robot.locks import Lock, parse_lock
 from testbed.core.robot.model_file import ModelFile, mimic_joints, nearest_bodies
+from testbed.core.robot.refusals import InertiaError, MimicError
 from testbed.core.robot.repair import LIGHTEST, THINNEST
 from testbed.core.robot.rigid_matter import SMALL, inertia_flaw, nearest_body
 from testbed.core.robot.rpy import from_rpy
@@ -242,7 +242,7 @@ def test_the_nearest_body_is_the_projection_of_what_was_given(rng: Rng) -> None:
     second = axes * (rng.uniform(-0.5, 1.0, 3) * 0.1) @ axes.T
     second = second if np.linalg.eigvalsh(second)[-1] > 0 else -second
     mass, com = rng.uniform(0.1, 9), rng.normal(size=3) * 0.2
-    given = Inertia.about_centre(mass, com, np.trace(second) * np.eye(3) - second)
+    given = tb.Inertia.about_centre(mass, com, np.trace(second) * np.eye(3) - second)
     found = nearest_body(given, THINNEST, 1.0, 1.0)
     assert inertia_flaw("b", found.mass, found.central) is None
     assert found.mass == mass
@@ -341,10 +341,10 @@ def test_a_chains_bare_end_gets_matter_and_a_frame_on_the_way_does_not(tmp_path:
     )
     assert square == pytest.approx(SMALL**2 * max(others))  # its size fits the robot's
     assert tb.load_tree(path, repair={}, lock={"j3": None}).n == 2  # held, it is a frame
-    body = Inertia.about_centre(2.0, (0.1, 0, 0), np.eye(3))
+    body = tb.Inertia.about_centre(2.0, (0.1, 0, 0), np.eye(3))
     given = tb.load_tree(path, repair={"j2_body": body, "j3_body": body})
     np.testing.assert_allclose(given.inertias[1].pseudo, body.pseudo, rtol=1e-15)
-    flat = Inertia.about_centre(2.0, np.zeros(3), np.diag([1.0, 1.0, 9.0]))
+    flat = tb.Inertia.about_centre(2.0, np.zeros(3), np.diag([1.0, 1.0, 9.0]))
     for name, wrong, kind in (("j2_bdy", body, UnknownName), ("j2_body", flat, InertiaError)):
         with refuses(kind, f"'{name}'"):
             tb.load_tree(path, repair={"j3_body": body, name: wrong})

@@ -18,7 +18,7 @@ from testbed.bodies.write_model import Fixed, write_model, write_models
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import ModelError
-from testbed.core.robot.friction import drive_torque
+from testbed.core.robot.drive_torque import drive_torque
 from testbed.core.robot.inertia import Inertia
 from testbed.core.robot.model_file import ModelFile, mimic_joints
 from testbed.lab.experiment.evaluate import wrong_bodies

@@ -29,7 +29,7 @@ from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.joined import Joined
 from testbed.core.recordings.views import with_base_joints
-from testbed.core.robot.free_base import on_free_base
+from testbed.core.robot.free_root import on_free_base
 from testbed.importing.check.mapping_solution import solve_mapping
 from testbed.importing.convert import pieces
 from testbed.importing.guess import guessed

@@ -15,8 +15,8 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ExperimentError, ModelError, SettingsError
 from testbed.core.robot.friction import COULOMB, VISCOUS
 from testbed.core.robot.model_file import ModelFile
+from testbed.core.robot.rotor_spin import with_rotor_spin
 from testbed.core.robot.tree import Tree
-from testbed.lab.experiment.evaluate import with_rotor_spin
 from testbed.lab.experiment.rig import robot_of
 from testbed.lab.simulation.effect import Effect, StepForces
 from testbed.lab.simulation.effects import KINDS, effect_of

@@ -23,7 +23,6 @@ from testbed.lab.simulation.compiled_loop import motor_torque
 from testbed.lab.simulation.controller import Controller, computed_torque, mass_matrices
 from testbed.lab.simulation.plant import Plant, build_plant, check_plant
 from testbed.lab.simulation.rollout import Sampling, SimulationDiverged, simulate_motion
-from testbed.motion.fourier import Fourier
 from tests.helpers.paths import ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.plants import PUMA, check_laws, run, sensed, waving
@@ -159,7 +158,7 @@ def test_a_drive_asks_for_the_models_torque_and_pulls_all_joints_back_alike(
     """By w^2 e + 2 0.9 w e', Pinocchio's mass matrix and the rotors, within the motors' limits."""
     w, grid, n = 30.0, 500, len(robot.links)
     tree = with_all(robot.tree(), rotor_inertia=0.7, coulomb=2.0, viscous=0.3)
-    motion = Fourier(0.1, rng.normal(size=n), *(0.3 * rng.normal(size=(2, n, 3))))
+    motion = tb.Fourier(0.1, rng.normal(size=n), *(0.3 * rng.normal(size=(2, n, 3))))
     turns = rng.permutation(grid)[:6] + grid * np.array([0, 1, -1, 3, -2, 0])
     drive = computed_torque(tree, motion, (turns + 1e-6) / grid * motion.period, w)
     there = motion.at(drive.times)

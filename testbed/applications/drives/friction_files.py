@@ -11,7 +11,6 @@ import numpy as np
 
 from testbed.applications.drives.friction_curves import DriveEstimate
 from testbed.applications.drives.identify_drives import DriveFindings
-from testbed.core.base.errors import formula_free
 from testbed.core.base.files import replacing
 from testbed.core.robot.friction import COULOMB, LOAD, QUADRATIC_LOAD, ROTOR, STRIBECK, VISCOUS
 
@@ -20,6 +19,9 @@ HEADS = ("joint", "speed", "friction", "sigma", "law")
 
 DRY = {COULOMB.kind, VISCOUS.kind, ROTOR.kind, STRIBECK}
 """Terms that all of BAM's models have parameters for from M2 on."""
+
+FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+"""How cells of a CSV file begin that spreadsheets compute."""
 
 
 def table(found: DriveFindings) -> str:
@@ -33,8 +35,10 @@ def table(found: DriveFindings) -> str:
     writer.writerow(HEADS)
     for curve, drive in zip(found.curves, found.estimates, strict=True):
         law = drive.friction(curve.speed, np.zeros_like(curve.speed))
+        # an apostrophe before what spreadsheets would compute
+        joint = f"'{curve.joint}" if curve.joint.startswith(FORMULA) else curve.joint
         for row in np.column_stack([curve.speed, curve.torque, curve.sigma, law]).tolist():
-            writer.writerow([formula_free(curve.joint), *row])
+            writer.writerow([joint, *row])
     return text.getvalue()
 
 

@@ -14,7 +14,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.estimation.estimate import Estimate
-from testbed.core.estimation.noise.fits import NoiseFit, of_residuals, weighted_fits
+from testbed.core.estimation.noise.fits import NoiseFit, weighted_fits
 from testbed.core.estimation.noise.lagged_products import HIGHEST, LaggedProducts, LaggedSums
 from testbed.core.estimation.noise.score_tests import REPLICAS, SEED, Replicas
 from testbed.core.estimation.noise.whitening import counted
@@ -351,5 +351,8 @@ def _in_units(given: LaggedProducts) -> tuple[NoiseFit, LaggedProducts, float]:
     return weighted_fits(scaled)[0], scaled, size
 
 
-def _square(squares: Array, values: Array) -> float:
-    return max(float(of_residuals(squares, values)), 0.0)  # but for rounding
+def _square(products: Array, values: Array) -> float:
+    """Square of what values leave of the residuals, by products of columns and both, (q, q)."""
+    m, combine = len(values), np.append(-values, 1.0)
+    left = np.einsum("ij,i,j->", products[: m + 1, : m + 1], combine, combine)
+    return max(float(left), 0.0)  # but for rounding

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from testbed.core.base.errors import SettingsError
-from testbed.core.estimation.settings import finite_number, stated_values, with_sigmas
+from testbed.core.estimation.settings import Settings, finite_number, with_sigmas
 
 MASS = "mass"
 """Of all moving bodies together; `mass/LINK` is that of one with all that is fixed to it."""
@@ -32,7 +32,7 @@ class ConsistencyOptions:
     def __post_init__(self) -> None:
         if not (finite_number(self.prior_error) or 0) > 0:
             raise SettingsError(f"prior_error is a positive part of one: {self.prior_error!r}")
-        object.__setattr__(self, "known", stated_values(self.known))
+        object.__setattr__(self, "known", Settings(known=self.known).known)
         for name, (mass, _) in self.masses.items():
             if name != MASS and not name.startswith(f"{MASS}/"):
                 raise SettingsError(f"known.{name}: only '{MASS}' and '{MASS}/LINK' can be known")

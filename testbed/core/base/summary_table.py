@@ -126,16 +126,12 @@ def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
         return f"{value:.9g}"  # known
     if sigma < (EXACT_SHORT if short else EXACT) * abs(value):
         return f"{value:.9g} +- {sigma:.0e}"
-    digits = _digits(sigma)
+    # decimals that show two digits of sigma
+    digits = 1 if sigma >= 1 or sigma == 0 else len(f"{1 / sigma:.0f}") + 1
     if short:
         places = f"{sigma:.{digits}f}".replace(".", "").lstrip("0")
         return f"{value:.{digits}f}({sigma:.1f})" if sigma >= 1 else f"{value:.{digits}f}({places})"
     return f"{value:.{digits}f} +- {sigma:.{digits}f}"
-
-
-def _digits(sigma: float) -> int:
-    """Decimals that show two digits of sigma."""
-    return 1 if sigma >= 1 or sigma == 0 else len(f"{1 / sigma:.0f}") + 1
 
 
 def parameter_rows(

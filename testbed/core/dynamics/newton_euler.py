@@ -247,7 +247,7 @@ def transmitted(
     force = np.zeros((tree.n + 1, *lead, 3, p), dtype=dtype)  # what children pass on to P
     moment = np.zeros_like(force)  # and to L; the last of each is the bedplate's
     whole = np.zeros_like(force[-1])  # F_0: to the bedplate children pass on F^j itself
-    joint_forces: list[AnyArray] = [whole] * tree.n
+    efforts: list[AnyArray] = [whole] * tree.n
     for j in reversed(range(tree.n)):
         joint, body = tree.joints[j], moving[j]
         own = own_wrench(body) @ theta[j]  # (..., 6, p)
@@ -258,7 +258,7 @@ def transmitted(
         L = keep(f"L{j + 1}", L)
         if j == base:
             whole = np.concatenate([F, L - skew(body.z) @ F], axis=-2)
-        joint_forces[j] = np.tensordot(L if joint.revolute else F, joint.axis, (-2, 0))
+        efforts[j] = np.tensordot(L if joint.revolute else F, joint.axis, (-2, 0))
         # the carrier's parameters hold the child's mass at O'^j already: pass on the rest
         passed = F - body.a[..., None] * theta[j, 0] + body.zdd[..., None] * theta[j, 0]
         i = joint.parent
@@ -269,7 +269,7 @@ def transmitted(
         whole = np.concatenate([force[-1], moment[-1]], axis=-2)
     if sensor is not None:
         whole = sensor_transform(sensor) @ whole
-    return np.stack(joint_forces, axis=-2), whole
+    return np.stack(efforts, axis=-2), whole
 
 
 def sensor_poses(tree: Tree, q: Array) -> tuple[Array, Array]:

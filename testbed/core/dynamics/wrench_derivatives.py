@@ -15,8 +15,8 @@ W is the wrench, I the inertia, and B the Coriolis matrix, the sum over bodies o
 
 where w is the screw's turning, p a body's momentum, h its first moment, and J its integral of r r'.
 
-Numbers of all instants lie side by side, (3, m): a few hundred calls whatever the number of
-instants.
+A screw is its turning and its sliding, a wrench its force and its moment, (6, m): numbers of all
+instants lie side by side, a few hundred calls whatever the number of instants.
 
 Source    [SRW22] eqs. of the derivatives in joint space, summed to the base
 """
@@ -36,9 +36,6 @@ from testbed.core.robot.tree import Joint, Placement, Tree
 
 BLOCK = 2048
 """Instants side by side: more are no faster, and need more memory."""
-
-Pair = tuple[Array, Array]
-"""A screw, turning and sliding, or a wrench, force and moment: (3, m) each."""
 
 
 def base_wrench_derivatives(
@@ -65,11 +62,10 @@ def base_wrench_derivatives(
         states = _outward(tree, motion.q[part].T, motion.qd[part].T, motion.qdd[part].T, g)
         composite = [_Composite.of(body, at) for body, at in zip(bodies, states, strict=True)]
         whole = _inward(tree, states, composite, slopes[:, :, part])
-        wrench[part, :3], wrench[part, 3:] = whole[0].T, whole[1].T
+        wrench[part] = whole.T
         if tree.sensor is not None:
             for j in range(tree.lead):  # the sensor itself turns and moves with these
-                force, moment = _cross_force(states[j].screw, whole)
-                slopes[j, 0, part] -= np.concatenate([force, moment]).T
+                slopes[j, 0, part] -= _cross_force(states[j].screw, whole).T
             turn, place = _sensor_pose(tree.sensor, states[tree.sensor_body] if tree.lead else None)
             for found in (wrench[part], *(each[part] for three in slopes for each in three)):
                 found[:, 3:] -= np.cross(place, found[:, :3])
@@ -93,33 +89,32 @@ class _BodyState:
     Attributes:
         turn: To the bedplate's axes, (3, 3, m).
         place: Of its origin, (3, m) [m].
-        screw: Its joint's.
-        velocity: Its screw.
+        screw: Its joint's, (6, m).
+        velocity: Its screw, (6, m).
         acceleration: The same, less gravity.
     """
 
     turn: Array
     place: Array
-    screw: Pair
-    velocity: Pair
-    acceleration: Pair
+    screw: Array
+    velocity: Array
+    acceleration: Array
 
 
 def _outward(tree: Tree, q: Array, qd: Array, qdd: Array, gravity: Array) -> list[_BodyState]:
     """The motion of every body; coordinates (n, m)."""
-    still = np.zeros((3, q.shape[1]))
+    still, resting = np.zeros((3, q.shape[1])), np.zeros((6, q.shape[1]))
     flat = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, q.shape[1]))
-    bedplate = _BodyState(
-        flat, still, (still, still), (still, still), (still, still - gravity[:, None])
-    )
+    weight = np.concatenate([still, still - gravity[:, None]])
+    bedplate = _BodyState(flat, still, resting, resting, weight)
     found: list[_BodyState] = []
     for j, joint in enumerate(tree.joints):
         carrier = bedplate if joint.parent < 0 else found[joint.parent]
         turn, place, axis = _pose(joint, carrier, q[j])
-        screw = (axis, _cross(place, axis)) if joint.revolute else (still, axis)
-        velocity = _sum(carrier.velocity, _times(screw, qd[j]))
-        acceleration = _sum(carrier.acceleration, _times(screw, qdd[j]),
-                            _times(_cross_motion(velocity, screw), qd[j]))  # fmt: skip
+        screw = np.concatenate([axis, _cross(place, axis)] if joint.revolute else [still, axis])
+        velocity = carrier.velocity + screw * qd[j]
+        acceleration = carrier.acceleration + screw * qdd[j]
+        acceleration += _cross_motion(velocity, screw) * qd[j]
         found.append(_BodyState(turn, place, screw, velocity, acceleration))
     return found
 
@@ -146,7 +141,7 @@ class _Composite:
         second: Integral of r r', J, (3, 3, m) [kg m^2].
         momentum: p, (3, m) [kg m/s].
         coupling: From a screw's turning to B's moment, (3, 3, m) [kg m^2/s].
-        wrench: That moves them.
+        wrench: That moves them, (6, m).
     """
 
     mass: float
@@ -154,7 +149,7 @@ class _Composite:
     second: Array
     momentum: Array
     coupling: Array
-    wrench: Pair
+    wrench: Array
 
     @classmethod
     def of(cls, body: Inertia, at: _BodyState) -> _Composite:
@@ -165,31 +160,33 @@ class _Composite:
         about = np.einsum("abm,cbm->acm", turned, at.turn)
         across = arm[:, None] * at.place
         about += across + across.swapaxes(0, 1) + mass * at.place[:, None] * at.place
-        found = cls(mass, arm + mass * at.place, about, arm, about, (arm, arm))
-        turning, sliding = at.velocity
+        found = cls(mass, arm + mass * at.place, about, arm, about, at.velocity)
+        turning, sliding = np.split(at.velocity, 2)
         momentum = found.inertia(at.velocity)
-        found.wrench = _sum(found.inertia(at.acceleration), _cross_force(at.velocity, momentum))
-        found.momentum = momentum[0]
+        found.wrench = found.inertia(at.acceleration) + _cross_force(at.velocity, momentum)
+        found.momentum = momentum[:3]
         found.coupling = -2 * _cross(turning[:, None], about) - 2 * sliding[:, None] * found.first
-        found.coupling[range(3), range(3)] += 2 * _dot(found.first, sliding)
+        found.coupling[range(3), range(3)] += 2 * (found.first * sliding).sum(axis=0)
         return found
 
-    def inertia(self, screw: Pair) -> Pair:
+    def inertia(self, screw: Array) -> Array:
         """I times a screw."""
-        turning, sliding = screw
+        turning, sliding = np.split(screw, 2)
         trace = self.second[0, 0] + self.second[1, 1] + self.second[2, 2]
         force = self.mass * sliding + _cross(turning, self.first)
         moment = trace * turning - _apply(self.second, turning) + _cross(self.first, sliding)
-        return force, moment
+        return np.concatenate([force, moment])
 
-    def coriolis(self, screw: Pair) -> Pair:
+    def coriolis(self, screw: Array) -> Array:
         """B times a screw."""
-        return 2 * _cross(screw[0], self.momentum), _apply(self.coupling, screw[0])
+        turning = screw[:3]
+        force = 2 * _cross(turning, self.momentum)
+        return np.concatenate([force, _apply(self.coupling, turning)])
 
     def add(self, other: _Composite) -> None:
         """Add what another body carries."""
         self.mass += other.mass
-        self.wrench = _sum(self.wrench, other.wrench)
+        self.wrench = self.wrench + other.wrench
         self.first += other.first
         self.second += other.second
         self.momentum += other.momentum
@@ -198,51 +195,34 @@ class _Composite:
 
 def _inward(
     tree: Tree, states: list[_BodyState], composite: list[_Composite], slopes: Array
-) -> Pair:
-    """The base wrench; derivatives of it into `slopes`, (n, 3, m, 6)."""
-    still = np.zeros_like(states[0].place)
-    whole = still, still
+) -> Array:
+    """The base wrench, (6, m); derivatives of it into `slopes`, (n, 3, m, 6)."""
+    whole = np.zeros_like(states[0].screw)
     for j in reversed(range(tree.n)):
         at, carried = states[j], composite[j]
         psi = _cross_motion(at.velocity, at.screw)
-        phi = _sum(_cross_motion(at.acceleration, at.screw), _cross_motion(at.velocity, psi))
+        phi = _cross_motion(at.acceleration, at.screw) + _cross_motion(at.velocity, psi)
         turned = _cross_force(at.screw, carried.wrench)
-        for kind, pair in enumerate(
-            (
-                _sum(turned, carried.inertia(phi), carried.coriolis(psi)),
-                _sum(carried.coriolis(at.screw), _times(carried.inertia(psi), 2.0)),
-                carried.inertia(at.screw),
-            )
-        ):
-            slopes[j, kind, :, :3], slopes[j, kind, :, 3:] = pair[0].T, pair[1].T
+        slopes[j, 0] = (turned + carried.inertia(phi) + carried.coriolis(psi)).T
+        slopes[j, 1] = (carried.coriolis(at.screw) + carried.inertia(psi) * 2.0).T
+        slopes[j, 2] = carried.inertia(at.screw).T
         if tree.parents[j] < 0:
-            whole = _sum(whole, carried.wrench)
+            whole += carried.wrench
         else:
             composite[tree.parents[j]].add(carried)
     return whole
 
 
-def _cross_motion(velocity: Pair, screw: Pair) -> Pair:
+def _cross_motion(velocity: Array, screw: Array) -> Array:
     """The cross product velocity x screw: the rate of a screw that a body carries."""
-    (w, u), (turning, sliding) = velocity, screw
-    return _cross(w, turning), _cross(u, turning) + _cross(w, sliding)
+    (w, u), (turning, sliding) = np.split(velocity, 2), np.split(screw, 2)
+    return np.concatenate([_cross(w, turning), _cross(u, turning) + _cross(w, sliding)])
 
 
-def _cross_force(velocity: Pair, wrench: Pair) -> Pair:
+def _cross_force(velocity: Array, wrench: Array) -> Array:
     """The cross product velocity x* wrench: the rate of a wrench that a body carries."""
-    (w, u), (force, moment) = velocity, wrench
-    return _cross(w, force), _cross(w, moment) + _cross(u, force)
-
-
-def _sum(*pairs: Pair) -> Pair:
-    first, second = pairs[0]
-    for one, other in pairs[1:]:
-        first, second = first + one, second + other
-    return first, second
-
-
-def _times(pair: Pair, factor: Array | float) -> Pair:
-    return pair[0] * factor, pair[1] * factor
+    (w, u), (force, moment) = np.split(velocity, 2), np.split(wrench, 2)
+    return np.concatenate([_cross(w, force), _cross(w, moment) + _cross(u, force)])
 
 
 def _cross(a: Array, b: Array) -> Array:
@@ -251,11 +231,6 @@ def _cross(a: Array, b: Array) -> Array:
     for i, j, k in (0, 1, 2), (1, 2, 0), (2, 0, 1):
         np.multiply(a[j], b[k], out=found[i])
         found[i] -= a[k] * b[j]
-    return found
-
-
-def _dot(a: Array, b: Array) -> Array:
-    found: Array = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     return found
 
 

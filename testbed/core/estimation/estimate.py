@@ -23,7 +23,7 @@ from testbed.core.estimation.sensor.estimates import NuisanceEstimate, TraceTest
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet
-from testbed.core.parameters.rules import Model
+from testbed.core.parameters.rules import Model, Signal
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.robot.friction import JointLaw
 from testbed.core.robot.shafts import places
@@ -37,10 +37,7 @@ METHODS: tuple[Method, ...] = ("external", "internal")
 NAMES: Mapping[str, str] = {"external": "force plate", "internal": "joint torques"}
 """What people call the methods."""
 
-MODEL_OF: Mapping[Method, Model] = {"external": "reaction", "internal": "dynamic"}
-"""Which of the two minimal sets a method sees."""
-
-SIGNAL_OF: Mapping[Method, str] = {"external": "wrench", "internal": "torque"}
+SIGNAL_OF: Mapping[Method, Signal] = {"external": "wrench", "internal": "torque"}
 """What a method needs of a recording besides positions."""
 
 

@@ -5,7 +5,7 @@ Gravity, gear, base, samples, filters, terms and tare are settled here, once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -19,7 +19,6 @@ from testbed.core.dynamics.drive_set import drive_set
 from testbed.core.dynamics.newton_euler import pedestal_wrench
 from testbed.core.estimation.estimate import (
     METHODS,
-    MODEL_OF,
     SIGNAL_OF,
     Method,
     channels_of,
@@ -32,7 +31,7 @@ from testbed.core.estimation.settings import DEFAULTS, FIT, Settings
 from testbed.core.kernel.layout import Layout, layout
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
-from testbed.core.parameters.rules import OF_SIGNAL, Signal, translated
+from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.columns import check_samples
 from testbed.core.recordings.geometry import check_robot, in_its_gravity
 from testbed.core.recordings.repeats import without_repeated_poses
@@ -99,9 +98,10 @@ class Problem:
             RecordingError: The recording is of another robot, or lacks what the method needs.
             SettingsError: A span of time is said of several recordings.
         """
-        _, said = translated(method)
+        by_signal: Mapping[str, Method] = {SIGNAL_OF[each]: each for each in METHODS}
+        said = by_signal.get(method, method)
         if said not in METHODS:
-            raise UnknownName("signal", method, OF_SIGNAL)
+            raise UnknownName("signal", method, by_signal)
         method = said
         source, repeated = without_repeated_poses(
             on_its_base(samples_of(recording, settings), tree)
@@ -273,7 +273,7 @@ def set_of(tree: Tree, method: Method, settings: Settings) -> MinimalSet:
         settings: Which parameters are zero, and whether the tare is known.
     """
     tared = method == "external" and settings.tare == "unknown"
-    return minimal_set(tree, MODEL_OF[method], zeros=settings.zeros, tared=tared)
+    return minimal_set(tree, SIGNAL_OF[method], zeros=settings.zeros, tared=tared)
 
 
 def usual_terms(tree: Tree, source: Source) -> list[str]:

@@ -38,22 +38,6 @@ def finite_number(value: object) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def stated_values(given: object) -> dict[str, Any]:
-    """A table of values, or of values and sigmas, checked.
-
-    Args:
-        given: As it was written.
-
-    Raises:
-        SettingsError: It is none.
-    """
-    try:
-        found: dict[str, Any] = _adapter("known").validate_python(given)
-    except ValidationError:
-        raise SettingsError(f"known is {FIELDS['known'][1]}, found {given!r}") from None
-    return found
-
-
 def with_sigmas(stated: Mapping[str, float | Sequence[float]]) -> dict[str, tuple[float, float]]:
     """Value and sigma by name; zero where none is stated.
 
@@ -67,9 +51,6 @@ def with_sigmas(stated: Mapping[str, float | Sequence[float]]) -> dict[str, tupl
     return found
 
 
-KINDS = ("bias", "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare")
-"""Nuisances that can be estimated."""
-
 FAULTS = {
     "plate_bias": "bias",
     "plate_drift": "slope",
@@ -81,6 +62,9 @@ FAULTS = {
     "encoder_zero_error": "joint_zeros",
 }
 """Nuisances by the fault that makes them."""
+
+KINDS = (*dict.fromkeys(FAULTS.values()), "tare")
+"""Nuisances that can be estimated."""
 
 USUAL = ("coulomb", "viscous")
 """Terms of which nothing else is said."""
@@ -134,14 +118,9 @@ def _rising(span: tuple[float, float]) -> tuple[float, float]:
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Amount = Annotated[Number, Field(ge=0, le=LARGEST)]
 Name = Annotated[str, Field(strict=True)]
-Stated = dict[Name, Number | tuple[Number] | tuple[Number, Annotated[Number, Field(ge=0)]]]
 Filter = Annotated[
     Annotated[Number, Field(gt=0)] | Literal["off", "fit"],
     BeforeValidator(lambda given: "off" if given is None else given),
-]
-Nuisance = Annotated[Name, AfterValidator(_nuisance)]
-Terms = Annotated[
-    tuple[Name | InstanceOf[JointLaw], ...], AfterValidator(_known_terms), AfterValidator(_distinct)
 ]
 
 FIELDS: Mapping[str, tuple[Any, str]] = {
@@ -153,9 +132,20 @@ FIELDS: Mapping[str, tuple[Any, str]] = {
     "cutoff": (Filter, 'a positive frequency [Hz] or "off"'),
     "deadband": (Amount, f"a speed [rad/s or m/s], from 0 to {LARGEST:g}"),
     "reversal_reach": (Amount | None, f"a time [s], from 0 to {LARGEST:g}"),
-    "terms": (Literal["auto"] | Terms | None, 'a list of names, none twice, or "auto"'),
+    "terms": (
+        Annotated[
+            tuple[Name | InstanceOf[JointLaw], ...],
+            AfterValidator(_known_terms),
+            AfterValidator(_distinct),
+        ]
+        | Literal["auto"]
+        | None,
+        'a list of names, none twice, or "auto"',
+    ),
     "nuisances": (
-        Annotated[tuple[Nuisance, ...], AfterValidator(_distinct)],
+        Annotated[
+            tuple[Annotated[Name, AfterValidator(_nuisance)], ...], AfterValidator(_distinct)
+        ],
         "a list of names, none twice",
     ),
     "tare": (Literal["known", "unknown"], '"known" or "unknown"'),
@@ -163,7 +153,10 @@ FIELDS: Mapping[str, tuple[Any, str]] = {
         Annotated[tuple[Number, Number], AfterValidator(_rising)] | None,
         "two times [s], the earlier one first",
     ),
-    "known": (Stated, "a table of values, or of values and their sigmas, by name"),
+    "known": (
+        dict[Name, Number | tuple[Number] | tuple[Number, Annotated[Number, Field(ge=0)]]],
+        "a table of values, or of values and their sigmas, by name",
+    ),
     "drives": (Literal["off", "given", "chosen"], '"off", "given" or "chosen"'),
     "engine": (Literal["by size", "compiled", "numpy"], '"by size", "compiled" or "numpy"'),
 }

@@ -23,9 +23,7 @@ from testbed.core.robot import friction
 
 settings: Any = config  # whose names Numba makes while it loads
 
-_FEATURES = settings.CPU_FEATURES or binding.get_host_cpu_features().flatten()
-
-WIDE = "+avx512f" in _FEATURES
+WIDE = "+avx512f" in (settings.CPU_FEATURES or binding.get_host_cpu_features().flatten())
 """Whether there are 32 vector registers, enough for tiles of four slots by four."""
 
 

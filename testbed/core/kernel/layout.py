@@ -31,7 +31,6 @@ from testbed.core.kernel.records import (
     Ints,
     Robot,
     Rows,
-    bools,
     ints,
     law_number,
 )
@@ -287,10 +286,10 @@ class Draft:
             first=ints(np.cumsum([0, *map(len, self.pairs)])),
             source=ints(source),
             target=ints(target),
-            force=bools([pair.force for pair in pairs]),
+            force=np.array([pair.force for pair in pairs], np.bool_),
             slot=ints([pair.slot for pair in pairs]),
-            direct=bools([pair.direct > 0 for pair in pairs]),
-            rest=bools([max(pair.entries, default=0) >= USUAL for pair in pairs]),
+            direct=np.array([pair.direct > 0 for pair in pairs], np.bool_),
+            rest=np.array([max(pair.entries, default=0) >= USUAL for pair in pairs], np.bool_),
             copies=ints(np.cumsum([0, *map(len, copies)])),
             copy_from=ints([e for each in copies for e, _ in each]),
             copy_to=ints([slot for each in copies for _, slot in each]),
@@ -437,7 +436,9 @@ def _robot(frames: Canonical, gravity: Array, tree: Tree) -> Robot:
         place=ints(places[1:]),
         carrier=ints([places[link.parent + 1] for link in links]),
         slides=np.array([link.slides for link in links]),
-        square=bools([abs(link.lean[0]) < TINY and link.lean[1] > 0 for link in links]),
+        square=np.array(
+            [abs(link.lean[0]) < TINY and link.lean[1] > 0 for link in links], np.bool_
+        ),
         joint=np.array(
             [
                 (*link.lean, *link.offset, link.turn, np.cos(link.turn), np.sin(link.turn))

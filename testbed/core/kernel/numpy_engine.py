@@ -21,7 +21,7 @@ from testbed.core.kernel.records import (
     sums_for,
 )
 from testbed.core.robot.friction import BY_LOAD, JointTerm
-from testbed.core.robot.shafts import at_places, shares
+from testbed.core.robot.shafts import shares
 
 SAMPLES = 256
 """Samples taken at once: what a few bodies make of them fits into a cache."""
@@ -129,7 +129,9 @@ def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) ->
     joints, base = linear(layout.tree, motion, layout.theta, layout.gravity)
     phi = joints if layout.model == "dynamic" else base  # (samples, channels, columns)
     turn = shares(layout.tree)
-    turning = at_places(layout.tree, motion.qd), at_places(layout.tree, motion.qdd)
+    turning = motion.qd, motion.qdd
+    if layout.tree.shafts:
+        turning = motion.qd @ turn.T, motion.qdd @ turn.T
     own = {term.law: term.law.columns(*turning) for term in layout.terms}
     by_load = len(signals.load) and any(term.law.by in BY_LOAD for term in layout.terms)
     load = phi @ signals.load if by_load else np.zeros(phi.shape[:2])

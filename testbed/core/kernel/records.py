@@ -92,11 +92,6 @@ def ints(values: AnyArray | list[int]) -> Ints:
     return np.array(values, dtype=np.int64)
 
 
-def bools(values: list[bool]) -> Bools:
-    """The kernel's booleans."""
-    return np.array(values, dtype=np.bool_)
-
-
 class Robot(NamedTuple):
     """Links outward; `joint` holds cos and sin of the lean, offset, turn, its cos and sin."""
 

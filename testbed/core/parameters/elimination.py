@@ -39,6 +39,11 @@ class Entry:
     alone: Array | None
     axial: bool
 
+    @property
+    def joint(self) -> int:
+        """The joint that itself moves the inertia it is; -1 if it is none."""
+        return self.body if self.axial else -1
+
 
 def list_entries(
     tree: Tree, bodies: Sequence[Body], model: Model, gravity: Array, tared: bool
@@ -53,7 +58,14 @@ def list_entries(
         tared: The bedplate's static wrench in one posture has been taken off.
     """
     entries = [
-        Entry(kept_label(tree, j, kept), _unit(kept), j, kept.form, kept.direction, kept.axial)
+        Entry(
+            kept_label(tree, j, kept),
+            UNIT_OF[kept.terms[0][1]],
+            j,
+            kept.form,
+            kept.direction,
+            kept.axial,
+        )
         for j in reversed(range(tree.n))
         for kept in bodies[j].row.kept
     ]
@@ -71,10 +83,6 @@ def kept_label(tree: Tree, body: int, kept: Kept) -> Label:
             for factor, head, tail in kept.terms
         )
     )
-
-
-def _unit(kept: Kept) -> str:
-    return UNIT_OF[kept.terms[0][1]]
 
 
 def static_entries(tree: Tree, gravity: Array) -> list[Entry]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +26,7 @@ from testbed.core.parameters.elimination import (
     list_entries,
 )
 from testbed.core.parameters.regroup import Body, Lengths, Namer, regroup
-from testbed.core.parameters.rules import OF_SIGNAL, Model, Signal, Triad, across, translated
+from testbed.core.parameters.rules import MODEL_OF, Model, Signal, Triad, across
 from testbed.core.parameters.symbols import (
     Formula,
     Label,
@@ -141,7 +140,7 @@ class MinimalSet(Value):
     @property
     def axial(self) -> tuple[int, ...]:
         """The joint that itself moves the inertia each parameter is, K_ee or mbar; else -1."""
-        return tuple(_axial(entry) for entry in self._entries)
+        return tuple(entry.joint for entry in self._entries)
 
     @property
     def dependent(self) -> tuple[tuple[int, dict[int, float]], ...]:
@@ -152,7 +151,7 @@ class MinimalSet(Value):
         """
         place = {candidate: k for k, candidate in enumerate(self._elimination.kept)}
         return tuple(
-            (_axial(self._candidates[c]), {place[k]: share for k, share in shares.items()})
+            (self._candidates[c].joint, {place[k]: share for k, share in shares.items()})
             for c, shares in self._elimination.dependent.items()
         )
 
@@ -274,10 +273,10 @@ def minimal_set(
             only changes of it count.
     """
     require_tree(tree, "minimal_set(robot, signal)")
-    found, _ = translated(model)
+    found = MODEL_OF.get(model, model)
     if found not in ("dynamic", "reaction"):
-        raise UnknownName("signal", model, OF_SIGNAL)
-    model = cast(Model, found)
+        raise UnknownName("signal", model, MODEL_OF)
+    model = found
     g = tree.gravity_or(gravity)
     known_zero = known_zeros(tree, zeros)
     bodies = regroup(tree, model, g, tared=tared)
@@ -286,10 +285,6 @@ def minimal_set(
         entries = dynamic_first(tree, entries, bodies, regroup(tree, "dynamic", g))
     chosen = eliminate(tree, bodies, entries, known_zero)
     return MinimalSet(model, g, tared, known_zero, tree, bodies, tuple(entries), chosen)
-
-
-def _axial(entry: Entry) -> int:
-    return entry.body if entry.axial else -1
 
 
 def selection(dynamic: MinimalSet, reaction: MinimalSet) -> Array:

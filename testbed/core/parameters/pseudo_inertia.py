@@ -38,14 +38,14 @@ def matrices(standard: Array) -> Array:
     return found
 
 
-def parameters(matrices: Array) -> Array:
+def parameters(pseudo: Array) -> Array:
     """Standard parameters of bodies, (..., 10) [kg, kg m, kg m^2].
 
     Args:
-        matrices: Their J, (..., 4, 4), symmetric.
+        pseudo: Their J, (..., 4, 4), symmetric.
     """
-    tensor = _complement(matrices[..., :3, :3], 1.0)
-    parts = matrices[..., 3, 3:], matrices[..., 3, :3], tensor[..., ROWS, COLUMNS]
+    tensor = _complement(pseudo[..., :3, :3], 1.0)
+    parts = pseudo[..., 3, 3:], pseudo[..., 3, :3], tensor[..., ROWS, COLUMNS]
     return np.concatenate(parts, axis=-1)
 
 

@@ -189,9 +189,6 @@ def span(rows: Array) -> Array:
     return directions[: int(np.sum(spread > NEW * max(1.0, spread[0])))]
 
 
-_UPPER = tuple(zip(*UPPER, strict=True))
-
-
 @dataclass(frozen=True, eq=False)
 class Body:
     """One body after regrouping.
@@ -266,7 +263,7 @@ def migration(joint: Joint, row: Row) -> Array:
             np.einsum("aak->k", TENSOR) - np.einsum("a,abk,b->k", joint.axis, TENSOR, joint.axis)
         ) / 2
         tensor = np.multiply.outer(np.eye(3) - np.outer(e, e), mean)
-    gains[0, 4:, 4:] = [tensor[a, c] for a, c in _UPPER]
+    gains[0, 4:, 4:] = tensor[UPPER]
     for x in range(3):  # offset along axis x
         l = np.eye(3)[x]
         moved = (
@@ -274,7 +271,7 @@ def migration(joint: Joint, row: Row) -> Array:
             - np.einsum("ak,b->abk", b, l)
             - np.einsum("a,bk->abk", l, b)
         )
-        gains[1 + x, 4:, 1:4] = [moved[a, c] for a, c in _UPPER]
+        gains[1 + x, 4:, 1:4] = moved[UPPER]
     gains[np.abs(gains) < 1e-15] = 0.0
     return gains
 

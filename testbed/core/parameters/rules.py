@@ -70,9 +70,6 @@ class _Body:
     pivot: _Line | Array | Literal["no"] | None
 
 
-_BEDPLATE = _Body(np.eye(3), np.zeros(3), None, None, None)
-
-
 def parallel(a: Array, b: Array) -> bool:
     """Whether two vectors are parallel or one of them is zero."""
     scale = float(np.sqrt((a @ a) * (b @ b)))
@@ -88,19 +85,16 @@ def mobilities(tree: Tree, gravity: Array) -> tuple[Mobility, ...]:
     """
     bodies: list[_Body] = []
     found: list[Mobility] = []
+    bedplate = _Body(np.eye(3), np.zeros(3), None, None, None)
     weightless = not gravity.any()
     for joint in tree.joints:
-        carrier = bodies[joint.parent] if joint.parent >= 0 else _BEDPLATE
-        body = _placed(joint, carrier)
+        carrier = bodies[joint.parent] if joint.parent >= 0 else bedplate
+        origin = carrier.origin + carrier.turn @ joint.offset
+        body = replace(carrier, turn=carrier.turn @ joint.rotation, origin=origin)
         axis = body.turn @ joint.axis
         found.append(_mobility(carrier, body.origin, axis, gravity))
         bodies.append(_moved(joint, carrier, body, axis, weightless))
     return tuple(found)
-
-
-def _placed(joint: Joint, carrier: _Body) -> _Body:
-    turn = carrier.turn @ joint.rotation
-    return replace(carrier, turn=turn, origin=carrier.origin + carrier.turn @ joint.offset)
 
 
 def _mobility(carrier: _Body, origin: Array, axis: Array, gravity: Array) -> Mobility:
@@ -194,20 +188,8 @@ Model = Literal["dynamic", "reaction"]
 Signal = Literal["wrench", "torque"]
 """What is measured: the plate's wrench, or joint torques."""
 
-OF_SIGNAL: Mapping[str, tuple[Model, Literal["internal", "external"]]] = {
-    "wrench": ("reaction", "external"),
-    "torque": ("dynamic", "internal"),
-}
-"""Minimal set and method by signal."""
-
-
-def translated(word: str) -> tuple[str, str]:
-    """Minimal set and method that a word of the public interface names.
-
-    Args:
-        word: A signal, or the name of a set or method itself.
-    """
-    return OF_SIGNAL.get(word, (word, word))
+MODEL_OF: Mapping[str, Model] = {"wrench": "reaction", "torque": "dynamic"}
+"""Minimal set by signal."""
 
 
 REASONS = {
@@ -296,7 +278,10 @@ def base_rule(functionals: Array) -> Row:
     forms = _echelon(functionals)
     kept = tuple(
         Kept(
-            tuple((round(float(form[c]), 4), *PARTS[c]) for c in (lead, *_others(form, lead))),
+            tuple(
+                (round(float(form[c]), 4), *PARTS[c])
+                for c in sorted(np.flatnonzero(form).tolist(), key=lambda c: c != lead)
+            ),
             form,
             np.eye(10)[lead],
         )
@@ -322,77 +307,47 @@ def _echelon(rows: Array) -> dict[int, Array]:
     return {at: np.where(np.abs(row) < TINY, 0.0, row) for at, row in found.items()}
 
 
-def _others(form: Array, lead: int) -> list[int]:
-    return [int(c) for c in np.flatnonzero(form) if c != lead]
-
-
 def rule(joint: Joint, mobility: Mobility, model: Model) -> Row:
     """The row that applies to a joint."""
-    table = {
-        (False, "dynamic"): _table2,
-        (False, "reaction"): _table3,
-        (True, "dynamic"): _table4,
-        (True, "reaction"): _table5,
-    }[joint.revolute, model]
-    return table(joint, mobility)
+    of_kind = _of_revolute if joint.revolute else _of_prismatic
+    return of_kind(joint, mobility, model)
 
 
-def _table2(joint: Joint, mobility: Mobility) -> Row:
-    """Prismatic, joint torques."""
-    mass = _mass()
-    if mobility.rotation == "free":
-        return Row("2.1", (mass, *_moments(_OWN, 3)), np.zeros((3, 3)), "all", _OWN)
-    if mobility.rotation == "across":
-        assert mobility.direction is not None
-        w = joint.rotation.T @ mobility.direction
-        triad = across(w)
-        return Row("2.2", (mass, *_moments(triad, 2)), np.outer(w, w), "all", triad)
-    return Row("2.3", (mass,), np.eye(3), "all", _OWN)
-
-
-def _table3(joint: Joint, mobility: Mobility) -> Row:
-    """Prismatic, bedplate reaction."""
-    mass = _mass()
-    if mobility.rotation in ("free", "across"):
-        number = "3.1" if mobility.rotation == "free" else "3.2"
-        return Row(number, (mass, *_moments(_OWN, 3)), np.zeros((3, 3)), "all", _OWN)
-    triad = across(joint.axis)
-    passed = np.outer(joint.axis, joint.axis)
-    return Row("3.3", (mass, *_moments(triad, 2)), passed, "all", triad)
-
-
-def _table4(joint: Joint, mobility: Mobility) -> Row:
-    """Revolute, joint torques."""
-    triad = across(joint.axis)
-    moments, axial, difference, oblique, product = _about_axis(triad)
-    passed = np.outer(joint.axis, joint.axis)
-    if mobility.rotation in ("none", "along"):
-        if mobility.at_rest:
-            return Row("4.3", (axial,), passed, "mean", triad)
-        return Row("4.2", (*moments, axial), passed, "mean", triad)
-    if mobility.pivot is None:
-        kept = (*moments, axial, difference, *oblique, product)
-        return Row("4.1", kept, passed, "mean", triad)
-    about_pivot = tuple(
-        _sum(k, mobility.pivot, mb) for k, mb in zip(oblique, reversed(moments), strict=True)
-    )
-    return Row("4.4", (axial, difference, *about_pivot, product), passed, "mean", triad)
-
-
-def _table5(joint: Joint, mobility: Mobility) -> Row:
-    """Revolute, bedplate reaction."""
-    triad = across(joint.axis)
-    moments, axial, difference, oblique, product = _about_axis(triad)
-    passed = np.outer(joint.axis, joint.axis)
-    if mobility.rotation in ("none", "along"):
-        return Row("5.2", (*moments, axial, *oblique), passed, "mean", triad)
-    kept = (*moments, axial, difference, *oblique, product)
-    return Row("5.1", kept, passed, "mean", triad)
-
-
-def _mass() -> Kept:
+def _of_prismatic(joint: Joint, mobility: Mobility, model: Model) -> Row:
+    """Tables 2, joint torques, and 3, bedplate reaction."""
     unit = np.eye(10)[0]
-    return Kept(((1.0, "mbar", ""),), unit, unit, axial=True)
+    mass = Kept(((1.0, "mbar", ""),), unit, unit, axial=True)
+    row = {"free": 1, "across": 2}.get(mobility.rotation, 3)
+    number = f"{2 if model == 'dynamic' else 3}.{row}"
+    if number == "2.3":
+        return Row(number, (mass,), np.eye(3), "all", _OWN)
+    if row == 1 or number == "3.2":
+        return Row(number, (mass, *_moments(_OWN, 3)), np.zeros((3, 3)), "all", _OWN)
+    direction = joint.axis
+    if number == "2.2":
+        assert mobility.direction is not None
+        direction = joint.rotation.T @ mobility.direction
+    triad, passed = across(direction), np.outer(direction, direction)
+    return Row(number, (mass, *_moments(triad, 2)), passed, "all", triad)
+
+
+def _of_revolute(joint: Joint, mobility: Mobility, model: Model) -> Row:
+    """Tables 4, joint torques, and 5, bedplate reaction."""
+    triad = across(joint.axis)
+    moments, axial, difference, oblique, product = _about_axis(triad)
+    kept: tuple[Kept, ...] = (*moments, axial, difference, *oblique, product)
+    number = "4.1" if model == "dynamic" else "5.1"
+    if mobility.rotation in ("none", "along"):
+        number, kept = "4.2", (*moments, axial)
+        if model == "reaction":
+            number, kept = "5.2", (*kept, *oblique)
+        elif mobility.at_rest:
+            number, kept = "4.3", (axial,)
+    elif model == "dynamic" and mobility.pivot is not None:
+        pairs = zip(oblique, reversed(moments), strict=True)
+        about_pivot = (_sum(k, mobility.pivot, mb) for k, mb in pairs)
+        number, kept = "4.4", (axial, difference, *about_pivot, product)
+    return Row(number, kept, np.outer(joint.axis, joint.axis), "mean", triad)
 
 
 def _moments(triad: Triad, count: int) -> tuple[Kept, ...]:

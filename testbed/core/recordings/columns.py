@@ -27,9 +27,6 @@ PLATE_UNITS = ("N", "N", "N", "N m", "N m", "N m")
 JOINT_SIGNALS = ("position", "velocity", "acceleration", "torque", "temperature")
 """What is measured joint by joint."""
 
-POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
-"""Of a base that moves: position [m] and quaternion of its frame on the ground."""
-
 SIGNALS = ("time", *JOINT_SIGNALS, "wrench", "sensors", "base")
 """What is measured."""
 
@@ -49,11 +46,6 @@ UNITS = {
 """Of what is measured at a joint, by the joint's kind."""
 
 
-def axis_unit(axis: str) -> str:
-    """Of one of the plate's channels: N or N m."""
-    return "N" if axis.startswith("F") else "N m"
-
-
 def unit_of(column: str, kinds: Mapping[str, str]) -> str:
     """Unit of a column.
 
@@ -65,7 +57,7 @@ def unit_of(column: str, kinds: Mapping[str, str]) -> str:
         return "s"
     signal, _, member = column.removeprefix("truth/").partition("/")
     if signal in ("wrench", "sensors"):
-        return axis_unit(member.rpartition("/")[2])
+        return "N" if member.rpartition("/")[2].startswith("F") else "N m"
     if signal == "base":
         return "1" if member.startswith("q") else "m"
     return UNITS[kinds.get(member, "revolute")][signal]
@@ -88,7 +80,8 @@ def members_of(
         sensors: Names of force sensors.
     """
     of_sensors = tuple(f"{name}/{axis}" for name in sensors for axis in AXES)
-    own = {"wrench": AXES, "sensors": of_sensors, "base": POSE}
+    pose = ("x", "y", "z", "qw", "qx", "qy", "qz")  # position [m] and quaternion on the ground
+    own = {"wrench": AXES, "sensors": of_sensors, "base": pose}
     return own.get(signal.removeprefix("truth/"), joints)
 
 

@@ -7,14 +7,11 @@ The ground takes the bedplate's place: what it exerts is the sum of all plates.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import ModelError, RecordingError
-from testbed.core.robot.inertia import NOTHING
-from testbed.core.robot.tree import Joint, Kind, Tree
+from testbed.core.base.errors import RecordingError
+from testbed.core.robot.tree import Kind
 
 COORDINATES: tuple[tuple[str, Kind, int], ...] = (
     ("base.x", "prismatic", 0),
@@ -34,34 +31,6 @@ STEEPEST = np.deg2rad(80.0)
 
 UNIT = 1e-2
 """How far the length of a measured quaternion may be from one."""
-
-
-def on_free_base(tree: Tree) -> Tree:
-    """The robot with its root free: the pedestal is the base, and its frame the bedplate's.
-
-    Args:
-        tree: The robot with its root welded.
-
-    Raises:
-        ModelError: A joint has the name of a coordinate of the base.
-    """
-    names = [name for name, _, _ in COORDINATES]
-    clash = [name for name in tree.names if name in names]
-    if clash:
-        raise ModelError(f"joint '{clash[0]}' has the name of a coordinate of the base")
-    joints = [
-        Joint(name, name, kind, k - 1, np.eye(3)[axis], np.zeros(3), np.eye(3))
-        for k, (name, kind, axis) in enumerate(COORDINATES)
-    ]
-    moved = [replace(joint, parent=joint.parent + FREE) for joint in tree.joints]
-    return replace(
-        tree,
-        joints=(*joints[:-1], replace(joints[-1], body="base"), *moved),
-        inertias=(*(NOTHING,) * (FREE - 1), tree.pedestal, *tree.inertias),
-        pedestal=NOTHING,
-        floating=True,
-        lead=FREE,
-    )
 
 
 def poses(found: Array) -> Array:

@@ -12,6 +12,7 @@ be there: `Settings(terms=("coulomb", my_law))` takes any `JointLaw`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -91,20 +92,8 @@ def _one(qd: Any, qdd: Any) -> Any:
     return 1.0
 
 
-def _acceleration(qd: Any, qdd: Any) -> Any:
-    return qdd
-
-
 def _speed(qd: Any, qdd: Any) -> Any:
     return np.abs(qd)
-
-
-def _square(qd: Any, qdd: Any) -> Any:
-    return qd * np.abs(qd)
-
-
-def _square_root(qd: Any, qdd: Any) -> Any:
-    return np.sign(qd) * np.sqrt(np.abs(qd))
 
 
 COULOMB = JointLaw("coulomb", "N m", "N", _sign, "coulomb", resists=True, jumps=True)
@@ -116,16 +105,21 @@ VISCOUS = JointLaw("viscous", "N m s/rad", "N s/m", _velocity, "viscous", resist
 OFFSET = JointLaw("offset", "N m", "N", _one)
 """What the drive reports too much: a constant."""
 
-ROTOR = JointLaw("rotor", "kg m^2", "kg", _acceleration, "rotor_inertia")
+ROTOR = JointLaw("rotor", "kg m^2", "kg", lambda qd, qdd: qdd, "rotor_inertia")
 """Inertia of the drive's rotor, reflected to the joint."""
 
 ASYMMETRIC = JointLaw("asymmetric", "N m s/rad", "N s/m", _speed)
 """Viscous friction that differs by direction; where dry friction does, an offset shows it."""
 
-QUADRATIC = JointLaw("quadratic", "N m s^2/rad^2", "N s^2/m^2", _square)
+QUADRATIC = JointLaw("quadratic", "N m s^2/rad^2", "N s^2/m^2", lambda qd, qdd: qd * np.abs(qd))
 """Friction in proportion to the square of the velocity."""
 
-SQUARE_ROOT = JointLaw("square_root", "N m s^.5/rad^.5", "N s^.5/m^.5", _square_root)
+SQUARE_ROOT = JointLaw(
+    "square_root",
+    "N m s^.5/rad^.5",
+    "N s^.5/m^.5",
+    lambda qd, qdd: np.sign(qd) * np.sqrt(np.abs(qd)),
+)
 """Friction in proportion to the root of the velocity: of lubricated gears."""
 
 FORWARD = JointLaw("coulomb+offset", "N m", "N", _one)
@@ -140,16 +134,18 @@ CONSTANTS = (OFFSET, FORWARD, BACKWARD)
 SLOPE = JointLaw("slope", "N m/s", "N/s", _one, by="time")
 """Drift of the offset, as of a drive that warms up; of this recording only."""
 
-WARM_COULOMB = JointLaw("warm_coulomb", "N m/K", "N/K", _sign, jumps=True, by="temperature")
-"""Change of dry friction with the drive's temperature, from 25 degC on."""
-
-WARM_VISCOUS = JointLaw("warm_viscous", "N m s/(rad K)", "N s/(m K)", _velocity, by="temperature")
-"""Change of viscous friction with the drive's temperature, from 25 degC on."""
-
 ROOM = 25.0
 """Temperature at which friction is what its laws without temperature say [degC]."""
 
-VARYING = (SLOPE, WARM_COULOMB, WARM_VISCOUS)
+WARM_VISCOUS = JointLaw("warm_viscous", "N m s/(rad K)", "N s/(m K)", _velocity, by="temperature")
+"""Change of viscous friction with the drive's temperature, from ROOM on."""
+
+VARYING = (
+    SLOPE,
+    # change of dry friction with the drive's temperature
+    JointLaw("warm_coulomb", "N m/K", "N/K", _sign, jumps=True, by="temperature"),
+    WARM_VISCOUS,
+)
 """Laws that depend on more than the motion."""
 
 BY_LOAD: Mapping[str, Callable[[Array, Array], Array]] = {
@@ -164,16 +160,17 @@ encoders are noisy, abs(load) is not zero on average where the load is."""
 LOAD = JointLaw("load", "1", "1", _sign, jumps=True, by="load")
 """Dry friction that grows with the load: the part of it that a gear loses."""
 
-VISCOUS_LOAD = JointLaw("viscous_load", "s/rad", "s/m", _velocity, by="load")
-"""Viscous friction that grows with the load."""
-
-DRIVING_LOAD = JointLaw("driving_load", "s/rad", "s/m", _speed, by="signed load")
-"""The same as far as a gear that drives has more of it than one that is driven back."""
-
 QUADRATIC_LOAD = JointLaw("quadratic_load", "1/(N m)", "1/N", _sign, jumps=True, by="squared load")
 """Dry friction that grows with the square of the load."""
 
-LOADED = (LOAD, VISCOUS_LOAD, DRIVING_LOAD, QUADRATIC_LOAD)
+LOADED = (
+    LOAD,
+    # viscous friction that grows with the load
+    JointLaw("viscous_load", "s/rad", "s/m", _velocity, by="load"),
+    # the same as far as a gear that drives has more of it than one that is driven back
+    JointLaw("driving_load", "s/rad", "s/m", _speed, by="signed load"),
+    QUADRATIC_LOAD,
+)
 """Laws of the load. Dry friction that differs between driving and being driven is not among them:
 its column, load - sign(v) abs(load), has nothing of its own beside the torque constant's."""
 
@@ -251,17 +248,12 @@ def joint_terms(tree: Tree, words: Iterable[str | JointLaw]) -> tuple[JointTerm,
     names = places(tree)
     wanted: dict[JointLaw, set[int]] = {}
     for word in words:
-        law, place = (word, "") if isinstance(word, JointLaw) else _law_at(word)
+        law, place = law_of(word), "" if isinstance(word, JointLaw) else word.partition("/")[2]
         if place and place not in names:
             raise UnknownName(f"place of '{law.kind}'", place, names)
         everywhere = range(tree.n if law in CONSTANTS or law.by else len(names))
         wanted.setdefault(law, set()).update([names.index(place)] if place else everywhere)
     return tuple(JointTerm(law, k) for law, at in wanted.items() for k in sorted(at))
-
-
-def _law_at(word: str) -> tuple[JointLaw, str]:
-    kind, _, place = word.partition("/")
-    return joint_law(kind), place
 
 
 def law_of(word: str | JointLaw) -> JointLaw:
@@ -273,7 +265,7 @@ def law_of(word: str | JointLaw) -> JointLaw:
     Raises:
         UnknownName: There is no such law.
     """
-    return word if isinstance(word, JointLaw) else _law_at(word)[0]
+    return word if isinstance(word, JointLaw) else joint_law(word.partition("/")[0])
 
 
 def joint_law(kind: str) -> JointLaw:
@@ -284,8 +276,10 @@ def joint_law(kind: str) -> JointLaw:
     """
     known = {law.kind: law for law in (*LAWS, *CONSTANTS, *VARYING, *LOADED)}
     family, _, speed = kind.partition("@")
-    if family == STRIBECK and _is_speed(speed):
-        return stribeck(float(speed))
+    if family == STRIBECK:
+        with suppress(ValueError):
+            if SLOWEST <= float(speed) <= FASTEST:
+                return stribeck(float(speed))
     if kind not in known:
         named = (stribeck(0.1), *LAWS, *VARYING, *LOADED)
         raise UnknownName("term of a joint's torque", kind, [law.kind for law in named])
@@ -307,41 +301,3 @@ def term_torque(
     turn = shares(tree)[term.joint]
     column = term.law.columns(qd @ turn, qdd @ turn)
     return np.outer(column * by if term.law.by else column, turn)
-
-
-def _is_speed(text: str) -> bool:
-    try:
-        return SLOWEST <= float(text) <= FASTEST
-    except ValueError:
-        return False
-
-
-def friction_torque(tree: Tree, qd: Array, smooth: float = 0.0) -> Array:
-    """What friction takes at the joints, (..., n) [N m or N].
-
-    Args:
-        tree: Gives the coefficients.
-        qd: Velocities, (..., n) [rad/s or m/s].
-        smooth: Speed over which the sign of dry friction is smoothed [rad/s or m/s].
-    """
-    laws = [law for law in LAWS if law.resists]
-    still = np.zeros_like(qd)
-    return _sum([law.coefficients(tree) * law.columns(qd, still, smooth) for law in laws])
-
-
-def drive_torque(tree: Tree, qd: Array, qdd: Array, smooth: float = 0.0) -> Array:
-    """What the drives deliver besides what moves the bodies, (..., n) [N m or N].
-
-    Args:
-        tree: Gives the coefficients: friction, and the rotors' inertias.
-        qd: Velocities, (..., n) [rad/s or m/s].
-        qdd: Accelerations, (..., n) [rad/s^2 or m/s^2].
-        smooth: Speed over which the sign of dry friction is smoothed [rad/s or m/s].
-    """
-    laws = [law for law in LAWS if law.parameter is not None]
-    return _sum([law.coefficients(tree) * law.columns(qd, qdd, smooth) for law in laws])
-
-
-def _sum(torques: list[Array]) -> Array:
-    total: Array = sum(torques[1:], torques[0])
-    return total

@@ -16,8 +16,9 @@ from graphlib import CycleError, TopologicalSorter
 from typing import TypeAlias
 
 from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import MimicError, ModelError, UnknownName, few
+from testbed.core.base.errors import ModelError, UnknownName, few
 from testbed.core.robot.parsing import decimals
+from testbed.core.robot.refusals import MimicError
 
 Lock: TypeAlias = Mapping[str, float | None]
 """Positions of held joints by name [rad or m]; None: where a joint rests of itself."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal
 
 from testbed.core.base.diagnostics import diagnose
-from testbed.core.base.errors import WIDTH, FreeRootError, LoopError, MimicError, ModelError, few
+from testbed.core.base.errors import WIDTH, ModelError, few
 from testbed.core.base.file_kinds import expecting
 from testbed.core.base.installation import own_or_shipped
 from testbed.core.robot.asset_files import asset_fault, mjcf_files
@@ -22,6 +22,7 @@ from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.core.robot.inertia import HEAVIEST
 from testbed.core.robot.locks import Lock, Travel
 from testbed.core.robot.parsing import check_name, errors_of, read_xml
+from testbed.core.robot.refusals import FreeRootError, LoopError, MimicError
 from testbed.core.robot.repair import Bodies, Link, Repair
 from testbed.core.robot.tree import ModelSource, Tree
 

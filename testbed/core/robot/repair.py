@@ -15,8 +15,9 @@ import numpy as np
 
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import InertiaError, ModelError, UnknownName, quoted
+from testbed.core.base.errors import ModelError, UnknownName, quoted
 from testbed.core.robot.inertia import NOTHING, Inertia
+from testbed.core.robot.refusals import InertiaError
 from testbed.core.robot.rigid_matter import ROUNDING, SMALL, inertia_flaw, nearest_body
 
 Bodies: TypeAlias = Mapping[str, Inertia]

@@ -63,16 +63,6 @@ def shares(tree: Tree) -> Array:
     return found
 
 
-def at_places(tree: Tree, joints: Array) -> Array:
-    """Velocities or accelerations of all places, (..., places).
-
-    Args:
-        tree: The robot.
-        joints: Those of the joints, (..., n).
-    """
-    return joints @ shares(tree).T if tree.shafts else joints
-
-
 def _check(tree: Tree, name: str, turns: Mapping[str, float]) -> None:
     what = f"robot.coupling: shaft '{name}'"
     if name in tree.names or not name or "/" in name:

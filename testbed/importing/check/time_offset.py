@@ -21,7 +21,7 @@ from testbed.core.dynamics.newton_euler import Motion, regressor
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.regression.normal_equations import standard_deviations
 from testbed.core.estimation.regression.windows import motion_taps, row_weights
-from testbed.core.estimation.sensor.plate import reach, shifted
+from testbed.core.estimation.sensor.clocks import reach, shifted
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.recordings.geometry import check_robot, in_its_gravity
 from testbed.core.recordings.recording import Recording

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from testbed.bodies.consistency.consistent import Consistent
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.prior import Prior, prior_of
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import ModelError, TestbedError
+from testbed.core.base.errors import TestbedError
 from testbed.core.estimation.estimate import METHODS, Method
 from testbed.core.estimation.identify import identify
 from testbed.core.estimation.regression.normal_equations import TINY
@@ -20,6 +20,7 @@ from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.symbols import standard
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.inertia import Inertia, upper_root
+from testbed.core.robot.rotor_spin import with_rotor_spin
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_robot import model_of
@@ -182,31 +183,3 @@ def _error(run: Run, bodies: Array) -> float | None:
     matrix = dynamic.standard_matrix
     truth = matrix @ standard(run.tree).ravel()
     return root_mean_square(relative_errors(matrix @ bodies.ravel(), truth, dynamic.units))
-
-
-def with_rotor_spin(tree: Tree, spins: Mapping[str, float]) -> Tree:
-    """The robot whose minimal parameters hold what its rotors' spin adds.
-
-    Args:
-        tree: The robot, rotors at rest on their carriers.
-        spins: Ratio times inertia of the rotor, by joint name [kg m^2].
-
-    Raises:
-        UnknownName: There is no such joint.
-        ModelError: The joint slides: its rotor's momentum is none of the bodies'.
-    """
-    for name, spin in spins.items():
-        j = tree.index(name)
-        joint = tree.joints[j]
-        if not joint.revolute:
-            raise ModelError(f"joint '{name}' slides: the spin of its rotor is not of the bodies")
-        tree = tree.with_inertia(j, _about(joint.axis, spin))
-        tree = tree.with_inertia(joint.parent, _about(joint.carried_axis, -spin))
-        left = replace(joint, rotor_inertia=joint.rotor_inertia - spin)
-        tree = replace(tree, joints=(*tree.joints[:j], left, *tree.joints[j + 1 :]))
-    return tree
-
-
-def _about(axis: Array, size: float) -> Inertia:
-    """Inertia about one axis alone."""
-    return Inertia(0.0, np.zeros(3), size * np.outer(axis, axis))

@@ -15,9 +15,9 @@ from testbed.bodies.estimate_summary import EstimateSummary, estimate_of_summary
 from testbed.bodies.posterior import Posterior, ReportedEstimate, reported_estimate
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import decode, from_json
+from testbed.core.base.contents import fingerprint, read_text
 from testbed.core.base.errors import ExperimentError, plural
 from testbed.core.base.file_kinds import expecting
-from testbed.core.base.files import fingerprint, read_text
 from testbed.core.base.toml_text import Finite, checked, complaints, override
 from testbed.core.estimation.estimate import METHODS, Estimate, channels_of
 from testbed.core.estimation.settings import Settings

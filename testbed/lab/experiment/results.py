@@ -17,15 +17,16 @@ from testbed.bodies.posterior import Posterior
 from testbed.bodies.prediction_errors import PLAIN, POSTERIOR
 from testbed.bodies.verdict import verdict_of
 from testbed.core.base.codec import Makers, decode, encode, from_json, json_text
+from testbed.core.base.contents import fingerprint
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import ExperimentError
-from testbed.core.base.files import fingerprint, replacing
+from testbed.core.base.files import replacing
 from testbed.core.base.installation import versions
 from testbed.core.dynamics.drive_set import drive_set
-from testbed.core.estimation.diagnostics.cross_check import diagnostics_of
-from testbed.core.estimation.estimate import METHODS, MODEL_OF, Estimate, Method
+from testbed.core.estimation.diagnostics.torques import diagnostics_of
+from testbed.core.estimation.estimate import METHODS, Estimate, Method
 from testbed.core.estimation.problem import set_of
-from testbed.core.estimation.selection.term_choice import with_chosen_settings
+from testbed.core.estimation.selection.chosen import with_chosen_settings
 from testbed.core.estimation.sensor.correction import NUISANCES, TESTED
 from testbed.core.estimation.sensor.estimates import Nuisance
 from testbed.core.parameters.joint_terms import DriveSet
@@ -268,7 +269,7 @@ def read_estimates(run: Run, path: Path, source: Mapping[str, str]) -> Run | Non
 def _makers(run: Run) -> Makers:
     """What makes values of their names: the robot's sets, laws, unknowns of the instrument."""
     tree, settings = run.tree, run.settings
-    sets = {MODEL_OF[method]: set_of(tree, method, settings) for method in METHODS}
+    sets = {found.model: found for found in (set_of(tree, m, settings) for m in METHODS)}
     return {
         MinimalSet: sets.__getitem__,
         DriveSet: lambda words: drive_set(tree, sets["dynamic"], words),

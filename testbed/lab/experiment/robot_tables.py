@@ -12,7 +12,7 @@ from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.core.base.toml_text import KNOWN_KEYS, Finite, NotNegative, Positive, checked, override
 from testbed.core.estimation.settings import Settings
 from testbed.core.robot.force_sensor import ForceSensor, before_sensors, beyond_sensor
-from testbed.core.robot.free_base import on_free_base
+from testbed.core.robot.free_root import on_free_base
 from testbed.core.robot.inertia import Inertia
 from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.rpy import from_rpy

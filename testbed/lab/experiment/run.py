@@ -28,7 +28,7 @@ from testbed.core.base.diagnostics import (
 from testbed.core.base.errors import RecordingError, TestbedError, plural
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
-from testbed.core.estimation.diagnostics.cross_check import diagnostics_of
+from testbed.core.estimation.diagnostics.torques import diagnostics_of
 from testbed.core.estimation.estimate import (
     METHODS,
     NAMES,
@@ -38,7 +38,7 @@ from testbed.core.estimation.estimate import (
     sensor_of,
 )
 from testbed.core.estimation.regression.passes import Progress
-from testbed.core.estimation.selection.term_choice import with_chosen_settings
+from testbed.core.estimation.selection.chosen import with_chosen_settings
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.columns import AXES

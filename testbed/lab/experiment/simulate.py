@@ -11,9 +11,9 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from testbed.core.base.arrays import Array
+from testbed.core.base.contents import fingerprint
 from testbed.core.base.diagnostics import diagnose
 from testbed.core.base.errors import ExperimentError, SettingsError
-from testbed.core.base.files import fingerprint
 from testbed.core.base.installation import versions
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.recordings.columns import COUNTED

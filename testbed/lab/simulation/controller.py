@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.newton_euler import Motion, joint_forces
-from testbed.core.robot.friction import ROTOR, drive_torque
+from testbed.core.robot.drive_torque import drive_torque
+from testbed.core.robot.friction import ROTOR
 from testbed.core.robot.tree import Tree
 
 DAMPING = 0.9

@@ -16,11 +16,12 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ModelError, UnknownName, few
 from testbed.core.base.transform import Transform
 from testbed.core.dynamics.newton_euler import Motion, base_wrench, joint_forces
+from testbed.core.robot.drive_torque import friction_torque
 from testbed.core.robot.force_sensor import ForceSensor
 from testbed.core.robot.formats.mjcf import repaired_spec
 from testbed.core.robot.formats.mjcf_compile import MASSLESS, compile_spec, no_mujoco_warnings
 from testbed.core.robot.formats.urdf import repaired_xml
-from testbed.core.robot.friction import ROTOR, friction_torque
+from testbed.core.robot.friction import ROTOR
 from testbed.core.robot.model_file import ModelFile, model_format
 from testbed.core.robot.tree import Tree
 from testbed.lab.simulation.effect import Effect

@@ -20,7 +20,7 @@ from testbed.core.estimation.diagnostics.residuals import (
     noise_diagnostics,
     noisy,
 )
-from testbed.core.estimation.diagnostics.rigid_bodies import rigid_body_test
+from testbed.core.estimation.diagnostics.rigid_bodies import SIGMAS, rigid_body_test
 from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.regression.passes import HELD, Repeats, Survey
 from testbed.core.robot.friction import ROTOR
@@ -36,9 +36,6 @@ enough, however small it is."""
 
 ILL_CONDITIONED = 1e3
 """Condition of the scaled equations above which the estimate is reported as doubtful."""
-
-SURE = 5.0
-"""Sigmas beyond which a wrong sign is no noise."""
 
 NOTICEABLE = 0.02
 """Part of a torque's rms for which negative friction must account to be no model error."""
@@ -295,7 +292,7 @@ def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterato
     up = -tree.gravity / gravity
     carried = float(np.mean(wrench[:, :3] @ up)) / gravity
     subject = "the robot's total mass"
-    if mass < -SURE * sigma and mass < -NOTICEABLE * abs(carried):
+    if mass < -SIGMAS * sigma and mass < -NOTICEABLE * abs(carried):
         first = ["sign-of-wrench", "other-tare"]
         if tare.any() and not tare[:3] @ up < 0:
             first = first[::-1]
@@ -303,7 +300,7 @@ def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterato
         yield diagnose(
             "plate.negative-mass", subject, mass, sigma=sigma, method="external", causes=causes
         )
-    elif abs(mass - carried) > UNLIKE * max(abs(mass), abs(carried)) + SURE * sigma:
+    elif abs(mass - carried) > UNLIKE * max(abs(mass), abs(carried)) + SIGMAS * sigma:
         yield diagnose(
             "plate.mass",
             subject,
@@ -325,7 +322,7 @@ def _friction(estimate: Estimate) -> Iterator[Diagnostic]:
         place = drives.terms[k - estimate.minimal.count].joint
         normal, _, square = equations.of_channel(int(most[place]))
         torque = abs(term.value) * np.sqrt(normal[k, k])
-        sure = term.value < -SURE * term.sigma and torque > NOTICEABLE * np.sqrt(square)
+        sure = term.value < -SIGMAS * term.sigma and torque > NOTICEABLE * np.sqrt(square)
         if term.law.resists and sure:
             yield diagnose(
                 "friction.negative",

@@ -12,13 +12,7 @@ from testbed.core.base.errors import few
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.noise.noise_model import NoiseModel
 from testbed.core.estimation.regression.normal_equations import TINY
-from testbed.core.estimation.sensor.encoders import (
-    ECCENTRICITY,
-    ENCODER_DELAYS,
-    ENCODER_GAINS,
-    JOINT_ZEROS,
-    SAMPLING,
-)
+from testbed.core.estimation.sensor.encoders import JOINT_ZEROS
 from testbed.core.estimation.sensor.estimates import TraceTest
 
 FALSE_ALARMS = 1e-6
@@ -35,9 +29,6 @@ FILTERED = 1e-5
 
 NAMED = 3
 """Most causes, and most numbers of a cause, that are named."""
-
-OF_ENCODERS = (JOINT_ZEROS, ENCODER_GAINS, ENCODER_DELAYS, ECCENTRICITY, SAMPLING)
-"""Faults that spoil estimates by torques as well."""
 
 LIKE_TILT = {"crosstalk", "gains", "pose"}
 """Kinds whose effects the weight on a plate that is not level resembles."""
@@ -68,7 +59,7 @@ def fault_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
         "the plate's residuals",
         best.shift,
         significance=float(-special.ndtri(max(best.chance / 2, TINY))),
-        method="" if best.nuisance in OF_ENCODERS else "external",
+        method="" if best.nuisance.of_encoders else "external",
         causes=[*kinds, *["level"] * bool(LIKE_TILT & {*kinds}), "unmodelled-load"],
         chance=chance_text(best.chance),
         cause=phrase(best.nuisance.kind),

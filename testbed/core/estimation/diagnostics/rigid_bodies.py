@@ -15,7 +15,7 @@ from testbed.core.parameters.pseudo_inertia import standard_of_coordinates
 from testbed.core.parameters.symbols import parameter_scale
 
 SIGMAS = 5.0
-"""A distance that noise exceeds as rarely as this is no noise, unless it is said otherwise."""
+"""What noise exceeds as rarely as this is no noise: a distance, or a wrong sign."""
 
 MODEL_ERROR = 0.01
 """Models are never quite right by this part of each parameter, unless it is said otherwise."""

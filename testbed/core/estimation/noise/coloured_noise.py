@@ -39,7 +39,6 @@ from testbed.core.estimation.noise.noise_model import (
 )
 from testbed.core.estimation.noise.score_tests import Question, Replicas, ScoreTests, Trace
 from testbed.core.estimation.noise.whitening import (
-    NOTHING,
     NuisanceColumns,
     Products,
     Rows,
@@ -301,7 +300,7 @@ def generalized_least_squares(
     start: solvers.Fit,
     passes: Passes,
     names: tuple[str, ...],
-    beside: NuisanceColumns = NOTHING,
+    beside: NuisanceColumns,
 ) -> GlsFit:
     """Go on from a weighted solution.
 
@@ -331,7 +330,7 @@ def generalized_least_squares(
     noise = replace(
         _noise_model(solution, plan, factor),
         hidden=_named(_large(answer.hidden[:, : solution.count] @ units.lead.T), names),
-        noise_limited=_named(_noise_limited(answer.alone, lead), names),
+        noise_limited=_named(answer.alone.noise_limited(lead), names) if answer.alone else (),
         least_counts=encoders.least_counts,
         by_counts=share,
         repetition=second.repetition.found() if second.repetition else None,
@@ -445,11 +444,6 @@ def _large(part: Array) -> NDArray[np.bool_]:
     size = np.abs(part)
     large = size > LARGE * size.max(axis=1, keepdims=True, initial=0.0)
     return np.asarray(large.any(axis=0))
-
-
-def _noise_limited(found: AttenuationCorrection | None, lead: Array) -> NDArray[np.bool_]:
-    """Parameters that noise of the encoders hides, of unknowns that make them up, (p, m)."""
-    return np.zeros(len(lead), bool) if found is None else found.noise_limited(lead)
 
 
 def _repetition_sums(passes: Passes, noise: Autoregression) -> PeriodicSums | None:

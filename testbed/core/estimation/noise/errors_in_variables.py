@@ -113,12 +113,8 @@ class Made(NamedTuple):
         width: How many they are.
     """
 
-    columns: Columns | None
-    width: int
-
-
-NOTHING_MADE: Made = Made(None, 0)
-"""No noise."""
+    columns: Columns | None = None
+    width: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +142,7 @@ class PositionNoise:
             combined: How the unknowns' columns are combined, (p, q).
         """
         if not self.sigma.any():
-            return NOTHING_MADE
+            return Made()
         return Made(NoisyColumns(plan, self, combined), combined.shape[1])
 
     def again(self, plan: Plan, values: Array) -> Made:
@@ -157,7 +153,7 @@ class PositionNoise:
             values: Of the unknowns, (p,).
         """
         if not self.count.any():
-            return NOTHING_MADE
+            return Made()
         return Made(QuantizationReplicas(plan, self.count, values), ZEROS)
 
 

@@ -255,15 +255,3 @@ def _from_covariances(covariances: Array, order: int) -> Autoregression:
     coefficients = fit(moments, order)
     left = innovation_variance(moments, coefficients)
     return Autoregression(coefficients, np.sqrt(np.maximum(left, 0.0)))
-
-
-def of_residuals(products: Array, values: Array) -> Array:
-    """Products of what values leave of the residuals, (...,).
-
-    Args:
-        products: Of columns, residuals and what follows them, (..., q, q).
-        values: Of the columns' unknowns, (m,).
-    """
-    m, combine = len(values), np.append(-values, 1.0)
-    part = products[..., : m + 1, : m + 1]
-    return np.asarray(np.einsum("...ij,i,j->...", part, combine, combine))

@@ -323,7 +323,7 @@ class Whitened:
             for lag, products in enumerate(given.products):
                 whole += share[0, :, lag, None, None] * products
             whole = (whole + whole.swapaxes(1, 2)) / 2
-            whole -= _together(self._edges[0], self._edges[0])
+            whole -= np.matmul(self._edges[0].swapaxes(-1, -2), self._edges[0]).sum(axis=0)
             self._given = replace(given.up_to(0), products=whole[None], alike=True)
             self._share, self._edges = np.ones((1, len(whole), 1)), self._edges[..., :0, :]
 
@@ -380,11 +380,6 @@ def _times(rows: Array, matrices: Array) -> Array:
     """
     found = rows.reshape(len(rows), -1, rows.shape[-1]) @ matrices
     return found.reshape(len(matrices), *rows.shape[1:-1], matrices.shape[-1])
-
-
-def _together(now: Array, before: Array) -> Array:
-    """Products of rows with rows, over all of them and all sequences, (C, q, q)."""
-    return np.asarray(np.matmul(now.swapaxes(-1, -2), before).sum(axis=0))
 
 
 class LaggedSums:

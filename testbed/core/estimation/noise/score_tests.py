@@ -258,15 +258,23 @@ def traces(
 
 
 def independent_columns(given: LaggedProducts, question: Question) -> Array:
-    """Combinations of columns and constants that none of the others make up, (q, r).
+    """Combinations of columns and constants that none of the others make up, orthonormal, (q, r).
 
     Args:
         given: Products of the question's columns, a constant of every channel, residuals and ones.
         question: Which columns are what.
     """
     q, channels = given.unknowns, given.products.shape[1]
+    base = channels + question.base  # constants come first
     squares = np.roll(given.products[0, :, :q, :q].sum(axis=0), channels, axis=(0, 1))
-    return np.roll(_independent(squares, channels + question.base), -channels, axis=0)
+    scale = _scales(squares)
+    first, across, left = _beside(squares * np.outer(scale, scale), base)
+    rest = _orthonormal(left)
+    found = np.zeros((q, first.shape[1] + rest.shape[1]))
+    found[:base, : first.shape[1]] = first
+    found[base:, first.shape[1] :] = rest
+    found[:base, first.shape[1] :] = -first @ across @ rest
+    return np.roll(scale[:, None] * found, -channels, axis=0)
 
 
 def _beside(squares: Array, base: int) -> tuple[Array, Array, Array]:
@@ -279,18 +287,6 @@ def _beside(squares: Array, base: int) -> tuple[Array, Array, Array]:
     first = _orthonormal(squares[:base, :base])
     across = first.T @ squares[:base, base:]
     return first, across, squares[base:, base:] - across.T @ across
-
-
-def _independent(squares: Array, base: int) -> Array:
-    """Combinations of columns that are orthonormal; those after the base beside it, (q, r)."""
-    scale = _scales(squares)
-    first, across, left = _beside(squares * np.outer(scale, scale), base)
-    rest = _orthonormal(left)
-    found = np.zeros((len(scale), first.shape[1] + rest.shape[1]))
-    found[:base, : first.shape[1]] = first
-    found[base:, first.shape[1] :] = rest
-    found[:base, first.shape[1] :] = -first @ across @ rest
-    return scale[:, None] * found
 
 
 def _scales(squares: Array) -> Array:

@@ -16,7 +16,7 @@ from scipy import linalg
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.stages import stage
-from testbed.core.estimation.noise.errors_in_variables import NOTHING_MADE, Made, PositionNoise
+from testbed.core.estimation.noise.errors_in_variables import Made, PositionNoise
 from testbed.core.estimation.noise.lagged_products import LaggedProducts, LaggedSums
 from testbed.core.estimation.regression import solvers
 from testbed.core.estimation.regression.constraints import LinearConstraints, NullSpace, free
@@ -50,10 +50,6 @@ class NuisanceColumns:
     def width(self) -> int:
         """How many columns."""
         return self.unknown + self.trends + sum(self.tested)
-
-
-NOTHING = NuisanceColumns()
-"""No columns beside the robot's."""
 
 
 class Rows(NamedTuple):
@@ -159,7 +155,7 @@ class Whitening:
         whole[:m, -2] = -self.free.fixed @ self.facts.values
         return every.combined(whole)
 
-    def rows(self, passes: Passes, values: Array, made: Made = NOTHING_MADE) -> Iterator[Rows]:
+    def rows(self, passes: Passes, values: Array, made: Made) -> Iterator[Rows]:
         """Rows, block by block.
 
         Args:
@@ -200,7 +196,7 @@ class Whitening:
         plate = passes.plan.layout.model == "reaction"
         every, seen = LaggedSums(lags), LaggedSums(lags)
         noise = LaggedSums(lags if plate else 0)  # rows of joints have gaps: none is whitened
-        combined, made = np.column_stack([self.white, values]), NOTHING_MADE
+        combined, made = np.column_stack([self.white, values]), Made()
         if encoders is not None:
             made = encoders.made(passes.plan, combined)
         whole, m = passes.plan.looked_at_all, len(self.grown)

@@ -207,15 +207,10 @@ KEPT = 100e6
 """Bytes of rows that are kept from the first pass to the next: the first ones."""
 
 
-def is_small(plan: Plan) -> bool:
-    """Whether NumPy does the job in the time in which the compiled kernel is loaded."""
-    seconds = PER_SAMPLE + PER_NUMBER * plan.layout.theta.size
-    return plan.source.samples * seconds < SMALL
-
-
 def is_compiled(plan: Plan) -> bool:
-    """Whether the compiled kernel makes a plan's rows."""
-    wanted = plan.engine == "compiled" or (plan.engine == "by size" and not is_small(plan))
+    """Whether the compiled kernel makes a plan's rows: by size where NumPy takes longer."""
+    seconds = plan.source.samples * (PER_SAMPLE + PER_NUMBER * plan.layout.theta.size)
+    wanted = plan.engine == "compiled" or (plan.engine == "by size" and seconds >= SMALL)
     return wanted and plan.layout.compiles
 
 

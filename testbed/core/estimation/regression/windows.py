@@ -33,13 +33,13 @@ TRANSITION = 1.5
 REVERSAL_WEIGHT = 0.03
 """Part of the row filter's absolute weight that may lie on samples at a reversal."""
 
-_FIRST = (4 / 5, -1 / 5, 4 / 105, -1 / 280)  # central differences of order eight
-_SECOND = (8 / 5, -1 / 5, 8 / 315, -1 / 560)
+_DIFFERENCES = (4 / 5, -1 / 5, 4 / 105, -1 / 280), (8 / 5, -1 / 5, 8 / 315, -1 / 560)
+"""First and second central differences of order eight, from the middle outwards."""
 
 LONGEST_REACH = 1_000_000
 """Samples of a filter to either side."""
 
-STENCIL = len(_FIRST)
+STENCIL = len(_DIFFERENCES[0])
 """Samples that a derivative reaches to either side."""
 
 
@@ -91,7 +91,7 @@ def motion_taps(rate: float, cutoff: float | None) -> Array:
     Returns:
         (3, 2 L + 1), in the order of time: x[k] = sum over l of taps[l] q[k - L + l].
     """
-    first, second = np.array(_FIRST) * rate, np.array(_SECOND) * rate**2
+    first, second = np.array(_DIFFERENCES) * [[rate], [rate**2]]
     position = np.zeros(2 * STENCIL + 1)
     position[STENCIL] = 1.0
     stencils = (

@@ -29,10 +29,14 @@ from testbed.core.robot.friction import (
 ALWAYS = (COULOMB, VISCOUS)
 """What every joint has."""
 
-SPEEDS = tuple(round_significant(speed, 2) for speed in np.geomspace(0.02, 1.0, 14))
-"""At which friction may fade out [rad/s or m/s]."""
-
-OFFERED = (OFFSET, ASYMMETRIC, QUADRATIC, SQUARE_ROOT, *(stribeck(speed) for speed in SPEEDS))
+OFFERED = (
+    OFFSET,
+    ASYMMETRIC,
+    QUADRATIC,
+    SQUARE_ROOT,
+    # friction that fades out between these speeds [rad/s or m/s]
+    *(stribeck(round_significant(speed, 2)) for speed in np.geomspace(0.02, 1.0, 14)),
+)
 """What may be added."""
 
 
@@ -234,8 +238,7 @@ def _gains(before: Array, after: Array) -> Array:
 
     Shares of what is left: what changes most in one part, as a drift does, is gained in all.
     """
-    tiny = TINY
     same = np.where(np.isfinite(after), after, before[:, None])
-    gained = np.log(np.maximum(before, tiny)[:, None] / np.maximum(same, tiny))
+    gained = np.log(np.maximum(before, TINY)[:, None] / np.maximum(same, TINY))
     error = gained.std(axis=0, ddof=1) / np.sqrt(len(gained))
     return np.asarray(gained.mean(axis=0) / np.maximum(error, TINY))

@@ -13,14 +13,12 @@ from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import RecordingError, few
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import TINY
+from testbed.core.estimation.regression.passes import SAMPLES
 from testbed.core.estimation.regression.windows import motion_taps
 from testbed.core.estimation.selection.term_choice import held_out
 
 MOSTLY = 0.8
 """Part of accelerations' square beyond the slowest filter, from which they are mostly noise."""
-
-SAMPLES = 20_000
-"""That are looked at."""
 
 SLOWER = (2.0, 3.0, 4.5)
 """Filters that are tried, in cutoffs of the rows; slower ones would bias the estimate."""

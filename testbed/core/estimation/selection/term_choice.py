@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.errors import RecordingError, plural, round_significant
-from testbed.core.estimation.estimate import Estimate, channel_units
+from testbed.core.estimation.estimate import channel_units
 from testbed.core.estimation.problem import Problem, usual_terms
 from testbed.core.estimation.regression.normal_equations import (
     TINY,
@@ -28,7 +27,7 @@ from testbed.core.estimation.selection.held_out import (
     rivals,
     stretches,
 )
-from testbed.core.estimation.settings import AUTO, USUAL, Settings
+from testbed.core.estimation.settings import AUTO
 from testbed.core.robot.friction import (
     BACKWARD,
     COULOMB,
@@ -88,8 +87,7 @@ def _cost(equations: NormalEquations) -> float:
     weights: Array = noise_weights(equations)
     values = scaled_solve(equations.matrix(weights), equations.vector(weights))
     left = equations.residual(values) / np.maximum(equations.used, 1.0)
-    tiny = TINY
-    return float(equations.used @ np.log(np.maximum(left, tiny)))
+    return float(equations.used @ np.log(np.maximum(left, TINY)))
 
 
 PARTS = 6
@@ -100,22 +98,6 @@ ROUNDS = 2
 
 FEWEST = 4
 """Rows of a part for each joint, on average, below which nothing can be chosen."""
-
-
-def with_chosen_settings(settings: Settings, estimates: Iterable[Estimate]) -> Settings:
-    """Settings that say what the data of estimates chose, where they left it open.
-
-    Args:
-        settings: Those by which the estimates were made.
-        estimates: By one method or by both.
-    """
-    for each in estimates:
-        used = each.settings
-        if each.drives is not None and (settings.terms is not None or used.terms != USUAL):
-            settings = replace(settings, terms=used.terms)
-        if any(said.code == "encoder.filter" for said in each.diagnostics):
-            settings = replace(settings, position_cutoff=used.position_cutoff)
-    return settings
 
 
 def with_all_terms(problem: Problem) -> tuple[Problem, TermChoice | None]:

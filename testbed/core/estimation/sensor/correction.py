@@ -9,60 +9,20 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from testbed.core.base.arrays import Array, freeze
-from testbed.core.base.errors import UnknownName
 from testbed.core.estimation.regression.constraints import LinearConstraints
-from testbed.core.estimation.sensor.encoders import (
-    ECCENTRICITY,
-    ENCODER_DELAYS,
-    ENCODER_GAINS,
-    JOINT_ZEROS,
-    SAMPLING,
-)
+from testbed.core.estimation.sensor.clocks import CLOCKS, reach
+from testbed.core.estimation.sensor.encoders import ENCODERS
 from testbed.core.estimation.sensor.estimates import Nuisance
-from testbed.core.estimation.sensor.plate import (
-    BIAS,
-    CLOCK_RATE,
-    CROSSTALK,
-    GAINS,
-    HEIGHT,
-    MATRIX,
-    NEXT_BIAS,
-    POSE,
-    SKEW,
-    SLOPE,
-    TARE,
-    reach,
-)
+from testbed.core.estimation.sensor.plate import PLATE
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import DerivedSource, Source
 from testbed.core.robot.tree import Tree
 
-NUISANCES: tuple[Nuisance, ...] = (
-    SKEW,
-    BIAS,
-    NEXT_BIAS,
-    TARE,
-    SLOPE,
-    MATRIX,
-    POSE,
-    HEIGHT,
-    JOINT_ZEROS,
-)
+NUISANCES = tuple(n for n in (*CLOCKS, *PLATE, *ENCODERS) if n.undo is not None)
 """Those that can be estimated, in the order in which they are taken back: last made, first."""
 
-TESTED: tuple[Nuisance, ...] = (
-    SKEW,
-    CLOCK_RATE,
-    SAMPLING,
-    POSE,
-    GAINS,
-    CROSSTALK,
-    JOINT_ZEROS,
-    ENCODER_GAINS,
-    ENCODER_DELAYS,
-    ECCENTRICITY,
-)
-"""Those whose traces are looked for in every estimate. A drift is not: slow noise looks alike."""
+TESTED = tuple(n for n in (*CLOCKS, *PLATE, *ENCODERS) if n.tested)
+"""Those whose traces are looked for in every estimate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,22 +82,18 @@ class CalibrationCovariance:
         )
 
 
-Values = Mapping[str, Array]
-"""Numbers of nuisances, by kind."""
-
-
 class Corrected(DerivedSource):
     """A recording as another instrument would have made it, joints in the order of the tree.
 
     Samples at the ends that a delay leaves without neighbours are left out.
     """
 
-    def __init__(self, source: Source, values: Values, tree: Tree) -> None:
+    def __init__(self, source: Source, values: Mapping[str, Array], tree: Tree) -> None:
         """The same samples, corrected.
 
         Args:
             source: As they were measured.
-            values: What is to be taken back.
+            values: What is to be taken back, by kind of nuisance.
             tree: The robot.
         """
         self._source, self._values, self._tree = source, values, tree
@@ -155,29 +111,3 @@ class Corrected(DerivedSource):
             if nuisance.kind in self._values and nuisance.undo is not None:
                 found = nuisance.undo(found, self._values[nuisance.kind], time, self._tree)
         return found.part(self._ends, self._ends + last - first)
-
-
-def lastingly_corrected(source: Source, tree: Tree, numbers: Mapping[str, float]) -> Source:
-    """A recording with an instrument's numbers taken back that were found in another one.
-
-    Those that are of one recording only, the plate's zero and drift, stay.
-
-    Args:
-        source: The recording, of the same instrument.
-        tree: The robot.
-        numbers: By name, such as "pose/rx"; others are as they should be.
-
-    Raises:
-        UnknownName: No instrument has such a number.
-    """
-    parts = {n: n.parts(tree) for n in NUISANCES}
-    known = [part.name for own in parts.values() for part in own]
-    for name in numbers:
-        if name not in known:
-            raise UnknownName("nuisance", name, known)
-    lasting = {
-        nuisance.kind: np.array([numbers.get(part.name, part.right) for part in own])
-        for nuisance, own in parts.items()
-        if not nuisance.passing and any(part.name in numbers for part in own)
-    }
-    return Corrected(source, lasting, tree) if lasting else source

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from testbed.core.base.arrays import Array
@@ -133,7 +133,6 @@ Undo = Callable[[Recording, Array, Array, Tree], Recording]
 """A recording as it would be without: of a recording, the nuisance's numbers, (k,), the samples'
 times from the middle of the whole recording, (M,) [s], and the robot."""
 
-
 Unmix = Callable[[Array], Array]
 """What takes a mixture of the channels back, (6, 6), of the nuisance's numbers, (k,)."""
 
@@ -151,6 +150,9 @@ class Nuisance:
         by_measured: The columns made of the measured wrench instead of the predicted one. Noise of
             the encoders is in the predicted one and in what is to be explained, and makes weakly
             identifiable numbers drift; noise of the plate is in neither twice.
+        tested: Whether its traces are looked for in every estimate. Those of a drift are not: slow
+            noise looks alike.
+        beside: Another kind that is not asked for without this one; "" for none.
         passing: Whether it is of one recording only, so that another has its own.
         covers: Other kinds whose effects are among this one's; they are simpler.
         whole: Whether it is of no use unless all its numbers are identifiable; they are near what
@@ -158,6 +160,7 @@ class Nuisance:
         added: Whether its columns are what it adds to the plate's channels as they are, before
             any mixture of them is taken back.
         unmixed: What takes its mixture of the channels back; None where it mixes none.
+        of_encoders: Whether it spoils estimates by torques as well.
         unfolded: Whether its columns are made at so many instants that the encoders' noise is not
             folded. Of all kinds an error that does not last would have too much in common with
             that noise in the rows.
@@ -168,11 +171,28 @@ class Nuisance:
     columns: Effect
     undo: Undo | None = None
     by_measured: Effect | None = None
+    tested: bool = False
+    beside: str = ""
     passing: bool = False
     covers: tuple[str, ...] = ()
     whole: bool = False
     added: bool = False
     unmixed: Unmix | None = None
+    of_encoders: bool = False
     unfolded: bool = False
 
     __get_pydantic_core_schema__ = named(lambda nuisance: nuisance.kind)
+
+
+def of_wrench(change: Callable[[Array, Array, Array], Array]) -> Undo:
+    """Undo by a function of the wrench, the numbers, and time.
+
+    Args:
+        change: Makes the wrench without, (M, 6), of that which was measured, (M, 6).
+    """
+
+    def undo(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
+        del tree
+        return replace(recording, wrench=change(recording.measured("wrench"), values, time))
+
+    return undo

@@ -2,102 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from testbed.core.base.arrays import Array, apply
 from testbed.core.dynamics.newton_euler import wrench_transforms
-from testbed.core.estimation.sensor.estimates import Nuisance, Numbers, Part, Undo, always
+from testbed.core.estimation.sensor.estimates import Nuisance, Numbers, Part, always, of_wrench
 from testbed.core.estimation.sensor.predicted_wrench import PredictedWrench
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.inertia import from_vector
 from testbed.core.robot.tree import Tree
 
-_POINTS = 8
-"""Samples that an interpolated one is made of: exact for polynomials below that degree."""
-
-
-def _late(predicted: PredictedWrench) -> Array:
-    return -predicted.rates(predicted.moving[..., None])
-
-
-def _late_as_measured(predicted: PredictedWrench) -> Array:
-    return -predicted.shown_rate[..., None]
-
-
-def _earlier(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
-    del tree
-    late = float(values[0]) * (len(time) - 1) / float(time[-1] - time[0])
-    return replace(recording, wrench=shifted(recording.measured("wrench"), late))
-
-
-def shifted(signal: Array, samples: float) -> Array:
-    """A signal read so many samples later, by Lagrange's interpolation between neighbours.
-
-    Args:
-        signal: (M, k); beyond its ends it is held.
-        samples: How many, of either sign; need not be whole.
-    """
-    whole = int(np.floor(samples))
-    nodes = np.arange(_POINTS) - (_POINTS // 2 - 1)
-    gaps = (samples - whole) - nodes
-    weights = np.array(
-        [
-            np.prod(np.delete(gaps, k)) / np.prod(np.delete(node - nodes, k))
-            for k, node in enumerate(nodes)
-        ]
-    )
-    at = np.arange(len(signal))
-    found = np.zeros_like(signal)
-    for node, weight in zip(nodes, weights, strict=True):
-        found += weight * signal[np.clip(at + whole + node, 0, len(signal) - 1)]
-    return found
-
-
-def reach(delay: float, rate: float) -> int:
-    """Samples at either end that are not what they should be once a delay is taken back.
-
-    Args:
-        delay: [s].
-        rate: Samples a second [Hz].
-    """
-    return int(np.ceil(abs(delay) * rate)) + _POINTS // 2 if delay else 0
-
-
-def _faster(predicted: PredictedWrench) -> Array:
-    return _late(predicted) * predicted.time[:, None, None]
-
-
-SKEW = Nuisance(
-    "skew",
-    always(Part("skew", "s")),
-    _late,
-    _earlier,
-    by_measured=_late_as_measured,
+SENSITIVITIES = tuple(
+    Part(f"gain/{shown}", "", 1.0)
+    if shown == felt
+    else Part(f"crosstalk/{shown}/{felt}", {"FM": "1/m", "MF": "m"}.get(f"{shown[0]}{felt[0]}", ""))
+    for shown in AXES
+    for felt in AXES
 )
-"""By how much the plate is late."""
-
-CLOCK_RATE = Nuisance(
-    "clock_rate",
-    always(Part("clock_rate", "")),
-    _faster,
-)
-"""By how much the plate gets later, relative to time."""
-
-
-_UNITS = {("F", "M"): "1/m", ("M", "F"): "m"}
-
-
-def _part(shown: str, felt: str) -> Part:
-    if shown == felt:
-        return Part(f"gain/{shown}", "", 1.0)
-    return Part(f"crosstalk/{shown}/{felt}", _UNITS.get((shown[0], felt[0]), ""))
-
-
-SENSITIVITIES = tuple(_part(shown, felt) for shown in AXES for felt in AXES)
 """Row by row: `gain/Fz` is what the plate shows of a force Fz there, `crosstalk/Fx/Fz` what Fx
 shows of it."""
 
@@ -110,69 +34,12 @@ def _columns(predicted: PredictedWrench) -> Array:
     return found
 
 
-def _with_wrench(change: Callable[[Array, Array, Array], Array]) -> Undo:
-    """Undo by a function of the wrench, the numbers, and time."""
-
-    def undo(recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
-        del tree
-        return replace(recording, wrench=change(recording.measured("wrench"), values, time))
-
-    return undo
-
-
 def _unmixed(values: Array) -> Array:
     return np.asarray(np.linalg.inv(values.reshape(6, 6)))
 
 
-MATRIX = Nuisance(
-    "matrix",
-    always(*SENSITIVITIES),
-    _columns,
-    _with_wrench(lambda wrench, values, time: wrench @ _unmixed(values).T),
-    covers=("gains", "crosstalk", "pose", "height"),
-    whole=True,
-    added=True,
-    unmixed=_unmixed,
-)
-
-
-_PAIRS = [(shown, felt) for shown in range(6) for felt in range(6) if shown != felt]
-
-
-_of_channels = always(*(Part(f"gains/{axis}", "") for axis in AXES))
-
-_of_pairs = always(*(Part(f"crosstalk/{AXES[s]}/{AXES[f]}", "") for s, f in _PAIRS))
-
-
-def _own(predicted: PredictedWrench) -> Array:
-    return _columns(predicted)[..., ::7]
-
-
-def _others(predicted: PredictedWrench) -> Array:
-    return _columns(predicted)[..., [6 * shown + felt for shown, felt in _PAIRS]]
-
-
-GAINS = Nuisance("gains", _of_channels, _own)
-"""Relative."""
-
-CROSSTALK = Nuisance(
-    "crosstalk",
-    _of_pairs,
-    _others,
-    covers=("pose",),
-)
-"""What a channel shows of another's load; a plate that is turned or shifted does that, too."""
-
-
-def _constant(predicted: PredictedWrench) -> Array:
-    return np.broadcast_to(np.eye(6), (len(predicted.time), 6, 6))
-
-
-def _trend(predicted: PredictedWrench) -> Array:
-    return predicted.time[:, None, None] * np.eye(6)
-
-
-_without_constant = _with_wrench(lambda wrench, values, time: wrench - values)
+_MIXED = np.flatnonzero(~np.eye(6, dtype=np.bool_))
+"""Sensitivities of a channel to the load of another."""
 
 
 def _channels(kind: str, per: str = "") -> Numbers:
@@ -183,15 +50,25 @@ def _channels(kind: str, per: str = "") -> Numbers:
 BIAS = Nuisance(
     "bias",
     _channels("bias"),
-    _constant,
-    _without_constant,
+    lambda predicted: np.broadcast_to(np.eye(6), (len(predicted.time), 6, 6)),
+    of_wrench(lambda wrench, values, time: wrench - values),
     passing=True,
     added=True,
 )
 
 
-def _of_next(tree: Tree) -> tuple[Part, ...]:
-    return tuple(part for cut in tree.cuts for part in _channels(f"bias/{cut.name}")(tree))
+SLOPE = Nuisance(
+    "slope",
+    _channels("slope", "/s"),
+    lambda predicted: predicted.time[:, None, None] * np.eye(6),
+    of_wrench(lambda wrench, values, time: wrench - time[:, None] * values),
+    passing=True,
+    added=True,
+)
+"""From the middle of the recording."""
+
+TARE = replace(BIAS, kind="tare", parts=_channels("tare"), passing=False)
+"""What the plate shows of the pedestal beyond the tare: to a fixed plate the same as a bias."""
 
 
 def _moving_constants(predicted: PredictedWrench) -> Array:
@@ -210,42 +87,6 @@ def _without_moving_constants(
     return replace(recording, wrench=recording.measured("wrench") + taken)
 
 
-NEXT_BIAS = Nuisance(
-    "next_bias",
-    _of_next,
-    _moving_constants,
-    _without_moving_constants,
-    added=True,
-)
-"""What the next force sensors show too much: taken off the wrench, it turns with them."""
-
-SLOPE = Nuisance(
-    "slope",
-    _channels("slope", "/s"),
-    _trend,
-    _with_wrench(lambda wrench, values, time: wrench - time[:, None] * values),
-    passing=True,
-    added=True,
-)
-"""From the middle of the recording."""
-
-TARE = Nuisance("tare", _channels("tare"), _constant, _without_constant, added=True)
-"""What the plate shows of the pedestal beyond the tare: to a fixed plate the same as a bias."""
-
-
-_PARTS = tuple(Part(f"pose/r{a}", "rad") for a in "xyz") + tuple(
-    Part(f"pose/p{a}", "m") for a in "xyz"
-)
-
-
-def _pose(predicted: PredictedWrench) -> Array:
-    return predicted.rows(_moved(predicted.wrench))
-
-
-def _pose_of_measured(predicted: PredictedWrench) -> Array:
-    return _moved(predicted.shown)
-
-
 def _moved(wrench: Array) -> Array:
     """By each of the six, (M, 6, 6)."""
     force, moment = wrench[:, :3], wrench[:, 3:]
@@ -257,14 +98,6 @@ def _moved(wrench: Array) -> Array:
     return found
 
 
-def _height(predicted: PredictedWrench) -> Array:
-    return _pose(predicted)[..., 5:]
-
-
-def _height_of_measured(predicted: PredictedWrench) -> Array:
-    return _pose_of_measured(predicted)[..., 5:]
-
-
 def _moved_back(wrench: Array, pose: Array) -> Array:
     """Wrench in the bedplate's frame of one that a plate in a pose, (6,), shows, (M, 6)."""
     turn = from_vector(pose[:3])
@@ -273,19 +106,64 @@ def _moved_back(wrench: Array, pose: Array) -> Array:
     return np.hstack([force, moment])
 
 
-POSE = Nuisance(
-    "pose",
-    always(*_PARTS),
-    _pose,
-    _with_wrench(lambda wrench, values, time: _moved_back(wrench, values)),
-    by_measured=_pose_of_measured,
+PLATE = (
+    BIAS,
+    # what the next force sensors show too much: taken off the wrench, it turns with them
+    Nuisance(
+        "next_bias",
+        lambda tree: tuple(
+            part for cut in tree.cuts for part in _channels(f"bias/{cut.name}")(tree)
+        ),
+        _moving_constants,
+        _without_moving_constants,
+        beside=BIAS.kind,
+        added=True,
+    ),
+    TARE,
+    SLOPE,
+    Nuisance(
+        "matrix",
+        always(*SENSITIVITIES),
+        _columns,
+        of_wrench(lambda wrench, values, time: wrench @ _unmixed(values).T),
+        covers=("gains", "crosstalk", "pose", "height"),
+        whole=True,
+        added=True,
+        unmixed=_unmixed,
+    ),
+    Nuisance(
+        "pose",
+        always(
+            *(Part(f"pose/r{axis}", "rad") for axis in "xyz"),
+            *(Part(f"pose/p{axis}", "m") for axis in "xyz"),
+        ),
+        lambda predicted: predicted.rows(_moved(predicted.wrench)),
+        of_wrench(lambda wrench, values, time: _moved_back(wrench, values)),
+        by_measured=lambda predicted: _moved(predicted.shown),
+        tested=True,
+    ),
+    # the third component of the pose's shift alone
+    Nuisance(
+        "height",
+        always(Part("height", "m")),
+        lambda predicted: predicted.rows(_moved(predicted.wrench))[..., 5:],
+        of_wrench(lambda wrench, values, time: _moved_back(wrench, np.pad(values, (5, 0)))),
+        by_measured=lambda predicted: _moved(predicted.shown)[..., 5:],
+    ),
+    # relative
+    Nuisance(
+        "gains",
+        always(*(Part(f"gains/{axis}", "") for axis in AXES)),
+        lambda predicted: _columns(predicted)[..., ::7],
+        tested=True,
+    ),
+    # what a channel shows of another's load; a plate that is turned or shifted does that, too
+    Nuisance(
+        "crosstalk",
+        always(*(Part(SENSITIVITIES[k].name, "") for k in _MIXED)),
+        lambda predicted: _columns(predicted)[..., _MIXED],
+        covers=("pose",),
+        tested=True,
+    ),
 )
-
-HEIGHT = Nuisance(
-    "height",
-    always(Part("height", "m")),
-    _height,
-    _with_wrench(lambda wrench, values, time: _moved_back(wrench, np.pad(values, (5, 0)))),
-    by_measured=_height_of_measured,
-)
-"""The third component of the pose's shift alone."""
+"""Errors of the plate."""

@@ -26,11 +26,9 @@ INSTANTS_PER_CUTOFF = 10.0
 So few fold the accelerations' noise into the columns: it is then another than that of the rows,
 and a test does not take what both have in common for a fault."""
 
-Number = Array | float
-"""One at every instant, or the same at all."""
-
-Change = Callable[[Array, Array, Array], tuple[Number, Number, Number]]
-"""Of a coordinate, its velocity and its acceleration, (m,) each, of which it is a function."""
+Change = Callable[[Array, Array, Array], tuple[Array | float, ...]]
+"""Of a coordinate, its velocity and its acceleration, (m,) each, of which it is a function; numbers
+where it is the same at all instants."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,7 +41,7 @@ from testbed.core.estimation.sensor.estimates import (
     TraceTest,
     in_order,
 )
-from testbed.core.estimation.sensor.plate import BIAS, NEXT_BIAS, SLOPE, TARE
+from testbed.core.estimation.sensor.plate import BIAS, SLOPE, TARE
 from testbed.core.estimation.sensor.predicted_wrench import row_filter
 from testbed.core.estimation.sensor.unknowns import (
     Columns,
@@ -117,9 +117,7 @@ class SensorModel:
         settings, names, tree = problem.settings, problem.names, problem.layout.tree
         plate = problem.method == "external"
         kinds = {*settings.nuisances} if plate else set()
-        if BIAS.kind in kinds:
-            kinds.add(NEXT_BIAS.kind)
-        asked = [n for n in NUISANCES if n.kind in kinds]
+        asked = [n for n in NUISANCES if {n.kind, n.beside} & kinds]
         calibrated = doubt.nuisances(tree, asked) if plate and doubt is not None else []
         asked = [n for n in NUISANCES if n in asked or n in calibrated]
         _check_cut(tree, asked)

@@ -16,7 +16,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import FreeRootError, LoopError, MimicError, ModelError, quoted
+from testbed.core.base.errors import ModelError, quoted
 from testbed.core.robot.formats.mjcf_compile import (
     check_files,
     no_mujoco_warnings,
@@ -24,6 +24,7 @@ from testbed.core.robot.formats.mjcf_compile import (
     resolve,
 )
 from testbed.core.robot.locks import Coupling, Lock, Travel, lock_positions
+from testbed.core.robot.refusals import FreeRootError, LoopError, MimicError
 
 VELOCITY_LIMIT = "velocity_limit/"
 """MJCF has no element for a velocity limit: <numeric name="velocity_limit/JOINT" data=.../>."""

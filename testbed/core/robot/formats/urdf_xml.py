@@ -18,10 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import FreeRootError, ModelError, few, quoted
+from testbed.core.base.errors import ModelError, few, quoted
 from testbed.core.robot.inertia import HEAVIEST, about
 from testbed.core.robot.locks import Coupling, Lock, Travel, lock_positions
 from testbed.core.robot.parsing import decimals, errors_of, plain, read_xml
+from testbed.core.robot.refusals import FreeRootError
 from testbed.core.robot.rpy import from_rpy, to_rpy
 from testbed.core.robot.tree import FARTHEST, UNIT
 
