@@ -14,6 +14,8 @@ import gzip
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -120,62 +122,43 @@ def _columns(
         separator: Between fields.
         names: Of columns, by their places.
     """
-    odd: dict[int, str] = {}
+    odd: dict[str, RecordingError] = {}
 
-    def reader(place: int) -> Callable[[str], float]:
+    def reader(name: str) -> Callable[[str], float]:
+        """Numbers of a column's fields, of which it is asked once and in their order."""
+        places = iter(body)
+
         def value(text: str) -> float:
+            place = next(places)
             try:
                 return _value(text)
             except ValueError:
-                odd.setdefault(place, text)
+                said = f"{path}: line {place + 1}: '{name}' is '{text.strip()}'"
+                odd.setdefault(name, RecordingError(said))
                 return math.nan
 
         return value
 
-    def table(**how: Any) -> Array:
-        selected = (lines[k] for k in body)
-        return np.loadtxt(
-            selected,
-            delimiter=separator,
-            usecols=[*names],
-            comments=None,
-            ndmin=2,
-            quotechar='"',
-            **how,
-        )
-
+    table = partial(
+        np.loadtxt, delimiter=separator, comments=None, ndmin=2, quotechar='"', encoding="utf-8"
+    )
     try:
-        read = table()
+        read = table(map(lines.__getitem__, body), usecols=[*names])
     except ValueError:
         last = max(names)
         for k in body:
             if (count := len(_fields(lines[k], separator))) <= last:
                 said = f"line {k + 1} ends after {count} of {last + 1} fields"
                 raise RecordingError(f"{path}: {said}") from None
-        read = table(converters={k: reader(k) for k in names}, encoding="utf-8")
+        readers = {k: reader(name) for k, name in names.items()}
+        read = table(map(lines.__getitem__, body), usecols=[*names], converters=readers)
     found: dict[str, NDArray[Any] | RecordingError] = dict(zip(names.values(), read.T, strict=True))
     large = np.nanmax(np.abs(read), axis=0, initial=0) >= WHOLE
-    counted = {k: list[str]() for k, each in zip(names, large, strict=True) if each}
-    for n in body if counted or odd else ():
-        fields = _fields(lines[n], separator)
-        for k, texts in counted.items():
-            texts.append(fields[k])
-        for k in [k for k, text in odd.items() if text.strip() == fields[k].strip()]:
-            said = f"line {n + 1}: '{names[k]}' is '{odd.pop(k).strip()}'"
-            found[names[k]] = RecordingError(f"{path}: {said}")
-    found |= {names[k]: RecordingError(f"{path}: '{names[k]}': '{odd[k]}'") for k in odd}
-    for k, texts in counted.items():
-        if not isinstance(column := found[names[k]], RecordingError):
-            found[names[k]] = _counted(texts, column)
-    return found
-
-
-def _counted(texts: list[str], read: NDArray[Any]) -> NDArray[Any]:
-    """A column of numbers so large that floating-point ones have not all their digits."""
-    try:
-        return np.array([int(text) for text in texts], dtype=np.int64)
-    except (ValueError, OverflowError):  # no whole numbers, or more than counters hold
-        return read
+    for k in np.array([*names])[large].tolist():
+        with suppress(ValueError, OverflowError):  # no whole numbers, or more than counters hold
+            counted = table(map(lines.__getitem__, body), usecols=k, converters=int, dtype=np.int64)
+            found[names[k]] = counted[:, 0]
+    return found | odd
 
 
 def _lines(path: Path, encoding: str = "utf-8-sig") -> tuple[list[str], bool]:
