@@ -10,9 +10,9 @@ from itertools import takewhile, zip_longest
 from testbed.importing.foreign_table import (
     FORCES,
     KINDS,
+    KNOWN,
     MOMENTS,
     RAW,
-    TIMES,
     UNITS,
     plain,
 )
@@ -132,7 +132,7 @@ def read_name(name: str, said: str | None = None) -> ColumnName:
         said: What the file says of its unit beside the name.
     """
     bare, unit = without_unit(name)
-    if said and plain(said) in ALL:
+    if said and plain(said) in KNOWN:
         unit = plain(said)
     words = words_of(bare)
     role = _role(words)
@@ -140,9 +140,6 @@ def read_name(name: str, said: str | None = None) -> ColumnName:
     if kind in ("velocity", "acceleration") and unit in UNITS["position"]:
         unit = f"{unit}/s" + "^2" * (kind == "acceleration")
     return ColumnName(name, bare, words, unit, kind, role)
-
-
-ALL = {unit for units in UNITS.values() for unit in units} | RAW.keys() | TIMES.keys()
 
 
 def words_of(text: str) -> tuple[str, ...]:
@@ -162,7 +159,7 @@ def without_unit(name: str) -> tuple[str, str | None]:
     """A name without its unit, as Fx (lbf), q_deg_1, vel_rad_s; and the unit."""
     for found in re.finditer(r"\s*[(\[{<]([^()\[\]{}<>]+)[)\]}>]", name):
         for unit in (plain(found[1]), plain(found[1].replace("_", "/"))):
-            if unit in ALL:
+            if unit in KNOWN:
                 return name[: found.start()] + name[found.end() :], unit
     last = re.fullmatch(r"(\w*[a-z]\w*)[_ ](N|s)|(i_\w+|\w*(?i:cur|strom)\w*)[_ ](A)", name)
     if last:
@@ -175,7 +172,7 @@ def without_unit(name: str) -> tuple[str, str | None]:
         if first + 1 < len(words) and words[first + 1][0] in ("s", "s2"):
             last = words[first + 1]
             unit = plain(f"{found[0]}/{last[0]}")
-        if unit in ALL:
+        if unit in KNOWN:
             return name[: found.start()].rstrip("_- ") + name[last.end() :], unit
     return name, None
 
@@ -309,7 +306,7 @@ def as_torques(column: ColumnName, joints: Sequence[str]) -> ColumnName:
         joints: Names in the model.
     """
     load = column.kind == "wrench" and column.role is None
-    return replace(column, kind="torque") if load and [*_model_joint(column, joints)] else column
+    return replace(column, kind="torque") if load and _model_joint(column, joints) else column
 
 
 def _group(pairs: Sequence[tuple[ColumnName, str]], *, matched: bool = False) -> Group | None:
@@ -363,21 +360,20 @@ def at_the_hand(column: ColumnName) -> bool:
     return not HAND.isdisjoint(column.words)
 
 
-def _model_joint(column: ColumnName, joints: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """The rest of a name and the model's joint that is in it; the longest, if several are."""
-    best: tuple[int, str, str] | None = None
+def _model_joint(column: ColumnName, joints: Sequence[str]) -> list[tuple[str, str]]:
+    """The rest of a name and the model's joint that is in it; the longest, if several are.
+
+    A number alone is any column's.
+    """
+    name, longest = f" {' '.join(column.words)} ", 0
+    found: list[tuple[str, str]] = []
     for joint in joints:
         whole = words_of(joint)
         for part in (whole, tuple(word for word in whole if word != "joint")):
-            if all(word.isdigit() for word in part):
-                continue  # a number alone is any column's
-            for k in range(len(column.words) - len(part) + 1):
-                same = column.words[k : k + len(part)] == part
-                if same and (best is None or len(part) > best[0]):
-                    rest = [*column.words[:k], "{}", *column.words[k + len(part) :]]
-                    best = (len(part), " ".join(rest), joint)
-    if best is not None:
-        yield best[1:]
+            said = f" {' '.join(part)} "
+            if said in name and len(part) > longest and not "".join(part).isdigit():
+                longest, found = len(part), [(name.replace(said, " {} ", 1), joint)]
+    return found
 
 
 def _own_name(column: ColumnName, columns: Sequence[ColumnName]) -> Iterator[tuple[str, str]]:

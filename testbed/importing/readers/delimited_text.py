@@ -22,7 +22,6 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.importing.foreign_table import (
     KNOWN,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
@@ -29,21 +28,23 @@ def read_file(path: Path) -> ForeignTable:
     Raises:
         RecordingError: It is damaged.
     """
-    load: Callable[[str], Any]
+    archive, found = None, {}
     with readable(path):
         if path.suffix.lower() == ".npy":
-            load = lambda name: np.load(path, allow_pickle=False)
             with path.open("rb") as stream:
-                found = {"array": _header(stream, path.stat().st_size)}
+                found["array"] = _header(stream, path.stat().st_size)
         else:
-            archive, found = NpzFile(path), {}  # stays open: some have thousands of members
-            load = archive.__getitem__
+            archive = NpzFile(path)  # stays open: some have thousands of members
             for member in archive.zip.infolist():
                 if member.filename.endswith(".npy"):
                     with archive.zip.open(member) as inside:
                         name = member.filename.removesuffix(".npy")
                         found[name] = _header(inside, member.file_size)
     shapes = {name: shape for name, (shape, kind) in found.items() if is_column(shape, kind)}
+
+    def load(name: str) -> Any:
+        return np.load(path, allow_pickle=False) if archive is None else archive[name]
+
     return ForeignTable(path, shapes, load)
 
 
