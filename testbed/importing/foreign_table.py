@@ -36,18 +36,19 @@ RAW = {"A": 1.0, "mA": 1e-3, "pwm": 1.0, "V": 1.0, "mV": 1e-3, "raw": 1.0}
 """Of what becomes a torque by a gain."""
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "day": 86_400.0}
 
-TURNING = {
-    "position": ANGLES,
-    "velocity": {f"{u}/s": f for u, f in ANGLES.items()} | {"rpm": math.pi / 30},
-    "acceleration": {f"{u}/s^2": f for u, f in ANGLES.items()},
-    "torque": MOMENTS,
-}
-SLIDING = {
-    "position": LENGTHS,
-    "velocity": {f"{u}/s": f for u, f in LENGTHS.items()},
-    "acceleration": {f"{u}/s^2": f for u, f in LENGTHS.items()},
-    "torque": FORCES,
-}
+
+def _units_of_joint(
+    position: dict[str, float], torque: dict[str, float]
+) -> dict[Kind, dict[str, float]]:
+    """Units of a joint's signals, by those of its positions and of its torques."""
+    derivatives = (
+        {f"{unit}{per}": size for unit, size in position.items()} for per in ("/s", "/s^2")
+    )
+    return dict(zip(KINDS, (position, *derivatives, torque), strict=True))
+
+
+TURNING, SLIDING = _units_of_joint(ANGLES, MOMENTS), _units_of_joint(LENGTHS, FORCES)
+TURNING["velocity"]["rpm"] = math.pi / 30
 
 UNITS = {kind: TURNING[kind] | SLIDING[kind] for kind in KINDS} | {
     "force": FORCES,
@@ -128,8 +129,7 @@ def factor(kind: str, unit: str) -> float:
         kind: What is measured, a key of `UNITS`.
         unit: One that `check_unit` takes.
     """
-    name = plain(unit)
-    return UNITS[kind][name] if name in UNITS[kind] else RAW[name]
+    return (RAW | UNITS[kind])[plain(unit)]
 
 
 def slides(unit: str) -> bool:
@@ -326,15 +326,16 @@ def check_count(path: Path, what: str, count: int, most: int) -> None:
         )
 
 
-def each_once(names: Iterable[str]) -> list[str]:
-    """Names in their order, the second of a kind with its place behind it.
+def each_once(names: Sequence[str], count: int) -> list[str]:
+    """Names of columns, each once: the second of a kind with its place behind it.
 
     Args:
-        names: Of columns.
+        names: As they are given; a column without one is called by its place.
+        count: Of columns.
     """
     found: dict[str, None] = {}
-    for k, given in enumerate(names):
-        name = given
+    for k in range(count):
+        name = (names[k] if k < len(names) else "") or str(k)
         while name in found:
             name += f" ({k})"
         found[name] = None

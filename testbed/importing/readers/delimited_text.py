@@ -226,7 +226,7 @@ def _head(above: list[list[str]], width: int) -> tuple[list[str], dict[str, str]
     units = [fields for fields in stated if _are_units(fields)]
     others = [fields for fields in stated if fields not in units]
     given = (others or units or [[]])[-1]
-    names = each_once((given[k] if k < len(given) else "") or str(k) for k in range(width))
+    names = each_once(given, width)
     said = zip(names, units[-1] if units and others else [], strict=False)
     return names, {name: unit for name, text in said if (unit := _unit(text))}
 
