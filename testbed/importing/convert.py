@@ -257,12 +257,10 @@ def _streams(mapping: Mapping, folder: Path) -> dict[str, _Stream]:
         label: _stream(label, table, files[table.source], times[table.source])
         for label, table in mapping.tables.items()
     }
-    spans: dict[str, float] = {}
-    for each in found.values():
-        name = each.table.source
-        spans[name] = max(spans.get(name, 0.0), float(np.ptp(each.time)))
+    spans = sorted((each.table.source, float(np.ptp(each.time))) for each in found.values())
+    longest = dict(spans)
     return {
-        label: replace(each, shorter=spans[each.table.source] - float(np.ptp(each.time)))
+        label: replace(each, shorter=longest[each.table.source] - float(np.ptp(each.time)))
         for label, each in found.items()
     }
 
@@ -389,21 +387,16 @@ def _mapped(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
 
 def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
     """What the recording's file keeps beside its columns."""
-    said = mapping.model_dump(mode="json", exclude_none=True)
-    facts: dict[str, Any] = {"import": encode(report), "mapping": said}
-    if report.diagnostics:
-        facts["diagnostics"] = [each.as_dict() for each in report.diagnostics]
-    if mapping.sensors:
-        links = {name: table.link or name for name, table in mapping.sensors.items()}
-        facts["sensors"] = {name: {"link": link} for name, link in links.items()}
-    kinds = joint_kinds(mapping.position, mapping.joints)
-    if kinds:
-        facts["geometry"] = kinds
-    if efforts := effort_kinds(mapping):
-        facts["effort"] = efforts
-    if mapping.gravity is not None:
-        facts["gravity"] = list(mapping.gravity)
+    facts = {
+        "import": encode(report),
+        "mapping": mapping.model_dump(mode="json", exclude_none=True),
+        "diagnostics": [each.as_dict() for each in report.diagnostics],
+        "sensors": {name: {"link": each.link or name} for name, each in mapping.sensors.items()},
+        "geometry": joint_kinds(mapping.position, mapping.joints),
+        "effort": effort_kinds(mapping),
+        "gravity": mapping.gravity,
+    }
     plates = [each for each in mapping.others.values() if isinstance(each, WrenchTable)]
     tares = [t for each in plates if (t := each.static(mapping.gravity)) is not None]
     tare = np.sum(tares, axis=0).tolist() if tares else None
-    return {"tare": tare, "facts": facts}
+    return {"tare": tare, "facts": {name: fact for name, fact in facts.items() if fact}}

@@ -269,11 +269,9 @@ class ForeignTable:
         found = np.asarray(self.load(name))
         if found.shape != self.shapes[name] or found.dtype.kind not in NUMBERS:
             raise ValueError(f"'{name}' is not what the file says of it")
-        if min(found.shape) == 1 or found.ndim == 1:
-            found = found.reshape(1, -1)
-        elif found.shape[0] >= found.shape[1]:  # rows are samples
-            found = found.T
-        return found
+        found = np.atleast_2d(found)
+        rows, columns = found.shape
+        return found.T if rows >= columns else found  # rows are samples
 
     @cached_property
     def _places(self) -> dict[str, tuple[str, int]]:

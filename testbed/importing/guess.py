@@ -177,35 +177,41 @@ def _with_signal(
     sources: Sequence[LikelySource],
 ) -> Draft:  # fmt: skip
     """A signal's table, if columns look like one."""
-    found = signals.get(kind)
     beside = [c.name for s in sources for c in s.columns if c.kind == kind and c.beside]
     if beside:
         draft = draft.remarking(kind, f"# left out, by their names: {json.dumps(beside)}")
-    if found is None:
-        optional = ", if there are any" if kind != "position" else ""
-        lines = [
-            f"# [{kind}]  # no column looks like it{optional}",
-            f'# source = "{sources[0].name}"',
-            "# columns = []  # one a joint",
-            f'# unit = ""  # {", ".join(UNITS[kind])}',
-        ]
-        return draft.remarking(kind, *lines) if kind in ("position", "torque") else draft
+    if kind in signals:
+        return draft.saying_all(kind, _signal(kind, signals[kind]))
+    optional = ", if there are any" if kind != "position" else ""
+    lines = [
+        f"# [{kind}]  # no column looks like it{optional}",
+        f'# source = "{sources[0].name}"',
+        "# columns = []  # one a joint",
+        f'# unit = ""  # {_listing(kind)}',
+    ]
+    return draft.remarking(kind, *lines) if kind in ("position", "torque") else draft
+
+
+def _signal(kind: Kind, found: LikelySignal) -> Iterator[Said]:
+    """A signal's keys."""
     others = f"others that look like it: {json.dumps(found.others)}" if found.others else ""
-    others = "; ".join(each for each in (found.evidence, others) if each)
-    draft = draft.saying(kind, "source", found.source.name)
-    draft = draft.saying(kind, "columns", [each.name for each in found.group.columns], others)
-    draft = draft.saying_all(kind, _unit(kind, found))
+    yield "source", found.source.name, ""
+    columns = [each.name for each in found.group.columns]
+    yield "columns", columns, "; ".join(filter(None, (found.evidence, others)))
+    yield from _unit(kind, found)
+    n = len(columns)
     if found.counts:
-        turns, n = 1 / found.counts, len(found.units)
-        rows = [[turns if j == k else 0.0 for k in range(n)] for j in range(n)]
-        about = f"{found.counts} counts a turn, as of Dynamixel's and Feetech's servos"
-        draft = draft.saying(kind, "matrix", rows, about)
-        half = [round(-np.pi, 6)] * n
-        draft = draft.saying(kind, "offset", half, "ASSUMED: zero is in the middle of a turn")
+        turns = np.diag(np.full(n, 1 / found.counts)).tolist()
+        yield (
+            "matrix",
+            turns,
+            f"{found.counts} counts a turn, as of Dynamixel's and Feetech's servos",
+        )
+        yield "offset", [round(-np.pi, 6)] * n, "ASSUMED: zero is in the middle of a turn"
     if found.sign_bit:
         about = f"values beyond {found.sign_bit - 1} have a sign bit, as of servos' loads"
-        draft = draft.saying(kind, "sign_bit", found.sign_bit, about)
-    return draft.saying(kind, "sign", list(found.sign), BY_BOTH) if found.sign else draft
+        yield "sign_bit", found.sign_bit, about
+    yield "sign", list(found.sign) or None, BY_BOTH
 
 
 def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
@@ -214,11 +220,11 @@ def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
     taken = [unit for unit in found.units if unit in known]
     raw = [unit for unit in taken if unit in RAW]
     if len(taken) < len(found.units) or 0 < len(raw) < len(taken):
-        more = "; or A, V, raw with gain = [N m each]" if kind == "torque" else ""
+        more = "; or A, V, raw with gain = [N m each]" * (kind == "torque")
         large = float(np.nanmax(np.abs(values_of(found)))) if kind == "position" else 0.0
         if PER_CENT[0] <= large <= PER_CENT[1]:
             more += "; per cent of each joint's range, as of SO arms: deg, matrix of ranges / 200"
-        yield "unit", "", f"{', '.join(UNITS[kind])}{more}"
+        yield "unit", "", f"{_listing(kind)}{more}"
         return
     yield "unit", taken[0] if len(set(taken)) == 1 else taken, found.because
     if raw:
