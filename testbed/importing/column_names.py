@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile, zip_longest
+from itertools import takewhile
 
 from testbed.importing.foreign_table import (
     FORCES,
@@ -83,14 +83,6 @@ WORD = r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+"
 HAND = {"tcp", "ee", "eef", "tool", "wrist", "flange", "gripper", "hand"}
 """Words of a wrench that is not the plate's."""
 
-AXES = {
-    f"{letter}{axis}": (part, k)
-    for part, letters in enumerate(("f", "mt"))
-    for letter in letters
-    for k, axis in enumerate("xyz")
-}
-"""Of a wrench: force or moment, and along which axis, by words as fx."""
-
 UNIT_WORDS = {
     "deg", "degrees", "rad", "radians", "mrad", "rpm", "Nm", "Nmm", "lbf", "kgf", "mm", "ms", "us",
     "ns", "mA", "sec", "msec", "usec", "nsec",
@@ -135,7 +127,7 @@ def read_name(name: str, said: str | None = None) -> ColumnName:
     if said and plain(said) in KNOWN:
         unit = plain(said)
     words = words_of(bare)
-    role = _role(words)
+    role = _role(" ".join(words))
     kind = _kind(words, unit, role)
     if kind in ("velocity", "acceleration") and unit in UNITS["position"]:
         unit = f"{unit}/s" + "^2" * (kind == "acceleration")
@@ -177,14 +169,13 @@ def without_unit(name: str) -> tuple[str, str | None]:
     return name, None
 
 
-def _role(words: tuple[str, ...]) -> tuple[int, int] | None:
-    """Force or moment, and its axis."""
-    for word in words:
-        if word in AXES:
-            return AXES[word]
-    axes = [word for word in words if word in ("x", "y", "z")]
-    moment = any(word.startswith(("torque", "moment")) for word in words)
-    if len(axes) != 1 or not (moment or any(word.startswith("force") for word in words)):
+def _role(text: str) -> tuple[int, int] | None:
+    """Force or moment, and its axis, by words as fx, or force and x."""
+    if found := re.search(r"\b([fmt])([xyz])\b", text):
+        return int(found[1] != "f"), "xyz".index(found[2])
+    axes = re.findall(r"\b[xyz]\b", text)
+    moment = re.search(r"\b(torque|moment)", text) is not None
+    if len(axes) != 1 or not (moment or re.search(r"\bforce", text)):
         return None
     return int(moment), "xyz".index(axes[0])
 
@@ -378,25 +369,20 @@ def _model_joint(column: ColumnName, joints: Sequence[str]) -> list[tuple[str, s
 
 def _own_name(column: ColumnName, columns: Sequence[ColumnName]) -> Iterator[tuple[str, str]]:
     """The rest of a name and what in it is not about the signal and not in all names."""
-    words = [(m[0], m.start(), m.end()) for m in re.finditer(WORD, column.bare)]
-    runs: list[tuple[int, int]] = []
-    said: list[str] = []
-    end = -2
-    for (text, start, stop), after in zip_longest(words, words[1:], fillvalue=("", -1, -1)):
-        of_signal = after[1] == stop and text.isalpha() and says_signal(after[0])  # JointAngle
-        if says_signal(text) or of_signal:
-            said.append(text.lower())
-        elif runs and said[-1] == "{}" and not column.bare[end:start].strip("_-"):
-            runs[-1] = (runs[-1][0], stop)
-        else:
-            runs.append((start, stop))
-            said.append("{}")
-        end = stop
-    for start, stop in reversed(runs):
-        name = column.bare[start:stop]
+    said = re.sub(WORD, _marked, column.bare)
+    parts = re.findall(r"\0\w+\0|[A-Za-z\d]+(?:[_-]*[A-Za-z\d]+)*", said, re.ASCII)
+    rest = " ".join(part if "\0" in part else "{}" for part in parts)
+    for name in reversed([part for part in parts if "\0" not in part]):
         if len(columns) == 1 or not all(name in other.bare for other in columns):
-            yield " ".join(said), name
+            yield rest, name
             return
+
+
+def _marked(word: re.Match[str]) -> str:
+    """A word between marks if it is about the signal, as both of JointAngle."""
+    after = re.match(WORD, word.string[word.end() :]) if word[0].isalpha() else None
+    about = says_signal(word[0]) or (after and says_signal(after[0]))
+    return f"\0{word[0].lower()}\0" if about else word[0]
 
 
 def _without_role(column: ColumnName) -> str:

@@ -79,18 +79,19 @@ def read_file(path: Path) -> ForeignTable:
         rows = [_fields(lines[k], separator) for k in probes]
         width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
         held = [*zip(*(row for row in rows if len(row) == width), strict=True)]
-        counts = map(_held, held)
-        wanted = [k for k, (values, words) in enumerate(counts) if values >= words]
+        wanted = [k for k, (values, words) in enumerate(map(_held, held)) if values >= words]
         filled = [k for k in wanted if any(map(str.strip, held[k]))]
         first, above = _first_numbers(path, lines, separator, filled, width)
         names, units = _head([_fields(_bare(given[k]), separator) for k in above], width)
         read = [k for k in wanted if names[k] != str(k) or k in filled]
-        texts = {names[k]: [field.strip() for field in held[k]] for k in read}
-        instants = dict.fromkeys((n for n in texts if any(map(INSTANT.fullmatch, texts[n]))), "us")
-        cut = len(_fields(lines[numbered[-1]], separator)) < len(_fields(lines[first], separator))
+        instants = {
+            names[k]: "us" for k in read if any(map(INSTANT.fullmatch, map(str.strip, held[k])))
+        }
+        tail = _fields(lines[numbered[-1]], separator)
+        cut = len(tail) < len(_fields(lines[first], separator))
         if not ended:  # of numbers with so many digits each, zeros too, the last may lack some
-            others = [k for k in probes if k != numbered[-1]]
-            ends = ["".join(_fields(lines[k], separator)[-1:]) for k in (*others, numbered[-1])]
+            others = [row for k, row in zip(probes, rows, strict=True) if k != numbered[-1]]
+            ends = ["".join(row[-1:]) for row in (*others, tail)]
             *digits, last = [len(end.partition(".")[2]) for end in ends]
             padded = any(end.endswith("0") for end in ends[:-1])
             cut |= padded and len({*digits}) == 1 and last < digits[0]
