@@ -192,7 +192,7 @@ def _converted(
         got, name = samples[label], each.table.source
         made = _mapped(mapping, label, onto_grid(got.time, got.values, got.rate, grid))
         columns |= {name: made[name] + columns.get(name, 0.0) for name in made}  # plates add up
-        clock = replace(got.clock, lead=float(grid[0] - each.begin))
+        clock = replace(got.clock, lead=float(grid[0] - each.begin), cut=each.file.cut)
         if clocks.setdefault(name, clock) != clock:  # other samples are missing
             clocks[f"{name}, {label}"] = clock
     reports = {label: got.report for label, got in samples.items()}
@@ -326,7 +326,6 @@ def _samples(mapping: Mapping, label: str, stream: _Stream, window: Window) -> _
     stamps, values = stamps[kept], values[kept]
     used = steady_times(name, stamps, rows[kept]) if source.steady else stamps
     clock = clock_report(name, source, stamps, used, int(np.count_nonzero(~kept)))
-    clock = replace(clock, cut=stream.file.cut)
     time, rate, held, dropped = used - table.delay, clock.rate, held_share(values), 0
     if source.drop_held:
         news = slow_device(values)
@@ -336,17 +335,16 @@ def _samples(mapping: Mapping, label: str, stream: _Stream, window: Window) -> _
     if isinstance(table, BaseTable):
         values = np.hstack([values[:, :3], without_turnovers(values[:, 3:])])
     values = signed(table, values) if table is mapping.torque else values
-    steps: tuple[Diagnostic, ...] = ()
+    said: list[Diagnostic] = []
+    if stream.shorter > longest_bridged(source, 1 / rate):
+        said.append(diagnose("import.shorter", label, stream.shorter, source=name))
     if table is mapping.position:
         names = mapping.joints if table.matrix is None else table.columns
         values, steps = without_turns(table, names, time, values)
+        said += steps
     passed = low_pass_reach(rate, mapping.rate) > 0
-    said: tuple[Diagnostic, ...] = ()
-    if stream.shorter > longest_bridged(source, 1 / rate):
-        said = (diagnose("import.shorter", label, stream.shorter, source=name),)
-    return _Samples(
-        time, values, rate, clock, SignalReport(name, held, dropped, passed, (*said, *steps))
-    )
+    report = SignalReport(name, held, dropped, passed, tuple(said))
+    return _Samples(time, values, rate, clock, report)
 
 
 def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, float]) -> Array:

@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from testbed.importing.column_names import (
     at_the_hand,
     grouped,
 )
-from testbed.importing.foreign_table import KINDS, RAW, UNITS, ForeignTable, Kind, plain
+from testbed.importing.foreign_table import RAW, UNITS, ForeignTable, Kind, plain
 from testbed.importing.import_report import Draft
 from testbed.importing.likely_signals import (
     BY_BOTH,
@@ -60,9 +60,9 @@ def guessed(
         listed = ", ".join(f"'{path}'" for path in paths)
         raise RecordingError(f"no columns of numbers in {listed}")
     signals, joints = _fitting(sources, joints, subsets)
-    temperatures = [*_temperatures(sources, joints, signals)]
     by_name = {each.source.name: each.source for each in signals.values()}
     sources = [by_name.get(each.name, each) for each in sources]
+    signals = {**signals, **_temperatures(sources, joints, signals)}
     files = ", ".join(printable(path.name, 100) for path in paths)
     draft = Draft().remarking(
         "",
@@ -77,7 +77,6 @@ def guessed(
     draft = draft.saying("", "joints", *_joints(signals, joints))
     plates = likely_plates(sources, signals)
     used = {each.source.name for each in signals.values()} | {each[1].name for each in plates}
-    used |= {value for key, value, _ in temperatures if key == "source"}
     for each in sources:
         if each.name in used or not used:
             draft = _with_source(draft, each, folder)
@@ -86,9 +85,8 @@ def guessed(
             draft = draft.remarking("", f"# not used: {printable(unused)}")
         if not rate:  # then it is the recording's
             draft = draft.saying(f"sources.{each.name}", "rate", None)
-    for kind in KINDS:
+    for kind in get_args(Kind):
         draft = _with_signal(draft, kind, signals, sources)
-    draft = draft.saying_all("temperature", temperatures)
     names = [name for name, _, _ in plates]
     for name, source, columns in plates:
         own = name if names.count(name) == 1 else f"{source.name} {name}"
@@ -233,18 +231,17 @@ def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
 
 def _temperatures(
     sources: Sequence[LikelySource], joints: Sequence[str], signals: Mapping[Kind, LikelySignal]
-) -> Iterator[Said]:
-    """Keys of the drives' temperatures, if every joint has one."""
+) -> Mapping[Kind, LikelySignal]:
+    """Temperatures of the drives, if every joint has one."""
     position = signals.get("position")
     names = list(joints) if position is None else list(position.group.names)
     for source in sources:
         columns = [c for c in source.columns if not WARMTH.isdisjoint(c.words)]
         for group in (each.of(names).like(names) for each in grouped(columns, names)):
             if list(group.names) == names:
-                yield "source", source.name, ""
-                yield "columns", [each.name for each in group.columns], ""
-                yield "unit", "degC", "the only one that is known"
-                return
+                units, because = ("degC",) * len(names), "the only one that is known"
+                return {"temperature": LikelySignal(source, group, (), units, because=because)}
+    return {}
 
 
 def _key(name: str) -> str:

@@ -290,18 +290,18 @@ def _by_data(
             yield "torque", source, left, "ASSUMED: no other columns are left, joint by joint"
 
 
-def _slopes(source: LikelySource, position: Group, velocity: Group) -> Slopes | None:
-    """Increments of positions regressed on integrals of velocities; None if lengths differ."""
+def _slopes(source: LikelySource, position: Group, velocity: Group) -> Slopes:
+    """Increments of positions regressed on integrals of velocities; zeros if lengths differ."""
     values, rates = (source.values(group) for group in (position, velocity))
     time = source.clock.time(source.table, len(values))
     same = values.shape == rates.shape and len(values) == len(time)
-    return slopes(values, rates, time) if same else None
+    return slopes(values, rates, time) if same else Slopes(*np.zeros((2, 1, 1)))
 
 
 def _follows(source: LikelySource, position: Group, velocity: Group) -> bool:
     """Whether columns are the derivatives of others at half of the joints or more."""
-    found = _slopes(source, position, velocity)
-    return found is not None and bool(2 * (np.diagonal(found.fit) > SURE).sum() >= len(found.fit))
+    sure = np.diagonal(_slopes(source, position, velocity).fit) > SURE
+    return bool(2 * sure.sum() >= len(sure))
 
 
 def _is(column: ColumnName, kind: str) -> bool:
@@ -317,8 +317,6 @@ def _followed(signals: Mapping[Kind, LikelySignal]) -> Array | None:
     if q is None or v is None or q.source is not v.source or q.counts:
         return None
     found = _slopes(q.source, q.group, v.group)
-    if found is None:
-        return None
     sure = np.diagonal(found.fit) > SURE
     return np.where(sure, np.diagonal(found.slope), np.nan) if sure.any() else None
 

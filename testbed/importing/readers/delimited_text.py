@@ -177,13 +177,11 @@ def _lines(path: Path, encoding: str = "utf-8-sig") -> tuple[list[str], bool]:
                 check_count(path, f"characters in line {len(lines)}", len(line), LONGEST_LINE)
                 if "\0" in line:
                     raise ValueError("it is no text")
-                if total > MOST_TEXT or len(lines) > MOST_LINES:
-                    break
+                check_count(path, "characters", total, MOST_TEXT)
+                check_count(path, "lines", len(lines), MOST_LINES)
     except UnicodeDecodeError as error:  # byte 255 begins no text of UTF-8, but UTF-16
         follows = {"utf-8-sig": "utf-16" if error.object[:1] in b"\xff\xfe" else "latin-1"}
         return _lines(path, follows.get(encoding, "latin-1"))
-    check_count(path, "characters", total, MOST_TEXT)
-    check_count(path, "lines", len(lines), MOST_LINES)
     return lines, ended
 
 
