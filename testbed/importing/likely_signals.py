@@ -158,22 +158,19 @@ def _tables(path: Path, name: str) -> Iterator[LikelySource]:
         for k, count in enumerate(dict.fromkeys(arrays.values())):  # sampled at other times
             shapes = {each: s for each, s in table.shapes.items() if arrays[each] == count}
             part = replace(table, shapes=shapes)
-            yield from _source(f"{own}_{k + 1}" if k else own, path, topic or None, part)
+            yield _source(f"{own}_{k + 1}" if k else own, path, topic or None, part)
 
 
-def _source(
-    name: str, path: Path, topic: str | None, table: ForeignTable
-) -> Iterator[LikelySource]:
-    """A table with its likely clock and the columns that hold numbers, unless it is empty."""
-    if table.columns:
-        layout = layout_of(table.columns)
-        clock = clock_of(table, layout)
-        names = [each for each in table.columns if each != clock.column]
-        read = tuple(read_name(each, table.unit(each)) for each in names)
-        read = layout.read(read) if layout else read
-        filled = [c for c in read if not c.kind or np.isfinite(table.read([c.name])[c.name]).any()]
-        logger = layout.logger if layout else ""
-        yield LikelySource(name, path, topic, table, tuple(filled), clock, logger)
+def _source(name: str, path: Path, topic: str | None, table: ForeignTable) -> LikelySource:
+    """A table with its likely clock and the columns that hold numbers."""
+    layout = layout_of(table.columns)
+    clock = clock_of(table, layout)
+    names = [each for each in table.columns if each != clock.column]
+    read = tuple(read_name(each, table.unit(each)) for each in names)
+    read = layout.read(read) if layout else read
+    filled = [c for c in read if not c.kind or np.isfinite(table.read([c.name])[c.name]).any()]
+    logger = layout.logger if layout else ""
+    return LikelySource(name, path, topic, table, tuple(filled), clock, logger)
 
 
 def _with_source(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from numpy.lib.npyio import NpzFile
 
 from testbed.core.base.errors import RecordingError
 from testbed.importing.foreign_table import (
@@ -34,16 +34,17 @@ def read_file(path: Path) -> ForeignTable:
             with path.open("rb") as stream:
                 found["array"] = _header(stream, path.stat().st_size)
         else:
-            archive = NpzFile(path)  # stays open: some have thousands of members
-            for member in archive.zip.infolist():
+            archive = zipfile.ZipFile(path)  # stays open: some have thousands of members
+            for member in archive.infolist():
                 if member.filename.endswith(".npy"):
-                    with archive.zip.open(member) as inside:
+                    with archive.open(member) as inside:
                         name = member.filename.removesuffix(".npy")
                         found[name] = _header(inside, member.file_size)
     shapes = {name: shape for name, (shape, kind) in found.items() if is_column(shape, kind)}
 
     def load(name: str) -> Any:
-        return np.load(path, allow_pickle=False) if archive is None else archive[name]
+        with path.open("rb") if archive is None else archive.open(f"{name}.npy") as stream:
+            return np.lib.format.read_array(stream, allow_pickle=False)
 
     return ForeignTable(path, shapes, load)
 
