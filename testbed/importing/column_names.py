@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile
 
 from testbed.importing.foreign_table import (
     FORCES,
@@ -226,9 +225,8 @@ class Group:
     @property
     def numbers(self) -> list[int]:
         """Those of the names, if that is all that distinguishes them; else none."""
-        same = takewhile(lambda letters: len({*letters}) == 1, zip(*self.names, strict=False))
-        start = len("".join(letters[0] for letters in same).rstrip("0123456789"))
-        found = [re.fullmatch(r"(\D*)(\d+)(\D*)", name[start:]) for name in self.names]
+        after = r"\D*" if len(self.names) > 1 else ""
+        found = [re.fullmatch(rf"(.*?)(\d+)({after})", name) for name in self.names]
         around = {(m[1], m[3]) for m in found if m}
         return [int(m[2]) for m in found if m] if None not in found and len(around) == 1 else []
 

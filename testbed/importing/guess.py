@@ -19,7 +19,7 @@ from testbed.importing.column_names import (
     at_the_hand,
     grouped,
 )
-from testbed.importing.foreign_table import RAW, UNITS, ForeignTable, Kind, plain
+from testbed.importing.foreign_table import RAW, UNITS, ForeignTable, Kind, StatedPlate, plain
 from testbed.importing.import_report import Draft
 from testbed.importing.likely_signals import (
     BY_BOTH,
@@ -200,11 +200,8 @@ def _signal(kind: Kind, found: LikelySignal) -> Iterator[Said]:
     n = len(columns)
     if found.counts:
         turns = np.diag(np.full(n, 1 / found.counts)).tolist()
-        yield (
-            "matrix",
-            turns,
-            f"{found.counts} counts a turn, as of Dynamixel's and Feetech's servos",
-        )
+        about = f"{found.counts} counts a turn, as of Dynamixel's and Feetech's servos"
+        yield "matrix", turns, about
         yield "offset", [round(-np.pi, 6)] * n, "ASSUMED: zero is in the middle of a turn"
     if found.sign_bit:
         about = f"values beyond {found.sign_bit - 1} have a sign bit, as of servos' loads"
@@ -252,21 +249,21 @@ def _key(name: str) -> str:
 def _plate(source: LikelySource, columns: Sequence[ColumnName], *, alone: bool) -> Iterator[Said]:
     """A plate's keys."""
     names = tuple(each.name for each in columns)
-    stated = next((each for each in source.table.plates if each.columns == names), None)
+    none = StatedPlate("", names)
+    stated = next((each for each in source.table.plates if each.columns == names), none)
     yield "source", source.name, ""
-    six = "six are wanted: force x, y, z, moment x, y, z" * (len(columns) != 6 and not stated)
+    six = "six are wanted: force x, y, z, moment x, y, z" * (len(columns) != 6 and stated is none)
     hand = "they look like those of a sensor at the tool: leave [wrench] out then"
     yield "columns", list(names), hand if at_the_hand(columns[0]) else six
     units = [_of_all(columns[:3], "force"), _of_all(columns[3:], "moment")]
     raw = next((each.unit for each in columns if each.unit and plain(each.unit) in RAW), None)
-    matrix = stated.matrix if stated else None
-    if raw or matrix:
-        about = "" if matrix else f"the file says {raw}: six rows, N and N m of one {raw}"
+    if raw or stated.matrix:
+        about = "" if stated.matrix else f"the file says {raw}: six rows, N and N m of one {raw}"
         yield "units", ["N", "N m"], "by the matrix"
-        yield "matrix", matrix or "", about
+        yield "matrix", stated.matrix or "", about
     else:
         yield "units", units, "" if all(units) else f"{_listing('force')}; {_listing('moment')}"
-    if stated is not None:
+    if stated is not none:
         yield "sense", "on_plate", "as in all files of its kind"
     else:
         pull = [
@@ -276,9 +273,12 @@ def _plate(source: LikelySource, columns: Sequence[ColumnName], *, alone: bool) 
             if each.role == (0, 2)
         ]
         yield "sense", "", f"on_robot (at rest upwards) or on_plate{''.join(pull)}"
-    place = stated.place if stated else None
-    if place is not None:
-        yield "place", place, "by the file, in the laboratory's frame: it must be the bedplate's"
+    if stated.place is not None:
+        yield (
+            "place",
+            stated.place,
+            "by the file, in the laboratory's frame: it must be the bedplate's",
+        )
     elif alone:
         yield "# place", {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, "of the sensor [m, rad]"
     else:

@@ -404,9 +404,9 @@ def likely_plates(
         own = [c for c in columns if not at_the_hand(c)]
         if columns:
             found += [(n, source, each) for n, each in plate_columns(own or columns).items()]
-    whole = [each for each in found if len(each[2]) == 6 and not at_the_hand(each[2][0])]
-    first = found[:1] if "torque" not in signals else [p for p in found if len(p[2]) == 6][:1]
-    return whole or first
+    six = [each for each in found if len(each[2]) == 6]
+    whole = [each for each in six if not at_the_hand(each[2][0])]
+    return whole or (six if "torque" in signals else found)[:1]
 
 
 IDLE = 0.02
