@@ -39,7 +39,7 @@ TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "day": 86_40
 
 def _units_of_joint(
     position: dict[str, float], torque: dict[str, float]
-) -> dict[Kind, dict[str, float]]:
+) -> dict[str, dict[str, float]]:
     """Units of a joint's signals, by those of its positions and of its torques."""
     derivatives = (
         {f"{unit}{per}": size for unit, size in position.items()} for per in ("/s", "/s^2")

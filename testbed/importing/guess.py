@@ -273,12 +273,8 @@ def _plate(source: LikelySource, columns: Sequence[ColumnName], *, alone: bool) 
             if each.role == (0, 2)
         ]
         yield "sense", "", f"on_robot (at rest upwards) or on_plate{''.join(pull)}"
-    if stated.place is not None:
-        yield (
-            "place",
-            stated.place,
-            "by the file, in the laboratory's frame: it must be the bedplate's",
-        )
+    if (place := stated.place) is not None:
+        yield "place", place, "by the file, in the laboratory's frame: it must be the bedplate's"
     elif alone:
         yield "# place", {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, "of the sensor [m, rad]"
     else:
