@@ -195,6 +195,14 @@ class ForeignTable:
         """
         check_count(self.path, "columns", sum(map(_width, self.shapes.values())), MOST_COLUMNS)
 
+    @staticmethod
+    def of(
+        path: Path, arrays: Mapping[str, NDArray[Any]], units: Mapping[str, str]
+    ) -> ForeignTable:
+        """Table of arrays that are in memory, with their units."""
+        shapes = {name: values.shape for name, values in arrays.items()}
+        return ForeignTable(path, shapes, arrays.__getitem__, units)
+
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of all columns."""

@@ -140,7 +140,7 @@ def _joints(
     if group.matched or not joints:
         plain = [name for name in group.names if not re.search("[A-Za-z]", name)]
         more = "" if plain or group.matched else "; these are by the columns' names"
-        more += f"; no columns of {', '.join(missing)}" if missing and group.matched else ""
+        more += f"; no columns of {', '.join(missing)}" if missing else ""
         return [""] if plain else list(group.names), about + more
     found = f"{plural(len(group.names), 'column')} for {plural(len(joints), 'joint')}"
     return [""], f"{about}, {found}: {', '.join(joints)}"

@@ -369,9 +369,9 @@ def _with_sizes(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySig
     if any(q.units) and not (q.source.logger and largest > DEGREES[0]):
         return signals  # loggers can be set to degrees
     if whole and COUNTED <= largest < COUNTS and values.min() >= 0:
-        q = replace(_in_units(q, ["turn"] * len(q.units)), because=BY_SIZE, counts=COUNTS)
+        q = replace(q, units=("turn",) * len(q.units), because=BY_SIZE, counts=COUNTS)
     elif DEGREES[0] < largest <= DEGREES[1] and not PER_CENT[0] <= largest <= PER_CENT[1]:
-        q = replace(_in_units(q, ["deg"] * len(q.units)), because=BY_SIZE)
+        q = replace(q, units=("deg",) * len(q.units), because=BY_SIZE)
         v = signals.get("velocity")
         if v is not None and v.source.logger:
             signals = {**signals, "velocity": replace(v, units=(None,) * len(v.units))}
