@@ -48,7 +48,7 @@ def _units_of_joint(
 
 
 TURNING, SLIDING = _units_of_joint(ANGLES, MOMENTS), _units_of_joint(LENGTHS, FORCES)
-TURNING["velocity"]["rpm"] = math.pi / 30
+TURNING["velocity"].update(rpm=math.pi / 30)
 
 UNITS = {kind: TURNING[kind] | SLIDING[kind] for kind in KINDS} | {
     "force": FORCES,
