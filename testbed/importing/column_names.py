@@ -5,14 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile, zip_longest
 
 from testbed.importing.foreign_table import (
     FORCES,
     KINDS,
+    KNOWN,
     MOMENTS,
     RAW,
-    TIMES,
     UNITS,
     plain,
 )
@@ -83,14 +82,6 @@ WORD = r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+"
 HAND = {"tcp", "ee", "eef", "tool", "wrist", "flange", "gripper", "hand"}
 """Words of a wrench that is not the plate's."""
 
-AXES = {
-    f"{letter}{axis}": (part, k)
-    for part, letters in enumerate(("f", "mt"))
-    for letter in letters
-    for k, axis in enumerate("xyz")
-}
-"""Of a wrench: force or moment, and along which axis, by words as fx."""
-
 UNIT_WORDS = {
     "deg", "degrees", "rad", "radians", "mrad", "rpm", "Nm", "Nmm", "lbf", "kgf", "mm", "ms", "us",
     "ns", "mA", "sec", "msec", "usec", "nsec",
@@ -132,17 +123,14 @@ def read_name(name: str, said: str | None = None) -> ColumnName:
         said: What the file says of its unit beside the name.
     """
     bare, unit = without_unit(name)
-    if said and plain(said) in ALL:
+    if said and plain(said) in KNOWN:
         unit = plain(said)
     words = words_of(bare)
-    role = _role(words)
+    role = _role(" ".join(words))
     kind = _kind(words, unit, role)
     if kind in ("velocity", "acceleration") and unit in UNITS["position"]:
         unit = f"{unit}/s" + "^2" * (kind == "acceleration")
     return ColumnName(name, bare, words, unit, kind, role)
-
-
-ALL = {unit for units in UNITS.values() for unit in units} | RAW.keys() | TIMES.keys()
 
 
 def words_of(text: str) -> tuple[str, ...]:
@@ -162,7 +150,7 @@ def without_unit(name: str) -> tuple[str, str | None]:
     """A name without its unit, as Fx (lbf), q_deg_1, vel_rad_s; and the unit."""
     for found in re.finditer(r"\s*[(\[{<]([^()\[\]{}<>]+)[)\]}>]", name):
         for unit in (plain(found[1]), plain(found[1].replace("_", "/"))):
-            if unit in ALL:
+            if unit in KNOWN:
                 return name[: found.start()] + name[found.end() :], unit
     last = re.fullmatch(r"(\w*[a-z]\w*)[_ ](N|s)|(i_\w+|\w*(?i:cur|strom)\w*)[_ ](A)", name)
     if last:
@@ -175,19 +163,18 @@ def without_unit(name: str) -> tuple[str, str | None]:
         if first + 1 < len(words) and words[first + 1][0] in ("s", "s2"):
             last = words[first + 1]
             unit = plain(f"{found[0]}/{last[0]}")
-        if unit in ALL:
+        if unit in KNOWN:
             return name[: found.start()].rstrip("_- ") + name[last.end() :], unit
     return name, None
 
 
-def _role(words: tuple[str, ...]) -> tuple[int, int] | None:
-    """Force or moment, and its axis."""
-    for word in words:
-        if word in AXES:
-            return AXES[word]
-    axes = [word for word in words if word in ("x", "y", "z")]
-    moment = any(word.startswith(("torque", "moment")) for word in words)
-    if len(axes) != 1 or not (moment or any(word.startswith("force") for word in words)):
+def _role(text: str) -> tuple[int, int] | None:
+    """Force or moment, and its axis, by words as fx, or force and x."""
+    if found := re.search(r"\b([fmt])([xyz])\b", text):
+        return int(found[1] != "f"), "xyz".index(found[2])
+    axes = re.findall(r"\b[xyz]\b", text)
+    moment = re.search(r"\b(torque|moment)", text) is not None
+    if len(axes) != 1 or not (moment or re.search(r"\bforce", text)):
         return None
     return int(moment), "xyz".index(axes[0])
 
@@ -238,9 +225,8 @@ class Group:
     @property
     def numbers(self) -> list[int]:
         """Those of the names, if that is all that distinguishes them; else none."""
-        same = takewhile(lambda letters: len({*letters}) == 1, zip(*self.names, strict=False))
-        start = len("".join(letters[0] for letters in same).rstrip("0123456789"))
-        found = [re.fullmatch(r"(\D*)(\d+)(\D*)", name[start:]) for name in self.names]
+        after = r"\D*" if len(self.names) > 1 else ""
+        found = [re.fullmatch(rf"(.*?)(\d+)({after})", name) for name in self.names]
         around = {(m[1], m[3]) for m in found if m}
         return [int(m[2]) for m in found if m] if None not in found and len(around) == 1 else []
 
@@ -309,7 +295,7 @@ def as_torques(column: ColumnName, joints: Sequence[str]) -> ColumnName:
         joints: Names in the model.
     """
     load = column.kind == "wrench" and column.role is None
-    return replace(column, kind="torque") if load and [*_model_joint(column, joints)] else column
+    return replace(column, kind="torque") if load and _model_joint(column, joints) else column
 
 
 def _group(pairs: Sequence[tuple[ColumnName, str]], *, matched: bool = False) -> Group | None:
@@ -363,44 +349,38 @@ def at_the_hand(column: ColumnName) -> bool:
     return not HAND.isdisjoint(column.words)
 
 
-def _model_joint(column: ColumnName, joints: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """The rest of a name and the model's joint that is in it; the longest, if several are."""
-    best: tuple[int, str, str] | None = None
+def _model_joint(column: ColumnName, joints: Sequence[str]) -> list[tuple[str, str]]:
+    """The rest of a name and the model's joint that is in it; the longest, if several are.
+
+    A number alone is any column's.
+    """
+    name, longest = f" {' '.join(column.words)} ", 0
+    found: list[tuple[str, str]] = []
     for joint in joints:
         whole = words_of(joint)
         for part in (whole, tuple(word for word in whole if word != "joint")):
-            if all(word.isdigit() for word in part):
-                continue  # a number alone is any column's
-            for k in range(len(column.words) - len(part) + 1):
-                same = column.words[k : k + len(part)] == part
-                if same and (best is None or len(part) > best[0]):
-                    rest = [*column.words[:k], "{}", *column.words[k + len(part) :]]
-                    best = (len(part), " ".join(rest), joint)
-    if best is not None:
-        yield best[1:]
+            said = f" {' '.join(part)} "
+            if said in name and len(part) > longest and not "".join(part).isdigit():
+                longest, found = len(part), [(name.replace(said, " {} ", 1), joint)]
+    return found
 
 
 def _own_name(column: ColumnName, columns: Sequence[ColumnName]) -> Iterator[tuple[str, str]]:
     """The rest of a name and what in it is not about the signal and not in all names."""
-    words = [(m[0], m.start(), m.end()) for m in re.finditer(WORD, column.bare)]
-    runs: list[tuple[int, int]] = []
-    said: list[str] = []
-    end = -2
-    for (text, start, stop), after in zip_longest(words, words[1:], fillvalue=("", -1, -1)):
-        of_signal = after[1] == stop and text.isalpha() and says_signal(after[0])  # JointAngle
-        if says_signal(text) or of_signal:
-            said.append(text.lower())
-        elif runs and said[-1] == "{}" and not column.bare[end:start].strip("_-"):
-            runs[-1] = (runs[-1][0], stop)
-        else:
-            runs.append((start, stop))
-            said.append("{}")
-        end = stop
-    for start, stop in reversed(runs):
-        name = column.bare[start:stop]
+    said = re.sub(WORD, _marked, column.bare)
+    parts = re.findall(r"\0\w+\0|[A-Za-z\d]+(?:[_-]*[A-Za-z\d]+)*", said, re.ASCII)
+    rest = " ".join(part if "\0" in part else "{}" for part in parts)
+    for name in reversed([part for part in parts if "\0" not in part]):
         if len(columns) == 1 or not all(name in other.bare for other in columns):
-            yield " ".join(said), name
+            yield rest, name
             return
+
+
+def _marked(word: re.Match[str]) -> str:
+    """A word between marks if it is about the signal, as both of JointAngle."""
+    after = re.match(WORD, word.string[word.end() :]) if word[0].isalpha() else None
+    about = says_signal(word[0]) or (after and says_signal(after[0]))
+    return f"\0{word[0].lower()}\0" if about else word[0]
 
 
 def _without_role(column: ColumnName) -> str:

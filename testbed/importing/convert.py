@@ -192,7 +192,7 @@ def _converted(
         got, name = samples[label], each.table.source
         made = _mapped(mapping, label, onto_grid(got.time, got.values, got.rate, grid))
         columns |= {name: made[name] + columns.get(name, 0.0) for name in made}  # plates add up
-        clock = replace(got.clock, lead=float(grid[0] - each.begin))
+        clock = replace(got.clock, lead=float(grid[0] - each.begin), cut=each.file.cut)
         if clocks.setdefault(name, clock) != clock:  # other samples are missing
             clocks[f"{name}, {label}"] = clock
     reports = {label: got.report for label, got in samples.items()}
@@ -257,12 +257,10 @@ def _streams(mapping: Mapping, folder: Path) -> dict[str, _Stream]:
         label: _stream(label, table, files[table.source], times[table.source])
         for label, table in mapping.tables.items()
     }
-    spans: dict[str, float] = {}
-    for each in found.values():
-        name = each.table.source
-        spans[name] = max(spans.get(name, 0.0), float(np.ptp(each.time)))
+    spans = sorted((each.table.source, float(np.ptp(each.time))) for each in found.values())
+    longest = dict(spans)
     return {
-        label: replace(each, shorter=spans[each.table.source] - float(np.ptp(each.time)))
+        label: replace(each, shorter=longest[each.table.source] - float(np.ptp(each.time)))
         for label, each in found.items()
     }
 
@@ -328,7 +326,6 @@ def _samples(mapping: Mapping, label: str, stream: _Stream, window: Window) -> _
     stamps, values = stamps[kept], values[kept]
     used = steady_times(name, stamps, rows[kept]) if source.steady else stamps
     clock = clock_report(name, source, stamps, used, int(np.count_nonzero(~kept)))
-    clock = replace(clock, cut=stream.file.cut)
     time, rate, held, dropped = used - table.delay, clock.rate, held_share(values), 0
     if source.drop_held:
         news = slow_device(values)
@@ -338,17 +335,16 @@ def _samples(mapping: Mapping, label: str, stream: _Stream, window: Window) -> _
     if isinstance(table, BaseTable):
         values = np.hstack([values[:, :3], without_turnovers(values[:, 3:])])
     values = signed(table, values) if table is mapping.torque else values
-    steps: tuple[Diagnostic, ...] = ()
+    said: list[Diagnostic] = []
+    if stream.shorter > longest_bridged(source, 1 / rate):
+        said.append(diagnose("import.shorter", label, stream.shorter, source=name))
     if table is mapping.position:
         names = mapping.joints if table.matrix is None else table.columns
         values, steps = without_turns(table, names, time, values)
+        said += steps
     passed = low_pass_reach(rate, mapping.rate) > 0
-    said: tuple[Diagnostic, ...] = ()
-    if stream.shorter > longest_bridged(source, 1 / rate):
-        said = (diagnose("import.shorter", label, stream.shorter, source=name),)
-    return _Samples(
-        time, values, rate, clock, SignalReport(name, held, dropped, passed, (*said, *steps))
-    )
+    report = SignalReport(name, held, dropped, passed, tuple(said))
+    return _Samples(time, values, rate, clock, report)
 
 
 def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, float]) -> Array:
@@ -389,21 +385,16 @@ def _mapped(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
 
 def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
     """What the recording's file keeps beside its columns."""
-    said = mapping.model_dump(mode="json", exclude_none=True)
-    facts: dict[str, Any] = {"import": encode(report), "mapping": said}
-    if report.diagnostics:
-        facts["diagnostics"] = [each.as_dict() for each in report.diagnostics]
-    if mapping.sensors:
-        links = {name: table.link or name for name, table in mapping.sensors.items()}
-        facts["sensors"] = {name: {"link": link} for name, link in links.items()}
-    kinds = joint_kinds(mapping.position, mapping.joints)
-    if kinds:
-        facts["geometry"] = kinds
-    if efforts := effort_kinds(mapping):
-        facts["effort"] = efforts
-    if mapping.gravity is not None:
-        facts["gravity"] = list(mapping.gravity)
+    facts = {
+        "import": encode(report),
+        "mapping": mapping.model_dump(mode="json", exclude_none=True),
+        "diagnostics": [each.as_dict() for each in report.diagnostics],
+        "sensors": {name: {"link": each.link or name} for name, each in mapping.sensors.items()},
+        "geometry": joint_kinds(mapping.position, mapping.joints),
+        "effort": effort_kinds(mapping),
+        "gravity": mapping.gravity,
+    }
     plates = [each for each in mapping.others.values() if isinstance(each, WrenchTable)]
     tares = [t for each in plates if (t := each.static(mapping.gravity)) is not None]
     tare = np.sum(tares, axis=0).tolist() if tares else None
-    return {"tare": tare, "facts": facts}
+    return {"tare": tare, "facts": {name: fact for name, fact in facts.items() if fact}}

@@ -36,18 +36,19 @@ RAW = {"A": 1.0, "mA": 1e-3, "pwm": 1.0, "V": 1.0, "mV": 1e-3, "raw": 1.0}
 """Of what becomes a torque by a gain."""
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "day": 86_400.0}
 
-TURNING = {
-    "position": ANGLES,
-    "velocity": {f"{u}/s": f for u, f in ANGLES.items()} | {"rpm": math.pi / 30},
-    "acceleration": {f"{u}/s^2": f for u, f in ANGLES.items()},
-    "torque": MOMENTS,
-}
-SLIDING = {
-    "position": LENGTHS,
-    "velocity": {f"{u}/s": f for u, f in LENGTHS.items()},
-    "acceleration": {f"{u}/s^2": f for u, f in LENGTHS.items()},
-    "torque": FORCES,
-}
+
+def _units_of_joint(
+    position: dict[str, float], torque: dict[str, float]
+) -> dict[str, dict[str, float]]:
+    """Units of a joint's signals, by those of its positions and of its torques."""
+    derivatives = (
+        {f"{unit}{per}": size for unit, size in position.items()} for per in ("/s", "/s^2")
+    )
+    return dict(zip(KINDS, (position, *derivatives, torque), strict=True))
+
+
+TURNING, SLIDING = _units_of_joint(ANGLES, MOMENTS), _units_of_joint(LENGTHS, FORCES)
+TURNING["velocity"].update(rpm=math.pi / 30)
 
 UNITS = {kind: TURNING[kind] | SLIDING[kind] for kind in KINDS} | {
     "force": FORCES,
@@ -128,8 +129,7 @@ def factor(kind: str, unit: str) -> float:
         kind: What is measured, a key of `UNITS`.
         unit: One that `check_unit` takes.
     """
-    name = plain(unit)
-    return UNITS[kind][name] if name in UNITS[kind] else RAW[name]
+    return (RAW | UNITS[kind])[plain(unit)]
 
 
 def slides(unit: str) -> bool:
@@ -194,6 +194,14 @@ class ForeignTable:
             RecordingError: It has more.
         """
         check_count(self.path, "columns", sum(map(_width, self.shapes.values())), MOST_COLUMNS)
+
+    @staticmethod
+    def of(
+        path: Path, arrays: Mapping[str, NDArray[Any]], units: Mapping[str, str]
+    ) -> ForeignTable:
+        """Table of arrays that are in memory, with their units."""
+        shapes = {name: values.shape for name, values in arrays.items()}
+        return ForeignTable(path, shapes, arrays.__getitem__, units)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -269,11 +277,9 @@ class ForeignTable:
         found = np.asarray(self.load(name))
         if found.shape != self.shapes[name] or found.dtype.kind not in NUMBERS:
             raise ValueError(f"'{name}' is not what the file says of it")
-        if min(found.shape) == 1 or found.ndim == 1:
-            found = found.reshape(1, -1)
-        elif found.shape[0] >= found.shape[1]:  # rows are samples
-            found = found.T
-        return found
+        found = np.atleast_2d(found)
+        rows, columns = found.shape
+        return found.T if rows >= columns else found  # rows are samples
 
     @cached_property
     def _places(self) -> dict[str, tuple[str, int]]:
@@ -326,15 +332,16 @@ def check_count(path: Path, what: str, count: int, most: int) -> None:
         )
 
 
-def each_once(names: Iterable[str]) -> list[str]:
-    """Names in their order, the second of a kind with its place behind it.
+def each_once(names: Sequence[str], count: int) -> list[str]:
+    """Names of columns, each once: the second of a kind with its place behind it.
 
     Args:
-        names: Of columns.
+        names: As they are given; a column without one is called by its place.
+        count: Of columns.
     """
     found: dict[str, None] = {}
-    for k, given in enumerate(names):
-        name = given
+    for k in range(count):
+        name = (names[k] if k < len(names) else "") or str(k)
         while name in found:
             name += f" ({k})"
         found[name] = None

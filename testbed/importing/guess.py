@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from testbed.importing.column_names import (
     at_the_hand,
     grouped,
 )
-from testbed.importing.foreign_table import KINDS, RAW, UNITS, ForeignTable, Kind, plain
+from testbed.importing.foreign_table import RAW, UNITS, ForeignTable, Kind, StatedPlate, plain
 from testbed.importing.import_report import Draft
 from testbed.importing.likely_signals import (
     BY_BOTH,
@@ -60,9 +60,9 @@ def guessed(
         listed = ", ".join(f"'{path}'" for path in paths)
         raise RecordingError(f"no columns of numbers in {listed}")
     signals, joints = _fitting(sources, joints, subsets)
-    temperatures = [*_temperatures(sources, joints, signals)]
     by_name = {each.source.name: each.source for each in signals.values()}
     sources = [by_name.get(each.name, each) for each in sources]
+    signals = {**signals, **_temperatures(sources, joints, signals)}
     files = ", ".join(printable(path.name, 100) for path in paths)
     draft = Draft().remarking(
         "",
@@ -77,7 +77,6 @@ def guessed(
     draft = draft.saying("", "joints", *_joints(signals, joints))
     plates = likely_plates(sources, signals)
     used = {each.source.name for each in signals.values()} | {each[1].name for each in plates}
-    used |= {value for key, value, _ in temperatures if key == "source"}
     for each in sources:
         if each.name in used or not used:
             draft = _with_source(draft, each, folder)
@@ -86,9 +85,8 @@ def guessed(
             draft = draft.remarking("", f"# not used: {printable(unused)}")
         if not rate:  # then it is the recording's
             draft = draft.saying(f"sources.{each.name}", "rate", None)
-    for kind in KINDS:
+    for kind in get_args(Kind):
         draft = _with_signal(draft, kind, signals, sources)
-    draft = draft.saying_all("temperature", temperatures)
     names = [name for name, _, _ in plates]
     for name, source, columns in plates:
         own = name if names.count(name) == 1 else f"{source.name} {name}"
@@ -142,7 +140,7 @@ def _joints(
     if group.matched or not joints:
         plain = [name for name in group.names if not re.search("[A-Za-z]", name)]
         more = "" if plain or group.matched else "; these are by the columns' names"
-        more += f"; no columns of {', '.join(missing)}" if missing and group.matched else ""
+        more += f"; no columns of {', '.join(missing)}" if missing else ""
         return [""] if plain else list(group.names), about + more
     found = f"{plural(len(group.names), 'column')} for {plural(len(joints), 'joint')}"
     return [""], f"{about}, {found}: {', '.join(joints)}"
@@ -177,35 +175,38 @@ def _with_signal(
     sources: Sequence[LikelySource],
 ) -> Draft:  # fmt: skip
     """A signal's table, if columns look like one."""
-    found = signals.get(kind)
     beside = [c.name for s in sources for c in s.columns if c.kind == kind and c.beside]
     if beside:
         draft = draft.remarking(kind, f"# left out, by their names: {json.dumps(beside)}")
-    if found is None:
-        optional = ", if there are any" if kind != "position" else ""
-        lines = [
-            f"# [{kind}]  # no column looks like it{optional}",
-            f'# source = "{sources[0].name}"',
-            "# columns = []  # one a joint",
-            f'# unit = ""  # {", ".join(UNITS[kind])}',
-        ]
-        return draft.remarking(kind, *lines) if kind in ("position", "torque") else draft
+    if kind in signals:
+        return draft.saying_all(kind, _signal(kind, signals[kind]))
+    optional = ", if there are any" if kind != "position" else ""
+    lines = [
+        f"# [{kind}]  # no column looks like it{optional}",
+        f'# source = "{sources[0].name}"',
+        "# columns = []  # one a joint",
+        f'# unit = ""  # {_listing(kind)}',
+    ]
+    return draft.remarking(kind, *lines) if kind in ("position", "torque") else draft
+
+
+def _signal(kind: Kind, found: LikelySignal) -> Iterator[Said]:
+    """A signal's keys."""
     others = f"others that look like it: {json.dumps(found.others)}" if found.others else ""
-    others = "; ".join(each for each in (found.evidence, others) if each)
-    draft = draft.saying(kind, "source", found.source.name)
-    draft = draft.saying(kind, "columns", [each.name for each in found.group.columns], others)
-    draft = draft.saying_all(kind, _unit(kind, found))
+    yield "source", found.source.name, ""
+    columns = [each.name for each in found.group.columns]
+    yield "columns", columns, "; ".join(filter(None, (found.evidence, others)))
+    yield from _unit(kind, found)
+    n = len(columns)
     if found.counts:
-        turns, n = 1 / found.counts, len(found.units)
-        rows = [[turns if j == k else 0.0 for k in range(n)] for j in range(n)]
+        turns = np.diag(np.full(n, 1 / found.counts)).tolist()
         about = f"{found.counts} counts a turn, as of Dynamixel's and Feetech's servos"
-        draft = draft.saying(kind, "matrix", rows, about)
-        half = [round(-np.pi, 6)] * n
-        draft = draft.saying(kind, "offset", half, "ASSUMED: zero is in the middle of a turn")
+        yield "matrix", turns, about
+        yield "offset", [round(-np.pi, 6)] * n, "ASSUMED: zero is in the middle of a turn"
     if found.sign_bit:
         about = f"values beyond {found.sign_bit - 1} have a sign bit, as of servos' loads"
-        draft = draft.saying(kind, "sign_bit", found.sign_bit, about)
-    return draft.saying(kind, "sign", list(found.sign), BY_BOTH) if found.sign else draft
+        yield "sign_bit", found.sign_bit, about
+    yield "sign", list(found.sign) or None, BY_BOTH
 
 
 def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
@@ -214,11 +215,11 @@ def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
     taken = [unit for unit in found.units if unit in known]
     raw = [unit for unit in taken if unit in RAW]
     if len(taken) < len(found.units) or 0 < len(raw) < len(taken):
-        more = "; or A, V, raw with gain = [N m each]" if kind == "torque" else ""
+        more = "; or A, V, raw with gain = [N m each]" * (kind == "torque")
         large = float(np.nanmax(np.abs(values_of(found)))) if kind == "position" else 0.0
         if PER_CENT[0] <= large <= PER_CENT[1]:
             more += "; per cent of each joint's range, as of SO arms: deg, matrix of ranges / 200"
-        yield "unit", "", f"{', '.join(UNITS[kind])}{more}"
+        yield "unit", "", f"{_listing(kind)}{more}"
         return
     yield "unit", taken[0] if len(set(taken)) == 1 else taken, found.because
     if raw:
@@ -227,18 +228,17 @@ def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
 
 def _temperatures(
     sources: Sequence[LikelySource], joints: Sequence[str], signals: Mapping[Kind, LikelySignal]
-) -> Iterator[Said]:
-    """Keys of the drives' temperatures, if every joint has one."""
+) -> Mapping[Kind, LikelySignal]:
+    """Temperatures of the drives, if every joint has one."""
     position = signals.get("position")
     names = list(joints) if position is None else list(position.group.names)
     for source in sources:
         columns = [c for c in source.columns if not WARMTH.isdisjoint(c.words)]
         for group in (each.of(names).like(names) for each in grouped(columns, names)):
             if list(group.names) == names:
-                yield "source", source.name, ""
-                yield "columns", [each.name for each in group.columns], ""
-                yield "unit", "degC", "the only one that is known"
-                return
+                units, because = ("degC",) * len(names), "the only one that is known"
+                return {"temperature": LikelySignal(source, group, (), units, because=because)}
+    return {}
 
 
 def _key(name: str) -> str:
@@ -249,21 +249,21 @@ def _key(name: str) -> str:
 def _plate(source: LikelySource, columns: Sequence[ColumnName], *, alone: bool) -> Iterator[Said]:
     """A plate's keys."""
     names = tuple(each.name for each in columns)
-    stated = next((each for each in source.table.plates if each.columns == names), None)
+    none = StatedPlate("", names)
+    stated = next((each for each in source.table.plates if each.columns == names), none)
     yield "source", source.name, ""
-    six = "six are wanted: force x, y, z, moment x, y, z" * (len(columns) != 6 and not stated)
+    six = "six are wanted: force x, y, z, moment x, y, z" * (len(columns) != 6 and stated is none)
     hand = "they look like those of a sensor at the tool: leave [wrench] out then"
     yield "columns", list(names), hand if at_the_hand(columns[0]) else six
     units = [_of_all(columns[:3], "force"), _of_all(columns[3:], "moment")]
     raw = next((each.unit for each in columns if each.unit and plain(each.unit) in RAW), None)
-    matrix = stated.matrix if stated else None
-    if raw or matrix:
-        about = "" if matrix else f"the file says {raw}: six rows, N and N m of one {raw}"
+    if raw or stated.matrix:
+        about = "" if stated.matrix else f"the file says {raw}: six rows, N and N m of one {raw}"
         yield "units", ["N", "N m"], "by the matrix"
-        yield "matrix", matrix or "", about
+        yield "matrix", stated.matrix or "", about
     else:
         yield "units", units, "" if all(units) else f"{_listing('force')}; {_listing('moment')}"
-    if stated is not None:
+    if stated is not none:
         yield "sense", "on_plate", "as in all files of its kind"
     else:
         pull = [
@@ -273,8 +273,7 @@ def _plate(source: LikelySource, columns: Sequence[ColumnName], *, alone: bool) 
             if each.role == (0, 2)
         ]
         yield "sense", "", f"on_robot (at rest upwards) or on_plate{''.join(pull)}"
-    place = stated.place if stated else None
-    if place is not None:
+    if (place := stated.place) is not None:
         yield "place", place, "by the file, in the laboratory's frame: it must be the bedplate's"
     elif alone:
         yield "# place", {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, "of the sensor [m, rad]"

@@ -40,8 +40,8 @@ class Draft:
             value: Number, text, list or table.
             note: One line; none if that is empty.
         """
-        kept = {name: each for name, each in self.tables.get(table, {}).items() if name != key}
-        keys = {**self.tables.get(table, {}), key: value} if value is not None else kept
+        given = {**self.tables.get(table, {}), key: value}
+        keys = {name: each for name, each in given.items() if each is not None}
         notes = {place: each for place, each in self.notes.items() if place != (table, key)}
         notes |= {(table, key): note} if note and value is not None else {}
         return replace(self, tables={**self.tables, table: keys}, notes=notes)
@@ -56,8 +56,11 @@ class Draft:
     def remarking(self, table: str, *lines: str) -> Draft:
         """The same with lines of comment above a table, or in place of one that is not there."""
         said = [*self.remarks.get(table, ()), *lines]
-        tables = {**self.tables} if table in self.tables else {**self.tables, table: {}}
-        return replace(self, tables=tables, remarks={**self.remarks, table: said})
+        return replace(
+            self,
+            tables={**self.tables, table: self.tables.get(table, {})},
+            remarks={**self.remarks, table: said},
+        )
 
     @property
     def content(self) -> dict[str, Any]:

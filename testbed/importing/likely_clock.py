@@ -92,7 +92,7 @@ class LikelyClock:
 
 
 def clock_of(
-    table: ForeignTable, layout: Layout | None = None, rows: NDArray[np.bool_] | None = None
+    table: ForeignTable, layout: Layout | None = None, rows: NDArray[np.bool_] | bool = True
 ) -> LikelyClock:
     """Find the time column of a table, its unit and its sampling rate.
 
@@ -109,12 +109,13 @@ def clock_of(
             since = (seconds - seconds[0]) + (rest - rest[0]) * TIMES["ns"]
             return LikelyClock(None, rate=rate_of(since), because=f"by {' and '.join(known)}")
         return LikelyClock(None, rate=layout.rate, because=because)
-    timed = {c for c in table.columns if plain(table.unit(c) or "") in TIMES}
+    units = {column: plain(table.unit(column) or "") for column in table.columns}
+    timed = {column: unit for column, unit in units.items() if unit in TIMES}
     named = [c for c in table.columns if c in timed or like_time(c) < len(TIME_WORDS)]
     likely = known or sorted(named, key=like_time)
     for column in likely[:LOOKED_AT]:
         stamps = table.stamps(column)
-        stamps = stamps[np.isfinite(stamps) if rows is None else rows & np.isfinite(stamps)]
+        stamps = stamps[rows & np.isfinite(stamps)]
         if len(stamps) < 2:
             continue
         steps = np.diff(stamps)
@@ -123,19 +124,17 @@ def clock_of(
         coarse = STANDING < stands < 1 and even
         if not coarse and (steps > 0).mean() <= RISING:
             continue
-        said = plain(table.unit(column) or "")
-        given = said in TIMES
-        unit, because = (
-            (said, "") if given else _unit(column, line + stamps[0] if coarse else stamps)
-        )
+        unit, because = timed.get(column), ""
+        if unit is None:
+            unit, because = _unit(column, line + stamps[0] if coarse else stamps)
         unit = (layout.unit if layout and known else None) or unit
-        one = TIMES[unit] if unit else 1.0
-        if not coarse:
-            rate = rate_of(stamps) / one
-            return LikelyClock(column, unit, given, rounded(rate, 1e-12) if unit else rate, because)
-        rate = rounded(1 / (one * float(line[1] - line[0])), 2 / len(stamps))
-        said = f"{stands:.0%} of the stamps are those before, as of a clock that ticks slower"
-        return LikelyClock(column, unit, given, rate, because, said)
+        one, steady = TIMES.get(unit or "", 1.0), ""
+        if coarse:
+            rate = rounded(1 / (one * float(line[1] - line[0])), 2 / len(stamps))
+            steady = f"{stands:.0%} of the stamps are those before, as of a clock that ticks slower"
+        else:
+            rate = rounded(rate_of(stamps) / one, 1e-12 if unit else 0.0)
+        return LikelyClock(column, unit, column in timed, rate, because, steady)
     count = max(table.lengths.values(), default=0)
     return LikelyClock(None, because=f"no column of {count} numbers looks like times [Hz]")
 

@@ -158,22 +158,19 @@ def _tables(path: Path, name: str) -> Iterator[LikelySource]:
         for k, count in enumerate(dict.fromkeys(arrays.values())):  # sampled at other times
             shapes = {each: s for each, s in table.shapes.items() if arrays[each] == count}
             part = replace(table, shapes=shapes)
-            yield from _source(f"{own}_{k + 1}" if k else own, path, topic or None, part)
+            yield _source(f"{own}_{k + 1}" if k else own, path, topic or None, part)
 
 
-def _source(
-    name: str, path: Path, topic: str | None, table: ForeignTable
-) -> Iterator[LikelySource]:
-    """A table with its likely clock and the columns that hold numbers, unless it is empty."""
-    if table.columns:
-        layout = layout_of(table.columns)
-        clock = clock_of(table, layout)
-        names = [each for each in table.columns if each != clock.column]
-        read = tuple(read_name(each, table.unit(each)) for each in names)
-        read = layout.read(read) if layout else read
-        filled = [c for c in read if not c.kind or np.isfinite(table.read([c.name])[c.name]).any()]
-        logger = layout.logger if layout else ""
-        yield LikelySource(name, path, topic, table, tuple(filled), clock, logger)
+def _source(name: str, path: Path, topic: str | None, table: ForeignTable) -> LikelySource:
+    """A table with its likely clock and the columns that hold numbers."""
+    layout = layout_of(table.columns)
+    clock = clock_of(table, layout)
+    names = [each for each in table.columns if each != clock.column]
+    read = tuple(read_name(each, table.unit(each)) for each in names)
+    read = layout.read(read) if layout else read
+    filled = [c for c in read if not c.kind or np.isfinite(table.read([c.name])[c.name]).any()]
+    logger = layout.logger if layout else ""
+    return LikelySource(name, path, topic, table, tuple(filled), clock, logger)
 
 
 def _with_source(
@@ -290,18 +287,18 @@ def _by_data(
             yield "torque", source, left, "ASSUMED: no other columns are left, joint by joint"
 
 
-def _slopes(source: LikelySource, position: Group, velocity: Group) -> Slopes | None:
-    """Increments of positions regressed on integrals of velocities; None if lengths differ."""
+def _slopes(source: LikelySource, position: Group, velocity: Group) -> Slopes:
+    """Increments of positions regressed on integrals of velocities; zeros if lengths differ."""
     values, rates = (source.values(group) for group in (position, velocity))
     time = source.clock.time(source.table, len(values))
     same = values.shape == rates.shape and len(values) == len(time)
-    return slopes(values, rates, time) if same else None
+    return slopes(values, rates, time) if same else Slopes(*np.zeros((2, 1, 1)))
 
 
 def _follows(source: LikelySource, position: Group, velocity: Group) -> bool:
     """Whether columns are the derivatives of others at half of the joints or more."""
-    found = _slopes(source, position, velocity)
-    return found is not None and bool(2 * (np.diagonal(found.fit) > SURE).sum() >= len(found.fit))
+    sure = np.diagonal(_slopes(source, position, velocity).fit) > SURE
+    return bool(2 * sure.sum() >= len(sure))
 
 
 def _is(column: ColumnName, kind: str) -> bool:
@@ -317,8 +314,6 @@ def _followed(signals: Mapping[Kind, LikelySignal]) -> Array | None:
     if q is None or v is None or q.source is not v.source or q.counts:
         return None
     found = _slopes(q.source, q.group, v.group)
-    if found is None:
-        return None
     sure = np.diagonal(found.fit) > SURE
     return np.where(sure, np.diagonal(found.slope), np.nan) if sure.any() else None
 
@@ -374,9 +369,9 @@ def _with_sizes(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySig
     if any(q.units) and not (q.source.logger and largest > DEGREES[0]):
         return signals  # loggers can be set to degrees
     if whole and COUNTED <= largest < COUNTS and values.min() >= 0:
-        q = replace(_in_units(q, ["turn"] * len(q.units)), because=BY_SIZE, counts=COUNTS)
+        q = replace(q, units=("turn",) * len(q.units), because=BY_SIZE, counts=COUNTS)
     elif DEGREES[0] < largest <= DEGREES[1] and not PER_CENT[0] <= largest <= PER_CENT[1]:
-        q = replace(_in_units(q, ["deg"] * len(q.units)), because=BY_SIZE)
+        q = replace(q, units=("deg",) * len(q.units), because=BY_SIZE)
         v = signals.get("velocity")
         if v is not None and v.source.logger:
             signals = {**signals, "velocity": replace(v, units=(None,) * len(v.units))}
@@ -409,9 +404,9 @@ def likely_plates(
         own = [c for c in columns if not at_the_hand(c)]
         if columns:
             found += [(n, source, each) for n, each in plate_columns(own or columns).items()]
-    whole = [each for each in found if len(each[2]) == 6 and not at_the_hand(each[2][0])]
-    first = found[:1] if "torque" not in signals else [p for p in found if len(p[2]) == 6][:1]
-    return whole or first
+    six = [each for each in found if len(each[2]) == 6]
+    whole = [each for each in six if not at_the_hand(each[2][0])]
+    return whole or (six if "torque" in signals else found)[:1]
 
 
 IDLE = 0.02

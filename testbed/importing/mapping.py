@@ -268,10 +268,10 @@ class Mapping(MappingTable):
     @property
     def others(self) -> dict[str, AnyTable]:
         """What is measured besides joint by joint: wrench, plates.NAME, sensors.NAME, base."""
-        found: dict[str, AnyTable] = {f"plates.{k}": each for k, each in self.plates.items()}
-        found |= {f"sensors.{k}": each for k, each in self.sensors.items()}
-        found |= {"wrench": self.wrench} if self.wrench is not None else {}
-        return found | ({"base": self.base} if self.base is not None else {})
+        found: dict[str, AnyTable | None] = {f"plates.{k}": t for k, t in self.plates.items()}
+        found |= {f"sensors.{k}": table for k, table in self.sensors.items()}
+        found |= {"wrench": self.wrench, "base": self.base}
+        return {label: table for label, table in found.items() if table is not None}
 
     @property
     def signals(self) -> dict[str, SignalTable]:

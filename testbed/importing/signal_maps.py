@@ -200,15 +200,14 @@ def check_units(label: str, table: AnyTable, file: ForeignTable) -> None:
         RecordingError: They differ.
     """
     if isinstance(table, BaseTable):
-        stated = [("position", column, table.unit) for column in table.position]
+        kinds, units = ["position"] * 3, [table.unit] * 3
     elif isinstance(table, SignalTable):
-        stated = [(label, *pair) for pair in zip(table.columns, table.units, strict=True)]
-        stated = stated if table.gain is None else []
+        units = table.units if table.gain is None else []
+        kinds = [label] * len(units)
     else:
-        kinds = np.repeat(["force", "moment"], 3).tolist() if table.matrix is None else []
-        units = np.repeat(table.units, 3).tolist()
-        stated = [*zip(kinds, table.columns, units, strict=False)]
-    for kind, column, unit in stated:
+        units = np.repeat(table.units, 3).tolist() if table.matrix is None else []
+        kinds = ["force"] * 3 + ["moment"] * 3
+    for kind, column, unit in zip(kinds, table.columns, units, strict=False):
         said = plain(file.unit(column) or "")
         if said in {*UNITS[kind], *RAW} and said != plain(unit) and plain(unit) in UNITS[kind]:
             how = {"torque": "; say its `gain`", "force": "; say the plate's gains, `matrix`"}

@@ -15,10 +15,10 @@ from testbed.core.recordings.columns import AXES
 from testbed.core.robot.tree import Tree
 from testbed.importing.column_names import read_name
 from testbed.importing.foreign_table import (
+    ANGLES,
     FORCES,
+    LENGTHS,
     MOMENTS,
-    SLIDING,
-    TURNING,
     ForeignTable,
 )
 from testbed.importing.likely_clock import clock_of
@@ -95,6 +95,5 @@ def _positions(
     """Column, unit and known units of each joint's position."""
     for joint in tree.joints:
         k = signal.group.names.index(joint.name)
-        usual = "m" if not joint.revolute else "deg" if degrees else "rad"
-        units = (TURNING if joint.revolute else SLIDING)["position"]
+        usual, units = ("deg" if degrees else "rad", ANGLES) if joint.revolute else ("m", LENGTHS)
         yield signal.group.columns[k].name, signal.units[k] or usual, units

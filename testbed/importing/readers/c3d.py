@@ -11,6 +11,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,8 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.importing.foreign_table import (
     LENGTHS,
-    MOST_COLUMNS,
     ForeignTable,
     StatedPlate,
-    check_count,
     each_once,
     library,
     plain,
@@ -63,27 +62,23 @@ def read_file(path: Path) -> ForeignTable:
         }
         points, (analog,) = content["data"]["points"], content["data"]["analogs"]
         _check_complete(path, points.shape[2])
-        check_count(path, "columns", 3 * points.shape[1] + len(analog), MOST_COLUMNS)
-        channels, channel_units = _named("ANALOG", groups, analog)
-        markers, marker_units = _named("POINT", groups, points[:3].swapaxes(0, 1))
-        columns, units = {}, {}
+        columns: dict[str, tuple[Array, str]] = {}
         for kind, count in (("analog", analog.shape[1]), ("point", points.shape[2])):
             if (rate := content["header"][f"{kind}s"]["frame_rate"]) > 0:
-                columns[f"{kind}/time"] = np.arange(count) / rate
-                units[f"{kind}/time"] = "s"
-        columns |= {f"analog/{label}": values for label, values in channels.items()}
-        units |= {f"analog/{label}": unit for label, unit in channel_units.items()}
-        for label, place in markers.items():
+                columns[f"{kind}/time"] = np.arange(count) / rate, "s"
+        channels = _labels("ANALOG", groups, len(analog))
+        for label, values in zip(channels, analog, strict=True):
+            columns[f"analog/{label}"] = values, channels[label]
+        markers = _labels("POINT", groups, points.shape[1])
+        for label, place in zip(markers, points[:3].swapaxes(0, 1), strict=True):
             for axis, values in zip("xyz", place, strict=True):
-                columns[f"point/{label}/{axis}"] = values
-                if label in marker_units:
-                    units[f"point/{label}/{axis}"] = marker_units[label]
+                columns[f"point/{label}/{axis}"] = values, markers[label]
         plates: list[StatedPlate] = []
         with suppress(KeyError, ValueError, IndexError):  # parameters that are not all there
             plates = [*_plates(groups, [f"analog/{label}" for label in channels])]
-    columns = {name: values for name, values in columns.items() if len(values) > 1}
-    shapes = {name: values.shape for name, values in columns.items()}
-    return ForeignTable(path, shapes, columns.__getitem__, units, plates=plates)
+    shapes = {name: values.shape for name, (values, _) in columns.items() if len(values) > 1}
+    units = {name: unit for name, (_, unit) in columns.items() if unit}
+    return ForeignTable(path, shapes, lambda name: columns[name][0], units, plates=plates)
 
 
 def _check_complete(path: Path, frames: int) -> None:
@@ -99,14 +94,12 @@ def _check_complete(path: Path, frames: int) -> None:
         raise ValueError(f"it ends early, after {frames} frames")
 
 
-def _named(kind: str, groups: Parameters, values: Array) -> tuple[dict[str, Array], dict[str, str]]:
-    """Values of each channel or point and their units, by labels that stand once each."""
-    given, units = _texts(kind, "LABELS", groups), _texts(kind, "UNITS", groups)
-    labels = [given[k] if k < len(given) else "" for k in range(len(values))]
-    names = each_once(label or str(k) for k, label in enumerate(labels))
-    units = units[:1] * len(names) if kind == "POINT" else units
-    stated = {name: unit for name, unit in zip(names, units, strict=False) if unit}
-    return dict(zip(names, values, strict=True)), stated
+def _labels(kind: str, groups: Parameters, count: int) -> dict[str, str]:
+    """Units of channels or points, by labels that stand once each; empty where none is stated."""
+    names = each_once(_texts(kind, "LABELS", groups), count)
+    units = _texts(kind, "UNITS", groups)
+    units = units[:1] * count if kind == "POINT" else units[:count]
+    return dict(zip_longest(names, units, fillvalue=""))
 
 
 def _texts(group: str, name: str, groups: Parameters) -> list[str]:

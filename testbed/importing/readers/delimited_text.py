@@ -14,13 +14,14 @@ import gzip
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.importing.foreign_table import (
     KNOWN,
@@ -78,18 +79,19 @@ def read_file(path: Path) -> ForeignTable:
         rows = [_fields(lines[k], separator) for k in probes]
         width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
         held = [*zip(*(row for row in rows if len(row) == width), strict=True)]
-        counts = map(_held, held)
-        wanted = [k for k, (values, words) in enumerate(counts) if values >= words]
+        wanted = [k for k, (values, words) in enumerate(map(_held, held)) if values >= words]
         filled = [k for k in wanted if any(map(str.strip, held[k]))]
         first, above = _first_numbers(path, lines, separator, filled, width)
         names, units = _head([_fields(_bare(given[k]), separator) for k in above], width)
         read = [k for k in wanted if names[k] != str(k) or k in filled]
-        texts = {names[k]: [field.strip() for field in held[k]] for k in read}
-        instants = dict.fromkeys((n for n in texts if any(map(INSTANT.fullmatch, texts[n]))), "us")
-        cut = len(_fields(lines[numbered[-1]], separator)) < len(_fields(lines[first], separator))
+        instants = {
+            names[k]: "us" for k in read if any(map(INSTANT.fullmatch, map(str.strip, held[k])))
+        }
+        tail = _fields(lines[numbered[-1]], separator)
+        cut = len(tail) < len(_fields(lines[first], separator))
         if not ended:  # of numbers with so many digits each, zeros too, the last may lack some
-            others = [k for k in probes if k != numbered[-1]]
-            ends = ["".join(_fields(lines[k], separator)[-1:]) for k in (*others, numbered[-1])]
+            others = [row for k, row in zip(probes, rows, strict=True) if k != numbered[-1]]
+            ends = ["".join(row[-1:]) for row in (*others, tail)]
             *digits, last = [len(end.partition(".")[2]) for end in ends]
             padded = any(end.endswith("0") for end in ends[:-1])
             cut |= padded and len({*digits}) == 1 and last < digits[0]
@@ -120,62 +122,43 @@ def _columns(
         separator: Between fields.
         names: Of columns, by their places.
     """
-    odd: dict[int, str] = {}
+    odd: dict[str, RecordingError] = {}
 
-    def reader(place: int) -> Callable[[str], float]:
+    def reader(name: str) -> Callable[[str], float]:
+        """Numbers of a column's fields, of which it is asked once and in their order."""
+        places = iter(body)
+
         def value(text: str) -> float:
+            place = next(places)
             try:
                 return _value(text)
             except ValueError:
-                odd.setdefault(place, text)
+                said = f"{path}: line {place + 1}: '{name}' is '{text.strip()}'"
+                odd.setdefault(name, RecordingError(said))
                 return math.nan
 
         return value
 
-    def table(**how: Any) -> Array:
-        selected = (lines[k] for k in body)
-        return np.loadtxt(
-            selected,
-            delimiter=separator,
-            usecols=[*names],
-            comments=None,
-            ndmin=2,
-            quotechar='"',
-            **how,
-        )
-
+    table = partial(
+        np.loadtxt, delimiter=separator, comments=None, ndmin=2, quotechar='"', encoding="utf-8"
+    )
     try:
-        read = table()
+        read = table(map(lines.__getitem__, body), usecols=[*names])
     except ValueError:
         last = max(names)
         for k in body:
             if (count := len(_fields(lines[k], separator))) <= last:
                 said = f"line {k + 1} ends after {count} of {last + 1} fields"
                 raise RecordingError(f"{path}: {said}") from None
-        read = table(converters={k: reader(k) for k in names}, encoding="utf-8")
+        readers = {k: reader(name) for k, name in names.items()}
+        read = table(map(lines.__getitem__, body), usecols=[*names], converters=readers)
     found: dict[str, NDArray[Any] | RecordingError] = dict(zip(names.values(), read.T, strict=True))
     large = np.nanmax(np.abs(read), axis=0, initial=0) >= WHOLE
-    counted = {k: list[str]() for k, each in zip(names, large, strict=True) if each}
-    for n in body if counted or odd else ():
-        fields = _fields(lines[n], separator)
-        for k, texts in counted.items():
-            texts.append(fields[k])
-        for k in [k for k, text in odd.items() if text.strip() == fields[k].strip()]:
-            said = f"line {n + 1}: '{names[k]}' is '{odd.pop(k).strip()}'"
-            found[names[k]] = RecordingError(f"{path}: {said}")
-    found |= {names[k]: RecordingError(f"{path}: '{names[k]}': '{odd[k]}'") for k in odd}
-    for k, texts in counted.items():
-        if not isinstance(column := found[names[k]], RecordingError):
-            found[names[k]] = _counted(texts, column)
-    return found
-
-
-def _counted(texts: list[str], read: NDArray[Any]) -> NDArray[Any]:
-    """A column of numbers so large that floating-point ones have not all their digits."""
-    try:
-        return np.array([int(text) for text in texts], dtype=np.int64)
-    except (ValueError, OverflowError):  # no whole numbers, or more than counters hold
-        return read
+    for k in np.array([*names])[large].tolist():
+        with suppress(ValueError, OverflowError):  # no whole numbers, or more than counters hold
+            counted = table(map(lines.__getitem__, body), usecols=k, converters=int, dtype=np.int64)
+            found[names[k]] = counted[:, 0]
+    return found | odd
 
 
 def _lines(path: Path, encoding: str = "utf-8-sig") -> tuple[list[str], bool]:
@@ -194,13 +177,11 @@ def _lines(path: Path, encoding: str = "utf-8-sig") -> tuple[list[str], bool]:
                 check_count(path, f"characters in line {len(lines)}", len(line), LONGEST_LINE)
                 if "\0" in line:
                     raise ValueError("it is no text")
-                if total > MOST_TEXT or len(lines) > MOST_LINES:
-                    break
+                check_count(path, "characters", total, MOST_TEXT)
+                check_count(path, "lines", len(lines), MOST_LINES)
     except UnicodeDecodeError as error:  # byte 255 begins no text of UTF-8, but UTF-16
         follows = {"utf-8-sig": "utf-16" if error.object[:1] in b"\xff\xfe" else "latin-1"}
         return _lines(path, follows.get(encoding, "latin-1"))
-    check_count(path, "characters", total, MOST_TEXT)
-    check_count(path, "lines", len(lines), MOST_LINES)
     return lines, ended
 
 
@@ -244,7 +225,7 @@ def _head(above: list[list[str]], width: int) -> tuple[list[str], dict[str, str]
     units = [fields for fields in stated if _are_units(fields)]
     others = [fields for fields in stated if fields not in units]
     given = (others or units or [[]])[-1]
-    names = each_once((given[k] if k < len(given) else "") or str(k) for k in range(width))
+    names = each_once(given, width)
     said = zip(names, units[-1] if units and others else [], strict=False)
     return names, {name: unit for name, text in said if (unit := _unit(text))}
 

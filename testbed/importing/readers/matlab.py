@@ -40,7 +40,7 @@ def read_file(path: Path) -> ForeignTable:
     arrays = {
         name: array for name, array in found.items() if is_column(array.shape, array.dtype.kind)
     }
-    return ForeignTable(path, {n: a.shape for n, a in arrays.items()}, arrays.__getitem__)
+    return ForeignTable.of(path, arrays, {})
 
 
 def _nested(content: dict[str, Any], before: str = "") -> dict[str, np.ndarray[Any, Any]]:

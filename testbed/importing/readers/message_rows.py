@@ -132,5 +132,4 @@ class Rows:
             if any(isinstance(each, Nanoseconds) for each in values):
                 units[label] = "ns"
         columns["received"], units["received"] = received[order], "ns"
-        shapes = {name: values.shape for name, values in columns.items() if len(values) > 1}
-        return ForeignTable(self.path, shapes, columns.__getitem__, units)
+        return ForeignTable.of(self.path, columns if len(received) > 1 else {}, units)

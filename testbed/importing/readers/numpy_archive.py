@@ -28,27 +28,24 @@ def read_file(path: Path) -> ForeignTable:
     Raises:
         RecordingError: It is damaged.
     """
+    archive, found = None, {}
     with readable(path):
         if path.suffix.lower() == ".npy":
             with path.open("rb") as stream:
-                found = {"array": _header(stream, path.stat().st_size)}
-            return _table(path, found, lambda name: np.load(path, allow_pickle=False))
-        archive, found = zipfile.ZipFile(path), {}  # stays open: some have thousands of members
-        for member in archive.infolist():
-            if member.filename.endswith(".npy"):
-                with archive.open(member) as inside:
-                    name = member.filename.removesuffix(".npy")
-                    found[name] = _header(inside, member.file_size)
+                found["array"] = _header(stream, path.stat().st_size)
+        else:
+            archive = zipfile.ZipFile(path)  # stays open: some have thousands of members
+            for member in archive.infolist():
+                if member.filename.endswith(".npy"):
+                    with archive.open(member) as inside:
+                        name = member.filename.removesuffix(".npy")
+                        found[name] = _header(inside, member.file_size)
+    shapes = {name: shape for name, (shape, kind) in found.items() if is_column(shape, kind)}
 
     def load(name: str) -> Any:
-        with archive.open(f"{name}.npy") as stream:
+        with path.open("rb") if archive is None else archive.open(f"{name}.npy") as stream:
             return np.lib.format.read_array(stream, allow_pickle=False)
 
-    return _table(path, found, load)
-
-
-def _table(path: Path, found: dict[str, tuple[tuple[int, ...], str]], load: Any) -> ForeignTable:
-    shapes = {name: shape for name, (shape, kind) in found.items() if is_column(shape, kind)}
     return ForeignTable(path, shapes, load)
 
 
@@ -60,8 +57,7 @@ def _header(stream: IO[bytes], size: int) -> tuple[tuple[int, ...], str]:
     """
     readers = {1: np.lib.format.read_array_header_1_0, 2: np.lib.format.read_array_header_2_0}
     major, _ = np.lib.format.read_magic(stream)
-    read = readers.get(major)
-    if read is None:
+    if (read := readers.get(major)) is None:
         raise RecordingError(f"an array of NumPy's format {major} is not known")
     shape, _, kind = read(stream, max_header_size=LONGEST_HEADER)
     if min(shape, default=0) < 0 or np.prod(shape, dtype=float) * kind.itemsize > size:

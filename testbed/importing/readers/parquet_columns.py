@@ -51,7 +51,7 @@ def _width(field: pa.Field, metadata: Any) -> int:
             int(p.num_values) for p in parts if p.path_in_schema.startswith(f"{field.name}.")
         )
         return values // max(int(metadata.num_rows), 1)
-    return int(_is_number(kind) or pa.types.is_timestamp(kind) or pa.types.is_duration(kind))
+    return int(_is_number(kind) or _is_time(kind))
 
 
 def _is_number(kind: pa.DataType) -> bool:
@@ -59,9 +59,13 @@ def _is_number(kind: pa.DataType) -> bool:
     return any(numbers)
 
 
+def _is_time(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_timestamp(kind) or pa.types.is_duration(kind))
+
+
 def _unit(field: pa.Field) -> str:
     """What the schema says of a column's unit."""
-    if pa.types.is_timestamp(field.type) or pa.types.is_duration(field.type):
+    if _is_time(field.type):
         return str(field.type.unit)
     return str((field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace"))
 
@@ -94,7 +98,7 @@ def read_column(file: pq.ParquetFile, name: str) -> NDArray[Any]:
         missing += array.null_count
     if missing and listed:
         raise ValueError(f"column '{name}' has {missing} places without a value")
-    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+    if _is_time(kind):
         array = array.cast(pa.int64())
     values = np.array(array.to_numpy(zero_copy_only=False))
     return values.reshape(rows, -1) if listed and values.size > rows else values

@@ -50,14 +50,9 @@ def tables(path: Path, topic: str | None) -> Tables:
         known = [name for columns, units in found for name in columns if name not in units]
         raise UnknownName("entity", topic, known)
     return {
-        next(name for name in columns if name not in units): _table(path, columns, units)
+        next(name for name in columns if name not in units): ForeignTable.of(path, columns, units)
         for columns, units in wanted
     }
-
-
-def _table(path: Path, columns: dict[str, NDArray[Any]], units: dict[str, str]) -> ForeignTable:
-    shapes = {name: values.shape for name, values in columns.items()}
-    return ForeignTable(path, shapes, columns.__getitem__, units)
 
 
 def _tables(path: Path) -> list[tuple[dict[str, NDArray[Any]], dict[str, str]]]:
