@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,6 +17,7 @@ import testbed as tb
 from testbed.applications.validate import motion_in, own_torque, predictions
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import (
+    ModelError,
     RecordingError,
     SettingsError,
     TestbedError,
@@ -30,14 +32,16 @@ from testbed.core.estimation.regression.windows import ROW_ATTENUATION, low_pass
 from testbed.core.estimation.selection.term_choice import choose_terms
 from testbed.core.estimation.settings import Settings
 from testbed.core.recordings.recording import Recording
+from testbed.core.recordings.views import with_base_joints
+from testbed.core.robot.free_base import coordinates, on_free_base
 from testbed.core.robot.friction import LAWS, OFFSET, JointLaw
+from tests.helpers.humanoid import G1, humanoid, squatting
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.measured import measured
-from tests.helpers.plants import by_mj_inverse
 from tests.helpers.refusals import refuses
-from tests.helpers.robots import random_robot
+from tests.helpers.robots import Robot, random_robot
 from tests.helpers.runs import noisy, robot
-from tests.helpers.strategies import Rng, few, rngs, wrong_numbers
+from tests.helpers.strategies import Rng, few, rngs, robots, wrong_numbers
 from tests.scenarios.scenarios import result
 
 KINDS = tuple(law.kind for law in LAWS)
@@ -290,34 +294,17 @@ def test_as_accurate_as_lstsq_up_to_a_condition_of_a_million(exponent: int) -> N
     assert ours <= (3 * max(float(theirs), 4e-15) if estimate.condition <= 1e6 else 1e-6)
 
 
-ARMATURE = """<mujoco><compiler angle="radian"/><default><default class="geared">
-<joint armature="0.3"/></default></default><worldbody><body name="up">
-<joint name="j1" axis="0 0 1" class="geared"/>
-<inertial mass="2" pos=".1 0 .2" diaginertia="3 2 1.5"/>
-<body name="mid" pos=".1 0 .5"><joint name="j2" axis="0 1 0" class="geared"/>
-<inertial mass="1" pos="0 .1 .2" diaginertia=".5 .5 .2"/><body name="end" pos="0 .1 .4">
-<joint name="j3" axis="1 0 0" {third}/><inertial mass="1" pos=".1 .1 .1" diaginertia=".3 .3 .2"/>
-</body></body></body></worldbody></mujoco>"""
-
-
-@pytest.mark.parametrize("third", ["", 'class="geared"'])
-def test_rotors_of_the_file_are_terms_and_bodies_come_out_right(third: str, tmp_path: Path) -> None:
-    """Simulated or imported; MuJoCo, whose armature a default class gives, is the witness."""
-    (tmp_path / "r.xml").write_text(ARMATURE.format(third=third))
-    tree = tb.load_tree(tmp_path / "r.xml")
-    bare = tree.with_joints({name: {"rotor_inertia": 0.0} for name in tree.names})
-    recording = ideal(bare)
-    states = tuple(recording.measured(s) for s in ("position", "velocity", "acceleration"))
-    torque = by_mj_inverse(tmp_path / "r.xml", tree, states)
-    np.testing.assert_array_equal(np.ptp(torque - recording.measured("torque"), axis=0) > 0.1,
-                                  [True, True, bool(third)])  # fmt: skip
-    recording = replace(recording, torque=torque, truth=None)
+@pytest.mark.parametrize("geared", [2, 3])
+def test_rotors_of_the_file_are_terms_and_bodies_come_out_right(geared: int, puma: tb.Tree) -> None:
+    """Simulated or imported."""
+    tree = puma.with_joints({name: {"rotor_inertia": 0.3} for name in puma.names[:geared]})
     several: tuple[dict[str, Any], ...] = ({}, {"mapping": {}})
     for facts in several:
-        found = tb.identify(tree, replace(recording, facts=facts), "internal", settings=EXACT)
+        recording = replace(ideal(tree), truth=None, facts=facts)
+        found = tb.identify(tree, recording, "internal", settings=EXACT)
         assert found.drives is not None
         rotors = [t.joint for t in found.drives.asked if t.law.kind == "rotor"]
-        assert rotors == [0, 1, 2][: 3 if third else 2]
+        assert rotors == [*range(geared)]
         truth = found.drives.values(tb.barycentric(tree), tree)
         np.testing.assert_allclose(found.values, truth, atol=1e-6)
         (said,) = (each.subject for each in found.diagnostics if each.code == "drives.rotor")
@@ -447,3 +434,53 @@ def test_a_number_has_the_digits_that_its_sigma_has_to_say() -> None:
             short,
         )
     assert not any(digit in number_with_sigma(3.0, np.inf) for digit in "0123456789")
+
+
+def rank_by_pinocchio(model: pin.Model, states: int) -> int:
+    """Of a free root's rows on all standard parameters at random states: no code of ours."""
+    rng, data, rows = np.random.default_rng(0), model.createData(), []
+    for _ in range(states):
+        q = pin.integrate(model, pin.neutral(model), rng.uniform(-1.5, 1.5, model.nv))
+        v, a = rng.uniform(-3, 3, (2, model.nv))
+        rows.append(pin.computeJointTorqueRegressor(model, data, q, v, a)[:6].copy())
+    whole = np.concatenate(rows)
+    size = np.linalg.norm(whole, axis=0)
+    return int(np.linalg.matrix_rank(whole / np.where(size > 0, size, 1.0), tol=1e-8))
+
+
+@given(robots((1, 6)))
+def test_the_minimal_set_is_as_large_as_pinocchios_rank(robot: Robot) -> None:
+    """Under gravity and without it: else normal equations are singular, or something is lost."""
+    model = pin.buildModelFromXML(robot.urdf(), pin.JointModelFreeFlyer())
+    free = on_free_base(robot.tree())
+    model.gravity.linear = free.gravity
+    found = tb.minimal_set(free, "reaction")
+    sliding = sum(not joint.revolute for joint in robot.tree().joints)
+    assert found.count == rank_by_pinocchio(model, 10 + 2 * free.n)
+    assert found.count == 10 + 7 * robot.tree().n - 3 * sliding
+
+
+def test_the_grounds_wrench_is_pinocchios() -> None:
+    """Of a humanoid, and 213 parameters; else a robot on a moving base is estimated as another."""
+    tree, recording = humanoid(3.0, 100.0, 1, 0.0)
+    free = on_free_base(tree)
+    path = squatting(tree, 1).at(recording.time)
+    np.testing.assert_allclose(tb.base_wrench(free, path), recording.measured("wrench"), atol=2e-5)
+    np.testing.assert_allclose(with_base_joints(recording).position, path.q, atol=1e-12)
+    model = pin.buildModelFromUrdf(str(G1), pin.JointModelFreeFlyer())
+    assert tb.minimal_set(free, "reaction").count == rank_by_pinocchio(model, 60) == 213
+
+
+def test_what_is_no_pose_is_refused() -> None:
+    """Quaternions that are none, a pitch that Euler angles do not have, no base, two bases."""
+    tree, recording = humanoid(0.5, 100.0, 5, 0.0)
+    free, base = on_free_base(tree), recording.measured("base").copy()
+    with refuses(RecordingError, "w, x, y, z"):
+        coordinates(base * 2)
+    base[:, 3:] = [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0]
+    with refuses(RecordingError, "80"):
+        coordinates(base)
+    with refuses(RecordingError, "base"):
+        tb.identify(free, replace(recording, base=None))
+    with refuses(ModelError, "base.x"):
+        on_free_base(free)

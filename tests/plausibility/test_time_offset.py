@@ -23,7 +23,6 @@ from tests.helpers.measured import measured, random_fourier
 from tests.helpers.riding import riding
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import robot, without
-from tests.scenarios.scenarios import result
 
 pytestmark = pytest.mark.slow
 LATE, SKEW = 2e-3, 1e-4
@@ -155,14 +154,6 @@ def test_two_clocks_are_as_good_as_one(tmp_path: Path) -> None:
     (left,) = time_offsets(tree, recording)
     assert (left.late, left.drifts) == (False, False)
     assert check_recording(tree, recording).offsets == ()  # what was accepted is not held again
-
-
-def test_a_solved_mapping_tells_the_robots_parameters() -> None:
-    """Witness: the robot whose motion MuJoCo made; its plate was turned, in other units, late."""
-    run = result("import")
-    found = run.estimates["external"]
-    true = found.minimal.values(tb.barycentric(run.tree))
-    assert np.abs(found.values - true).max() < 0.05 * np.abs(true).max()
 
 
 def test_currents_get_torque_constants_by_the_plate_and_rest_leaves_all_assumed(
