@@ -11,12 +11,10 @@ from numpy.typing import ArrayLike
 
 import testbed as tb
 from testbed.core.base.arrays import Array
-from testbed.core.dynamics.newton_euler import joint_forces
 from testbed.core.estimation.estimate import Method
 from testbed.core.parameters.rules import Model
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.core.robot.friction import JointLaw
-from testbed.motion.fourier import Fourier
 
 EXACT = tb.Settings(position_cutoff="off", cutoff="off")
 
@@ -34,9 +32,9 @@ def ideal(
     """
     rng = np.random.default_rng(seed)
     size = rng.normal(size=(2, tree.n, 5)) * 0.5 / np.arange(1, 6)
-    motion = Fourier(0.2, rng.uniform(-0.5, 0.5, tree.n), *size)
+    motion = tb.Fourier(0.2, rng.uniform(-0.5, 0.5, tree.n), *size)
     states = motion.at(np.arange(0, duration, 1 / rate))
-    torque = joint_forces(tree, states)
+    torque = tb.joint_forces(tree, states)
     wrench = tb.base_wrench(tree, states)
     dry, wet, rotor = (
         np.array([getattr(j, k) for j in tree.joints])

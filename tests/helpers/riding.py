@@ -8,7 +8,6 @@ import numpy as np
 
 import testbed as tb
 from testbed.core.robot.free_base import FREE, on_free_base, poses
-from testbed.motion.fourier import Fourier
 from tests.helpers.measured import random_fourier
 from tests.helpers.robots import random_robot
 
@@ -25,7 +24,7 @@ def riding(seed: int) -> tuple[tb.Tree, tb.Recording]:
     free = on_free_base(tree)
     whole = random_fourier(free, rng, 1.0)
     share = np.where(np.arange(free.n) < FREE, 0.3, 1.0)[:, None]
-    motion = Fourier(
+    motion = tb.Fourier(
         whole.fundamental, share[:, 0] * whole.offset, share * whole.sine, share * whole.cosine
     )
     time = np.arange(0, 12, 5e-3)

@@ -33,7 +33,6 @@ from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import drive_filter
 from testbed.core.estimation.selection.held_out import Parts, stretches
 from testbed.core.estimation.selection.term_choice import choose_terms
-from testbed.core.recordings.recording import Recording
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.core.robot.friction import (
     QUADRATIC,
@@ -44,8 +43,6 @@ from testbed.core.robot.friction import (
     joint_law,
     stribeck,
 )
-from testbed.core.robot.model_file import ModelFile
-from testbed.core.robot.shafts import with_shafts
 from testbed.importing.check.time_offset import delivered
 from testbed.lab.simulation.replay import replay
 from tests.helpers.foreign_files import imported, npz, some_log
@@ -75,13 +72,13 @@ def constants(tree: tb.Tree) -> Array:
     return np.asarray(1 + 0.08 * np.sin(1.0 + np.arange(tree.n)))
 
 
-def reported(tree: tb.Tree, recording: Recording) -> Recording:
+def reported(tree: tb.Tree, recording: tb.Recording) -> tb.Recording:
     """By drives with such constants."""
     return replace(recording, torque=recording.measured("torque") * constants(tree))
 
 
 def findings(
-    tree: tb.Tree, recording: Recording, how: tb.Settings, choose: bool = False
+    tree: tb.Tree, recording: tb.Recording, how: tb.Settings, choose: bool = False
 ) -> DriveFindings:
     """Beside the plate's estimate from the same recording."""
     bodies = tb.identify(tree, recording, settings=how)
@@ -276,7 +273,7 @@ def test_the_terms_of_a_made_up_robot_are_chosen() -> None:
     while len(turning) < 2:
         tree = random_robot(rng, 4).tree()
         turning = [k for k, joint in enumerate(tree.joints) if joint.revolute][:2]
-    tree = with_shafts(tree, {"shaft": {tree.names[k]: 1.0 for k in turning}})
+    tree = tb.with_shafts(tree, {"shaft": {tree.names[k]: 1.0 for k in turning}})
     heavy, rough = np.eye(tree.n)[[tree.n - 1, 1]]
     recording = ideal(tree, 40.0, seed=4, own={ROTOR: 3.0 * heavy, QUADRATIC: 5.0 * rough})
     assert recording.velocity is not None
@@ -291,7 +288,7 @@ def test_the_terms_of_a_made_up_robot_are_chosen() -> None:
 
 
 @cache
-def two_motions() -> tuple[Recording, Recording]:
+def two_motions() -> tuple[tb.Recording, tb.Recording]:
     words = ["motion.duration=8", "motion.candidates=1"]
     one, other = (
         tb.record(tb.Experiment.load(ROOT / "experiments/table6.toml", [*words, f"seed={k}"]))
@@ -304,7 +301,7 @@ def two_motions() -> tuple[Recording, Recording]:
 def test_a_file_with_identified_drives_repeats_an_unseen_motion(tmp_path: Path) -> None:
     """Plain MuJoCo, driven open-loop by what drives report, stays near what was recorded."""
     seen, unseen = two_motions()
-    model = ModelFile(ROOT / "models/puma562.xml")
+    model = tb.ModelFile(ROOT / "models/puma562.xml")
     tree = model.tree()
     bodies = tb.identify(tree, seen)
     found = identify_drives(tree, seen, bodies)
@@ -316,7 +313,7 @@ def test_a_file_with_identified_drives_repeats_an_unseen_motion(tmp_path: Path) 
     gears = [compiled.actuator(name).gear[0] for name in tree.names]
     np.testing.assert_allclose(gears, [1 / each.constant for each in found.estimates], rtol=1e-12)
     near, far = (
-        np.sqrt((replay(ModelFile(path), unseen) ** 2).mean(axis=0))
+        np.sqrt((replay(tb.ModelFile(path), unseen) ** 2).mean(axis=0))
         for path in (written, tmp_path / "poor.xml")
     )
     assert (near < 0.1 * far).all()
@@ -335,10 +332,10 @@ def test_a_file_with_identified_drives_repeats_an_unseen_motion(tmp_path: Path) 
 @pytest.mark.slow
 def test_commands_that_act_late_are_written_as_a_delay(tmp_path: Path) -> None:
     """A controller trained without the delay of its drives oscillates on the robot."""
-    late, true = 0.008, ModelFile(ROOT / "models/puma562.xml")
+    late, true = 0.008, tb.ModelFile(ROOT / "models/puma562.xml")
     tree = true.tree()
 
-    def commanded(recording: Recording) -> Recording:
+    def commanded(recording: tb.Recording) -> tb.Recording:
         ahead = np.minimum(recording.time + late, recording.time[-1])
         torque = CubicSpline(recording.time, recording.measured("torque"))(ahead)
         return replace(recording, torque=torque)
@@ -354,11 +351,11 @@ def test_commands_that_act_late_are_written_as_a_delay(tmp_path: Path) -> None:
         write_model(true, with_drives(tree, found), path, gears=found.gears, delay=delay)
         compiled = mujoco.MjModel.from_xml_path(str(path))
         np.testing.assert_array_equal(compiled.actuator_delay, delay)
-        errors.append(np.sqrt((replay(ModelFile(path), unseen) ** 2).mean()))
+        errors.append(np.sqrt((replay(tb.ModelFile(path), unseen) ** 2).mean()))
     assert errors[0] < 0.5 * errors[1]
     with refuses(RecordingError, "commands"):
         delivered(tree, replace(seen, torque=np.roll(seen.measured("torque"), 30, axis=0)), bodies)
-    urdf = ModelFile(MODELS["ur5"])
+    urdf = tb.ModelFile(MODELS["ur5"])
     said = write_model(urdf, urdf.tree(), tmp_path / "late.urdf", delay=late)
     assert [each.code for each in said] == ["model.delay"]
 
@@ -369,7 +366,7 @@ def test_joints_without_motors_get_one_and_other_actuators_stay(tmp_path: Path) 
     servo = re.sub(r"<motor([^>]*joint=\"waist\")", r"<position\1", bare)
     source, path = tmp_path / "some.xml", tmp_path / "other.xml"
     source.write_text(servo)
-    model = ModelFile(source)
+    model = tb.ModelFile(source)
     said = write_model(model, model.tree(), path, gears={"waist": 2, "shoulder": 3, "elbow": 4})
     assert [each.code for each in said] == ["model.actuators"]
     compiled = mujoco.MjModel.from_xml_path(str(path))
@@ -395,7 +392,7 @@ def test_torques_do_not_tell_what_a_plates_unknown_zero_hides(name: str, seed: i
     assert both.disagreement.chance > 1e-4
 
 
-def warming(whole: Recording, slope: float, warm: float) -> Recording:
+def warming(whole: tb.Recording, slope: float, warm: float) -> tb.Recording:
     """With drives that warm up by 20 K, offsets that drift and viscous friction that changes."""
     time, speed = whole.time[:, None], whole.measured("velocity")
     temperature = 45.0 - 20.0 * np.exp(-time / time[-1]) * np.ones_like(speed)
@@ -488,7 +485,7 @@ LOSS = np.array([[0.05, 0.1, 0.2], [0.01, 0.002, 0.03], [0.004, 0.003, 0.002], [
 """Of those laws, by joint."""
 
 
-def rubbing(tree: tb.Tree, seconds: float, loss: Array = LOSS, noise: float = 0.0) -> Recording:
+def rubbing(tree: tb.Tree, seconds: float, loss: Array = LOSS, noise: float = 0.0) -> tb.Recording:
     """By drives whose gears take more under load, with constants that are off."""
     recording = ideal(tree, seconds, seed=2)
     assert recording.truth is not None

@@ -15,12 +15,10 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.applications.validate import motion_in, own_torque, predictions
-from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import (
     ModelError,
     RecordingError,
     SettingsError,
-    TestbedError,
     UnknownName,
     UnseenParameters,
 )
@@ -30,8 +28,6 @@ from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Method
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import ROW_ATTENUATION, low_pass, motion_taps
 from testbed.core.estimation.selection.term_choice import choose_terms
-from testbed.core.estimation.settings import Settings
-from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.views import with_base_joints
 from testbed.core.robot.free_base import coordinates, on_free_base
 from testbed.core.robot.friction import LAWS, OFFSET, JointLaw
@@ -57,7 +53,7 @@ def with_drives(tree: tb.Tree, rng: Rng, kinds: tuple[str, ...] = KINDS) -> tb.T
     return replace(tree, joints=tuple(joints))
 
 
-def rank(tree: tb.Tree, recording: Recording, kinds: tuple[str, ...]) -> int:
+def rank(tree: tb.Tree, recording: tb.Recording, kinds: tuple[str, ...]) -> int:
     """Of the torque regressor with all terms' columns: what can be told at all."""
     motion, _ = motion_in(recording)
     parts = [tb.regressor(tree, motion, tb.minimal_set(tree, "dynamic"))]
@@ -158,7 +154,7 @@ def test_parameters_that_a_motion_does_not_show_are_named(puma: tb.Tree) -> None
 def test_a_recording_that_cannot_be_filtered_is_refused(puma: tb.Tree, tmp_path: Path) -> None:
     """Too short for its filters, too slow for them, or its time does not go on."""
     whole = ideal(puma)
-    cases: list[tuple[Recording | Path, Any, Any, str]] = [
+    cases: list[tuple[tb.Recording | Path, Any, Any, str]] = [
         (ideal(puma, duration=0.5), 5.0, 40.0, "0.5 s"),
         (whole, 1e-9, 40.0, "10 s"),
         (whole, 5e-324, 1e-300, "10 s"),
@@ -339,28 +335,28 @@ def test_what_is_no_number_is_refused_by_the_settings_name(wrong: Any) -> None:
     for name in NUMBERS:
         if wrong is not None or name == "deadband":  # elsewhere: the default
             with refuses(SettingsError, name):
-                Settings(**{name: wrong})
+                tb.Settings(**{name: wrong})
 
 
 def test_what_makes_no_sense_is_refused_by_the_settings_name() -> None:
     for given_settings, culprit in MEANINGLESS:
         with refuses((SettingsError, UnknownName), culprit):  # type: ignore[arg-type]
-            Settings(**given_settings)
+            tb.Settings(**given_settings)
     for name in CHOICES:
         with refuses(SettingsError, name, "'nonsense'"):
-            Settings(**{name: "nonsense"})  # type: ignore[arg-type]
+            tb.Settings(**{name: "nonsense"})  # type: ignore[arg-type]
 
 
 def test_filters_fit_the_sampling_rate_unless_they_are_said() -> None:
     for rate, position, rows in ((1000.0, 40.0, 5.0), (60.0, None, 5.0), (30.0, None, 3.0)):
-        fitted = Settings().fitted(rate)
+        fitted = tb.Settings().fitted(rate)
         assert (fitted.position_low_pass, fitted.row_low_pass) == (position, rows)
-    asked = Settings(position_cutoff=10.0, cutoff=2.0)
+    asked = tb.Settings(position_cutoff=10.0, cutoff=2.0)
     assert asked.fitted(30.0) == asked
-    none, off = (Settings(position_cutoff=v, cutoff=v) for v in (None, "off"))
+    none, off = (tb.Settings(position_cutoff=v, cutoff=v) for v in (None, "off"))
     assert none == off == off.fitted(30.0)
     assert (off.position_low_pass, off.row_low_pass) == (None, None)
-    assert Settings(position_cutoff=np.float64(40), cutoff=5) == Settings().fitted(1000.0)
+    assert tb.Settings(position_cutoff=np.float64(40), cutoff=5) == tb.Settings().fitted(1000.0)
 
 
 def test_known_zeros_are_left_out_and_an_argument_overrides_the_setting(puma: tb.Tree) -> None:
@@ -403,7 +399,7 @@ def test_every_form_holds_every_parameter() -> None:
     """Warnings too, and safely; data frames by whichever package is there."""
     found = replace(
         result("gantry").estimates["internal"],
-        diagnostics=(Diagnostic("note", "<b>mind</b> this"),),
+        diagnostics=(tb.Diagnostic("note", "<b>mind</b> this"),),
     )
     lines = str(found).splitlines()
     for name, value, sigma, unit, line in zip(
@@ -416,7 +412,7 @@ def test_every_form_holds_every_parameter() -> None:
     assert page.count("<tr>") == len(found.names)
     assert "&lt;b&gt;mind" in page
     np.testing.assert_array_equal(np.asarray(found.to_frame()["sigma"]), found.sigma)
-    with refuses(TestbedError, "sparrow"):
+    with refuses(tb.TestbedError, "sparrow"):
         frame_of({"sigma": found.sigma}, "sparrow")
 
 

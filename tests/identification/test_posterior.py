@@ -19,15 +19,12 @@ from testbed.applications.analysis import analyse
 from testbed.bodies.linear_prior import LinearPrior, alone_determined, with_prior
 from testbed.bodies.posterior import Posterior, posterior, rows_of
 from testbed.bodies.prediction_errors import PredictionErrors, errors_of_another
-from testbed.bodies.prior import prior_of
 from testbed.bodies.row_products import FREEDOM, RowProducts, products_of
 from testbed.bodies.verdict import WELL, verdict_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import decode, encode
-from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.estimation.estimate import Method
 from testbed.core.estimation.problem import Problem
-from testbed.core.recordings.recording import Recording
 from testbed.core.robot.friction import drive_torque
 from testbed.lab.experiment.evaluate import wrong_bodies
 from tests.helpers.ideal import ideal, plus
@@ -150,7 +147,7 @@ def test_products_are_those_of_the_rows(rng: Rng, method: Method) -> None:
 
 def with_file(
     tree: tb.Tree,
-    recording: Recording,
+    recording: tb.Recording,
     method: Method = "internal",
     estimate: tb.Estimate | None = None,
     error: float | None = None,
@@ -158,7 +155,7 @@ def with_file(
     """By a recording with the tree's bodies as prior."""
     settings = tb.Settings() if estimate is None else estimate.settings
     rows = rows_of(Problem.of(tree, recording, method, settings), estimate)
-    return posterior(rows, prior_of(tree), estimate, prior_error=error)
+    return posterior(rows, tb.prior_of(tree), estimate, prior_error=error)
 
 
 def wrong_puma(error: float = 0.3) -> tb.Tree:
@@ -239,7 +236,7 @@ def test_the_true_file_leaves_noise_of_another_recording() -> None:
     assert list(errors.worse("posterior")) == []
 
 
-def with_last_joint(tree: tb.Tree, speed: float, seed: int) -> Recording:
+def with_last_joint(tree: tb.Tree, speed: float, seed: int) -> tb.Recording:
     """Torques of the UR5 whose last joint is at most so fast [rad/s]."""
     rng = np.random.default_rng(seed)
     motion, size = random_fourier(tree, rng, 1.0), np.ones((tree.n, 1))
@@ -248,7 +245,7 @@ def with_last_joint(tree: tb.Tree, speed: float, seed: int) -> Recording:
     states = slower.at(np.arange(0, 20, 1 / 200))
     torque = tb.joint_forces(tree, states) + drive_torque(tree, states.qd, states.qdd)
     noise = rng.normal(size=(2, *states.q.shape))
-    return Recording(tree.names, states.t, states.q + 1e-4 * noise[0], torque + 0.1 * noise[1])
+    return tb.Recording(tree.names, states.t, states.q + 1e-4 * noise[0], torque + 0.1 * noise[1])
 
 
 @pytest.mark.parametrize("speed", [0.033, 0.035, 0.04, 0.05])
@@ -318,7 +315,7 @@ def test_a_verdict_is_well_only_where_held_out_parts_bear_it_out(
     assert levels == sorted(levels)  # errors before warnings
 
 
-def verdict_on(recording: Recording) -> list[Diagnostic]:
+def verdict_on(recording: tb.Recording) -> list[tb.Diagnostic]:
     """With a file of the PUMA that is 15 % off."""
     wrong = wrong_puma(0.15)
     estimate = tb.identify(wrong, recording, "internal")

@@ -29,7 +29,6 @@ from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Estimate, Metho
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import ROWS_PER_CUTOFF, row_weights
 from testbed.core.kernel.records import REST_VARIANCE
-from testbed.core.recordings.recording import Recording
 from testbed.core.robot.friction import LAWS
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
@@ -42,7 +41,7 @@ SETTINGS = tb.Settings(deadband=0.05)
 
 
 def witness(
-    tree: tb.Tree, recording: Recording, estimate: Estimate, settings: tb.Settings
+    tree: tb.Tree, recording: tb.Recording, estimate: Estimate, settings: tb.Settings
 ) -> tuple[Array, Array, Array]:
     """Rows, rms and mean of residuals by dense inverse dynamics and a filter by NumPy."""
     settings = settings.fitted(recording.rate)

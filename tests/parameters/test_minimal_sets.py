@@ -25,8 +25,6 @@ from testbed.core.base.errors import ModelError, UnknownName
 from testbed.core.dynamics.drive_set import drive_set, sampled_regressor, verify, verify_drives
 from testbed.core.parameters.elimination import dense_rows, static_entries
 from testbed.core.parameters.identifiability import ALONE, COMBINED, NEVER, identifiability
-from testbed.core.parameters.joint_terms import DriveSet, with_joint_terms
-from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.pseudo_inertia import matrices
 from testbed.core.parameters.regroup import length_symbol, regroup
 from testbed.core.parameters.rules import REASONS, Model
@@ -56,7 +54,7 @@ CATALOGUE = json.loads((GOLDEN / "counts.json").read_text())
 OFF = np.zeros(3)
 
 
-def all_sets(tree: Tree, zeros: bool | list[str] = False) -> list[MinimalSet]:
+def all_sets(tree: Tree, zeros: bool | list[str] = False) -> list[tb.MinimalSet]:
     """Dynamic, bedplate and tared bedplate."""
     given_ = [("dynamic", False), ("reaction", False), ("reaction", True)]
     return [tb.minimal_set(tree, m, None, zeros, tared=t) for m, t in given_]  # type: ignore[arg-type]
@@ -79,7 +77,7 @@ def hold(tree: Tree, zeros: bool | list[str] = False) -> None:
         found = verify(tree, minimal)
         assert found.holds, found
         assert found.change <= UNCHANGED
-    drives = verify_drives(tree, with_joint_terms(tree, dynamic, LAWS))
+    drives = verify_drives(tree, tb.with_joint_terms(tree, dynamic, LAWS))
     assert drives.holds, drives
 
 
@@ -380,7 +378,7 @@ def test_bodies_before_the_data_are_the_files_or_the_nearest_that_can_be(puma: t
 ASKED = ((ROTOR,), (OFFSET,), (OFFSET, ROTOR), LAWS)
 
 
-def drives(tree: Tree, *laws: str | JointLaw, zeros: bool | Sequence[str] = False) -> DriveSet:
+def drives(tree: Tree, *laws: str | JointLaw, zeros: bool | Sequence[str] = False) -> tb.DriveSet:
     """What can be told, which sampled columns confirm."""
     found = drive_set(tree, tb.minimal_set(tree, "dynamic", zeros=zeros), laws)
     assert verify_drives(tree, found).holds
@@ -421,7 +419,7 @@ def test_unknowns_of_the_puma_have_names_formulas_units_and_values(puma: Tree) -
     ones_own = drives(puma, cubic, "rotor").names[-4:]
     assert ones_own == ("cubic/waist", "cubic/shoulder", "cubic/elbow", "rotor/elbow")
     with refuses(ValueError, "reaction"):
-        with_joint_terms(puma, tb.minimal_set(puma, "reaction"), ["rotor"])
+        tb.with_joint_terms(puma, tb.minimal_set(puma, "reaction"), ["rotor"])
 
 
 def test_what_tells_a_rotor_or_a_shaft_from_the_bodies_and_from_each_other() -> None:
