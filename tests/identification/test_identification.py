@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.applications.validate import motion_in, own_torque, predictions
+from testbed.applications.validate import motion_in, predictions
 from testbed.core.base.errors import (
     ModelError,
     RecordingError,
@@ -40,72 +40,64 @@ from tests.helpers.runs import noisy, robot
 from tests.helpers.strategies import Rng, few, rngs, robots, wrong_numbers
 from tests.scenarios.scenarios import result
 
-KINDS = tuple(law.kind for law in LAWS)
+CUBIC = JointLaw("cubic", "N m s^3/rad^3", "N s^3/m^3", lambda qd, qdd: qd**3)
+"""One's own, defined here and nowhere else."""
+
 NAMED = {"coulomb": "coulomb", "viscous": "viscous", "rotor": "rotor_inertia"}
 
 
-def with_drives(tree: tb.Tree, rng: Rng, kinds: tuple[str, ...] = KINDS) -> tb.Tree:
+def with_drives(tree: tb.Tree, rng: Rng, kinds: Iterable[str] = NAMED) -> tb.Tree:
     """With friction and rotors of some kinds at every joint."""
     joints = []
     for joint in tree.joints:
-        own: dict[str, Any] = {NAMED[k]: rng.uniform(0.5, 2) for k in kinds if k in NAMED}
+        own: dict[str, Any] = {NAMED[k]: rng.uniform(0.5, 2) for k in kinds}
         joints.append(replace(joint, **own))
     return replace(tree, joints=tuple(joints))
 
 
-def rank(tree: tb.Tree, recording: tb.Recording, kinds: tuple[str, ...]) -> int:
+def rank(tree: tb.Tree, motion: tb.Motion, laws: Iterable[JointLaw]) -> int:
     """Of the torque regressor with all terms' columns: what can be told at all."""
-    motion, _ = motion_in(recording)
     parts = [tb.regressor(tree, motion, tb.minimal_set(tree, "dynamic"))]
-    for law in LAWS:
-        if law.kind in kinds:
-            columns = np.broadcast_to(law.column(motion.qd, motion.qdd), motion.qd.shape)
-            parts.append(columns[:, :, None] * np.eye(tree.n))
+    for law in laws:
+        columns = np.broadcast_to(law.column(motion.qd, motion.qdd), motion.qd.shape)
+        parts.append(columns[:, :, None] * np.eye(tree.n))
     phi = np.concatenate(parts, axis=2).reshape(motion.qd.size, -1)
     scale = np.linalg.norm(phi, axis=0)
     return int(np.linalg.matrix_rank(phi / np.where(scale > 0, scale, 1.0), tol=1e-8))
 
 
 @few(25)
-@given(rngs, st.integers(1, 6), st.sets(st.sampled_from(KINDS), max_size=4))
-def test_without_noise_the_model_file_comes_back(rng: Rng, joints: int, some: set[str]) -> None:
+@given(
+    rngs, st.integers(1, 6), st.sets(st.sampled_from([*LAWS, CUBIC]), max_size=4),
+    st.sampled_from(["compiled", "numpy"]),
+)  # fmt: skip
+def test_without_noise_the_model_file_comes_back(
+    rng: Rng, joints: int, some: set[JointLaw], engine: Any
+) -> None:
     """Of any tree by both methods, with any terms: as many unknowns as a rank says."""
-    kinds = tuple(kind for kind in KINDS if kind in some)
-    tree = with_drives(random_robot(rng, joints).tree(), rng, kinds)
-    offsets = np.linspace(-1, 1, joints) * ("offset" in kinds)
-    recording = ideal(tree, own={OFFSET: offsets})
+    laws = [law for law in (*LAWS, CUBIC) if law in some]
+    tree = random_robot(rng, joints).tree()
+    tree = with_drives(tree, rng, [law.kind for law in laws if law.kind in NAMED])
+    own = {law: np.linspace(0.5, 2, joints) for law in laws if law.kind not in NAMED}
+    recording = ideal(tree, own=own)
     plate = tb.identify(tree, recording, settings=EXACT)
     assert np.abs(plate.values - true_values(tree, "external")).max() <= 1e-10
-    asked = replace(EXACT, terms=kinds, deadband=0.0)
-    found = tb.identify(tree, recording, "internal", settings=asked)
-    assert len(set(found.names)) == len(found.names) == rank(tree, recording, kinds)
+    asked = replace(EXACT, terms=tuple(laws), deadband=0.0, engine=engine)
+    found, (motion, _) = (
+        tb.identify(tree, recording, "internal", settings=asked),
+        motion_in(recording),
+    )
+    assert len(set(found.names)) == len(found.names) == rank(tree, motion, laws)
     assert found.drives is not None
     truth = found.drives.values(tb.barycentric(tree), tree)
     for k, term in enumerate(found.drives.terms, start=found.minimal.count):
-        if term.law is OFFSET:
-            truth[k] += offsets[term.joint]
+        if term.law in own:
+            truth[k] += own[term.law][term.joint]
+            unit = term.law.unit(tree.joints[term.joint])
+            assert (found.names[k], found.units[k]) == (term.name(tree), unit)
     assert np.abs(found.values - truth).max() <= 1e-8 * np.abs(truth).max()
-
-
-@pytest.mark.parametrize("compiled", [False, True])
-def test_ones_own_law_goes_all_the_way(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Defined here and nowhere else: recorded, identified and foretold, whatever the engine."""
-    monkeypatch.setattr("testbed.core.estimation.regression.passes.SMALL", 0.0 if compiled else 1e9)
-    law = JointLaw("cubic", "N m s^3/rad^3", "N s^3/m^3", lambda qd, qdd: qd**3)
-    tree = robot("gantry")
-    coefficients = np.linspace(0.5, 3.0, tree.n)
-    recording = ideal(tree, own={law: coefficients})
-    asked = replace(EXACT, terms=("coulomb", law, "viscous"))
-    found = tb.identify(tree, recording, "internal", settings=asked)
-    terms = [term for term in found.joint_terms if term.kind == "cubic"]
-    assert [(term.name, term.unit) for term in terms] == [
-        (f"cubic/{joint.name}", law.unit(joint)) for joint in tree.joints
-    ]
-    np.testing.assert_allclose([term.value for term in terms], coefficients, rtol=1e-8)
-    motion, _ = motion_in(recording)
     torque = predictions(tree, recording, motion, {"internal": found})[1]["internal"]
-    np.testing.assert_allclose(torque, recording.measured("torque"), atol=1e-7)
-    np.testing.assert_allclose(own_torque(motion, found), coefficients * motion.qd**3, atol=1e-7)
+    np.testing.assert_allclose(torque, recording.measured("torque"), atol=1e-6)
 
 
 @pytest.mark.parametrize("method", METHODS)
