@@ -376,11 +376,10 @@ def test_joints_without_motors_get_one_and_other_actuators_stay(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("name", ["puma", "gantry"])
-@pytest.mark.parametrize("seed", range(3))
-def test_torques_do_not_tell_what_a_plates_unknown_zero_hides(name: str, seed: int) -> None:
+def test_torques_do_not_tell_what_a_plates_unknown_zero_hides(name: str) -> None:
     """Mass and zero are one number: what is said to be determined is within four sigma."""
     tree = driven(name)
-    recording = plus(measured(tree, seed), wrench=[3.0, -2.0, 4.0, 0.5, 0.3, -0.4])
+    recording = plus(measured(tree), wrench=[3.0, -2.0, 4.0, 0.5, 0.3, -0.4])
     plate = tb.identify(tree, recording, settings=replace(SETTINGS, nuisances=("bias",)))
     both = identify_drives(tree, recording, plate, settings=SETTINGS).combined
     truth = plate.minimal.values(tb.barycentric(tree))
