@@ -32,11 +32,8 @@ from testbed.core.estimation.estimate import METHODS
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import drive_filter
 from testbed.core.estimation.selection.held_out import Parts, stretches
-from testbed.core.estimation.selection.term_choice import choose_terms
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.core.robot.friction import (
-    QUADRATIC,
-    ROTOR,
     SLOPE,
     VARYING,
     WARM_VISCOUS,
@@ -50,7 +47,6 @@ from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
-from tests.helpers.robots import random_robot
 from tests.helpers.runs import MODELS, robot, without
 from tests.helpers.sensors import links_of
 
@@ -263,28 +259,6 @@ def test_what_is_left_is_what_plain_fits_leave(reach: int) -> None:
             assert found.left(some)[k] == pytest.approx(left, rel=1e-9)
     one_more = np.column_stack([found.left([0, 2, k]) for k in (1, 3, 5)])
     np.testing.assert_allclose(found.left_with([0, 2], [1, 3, 5]), one_more, rtol=1e-9)
-
-
-@pytest.mark.slow
-def test_the_terms_of_a_made_up_robot_are_chosen() -> None:
-    """A rotor here, quadratic friction there, and a shaft that rubs."""
-    rng = np.random.default_rng(4)
-    turning: list[int] = []
-    while len(turning) < 2:
-        tree = random_robot(rng, 4).tree()
-        turning = [k for k, joint in enumerate(tree.joints) if joint.revolute][:2]
-    tree = tb.with_shafts(tree, {"shaft": {tree.names[k]: 1.0 for k in turning}})
-    heavy, rough = np.eye(tree.n)[[tree.n - 1, 1]]
-    recording = ideal(tree, 40.0, seed=4, own={ROTOR: 3.0 * heavy, QUADRATIC: 5.0 * rough})
-    assert recording.velocity is not None
-    speed = recording.velocity[:, turning].sum(axis=1)
-    turn = np.isin(np.arange(tree.n), turning)
-    rubs = (2.0 * np.sign(speed) + speed)[:, None] * turn
-    noisy = plus(recording, torque=rubs + 0.05 * rng.normal(size=(recording.samples, tree.n)))
-    found = choose_terms(Problem.of(tree, noisy, "internal"))
-    assert found.after.rms < 0.3 * found.before.rms
-    own = {f"quadratic/{tree.names[1]}", f"rotor/{tree.names[-1]}"}
-    assert {"coulomb/shaft", "viscous/shaft", *own} <= set(found.words)
 
 
 @cache

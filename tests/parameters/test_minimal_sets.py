@@ -191,17 +191,6 @@ def test_axes_that_look_alike_are_told_apart() -> None:
     np.testing.assert_allclose(axes[2], [0.6, 0.0, 0.8], atol=1e-15)
 
 
-def test_a_zero_that_a_child_fills_is_told_through_the_child() -> None:
-    """As in UR robots: mb*1z = mb1z + mb2y with mb1z known to be zero."""
-    turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # body 2's y is body 1's z
-    tree = chain(("revolute", Y), ("revolute", Y))
-    second = replace(tree.joints[1], rotation=turn, offset=0.4 * Z)
-    tree = replace(tree, joints=(tree.joints[0], second))
-    minimal = tb.minimal_set(tree, "dynamic", zeros=["mb1z"])
-    assert "mb*1z = mb2y" in map(str, minimal.formulas)
-    hold(tree, ["mb1z"])
-
-
 def test_moments_that_are_all_rounding_are_zero() -> None:
     """A file's zero may be 1e-17: small against a mass at a distance of the body's size."""
     inertia = tb.Inertia.about_centre(2.0, np.array([1e-17, 0.0, 0.0]), np.eye(3) * 0.1)

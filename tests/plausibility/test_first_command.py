@@ -18,6 +18,7 @@ import testbed as tb
 from testbed.core.base.arrays import Array
 from tests.helpers.command import command_line
 from tests.helpers.measured import measured
+from tests.helpers.paths import ROOT
 from tests.helpers.runs import MODELS, robot
 from tests.helpers.strategies import few, seeds
 
@@ -49,18 +50,21 @@ FINGERS = """
 </robot>"""
 
 
-def arm_with_fingers(folder: Path) -> Path:
-    """A UR5 that carries a gripper whose fingers move together."""
-    path, last = folder / "robot.urdf", robot("ur5").joints[-1].body
-    text = MODELS["ur5"].read_text().replace("</robot>", FINGERS.format(last=last))
+ARMS = {"ur5": MODELS["ur5"], "puma": ROOT / "models/puma562.urdf"}
+
+
+def arm_with_fingers(folder: Path, arm: str = "ur5") -> Path:
+    """An arm that carries a gripper whose fingers move together."""
+    path, last = folder / "robot.urdf", robot(arm).joints[-1].body
+    text = ARMS[arm].read_text().replace("</robot>", FINGERS.format(last=last))
     path.write_text(text)
     return path
 
 
-def moved(seed: int, seconds: float = 10.0) -> dict[str, Array]:
+def moved(seed: int, seconds: float = 10.0, arm: str = "ur5") -> dict[str, Array]:
     """Motion and torques of the arm, with friction and noise."""
     rubs = {"coulomb": 2.0, "viscous": 1.0}
-    tree = robot("ur5").with_joints(dict.fromkeys(NAMES, rubs))
+    tree = robot(arm).with_joints(dict.fromkeys(robot(arm).names, rubs))
     made = measured(tree, seed, duration=seconds, rate=100.0, noise=0.1)
     speed = np.gradient(made.position, made.time, axis=0)
     return {"t": made.time, "position": np.array(made.position), "velocity": speed,
@@ -74,15 +78,15 @@ WITH_UNITS = ("q_{name} [rad]", "", "tau_{name} [Nm]")
 
 def new(
     folder: Path, log: dict[str, Array], style: tuple[str, ...] = PLAIN, *, degrees: bool = False,
-    kinds: tuple[str, ...] = ("position", "torque"),
+    kinds: tuple[str, ...] = ("position", "torque"), arm: str = "ur5",
 ) -> Any:  # fmt: skip
     """What `new` says of a log whose headers are in some style."""
-    model = arm_with_fingers(folder)
+    model, names = arm_with_fingers(folder, arm), robot(arm).names
     columns = {"time": log["t"]}
     for kind, form in zip(("position", "velocity", "torque"), style, strict=True):
         scale = 180 / np.pi if degrees and kind != "torque" else 1.0
         for k, values in enumerate(log[kind].T if kind in kinds else ()):
-            columns[form.format(k=k + 1, name=NAMES[k])] = scale * values
+            columns[form.format(k=k + 1, name=names[k])] = scale * values
     columns |= {f"temp_{k}": np.full(len(log["t"]), 31.5) for k in range(1, 7)}
     rows, heads = np.column_stack([*columns.values()]), ";".join(columns)
     np.savetxt(folder / "log.csv", rows, "%.12g", ";", header=heads, comments="", encoding="utf-8")
@@ -115,11 +119,11 @@ def test_an_ordinary_log_is_taken_without_a_line_by_hand(
 
 def test_a_mapping_is_written_whatever_is_found(tmp_path: Path) -> None:
     """Positions that no joint has, in a unit that the log states: refused, with the line."""
-    log = moved(1)
+    log = moved(1, arm="puma")
     log["position"] += 200.0
-    done = new(tmp_path, log, WITH_UNITS)
+    done = new(tmp_path, log, WITH_UNITS, arm="puma")
     lines = (tmp_path / "log.toml").read_text().splitlines()
-    assert len(tomllib.loads("\n".join(lines))["position"]["columns"]) == len(NAMES)
+    assert len(tomllib.loads("\n".join(lines))["position"]["columns"]) == 3
     assert done.returncode == 2
     found = re.search(r"log.toml:([0-9]+): ", done.stderr)
     assert found is not None
