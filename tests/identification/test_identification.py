@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.applications.validate import motion_in, predictions
+from testbed.applications.validate import friction, motion_in, own_torque, predictions
 from testbed.core.base.errors import (
     ModelError,
     RecordingError,
@@ -30,7 +30,7 @@ from testbed.core.estimation.regression.windows import ROW_ATTENUATION, low_pass
 from testbed.core.estimation.selection.term_choice import choose_terms
 from testbed.core.recordings.views import with_base_joints
 from testbed.core.robot.free_base import coordinates, on_free_base
-from testbed.core.robot.friction import LAWS, OFFSET, JointLaw
+from testbed.core.robot.friction import LAWS, OFFSET, ROTOR, JointLaw
 from tests.helpers.humanoid import G1, humanoid, squatting
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.measured import measured
@@ -74,7 +74,7 @@ def rank(tree: tb.Tree, motion: tb.Motion, laws: Iterable[JointLaw]) -> int:
 def test_without_noise_the_model_file_comes_back(
     rng: Rng, joints: int, some: set[JointLaw], engine: Any
 ) -> None:
-    """Of any tree by both methods, with any terms: as many unknowns as a rank says."""
+    """Of any tree by both methods, with any terms, as many as a rank says; and what happened."""
     laws = [law for law in (*LAWS, CUBIC) if law in some]
     tree = random_robot(rng, joints).tree()
     tree = with_drives(tree, rng, [law.kind for law in laws if law.kind in NAMED])
@@ -96,8 +96,15 @@ def test_without_noise_the_model_file_comes_back(
             unit = term.law.unit(tree.joints[term.joint])
             assert (found.names[k], found.units[k]) == (term.name(tree), unit)
     assert np.abs(found.values - truth).max() <= 1e-8 * np.abs(truth).max()
-    torque = predictions(tree, recording, motion, {"internal": found})[1]["internal"]
-    np.testing.assert_allclose(torque, recording.measured("torque"), atol=1e-6)
+    felt, driven = recording.measured("wrench"), recording.measured("torque")
+    both: dict[Method, tb.Estimate] = {"internal": found, "external": plate}
+    wrench, torque = predictions(tree, recording, motion, both)
+    foretold = [(wrench["external"], felt), (torque["internal"], driven)]
+    if ROTOR not in laws:  # which may be one with a body's inertia
+        foretold += [(wrench["internal"], felt)]
+        foretold += [(torque["external"] + own_torque(motion, found), driven)]
+    for told, wanted in foretold:
+        assert np.abs(told - wanted).max() <= 1e-8 * np.abs(wanted).max()
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -295,6 +302,9 @@ def test_rotors_of_the_file_are_terms_and_bodies_come_out_right(geared: int, pum
         assert rotors == [*range(geared)]
         truth = found.drives.values(tb.barycentric(tree), tree)
         np.testing.assert_allclose(found.values, truth, atol=1e-6)
+        exact = ideal(tree).truth
+        assert exact is not None
+        np.testing.assert_allclose(friction(exact.velocity, found), exact.friction, atol=1e-6)
         (said,) = (each.subject for each in found.diagnostics if each.code == "drives.rotor")
         assert said.split(", ") == [name for name in found.names if "+rotor/" in name]
 

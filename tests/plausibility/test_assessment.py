@@ -271,7 +271,7 @@ def test_spoiled_channels_are_named_before_mappings_are_doubted() -> None:
 @pytest.mark.slow
 def test_signs_of_a_joint_that_carries_nearly_nothing_are_told_apart() -> None:
     """Its torque is a thousandth of the shoulder's; a unit of all positions hides neither."""
-    made = truth("panda", 1)
+    made = truth("panda", 1, seconds=12.0)
     time = np.arange(len(made.position)) / RATE
     recording = tb.Recording(made.tree.names, time, made.position, made.torque, made.wrench)
     for spoil, unit, kinds in (

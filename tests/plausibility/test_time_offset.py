@@ -161,7 +161,7 @@ def test_currents_get_torque_constants_by_the_plate_and_rest_leaves_all_assumed(
 ) -> None:
     constants = np.array([5.0, 6.0, 4.0, 3.0, 3.5, 2.5])
     for moving in (tuple(range(6)), ()):
-        made = truth("ur5", 12, moving=moving)
+        made = truth("ur5", 12, seconds=10.0, moving=moving)
         columns = {"t": np.arange(len(made.position)) / 500}
         columns |= {f"q{k + 1} (rad)"[: 8 if moving else 2]: q
                     for k, q in enumerate(made.position.T)}  # fmt: skip
