@@ -90,11 +90,13 @@ def test_without_noise_the_model_file_comes_back(
     assert len(set(found.names)) == len(found.names) == rank(tree, motion, laws)
     assert found.drives is not None
     truth = found.drives.values(tb.barycentric(tree), tree)
-    for k, term in enumerate(found.drives.terms, start=found.minimal.count):
+    for told, term in zip(found.joint_terms, found.drives.terms, strict=True):
+        k = found.names.index(told.name)
         if term.law in own:
             truth[k] += own[term.law][term.joint]
-            unit = term.law.unit(tree.joints[term.joint])
-            assert (found.names[k], found.units[k]) == (term.name(tree), unit)
+        unit = term.law.unit(tree.joints[term.joint])
+        assert told.name.startswith(term.name(tree))  # less what a rotor weighs
+        assert (told.kind, told.unit, told.value) == (term.law.kind, unit, found.values[k])
     assert np.abs(found.values - truth).max() <= 1e-8 * np.abs(truth).max()
     felt, driven = recording.measured("wrench"), recording.measured("torque")
     both: dict[Method, tb.Estimate] = {"internal": found, "external": plate}
