@@ -8,16 +8,14 @@ from scipy.spatial.transform import Rotation
 
 import testbed as tb
 from testbed.core.base.arrays import Array
-from testbed.core.recordings.recording import Recording
 from testbed.core.robot.free_base import FREE
-from testbed.motion.fourier import Fourier
 from tests.helpers.paths import REAL
 
 G1 = REAL / "g1_description/urdf/g1_29dof_rev_1_0.urdf"
 
 
 def by_pinocchio(
-    names: tuple[str, ...], path: Fourier, time: Array, step: float = 1e-4, joint: str = ""
+    names: tuple[str, ...], path: tb.Fourier, time: Array, step: float = 1e-4, joint: str = ""
 ) -> tuple[Array, Array]:
     """The ground's wrench about its origin along a motion, (M, 6), and poses, (M, 7).
 
@@ -48,7 +46,7 @@ def by_pinocchio(
     return np.array(wrenches), now[:, [0, 1, 2, 6, 3, 4, 5]]
 
 
-def squatting(tree: tb.Tree, seed: int) -> Fourier:
+def squatting(tree: tb.Tree, seed: int) -> tb.Fourier:
     """Knees bend and stretch, the base goes down and up and sways, arms and waist move."""
     rng, n = np.random.default_rng(seed), tree.n + FREE
     size = np.concatenate([[0.03] * 3, [0.1] * 3, [0.3] * tree.n])[:, None] / np.sqrt(20)
@@ -61,10 +59,10 @@ def squatting(tree: tb.Tree, seed: int) -> Fourier:
         for part, share in bends:
             k = FREE + tree.index(f"{side}_{part}_joint")
             offset[k], cosine[k, 3] = 0.45 * share, cosine[k, 3] - 0.45 * share
-    return within(tree, Fourier(0.05, offset, sine, cosine))
+    return within(tree, tb.Fourier(0.05, offset, sine, cosine))
 
 
-def within(tree: tb.Tree, motion: Fourier) -> Fourier:
+def within(tree: tb.Tree, motion: tb.Fourier) -> tb.Fourier:
     """The same with each joint inside its range: smaller where it must be, and moved."""
     low, high = np.array([joint.position_range for joint in tree.joints]).T
     q = motion.at(np.linspace(0, motion.period, 1000)).q[:, FREE:]
@@ -75,12 +73,12 @@ def within(tree: tb.Tree, motion: Fourier) -> Fourier:
     moved = np.maximum(low + room - least, 0.0) - np.maximum(most - high + room, 0.0)
     every = np.concatenate([np.ones(FREE), share])[:, None]
     offset = motion.offset + np.concatenate([np.zeros(FREE), moved])
-    return Fourier(motion.fundamental, offset, every * motion.sine, every * motion.cosine)
+    return tb.Fourier(motion.fundamental, offset, every * motion.sine, every * motion.cosine)
 
 
 def humanoid(
     duration: float, rate: float, seed: int, noise: float, joint: str = ""
-) -> tuple[tb.Tree, Recording]:
+) -> tuple[tb.Tree, tb.Recording]:
     """Encoders, pose and the sum of two plates, all with noise; the wrench is Pinocchio's.
 
     With a joint it hangs in the air, and a force sensor at that joint takes the plates' place.
@@ -90,7 +88,7 @@ def humanoid(
     motion, (wrench, base) = path.at(time), by_pinocchio(tree.names, path, time, joint=joint)
     rng = np.random.default_rng(seed + 1)
     rough = rng.normal(size=wrench.shape) * ([0.5] * 3 + [0.05] * 3)
-    return tree, Recording(
+    return tree, tb.Recording(
         tree.names,
         time,
         motion.q[:, FREE:] + noise * 1e-5 * rng.normal(size=(len(time), tree.n)),

@@ -9,7 +9,6 @@ from testbed.core.base.arrays import Array
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.core.robot.drive_torque import drive_torque
 from testbed.lab.instruments.chain import Instrument, measure
-from testbed.motion.fourier import Fourier
 
 SPEED = {"revolute": 1.5, "prismatic": 0.5}
 
@@ -76,7 +75,7 @@ def clean(tree: tb.Tree, seed: int, *, duration: float = 20.0, rate: float = 500
     return measure(usual, tree.names, states.t, truth, tare, {}, seed)
 
 
-def random_fourier(tree: tb.Tree, rng: np.random.Generator, speed: float) -> Fourier:
+def random_fourier(tree: tb.Tree, rng: np.random.Generator, speed: float) -> tb.Fourier:
     """A periodic motion that uses most of the joints' ranges, or of their speeds."""
     known = [joint.position_range for joint in tree.joints]
     wide = [3.0 if joint.revolute else 0.5 for joint in tree.joints]
@@ -85,10 +84,10 @@ def random_fourier(tree: tb.Tree, rng: np.random.Generator, speed: float) -> Fou
     )
     half = np.diff(ranges, axis=1)[:, 0] / 2
     sine, cosine = rng.normal(size=(2, tree.n, 5)) / np.arange(1, 6)
-    shape = Fourier(0.1, np.zeros(tree.n), sine, cosine).at(np.linspace(0, 10, 500))
+    shape = tb.Fourier(0.1, np.zeros(tree.n), sine, cosine).at(np.linspace(0, 10, 500))
     fast = speed * np.array([SPEED[joint.kind] for joint in tree.joints])
     swing = np.abs(shape.q).max(axis=0)
     size = np.minimum(0.9 * half / swing, fast / np.abs(shape.qd).max(axis=0))
     room = 0.9 * half - size * swing
     offset = ranges.mean(axis=1) + 0.5 * rng.uniform(-1, 1, tree.n) * room
-    return Fourier(0.1, offset, size[:, None] * sine, size[:, None] * cosine)
+    return tb.Fourier(0.1, offset, size[:, None] * sine, size[:, None] * cosine)

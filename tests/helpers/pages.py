@@ -25,7 +25,6 @@ from testbed.importing.check.plate import WrenchFit
 from testbed.importing.import_report import Draft
 from testbed.lab.experiment.excite import design_problem
 from testbed.lab.experiment.motions import CheckedMotion, checked_motion
-from testbed.lab.experiment.run import Run
 from testbed.motion.design import Design
 from testbed.motion.excite import Excitation
 from testbed.motion.information import Prediction
@@ -47,9 +46,9 @@ GRID = (
 )
 
 
-def plated() -> Run:
+def plated() -> tb.Run:
     """The run with drives, as if calibration had found 2 % of Fz in Mx, and 1 % of Fy."""
-    run: Run = result("drives")
+    run: tb.Run = result("drives")
     numbers = (
         NuisanceEstimate("matrix", "gain/Fy", "", 1.01, 1e-3),
         NuisanceEstimate("matrix", "crosstalk/Mx/Fz", "m", 0.02, 1e-4),
@@ -58,7 +57,7 @@ def plated() -> Run:
     return replace(run, estimates={**run.estimates, "external": found})
 
 
-def hostile() -> Run:
+def hostile() -> tb.Run:
     """A run in which everything is called by HOSTILE."""
     tree = robot("puma")
     joints = tuple(replace(each, name=f"{each.name}{HOSTILE}") for each in tree.joints)
@@ -69,17 +68,17 @@ def hostile() -> Run:
     )
 
 
-def half() -> Run:
+def half() -> tb.Run:
     """Without a plate."""
     return run_of(robot("gantry"), without(noisy(ideal(robot("gantry"))), "wrench"))
 
 
-def silent() -> Run:
+def silent() -> tb.Run:
     """Without any signal to identify from."""
     return run_of(robot("puma"), replace(ideal(robot("puma")), wrench=None, torque=None))
 
 
-RUNS: dict[str, Callable[[], Run]] = {
+RUNS: dict[str, Callable[[], tb.Run]] = {
     "ur5": lambda: result("ur5"),
     "gantry": lambda: result("gantry"),
     "plate": plated,
@@ -94,7 +93,7 @@ OTHERS = ("motion", "campaign", "mapping")
 
 
 @cache
-def run_named(name: str) -> Run:
+def run_named(name: str) -> tb.Run:
     """One of RUNS."""
     return RUNS[name]()
 

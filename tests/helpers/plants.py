@@ -10,7 +10,6 @@ import numpy as np
 import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.core.recordings.recording import Truth
-from testbed.core.robot.model_file import ModelFile
 from testbed.lab.simulation.plant import Plant, build_plant
 from testbed.lab.simulation.rollout import Rollout, Sampling, simulate_motion
 from testbed.motion.fourier import Fourier
@@ -54,7 +53,7 @@ def run(
     friction: bool = True,
 ) -> Rollout:
     changed = tree.names if friction else ()
-    plant = build_plant(ModelFile(path), tree, step, friction=friction, changed=changed)
+    plant = build_plant(tb.ModelFile(path), tree, step, friction=friction, changed=changed)
     tree = tree if friction else tree.without_friction()
     return simulate_motion(plant, tree, motion, 1.0, 60.0, sampling)
 

@@ -8,12 +8,10 @@ import numpy as np
 
 import testbed as tb
 from testbed.core.base.arrays import Array
-from testbed.core.recordings.recording import Recording
-from testbed.core.robot.inertia import Inertia
 
 BIAS = np.array([2.0, -1.0, 1.0, 0.3, 0.2, -0.1])
 SCALE = np.array([500.0, 500.0, 1000.0, 200.0, 200.0, 100.0])
-LOAD = Inertia.about_centre(1.2, [0.03, -0.05, 0.2], np.diag([2e-3, 3e-3, 4e-3]))
+LOAD = tb.Inertia.about_centre(1.2, [0.03, -0.05, 0.2], np.diag([2e-3, 3e-3, 4e-3]))
 
 
 def mixing(seed: int) -> Array:
@@ -24,7 +22,7 @@ def mixing(seed: int) -> Array:
     return np.asarray(own + others * SCALE[:, None] / SCALE)
 
 
-def on_plate(recording: Recording, matrix: Array) -> Recording:
+def on_plate(recording: tb.Recording, matrix: Array) -> tb.Recording:
     """As a plate with a matrix and a zero shows it."""
     return replace(recording, wrench=recording.measured("wrench") @ matrix.T + BIAS)
 

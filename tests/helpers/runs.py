@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from testbed.core.recordings.recording import Recording
 from testbed.lab.experiment.evaluate import bodies_asked, with_body_metrics
 from testbed.lab.experiment.experiment_tables import Bound
-from testbed.lab.experiment.run import Run, assemble_run
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.robots import random_robot
@@ -33,7 +31,7 @@ def robot(name: str) -> tb.Tree:
     return tb.load_tree(MODELS[name])
 
 
-def noisy(recording: Recording, seed: int = 3, size: float = 0.5) -> Recording:
+def noisy(recording: tb.Recording, seed: int = 3, size: float = 0.5) -> tb.Recording:
     """Noise on the plate and on the torques of a perfect recording."""
     rng = np.random.default_rng(seed)
     wrench, torque = recording.measured("wrench"), recording.measured("torque")
@@ -44,7 +42,7 @@ def noisy(recording: Recording, seed: int = 3, size: float = 0.5) -> Recording:
     )
 
 
-def without(recording: Recording, signal: str) -> Recording:
+def without(recording: tb.Recording, signal: str) -> tb.Recording:
     """The recording of an instrument that lacks a signal."""
     lacking: dict[str, Any] = {signal: None}
     return replace(recording, **lacking)
@@ -57,18 +55,18 @@ def experiment(expect: dict[str, Bound] | None = None) -> tb.Experiment:
 
 def run_of(
     tree: tb.Tree,
-    recording: Recording | None = None,
+    recording: tb.Recording | None = None,
     asked: tb.Experiment | None = None,
-) -> Run:
+) -> tb.Run:
     """What can be identified from a recording with sensed kinematics; judged if asked for."""
     recording = noisy(ideal(tree)) if recording is None else recording
     bodies = None if asked is None else bodies_asked(asked, tree)
-    run = assemble_run(
+    run = tb.assemble_run(
         tree, recording, name="made", settings=EXACT, experiment=asked, bodies=bodies
     )
     return with_body_metrics(run)
 
 
-def judged_run(name: str) -> Run:
+def judged_run(name: str) -> tb.Run:
     """A run of one of ROBOTS, with its truth."""
     return run_of(robot(name), asked=experiment())

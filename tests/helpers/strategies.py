@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
 import testbed as tb
-from testbed.core.recordings.recording import Recording
 from tests.helpers.measured import measured
 from tests.helpers.robots import Robot, random_robot, random_states, with_zeros
 
@@ -68,7 +67,7 @@ def motions(tree: tb.Tree, samples: int = 10) -> SearchStrategy[tb.Motion]:
 @st.composite
 def recordings(
     draw: st.DrawFn, joints: tuple[int, int] = (1, 4), duration: float = 4.0
-) -> tuple[tb.Tree, Recording]:
+) -> tuple[tb.Tree, tb.Recording]:
     """A random robot on its plate and what a noisy instrument records of it at 100 Hz."""
     tree = random_robot(draw(rngs), draw(st.integers(*joints))).tree()
     return tree, measured(tree, draw(seeds), duration=duration, rate=100.0)

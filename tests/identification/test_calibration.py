@@ -28,8 +28,6 @@ from testbed.core.estimation.sensor.correction import NUISANCES, TESTED
 from testbed.core.estimation.sensor.predicted_wrench import row_filter
 from testbed.core.estimation.sensor.unknowns import Columns, unknowns_of
 from testbed.core.kernel.layout import layout
-from testbed.core.parameters.symbols import standard
-from testbed.core.recordings.recording import Recording
 from testbed.lab.experiment.plate_file import read_plate, write_plate
 from testbed.lab.instruments.fault import Fault
 from testbed.lab.instruments.faults import fault_of
@@ -134,7 +132,7 @@ def test_what_does_not_suffice_is_refused_before_the_data_are_read() -> None:
 def ten() -> Array:
     """Parameters of the load."""
     tree = robot("puma")
-    return np.array(standard(replace(tree, inertias=(LOAD, *tree.inertias[1:])))[0])
+    return np.array(tb.standard(replace(tree, inertias=(LOAD, *tree.inertias[1:])))[0])
 
 
 @pytest.mark.slow
@@ -250,7 +248,7 @@ TARE = np.array([3.0, -2.0, 200.0, 4.0, -5.0, 1.0])
 FULL = np.array([500.0, 500.0, 1000.0, 200.0, 200.0, 100.0])
 
 
-def shown(recording: Recording, kind: str, v: Array) -> Recording:
+def shown(recording: tb.Recording, kind: str, v: Array) -> tb.Recording:
     """With a fault of the plate, of the nuisance's numbers."""
     matrix = np.zeros((6, 6))
     if kind in ("crosstalk", "matrix"):
@@ -272,13 +270,13 @@ def shown(recording: Recording, kind: str, v: Array) -> Recording:
     return replace(recording, wrench=wrench)
 
 
-def on_pedestal(tree: tb.Tree, duration: float) -> Recording:
+def on_pedestal(tree: tb.Tree, duration: float) -> tb.Recording:
     """A perfect recording."""
     found = ideal(tree, duration=duration, seed=3)
     return replace(found, wrench=found.measured("wrench") + TARE, tare=TARE, truth=None)
 
 
-def columns_of(recording: Recording, tree: tb.Tree, kind: str, estimated: bool = False) -> Array:
+def columns_of(recording: tb.Recording, tree: tb.Tree, kind: str, estimated: bool = False) -> Array:
     """The nuisance's columns, (6, rows, k)."""
     minimal, settings = tb.minimal_set(tree, "reaction"), tb.Settings(position_cutoff="off")
     plan = make_plan(recording, layout(tree, minimal), TARE, settings)
@@ -295,7 +293,7 @@ def columns_of(recording: Recording, tree: tb.Tree, kind: str, estimated: bool =
     return np.concatenate(list(parts), axis=1)
 
 
-def encoder_errors(kind: str, recording: Recording, tree: tb.Tree) -> list[list[Array]]:
+def encoder_errors(kind: str, recording: tb.Recording, tree: tb.Tree) -> list[list[Array]]:
     """Errors of positions, velocities and accelerations, number by number."""
     q, qd, qdd = (recording.measured(s) for s in ("position", "velocity", "acceleration"))
     jerk, one = np.gradient(qdd, recording.time, axis=0, edge_order=2), np.eye(tree.n)
@@ -313,7 +311,7 @@ def encoder_errors(kind: str, recording: Recording, tree: tb.Tree) -> list[list[
     return [[one[k] * part for part in parts] for k in places for parts in of_all]
 
 
-def effects(kind: str, recording: Recording, tree: tb.Tree) -> list[Array]:
+def effects(kind: str, recording: tb.Recording, tree: tb.Tree) -> list[Array]:
     """Change of what the model leaves of the wrench, number by number, (M, 6)."""
     if kind in ("joint_zeros", "encoder_gains", "encoder_delays", "eccentricity", "sampling"):
         states = [recording.measured(s) for s in ("position", "velocity", "acceleration")]

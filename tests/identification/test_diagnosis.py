@@ -13,18 +13,10 @@ import pytest
 import testbed as tb
 from benchmarks.fault_trials import trials
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import (
-    Diagnostic,
-    from_json,
-    messages,
-    ordered,
-    phrase,
-    sentences,
-)
+from testbed.core.base.diagnostics import from_json, messages, ordered, phrase
 from testbed.core.estimation.diagnostics.torques import cross_check, diagnostics_of, torque_factor
 from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.estimation.sensor.correction import TESTED
-from testbed.core.parameters.minimal_set import selection
 from testbed.core.recordings.recording import Recording
 from tests.helpers.ideal import plus
 from tests.helpers.measured import measured
@@ -191,7 +183,7 @@ def test_factors_between_methods_are_told_with_causes(puma: tb.Tree, recording: 
         assert {each.code for each in found} <= {"torque.constant" if near else "torque.scale"}
         if near:
             assert all((each.significance or 0) > 8 for each in found)
-            assert len(sentences(ordered(found))) <= 1
+            assert len(tb.sentences(ordered(found))) <= 1
         else:
             seen.append({each.causes[0] for each in found})
     assert [len(causes) for causes in seen] == [1, 1, 1, 1]
@@ -210,7 +202,7 @@ def test_the_factor_is_the_torque_constant_whatever_rubs(name: str) -> None:
     wrong = plus(scaled(measured(geared, duration=60.0), gain), torque=2.0)
     settings = tb.Settings(terms=("coulomb", "viscous", "offset", "rotor"))
     external, internal = (tb.identify(geared, wrong, m, settings=settings) for m in METHODS)
-    s = selection(internal.minimal, external.minimal)
+    s = tb.selection(internal.minimal, external.minimal)
     known, spread = s @ external.base.values, s @ external.base.covariance @ s.T
     factors = [torque_factor(internal, known, spread, j) for j in range(tree.n)]
     assert sum(factor is not None for factor in factors) >= 2
@@ -223,9 +215,9 @@ def test_the_factor_is_the_torque_constant_whatever_rubs(name: str) -> None:
 # As a person reads them.
 
 
-def a_case(code: str, method: str = "", significance: float | None = None) -> Diagnostic:
+def a_case(code: str, method: str = "", significance: float | None = None) -> tb.Diagnostic:
     """Of a code, with causes and remedy of its own."""
-    return Diagnostic(
+    return tb.Diagnostic(
         code, f"{code} {method}", "error", code, 1.0, None, significance, method, (code,), "look"
     )
 
@@ -243,7 +235,7 @@ def test_one_cause_comes_first_with_what_follows_from_it() -> None:
         a_case("estimate.bias", "internal"),
         a_case("channel.residual", "external"),
     )
-    note = Diagnostic("note", "what else is known", "info")
+    note = tb.Diagnostic("note", "what else is known", "info")
     for given, wanted, follows in (
         ([], [], 0),
         ([note, other, CONSTANT, error], [CONSTANT, note], 2),
@@ -257,7 +249,7 @@ def test_one_cause_comes_first_with_what_follows_from_it() -> None:
         assert [each for each in found if not each.follows] == wanted
         assert sum(bool(each.follows) for each in found) == follows
         assert ordered(found) == found
-        lines = sentences(found)
+        lines = tb.sentences(found)
         assert [line.startswith(d.text) for line, d in zip(lines, wanted, strict=True)] == [
             True for _ in wanted
         ]
@@ -265,7 +257,7 @@ def test_one_cause_comes_first_with_what_follows_from_it() -> None:
         assert all(any(symptom in line for line in lines) for symptom in symptoms)
         assert from_json(json.loads(json.dumps([d.as_dict() for d in found]))) == found
     several = [replace(ENCODER, text=f"joint {k}") for k in range(5)]
-    (line,) = sentences(ordered(several))
+    (line,) = tb.sentences(ordered(several))
     assert "3 similar" in line
 
 

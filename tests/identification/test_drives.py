@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import csv
+import json
 import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,6 +17,7 @@ from scipy.interpolate import CubicSpline
 
 import testbed as tb
 from testbed.applications.drives.friction_curves import friction_curves
+from testbed.applications.drives.friction_files import bam_parameters, write_friction
 from testbed.applications.drives.identify_drives import (
     DriveFindings,
     combined,
@@ -26,20 +30,23 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.estimation.estimate import METHODS
 from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.regression.windows import drive_filter
 from testbed.core.estimation.selection.held_out import Parts, stretches
-from testbed.core.estimation.selection.term_choice import choose_terms
-from testbed.core.recordings.recording import Recording
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.core.robot.friction import QUADRATIC, ROTOR, stribeck
-from testbed.core.robot.model_file import ModelFile
-from testbed.core.robot.shafts import with_shafts
+from testbed.core.robot.friction import (
+    SLOPE,
+    VARYING,
+    WARM_VISCOUS,
+    joint_law,
+    stribeck,
+)
 from testbed.importing.check.time_offset import delivered
 from testbed.lab.simulation.replay import replay
+from tests.helpers.foreign_files import imported, npz, some_log
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
-from tests.helpers.robots import random_robot
 from tests.helpers.runs import MODELS, robot, without
 from tests.helpers.sensors import links_of
 
@@ -61,15 +68,17 @@ def constants(tree: tb.Tree) -> Array:
     return np.asarray(1 + 0.08 * np.sin(1.0 + np.arange(tree.n)))
 
 
-def reported(tree: tb.Tree, recording: Recording) -> Recording:
+def reported(tree: tb.Tree, recording: tb.Recording) -> tb.Recording:
     """By drives with such constants."""
     return replace(recording, torque=recording.measured("torque") * constants(tree))
 
 
-def findings(tree: tb.Tree, recording: Recording, how: tb.Settings) -> DriveFindings:
+def findings(
+    tree: tb.Tree, recording: tb.Recording, how: tb.Settings, choose: bool = False
+) -> DriveFindings:
     """Beside the plate's estimate from the same recording."""
     bodies = tb.identify(tree, recording, settings=how)
-    return identify_drives(tree, recording, bodies, settings=how)
+    return identify_drives(tree, recording, bodies, settings=how, choose=choose)
 
 
 def errors(tree: tb.Tree, found: DriveFindings) -> tuple[Array, Array]:
@@ -252,30 +261,8 @@ def test_what_is_left_is_what_plain_fits_leave(reach: int) -> None:
     np.testing.assert_allclose(found.left_with([0, 2], [1, 3, 5]), one_more, rtol=1e-9)
 
 
-@pytest.mark.slow
-def test_the_terms_of_a_made_up_robot_are_chosen() -> None:
-    """A rotor here, quadratic friction there, and a shaft that rubs."""
-    rng = np.random.default_rng(4)
-    turning: list[int] = []
-    while len(turning) < 2:
-        tree = random_robot(rng, 4).tree()
-        turning = [k for k, joint in enumerate(tree.joints) if joint.revolute][:2]
-    tree = with_shafts(tree, {"shaft": {tree.names[k]: 1.0 for k in turning}})
-    heavy, rough = np.eye(tree.n)[[tree.n - 1, 1]]
-    recording = ideal(tree, 40.0, seed=4, own={ROTOR: 3.0 * heavy, QUADRATIC: 5.0 * rough})
-    assert recording.velocity is not None
-    speed = recording.velocity[:, turning].sum(axis=1)
-    turn = np.isin(np.arange(tree.n), turning)
-    rubs = (2.0 * np.sign(speed) + speed)[:, None] * turn
-    noisy = plus(recording, torque=rubs + 0.05 * rng.normal(size=(recording.samples, tree.n)))
-    found = choose_terms(Problem.of(tree, noisy, "internal"))
-    assert found.after.rms < 0.3 * found.before.rms
-    own = {f"quadratic/{tree.names[1]}", f"rotor/{tree.names[-1]}"}
-    assert {"coulomb/shaft", "viscous/shaft", *own} <= set(found.words)
-
-
 @cache
-def two_motions() -> tuple[Recording, Recording]:
+def two_motions() -> tuple[tb.Recording, tb.Recording]:
     words = ["motion.duration=8", "motion.candidates=1"]
     one, other = (
         tb.record(tb.Experiment.from_toml(ROOT / "experiments/table6.toml", [*words, f"seed={k}"]))
@@ -288,7 +275,7 @@ def two_motions() -> tuple[Recording, Recording]:
 def test_a_file_with_identified_drives_repeats_an_unseen_motion(tmp_path: Path) -> None:
     """Plain MuJoCo, driven open-loop by what drives report, stays near what was recorded."""
     seen, unseen = two_motions()
-    model = ModelFile(ROOT / "models/puma562.xml")
+    model = tb.ModelFile(ROOT / "models/puma562.xml")
     tree = model.tree()
     bodies = tb.identify(tree, seen)
     found = identify_drives(tree, seen, bodies)
@@ -300,7 +287,7 @@ def test_a_file_with_identified_drives_repeats_an_unseen_motion(tmp_path: Path) 
     gears = [compiled.actuator(name).gear[0] for name in tree.names]
     np.testing.assert_allclose(gears, [1 / each.constant for each in found.estimates], rtol=1e-12)
     near, far = (
-        np.sqrt((replay(ModelFile(path), unseen) ** 2).mean(axis=0))
+        np.sqrt((replay(tb.ModelFile(path), unseen) ** 2).mean(axis=0))
         for path in (written, tmp_path / "poor.xml")
     )
     assert (near < 0.1 * far).all()
@@ -319,10 +306,10 @@ def test_a_file_with_identified_drives_repeats_an_unseen_motion(tmp_path: Path) 
 @pytest.mark.slow
 def test_commands_that_act_late_are_written_as_a_delay(tmp_path: Path) -> None:
     """A controller trained without the delay of its drives oscillates on the robot."""
-    late, true = 0.008, ModelFile(ROOT / "models/puma562.xml")
+    late, true = 0.008, tb.ModelFile(ROOT / "models/puma562.xml")
     tree = true.tree()
 
-    def commanded(recording: Recording) -> Recording:
+    def commanded(recording: tb.Recording) -> tb.Recording:
         ahead = np.minimum(recording.time + late, recording.time[-1])
         torque = CubicSpline(recording.time, recording.measured("torque"))(ahead)
         return replace(recording, torque=torque)
@@ -338,11 +325,11 @@ def test_commands_that_act_late_are_written_as_a_delay(tmp_path: Path) -> None:
         write_model(true, with_drives(tree, found), path, gears=found.gears, delay=delay)
         compiled = mujoco.MjModel.from_xml_path(str(path))
         np.testing.assert_array_equal(compiled.actuator_delay, delay)
-        errors.append(np.sqrt((replay(ModelFile(path), unseen) ** 2).mean()))
+        errors.append(np.sqrt((replay(tb.ModelFile(path), unseen) ** 2).mean()))
     assert errors[0] < 0.5 * errors[1]
     with refuses(RecordingError, "commands"):
         delivered(tree, replace(seen, torque=np.roll(seen.measured("torque"), 30, axis=0)), bodies)
-    urdf = ModelFile(MODELS["ur5"])
+    urdf = tb.ModelFile(MODELS["ur5"])
     said = write_model(urdf, urdf.tree(), tmp_path / "late.urdf", delay=late)
     assert [each.code for each in said] == ["model.delay"]
 
@@ -353,7 +340,7 @@ def test_joints_without_motors_get_one_and_other_actuators_stay(tmp_path: Path) 
     servo = re.sub(r"<motor([^>]*joint=\"waist\")", r"<position\1", bare)
     source, path = tmp_path / "some.xml", tmp_path / "other.xml"
     source.write_text(servo)
-    model = ModelFile(source)
+    model = tb.ModelFile(source)
     said = write_model(model, model.tree(), path, gears={"waist": 2, "shoulder": 3, "elbow": 4})
     assert [each.code for each in said] == ["model.actuators"]
     compiled = mujoco.MjModel.from_xml_path(str(path))
@@ -363,11 +350,10 @@ def test_joints_without_motors_get_one_and_other_actuators_stay(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("name", ["puma", "gantry"])
-@pytest.mark.parametrize("seed", range(3))
-def test_torques_do_not_tell_what_a_plates_unknown_zero_hides(name: str, seed: int) -> None:
+def test_torques_do_not_tell_what_a_plates_unknown_zero_hides(name: str) -> None:
     """Mass and zero are one number: what is said to be determined is within four sigma."""
     tree = driven(name)
-    recording = plus(measured(tree, seed), wrench=[3.0, -2.0, 4.0, 0.5, 0.3, -0.4])
+    recording = plus(measured(tree), wrench=[3.0, -2.0, 4.0, 0.5, 0.3, -0.4])
     plate = tb.identify(tree, recording, settings=replace(SETTINGS, nuisances=("bias",)))
     both = identify_drives(tree, recording, plate, settings=SETTINGS).combined
     truth = plate.minimal.values(tb.barycentric(tree))
@@ -377,3 +363,194 @@ def test_torques_do_not_tell_what_a_plates_unknown_zero_hides(name: str, seed: i
     assert hidden == {*plate.unidentifiable}
     assert np.abs((both.values - truth)[known] / both.sigma[known]).max() < 4
     assert both.disagreement.chance > 1e-4
+
+
+def warming(whole: tb.Recording, slope: float, warm: float) -> tb.Recording:
+    """With drives that warm up by 20 K, offsets that drift and viscous friction that changes."""
+    time, speed = whole.time[:, None], whole.measured("velocity")
+    temperature = 45.0 - 20.0 * np.exp(-time / time[-1]) * np.ones_like(speed)
+    drift = slope * (time - whole.samples / whole.rate / 2)
+    return plus(
+        replace(whole, temperature=temperature),
+        torque=drift + warm * (temperature - 25.0) * speed,
+    )
+
+
+def test_drift_and_temperature_are_terms_like_the_others(puma: tb.Tree, tmp_path: Path) -> None:
+    """From memory, a file and parts; of another recording, whose drift is its own, friction is."""
+    recording = warming(ideal(puma), 0.03, -0.05)
+    asked = replace(EXACT, terms=("coulomb", "viscous", "offset", SLOPE.kind, WARM_VISCOUS.kind))
+    recording.save(tmp_path / "warm.parquet")
+    parts = [recording.part(0, 700), recording.part(700, recording.samples)]
+    for source in (recording, tmp_path / "warm.parquet", parts):
+        found = tb.identify(puma, source, "internal", settings=asked)
+        values = dict(zip(found.names, found.values.tolist(), strict=True))
+        for name in puma.names:
+            assert values[f"slope/{name}"] == pytest.approx(0.03, abs=1e-8)
+            assert values[f"warm_viscous/{name}"] == pytest.approx(-0.05, abs=1e-8)
+    other = warming(ideal(puma, seed=1), 0.0, -0.05)
+    assert (tb.validate(found, other).residual < 1e-7).all()
+    with refuses(RecordingError, "temperature"):
+        tb.identify(puma, ideal(puma), "internal", settings=asked)
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"), [(0.0, set[str]()), (1.0, {"slope/elbow", "warm_viscous/elbow"})]
+)
+def test_drift_and_temperature_are_chosen_where_they_explain_data(
+    size: float, expected: set[str], puma: tb.Tree
+) -> None:
+    """By data that no fit has seen; of steady drives neither is."""
+    kinds = {law.kind for law in VARYING}
+    for seed in range(2):
+        whole = measured(puma, seed, duration=40.0)
+        speed = np.gradient(whole.position, whole.time, axis=0)
+        temperature = 25.0 + 20.0 * (1 - np.exp(-whole.time / 15.0))
+        own = 0.05 * (whole.time - 20.0) - 0.05 * (temperature - 25.0) * speed[:, 2]
+        recording = plus(whole, torque=size * own[:, None] * [0.0, 0.0, 1.0])
+        recording = replace(recording, temperature=np.tile(temperature[:, None], 3))
+        found = tb.identify(puma, recording, "internal", settings=tb.Settings(terms="auto"))
+        assert found.drives is not None
+        chosen = [term for term in found.drives.asked if term.law.kind in kinds]
+        assert {term.name(puma) for term in chosen} == expected
+
+
+@pytest.mark.parametrize(
+    ("torque", "kind"),
+    [
+        ('unit = "A"\ngain = 3', "current"),
+        ('unit = "pwm"\ngain = 3', "pwm"),
+        ('unit = "V"\ngain = 3', "torque"),
+        ('unit = "N m"', "torque"),
+        ('unit = "N m"\nside = "motor"', "motor"),
+    ],
+)
+def test_what_motors_give_moves_rotors(torque: str, kind: str, tmp_path: Path) -> None:
+    """Of currents, voltages and the motors' side of gears; a sensor at the joint has none."""
+    log = some_log(1000)
+    warm = '[temperature]\nsource = "log"\ncolumns = ["w[0]", "w[1]"]\nunit = "degC"'
+    text = npz(tmp_path, log).replace('unit = "N m"', torque)
+    if kind == "motor":
+        text = text.replace('unit = "rad"', 'unit = "rad"\nside = "motor"')
+        text += "[gear]\nratio = [50, 50]\n"
+    recording = imported(tmp_path, f"{text}\n{warm}")
+    assert recording.facts["effort"] == dict.fromkeys(recording.names, kind)
+    np.testing.assert_allclose(recording.measured("temperature"), log.w[:, :2], atol=1e-12)
+
+
+def test_rotors_are_the_cause_of_torques_that_lead_no_longer_beside_them() -> None:
+    tree = robot("ur5")
+    joints = tuple(replace(j, rotor_inertia=0.3, coulomb=8.0, viscous=8.0) for j in tree.joints)
+    geared = measured(replace(tree, joints=joints), duration=60.0)
+    found = tb.identify(tree, geared, "internal").diagnostics
+    (told,) = (said for said in found if said.code == "torque.delay")
+    assert told.causes[0] == "rotor"
+    motors = replace(geared, facts={"effort": dict.fromkeys(tree.names, "current")})
+    right = tb.identify(tree, motors, "internal")
+    assert "rotor/j6" in right.names
+    assert not right.doubtful
+
+
+# friction over velocity and load
+
+LOADED = ("load", "viscous_load", "driving_load", "quadratic_load")
+LOSS = np.array([[0.05, 0.1, 0.2], [0.01, 0.002, 0.03], [0.004, 0.003, 0.002], [1e-3, 2e-3, 4e-3]])
+"""Of those laws, by joint."""
+
+
+def rubbing(tree: tb.Tree, seconds: float, loss: Array = LOSS, noise: float = 0.0) -> tb.Recording:
+    """By drives whose gears take more under load, with constants that are off."""
+    recording = ideal(tree, seconds, seed=2)
+    assert recording.truth is not None
+    load, v = recording.truth.torque - recording.truth.friction, recording.truth.velocity
+    more = loss[0] * np.abs(load) * np.sign(v) + loss[1] * np.abs(load) * v
+    more += loss[2] * load * np.abs(v) + loss[3] * load**2 * np.sign(v)
+    wide = noise * np.random.default_rng(1).normal(size=load.shape)
+    return plus(reported(tree, plus(recording, torque=more)), torque=wide)
+
+
+def test_laws_of_the_load_are_found_exactly() -> None:
+    """A sample's column is the law of its own load: else coefficients of exact data are off."""
+    tree = driven("puma", 0.0)
+    settings = replace(EXACT, terms=("coulomb", "viscous", *LOADED))
+    found = findings(tree, rubbing(tree, 20.0), settings)
+    for j, drive in enumerate(found.estimates):
+        true = [tree.joints[j].coulomb, tree.joints[j].viscous, *LOSS[:, j]]
+        assert drive.constant == pytest.approx(constants(tree)[j], abs=1e-6)
+        np.testing.assert_allclose([term.value for term in drive.terms], true, rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_a_load_term_is_chosen_where_there_is_one_and_only_there() -> None:
+    tree, none = driven("puma", 0.0), np.zeros_like(LOSS)
+    loss = none.copy()
+    loss[0, 1] = 0.1
+    found = findings(tree, rubbing(tree, 40.0, loss, 0.5), EXACT, choose=True)
+    kinds = [{term.law.kind for term in drive.terms} for drive in found.estimates]
+    assert ["load" in own for own in kinds] == [False, True, False]
+    assert not set().union(*kinds) & set(LOADED[1:])
+    (load,) = (term for term in found.estimates[1].terms if term.law.kind == "load")
+    assert abs(load.value - 0.1) < 4 * load.sigma < 0.02
+
+
+def test_no_row_of_drives_holds_a_reversal() -> None:
+    """Hann's window ends half a period of the cutoff from its middle, where its gain is a half."""
+    weights, nearby = drive_filter(tb.Settings(cutoff=5.0), 1000.0)
+    at = np.arange(len(weights)) - len(weights) // 2
+    assert np.abs(at).max() == nearby < 100
+    np.testing.assert_allclose(weights, weights[::-1])
+    for rate, gain in ((0.0, 1.0), (5.0, 0.5), (10.0, 0.0), (15.0, 0.0)):
+        assert weights @ np.cos(2 * np.pi * rate * at / 1000) == pytest.approx(gain, abs=1e-3)
+
+
+def bam_torque(values: dict[str, Any], load: float, speed: float) -> float:
+    """What a BAM drive reports that moves a load slowly: its formulas, by hand.
+
+    Friction depends on the motor's torque, which it is part of: a fixed point.
+    """
+    way, friction, fade = float(np.sign(speed)), 0.0, 0.0
+    if "dtheta_stribeck" in values:
+        fade = np.exp(-(abs(speed / values["dtheta_stribeck"]) ** values["alpha"]))
+    for _ in range(100):
+        motor, external = load + friction, -load
+        dry = values["friction_base"] + fade * values.get("friction_stribeck", 0.0)
+        sides = {"external": external, "motor": motor} if values["model"] in ("m5", "m6") else {}
+        of_load = [values[f"load_friction_{side}"] * torque for side, torque in sides.items()]
+        dry += abs(of_load[0] - of_load[1]) if of_load else 0.0
+        if values["model"] == "m6" and motor * external < 0:
+            side = "external" if abs(motor) > abs(external) else "motor"
+            dry += fade * values[f"load_friction_{side}_quad"] * sides[side] ** 2
+        friction = way * dry + values["friction_viscous"] * speed
+    return float(values["constant"] * (load + friction))
+
+
+@pytest.mark.slow
+def test_friction_in_files_is_what_was_found(tmp_path: Path) -> None:
+    """Read back by a computation of BAM's formula, and as a table."""
+    tree, loss = driven("puma", 0.0), np.zeros_like(LOSS)
+    loss[0] = 0.1
+    settings = replace(EXACT, terms=("coulomb", "viscous", "stribeck@0.1", "load"))
+    found = findings(tree, rubbing(tree, 20.0, loss), settings)
+    write_friction(found, tmp_path / "friction.json")
+    bam = json.loads((tmp_path / "friction.json").read_text())
+    quadratic = replace(found.estimates[0].terms[0], law=joint_law("quadratic_load"), value=2e-3)
+    for drive in found.estimates:
+        dry = drive.terms[:2]
+        models = {"m5": drive.terms, "m2": drive.terms[:3], "m1": dry, "m6": (*dry, quadratic)}
+        for model, terms in models.items():
+            own = replace(drive, terms=terms)
+            values = bam[drive.joint] if model == "m5" else bam_parameters(own)
+            assert (values["model"], values["left_out"]) == (model, [])
+            for load, speed in ((12.0, 0.05), (60.0, 0.2), (-7.0, -1.0), (40.0, 0.3)):
+                friction = own.friction(np.array([speed]), np.array([load]))[0]
+                want = own.constant * (load + friction)
+                assert bam_torque(values, load, speed) == pytest.approx(want, rel=1e-9)
+    evil = tuple(replace(curve, joint=f"={curve.joint}") for curve in found.curves)
+    for curves, mark in ((found.curves, ""), (evil, "'=")):  # no formula of a spreadsheet
+        write_friction(replace(found, curves=curves), tmp_path / "friction.csv")
+        with (tmp_path / "friction.csv").open() as file:
+            rows = list(csv.DictReader(file))
+        assert len(rows) == sum(len(curve.speed) for curve in curves)
+        assert {row["joint"] for row in rows} == {f"{mark}{name}" for name in tree.names}
+        for row in rows:  # nodes near zero reach across Stribeck's fall
+            assert float(row["friction"]) == pytest.approx(float(row["law"]), abs=0.5)

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.applications.validate import motion_in, own_torque, predictions
-from testbed.core.base.diagnostics import Diagnostic
+from testbed.applications.validate import friction, motion_in, own_torque, predictions
 from testbed.core.base.errors import (
+    ModelError,
     RecordingError,
     SettingsError,
-    TestbedError,
     UnknownName,
     UnseenParameters,
 )
@@ -28,84 +28,86 @@ from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Method
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import ROW_ATTENUATION, low_pass, motion_taps
 from testbed.core.estimation.selection.term_choice import choose_terms
-from testbed.core.estimation.settings import Settings
-from testbed.core.recordings.recording import Recording
-from testbed.core.robot.friction import LAWS, OFFSET, JointLaw
+from testbed.core.recordings.views import with_base_joints
+from testbed.core.robot.free_base import coordinates
+from testbed.core.robot.free_root import on_free_base
+from testbed.core.robot.friction import LAWS, OFFSET, ROTOR, JointLaw
+from tests.helpers.humanoid import G1, humanoid, squatting
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.measured import measured
-from tests.helpers.plants import by_mj_inverse
 from tests.helpers.refusals import refuses
-from tests.helpers.robots import random_robot
+from tests.helpers.robots import Robot, random_robot
 from tests.helpers.runs import noisy, robot
-from tests.helpers.strategies import Rng, few, rngs, wrong_numbers
+from tests.helpers.strategies import Rng, few, rngs, robots, wrong_numbers
 from tests.scenarios.scenarios import result
 
-KINDS = tuple(law.kind for law in LAWS)
+CUBIC = JointLaw("cubic", "N m s^3/rad^3", "N s^3/m^3", lambda qd, qdd: qd**3)
+"""One's own, defined here and nowhere else."""
+
 NAMED = {"coulomb": "coulomb", "viscous": "viscous", "rotor": "rotor_inertia"}
 
 
-def with_drives(tree: tb.Tree, rng: Rng, kinds: tuple[str, ...] = KINDS) -> tb.Tree:
+def with_drives(tree: tb.Tree, rng: Rng, kinds: Iterable[str] = NAMED) -> tb.Tree:
     """With friction and rotors of some kinds at every joint."""
     joints = []
     for joint in tree.joints:
-        own: dict[str, Any] = {NAMED[k]: rng.uniform(0.5, 2) for k in kinds if k in NAMED}
+        own: dict[str, Any] = {NAMED[k]: rng.uniform(0.5, 2) for k in kinds}
         joints.append(replace(joint, **own))
     return replace(tree, joints=tuple(joints))
 
 
-def rank(tree: tb.Tree, recording: Recording, kinds: tuple[str, ...]) -> int:
+def rank(tree: tb.Tree, motion: tb.Motion, laws: Iterable[JointLaw]) -> int:
     """Of the torque regressor with all terms' columns: what can be told at all."""
-    motion, _ = motion_in(recording)
     parts = [tb.regressor(tree, motion, tb.minimal_set(tree, "dynamic"))]
-    for law in LAWS:
-        if law.kind in kinds:
-            columns = np.broadcast_to(law.column(motion.qd, motion.qdd), motion.qd.shape)
-            parts.append(columns[:, :, None] * np.eye(tree.n))
+    for law in laws:
+        columns = np.broadcast_to(law.column(motion.qd, motion.qdd), motion.qd.shape)
+        parts.append(columns[:, :, None] * np.eye(tree.n))
     phi = np.concatenate(parts, axis=2).reshape(motion.qd.size, -1)
     scale = np.linalg.norm(phi, axis=0)
     return int(np.linalg.matrix_rank(phi / np.where(scale > 0, scale, 1.0), tol=1e-8))
 
 
 @few(25)
-@given(rngs, st.integers(1, 6), st.sets(st.sampled_from(KINDS), max_size=4))
-def test_without_noise_the_model_file_comes_back(rng: Rng, joints: int, some: set[str]) -> None:
-    """Of any tree by both methods, with any terms: as many unknowns as a rank says."""
-    kinds = tuple(kind for kind in KINDS if kind in some)
-    tree = with_drives(random_robot(rng, joints).tree(), rng, kinds)
-    offsets = np.linspace(-1, 1, joints) * ("offset" in kinds)
-    recording = ideal(tree, own={OFFSET: offsets})
+@given(
+    rngs, st.integers(1, 6), st.sets(st.sampled_from([*LAWS, CUBIC]), max_size=4),
+    st.sampled_from(["compiled", "numpy"]),
+)  # fmt: skip
+def test_without_noise_the_model_file_comes_back(
+    rng: Rng, joints: int, some: set[JointLaw], engine: Any
+) -> None:
+    """Of any tree by both methods, with any terms, as many as a rank says; and what happened."""
+    laws = [law for law in (*LAWS, CUBIC) if law in some]
+    tree = random_robot(rng, joints).tree()
+    tree = with_drives(tree, rng, [law.kind for law in laws if law.kind in NAMED])
+    own = {law: np.linspace(0.5, 2, joints) for law in laws if law.kind not in NAMED}
+    recording = ideal(tree, own=own)
     plate = tb.identify(tree, recording, settings=EXACT)
     assert np.abs(plate.values - true_values(tree, "external")).max() <= 1e-10
-    asked = replace(EXACT, terms=kinds, deadband=0.0)
-    found = tb.identify(tree, recording, "internal", settings=asked)
-    assert len(set(found.names)) == len(found.names) == rank(tree, recording, kinds)
+    asked = replace(EXACT, terms=tuple(laws), deadband=0.0, engine=engine)
+    found, (motion, _) = (
+        tb.identify(tree, recording, "internal", settings=asked),
+        motion_in(recording),
+    )
+    assert len(set(found.names)) == len(found.names) == rank(tree, motion, laws)
     assert found.drives is not None
     truth = found.drives.values(tb.barycentric(tree), tree)
-    for k, term in enumerate(found.drives.terms, start=found.minimal.count):
-        if term.law is OFFSET:
-            truth[k] += offsets[term.joint]
+    for told, term in zip(found.joint_terms, found.drives.terms, strict=True):
+        k = found.names.index(told.name)
+        if term.law in own:
+            truth[k] += own[term.law][term.joint]
+        unit = term.law.unit(tree.joints[term.joint])
+        assert told.name.startswith(term.name(tree))  # less what a rotor weighs
+        assert (told.kind, told.unit, told.value) == (term.law.kind, unit, found.values[k])
     assert np.abs(found.values - truth).max() <= 1e-8 * np.abs(truth).max()
-
-
-@pytest.mark.parametrize("compiled", [False, True])
-def test_ones_own_law_goes_all_the_way(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Defined here and nowhere else: recorded, identified and foretold, whatever the engine."""
-    monkeypatch.setattr("testbed.core.estimation.regression.passes.SMALL", 0.0 if compiled else 1e9)
-    law = JointLaw("cubic", "N m s^3/rad^3", "N s^3/m^3", lambda qd, qdd: qd**3)
-    tree = robot("gantry")
-    coefficients = np.linspace(0.5, 3.0, tree.n)
-    recording = ideal(tree, own={law: coefficients})
-    asked = replace(EXACT, terms=("coulomb", law, "viscous"))
-    found = tb.identify(tree, recording, "internal", settings=asked)
-    terms = [term for term in found.joint_terms if term.kind == "cubic"]
-    assert [(term.name, term.unit) for term in terms] == [
-        (f"cubic/{joint.name}", law.unit(joint)) for joint in tree.joints
-    ]
-    np.testing.assert_allclose([term.value for term in terms], coefficients, rtol=1e-8)
-    motion, _ = motion_in(recording)
-    torque = predictions(tree, recording, motion, {"internal": found})[1]["internal"]
-    np.testing.assert_allclose(torque, recording.measured("torque"), atol=1e-7)
-    np.testing.assert_allclose(own_torque(motion, found), coefficients * motion.qd**3, atol=1e-7)
+    felt, driven = recording.measured("wrench"), recording.measured("torque")
+    both: dict[Method, tb.Estimate] = {"internal": found, "external": plate}
+    wrench, torque = predictions(tree, recording, motion, both)
+    foretold = [(wrench["external"], felt), (torque["internal"], driven)]
+    if ROTOR not in laws:  # which may be one with a body's inertia
+        foretold += [(wrench["internal"], felt)]
+        foretold += [(torque["external"] + own_torque(motion, found), driven)]
+    for predicted, wanted in foretold:
+        assert np.abs(predicted - wanted).max() <= 1e-8 * np.abs(wanted).max()
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -154,7 +156,7 @@ def test_parameters_that_a_motion_does_not_show_are_named(puma: tb.Tree) -> None
 def test_a_recording_that_cannot_be_filtered_is_refused(puma: tb.Tree, tmp_path: Path) -> None:
     """Too short for its filters, too slow for them, or its time does not go on."""
     whole = ideal(puma)
-    cases: list[tuple[Recording | Path, Any, Any, str]] = [
+    cases: list[tuple[tb.Recording | Path, Any, Any, str]] = [
         (ideal(puma, duration=0.5), 5.0, 40.0, "0.5 s"),
         (whole, 1e-9, 40.0, "10 s"),
         (whole, 5e-324, 1e-300, "10 s"),
@@ -290,36 +292,22 @@ def test_as_accurate_as_lstsq_up_to_a_condition_of_a_million(exponent: int) -> N
     assert ours <= (3 * max(float(theirs), 4e-15) if estimate.condition <= 1e6 else 1e-6)
 
 
-ARMATURE = """<mujoco><compiler angle="radian"/><default><default class="geared">
-<joint armature="0.3"/></default></default><worldbody><body name="up">
-<joint name="j1" axis="0 0 1" class="geared"/>
-<inertial mass="2" pos=".1 0 .2" diaginertia="3 2 1.5"/>
-<body name="mid" pos=".1 0 .5"><joint name="j2" axis="0 1 0" class="geared"/>
-<inertial mass="1" pos="0 .1 .2" diaginertia=".5 .5 .2"/><body name="end" pos="0 .1 .4">
-<joint name="j3" axis="1 0 0" {third}/><inertial mass="1" pos=".1 .1 .1" diaginertia=".3 .3 .2"/>
-</body></body></body></worldbody></mujoco>"""
-
-
-@pytest.mark.parametrize("third", ["", 'class="geared"'])
-def test_rotors_of_the_file_are_terms_and_bodies_come_out_right(third: str, tmp_path: Path) -> None:
-    """Simulated or imported; MuJoCo, whose armature a default class gives, is the witness."""
-    (tmp_path / "r.xml").write_text(ARMATURE.format(third=third))
-    tree = tb.load_tree(tmp_path / "r.xml")
-    bare = tree.with_joints({name: {"rotor_inertia": 0.0} for name in tree.names})
-    recording = ideal(bare)
-    states = tuple(recording.measured(s) for s in ("position", "velocity", "acceleration"))
-    torque = by_mj_inverse(tmp_path / "r.xml", tree, states)
-    np.testing.assert_array_equal(np.ptp(torque - recording.measured("torque"), axis=0) > 0.1,
-                                  [True, True, bool(third)])  # fmt: skip
-    recording = replace(recording, torque=torque, truth=None)
+@pytest.mark.parametrize("geared", [2, 3])
+def test_rotors_of_the_file_are_terms_and_bodies_come_out_right(geared: int, puma: tb.Tree) -> None:
+    """Simulated or imported."""
+    tree = puma.with_joints({name: {"rotor_inertia": 0.3} for name in puma.names[:geared]})
     several: tuple[dict[str, Any], ...] = ({}, {"mapping": {}})
     for facts in several:
-        found = tb.identify(tree, replace(recording, facts=facts), "internal", settings=EXACT)
+        recording = replace(ideal(tree), truth=None, facts=facts)
+        found = tb.identify(tree, recording, "internal", settings=EXACT)
         assert found.drives is not None
         rotors = [t.joint for t in found.drives.asked if t.law.kind == "rotor"]
-        assert rotors == [0, 1, 2][: 3 if third else 2]
+        assert rotors == [*range(geared)]
         truth = found.drives.values(tb.barycentric(tree), tree)
         np.testing.assert_allclose(found.values, truth, atol=1e-6)
+        exact = ideal(tree).truth
+        assert exact is not None
+        np.testing.assert_allclose(friction(exact.velocity, found), exact.friction, atol=1e-6)
         (said,) = (each.subject for each in found.diagnostics if each.code == "drives.rotor")
         assert said.split(", ") == [name for name in found.names if "+rotor/" in name]
 
@@ -352,28 +340,28 @@ def test_what_is_no_number_is_refused_by_the_settings_name(wrong: Any) -> None:
     for name in NUMBERS:
         if wrong is not None or name == "deadband":  # elsewhere: the default
             with refuses(SettingsError, name):
-                Settings(**{name: wrong})
+                tb.Settings(**{name: wrong})
 
 
 def test_what_makes_no_sense_is_refused_by_the_settings_name() -> None:
     for given_settings, culprit in MEANINGLESS:
         with refuses((SettingsError, UnknownName), culprit):  # type: ignore[arg-type]
-            Settings(**given_settings)
+            tb.Settings(**given_settings)
     for name in CHOICES:
         with refuses(SettingsError, name, "'nonsense'"):
-            Settings(**{name: "nonsense"})  # type: ignore[arg-type]
+            tb.Settings(**{name: "nonsense"})  # type: ignore[arg-type]
 
 
 def test_filters_fit_the_sampling_rate_unless_they_are_said() -> None:
     for rate, position, rows in ((1000.0, 40.0, 5.0), (60.0, None, 5.0), (30.0, None, 3.0)):
-        fitted = Settings().fitted(rate)
+        fitted = tb.Settings().fitted(rate)
         assert (fitted.position_low_pass, fitted.row_low_pass) == (position, rows)
-    asked = Settings(position_cutoff=10.0, cutoff=2.0)
+    asked = tb.Settings(position_cutoff=10.0, cutoff=2.0)
     assert asked.fitted(30.0) == asked
-    none, off = (Settings(position_cutoff=v, cutoff=v) for v in (None, "off"))
+    none, off = (tb.Settings(position_cutoff=v, cutoff=v) for v in (None, "off"))
     assert none == off == off.fitted(30.0)
     assert (off.position_low_pass, off.row_low_pass) == (None, None)
-    assert Settings(position_cutoff=np.float64(40), cutoff=5) == Settings().fitted(1000.0)
+    assert tb.Settings(position_cutoff=np.float64(40), cutoff=5) == tb.Settings().fitted(1000.0)
 
 
 def test_known_zeros_are_left_out_and_an_argument_overrides_the_setting(puma: tb.Tree) -> None:
@@ -416,7 +404,7 @@ def test_every_form_holds_every_parameter() -> None:
     """Warnings too, and safely; data frames by whichever package is there."""
     found = replace(
         result("gantry").estimates["internal"],
-        diagnostics=(Diagnostic("note", "<b>mind</b> this"),),
+        diagnostics=(tb.Diagnostic("note", "<b>mind</b> this"),),
     )
     lines = str(found).splitlines()
     for name, value, sigma, unit, line in zip(
@@ -429,7 +417,7 @@ def test_every_form_holds_every_parameter() -> None:
     assert page.count("<tr>") == len(found.names)
     assert "&lt;b&gt;mind" in page
     np.testing.assert_array_equal(np.asarray(found.to_frame()["sigma"]), found.sigma)
-    with refuses(TestbedError, "sparrow"):
+    with refuses(tb.TestbedError, "sparrow"):
         frame_of({"sigma": found.sigma}, "sparrow")
 
 
@@ -447,3 +435,53 @@ def test_a_number_has_the_digits_that_its_sigma_has_to_say() -> None:
             short,
         )
     assert not any(digit in number_with_sigma(3.0, np.inf) for digit in "0123456789")
+
+
+def rank_by_pinocchio(model: pin.Model, states: int) -> int:
+    """Of a free root's rows on all standard parameters at random states: no code of ours."""
+    rng, data, rows = np.random.default_rng(0), model.createData(), []
+    for _ in range(states):
+        q = pin.integrate(model, pin.neutral(model), rng.uniform(-1.5, 1.5, model.nv))
+        v, a = rng.uniform(-3, 3, (2, model.nv))
+        rows.append(pin.computeJointTorqueRegressor(model, data, q, v, a)[:6].copy())
+    whole = np.concatenate(rows)
+    size = np.linalg.norm(whole, axis=0)
+    return int(np.linalg.matrix_rank(whole / np.where(size > 0, size, 1.0), tol=1e-8))
+
+
+@given(robots((1, 6)))
+def test_the_minimal_set_is_as_large_as_pinocchios_rank(robot: Robot) -> None:
+    """Under gravity and without it: else normal equations are singular, or something is lost."""
+    model = pin.buildModelFromXML(robot.urdf(), pin.JointModelFreeFlyer())
+    free = on_free_base(robot.tree())
+    model.gravity.linear = free.gravity
+    found = tb.minimal_set(free, "reaction")
+    sliding = sum(not joint.revolute for joint in robot.tree().joints)
+    assert found.count == rank_by_pinocchio(model, 10 + 2 * free.n)
+    assert found.count == 10 + 7 * robot.tree().n - 3 * sliding
+
+
+def test_the_grounds_wrench_is_pinocchios() -> None:
+    """Of a humanoid, and 213 parameters; else a robot on a moving base is estimated as another."""
+    tree, recording = humanoid(3.0, 100.0, 1, 0.0)
+    free = on_free_base(tree)
+    path = squatting(tree, 1).at(recording.time)
+    np.testing.assert_allclose(tb.base_wrench(free, path), recording.measured("wrench"), atol=2e-5)
+    np.testing.assert_allclose(with_base_joints(recording).position, path.q, atol=1e-12)
+    model = pin.buildModelFromUrdf(str(G1), pin.JointModelFreeFlyer())
+    assert tb.minimal_set(free, "reaction").count == rank_by_pinocchio(model, 60) == 213
+
+
+def test_what_is_no_pose_is_refused() -> None:
+    """Quaternions that are none, a pitch that Euler angles do not have, no base, two bases."""
+    tree, recording = humanoid(0.5, 100.0, 5, 0.0)
+    free, base = on_free_base(tree), recording.measured("base").copy()
+    with refuses(RecordingError, "w, x, y, z"):
+        coordinates(base * 2)
+    base[:, 3:] = [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0]
+    with refuses(RecordingError, "80"):
+        coordinates(base)
+    with refuses(RecordingError, "base"):
+        tb.identify(free, replace(recording, base=None))
+    with refuses(ModelError, "base.x"):
+        on_free_base(free)

@@ -21,11 +21,8 @@ from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.estimation.estimate import METHODS, Method
 from testbed.core.estimation.problem import samples_of
 from testbed.core.estimation.regression.windows import make_plan
-from testbed.core.estimation.settings import Settings
 from testbed.core.kernel import numba_engine
 from testbed.core.kernel.layout import layout
-from testbed.core.recordings.joined import Joined
-from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Stretch
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.measured import measured
@@ -35,16 +32,16 @@ from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import noisy, robot
 
-FILTERED = Settings(position_cutoff=20.0, cutoff=5.0)
+FILTERED = tb.Settings(position_cutoff=20.0, cutoff=5.0)
 WAIT = 60.0  # seconds after which a thread that should have company has none
 
 
-def pieces(recording: Recording, size: int) -> Iterator[Recording]:
+def pieces(recording: tb.Recording, size: int) -> Iterator[tb.Recording]:
     ends = range(0, recording.samples, size)
     return (recording.part(k, min(k + size, recording.samples)) for k in ends)
 
 
-def encoders(recording: Recording) -> Recording:
+def encoders(recording: tb.Recording) -> tb.Recording:
     return replace(recording, velocity=None, acceleration=None).blind()
 
 
@@ -68,7 +65,7 @@ def tree() -> tb.Tree:
 
 
 @pytest.fixture(scope="module")
-def recording(tree: tb.Tree) -> Recording:
+def recording(tree: tb.Tree) -> tb.Recording:
     return ideal(tree, duration=400.0, rate=200.0, seed=3)
 
 
@@ -82,7 +79,7 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("compiled")
 @pytest.mark.parametrize("method", METHODS)
 def test_threads_files_maps_and_streams_give_the_same_bits(
-    method: Method, tree: tb.Tree, recording: Recording, tmp_path: Path
+    method: Method, tree: tb.Tree, recording: tb.Recording, tmp_path: Path
 ) -> None:
     """Files with odd row groups, parts of odd sizes, columns in another order or apart."""
     for treated, given_now in ((EXACT, recording), (FILTERED, encoders(recording))):
@@ -112,13 +109,13 @@ def test_threads_files_maps_and_streams_give_the_same_bits(
 
 @pytest.mark.usefixtures("compiled")
 def test_as_many_threads_work_as_asked_and_no_more_is_read_than_they_need(
-    tree: tb.Tree, recording: Recording, monkeypatch: pytest.MonkeyPatch
+    tree: tb.Tree, recording: tb.Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first windows wait for each other; what waits for an answer is at most two more."""
     together, asked, answered = threading.Barrier(2), list[int](), list[int]()
-    waiting, seen, real = set[int](), set[int](), Recording.part
+    waiting, seen, real = set[int](), set[int](), tb.Recording.part
 
-    def part(self: Recording, begin: int, end: int) -> Recording:
+    def part(self: tb.Recording, begin: int, end: int) -> tb.Recording:
         asked.append(begin)
         waiting.add(len(asked) - len(answered))
         return real(self, begin, end)
@@ -131,7 +128,7 @@ def test_as_many_threads_work_as_asked_and_no_more_is_read_than_they_need(
         return engine(*arguments)
 
     long = ideal(tree, duration=1000.0, rate=200.0, seed=3)
-    monkeypatch.setattr(Recording, "part", part)
+    monkeypatch.setattr(tb.Recording, "part", part)
     for name in ("sweep", "rows"):
         monkeypatch.setattr(numba_engine, name, partial(answer, getattr(numba_engine, name)))
     steps: list[tuple[int, int]] = []
@@ -146,14 +143,14 @@ def test_as_many_threads_work_as_asked_and_no_more_is_read_than_they_need(
 
 
 def test_what_is_no_number_gaps_in_time_and_nothing_are_named(
-    tree: tb.Tree, recording: Recording, tmp_path: Path
+    tree: tb.Tree, recording: tb.Recording, tmp_path: Path
 ) -> None:
     """In a file or in memory; in the midst of a window and between two."""
     path = tmp_path / "recording.parquet"
     for channel in ("position", "wrench"):
         values = np.array(getattr(recording, channel))
         values[60_123, 1] = np.nan
-        bad: Recording = replace(recording.blind(), **{channel: values})  # type: ignore[arg-type]
+        bad: tb.Recording = replace(recording.blind(), **{channel: values})  # type: ignore[arg-type]
         write_parts([bad], path)
         for source in (bad, path):
             with refuses(RecordingError, channel, "60123", "300.615"):
@@ -196,19 +193,19 @@ def test_what_does_not_count_changes_nothing(tmp_path: Path) -> None:
     upset = plus(whole, wrench=wild)
     said = replace(upset, facts={**upset.facts, "counted": span})
     said.save(tmp_path / "said.parquet")
-    same(tb.identify(tree, upset, settings=Settings(span=span)), wanted)
+    same(tb.identify(tree, upset, settings=tb.Settings(span=span)), wanted)
     for source in (said, tmp_path / "said.parquet"):
         same(tb.identify(tree, source), wanted)
-    both = samples_of(said, Settings(span=[1.0, 5.0]))  # settings go before
+    both = samples_of(said, tb.Settings(span=[1.0, 5.0]))  # settings go before
     assert (both.samples, both.part(0, 1).time[0]) == (round(4 * said.rate), pytest.approx(1.0))
     with refuses(RecordingError, "50", "60", "span"):
-        samples_of(whole, Settings(span=[50.0, 60.0]))
+        samples_of(whole, tb.Settings(span=[50.0, 60.0]))
     replace(whole, facts={**whole.facts, "counted": ["a", 2]}).save(tmp_path / "wrong.parquet")
     with refuses(RecordingError, "counted"):
-        Recording.load(tmp_path / "wrong.parquet")
+        tb.Recording.load(tmp_path / "wrong.parquet")
 
 
-def runs_of(tree: tb.Tree, *seeds: int, duration: float = 12.0) -> list[Recording]:
+def runs_of(tree: tb.Tree, *seeds: int, duration: float = 12.0) -> list[tb.Recording]:
     return [measured(tree, seed, duration=duration) for seed in seeds]
 
 
@@ -221,7 +218,7 @@ def test_what_recordings_say_together_is_the_sum_of_what_each_says(method: Metho
     parts[1] = replace(plus(parts[1], wrench=more), tare=tb.pedestal_wrench(tree) + more)
     each = [tb.identify(tree, part, method) for part in parts]
     for order in (1, -1):
-        whole = tb.identify(tree, Joined(parts[::order]), method)
+        whole = tb.identify(tree, tb.Joined(parts[::order]), method)
         for what in ("used", "normal", "right", "squares"):
             total = sum(getattr(one.normal_equations, what) for one in each)
             mine = getattr(whole.normal_equations, what)
@@ -235,7 +232,7 @@ def test_a_stretch_of_joined_recordings_has_their_gaps(puma: tb.Tree) -> None:
     words = ("a gap", "both"), ("both", "late")
     tables = [[Diagnostic("note", text).as_dict() for text in each] for each in words]
     parts = zip(runs_of(puma, 1, 2, duration=2.0), tables, strict=True)
-    both = Joined([replace(part, facts={"diagnostics": table}) for part, table in parts])
+    both = tb.Joined([replace(part, facts={"diagnostics": table}) for part, table in parts])
     assert [each.text for each in of_recording(both.facts)] == ["a gap", "both", "late"]
     (_, end), (begin, last) = both.segments
     assert Stretch(both, 100, last - 50).segments == ((0, end - 100), (begin - 100, last - 150))
@@ -253,11 +250,11 @@ def test_recordings_that_do_not_belong_together_are_refused(puma: tb.Tree) -> No
         (replace(one, tare=None), "pedestal"),
     ):
         with refuses(RecordingError, culprit):
-            Joined([one, other])
+            tb.Joined([one, other])
     with refuses(RecordingError, "recording 2", "0.2 s"):
-        tb.identify(puma, Joined([one, measured(puma, 2, duration=0.2)]))
+        tb.identify(puma, tb.Joined([one, measured(puma, 2, duration=0.2)]))
     with refuses(SettingsError, "span"):
-        tb.identify(puma, Joined([one, one]), settings=tb.Settings(span=(0.0, 1.0)))
+        tb.identify(puma, tb.Joined([one, one]), settings=tb.Settings(span=(0.0, 1.0)))
 
 
 @pytest.mark.slow

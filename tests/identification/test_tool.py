@@ -180,7 +180,6 @@ def test_a_cable_that_pulls_beside_the_centre_is_the_first_cause() -> None:
 JOINTS = [f"j{k}" for k in range(1, 7)]
 AXES = ["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
 HEADINGS: dict[str, tuple[list[str], list[str], float, float, float]] = {
-    "numbers": ([f"q{k}" for k in range(1, 7)], AXES, 1, 1, 1),
     "brackets": ([f"J{k} [deg]" for k in range(1, 7)],
                  [f"{x} [N]" for x in AXES[:3]] + [f"{x} [Nmm]" for x in AXES[3:]], DEG, 1, 1e3),
     "suffixes": ([f"joint_{k}_deg" for k in range(1, 7)],
@@ -190,9 +189,8 @@ HEADINGS: dict[str, tuple[list[str], list[str], float, float, float]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("mark", [",", ";", "\t"], ids=["comma", "semicolon", "tab"])
 @pytest.mark.parametrize("name", HEADINGS)
-def test_headings_are_read_as_recordings_are(name: str, mark: str, tmp_path: Path) -> None:
+def test_headings_are_read_as_recordings_are(name: str, tmp_path: Path) -> None:
     """Beside numbers of poses, times and comments; a row with an empty field is left out."""
     joints, axes, angle, force, moment = HEADINGS[name]
     q, wrench, _ = poses(12, 8)
@@ -200,7 +198,7 @@ def test_headings_are_read_as_recordings_are(name: str, mark: str, tmp_path: Pat
     rows = [["time [s]", "no", *joints, *axes, "remark"]]
     rows += [[f"{7.5 * k}", f"{k}", *map(str, row), "a pose"] for k, row in enumerate(columns)]
     rows[4][9] = ""
-    (tmp_path / "poses.csv").write_text("\n".join(map(mark.join, rows)))
+    (tmp_path / "poses.csv").write_text("\n".join(map(";".join, rows)))
     position, forces, said = read_static_poses(tmp_path / "poses.csv", sensed_ur5())
     kept = np.delete(np.arange(12), 3)
     np.testing.assert_allclose(position, q[kept], atol=1e-7)

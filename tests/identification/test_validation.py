@@ -16,9 +16,7 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.applications.validate import (
     LIMIT,
-    friction,
     motion_in,
-    own_torque,
     predictions,
     validate,
 )
@@ -29,7 +27,6 @@ from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Estimate, Metho
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import ROWS_PER_CUTOFF, row_weights
 from testbed.core.kernel.records import REST_VARIANCE
-from testbed.core.recordings.recording import Recording
 from testbed.core.robot.friction import LAWS
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
@@ -42,7 +39,7 @@ SETTINGS = tb.Settings(deadband=0.05)
 
 
 def witness(
-    tree: tb.Tree, recording: Recording, estimate: Estimate, settings: tb.Settings
+    tree: tb.Tree, recording: tb.Recording, estimate: Estimate, settings: tb.Settings
 ) -> tuple[Array, Array, Array]:
     """Rows, rms and mean of residuals by dense inverse dynamics and a filter by NumPy."""
     settings = settings.fitted(recording.rate)
@@ -209,30 +206,6 @@ def test_predictions_leave_residuals(case: dict[str, Any], rng: Rng, treated: tb
         assert estimate.noise is not None
         left = np.where(estimate.noise.bias != 0, found.scatter, found.residual)
         np.testing.assert_allclose(left, estimate.residual, rtol=1e-7)
-
-
-@few(5)
-@given(rngs)
-def test_without_noise_both_methods_foretell_what_happened(rng: Rng) -> None:
-    """In either order; the internal wrench takes from the plate what joint torques cannot tell."""
-    tree = random_robot(rng, int(rng.integers(2, 6))).tree()
-    tree = tree.with_joints({name: {"coulomb": 2.0, "viscous": 1.0} for name in tree.names})
-    recording = ideal(tree)
-    estimates = {m: tb.identify(tree, recording, m, settings=EXACT) for m in METHODS[::-1]}
-    motion, where = motion_in(recording)
-    assert where == slice(0, recording.samples)
-    wrench, torque = predictions(tree, recording, motion, estimates)
-    own = own_torque(motion, estimates["internal"])
-    felt, driven = recording.measured("wrench"), recording.measured("torque")
-    for found, wanted in (
-        (torque["internal"], driven),
-        (torque["external"] + own, driven),
-        (wrench["internal"], felt),
-        (wrench["external"], felt),
-    ):
-        assert np.abs(found - wanted).max() <= 1e-8 * np.abs(wanted).max()
-    expected = 2.0 * np.sign(motion.qd) + motion.qd
-    np.testing.assert_allclose(friction(motion.qd, estimates["internal"]), expected, atol=1e-7)
 
 
 def test_the_motion_from_encoders_is_the_motion_within_its_ends(puma: tb.Tree) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,13 +18,14 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import testbed as tb
+from testbed.applications.validate import motion_in, own_torque
 from testbed.bodies.prior import THINNEST, Prior, prior_of
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import UnknownName
+from testbed.core.base.errors import ModelError, UnknownName
+from testbed.core.dynamics.drive_set import drive_set
 from testbed.core.dynamics.rank_check import sampled_regressor, verify, verify_drives
 from testbed.core.parameters.elimination import dense_rows, static_entries
 from testbed.core.parameters.identifiability import ALONE, COMBINED, NEVER, identifiability
-from testbed.core.parameters.joint_terms import with_joint_terms
 from testbed.core.parameters.pseudo_inertia import matrices
 from testbed.core.parameters.regroup import length_symbol, regroup
 from testbed.core.parameters.rules import REASONS, Model
@@ -36,11 +38,15 @@ from testbed.core.parameters.symbols import (
     to_barycentric,
     to_standard,
 )
-from testbed.core.robot.friction import LAWS
-from testbed.core.robot.inertia import NOTHING, Inertia
+from testbed.core.robot.friction import COULOMB, LAWS, OFFSET, ROTOR, VISCOUS, JointLaw
 from testbed.core.robot.rigid_matter import SMALL
+from testbed.core.robot.inertia import NOTHING, , Inertia
+from testbed.core.robot.shafts import with_shafts
+from testbed.core.robot.tree import Tree
 from tests.helpers.chains import X, Y, Z, chain
+from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.paths import GOLDEN
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot, with_zeros
 from tests.helpers.strategies import Rng, few, rngs, robots, seeds, trees
 
@@ -50,13 +56,13 @@ CATALOGUE = json.loads((GOLDEN / "counts.json").read_text())
 OFF = np.zeros(3)
 
 
-def all_sets(tree: tb.Tree, zeros: bool | list[str] = False) -> list[tb.MinimalSet]:
+def all_sets(tree: Tree, zeros: bool | list[str] = False) -> list[tb.MinimalSet]:
     """Dynamic, bedplate and tared bedplate."""
     given_ = [("dynamic", False), ("reaction", False), ("reaction", True)]
     return [tb.minimal_set(tree, m, None, zeros, tared=t) for m, t in given_]  # type: ignore[arg-type]
 
 
-def hold(tree: tb.Tree, zeros: bool | list[str] = False) -> None:
+def hold(tree: Tree, zeros: bool | list[str] = False) -> None:
     """Rules, exact recursion and sampled rank tell the same, in every set of a robot."""
     dynamic, *plates = all_sets(tree, zeros)
     theta, standard = tb.barycentric(tree), tb.standard(tree).ravel()
@@ -73,7 +79,7 @@ def hold(tree: tb.Tree, zeros: bool | list[str] = False) -> None:
         found = verify(tree, minimal)
         assert found.holds, found
         assert found.change <= UNCHANGED
-    drives = verify_drives(tree, with_joint_terms(tree, dynamic, LAWS))
+    drives = verify_drives(tree, tb.with_joint_terms(tree, dynamic, LAWS))
     assert drives.holds, drives
 
 
@@ -140,7 +146,7 @@ def starred(name: str) -> str:
     return others.get(name, re.sub(r"^(mb|K)s", r"\1*", name))
 
 
-def test_the_pumas_sets_are_the_papers(puma: tb.Tree, golden: Any) -> None:
+def test_the_pumas_sets_are_the_papers(puma: Tree, golden: Any) -> None:
     """Names, order, values, and the printed column of table 6."""
     truth, theta = golden["variants"]["ref18_exact"], tb.barycentric(puma)
     names = [name.replace("mbar", "mm") for name in parameter_names(puma)]
@@ -156,9 +162,7 @@ def test_the_pumas_sets_are_the_papers(puma: tb.Tree, golden: Any) -> None:
     np.testing.assert_array_equal(tb.selection(dynamic, reaction), np.eye(9, 12))
 
 
-def test_counts_units_and_reasons_of_a_puma_with_general_bodies(puma: tb.Tree) -> None:
-    for gravity, counts in (((0, 0, -9.81), [15, 20]), ((3, -5, -8), [17, 21]), (OFF, [13, 19])):
-        assert [tb.minimal_set(puma, m, gravity).count for m in MODELS] == counts
+def test_units_and_reasons_of_a_puma_with_general_bodies(puma: Tree) -> None:
     reaction = tb.minimal_set(puma, "reaction")
     assert set(reaction.reasons) == {"5.1", "5.2", "base"} <= set(REASONS)
     assert set(reaction.never) == {"mb1z", "K1xx", "K1xy", "K1yy", "mbar2", "mbar3"}
@@ -179,9 +183,7 @@ def test_counts_units_and_reasons_of_a_puma_with_general_bodies(puma: tb.Tree) -
 
 
 def test_axes_that_look_alike_are_told_apart() -> None:
-    """Parallel at zero only; tilted by rounding; inclined; meeting where nothing weighs."""
-    alike = chain(*(("revolute", axis) for axis in (Z, X, Z)))
-    assert tb.minimal_set(alike, "dynamic").count == 15
+    """Tilted by rounding; inclined."""
     rounded = chain(("revolute", (1e-12, 0.0, 1.0)), ("revolute", Y))
     assert [tb.minimal_set(rounded, m).count for m in MODELS] == [8, 13]
     inclined = tb.minimal_set(chain(("revolute", Z), ("revolute", (0.6, 0.0, 0.8))), "dynamic")
@@ -189,23 +191,6 @@ def test_axes_that_look_alike_are_told_apart() -> None:
     axes = inclined.triads[1].axes
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(axes[2], [0.6, 0.0, 0.8], atol=1e-15)
-    apart = chain(("revolute", Z), ("revolute", Y))
-    second = replace(apart.joints[1], offset=np.array([0, 0, 0.4]))
-    meeting = replace(apart, joints=(apart.joints[0], second))
-    for tree, count in ((meeting, 6), (apart, 8)):
-        assert tb.minimal_set(tree, "dynamic", OFF).count == count
-        hold(tree.with_gravity(OFF))
-
-
-def test_a_zero_that_a_child_fills_is_told_through_the_child() -> None:
-    """As in UR robots: mb*1z = mb1z + mb2y with mb1z known to be zero."""
-    turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # body 2's y is body 1's z
-    tree = chain(("revolute", Y), ("revolute", Y))
-    second = replace(tree.joints[1], rotation=turn, offset=0.4 * Z)
-    tree = replace(tree, joints=(tree.joints[0], second))
-    minimal = tb.minimal_set(tree, "dynamic", zeros=["mb1z"])
-    assert "mb*1z = mb2y" in map(str, minimal.formulas)
-    hold(tree, ["mb1z"])
 
 
 def test_moments_that_are_all_rounding_are_zero() -> None:
@@ -379,3 +364,121 @@ def test_bodies_before_the_data_are_the_files_or_the_nearest_that_can_be(puma: t
         radius = np.sqrt(np.trace(central(found, k)) / found.standard[k, 0])
         assert radius == pytest.approx(SMALL * away, rel=1e-6)
     np.testing.assert_allclose(found.standard[0, :4], [2.0, 0.0, 0.6, 0.8], atol=1e-9)
+
+
+ASKED = ((ROTOR,), (OFFSET,), (OFFSET, ROTOR), LAWS)
+
+
+def drives(tree: Tree, *laws: str | JointLaw, zeros: bool | Sequence[str] = False) -> tb.DriveSet:
+    """What can be told, which sampled columns confirm."""
+    found = drive_set(tree, tb.minimal_set(tree, "dynamic", zeros=zeros), laws)
+    assert verify_drives(tree, found).holds
+    return found
+
+
+def turning(*axes: np.ndarray) -> Tree:
+    return chain(*(("revolute", axis) for axis in axes))
+
+
+@given(trees(), st.sampled_from(ASKED))
+def test_sampled_columns_have_the_rank_of_the_set(tree: Tree, laws: tuple[JointLaw, ...]) -> None:
+    assert verify_drives(tree, drives(tree, *laws)).change < 1e-11
+    friction = drives(tree, COULOMB, VISCOUS, OFFSET)  # these are always told apart
+    assert friction.terms == friction.asked
+    assert not friction.regrouped
+
+
+def test_unknowns_of_the_puma_have_names_formulas_units_and_values(puma: Tree) -> None:
+    """A rotor at the root is one with the inertia there."""
+    found = drives(puma, "rotor", zeros=True)
+    assert found.names == (
+        *("mb3z", "K3yy", "2*K3d", "K3yz", "mb*2z", "K*2yy+rotor/shoulder"),
+        *("2*K*2d", "K*2yz", "K*1zz+rotor/waist", "rotor/elbow"),
+    )
+    said = {str(formula) for formula in found.formulas}
+    assert "K*1zz + rotor/waist = K1zz + K*2xx/2 + K*2zz/2 + rotor/waist" in said
+    assert r"\mathrm{rotor}_{\mathrm{waist}}" in found.formulas[8].latex()
+    spinning = dict(zip(puma.names, (1.14, 4.75, 0.86), strict=True))
+    tree = puma.with_joints({name: {"rotor_inertia": r} for name, r in spinning.items()})
+    found, theta = drives(tree, ROTOR, COULOMB, VISCOUS), tb.barycentric(tree)
+    terms = [law.coefficients(tree) for law in (ROTOR, COULOMB, VISCOUS)]
+    wanted = found.matrix @ np.concatenate([theta.ravel(), *terms])
+    np.testing.assert_allclose(found.values(theta, tree), wanted, rtol=1e-14)
+    units = dict(zip(found.names, found.units, strict=True))
+    assert (units["K*1zz+rotor/waist"], units["viscous/elbow"]) == ("kg m^2", "N m s/rad")
+    cubic = JointLaw("cubic", "N m s^3/rad^3", "N s^3/m^3", lambda qd, qdd: qd**3, None)
+    ones_own = drives(puma, cubic, "rotor").names[-4:]
+    assert ones_own == ("cubic/waist", "cubic/shoulder", "cubic/elbow", "rotor/elbow")
+    with refuses(ValueError, "reaction"):
+        tb.with_joint_terms(puma, tb.minimal_set(puma, "reaction"), ["rotor"])
+
+
+def test_what_tells_a_rotor_or_a_shaft_from_the_bodies_and_from_each_other() -> None:
+    """By hand: weight, parallel axes, known zeros, shafts of two joints."""
+    weighing = chain(("prismatic", Z))
+    assert drives(weighing, "rotor").names == ("mbar1", "rotor/j1")
+    names = drives(weighing, "rotor", "offset").names
+    assert names == ("mbar1+rotor/j1", "offset/j1-9.81*rotor/j1")
+    assert drives(turning(Z), "rotor", zeros=["K1zz"]).names == ("rotor/j1",)
+    wrist, parallel = (
+        with_shafts(turning(*axes), {"motor": {"j1": 1.0, "j2": 1.0}}) for axes in ((Z, Y), (Z, Z))
+    )
+    two = {"left": {"j1": 0.5, "j2": 0.5}, "right": {"j1": 0.5, "j2": -0.5}}
+    both = with_shafts(turning(Z, Y), two)  # (a + b)^2 + (a - b)^2 = 2 a^2 + 2 b^2
+    for tree, law, told in (
+        (turning(Z, Z), "rotor", {"K*1zz+rotor/j1", "rotor/j2"}),
+        (wrist, "coulomb", {"coulomb/j1", "coulomb/j2", "coulomb/motor"}),
+        (wrist, "offset", {"offset/j1", "offset/j2"}),  # the joints have theirs
+        (parallel, "rotor/motor", {"K2zz+rotor/motor"}),  # q1 + q2: so turns the second body
+        (both, "coulomb", {f"coulomb/{each}" for each in ("j1", "j2", "left", "right")}),
+    ):
+        kind, found = law.partition("/")[0], drives(tree, law)
+        assert {name for name in found.names if kind in name} == told
+    assert sum(name.startswith("viscous") for name in drives(both, "viscous").names) == 3
+    single = drives(turning(Z, Z, Y), "coulomb", "rotor/j2", "offset/j3").names[-5:]
+    assert single == ("coulomb/j1", "coulomb/j2", "coulomb/j3", "rotor/j2", "offset/j3")
+
+
+@few(10)
+@given(rngs)
+def test_what_a_shaft_takes_is_found_and_foretold(rng: Rng) -> None:
+    """Dry and viscous friction and inertia act on the joints by the shaft's power."""
+    turning: list[int] = []
+    while len(turning) < 2:
+        tree = random_robot(rng, int(rng.integers(2, 7))).tree()
+        turning = [k for k, joint in enumerate(tree.joints) if joint.revolute]
+    some, turn = rng.choice(turning, 2, replace=False), np.zeros(tree.n)
+    turn[some] = rng.uniform(0.5, 2, 2) * rng.choice([-1, 1], 2)
+    tree = with_shafts(tree, {"shaft": {tree.names[k]: float(turn[k]) for k in some}})
+    clean = ideal(tree, seed=int(rng.integers(100)))
+    motion, _ = motion_in(clean)
+    speed, faster = motion.qd @ turn, motion.qdd @ turn
+    rubs = (1.5 * np.sign(speed) + 0.7 * speed + 0.2 * faster)[:, None] * turn
+    terms = [f"{kind}/shaft" for kind in ("coulomb", "viscous", "rotor")]
+    asked = replace(EXACT, terms=terms, deadband=0.0)
+    found = tb.identify(tree, plus(clean, torque=rubs), "internal", settings=asked)
+    assert found.drives is not None
+    truth = found.drives.values(tb.barycentric(tree), tree)
+    truth = truth + found.drives.columns @ [1.5, 0.7, 0.2]
+    assert np.abs(found.values - truth).max() <= 1e-8 * np.abs(truth).max()
+    if "rotor/shaft" in found.names:  # else a body holds it
+        np.testing.assert_allclose(own_torque(motion, found), rubs, atol=1e-6)
+
+
+def test_what_is_no_shaft_or_no_term_is_refused() -> None:
+    """One joint, a turn of zero, a joint's name, the same shaft again, a joint that slides."""
+    tree, two = chain(("revolute", Z), ("revolute", Y), ("prismatic", X)), {"j1": 1.0, "j2": 1.0}
+    for shafts, culprit in (
+        ({"motor": {"j1": 1.0}}, "motor"),
+        ({"motor": {"j1": 1.0, "j2": 0.0}}, "motor"),
+        ({"j1": two}, "j1"),
+        ({"a": two, "b": {"j1": -2.0, "j2": -2.0}}, "'b'"),
+        ({"motor": {"j1": 1.0, "j3": 1.0}}, "motor"),
+    ):
+        with refuses(ModelError, culprit):
+            with_shafts(tree, shafts)
+    for term, culprit in (("rotor/j4", "j4"), ("rotro", "rotor")):
+        with refuses(UnknownName, culprit):
+            drives(tree, term)
+    with refuses(UnknownName, "glue"):
+        tb.Settings(terms=("glue/j1",))

@@ -158,7 +158,7 @@ def test_a_wrong_mapping_is_refused_with_the_line_that_cures_it(mistake: str) ->
 
 @pytest.mark.slow
 def test_zeros_that_data_do_not_decide_are_named() -> None:
-    """Some of a wrist without a plate; with one, none."""
+    """Some of a wrist without a plate; with one, none; nor the shoulder's."""
     tree, recording = right("tx40")
     for joint, angle in ((2, -QUARTER), (3, QUARTER), (4, QUARTER)):
         found = assess(tree, of_joint(joint, zero=angle)(recording))
@@ -167,6 +167,8 @@ def test_zeros_that_data_do_not_decide_are_named() -> None:
         assert (said.code, said.level) == ("recording.undecided", "info")
         assert tree.names[joint] in said.subject
         assert tree.names[1] not in said.subject
+    (said,) = assess(tree, of_joint(1, zero=QUARTER)(recording)).diagnostics
+    assert said.subject == "joint 'joint_2'"  # not the elbow, as if masses were far off
     assert assess(*right("ur5")).diagnostics == ()
 
 
@@ -269,7 +271,7 @@ def test_spoiled_channels_are_named_before_mappings_are_doubted() -> None:
 @pytest.mark.slow
 def test_signs_of_a_joint_that_carries_nearly_nothing_are_told_apart() -> None:
     """Its torque is a thousandth of the shoulder's; a unit of all positions hides neither."""
-    made = truth("panda", 1)
+    made = truth("panda", 1, seconds=12.0)
     time = np.arange(len(made.position)) / RATE
     recording = tb.Recording(made.tree.names, time, made.position, made.torque, made.wrench)
     for spoil, unit, kinds in (

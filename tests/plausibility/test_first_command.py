@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -18,7 +17,9 @@ from hypothesis import example, given
 import testbed as tb
 from testbed.core.base.arrays import Array
 from tests.helpers.command import command_line
-from tests.helpers.paths import GOLDEN
+from tests.helpers.measured import measured
+from tests.helpers.paths import ROOT
+from tests.helpers.runs import MODELS, robot
 from tests.helpers.strategies import few, seeds
 
 pytestmark = pytest.mark.slow
@@ -49,56 +50,47 @@ FINGERS = """
 </robot>"""
 
 
-def arm_with_fingers(folder: Path) -> Path:
-    """A UR5 that carries a gripper whose fingers move together."""
-    text = (GOLDEN / "robots/ur5.urdf").read_text()
-    tree = tb.load_tree(GOLDEN / "robots/ur5.urdf")
-    path = folder / "robot.urdf"
-    last = tree.joints[-1].body
-    path.write_text(text.replace("</robot>", FINGERS.format(last=last)))
+ARMS = {"ur5": MODELS["ur5"], "puma": ROOT / "models/puma562.urdf"}
+
+
+def arm_with_fingers(folder: Path, arm: str = "ur5") -> Path:
+    """An arm that carries a gripper whose fingers move together."""
+    path, last = folder / "robot.urdf", robot(arm).joints[-1].body
+    text = ARMS[arm].read_text().replace("</robot>", FINGERS.format(last=last))
+    path.write_text(text)
     return path
 
 
-def moved(path: Path, seed: int, rate: float = 100.0) -> dict[str, Array]:
-    """Motion and torques of a robot, by Pinocchio's dynamics."""
-    rng = np.random.default_rng(seed)
-    model = pin.buildModelFromUrdf(str(path))
-    fingers = [model.getJointId(name) for name in ("finger_1", "finger_2")]
-    model = pin.buildReducedModel(model, fingers, pin.neutral(model))
-    t = np.arange(int(20 * rate)) / rate
-    omega = 2 * np.pi * np.array([0.1, 0.23, 0.37])[:, None, None] * (1 + 0.1 * np.arange(6))
-    phase, size = rng.uniform(0, 6, omega.shape), rng.uniform(0.2, 0.5, omega.shape)
-    angle = omega * t[None, :, None] + phase
-    q = (size * np.sin(angle)).sum(0) + rng.uniform(-0.5, 0.5, 6)
-    v = (size * omega * np.cos(angle)).sum(0)
-    a = -(size * omega**2 * np.sin(angle)).sum(0)
-    data = model.createData()
-    tau = np.array([pin.rnea(model, data, *state) for state in zip(q, v, a, strict=True)])
-    tau += 2 * np.tanh(v / 1e-3) + v + 0.02 * rng.standard_normal(tau.shape)
-    return {"t": t, "position": q, "velocity": v + 2e-3 * rng.standard_normal(v.shape),
-            "torque": tau}  # fmt: skip
+def moved(seed: int, seconds: float = 10.0, arm: str = "ur5") -> dict[str, Array]:
+    """Motion and torques of the arm, with friction and noise."""
+    rubs = {"coulomb": 2.0, "viscous": 1.0}
+    tree = robot(arm).with_joints(dict.fromkeys(robot(arm).names, rubs))
+    made = measured(tree, seed, duration=seconds, rate=100.0, noise=0.1)
+    speed = np.gradient(made.position, made.time, axis=0)
+    return {"t": made.time, "position": np.array(made.position), "velocity": speed,
+            "torque": made.measured("torque")}  # fmt: skip
 
 
-NAMES = tb.load_tree(GOLDEN / "robots/ur5.urdf").names
+NAMES = robot("ur5").names
 PLAIN = ("q_{name}", "", "tau_{name}")
 WITH_UNITS = ("q_{name} [rad]", "", "tau_{name} [Nm]")
 
 
 def new(
     folder: Path, log: dict[str, Array], style: tuple[str, ...] = PLAIN, *, degrees: bool = False,
-    kinds: tuple[str, ...] = ("position", "torque"),
+    kinds: tuple[str, ...] = ("position", "torque"), arm: str = "ur5",
 ) -> Any:  # fmt: skip
     """What `new` says of a log whose headers are in some style."""
-    robot = arm_with_fingers(folder)
+    model, names = arm_with_fingers(folder, arm), robot(arm).names
     columns = {"time": log["t"]}
     for kind, form in zip(("position", "velocity", "torque"), style, strict=True):
         scale = 180 / np.pi if degrees and kind != "torque" else 1.0
         for k, values in enumerate(log[kind].T if kind in kinds else ()):
-            columns[form.format(k=k + 1, name=NAMES[k])] = scale * values
+            columns[form.format(k=k + 1, name=names[k])] = scale * values
     columns |= {f"temp_{k}": np.full(len(log["t"]), 31.5) for k in range(1, 7)}
     rows, heads = np.column_stack([*columns.values()]), ";".join(columns)
-    np.savetxt(folder / "log.csv", rows, "%.9g", ";", header=heads, comments="", encoding="utf-8")
-    return command_line("new", robot.name, "--recording", "log.csv", cwd=folder)
+    np.savetxt(folder / "log.csv", rows, "%.12g", ";", header=heads, comments="", encoding="utf-8")
+    return command_line("new", model.name, "--recording", "log.csv", cwd=folder)
 
 
 @few(6)
@@ -110,7 +102,7 @@ def test_an_ordinary_log_is_taken_without_a_line_by_hand(
     """Any headers, perhaps degrees, a gripper that the log lacks; `identify` needs no lock."""
     folder, rng = tmp_path_factory.mktemp("log"), np.random.default_rng(seed)
     style = STYLES[rng.integers(len(STYLES))]
-    log = moved(arm_with_fingers(folder), seed)
+    log = moved(seed, 20.0)
     kinds = ("position", "velocity", "torque")
     done = new(folder, log, style, degrees=bool(rng.integers(2)), kinds=kinds)
     assert done.returncode == 0, (style, done.stderr)
@@ -127,11 +119,11 @@ def test_an_ordinary_log_is_taken_without_a_line_by_hand(
 
 def test_a_mapping_is_written_whatever_is_found(tmp_path: Path) -> None:
     """Positions that no joint has, in a unit that the log states: refused, with the line."""
-    log = moved(arm_with_fingers(tmp_path), 1)
+    log = moved(1, arm="puma")
     log["position"] += 200.0
-    done = new(tmp_path, log, WITH_UNITS)
+    done = new(tmp_path, log, WITH_UNITS, arm="puma")
     lines = (tmp_path / "log.toml").read_text().splitlines()
-    assert len(tomllib.loads("\n".join(lines))["position"]["columns"]) == len(NAMES)
+    assert len(tomllib.loads("\n".join(lines))["position"]["columns"]) == 3
     assert done.returncode == 2
     found = re.search(r"log.toml:([0-9]+): ", done.stderr)
     assert found is not None
@@ -141,7 +133,7 @@ def test_a_mapping_is_written_whatever_is_found(tmp_path: Path) -> None:
 
 def test_encoders_that_wrap_are_unwrapped_and_a_step_is_named(tmp_path: Path) -> None:
     """One counts from 0 to 360 degrees, one is re-homed by three degrees at 7 s."""
-    log = moved(arm_with_fingers(tmp_path), 2)
+    log = moved(2)
     true = log["position"].copy()
     log["position"][:, 5] = np.mod(log["position"][:, 5], 2 * np.pi)
     log["position"][700:, 4] += np.deg2rad(3)
@@ -159,8 +151,8 @@ def test_encoders_that_wrap_are_unwrapped_and_a_step_is_named(tmp_path: Path) ->
 
 def test_logs_of_any_length_and_ending_end_in_words(tmp_path: Path) -> None:
     """Parquet is not replaced by the recording that is made of it; half a second says little."""
-    robot = arm_with_fingers(tmp_path)
-    log = moved(robot, 3)
+    arm_with_fingers(tmp_path)
+    log = moved(3)
     for samples in (60, 120, 240):
         columns = {"t": log["t"][:samples]}
         for kind, head in (("position", "q"), ("torque", "tau")):
@@ -180,7 +172,7 @@ def test_logs_of_any_length_and_ending_end_in_words(tmp_path: Path) -> None:
 
 def test_torques_that_no_robot_makes_are_not_explained(tmp_path: Path) -> None:
     """External torques in place of the drives': said first, and nothing is solved from them."""
-    log = moved(arm_with_fingers(tmp_path), 4)
+    log = moved(4)
     log["torque"] = 0.1 * np.random.default_rng(5).normal(size=log["torque"].shape)
     done = new(tmp_path, log, WITH_UNITS)
     mapping = tomllib.loads((tmp_path / "log.toml").read_text())

@@ -27,7 +27,6 @@ from testbed.campaigns.conduct import conduct
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.estimation.settings import DEFAULTS, Settings
-from testbed.core.recordings.joined import Joined
 from testbed.core.recordings.views import with_base_joints
 from testbed.core.robot.free_root import on_free_base
 from testbed.importing.check.mapping_solution import solve_mapping
@@ -35,7 +34,6 @@ from testbed.importing.convert import pieces
 from testbed.importing.guess import guessed
 from testbed.lab.experiment.excite import excite
 from testbed.lab.experiment.experiment_tables import Bound
-from testbed.lab.experiment.run import Run, assemble_run
 from testbed.motion.excite import Excitation
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.humanoid import humanoid
@@ -58,7 +56,7 @@ def figures_of_estimate(name: str, found: Estimate) -> Iterator[tuple[str, Array
         yield f"{name} noise", [found.noise.factor, *np.atleast_1d(found.noise.memory)]
 
 
-def figures_of_run(run: Run) -> Iterator[tuple[str, ArrayLike]]:
+def figures_of_run(run: tb.Run) -> Iterator[tuple[str, ArrayLike]]:
     """Numbers of a run: its signals, estimates, metrics and whatever else it has."""
     for signal in ("position", "torque", "wrench"):
         if signal in run.recording.signals:
@@ -92,7 +90,7 @@ SHORT = ["motion.duration=8", "simulation.step=5e-4", "motion.candidates=4"]
 """Settings of runs that MuJoCo simulates."""
 
 
-def _puma() -> Run:
+def _puma() -> tb.Run:
     return tb.carry_out(tb.Experiment.from_toml(ROOT / "experiments/table6.toml", SHORT))
 
 
@@ -100,33 +98,33 @@ NOISES_OF_UR5 = {"encoder": 1e-5, "force": 0.3, "moment": 0.06, "torque": 0.3}
 """Sizes [rad, N, N m, N m]."""
 
 
-def _ur5() -> Run:
+def _ur5() -> tb.Run:
     noises = [f"measurement.{name}_noise={size}" for name, size in NOISES_OF_UR5.items()]
     return tb.carry_out(tb.Experiment.of_model(MODELS["ur5"], [*SHORT, *noises]))
 
 
-def _panda() -> Run:
+def _panda() -> tb.Run:
     tree = tb.load_tree(
         REAL / "panda_description/urdf/panda.urdf", lock={"panda_finger_joint1": None}
     )
     return run(tree, measured(tree, 4, duration=10.0))
 
 
-def _gantry() -> Run:
+def _gantry() -> tb.Run:
     return run(robot("gantry"), measured(robot("gantry"), 5, duration=10.0, memory=0.9))
 
 
-def _tree_of_30() -> Run:
+def _tree_of_30() -> tb.Run:
     tree = random_robot(np.random.default_rng(30), 30).tree()
     return run(tree, measured(tree, 6, duration=10.0, rate=100.0))
 
 
-def _free_base() -> Run:
+def _free_base() -> tb.Run:
     tree, recording = humanoid(10.0, 100.0, 7, 1.0)
     return run(on_free_base(tree), with_base_joints(recording))
 
 
-def _drives() -> Run:
+def _drives() -> tb.Run:
     terms = ("coulomb", "viscous", "offset", "rotor")
     recording = clean(robot("puma"), 3, duration=12.0)
     return run(robot("puma"), recording, Settings(drives="chosen", terms=terms))
@@ -148,7 +146,7 @@ def _plate() -> Calibration:
     return calibrate(tree, replace(right, wrench=right.measured("wrench") @ mixing.T), known)
 
 
-def _imported() -> Run:
+def _imported() -> tb.Run:
     made, identifiable = planted("ur5", "any", "two_csv", 11)
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -160,10 +158,10 @@ def _imported() -> Run:
     return run(made.tree, recording)
 
 
-def _several() -> Run:
+def _several() -> tb.Run:
     tree = robot("puma")
     parts = [measured(tree, seed, duration=5.0) for seed in (12, 13)]
-    found = {method: tb.identify(tree, Joined(parts), method) for method in METHODS}
+    found = {method: tb.identify(tree, tb.Joined(parts), method) for method in METHODS}
     return replace(run(tree, parts[0]), estimates=found)
 
 
@@ -180,15 +178,15 @@ def _motion() -> Excitation:
     return excite(tb.Experiment.of_model(MODELS["puma"], quick))
 
 
-def _bodies() -> Run:
+def _bodies() -> tb.Run:
     asked = experiment(expect={"consistent_to_plain": Bound(at_most=1.5)})
     asked = asked.model_copy(update={"consistent": ConsistencyOptions()})
     return run_of(robot("puma"), asked=asked)
 
 
-def run(tree: tb.Tree, recording: tb.Recording, settings: Settings = DEFAULTS) -> Run:
+def run(tree: tb.Tree, recording: tb.Recording, settings: Settings = DEFAULTS) -> tb.Run:
     """What both methods say."""
-    return assemble_run(tree, recording, name="scenario", settings=settings)
+    return tb.assemble_run(tree, recording, name="scenario", settings=settings)
 
 
 SCENARIOS: dict[str, Callable[[], Any]] = {
@@ -218,7 +216,7 @@ def result(name: str) -> Any:
 
 def figures_of(found: Any) -> Iterator[tuple[str, ArrayLike]]:
     """What must not move of a result."""
-    if isinstance(found, Run):
+    if isinstance(found, tb.Run):
         yield from figures_of_run(found)
     elif isinstance(found, PayloadEstimate):
         yield "values", found.values[list(found.identifiable)]

@@ -22,7 +22,6 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.core.base.arrays import Array
-from testbed.equations.compare import compare_equations
 from testbed.equations.equations import FORMS, KINDS, Equations, Form, Listing, equations
 from testbed.equations.languages import Language, write_equations
 from testbed.equations.robot import almost_right, right_angles
@@ -175,7 +174,7 @@ def test_hostile_names_change_no_result_and_stand_in_comments_only() -> None:
     (wanted_forces,) = computed(one, states).values()
     np.testing.assert_array_equal(found, wanted_forces)
     own = write_equations(other, "paper", HOSTILE[-4])
-    assert not any(compare_equations(plain, own, "recursive").values())
+    assert not any(tb.compare_equations(plain, own, "recursive").values())
 
 
 @pytest.mark.parametrize("name", COUNTS)

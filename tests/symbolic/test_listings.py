@@ -27,7 +27,6 @@ from testbed.equations.expression import (
     sine,
     symbol,
 )
-from testbed.equations.languages import write_equations
 from testbed.equations.languages.latex import line
 from testbed.equations.polynomial import LARGEST, Ring
 from testbed.equations.simplify import natural_angles, simplify
@@ -62,7 +61,7 @@ def terms(text: str) -> dict[str, list[tuple[str, list[str]]]]:
 def test_the_papers_listing_term_by_term(form: Form, puma: tb.Tree) -> None:
     """[FRS96] 3.3 and 6.1: Q1, Q2, Q3, with products of sines and cosines as printed."""
     golden = SECTIONS[f"{form}_table1"]
-    ours = write_equations(equations(puma, ["joint-forces"], form, zeros=True), "paper")
+    ours = tb.write_equations(equations(puma, ["joint-forces"], form, zeros=True), "paper")
     assert terms(ours) == terms(golden)
     assert len(terms(golden)["Q1"]) == {"full": 23, "reduced": 16}[form]
     found = compare_equations(puma, golden, form, zeros=True)
@@ -101,7 +100,7 @@ def test_the_printed_reduced_equation_lacks_a_factor_of_two(puma: tb.Tree) -> No
 @few(3)
 def test_its_own_listings_read_back_as_equal(form: Form, tree: tb.Tree) -> None:
     """To the last digit, oblique axes included: what is printed is what is computed."""
-    text = write_equations(equations(tree, COMPARABLE, form), "paper")
+    text = tb.write_equations(equations(tree, COMPARABLE, form), "paper")
     parts = text.split("\n* ")[1:] if form == "recursive" else [text]
     for part in parts:  # auxiliary variables are each kind's own
         body = part.partition("\n")[2]
@@ -111,7 +110,7 @@ def test_its_own_listings_read_back_as_equal(form: Form, tree: tb.Tree) -> None:
 
 def test_what_a_listing_or_a_request_may_not_say_is_named(puma: tb.Tree) -> None:
     """An equation that is another's would be compared with nothing, and called right."""
-    own = write_equations(equations(puma, form="reduced", zeros=True), "paper")
+    own = tb.write_equations(equations(puma, form="reduced", zeros=True), "paper")
     for text, kind, culprit in (
         (own.replace("Q2", "Q4"), UnknownName, "'Q4'"),
         ("q1 = 0\nQ1 = q1", ExpressionError, "'q1'"),
@@ -156,7 +155,7 @@ def test_the_limit_of_terms_holds_and_changes_nothing_else() -> None:
                 assert most < 8000
             else:
                 assert most > least / 2
-                assert write_equations(found, "python") == write_equations(whole, "python")
+                assert tb.write_equations(found, "python") == tb.write_equations(whole, "python")
     many = random_robot(np.random.default_rng(1), 20).tree()
     assert equations(many, "joint-forces", "recursive").equations
     with refuses(ExpressionError, "--max-terms", "recursive", " 10000 "):
