@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from multiprocessing import get_context
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -101,9 +102,12 @@ def exchange(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
         monkeypatch.setattr(files, "_exchange_in_one_step", lambda first, second: errno.EINVAL)
 
 
-def failing(monkeypatch: pytest.MonkeyPatch, call: str, number: int, error: BaseException) -> None:
-    """Make one call of a function of `os`, by its number, raise an error."""
-    done, real = [0], getattr(os, call)
+def failing(
+    monkeypatch: pytest.MonkeyPatch, module: ModuleType, call: str, number: int,
+    error: BaseException,
+) -> None:  # fmt: skip
+    """Make one call of a module's function, by its number, raise an error."""
+    done, real = [0], getattr(module, call)
 
     def once(*words: object) -> object:
         done[0] += 1
@@ -111,7 +115,7 @@ def failing(monkeypatch: pytest.MonkeyPatch, call: str, number: int, error: Base
             raise error
         return real(*words)
 
-    monkeypatch.setattr(os, call, once)
+    monkeypatch.setattr(module, call, once)
 
 
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -129,7 +133,7 @@ def test_a_disk_that_fails_or_ctrl_c_leaves_the_older_one_or_the_new_one(
 ) -> None:  # fmt: skip
     """At any step of replacing; nothing else is left, and no message names a temporary file."""
     write(tmp_path / "place", kind, "old")
-    failing(monkeypatch, call, number, error)
+    failing(monkeypatch, os, call, number, error)
     left, said = "new", "'place'"
     try:
         write(tmp_path / "place", kind)
@@ -160,16 +164,8 @@ def test_of_several_that_are_written_together_all_are_replaced_or_none(
 
     with pytest.raises(ZeroDivisionError):
         write_all(then=lambda: 1 / 0)
-    real, done = files._exchange, [0]
-
-    def third_fails(fresh: Path, place: Path) -> None:
-        done[0] += 1
-        if done[0] == 3:
-            raise FULL
-        real(fresh, place)
-
     with monkeypatch.context() as broken:
-        broken.setattr(files, "_exchange", third_fails)
+        failing(broken, files, "_exchange", 3, FULL)
         with refuses(OSError, str(last), os.strerror(errno.ENOSPC)):
             write_all()
     assert (content(old), content(last), names(tmp_path)) == ("before", "before", ["last", "old"])

@@ -38,7 +38,9 @@ set = ['measurement.fault=[{kind="plate_delay",delay=1e-3}]']
 
 
 @pytest.fixture
-def campaign(tmp_path: Path) -> Campaign:
+def campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Campaign:
+    """One whose runs are made up."""
+    monkeypatch.setattr(conducting, "carry_out_run", made_up)
     return Campaign.load(campaign_file(tmp_path, 20, NOISES))
 
 
@@ -132,7 +134,6 @@ def test_whatever_interrupts_it_it_goes_on_to_the_same_table(
         failed = {"status": "failed", "error": "because"} if left[0] == 3 else {}
         return made_up(campaign, place) | failed
 
-    monkeypatch.setattr(conducting, "carry_out_run", made_up)
     conduct(campaign, tmp_path / "whole")
     monkeypatch.setattr(conducting, "carry_out_run", work)
     with pytest.raises(Killed):
@@ -153,10 +154,7 @@ def test_whatever_interrupts_it_it_goes_on_to_the_same_table(
     assert [row["factor/noise"] for row in found[:2]] == [0.5, 2.0]
 
 
-def test_a_folder_of_something_else_is_left_as_it_is(
-    tmp_path: Path, campaign: Campaign, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(conducting, "carry_out_run", made_up)
+def test_a_folder_of_something_else_is_left_as_it_is(tmp_path: Path, campaign: Campaign) -> None:
     conduct(campaign, tmp_path / "r", limit=3)
     before = table(tmp_path / "r")
     one = Campaign.load(campaign_file(tmp_path, 20, NOISES.replace("0.5, ", "")))
@@ -206,9 +204,8 @@ def test_a_process_that_dies_ends_the_command_with_a_word(
 
 
 def test_a_summary_has_median_error_and_coverage_of_each_cell(
-    tmp_path: Path, campaign: Campaign, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, campaign: Campaign
 ) -> None:
-    monkeypatch.setattr(conducting, "carry_out_run", made_up)
     conduct(campaign, tmp_path / "r")
     found = rows(tmp_path / "r")
     cells = summarise(found)
@@ -243,10 +240,7 @@ def damaged(good: pa.Table) -> Iterator[tuple[str, pa.Table]]:
             yield "", good.set_column(k, name, pa.array([True] * (len(good) - 1) + [None]))
 
 
-def test_a_damaged_table_is_refused(
-    tmp_path: Path, campaign: Campaign, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(conducting, "carry_out_run", made_up)
+def test_a_damaged_table_is_refused(tmp_path: Path, campaign: Campaign) -> None:
     conduct(campaign, tmp_path / "r", limit=4)
     good = pq.read_table(path := tmp_path / "r/results.parquet")
     for name, wrong in damaged(good):

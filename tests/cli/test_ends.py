@@ -10,10 +10,10 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -43,13 +43,6 @@ ENDS: list[tuple[BaseException, int, str]] = [
 """What may happen, the exit code, and what is said of it."""
 
 
-def raising(error: BaseException) -> Callable[[], int]:
-    def command() -> int:
-        raise error
-
-    return command
-
-
 def process(words: list[str], shell: str = "{}", **around: str) -> subprocess.CompletedProcess[str]:
     """A command of its own, as a shell runs it."""
     script = shell.format(shlex.join(words))
@@ -70,7 +63,7 @@ def test_whatever_happens_is_one_line_and_an_exit_code(
 ) -> None:
     """A fault of the program comes with all that a report needs; it is no failed claim."""
     for error, code, said in ENDS:
-        monkeypatch.setattr(main, "_command", raising(error))
+        monkeypatch.setattr(main, "_command", Mock(side_effect=error))
         done = command_line(cwd=tmp_path)
         lines = done.stderr.removesuffix("\n").split("\n")
         assert (done.returncode, done.stdout) == (code, ""), error
@@ -142,27 +135,26 @@ def test_starting_loads_only_what_is_needed(place: Path) -> None:
 
 PUMA = "one.parquet --model puma562.xml"
 LONG = {
-    "lab.experiment.record:record": ("simulate table.toml --out x.parquet",),
-    "lab.experiment.carry_out:record": ("run table.toml",),
-    "lab.experiment.carry_out:evaluate": ("run table.toml --set motion.duration=2",),
-    "lab.experiment.new_experiment:new_experiment": ("new two.urdf",),
-    "lab.experiment.run:assemble_run": (f"report {PUMA}",),
-    "importing.convert:pieces": ("import map.toml --out x.parquet",),
-    "importing.guess:guessed": ("import --guess log.csv",),
-    "importing.check.check:import_and_check": ("import map.toml --out x.parquet --model two.urdf",),
-    "applications.analysis:estimate_of": (f"identify {PUMA}",),
-    "applications.drives.identify_drives:identify_drives": (f"drives {PUMA}",),
-    "core.estimation.identify:identify": ("payload one.parquet " + PUMA,),
-    "applications.analysis:consistent": (f"identify {PUMA} --consistent",),
-    "applications.calibration:calibrate": (f"calibrate {PUMA} --known mass=20",),
-    "view.viewer.log:write_rrd": (f"view {PUMA} --save x.rrd",),
-    "campaigns.conduct:conduct": ("campaign quick.toml --workers 0",),
-    "core.kernel.warm_up:warm_up": ("doctor --compile",),
+    "lab.experiment.record:record": "simulate table.toml --out x.parquet",
+    "lab.experiment.carry_out:record": "run table.toml",
+    "lab.experiment.carry_out:evaluate": "run table.toml --set motion.duration=2",
+    "lab.experiment.new_experiment:new_experiment": "new two.urdf",
+    "lab.experiment.run:assemble_run": f"report {PUMA}",
+    "importing.convert:pieces": "import map.toml --out x.parquet",
+    "importing.guess:guessed": "import --guess log.csv",
+    "importing.check.check:import_and_check": "import map.toml --out x.parquet --model two.urdf",
+    "applications.analysis:estimate_of": f"identify {PUMA}",
+    "applications.drives.identify_drives:identify_drives": f"drives {PUMA}",
+    "core.estimation.identify:identify": "payload one.parquet " + PUMA,
+    "applications.analysis:consistent": f"identify {PUMA} --consistent",
+    "applications.calibration:calibrate": f"calibrate {PUMA} --known mass=20",
+    "view.viewer.log:write_rrd": f"view {PUMA} --save x.rrd",
+    "campaigns.conduct:conduct": "campaign quick.toml --workers 0",
+    "core.kernel.warm_up:warm_up": "doctor --compile",
 }  # fmt: skip
-"""What may take long, and the commands that do it."""
+"""What may take long, and a command that does it."""
 
 
-@pytest.mark.slow
 def test_nothing_long_is_silent(place: Path, tmp_path: Path) -> None:
     """What is long ends at once here, and leaves word whether its progress was shown."""
     home = tmp_path / "home"
@@ -170,7 +162,7 @@ def test_nothing_long_is_silent(place: Path, tmp_path: Path) -> None:
     for module in MODULES:  # one that is first imported below would keep what stands in for another
         if not module.endswith("__main__"):
             import_module(module)
-    for long, commands in LONG.items():
+    for long, words in LONG.items():
         module, _, function = long.partition(":")
         shown: list[bool] = []
 
@@ -178,13 +170,12 @@ def test_nothing_long_is_silent(place: Path, tmp_path: Path) -> None:
             seen.append(bool(Progress._shown))
             raise TestbedError("far enough")
 
-        for words in commands:
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(import_module(f"testbed.{module}"), function, ended)
-                quick = " --set simulation.step=1e-3" if words.startswith("run") else ""
-                done = command_line(*shlex.split(words + quick), cwd=home)
-            assert done.returncode == 2, words
-        assert len(shown) >= len(commands), long
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(import_module(f"testbed.{module}"), function, ended)
+            quick = " --set simulation.step=1e-3" if words.startswith("run") else ""
+            done = command_line(*shlex.split(words + quick), cwd=home)
+        assert done.returncode == 2, words
+        assert shown, long
         assert all(shown), long
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -141,18 +142,8 @@ def parquet(folder: Path, log: Log) -> str:
     return by_arrays("log.parquet", unit="")
 
 
-def bare_mcap(folder: Path, log: Log) -> str:
-    """The file of a ROS 2 bag."""
-    return _single(folder, log, StoragePlugin.MCAP, "mcap")
-
-
-def db3(folder: Path, log: Log) -> str:
-    """A ROS 2 bag as it was kept before."""
-    return _single(folder, log, StoragePlugin.SQLITE3, "db3")
-
-
-def _single(folder: Path, log: Log, plugin: StoragePlugin, ending: str) -> str:
-    """A bag's file without its folder."""
+def ros2_file(folder: Path, log: Log, plugin: StoragePlugin, ending: str) -> str:
+    """The file of a ROS 2 bag, without its folder."""
     _bag(folder / "log", log, plugin)
     (file,) = (folder / "log").glob(f"*.{ending}")
     file.rename(folder / f"log.{ending}")
@@ -368,7 +359,8 @@ def lerobot(folder: Path, log: Log, version: str = "v3.0", episodes: int = 1) ->
 
 FORMATS: dict[str, Callable[[Path, Log], str]] = {
     "csv": csv, "npz": npz, "mat": mat, "mat73": mat73, "hdf5": hdf5, "parquet": parquet,
-    "bare_mcap": bare_mcap, "db3": db3, "bag": bag, "c3d": c3d,
+    "bare_mcap": partial(ros2_file, plugin=StoragePlugin.MCAP, ending="mcap"),
+    "db3": partial(ros2_file, plugin=StoragePlugin.SQLITE3, ending="db3"), "bag": bag, "c3d": c3d,
     "mcap_json": mcap_json, "mcap_protobuf": mcap_protobuf, "rrd": rrd,
 }  # fmt: skip
 """Each writes its file into a folder and returns the mapping."""

@@ -22,24 +22,6 @@ from testbed.lab.instruments import joints, plate, plate_clock
 from testbed.lab.instruments.chain import Instrument, measure, measured_again
 from testbed.lab.instruments.fault import FULL_SCALE, Fault, StageOrder, apply_chain, stream
 from testbed.lab.instruments.faults import KINDS, fault_of
-from testbed.lab.instruments.joints import (
-    EncoderEccentricity,
-    EncoderInstantSampling,
-    EncoderNoise,
-    EncoderResolution,
-    EncoderZeroError,
-)
-from testbed.lab.instruments.plate import (
-    MeasuredTare,
-    PlateBias,
-    PlateConverter,
-    PlateCrosstalk,
-    PlateDrift,
-    PlateGain,
-    PlateNoise,
-    PlatePose,
-)
-from testbed.lab.instruments.plate_clock import PlateAntiAliasFilter, PlateDroppedSamples
 from testbed.lab.instruments.plates import PLATES
 from testbed.lab.kind_table import in_words
 from tests.helpers.ideal import ideal
@@ -133,44 +115,55 @@ def test_a_fault_leaves_other_signals_and_the_noise_of_all_others_alone() -> Non
 def test_two_of_one_kind_have_streams_of_their_own() -> None:
     """Of noise, and of the signs that chance decides."""
     one, two = (
-        wrench(seen(*[PlateNoise()] * count, what=truth(0), base=Instrument())) for count in (1, 2)
+        wrench(seen(*[plate.PlateNoise()] * count, what=truth(0), base=Instrument()))
+        for count in (1, 2)
     )
     assert abs(np.mean((two - one) * one)) < 0.1 * np.mean(one**2)
     assert np.mean(two**2) == pytest.approx(2 * np.mean(one**2), rel=0.1)
-    every = Instrument(fault=(PlateBias(),) * 8).installed(NAMES, 0)["wrench"]
-    assert len({str(fault) for fault in every if isinstance(fault, PlateBias)}) > 1
+    every = Instrument(fault=(plate.PlateBias(),) * 8).installed(NAMES, 0)["wrench"]
+    assert len({str(fault) for fault in every if isinstance(fault, plate.PlateBias)}) > 1
 
 
 def test_places_decide_on_the_order_and_then_the_file() -> None:
     """Sensors, then noise, then counts, then the line; counts are whole whatever the noise."""
-    faults = (PlateDroppedSamples(0.3), PlateConverter(), PlateNoise(), PlateCrosstalk())
+    faults = (
+        plate_clock.PlateDroppedSamples(0.3),
+        plate.PlateConverter(),
+        plate.PlateNoise(),
+        plate.PlateCrosstalk(),
+    )
     assert len({wrench(seen(*order)).tobytes() for order in permutations(faults)}) == 1
-    gain, pose = PlateGain((0.5, 0.0, 0.0, 0.0, 0.0, 0.0)), PlatePose((0.0, 0.0, 1.0), 0.0)
+    gain, pose = (
+        plate.PlateGain((0.5, 0.0, 0.0, 0.0, 0.0, 0.0)),
+        plate.PlatePose((0.0, 0.0, 1.0), 0.0),
+    )
     for order in ((gain, pose), (pose, gain)):
         expected = apply_chain(order, truth().wrench, TIME, 0)
         np.testing.assert_allclose(wrench(seen(*order, base=Instrument())), expected, atol=1e-12)
-    counts = seen(EncoderResolution(0.25), EncoderNoise(0.1), EncoderEccentricity(0.1)).position
+    counts = seen(
+        joints.EncoderResolution(0.25), joints.EncoderNoise(0.1), joints.EncoderEccentricity(0.1)
+    ).position
     same(counts / 0.25, np.rint(counts / 0.25))
-    plate = Instrument(full_scale=tuple(10 * v for v in FULL_SCALE))  # type: ignore[arg-type]
-    scale = np.array(plate.full_scale)
+    wider = Instrument(full_scale=tuple(10 * v for v in FULL_SCALE))  # type: ignore[arg-type]
+    scale = np.array(wider.full_scale)
     coarse = scale / 128 * np.round(truth().wrench / scale * 128)
-    same(wrench(seen(PlateConverter(8), base=plate)), coarse)
+    same(wrench(seen(plate.PlateConverter(8), base=wider)), coarse)
 
 
 def test_a_measured_tare_has_the_plates_own_faults_and_noise_and_the_drift_since() -> None:
     """What is constant leaves with it: the wrench less the tare is as with a true zero."""
     quiet = Instrument()
-    same(seen(PlateBias(), PlatePose(), PlateCrosstalk()).tare, TARE)
-    for faults in ((PlateBias(),), (PlateBias(), PlateBias(1.0))):
-        recording = seen(*faults, MeasuredTare(), base=quiet)
+    same(seen(plate.PlateBias(), plate.PlatePose(), plate.PlateCrosstalk()).tare, TARE)
+    for faults in ((plate.PlateBias(),), (plate.PlateBias(), plate.PlateBias(1.0))):
+        recording = seen(*faults, plate.MeasuredTare(), base=quiet)
         np.testing.assert_allclose(net(recording), truth().wrench - TARE, atol=1e-10)
-    for fault in (PlatePose(), PlateCrosstalk(), PlateGain()):
+    for fault in (plate.PlatePose(), plate.PlateCrosstalk(), plate.PlateGain()):
         bare = seen(fault, what=replace(truth(), wrench=truth().wrench - TARE), base=quiet)
-        shown = net(seen(fault, MeasuredTare(), base=quiet))
+        shown = net(seen(fault, plate.MeasuredTare(), base=quiet))
         np.testing.assert_allclose(shown, wrench(bare), atol=1e-10)
-    drift = seen(PlateDrift((0.05, 0.0, 0.0), 0.0), MeasuredTare(5.0, 60.0), base=quiet)
+    drift = seen(plate.PlateDrift((0.05, 0.0, 0.0), 0.0), plate.MeasuredTare(5.0, 60.0), base=quiet)
     np.testing.assert_allclose(np.asarray(drift.tare), TARE - 0.05 * 62.5005 * np.eye(6)[0])
-    noisy = seen(MeasuredTare(1.0))
+    noisy = seen(plate.MeasuredTare(1.0))
     same(noisy.wrench, seen().wrench)
     own = stream("plate_noise", SEED, 0, "tare").normal(size=(1000, 6)).mean(axis=0)
     np.testing.assert_allclose(
@@ -208,7 +201,7 @@ def test_a_file_says_faults_as_python_does_and_every_kind_is_documented() -> Non
         assert all(size > 0 for name, size in fault.table().items() if name != "kind")
     text = '[{kind="plate_bias",force=[1,2,3]},{kind="encoder_zero_error",error={elbow=1e-3}}]'
     found = tb.Experiment.from_toml(TABLE6, [f"measurement.fault={text}"]).measurement.fault
-    assert found == (PlateBias((1.0, 2.0, 3.0)), EncoderZeroError({"elbow": 1e-3}))
+    assert found == (plate.PlateBias((1.0, 2.0, 3.0)), joints.EncoderZeroError({"elbow": 1e-3}))
     assert catalogue() in (ROOT / "docs/instruments.md").read_text()
 
 
@@ -244,14 +237,14 @@ def test_what_no_instrument_can_be_is_refused_before_anything_is_simulated() -> 
         *((name, {name: value}) for value in (-1e-9, np.inf, np.nan)
           for name in ("encoder_resolution", "encoder_noise", "torque_noise", "moment_noise")),
         *(("rate", {"rate": value}) for value in (0.0, np.inf)),
-        ("averaged", {"averaged": False, "fault": (EncoderInstantSampling(),)}),
+        ("averaged", {"averaged": False, "fault": (joints.EncoderInstantSampling(),)}),
         ("torque_constant_error", {"torque_constant_error": {"a": 0.1, "b": np.nan}}),
         *(("full_scale", {"full_scale": (1.0,) * 5 + more}) for more in ((), (0.0,))),
     ]  # fmt: skip
     for culprit, keys in wrong:
         with refuses(SettingsError, culprit):
             Instrument(**keys)
-    assert Instrument(rate=100.0, fault=(PlateAntiAliasFilter(1e-3),)).fault
+    assert Instrument(rate=100.0, fault=(plate_clock.PlateAntiAliasFilter(1e-3),)).fault
 
 
 def test_a_plate_by_name_gives_what_is_not_said_beside_it() -> None:

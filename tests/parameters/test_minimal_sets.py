@@ -39,8 +39,8 @@ from testbed.core.parameters.symbols import (
     to_standard,
 )
 from testbed.core.robot.friction import COULOMB, LAWS, OFFSET, ROTOR, VISCOUS, JointLaw
+from testbed.core.robot.inertia import NOTHING, Inertia
 from testbed.core.robot.rigid_matter import SMALL
-from testbed.core.robot.inertia import NOTHING, , Inertia
 from testbed.core.robot.shafts import with_shafts
 from testbed.core.robot.tree import Tree
 from tests.helpers.chains import X, Y, Z, chain

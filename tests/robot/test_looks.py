@@ -230,16 +230,11 @@ def test_a_robot_stands_on_a_plate_that_arrows_are_clear_of(name: str) -> None:
     assert len(load_appearance(puma.tree(), puma).shapes) == len(drawn)
 
 
-LINK = (
-    '<link name="{name}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" '
-    'ixz="0" iyz="0"/></inertial>{more}</link>'
-)
 VISUAL = '<visual><geometry><mesh filename="{}"/></geometry></visual>'
 JOINT = (
     '<joint name="j" type="revolute"><parent link="base"/><child link="arm"/>'
     '<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="9" velocity="2"/></joint>'
 )
-STL = b"\0" * 80 + struct.pack("<I12fH", 1, *[0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0], 0)
 SECRET = "SECRET"
 MESHES = ("stl", "obj", "dae", "ply", "msh", "off", "glb", "gltf")
 ITSELF = (
@@ -254,7 +249,7 @@ def robot(path: Path, *meshes: str) -> Path:
     """A URDF of one arm that refers to meshes."""
     path.parent.mkdir(parents=True, exist_ok=True)
     more = "".join(map(VISUAL.format, meshes))
-    links = LINK.format(name="base", more="") + LINK.format(name="arm", more=more)
+    links = f'<link name="base"/><link name="arm">{MATTER}{more}</link>'
     path.write_text(f'<robot name="r">{links}{JOINT}</robot>')
     return path
 
@@ -291,7 +286,7 @@ def test_meshes_in_their_usual_place_go_along(package: bool, tmp_path: Path) -> 
     places += [top / "any/part.stl"] * package
     for place in places:
         place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_bytes(STL)
+        write_mesh(place)
     copy_model(path, tmp_path / "out/copy")
     assert len(list((tmp_path / "out/copy").rglob("*.stl"))) == len(names)
     assert not tb.load_tree(path).diagnostics
@@ -300,7 +295,7 @@ def test_meshes_in_their_usual_place_go_along(package: bool, tmp_path: Path) -> 
 def test_a_mesh_that_kills_or_blocks_its_reader_is_left_out(tmp_path: Path) -> None:
     """Named in the diagnostics; what can be read is drawn."""
     path = robot(tmp_path / "r.urdf", "good.stl", "self.dae", "pipe.obj")
-    (tmp_path / "good.stl").write_bytes(STL)
+    write_mesh(tmp_path / "good.stl")
     (tmp_path / "self.dae").write_text(ITSELF)
     (tmp_path / "pipe.obj").write_text("mtllib\tm.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     os.mkfifo(tmp_path / "m.mtl")

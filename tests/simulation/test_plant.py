@@ -23,7 +23,6 @@ from testbed.lab.simulation.compiled_loop import motor_torque
 from testbed.lab.simulation.controller import Controller, computed_torque, mass_matrices
 from testbed.lab.simulation.plant import Plant, build_plant, check_plant
 from testbed.lab.simulation.rollout import Sampling, SimulationDiverged, simulate_motion
-from tests.helpers.paths import ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.plants import PUMA, check_laws, run, sensed, waving
 from tests.helpers.refusals import refuses
@@ -134,7 +133,6 @@ def test_on_a_light_robot_a_weak_spring_is_named_and_strong_friction_is_not(
             check_plant(plant, tree, path)
 
 
-PUMA_FILE = ROOT / "experiments/noise_free.toml"
 INSTANTS = Sampling(500.0, 2, False, 0.2)
 
 
