@@ -36,7 +36,7 @@ class Inline(InlineProcessor):
     def __init__(self, md: Markdown) -> None:
         super().__init__(r"(?<![\\$\w])\$(?![\s$])([^$\n]+?)(?<![\s\\])\$(?![\w$])", md)
 
-    def handleMatch(self, m: re.Match[str], data: str) -> tuple[str, int, int]:  # noqa: N802
+    def handleMatch(self, m: re.Match[str], data: str) -> tuple[str, int, int]:
         del data
         return self.md.htmlStash.store(mathml(m.group(1), "inline")), m.start(0), m.end(0)
 
@@ -57,11 +57,11 @@ class Block(BlockProcessor):
 class Mathematics(Extension):
     """Both."""
 
-    def extendMarkdown(self, md: Markdown) -> None:  # noqa: N802
+    def extendMarkdown(self, md: Markdown) -> None:
         md.inlinePatterns.register(Inline(md), "formula", EARLY)
         md.parser.blockprocessors.register(Block(md.parser), "formulas", EARLY)
 
 
-def makeExtension(**settings: object) -> Mathematics:  # noqa: N802
+def makeExtension(**settings: object) -> Mathematics:
     """What Python-Markdown asks for."""
     return Mathematics(**settings)

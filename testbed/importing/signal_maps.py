@@ -8,6 +8,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
+from testbed.core.base.transform import Transform
 from testbed.core.robot.free_base import UNIT
 from testbed.core.robot.rpy import from_rpy
 from testbed.importing.foreign_table import (
@@ -113,11 +114,10 @@ def wrench_of(table: SixAxisTable, columns: Array) -> Array:
     sense = 1.0 if table.sense == "on_robot" else -1.0
     force = sense * factor("force", table.units[0]) * columns[:, :3]
     moment = sense * factor("moment", table.units[1]) * columns[:, 3:]
-    if table.place is not None:
-        turn = from_rpy(table.place.rpy)
-        force, moment = force @ turn.T, moment @ turn.T
-        moment = moment + np.cross(np.array(table.place.xyz), force)
-    return np.hstack([force, moment])
+    wrench = np.hstack([force, moment])
+    if table.place is None:
+        return wrench
+    return Transform(from_rpy(table.place.rpy), np.array(table.place.xyz)).wrench(wrench)
 
 
 def without_turnovers(quaternions: Array) -> Array:

@@ -14,7 +14,7 @@ from scipy import stats
 
 from testbed.core.base.arrays import Array, freeze, skew
 from testbed.core.base.diagnostics import Diagnostic
-from testbed.core.dynamics.newton_euler import sensor_poses
+from testbed.core.dynamics.newton_euler import sensor_pose
 from testbed.core.robot.tree import Tree
 
 UNKNOWNS = 12
@@ -117,7 +117,7 @@ def fit_tool(tree: Tree, poses: StaticPoses, code: str = "") -> RestFit:
         code: "degrees" for angles in degrees, a key of `BASES` for wrenches along those axes.
     """
     position = np.deg2rad(poses.position) if code == "degrees" else poses.position
-    back = np.swapaxes(sensor_poses(tree, position)[0], 1, 2)
+    back = sensor_pose(tree, position).inverse.R_AB
     wrench = poses.wrench.reshape(-1, 2, 3)
     if code in BASES:
         wrench = np.einsum("pij,pkj->pki", back, wrench * BASES[code])

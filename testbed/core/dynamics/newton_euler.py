@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import AnyArray, Array, apply, freeze, skew
 from testbed.core.base.summary_table import Value
+from testbed.core.base.transform import Transform
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.rules import Model
 from testbed.core.parameters.symbols import TENSOR, barycentric
@@ -268,60 +269,44 @@ def transmitted(
     if base < 0:
         whole = np.concatenate([force[-1], moment[-1]], axis=-2)
     if sensor is not None:
-        whole = sensor_transform(sensor) @ whole
+        whole = sensor.X_BS.inverse.wrench_matrix @ whole
     return np.stack(efforts, axis=-2), whole
 
 
-def sensor_poses(tree: Tree, q: Array) -> tuple[Array, Array]:
-    """Rotation to the bedplate's axes (M, 3, 3) and origin (M, 3) [m] of what measures the wrench.
+def sensor_pose(tree: Tree, q: Array) -> Transform:
+    """Poses X_WS of what measures the wrench in the bedplate frame W, M of them.
 
     Args:
         tree: The robot.
         q: Joint positions, (M, n) [rad or m].
     """
-    return _placements(tree, q, [tree.sensor])[0]
+    return _sensor_poses(tree, q, [tree.sensor])[0]
 
 
-def _placements(
-    tree: Tree, q: Array, sensors: Sequence[Placement | None]
-) -> list[tuple[Array, Array]]:
-    """Rotation to the bedplate's axes and origin of each sensor; None is the bedplate's."""
-    still = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
+def _sensor_poses(tree: Tree, q: Array, sensors: Sequence[Placement | None]) -> list[Transform]:
+    """Pose X_WS of each sensor in the bedplate frame W, M of them; None is the bedplate."""
+    still = Transform(np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3)))
     moving = poses(tree, q) if any(at and at.body >= 0 for at in sensors) else []
     found = []
     for at in sensors:
-        turn, place = still if at is None or at.body < 0 else moving[at.body]
-        if at is not None:
-            turn, place = turn @ at.rotation, place + turn @ at.position
-        found.append((turn, place))
+        X_WB = still if at is None or at.body < 0 else Transform(*moving[at.body])
+        found.append(X_WB if at is None else X_WB @ at.X_BS)
     return found
 
 
 def wrench_transforms(tree: Tree, q: Array) -> dict[str, Array]:
-    """What each of a tree's next sensors measures as what measures the tree's wrench would.
+    """Matrices from the wrench of each of a tree's next sensors to that of the tree's own.
 
     Args:
         tree: What lies between force sensors.
         q: Joint positions, (M, n) [rad or m].
 
     Returns:
-        By sensor, (M, 6, 6): takes a wrench about its origin in its axes, force first.
+        By sensor, (M, 6, 6): takes a wrench about its origin along its axes, force first.
     """
-    (turn, place), *following = _placements(tree, q, [tree.sensor, *tree.cuts])
-    back = np.swapaxes(turn, 1, 2)
-    found = {}
-    for cut, (own, there) in zip(tree.cuts, following, strict=True):
-        each = np.zeros((len(q), 6, 6))
-        each[:, :3, :3] = each[:, 3:, 3:] = back @ own
-        each[:, 3:, :3] = back @ skew(there - place) @ own
-        found[cut.name] = each
-    return found
-
-
-def sensor_transform(sensor: Placement) -> Array:
-    """From a wrench about a body's origin in its axes to a sensor's, force first, (6, 6)."""
-    back, nothing = sensor.rotation.T, np.zeros((3, 3))
-    return np.block([[back, nothing], [-back @ skew(sensor.position), back]])
+    X_WS, *following = _sensor_poses(tree, q, [tree.sensor, *tree.cuts])
+    pairs = zip(tree.cuts, following, strict=True)
+    return {cut.name: (X_WS.inverse @ X_WC).wrench_matrix for cut, X_WC in pairs}
 
 
 def own_wrench(body: BodyMotion) -> AnyArray:
@@ -416,7 +401,7 @@ def pedestal_wrench(tree: Tree, gravity: ArrayLike | None = None) -> Array:
     g = tree.gravity_or(gravity)
     pedestal = tree.pedestal
     wrench = np.concatenate([-pedestal.mass * g, -np.cross(pedestal.first_moment, g)])
-    return wrench if tree.sensor is None else sensor_transform(tree.sensor) @ wrench
+    return wrench if tree.sensor is None else tree.sensor.X_BS.inverse.wrench(wrench)
 
 
 def blocks(samples: int, size: int = BLOCK) -> Iterator[slice]:

@@ -28,7 +28,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.core.base.arrays import Array, apply, skew
+from testbed.core.base.arrays import Array, skew
+from testbed.core.base.transform import Transform
 from testbed.core.dynamics.newton_euler import Motion, blocks
 from testbed.core.parameters.symbols import to_standard, with_standard
 from testbed.core.robot.inertia import NOTHING, Inertia
@@ -66,20 +67,17 @@ def base_wrench_derivatives(
         if tree.sensor is not None:
             for j in range(tree.lead):  # the sensor itself turns and moves with these
                 slopes[j, 0, part] -= _cross_force(states[j].screw, whole).T
-            turn, place = _sensor_pose(tree.sensor, states[tree.sensor_body] if tree.lead else None)
+            X_WS = _sensor_pose(tree.sensor, states[tree.sensor_body] if tree.lead else None)
             for found in (wrench[part], *(each[part] for three in slopes for each in three)):
-                found[:, 3:] -= np.cross(place, found[:, :3])
-                found[:, :3] = apply(turn, found[:, :3])
-                found[:, 3:] = apply(turn, found[:, 3:])
+                found[:] = X_WS.inverse.wrench(found)
     return wrench, slopes
 
 
-def _sensor_pose(sensor: Placement, base: _BodyState | None) -> tuple[Array, Array]:
-    """To its axes (m, 3, 3) and of its origin (m, 3) [m], bedplate frame."""
+def _sensor_pose(sensor: Placement, base: _BodyState | None) -> Transform:
+    """Pose X_WS of a sensor in the bedplate frame, or m of them."""
     if base is None:
-        return sensor.rotation.T[None], sensor.position[None]
-    turn = np.einsum("ac,xam->mcx", sensor.rotation, base.turn)
-    return turn, (base.place + sensor.position @ base.turn).T
+        return sensor.X_BS
+    return Transform(np.moveaxis(base.turn, 2, 0), base.place.T) @ sensor.X_BS
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.dynamics.newton_euler import sensor_transform
 from testbed.core.kernel.records import (
     CACHE,
     KS,
@@ -429,7 +428,7 @@ def _robot(frames: Canonical, gravity: Array, tree: Tree) -> Robot:
     here = frames.bedplate if tree.sensor_body < 0 else frames.frames[tree.sensor_body]
     seeds[:3, 3:] = seeds[3:6, :3] = here  # row k: axis k of the bedplate, or of the base
     if tree.sensor is not None:
-        seeds[:6] = sensor_transform(tree.sensor) @ seeds[:6]
+        seeds[:6] = tree.sensor.X_BS.inverse.wrench_matrix @ seeds[:6]
     seeds[TURNING, 2] = seeds[SLIDING, 5] = 1.0
     return Robot(
         coordinate=np.array([link.joint for link in links]),

@@ -68,7 +68,7 @@ def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> It
     rest: list[Array] = [-np.concatenate([gravity, np.zeros(3)])]
     known: list[Array] = [static]
     for j, joint in enumerate(tree.joints):
-        screw, into, rate = _screw(joint), _twist_into(joint).T, _rate(joint)
+        screw, into, rate = _screw(joint), joint.X_PB.wrench_matrix, _rate(joint)
         turning, momentum = _ad(screw).T, _momentum(screw)
         still = rest[joint.parent + 1] @ into
         ahead = _closed(np.vstack([free[joint.parent + 1] @ into, still @ turning]), turning)
@@ -97,7 +97,7 @@ def base_functionals(tree: Tree, gravity: Array, *, tared: bool) -> Array:
     twists, changes = np.zeros((0, 6)), np.zeros((0, 6))
     weight = -np.concatenate([gravity, np.zeros(3)])
     for joint in tree.joints[: tree.lead]:
-        screw, into = _screw(joint), _twist_into(joint).T
+        screw, into = _screw(joint), joint.X_PB.wrench_matrix
         turning = _ad(screw).T
         weight = weight @ into
         twists = span(np.vstack([_closed(twists @ into, turning), screw]))
@@ -117,12 +117,6 @@ def _ad(screw: Array) -> Array:
     """The operator ad of a twist on twists, linear part first, (6, 6)."""
     v, w = skew(screw[:3]), skew(screw[3:])
     return np.block([[w, v], [np.zeros((3, 3)), w]])
-
-
-def _twist_into(joint: Joint) -> Array:
-    """Twists of frame i seen in frame j at q = 0, (6, 6)."""
-    back = joint.rotation.T
-    return np.block([[back, -back @ skew(joint.offset)], [np.zeros((3, 3)), back]])
 
 
 def _momentum(screw: Array) -> Array:

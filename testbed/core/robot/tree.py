@@ -22,6 +22,7 @@ from testbed.core.base.arrays import Array, freeze, readonly
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic
 from testbed.core.base.errors import ModelError, SettingsError, UnknownName, plural
 from testbed.core.base.summary_table import SummaryTable, Value
+from testbed.core.base.transform import Transform
 from testbed.core.robot.inertia import NOTHING, Inertia
 
 Kind = Literal["revolute", "prismatic"]
@@ -92,6 +93,11 @@ class Joint(Value):
     def revolute(self) -> bool:
         """Whether the joint turns (else it slides)."""
         return self.kind == "revolute"
+
+    @property
+    def X_PB(self) -> Transform:
+        """Pose of the body's frame B at q = 0 in that of its carrier, the parent P."""
+        return Transform(self.rotation, self.offset)
 
     @property
     def carried_axis(self) -> Array:
@@ -181,6 +187,11 @@ class Placement:
 
     def __post_init__(self) -> None:
         freeze(self, position=(3,), rotation=(3, 3))
+
+    @property
+    def X_BS(self) -> Transform:
+        """Pose of the sensor S in the body's frame B."""
+        return Transform(self.rotation, self.position)
 
 
 @dataclass(frozen=True)

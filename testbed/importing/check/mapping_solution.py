@@ -22,6 +22,7 @@ from testbed.core.base.errors import (
     round_significant,
 )
 from testbed.core.base.toml_text import checked
+from testbed.core.base.transform import Transform
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import on_its_base
@@ -37,7 +38,6 @@ from testbed.importing.check.plate_map import (
     SHIFT,
     TURN,
     rotation_vector,
-    transform,
 )
 from testbed.importing.check.recording_diagnostics import (
     encoder_steps,
@@ -395,7 +395,7 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     shared = table["source"] == draft.tables["position"]["source"] and "delay" not in table
     if not shared or abs(late) > CLEAR * sigma[LATE]:
         draft = _delayed(draft, "wrench", table.get("delay", 0.0) + late, float(sigma[LATE]))
-    placed = transform(from_rpy(rpy), xyz) @ frame.map_inverse @ best.plate.map
+    placed = Transform(from_rpy(rpy), xyz).wrench_matrix @ frame.map_inverse @ best.plate.map
     return _with_zero(draft, replace(best, plate=replace(best.plate, map=placed)))
 
 

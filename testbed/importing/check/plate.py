@@ -19,11 +19,10 @@ from typing import Any
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.dynamics.newton_euler import sensor_transform
+from testbed.core.base.transform import Transform
 from testbed.core.estimation.regression.normal_equations import inverse_and_solution
 from testbed.core.robot.inertia import from_vector
 from testbed.core.robot.rpy import from_rpy, to_rpy
-from testbed.core.robot.tree import Placement
 from testbed.importing.check.instants import Instants, delay
 from testbed.importing.check.plate_map import (
     LASTS,
@@ -36,7 +35,6 @@ from testbed.importing.check.plate_map import (
     MapFit,
     PlateRows,
     ridge_regression,
-    transform,
 )
 from testbed.importing.check.prior import Prior
 from testbed.importing.check.remedies import STEPS, Hypothesis, exchanges, place_of, tables_of
@@ -122,7 +120,7 @@ class Frame:
     @cached_property
     def map_inverse(self) -> Array:
         """The wrench in the sensor's frame of one in the bedplate's, (6, 6)."""
-        return sensor_transform(Placement(self.place, self.turn))
+        return Transform(self.turn, self.place).inverse.wrench_matrix
 
     def map(
         self, turn: Array, units: tuple[str, str], order: Sequence[int], ratio: float = 1.0
@@ -138,7 +136,7 @@ class Frame:
         size = np.repeat([FORCES[units[0]], ratio * MOMENTS[units[1]]], 3)
         own_size = np.repeat([FORCES[self.units[0]], MOMENTS[self.units[1]]], 3)
         columns = np.eye(6)[list(order)] * np.outer(size, 1 / own_size)
-        return transform(turn, self.place) @ columns @ self.map_inverse
+        return Transform(turn, self.place).wrench_matrix @ columns @ self.map_inverse
 
 
 def frame_of(mapping: Mapping[str, Any]) -> Frame:
@@ -351,7 +349,7 @@ class PlateEvidence:
             if np.linalg.norm(shift) > max(SHIFTED, CLEAR * sigma):
                 place = np.round(self._frame.place + shift, 4)
                 about.append(Hypothesis("shift", (), tuple(place.tolist())))
-            moved = transform(np.eye(3), shift) @ each
+            moved = Transform(p_AB_A=shift).wrench_matrix @ each
             if fit.size < 0:
                 about.append(Hypothesis("sense"))
                 moved = -moved

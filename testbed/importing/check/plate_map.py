@@ -21,9 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.base.arrays import Array, skew
-from testbed.core.dynamics.newton_euler import sensor_transform
 from testbed.core.estimation.regression.normal_equations import inverse_root, unit_diagonal
-from testbed.core.robot.tree import Placement
 from testbed.importing.check.instants import Instants
 
 LASTS = 10.0
@@ -48,16 +46,6 @@ LOOSE = 1e-7
 
 SHIFT, LATE, TURN, RATIO = [0, 1, 2], 3, [4, 5, 6], 7
 """Places of what may be fitted beside a map: [m], [s], [rad], moments over forces."""
-
-
-def transform(turn: Array, place: Array) -> Array:
-    """The wrench in the bedplate's frame of one in a sensor's, (6, 6).
-
-    Args:
-        turn: Of the sensor's frame, (3, 3).
-        place: Of its origin, (3,) [m].
-    """
-    return sensor_transform(Placement(-turn.T @ place, turn.T))
 
 
 def rotation_vector(turn: Array) -> Array:

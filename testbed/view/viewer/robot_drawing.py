@@ -12,7 +12,7 @@ from testbed.bodies.consistency.consistent import robot_of
 from testbed.bodies.shapes.appearance import Appearance
 from testbed.bodies.shapes.shapes import Shape, equivalent_ellipsoids
 from testbed.core.base.arrays import Array, apply
-from testbed.core.dynamics.newton_euler import poses, sensor_poses
+from testbed.core.dynamics.newton_euler import poses, sensor_pose
 from testbed.core.parameters.symbols import with_standard
 from testbed.view.viewer.colours import COLOURS
 from testbed.view.viewer.scene import Scene, means, pressure
@@ -151,9 +151,9 @@ def log_reaction(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
         send_arrows(stream, look, time, wrench, scales, at)
         _log_pressure(stream, look, time, pressure(wrench), at)
         return
-    rotation, places = sensor_poses(tree, scene.motion.q[::step])
-    turned = np.hstack([apply(rotation, part) for part in np.split(wrench, 2, axis=1)])
-    send_arrows(stream, look, time, turned, scales, at, places)
+    X_WS = sensor_pose(tree, scene.motion.q[::step])
+    turned = np.hstack([apply(X_WS.R_AB, part) for part in np.split(wrench, 2, axis=1)])
+    send_arrows(stream, look, time, turned, scales, at, X_WS.p_AB_A)
 
 
 def _log_pressure(

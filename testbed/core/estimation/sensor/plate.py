@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from testbed.core.base.arrays import Array, apply
+from testbed.core.base.transform import Transform
 from testbed.core.dynamics.newton_euler import wrench_transforms
 from testbed.core.estimation.sensor.estimates import Nuisance, Numbers, Part, always, of_wrench
 from testbed.core.estimation.sensor.predicted_wrench import PredictedWrench
@@ -100,10 +101,7 @@ def _moved(wrench: Array) -> Array:
 
 def _moved_back(wrench: Array, pose: Array) -> Array:
     """Wrench in the bedplate's frame of one that a plate in a pose, (6,), shows, (M, 6)."""
-    turn = from_vector(pose[:3])
-    force = wrench[:, :3] @ turn.T
-    moment = wrench[:, 3:] @ turn.T + np.cross(pose[3:], force)
-    return np.hstack([force, moment])
+    return Transform(from_vector(pose[:3]), pose[3:]).wrench(wrench)
 
 
 PLATE = (
