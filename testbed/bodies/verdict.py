@@ -14,7 +14,7 @@ from testbed.bodies.posterior import Posterior
 from testbed.bodies.prediction_errors import POSTERIOR
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose, messages, ordered, phrase
-from testbed.core.estimation.diagnostics.diagnosis import UNEXPLAINED
+from testbed.core.estimation.diagnostics.diagnosis import THRESHOLDS
 from testbed.core.estimation.diagnostics.torques import diagnostics_of
 from testbed.core.estimation.estimate import Estimate, channel_label, matters
 from testbed.core.estimation.regression.normal_equations import TINY
@@ -83,12 +83,12 @@ def _reservations(found: Posterior, shown: str) -> Iterator[Diagnostic]:
     yield from found.worse(shown)
     method, held_out = found.method, found.errors[0]
     left, signal, units = held_out.residual[shown], held_out.signal, held_out.units
-    grave = matters(left, signal, units, UNEXPLAINED)
+    grave = matters(left, signal, units, THRESHOLDS.residual)
     for c, share in enumerate(held_out.share(shown).tolist()):
         label = channel_label(method, held_out.channels[c])
         if np.isnan(signal[c]):
             yield diagnose("verdict.few-rows", label, held_out.rows[c], method=method)
-        elif share > UNEXPLAINED:
+        elif share > THRESHOLDS.residual:
             yield diagnose(
                 "verdict.residual",
                 label,

@@ -13,6 +13,7 @@ import testbed as tb
 from testbed.bodies.shapes.shapes import Kind, Shape
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import InfeasibleMotion, UnknownName
+from testbed.core.base.transform import Transform
 from testbed.core.dynamics.newton_euler import poses
 from testbed.core.robot.inertia import about
 from testbed.motion.clearance import FAR, ClearanceTerm, DistanceMeter
@@ -317,8 +318,8 @@ def test_distances_of_balls_are_those_of_their_centres_and_change_as_differences
     assert set(collision.pairs) == {(a, b) for b in range(tree.n) for a in range(-1, b)} - joined
     meter, bound = DistanceMeter(collision, far=50.0), levers(collision, limits)
     for q in rng.uniform(limits.low, limits.high, (4, tree.n)):
-        at = [(np.eye(3)[None], np.zeros((1, 3))), *poses(tree, q[None])]
-        centre = [t[0] @ s.position + o[0] for s, (t, o) in zip(shapes, at, strict=True)]
+        at = [Transform(), *poses(tree, q[None])]
+        centre = [np.ravel(X.point(s.position)) for s, X in zip(shapes, at, strict=True)]
         here = meter.measure(q, slopes=True)
         for (a, b), found in zip(collision.pairs, here.values, strict=True):
             apart = np.linalg.norm(centre[a + 1] - centre[b + 1])

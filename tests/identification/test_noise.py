@@ -19,7 +19,7 @@ from testbed.applications.validate import motion_in
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import encode, json_text
 from testbed.core.base.errors import SettingsError, TestbedError
-from testbed.core.estimation.diagnostics.diagnosis import UNLIKELY
+from testbed.core.estimation.diagnostics.diagnosis import THRESHOLDS
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
 from testbed.core.estimation.influence import by_influence, influence
 from testbed.core.estimation.known import parse_known
@@ -244,7 +244,7 @@ def test_chance_makes_no_delays(gaps: float, slow: float) -> None:
         assert late is not None
         z.append(late.z)
     assert 0.6 < np.std(z) < 1.3
-    assert np.max(np.abs(z)) < UNLIKELY
+    assert np.max(np.abs(z)) < THRESHOLDS.delay_z
 
 
 @pytest.mark.slow

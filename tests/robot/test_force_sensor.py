@@ -42,7 +42,8 @@ def test_it_feels_what_carries_the_bodies_beyond_it(data: st.DataObject, rng: Rn
     motion = data.draw(motions(cut))
     assert cut.sensor is not None
     ground = tb.base_wrench(replace(cut, sensor=None, lead=0), motion)
-    turn, place = poses(cut, motion.q)[cut.lead - 1]
+    X_WB = poses(cut, motion.q)[cut.lead - 1]
+    turn, place = X_WB.R_AB, X_WB.p_AB_A
     place = place + turn @ cut.sensor.position
     turn = turn @ cut.sensor.rotation
     moment = ground[:, 3:] - np.cross(place, ground[:, :3])

@@ -108,7 +108,7 @@ def test_shapes_are_where_mujoco_has_them(
         data.qpos[j] = q[model.joint(j).name]
     mujoco.mj_kinematics(model, data)
     now = poses(tree, np.array([[q[name] for name in tree.names]]))
-    carriers = [*((turn[0], place[0]) for turn, place in now), (np.eye(3), np.zeros(3))]
+    carriers = [*((X.R_AB[0], X.p_AB_A[0]) for X in now), (np.eye(3), np.zeros(3))]
     shown = [k for k in range(model.ngeom) if model.geom_group[k] < 3]
     shown.sort(key=lambda k: scale == 2 and model.geom_type[k] == 7)  # meshes come last
     for k, shape in zip(shown, seen.shapes, strict=True):

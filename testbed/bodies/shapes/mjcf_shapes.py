@@ -8,9 +8,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from testbed.bodies.shapes.shapes import DrawnShapes, Kind, Shape, poses_at_zero
+from testbed.bodies.shapes.shapes import DrawnShapes, Kind, Shape
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic
+from testbed.core.base.transform import Transform
 from testbed.core.robot.formats.mjcf_compile import (
     compile_spec,
     drop_unreadable_meshes,
@@ -53,18 +54,17 @@ def _shapes(model: mujoco.MjModel, tree: Tree) -> Iterator[Shape]:
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)
-    poses = [*poses_at_zero(tree), (np.eye(3), np.zeros(3))]  # the last is the bedplate's
+    poses = [*tree.poses_at_zero, Transform()]  # the last is the bedplate's
     for g in range(model.ngeom):
         kind = _KINDS.get(int(model.geom_type[g]))
         if kind is None or model.geom_group[g] >= _SEEN_GROUPS:
             continue
         body = _owner(model, int(model.geom_bodyid[g]), tree)
-        turn, origin = poses[body]
-        rotation = turn.T @ data.geom_xmat[g].reshape(3, 3)
-        position = turn.T @ (data.geom_xpos[g] - origin)
+        X_WG = Transform(data.geom_xmat[g].reshape(3, 3), data.geom_xpos[g])
+        X_BG = poses[body].inverse @ X_WG
         vertices, faces = _mesh(model, g) if kind == "mesh" else (np.zeros((0, 3)),) * 2
         size = _size(kind, model.geom_size[g], int(model.geom_type[g]))
-        yield Shape(body, kind, size, position, rotation, _colour(model, g), vertices, faces)
+        yield Shape(body, kind, size, X_BG.p_AB_A, X_BG.R_AB, _colour(model, g), vertices, faces)
 
 
 def _owner(model: mujoco.MjModel, body: int, tree: Tree) -> int:

@@ -59,15 +59,6 @@ class DrawnShapes:
     diagnostics: tuple[Diagnostic, ...] = ()
 
 
-def poses_at_zero(tree: Tree) -> list[tuple[Array, Array]]:
-    """Rotation to the bedplate's axes and position of every body at q = 0."""
-    poses: list[tuple[Array, Array]] = []
-    for joint in tree.joints:
-        rotation, position = (np.eye(3), np.zeros(3)) if joint.parent < 0 else poses[joint.parent]
-        poses.append((rotation @ joint.rotation, position + rotation @ joint.offset))
-    return poses
-
-
 def sticks(tree: Tree) -> Iterator[Shape]:
     """A figure of sticks for a robot that no file draws: every body from its joint to the next.
 

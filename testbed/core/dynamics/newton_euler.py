@@ -156,8 +156,8 @@ def kinematics(
     return tuple(moving)
 
 
-def poses(tree: Skeleton, q: Array) -> list[tuple[Array, Array]]:
-    """Rotation to the bedplate's axes (M, 3, 3) and position (M, 3) [m] of every body.
+def poses(tree: Skeleton, q: Array) -> list[Transform]:
+    """Poses X_WB of every body in the bedplate frame W, M of each.
 
     Args:
         tree: The robot's geometry.
@@ -165,12 +165,10 @@ def poses(tree: Skeleton, q: Array) -> list[tuple[Array, Array]]:
     """
     still = np.zeros_like(q)
     moving = kinematics(tree, q, still, still, np.zeros(3))
-    found: list[tuple[Array, Array]] = []
+    found: list[Transform] = []
     for joint, body in zip(tree.joints, moving, strict=True):
-        base = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
-        rotation, position = base if joint.parent < 0 else found[joint.parent]
-        there = position + rotation @ joint.offset + apply(rotation @ body.turn, body.z)
-        found.append((rotation @ body.turn, there))
+        X_PB = Transform(body.turn, joint.offset + apply(body.turn, body.z))
+        found.append(X_PB if joint.parent < 0 else found[joint.parent] @ X_PB)
     return found
 
 
@@ -289,7 +287,7 @@ def _sensor_poses(tree: Tree, q: Array, sensors: Sequence[Placement | None]) -> 
     moving = poses(tree, q) if any(at and at.body >= 0 for at in sensors) else []
     found = []
     for at in sensors:
-        X_WB = still if at is None or at.body < 0 else Transform(*moving[at.body])
+        X_WB = still if at is None or at.body < 0 else moving[at.body]
         found.append(X_WB if at is None else X_WB @ at.X_BS)
     return found
 

@@ -39,15 +39,10 @@ def poses(found: Array) -> Array:
     Args:
         found: The six coordinates, (M, 6) [m, rad].
     """
-    cosine, sine = np.cos(found[:, 3:] / 2), np.sin(found[:, 3:] / 2)
-    (yaw, pitch, roll), (yaws, pitches, rolls) = cosine.T, sine.T
-    turn = [
-        yaw * pitch * roll + yaws * pitches * rolls,
-        yaw * pitch * rolls - yaws * pitches * roll,
-        yaw * pitches * roll + yaws * pitch * rolls,
-        yaws * pitch * roll - yaw * pitches * rolls,
-    ]
-    return np.hstack([found[:, :3], np.stack(turn, axis=1)])
+    from scipy.spatial.transform import Rotation
+
+    turns = Rotation.from_euler("ZYX", found[:, 3:])
+    return np.hstack([found[:, :3], turns.as_quat(scalar_first=True)])
 
 
 def coordinates(base: Array) -> Array:
@@ -59,6 +54,8 @@ def coordinates(base: Array) -> Array:
     Raises:
         RecordingError: A quaternion is none, or the base stands on its head, nearly.
     """
+    from scipy.spatial.transform import Rotation
+
     size = np.linalg.norm(base[:, 3:], axis=1)
     wrong = np.flatnonzero(~(np.abs(size - 1) <= UNIT))
     if wrong.size:
@@ -66,14 +63,10 @@ def coordinates(base: Array) -> Array:
             f"the base's quaternion has length {size[wrong[0]]:.3g} at sample {wrong[0]}, one of "
             f"{wrong.size} such: it is (w, x, y, z) of length one"
         )
-    w, x, y, z = (base[:, 3:] / size[:, None]).T
-    sine = 2 * (w * y - x * z)
-    if np.abs(sine).max(initial=0.0) > np.sin(STEEPEST):
+    angles = Rotation.from_quat(base[:, 3:], scalar_first=True).as_euler("ZYX")
+    if np.abs(angles[:, 1]).max(initial=0.0) > STEEPEST:
         raise RecordingError(
             "the base's pitch goes beyond 80 degrees, where yaw and roll are no coordinates: turn "
             "the ground's frame, so that the base stands upright in it"
         )
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x**2 + y**2))
-    angles = np.stack([np.unwrap(yaw), np.arcsin(sine), np.unwrap(roll)], axis=1)
-    return np.hstack([base[:, :3], angles])
+    return np.hstack([base[:, :3], np.unwrap(angles, axis=0)])

@@ -12,6 +12,7 @@ from testbed.bodies.consistency.consistent import robot_of
 from testbed.bodies.shapes.appearance import Appearance
 from testbed.bodies.shapes.shapes import Shape, equivalent_ellipsoids
 from testbed.core.base.arrays import Array, apply
+from testbed.core.base.transform import Transform
 from testbed.core.dynamics.newton_euler import poses, sensor_pose
 from testbed.core.parameters.symbols import with_standard
 from testbed.view.viewer.colours import COLOURS
@@ -37,20 +38,20 @@ def log_robot(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
 
 
 def log_paths(
-    stream: rr.RecordingStream, look: Appearance, placed: list[tuple[Array, Array]], at: str
+    stream: rr.RecordingStream, look: Appearance, placed: list[Transform], at: str
 ) -> None:
     """The paths of the robot's tips.
 
     Args:
         stream: Where to.
         look: The robot.
-        placed: Its bodies' rotations and positions over time.
+        placed: Its bodies' poses over time.
         at: The world's place among the entities.
     """
     for j, point in look.tips.items():
-        rotation, position = placed[j]
-        path = position + rotation @ point
-        line = rr.LineStrips3D([path], colors=[COLOURS["path"]], radii=[look.reach / 720])
+        line = rr.LineStrips3D(
+            [placed[j].point(point)], colors=[COLOURS["path"]], radii=[look.reach / 720]
+        )
         stream.log(f"{at}/path/{j + 1}", line, static=True)
 
 
@@ -99,12 +100,12 @@ def log_appearance(stream: rr.RecordingStream, look: Appearance, at: str) -> Non
 
 def send_poses(
     stream: rr.RecordingStream, look: Appearance, time: Array, q: Array, at: str
-) -> list[tuple[Array, Array]]:
+) -> list[Transform]:
     """The bodies' poses over time, logged and returned."""
     placed = poses(look.tree, q)
-    for j, (rotation, position) in enumerate(placed):
-        turned = quaternions(rotation)
-        columns = rr.Transform3D.columns(translation=position, quaternion=turned)
+    for j, X_WB in enumerate(placed):
+        turned = quaternions(X_WB.R_AB)
+        columns = rr.Transform3D.columns(translation=X_WB.p_AB_A, quaternion=turned)
         stream.send_columns(f"{at}/robot/{j + 1}", indexes=[clock(time)], columns=columns)
     return placed
 

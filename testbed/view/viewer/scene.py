@@ -121,8 +121,8 @@ def span_of(look: Appearance, q: Array) -> float:
         q: Its postures, (M, n) [rad or m].
     """
     placed = poses(look.tree, q)
-    far = [position for _, position in placed]
-    far += [placed[j][1] + placed[j][0] @ tip for j, tip in look.tips.items()]
+    far = [X_WB.p_AB_A for X_WB in placed]
+    far += [placed[j].point(tip) for j, tip in look.tips.items()]
     return max(0.3, *(float(np.linalg.norm(points, axis=1).max()) for points in far))
 
 

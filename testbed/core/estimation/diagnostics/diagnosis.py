@@ -7,6 +7,7 @@ file: data are compared with themselves, with limits, and with what rigid bodies
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,66 +28,58 @@ from testbed.core.robot.friction import ROTOR
 from testbed.core.robot.shafts import shares
 from testbed.core.robot.tree import Joint, Tree
 
-SIGNIFICANT = 0.3
-"""Relative sigma above which a parameter is reported as poorly determined."""
 
-SMALL = 0.01
-"""Sigma, relative to the largest value of the same unit, below which a parameter is known well
-enough, however small it is."""
+@dataclass(frozen=True)
+class Thresholds:
+    """Thresholds of the diagnostics.
 
-ILL_CONDITIONED = 1e3
-"""Condition of the scaled equations above which the estimate is reported as doubtful."""
+    Attributes:
+        relative_sigma: Of a parameter, beyond which it is poorly determined.
+        small_sigma: Of the largest value of the same unit, below which a parameter is well known.
+        condition: Of the scaled equations, beyond which an estimate is doubtful.
+        friction_share: Of a torque's rms, from which negative friction is a model error.
+        weight_difference: Relative, of two weights that should be the same.
+        residual: Of a channel, relative to its signal and to like signals.
+        useless_residual: Relative residual of a prediction that is worse than none.
+        outlier: Times the least residual of like channels; noise differs by less.
+        noise_share: Of the weight's moment at the robot's reach, that noise may be.
+        correlation: Squared, of a signal and a prediction that differ by a factor only.
+        factor_error: Difference of that factor from one, from which it is the cause.
+        delay_z: Sigmas of a delay that is not chance: one in 15000 is.
+        values_an_unknown: Fewest for which standard deviations hold.
+        outside_range: Part of a joint's range by which encoders may leave it.
+        effort: Times the motor's greatest effort that no torque reaches.
+        extreme_share: Of the samples at one extreme value, that is saturation.
+        extreme_ratio: Of samples at the extreme value to those at the next, at a stop.
+        repeats: Repeated samples that may be chance.
+        repeats_ratio: Of samples that repeat in all channels to chance, beyond which it is none.
+    """
 
-NOTICEABLE = 0.02
-"""Part of a torque's rms for which negative friction must account to be no model error."""
+    relative_sigma: float = 0.3
+    small_sigma: float = 0.01
+    condition: float = 1e3
+    friction_share: float = 0.02
+    weight_difference: float = 0.5
+    residual: float = 0.2
+    useless_residual: float = 1.2
+    outlier: float = 5.0
+    noise_share: float = 0.01
+    correlation: float = 0.9
+    factor_error: float = 0.1
+    delay_z: float = 4.0
+    values_an_unknown: float = 2
+    outside_range: float = 0.02
+    effort: float = 2.0
+    extreme_share: float = 0.01
+    extreme_ratio: float = 5.0
+    repeats: float = 5
+    repeats_ratio: float = 10.0
 
-UNLIKE = 0.5
-"""Relative difference of two weights that should be the same."""
 
-UNEXPLAINED = 0.2
-"""Residual of a channel, relative to its signal and to like signals, that is too large."""
-
-WORSE = 1.2
-"""Relative residual of a prediction that is worse than none."""
-
-OUTLIER = 5.0
-"""Times the least residual of like channels: noise differs by less."""
-
-NEGLIGIBLE = 0.01
-"""Part of the weight's moment at the robot's reach that noise may be."""
-
-ALIKE = 0.9
-"""Squared correlation of a signal and its prediction that differ by a factor only."""
-
-DIFFERENT = 0.1
-"""How far that factor must be from one to be the cause."""
-
-UNLIKELY = 4.0
-"""Sigmas by which torques are late that are not late by chance: one in 15000 is."""
-
-FEW = 2
-"""Values for each unknown below which standard deviations do not hold."""
-
-OUTSIDE = 0.02
-"""Part of a joint's range by which encoders may leave it."""
+THRESHOLDS = Thresholds()
 
 STILL = {"revolute": 0.02, "prismatic": 0.002}
 """Ranges within which a joint hardly moves [rad, m]."""
-
-BEYOND_EFFORT = 2.0
-"""Times the motor's greatest effort that no torque reaches."""
-
-PILED = 0.01
-"""Part of the samples at one extreme value that is saturation."""
-
-CLIFF = 5.0
-"""Times as many samples as at the next value that are at the extreme one if it is a stop."""
-
-FEW_REPEATS = 5
-"""Repeated samples that may be chance."""
-
-TOGETHER = 10.0
-"""Times as often as channels one by one that samples are repeated if it is no chance."""
 
 OTHER_CAUSES: Mapping[Method, tuple[str, ...]] = {
     "external": ("exchanged", "moments", "pose", "gravity"),
@@ -131,7 +124,7 @@ def quality(estimate: Estimate) -> Iterator[Diagnostic]:
         estimate: With what its noise is like.
     """
     subject = f"the {estimate.method} estimate"
-    if estimate.condition > ILL_CONDITIONED:
+    if estimate.condition > THRESHOLDS.condition:
         yield diagnose(
             "estimate.ill-conditioned", subject, estimate.condition, method=estimate.method
         )
@@ -145,7 +138,8 @@ def quality(estimate: Estimate) -> Iterator[Diagnostic]:
         for name, unit, value, sigma in zip(
             base.names, base.units, base.values, base.sigma, strict=True
         )
-        if sigma > SIGNIFICANT * abs(value) and SMALL * largest[unit] < sigma < np.inf
+        if sigma > THRESHOLDS.relative_sigma * abs(value)
+        and THRESHOLDS.small_sigma * largest[unit] < sigma < np.inf
     ]
     if loose:
         yield diagnose("estimate.uncertain", subject, method=estimate.method, parameters=few(loose))
@@ -154,7 +148,7 @@ def quality(estimate: Estimate) -> Iterator[Diagnostic]:
 def _few(estimate: Estimate) -> Iterator[Diagnostic]:
     """Little more values than unknowns."""
     unknowns, values = len(estimate.values) + len(estimate.nuisances), sum(estimate.samples)
-    if values < FEW * unknowns:
+    if values < THRESHOLDS.values_an_unknown * unknowns:
         yield diagnose(
             "estimate.few-values",
             f"the {estimate.method} estimate",
@@ -170,11 +164,11 @@ def _repeated(estimate: Estimate, repeats: Repeats) -> Iterator[Diagnostic]:
     """Samples in which channels, or poses, are all what they were before, too often for chance."""
     if repeats.held > HELD * repeats.pairs:
         yield diagnose("encoder.held", "the poses", repeats.held / repeats.pairs)
-    if not repeats.steps or repeats.together < FEW_REPEATS:
+    if not repeats.steps or repeats.together < THRESHOLDS.repeats:
         return
     share = repeats.together / repeats.steps
     by_chance = float(np.prod(repeats.channels / repeats.steps))
-    if share > TOGETHER * by_chance:
+    if share > THRESHOLDS.repeats_ratio * by_chance:
         yield diagnose(
             "channel.repeated",
             "the plate's samples" if estimate.method == "external" else "the torques' samples",
@@ -191,7 +185,9 @@ def _encoders(tree: Tree, position: Array) -> Iterator[Diagnostic]:
         unit, subject = "rad" if joint.revolute else "m", f"the encoder of '{joint.name}'"
         low, high = float(q.min()), float(q.max())
         least, greatest = joint.position_range
-        room = OUTSIDE * (greatest - least) if np.isfinite(greatest - least) else 0.0
+        room = (
+            THRESHOLDS.outside_range * (greatest - least) if np.isfinite(greatest - least) else 0.0
+        )
         if low < least - room or high > greatest + room:
             yield diagnose(
                 "encoder.range",
@@ -230,7 +226,7 @@ def _channels(estimate: Estimate, measured: Array) -> Iterator[Diagnostic]:
                 yield diagnose("channel.constant", label, values[0], method=method, unit=unit)
             continue
         share, end = max((_piled(values, float(e)), float(e)) for e in (values.max(), values.min()))
-        if share > PILED:
+        if share > THRESHOLDS.extreme_share:
             yield diagnose("channel.saturated", label, share, method=method, end=end, unit=unit)
 
 
@@ -240,14 +236,14 @@ def _piled(values: Array, end: float) -> float:
     away = distance[distance > 0]
     beside = int((away == away.min()).sum())
     here = len(values) - len(away)
-    return here / len(values) if here > CLIFF * beside else 0.0
+    return here / len(values) if here > THRESHOLDS.extreme_ratio * beside else 0.0
 
 
 def _efforts(tree: Tree, torque: Array) -> Iterator[Diagnostic]:
     """Torques that no motor of the robot has."""
     for joint, values in zip(tree.joints, torque.T, strict=True):
         most = float(np.abs(values).max())
-        if most > BEYOND_EFFORT * joint.max_effort:
+        if most > THRESHOLDS.effort * joint.max_effort:
             causes = ["exchanged", "raw-units"]
             yield diagnose(
                 "torque.effort",
@@ -266,7 +262,7 @@ def _tare(tree: Tree, tare: Array) -> Iterator[Diagnostic]:
     expected = pedestal_wrench(tree)[:3]
     size = max(np.linalg.norm(expected), np.linalg.norm(tare[:3]))
     gap = float(np.linalg.norm(tare[:3] - expected))
-    if expected.any() and gap > UNLIKE * size:
+    if expected.any() and gap > THRESHOLDS.weight_difference * size:
         causes = ["units-of-tare" if tare.any() else "no-tare", "other-pedestal"]
         yield diagnose(
             "plate.tare",
@@ -292,7 +288,7 @@ def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterato
     up = -tree.gravity / gravity
     carried = float(np.mean(wrench[:, :3] @ up)) / gravity
     subject = "the robot's total mass"
-    if mass < -SIGMAS * sigma and mass < -NOTICEABLE * abs(carried):
+    if mass < -SIGMAS * sigma and mass < -THRESHOLDS.friction_share * abs(carried):
         first = ["sign-of-wrench", "other-tare"]
         if tare.any() and not tare[:3] @ up < 0:
             first = first[::-1]
@@ -300,7 +296,10 @@ def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterato
         yield diagnose(
             "plate.negative-mass", subject, mass, sigma=sigma, method="external", causes=causes
         )
-    elif abs(mass - carried) > UNLIKE * max(abs(mass), abs(carried)) + SIGMAS * sigma:
+    elif (
+        abs(mass - carried)
+        > THRESHOLDS.weight_difference * max(abs(mass), abs(carried)) + SIGMAS * sigma
+    ):
         yield diagnose(
             "plate.mass",
             subject,
@@ -322,7 +321,9 @@ def _friction(estimate: Estimate) -> Iterator[Diagnostic]:
         place = drives.terms[k - estimate.minimal.count].joint
         normal, _, square = equations.of_channel(int(most[place]))
         torque = abs(term.value) * np.sqrt(normal[k, k])
-        sure = term.value < -SIGMAS * term.sigma and torque > NOTICEABLE * np.sqrt(square)
+        sure = term.value < -SIGMAS * term.sigma and torque > THRESHOLDS.friction_share * np.sqrt(
+            square
+        )
         if term.law.resists and sure:
             yield diagnose(
                 "friction.negative",
@@ -337,7 +338,7 @@ def _friction(estimate: Estimate) -> Iterator[Diagnostic]:
 def _late(estimate: Estimate) -> Iterator[Diagnostic]:
     """Torques that follow the motion, or go before it."""
     found = None if estimate.noise is None else estimate.noise.lateness
-    if found is None or abs(found.z) < UNLIKELY or not noisy(estimate):
+    if found is None or abs(found.z) < THRESHOLDS.delay_z or not noisy(estimate):
         return
     drives = estimate.drives
     missing = found.z < 0 and drives is not None and ROTOR not in {t.law for t in drives.asked}
@@ -361,9 +362,9 @@ def _residuals(estimate: Estimate, tree: Tree) -> Iterator[Diagnostic]:
         zip(estimate.relative_residual, estimate.residual, strict=True)
     ):
         like = [unit == estimate.channel_units[c] for unit in estimate.channel_units]
-        apart = residual > OUTLIER * estimate.residual[like].min()
-        wrong = share > WORSE or (share > UNEXPLAINED and apart)
-        if (wrong and estimate.matters[c]) or (share > UNEXPLAINED and residual > large[c]):
+        apart = residual > THRESHOLDS.outlier * estimate.residual[like].min()
+        wrong = share > THRESHOLDS.useless_residual or (share > THRESHOLDS.residual and apart)
+        if (wrong and estimate.matters[c]) or (share > THRESHOLDS.residual and residual > large[c]):
             yield _residual(estimate, c, float(share))
 
 
@@ -378,8 +379,8 @@ def _large(estimate: Estimate, tree: Tree) -> Array:
         return np.full(len(rms), np.inf)
     force, moment = float(rms[:3].max()), float(rms[3:].max())
     reach = sum(float(np.linalg.norm(joint.offset)) for joint in tree.joints)
-    moment = max(UNEXPLAINED * moment, NEGLIGIBLE * reach * force)
-    return np.repeat([UNEXPLAINED * force, moment], 3)
+    moment = max(THRESHOLDS.residual * moment, THRESHOLDS.noise_share * reach * force)
+    return np.repeat([THRESHOLDS.residual * force, moment], 3)
 
 
 def _residual(estimate: Estimate, c: int, share: float) -> Diagnostic:
@@ -389,7 +390,10 @@ def _residual(estimate: Estimate, c: int, share: float) -> Diagnostic:
     together = float(right @ estimate.values)
     factor = together / predicted if predicted > 0 else 0.0
     label, method = estimate.label(c), estimate.method
-    if together**2 > ALIKE * predicted * square and abs(factor - 1) > DIFFERENT:
+    if (
+        together**2 > THRESHOLDS.correlation * predicted * square
+        and abs(factor - 1) > THRESHOLDS.factor_error
+    ):
         causes = ["sign" if factor < 0 else "gain"]
         return diagnose("channel.scale", label, share, method=method, causes=causes, factor=factor)
     return diagnose("channel.residual", label, share, method=method, causes=OTHER_CAUSES[method])
