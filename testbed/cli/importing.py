@@ -36,9 +36,12 @@ if TYPE_CHECKING:
 
 
 def write_mapping(
-    files: Sequence[Path], out: Path | None, model: Path | None, reading: Reading,
+    files: Sequence[Path],
+    out: Path | None,
+    model: Path | None,
+    reading: Reading,
     page: Path | None = None,
-) -> MappingSolution | None:  # fmt: skip
+) -> MappingSolution | None:
     """Solve the mapping of logs, write it, and print the next command.
 
     Args:

@@ -19,46 +19,117 @@ from testbed.importing.foreign_table import (
 PARTS = {
     "wrench": ("force", "wrench", "moment", "kraft"),
     "torque": (
-        "torque", "tau", "effort", "cur", "trq", "torq", "drehmoment", "couple", "coppia", "load",
+        "torque",
+        "tau",
+        "effort",
+        "cur",
+        "trq",
+        "torq",
+        "drehmoment",
+        "couple",
+        "coppia",
+        "load",
         "strom",
     ),
     "acceleration": ("acc", "qdd", "ddq", "beschl"),
     "velocity": (
-        "vel", "speed", "qd", "dq", "geschw", "vitesse", "drehzahl", "omega", "rate",
+        "vel",
+        "speed",
+        "qd",
+        "dq",
+        "geschw",
+        "vitesse",
+        "drehzahl",
+        "omega",
+        "rate",
     ),
     "position": ("pos", "position", "angle", "enc", "winkel", "angul", "joint", "state"),
-}  # fmt: skip
+}
 """Beginnings or ends of words by which columns are distinguished, in the order of precedence."""
 
 SYMBOLS = {
-    "q": "position", "theta": "position", "qpos": "position", "th": "position", "phi": "position",
+    "q": "position",
+    "theta": "position",
+    "qpos": "position",
+    "th": "position",
+    "phi": "position",
     "jp": "position",
-    "qd": "velocity", "dq": "velocity", "qvel": "velocity", "qdot": "velocity", "qp": "velocity",
-    "dphi": "velocity", "dtheta": "velocity", "jv": "velocity",
-    "qdd": "acceleration", "ddq": "acceleration", "qacc": "acceleration", "qddot": "acceleration",
-    "i": "torque", "tau": "torque", "tq": "torque", "eff": "torque", "par": "torque",
-    "jt": "torque", "qfrc": "torque",
-    "ft": "wrench", "w": "wrench",
-    "quat": "base", "quaternion": "base", "orientation": "base", "pose": "base", "base": "base",
-}  # fmt: skip
+    "qd": "velocity",
+    "dq": "velocity",
+    "qvel": "velocity",
+    "qdot": "velocity",
+    "qp": "velocity",
+    "dphi": "velocity",
+    "dtheta": "velocity",
+    "jv": "velocity",
+    "qdd": "acceleration",
+    "ddq": "acceleration",
+    "qacc": "acceleration",
+    "qddot": "acceleration",
+    "i": "torque",
+    "tau": "torque",
+    "tq": "torque",
+    "eff": "torque",
+    "par": "torque",
+    "jt": "torque",
+    "qfrc": "torque",
+    "ft": "wrench",
+    "w": "wrench",
+    "quat": "base",
+    "quaternion": "base",
+    "orientation": "base",
+    "pose": "base",
+    "base": "base",
+}
 """Words of names, whole, that say more than their parts."""
 
 DERIVATIVES = {"dot": "velocity", "ddot": "acceleration"}
 """Words beside that of a position by which it is a derivative, as theta_dot."""
 
 COMMANDS = {
-    "target", "cmd", "cmds", "command", "commands", "commanded", "cmptd", "computed", "des",
-    "desired", "ref", "reference", "goal", "setpoint", "sp", "action", "demand", "planned",
-    "sollposition", "sollwinkel", "soll", "sollwert", "consigne",
-}  # fmt: skip
+    "target",
+    "cmd",
+    "cmds",
+    "command",
+    "commands",
+    "commanded",
+    "cmptd",
+    "computed",
+    "des",
+    "desired",
+    "ref",
+    "reference",
+    "goal",
+    "setpoint",
+    "sp",
+    "action",
+    "demand",
+    "planned",
+    "sollposition",
+    "sollwinkel",
+    "soll",
+    "sollwert",
+    "consigne",
+}
 """Words of what was wanted, and not measured."""
 
 WARMTH = {"temp", "temperature", "temperatures"}
 """Words of drives' temperatures."""
 
-BESIDE = COMMANDS | WARMTH | {
-    "err", "error", "limit", "std", "cov", "covariance", "voltage", "status",
-}  # fmt: skip
+BESIDE = (
+    COMMANDS
+    | WARMTH
+    | {
+        "err",
+        "error",
+        "limit",
+        "std",
+        "cov",
+        "covariance",
+        "voltage",
+        "status",
+    }
+)
 """Words of columns that are no signal of the joints or of the plate, whatever else they say."""
 
 MEASURED = {"actual", "act", "measured", "meas", "msr", "fbk", "fb", "feedback", "present", "ist"}
@@ -68,9 +139,21 @@ SAYING = {*SYMBOLS, *DERIVATIVES, *MEASURED, "motor", "log", "data"}
 """Words of signals, whole."""
 
 JOINT_WORDS = {
-    "joint", "j", "axis", "a", "link", "achse", "achs", "gelenk", "axe", "eje", "giunto", "dof",
-    "actuator", "drive",
-}  # fmt: skip
+    "joint",
+    "j",
+    "axis",
+    "a",
+    "link",
+    "achse",
+    "achs",
+    "gelenk",
+    "axe",
+    "eje",
+    "giunto",
+    "dof",
+    "actuator",
+    "drive",
+}
 """Words of joints."""
 
 LONG_JOINT_WORDS = tuple(word for word in JOINT_WORDS if len(word) > 2)
@@ -83,9 +166,26 @@ HAND = {"tcp", "ee", "eef", "tool", "wrist", "flange", "gripper", "hand"}
 """Words of a wrench that is not the plate's."""
 
 UNIT_WORDS = {
-    "deg", "degrees", "rad", "radians", "mrad", "rpm", "Nm", "Nmm", "lbf", "kgf", "mm", "ms", "us",
-    "ns", "mA", "sec", "msec", "usec", "nsec",
-}  # fmt: skip
+    "deg",
+    "degrees",
+    "rad",
+    "radians",
+    "mrad",
+    "rpm",
+    "Nm",
+    "Nmm",
+    "lbf",
+    "kgf",
+    "mm",
+    "ms",
+    "us",
+    "ns",
+    "mA",
+    "sec",
+    "msec",
+    "usec",
+    "nsec",
+}
 """Words of names that are a unit wherever they stand; others need brackets."""
 
 

@@ -166,9 +166,14 @@ def _check_moves(
 
 
 def _diagnostics(
-    kind: Kind, table: SignalTable, of: Kind, below: SignalTable, joints: Sequence[str],
-    found: Slopes, sizes: Array,
-) -> tuple[Diagnostic, ...]:  # fmt: skip
+    kind: Kind,
+    table: SignalTable,
+    of: Kind,
+    below: SignalTable,
+    joints: Sequence[str],
+    found: Slopes,
+    sizes: Array,
+) -> tuple[Diagnostic, ...]:
     """What to doubt of a signal that should be the derivative of another, both of sizes (2, n).
 
     Raises:
@@ -216,9 +221,14 @@ def _times(slope: Array) -> str:
 
 
 def _lines(
-    kind: Kind, table: SignalTable, of: Kind, below: SignalTable, order: NDArray[np.intp],
-    slope: Array, read: Array,
-) -> list[Line]:  # fmt: skip
+    kind: Kind,
+    table: SignalTable,
+    of: Kind,
+    below: SignalTable,
+    order: NDArray[np.intp],
+    slope: Array,
+    read: Array,
+) -> list[Line]:
     """Lines of the mapping without the mistake.
 
     Of two signals whose units may be wrong that one is whose sizes are less usual.

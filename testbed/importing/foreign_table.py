@@ -29,9 +29,15 @@ ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "turn": 2 * math.pi}
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
 FORCES = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "kgf": 9.80665}
 MOMENTS = {
-    "N m": 1.0, "N mm": 1e-3, "N cm": 1e-2, "kN m": 1e3, "lbf in": 0.1129848290276167,
-    "lbf ft": 1.3558179483314004, "kgf m": 9.80665, "kgf cm": 0.0980665,
-}  # fmt: skip
+    "N m": 1.0,
+    "N mm": 1e-3,
+    "N cm": 1e-2,
+    "kN m": 1e3,
+    "lbf in": 0.1129848290276167,
+    "lbf ft": 1.3558179483314004,
+    "kgf m": 9.80665,
+    "kgf cm": 0.0980665,
+}
 RAW = {"A": 1.0, "mA": 1e-3, "pwm": 1.0, "V": 1.0, "mV": 1e-3, "raw": 1.0}
 """Of what becomes a torque by a gain."""
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "day": 86_400.0}
@@ -60,13 +66,37 @@ UNITS = {kind: TURNING[kind] | SLIDING[kind] for kind in KINDS} | {
 KNOWN = {name for units in UNITS.values() for name in units} | RAW.keys() | TIMES.keys()
 
 WORDS = {
-    "Nm": "N m", "Nmm": "N mm", "Ncm": "N cm", "kNm": "kN m", "degree": "deg", "degrees": "deg",
+    "Nm": "N m",
+    "Nmm": "N mm",
+    "Ncm": "N cm",
+    "kNm": "kN m",
+    "degree": "deg",
+    "degrees": "deg",
     "Grad": "deg",
-    "radian": "rad", "radians": "rad", "rev": "turn", "revs": "turn", "turns": "turn",
-    "lb": "lbf", "lbs": "lbf", "kp": "kgf", "inch": "in", "inches": "in", "foot": "ft",
-    "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "nsec": "ns",
-    "days": "day", "s2": "s^2", "s²": "s^2", "amp": "A", "amps": "A", "newton": "N",
-}  # fmt: skip
+    "radian": "rad",
+    "radians": "rad",
+    "rev": "turn",
+    "revs": "turn",
+    "turns": "turn",
+    "lb": "lbf",
+    "lbs": "lbf",
+    "kp": "kgf",
+    "inch": "in",
+    "inches": "in",
+    "foot": "ft",
+    "sec": "s",
+    "second": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "usec": "us",
+    "nsec": "ns",
+    "days": "day",
+    "s2": "s^2",
+    "s²": "s^2",
+    "amp": "A",
+    "amps": "A",
+    "newton": "N",
+}
 """Other ways to write words of units."""
 
 WHOLE = {"in": "inch", "turn/min": "rpm", "dps": "deg/s", "rps": "turn/s", "inlbf": "lbf in"}

@@ -40,9 +40,11 @@ Said = tuple[str, Any, str]
 
 
 def guessed(
-    paths: Sequence[Path], folder: Path, joints: Sequence[str] = (),
+    paths: Sequence[Path],
+    folder: Path,
+    joints: Sequence[str] = (),
     subsets: Iterable[Sequence[str]] = (),
-) -> Draft:  # fmt: skip
+) -> Draft:
     """A mapping to start from; where something is empty, `read_mapping` refuses it.
 
     Args:
@@ -171,9 +173,11 @@ def _range(values: Array) -> str:
 
 
 def _with_signal(
-    draft: Draft, kind: Kind, signals: Mapping[Kind, LikelySignal],
+    draft: Draft,
+    kind: Kind,
+    signals: Mapping[Kind, LikelySignal],
     sources: Sequence[LikelySource],
-) -> Draft:  # fmt: skip
+) -> Draft:
     """A signal's table, if columns look like one."""
     beside = [c.name for s in sources for c in s.columns if c.kind == kind and c.beside]
     if beside:

@@ -77,8 +77,11 @@ UR: Mapping[Kind, tuple[str, str]] = {
 LAYOUTS: tuple[Layout, ...] = (
     Layout(
         "libfranka",
-        {"position": (f"{FRANKA}q{K}", "rad"), "velocity": (f"{FRANKA}dq{K}", "rad/s"),
-         "torque": (f"{FRANKA}tau_J{K}", "N m")},
+        {
+            "position": (f"{FRANKA}q{K}", "rad"),
+            "velocity": (f"{FRANKA}dq{K}", "rad/s"),
+            "torque": (f"{FRANKA}tau_J{K}", "N m"),
+        },
         beside=f".*_F_ext_hat_K{K}",
         time=("time|duration",),
     ),
@@ -88,17 +91,22 @@ LAYOUTS: tuple[Layout, ...] = (
     ),
     Layout(
         "DROID",
-        {"position": (f"{DROID}joint_positions{K}", "rad"),
-         "velocity": (f"{DROID}joint_velocities{K}", "rad/s"),
-         "torque": (f"{DROID}motor_torques_measured{K}", "N m")},
+        {
+            "position": (f"{DROID}joint_positions{K}", "rad"),
+            "velocity": (f"{DROID}joint_velocities{K}", "rad/s"),
+            "torque": (f"{DROID}motor_torques_measured{K}", "N m"),
+        },
         beside=r"observation/camera_.*",
-        time=("observation/timestamp/robot_state/read_start",), unit="ms",
+        time=("observation/timestamp/robot_state/read_start",),
+        unit="ms",
     ),
     Layout(
         "ALOHA",
-        {"position": (f"observations/qpos{K}", "rad"),
-         "velocity": (f"observations/qvel{K}", "rad/s"),
-         "torque": (f"observations/effort{K}", "mA")},
+        {
+            "position": (f"observations/qpos{K}", "rad"),
+            "velocity": (f"observations/qvel{K}", "rad/s"),
+            "torque": (f"observations/effort{K}", "mA"),
+        },
         rate=50.0,
     ),
     Layout(
@@ -108,11 +116,14 @@ LAYOUTS: tuple[Layout, ...] = (
     ),
     Layout(
         "Kinova's Gen3",
-        {"position": (r"Position\d", "rad"), "velocity": (r"Velocity\d", "rad/s"),
-         "torque": (r"Torque\d", "N m")},
+        {
+            "position": (r"Position\d", "rad"),
+            "velocity": (r"Velocity\d", "rad/s"),
+            "torque": (r"Torque\d", "N m"),
+        },
         mark=r"TorqueSm\d",
     ),
-)  # fmt: skip
+)
 """In the order of trying."""
 
 

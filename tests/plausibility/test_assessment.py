@@ -25,7 +25,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.core.recordings.views import with_base_joints
 from testbed.core.robot.free_base import FREE, coordinates, poses
-from testbed.core.robot.rpy import to_rpy
+from testbed.core.robot.rotations import to_rpy
 from testbed.importing.check.check import assess, check_recording
 from testbed.importing.check.plate import AS_READ, PLATE_ORDERS, frame_of
 from testbed.importing.check.remedies import Hypothesis, corrected, merge, remedies_for, with_lines

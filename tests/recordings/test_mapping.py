@@ -11,7 +11,7 @@ import pytest
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, TestbedError
-from testbed.core.robot.rpy import from_rpy
+from testbed.core.robot.rotations import from_rpy
 from testbed.importing.foreign_table import UNITS, plain
 from tests.helpers.foreign_files import FORMATS, Log, csv, imported, npz, some_log
 from tests.helpers.refusals import is_message, refuses

@@ -22,7 +22,7 @@ from testbed.core.robot.model_file import ModelFile, mimic_joints, nearest_bodie
 from testbed.core.robot.refusals import InertiaError, MimicError
 from testbed.core.robot.repair import LIGHTEST, THINNEST
 from testbed.core.robot.rigid_matter import SMALL, inertia_flaw, nearest_body
-from testbed.core.robot.rpy import from_rpy
+from testbed.core.robot.rotations import from_rpy
 from testbed.lab.simulation.plant import build_plant
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.refusals import refuses

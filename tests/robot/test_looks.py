@@ -21,8 +21,8 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import ModelError
 from testbed.core.dynamics.newton_euler import poses
-from testbed.core.robot.inertia import align_z
 from testbed.core.robot.model_file import ModelFile, copy_model
+from testbed.core.robot.rotations import align_z
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import trees

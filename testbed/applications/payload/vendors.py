@@ -29,7 +29,7 @@ from testbed.core.parameters.pseudo_inertia import matrices
 from testbed.core.robot.inertia import Inertia
 from testbed.core.robot.repair import Link
 from testbed.core.robot.rigid_matter import inertia_flaw
-from testbed.core.robot.rpy import to_rpy
+from testbed.core.robot.rotations import to_rpy
 from testbed.core.robot.tree import Tree
 
 SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))

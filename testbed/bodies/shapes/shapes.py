@@ -10,7 +10,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import Diagnostic
-from testbed.core.robot.inertia import align_z
+from testbed.core.robot.rotations import align_z
 from testbed.core.robot.tree import Tree
 
 Kind = Literal["box", "ellipsoid", "cylinder", "capsule", "mesh"]

@@ -33,9 +33,13 @@ Returned = tuple[Any, Mapping[str, NDArray[Any]]]
 
 
 def call_in_child(
-    function: str, *arguments: Any, file: Path, error: type[TestbedError],
-    seconds: float = SECONDS, memory: int = BYTES,
-) -> Returned:  # fmt: skip
+    function: str,
+    *arguments: Any,
+    file: Path,
+    error: type[TestbedError],
+    seconds: float = SECONDS,
+    memory: int = BYTES,
+) -> Returned:
     """Call a function in a child process, which also ends when this process ends.
 
     Args:

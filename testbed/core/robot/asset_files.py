@@ -18,10 +18,29 @@ BEGINNING = 4096
 PARTS = (".xml", ".mjcf", ".urdf")
 """Endings of models and of what they include."""
 LAYOUT = {
-    "urdf", "mjcf", "xml", "xacro", "sdf", "robot", "robots", "model", "models", "mesh", "meshes",
-    "asset", "assets", "visual", "collision", "texture", "textures", "material", "materials",
-    "stl", "obj", "dae",
-}  # fmt: skip
+    "urdf",
+    "mjcf",
+    "xml",
+    "xacro",
+    "sdf",
+    "robot",
+    "robots",
+    "model",
+    "models",
+    "mesh",
+    "meshes",
+    "asset",
+    "assets",
+    "visual",
+    "collision",
+    "texture",
+    "textures",
+    "material",
+    "materials",
+    "stl",
+    "obj",
+    "dae",
+}
 """Names of folders that stand beside each other in a robot's description."""
 MESHES = (".stl", ".obj", ".dae", ".ply", ".msh", ".off", ".glb", ".gltf", ".bin", ".mtl")
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".hf", ".skn")

@@ -24,19 +24,6 @@ def about(axis: Array, angle: float) -> Array:
     return turn
 
 
-def align_z(direction: Array) -> Array:
-    """Rotation that takes z to a direction, (3, 3).
-
-    Args:
-        direction: (3,), of any length but zero.
-    """
-    z = direction / np.linalg.norm(direction)
-    other = np.eye(3)[int(np.argmin(np.abs(z)))]
-    x = np.cross(other, z)
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
-
-
 def from_vector(rotation: Array) -> Array:
     """The turn by a rotation vector [rad], (3,), as a matrix, (3, 3)."""
     angle = float(np.linalg.norm(rotation))

@@ -32,9 +32,24 @@ LONGEST_NUMBER = 400
 """Characters: Python takes quadratic time over digits."""
 _DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _NAMES = {
-    "name", "model", "link", "joint", "joint1", "joint2", "body", "body1", "body2", "class",
-    "childclass", "type", "prefix", "file", "filename", "mesh", "material",
-}  # fmt: skip
+    "name",
+    "model",
+    "link",
+    "joint",
+    "joint1",
+    "joint2",
+    "body",
+    "body1",
+    "body2",
+    "class",
+    "childclass",
+    "type",
+    "prefix",
+    "file",
+    "filename",
+    "mesh",
+    "material",
+}
 """Attributes that name something: they come back in columns, files and messages."""
 _BEGINNING = 1024
 """Bytes by which a web page is recognised."""

@@ -29,7 +29,7 @@ from testbed.core.recordings.geometry import check_robot, geometry, in_its_gravi
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import on_its_base
-from testbed.core.robot.rpy import from_rpy
+from testbed.core.robot.rotations import from_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.explanation import APART, Explanation
 from testbed.importing.check.instants import CUTOFF, SLOW, middle
@@ -173,9 +173,12 @@ def assess(tree: Tree, source: Source, progress: Progress | None = None) -> Asse
 
 
 def _judge(
-    tree: Tree, part: Recording, beyond: Sequence[Diagnostic], cutoff: float,
+    tree: Tree,
+    part: Recording,
+    beyond: Sequence[Diagnostic],
+    cutoff: float,
     progress: Progress | None,
-) -> Assessment:  # fmt: skip
+) -> Assessment:
     """What explanations say of a recording up to a cutoff; `beyond`: of positions out of range."""
     mapping: dict[str, Any] = part.facts.get("mapping", {})
     search = Search(tree, part, mapping, cutoff, progress)
@@ -317,9 +320,14 @@ class Prepared:
 
 
 def check_recording(
-    tree: Tree, source: Source, *, align: bool = False, unchecked: bool = False,
-    progress: Progress | None = None, prepared: Prepared | None = None,
-) -> CheckReport:  # fmt: skip
+    tree: Tree,
+    source: Source,
+    *,
+    align: bool = False,
+    unchecked: bool = False,
+    progress: Progress | None = None,
+    prepared: Prepared | None = None,
+) -> CheckReport:
     """Hold a recording against its robot; one that keeps a verdict is not held again.
 
     Args:
@@ -371,9 +379,14 @@ def _base_motion(source: Source) -> Iterator[Diagnostic]:
 
 
 def import_and_check(
-    path: Path, robot_of: Callable[[Recording], tuple[Tree, Source]], *, align: bool = False,
-    unchecked: bool = False, progress: Progress | None = None, prepared: Prepared | None = None,
-) -> tuple[tuple[Recording, ...], list[Diagnostic], CheckReport]:  # fmt: skip
+    path: Path,
+    robot_of: Callable[[Recording], tuple[Tree, Source]],
+    *,
+    align: bool = False,
+    unchecked: bool = False,
+    progress: Progress | None = None,
+    prepared: Prepared | None = None,
+) -> tuple[tuple[Recording, ...], list[Diagnostic], CheckReport]:
     """Recordings made by a mapping file, the longest of which is held against its robot.
 
     Args:
@@ -433,10 +446,19 @@ def digest(tree: Tree, source: Source) -> str:
         source: The recording.
     """
     facts = [
-        METHOD, source.names, source.rate, source.samples, source.facts.get("mapping"),
-        source.facts.get("gravity"), geometry(tree), standard(tree), tree.gravity,
-        [joint.position_range for joint in tree.joints], source.tare, tree.floating,
-    ]  # fmt: skip
+        METHOD,
+        source.names,
+        source.rate,
+        source.samples,
+        source.facts.get("mapping"),
+        source.facts.get("gravity"),
+        geometry(tree),
+        standard(tree),
+        tree.gravity,
+        [joint.position_range for joint in tree.joints],
+        source.tare,
+        tree.floating,
+    ]
     text = json.dumps(facts, sort_keys=True, default=np.ndarray.tolist)
     part = middle(source, MOST_SAMPLES)
     signals = [part.time, part.position, part.torque, part.wrench]

@@ -27,7 +27,7 @@ from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.inertia import from_vector
-from testbed.core.robot.rpy import from_rpy, to_rpy
+from testbed.core.robot.rotations import from_rpy, to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.check import Assessment, Prepared, assess, zero_hypothesis
 from testbed.importing.check.explanation import Explanation
@@ -63,9 +63,12 @@ KNOWN = (ASSUMED, "solved", "by the data")
 SLIDING = ": lengths of joints that slide"
 
 USUAL = {
-    "position": ("rad", "m"), "velocity": ("rad/s", "m/s"), "acceleration": ("rad/s^2", "m/s^2"),
-    "torque": ("N m", "N"), "base": ("m", "m"),
-}  # fmt: skip
+    "position": ("rad", "m"),
+    "velocity": ("rad/s", "m/s"),
+    "acceleration": ("rad/s^2", "m/s^2"),
+    "torque": ("N m", "N"),
+    "base": ("m", "m"),
+}
 """Units that are assumed, of joints that turn and of those that slide; of a base's place."""
 
 ROUNDS = 4

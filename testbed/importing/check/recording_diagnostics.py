@@ -229,8 +229,14 @@ def unsaid_pedestal(best: Explanation, mapping: Mapping[str, Any]) -> Iterator[D
     found = weights(best) if table and not {"pedestal", "tare"} & table.keys() else None
     if found is not None and removed(*found):
         pedestal = best.fit.prior.tree.pedestal.mass
-        yield diagnose("plate.pedestal", "the plate", found[0], pedestal=pedestal,
-                       other=found[1], file=found[2])  # fmt: skip
+        yield diagnose(
+            "plate.pedestal",
+            "the plate",
+            found[0],
+            pedestal=pedestal,
+            other=found[1],
+            file=found[2],
+        )
 
 
 def removed(included: float, without: float, file: float) -> bool:

@@ -14,7 +14,7 @@ from testbed.core.base.arrays import AnyArray, Array
 from testbed.core.base.errors import few
 from testbed.core.recordings.columns import AXES
 from testbed.core.robot.free_base import FREE, coordinates, poses
-from testbed.core.robot.rpy import from_rpy, to_rpy
+from testbed.core.robot.rotations import from_rpy, to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.foreign_table import LENGTHS, factor
 from testbed.importing.import_report import Line
@@ -313,8 +313,14 @@ class Remedy:
     after: float
 
 
-def remedies_for(tree: Tree, hypotheses: Sequence[Hypothesis], before: Array, after: Array,
-                 mapping: Mapping[str, Any], torques: int) -> Iterator[Remedy]:  # fmt: skip
+def remedies_for(
+    tree: Tree,
+    hypotheses: Sequence[Hypothesis],
+    before: Array,
+    after: Array,
+    mapping: Mapping[str, Any],
+    torques: int,
+) -> Iterator[Remedy]:
     """What to change in a mapping if hypotheses hold.
 
     Args:

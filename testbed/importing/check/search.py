@@ -74,9 +74,13 @@ class Search:
     """
 
     def __init__(
-        self, tree: Tree, recording: Recording, mapping: Mapping[str, Any], cutoff: float,
+        self,
+        tree: Tree,
+        recording: Recording,
+        mapping: Mapping[str, Any],
+        cutoff: float,
         progress: Progress | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Nothing yet.
 
         Args:

@@ -215,9 +215,11 @@ class TorqueAssignment:
     def as_recorded(self) -> TorqueAssignment:
         """Columns as they were recorded."""
         return replace(
-            self, hypotheses=(), cost=self.cost_as_recorded,
+            self,
+            hypotheses=(),
+            cost=self.cost_as_recorded,
             unexplained=self.unexplained_as_recorded,
-        )  # fmt: skip
+        )
 
 
 NO_TORQUES = TorqueAssignment((), 0.0, 0.0, *[np.zeros(0)] * 4)

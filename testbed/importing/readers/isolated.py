@@ -65,11 +65,16 @@ def read_isolated(module: str, path: Path, topic: str | None) -> Tables:
         parts = [each for each in (path, *path.rglob("*")) if each.is_file()]
         size = sum(each.stat().st_size for each in parts)
         return call_in_child(
-            f"{__name__}:read", str(path), module, topic, first,
-            file=path, error=RecordingError,
+            f"{__name__}:read",
+            str(path),
+            module,
+            topic,
+            first,
+            file=path,
+            error=RecordingError,
             seconds=FIRST_SECONDS + size / BYTES_A_SECOND,
             memory=FIRST_MEMORY + UNPACKED * size,
-        )  # fmt: skip
+        )
 
     def table(topic: str, said: Any) -> ForeignTable:
         def load(name: str) -> NDArray[Any]:

@@ -145,6 +145,9 @@ def _ros(version: int) -> Callable[[Any], Decoder]:
 
 
 DECODERS: dict[str, Callable[[Any], Decoder]] = {
-    "json": _json, "protobuf": _protobuf, "cdr": _ros(2), "ros1": _ros(1),
-}  # fmt: skip
+    "json": _json,
+    "protobuf": _protobuf,
+    "cdr": _ros(2),
+    "ros1": _ros(1),
+}
 """By a channel's encoding: of a schema, what decodes its messages."""

@@ -15,7 +15,7 @@ from testbed.core.robot.force_sensor import ForceSensor, before_sensors, beyond_
 from testbed.core.robot.free_root import on_free_base
 from testbed.core.robot.inertia import Inertia
 from testbed.core.robot.model_file import ModelFile
-from testbed.core.robot.rpy import from_rpy
+from testbed.core.robot.rotations import from_rpy
 from testbed.core.robot.shafts import with_shafts
 from testbed.core.robot.tree import Tree
 from testbed.lab.instruments.fault import FULL_SCALE, Fault

@@ -19,7 +19,7 @@ from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.recordings.columns import COUNTED
 from testbed.core.recordings.geometry import geometry
 from testbed.core.recordings.recording import Recording
-from testbed.core.robot.rpy import to_rpy
+from testbed.core.robot.rotations import to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.rig import Rig
 from testbed.lab.experiment.sensors import ForcePlate, JointTorques

@@ -12,7 +12,8 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.core.robot.formats.mjcf_compile import no_mujoco_warnings
-from testbed.core.robot.inertia import Inertia, about, align_z
+from testbed.core.robot.inertia import Inertia, about
+from testbed.core.robot.rotations import align_z
 from testbed.core.robot.tree import Tree
 from testbed.lab.kind_table import PerJoint, each_joint, key
 from testbed.lab.simulation.effect import Effect

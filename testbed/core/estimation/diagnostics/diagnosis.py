@@ -212,8 +212,13 @@ def _encoder_causes(joint: Joint, low: float, high: float) -> list[str]:
     converted &= high - low > greatest - least
     negated = least <= -high and -low <= greatest
     unit = "degrees" if joint.revolute else "millimetres"
-    causes = ((converted, unit), (negated, "sign"), (not converted, "zero"),
-              (True, "exchanged"), (not converted, unit))  # fmt: skip
+    causes = (
+        (converted, unit),
+        (negated, "sign"),
+        (not converted, "zero"),
+        (True, "exchanged"),
+        (not converted, unit),
+    )
     return [cause for holds, cause in causes if holds]
 
 

@@ -162,9 +162,16 @@ def readable(path: Path) -> Iterator[None]:
     except RecordingError:
         raise
     except (
-        pa.ArrowException, OSError, ValueError, TypeError, KeyError, StopIteration, RuntimeError,
-        OverflowError, RecursionError,
-    ) as error:  # fmt: skip
+        pa.ArrowException,
+        OSError,
+        ValueError,
+        TypeError,
+        KeyError,
+        StopIteration,
+        RuntimeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
         reason = " ".join(str(error).split()) or "it ends early"
         raise RecordingError(f"{path}: not a readable Parquet recording: {reason}") from None
 

@@ -24,7 +24,7 @@ from testbed.core.robot.locks import Lock
 from testbed.core.robot.parsing import capture_stderr, errors_of, plain, read_xml
 from testbed.core.robot.repair import Bodies, Link, Repair, repaired
 from testbed.core.robot.rigid_matter import inertia_flaw
-from testbed.core.robot.rpy import from_rpy
+from testbed.core.robot.rotations import from_rpy
 from testbed.core.robot.tree import Joint, Kind, Tree
 
 

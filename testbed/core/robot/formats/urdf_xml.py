@@ -23,7 +23,7 @@ from testbed.core.robot.inertia import HEAVIEST, about
 from testbed.core.robot.locks import Coupling, Lock, Travel, lock_positions
 from testbed.core.robot.parsing import decimals, errors_of, plain, read_xml
 from testbed.core.robot.refusals import FreeRootError
-from testbed.core.robot.rpy import from_rpy, to_rpy
+from testbed.core.robot.rotations import from_rpy, to_rpy
 from testbed.core.robot.tree import FARTHEST, UNIT
 
 DEEPEST_LINKS = 1_500

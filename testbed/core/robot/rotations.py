@@ -1,4 +1,4 @@
-"""Roll, pitch and yaw of rotations, as URDF has them."""
+"""Rotations: roll, pitch and yaw as URDF has them; from the z axis to a direction."""
 
 from __future__ import annotations
 
@@ -34,3 +34,16 @@ def to_rpy(turn: Array) -> tuple[float, float, float]:
     yaw = float(np.arctan2(-rest[0, 1], rest[1, 1]))
     along = np.cos(yaw) * rest[0, 0] + np.sin(yaw) * rest[1, 0]
     return roll, float(np.arctan2(-rest[2, 0], along)), yaw
+
+
+def align_z(direction: Array) -> Array:
+    """Rotation that takes z to a direction, (3, 3).
+
+    Args:
+        direction: (3,), of any length but zero.
+    """
+    z = direction / np.linalg.norm(direction)
+    other = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = np.cross(other, z)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
