@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from testbed.bodies.shapes.shapes import DrawnShapes, Kind, Shape
+from testbed.bodies.shapes.shapes import DrawnShapes, Kind, Shape, poses_at_zero
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.transform import Transform
@@ -54,7 +54,7 @@ def _shapes(model: mujoco.MjModel, tree: Tree) -> Iterator[Shape]:
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)
-    poses = [*tree.poses_at_zero, Transform()]  # the last is the bedplate's
+    poses = [*poses_at_zero(tree), Transform()]  # the last is the bedplate's
     for g in range(model.ngeom):
         kind = _KINDS.get(int(model.geom_type[g]))
         if kind is None or model.geom_group[g] >= _SEEN_GROUPS:

@@ -49,7 +49,7 @@ def identify(
     recording: RecordingLike,
     method: Method | Signal = "wrench",
     *,
-    terms: Sequence[str] = (),
+    terms: str | Sequence[str] = (),
     zeros: bool | Sequence[str] | None = None,
     gravity: ArrayLike | None = None,
     settings: Settings = DEFAULTS,

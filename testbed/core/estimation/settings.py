@@ -278,20 +278,25 @@ class Settings(Value):
             positions = POSITION_CUTOFF if rate / 2 > POSITION_CUTOFF else "off"
         return replace(self, cutoff=rows, position_cutoff=positions)
 
-    def with_unknowns(self, names: Sequence[str]) -> Settings:
+    def with_unknowns(self, names: str | Sequence[str]) -> Settings:
         """The same with other unknowns besides the bodies' parameters.
 
         Args:
             names: Errors of the plate, by the names of faults or nuisances; laws of the joints'
                 torques. Of a kind that is not named, those of the settings stay.
+
+        Raises:
+            UnknownName: There is no such error and no such law.
         """
-        errors = [FAULTS.get(name, name) for name in names if name in (*FAULTS, *KINDS)]
-        laws = [name for name in names if name not in (*FAULTS, *KINDS)]
-        return replace(
-            self,
-            nuisances=tuple(dict.fromkeys(errors)) or self.nuisances,
-            terms=tuple(laws) or self.terms,
-        )
+        listed, known = [names] if isinstance(names, str) else names, (*FAULTS, *KINDS)
+        errors = dict.fromkeys(FAULTS.get(name, name) for name in listed if name in known)
+        laws = tuple(name for name in listed if name not in known)
+        try:
+            return replace(
+                self, nuisances=tuple(errors) or self.nuisances, terms=laws or self.terms
+            )
+        except UnknownName as error:
+            raise UnknownName("term", error.name, (*FAULTS, *error.known)) from None
 
     @property
     def laws(self) -> tuple[JointLaw, ...]:

@@ -270,14 +270,6 @@ class Tree(Diagnosed, Value):
         return SummaryTable(f"{self.name}: {plural(self.n, 'joint')}", tuple(rows))
 
     @property
-    def poses_at_zero(self) -> list[Transform]:
-        """Pose X_WB of every body in the bedplate frame W at q = 0."""
-        poses: list[Transform] = []
-        for joint in self.joints:
-            poses.append(joint.X_PB if joint.parent < 0 else poses[joint.parent] @ joint.X_PB)
-        return poses
-
-    @property
     def n(self) -> int:
         """Number of moving bodies, which is the number of joints."""
         return len(self.joints)

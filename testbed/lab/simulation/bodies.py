@@ -11,6 +11,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError, UnknownName
+from testbed.core.dynamics.newton_euler import poses
 from testbed.core.robot.formats.mjcf_compile import no_mujoco_warnings
 from testbed.core.robot.inertia import Inertia, about
 from testbed.core.robot.rotations import align_z
@@ -165,12 +166,12 @@ def _weld(
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)
     here = data.body(to.name)
-    X_WL = tree.poses_at_zero[link]
+    X_WL = poses(tree, np.zeros((1, tree.n)))[link]
     back, quaternion = here.xmat.reshape(3, 3).T, np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, (back @ X_WL.R_AB @ axes).ravel())
+    mujoco.mju_mat2Quat(quaternion, (back @ X_WL.R_AB[0] @ axes).ravel())
     to.add_body(
         name=name,
-        pos=back @ (X_WL.point(centre) - here.xpos),
+        pos=back @ (X_WL.point(centre)[0] - here.xpos),
         quat=quaternion,
         mass=mass,
         ipos=np.zeros(3),  # which is `pos` where it is left out
