@@ -48,7 +48,7 @@ def test_episodes_are_recordings_of_their_own(version: str, tmp_path: Path) -> N
         open_foreign(tmp_path / "log")
 
 
-ARM, DEMO = "observation/robot_state/", "data/demo_{}/obs/robot0_joint_{}"
+ARM = "observation/robot_state/"
 LOGGERS: dict[str, tuple[str, str, tuple[str, ...], dict[str, str]]] = {
     "libfranka": (
         "log.csv", "{name}[{k}]", ("state.q", "state.dq", "state.tau_J"),
@@ -60,8 +60,6 @@ LOGGERS: dict[str, tuple[str, str, tuple[str, ...], dict[str, str]]] = {
               f"{ARM}motor_torques_measured"), {f"{ARM}joint_torques_computed": "tau"}),
     "ALOHA": ("log.hdf5", "{name}[{k}]",
               ("observations/qpos", "observations/qvel", "observations/effort"), {"action": "q"}),
-    "robomimic": ("log.hdf5", "{name}[{k}]", (DEMO.format(0, "pos"), DEMO.format(0, "vel")),
-                  {DEMO.format(k, kind): "q" for k in (1, 2) for kind in ("pos", "vel")}),
     "KUKA's iiwa": ("log.csv", "{name}_LBR_iiwa_7_R800_1[{k}]", ("axisQMsr", "", "axisTauMsr"),
                     {"axisQCmd": "q", "axisTauExtMsr": "tau"}),
     "Kinova's Gen3": ("log.csv", "{name}{joint}", ("Position", "Velocity", "Torque"),
@@ -115,11 +113,10 @@ def test_a_logger_is_known_by_its_columns(logger: str, tmp_path: Path) -> None:
         listed = found[kind]["columns"]
         values = np.column_stack([*read.read(listed).values()])
         np.testing.assert_allclose(values, signals[kind], atol=1e-8)
-        wrong = ("Cmd", "target", "Ext", "computed", "_d[", "action", "demo_1", "Sm")
+        wrong = ("Cmd", "target", "Ext", "computed", "_d[", "action", "Sm")
         assert not any(word in column for column in listed for word in wrong)
     assert {kind for kind in (*signals, "wrench") if found.get(kind)} == set(units)
-    stated = {"ALOHA": 50, "robomimic": 20}  # files without times
-    assert found[""]["rate"] == stated.get(logger, 100)
+    assert found[""]["rate"] == (50 if logger == "ALOHA" else 100)  # whose files have no times
 
 
 def test_the_size_of_positions_shows_degrees_and_counts(tmp_path: Path) -> None:
