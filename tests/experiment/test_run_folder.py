@@ -23,7 +23,7 @@ from testbed.core.base.codec import json_text
 from testbed.core.base.errors import ExperimentError, InfeasibleMotion, TestbedError
 from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.robot.model_file import ModelFile
-from testbed.lab.experiment.excite import frequencies_of
+from testbed.lab.experiment.excite import excite, frequencies_of
 from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.motions import motion_of, rules_of
 from testbed.lab.experiment.read_result import (
@@ -339,17 +339,30 @@ def test_a_trajectory_goes_from_rest_to_rest_through_the_motion(tmp_path: Path) 
     assert not (tmp_path / "none.csv").exists()
 
 
-def test_an_earlier_estimate_is_a_prior_whatever_its_order() -> None:
-    tree, rng = robot_of(asked()), np.random.default_rng(0)
-    names = tb.minimal_set(tree, "reaction").names
-    root, order = rng.normal(size=(len(names), len(names))), rng.permutation(len(names))
-    covariance, down, nothing = root @ root.T, np.array([0, 0, -9.81]), np.zeros(len(names))
-    kept_names, kept = np.array(names)[order], covariance[np.ix_(order, order)]
-    stated = EstimateSummary("external", tuple(kept_names), nothing, kept, down, np.ones(6), {})
-    result = KeptResult(tree, tb.Settings(), (stated,), model_of(asked()), tree)
-    np.testing.assert_array_equal(prior_covariance(result, asked()), covariance)
+@pytest.mark.slow
+def test_sigma_is_as_promised_and_an_earlier_estimate_is_a_prior(tmp_path: Path) -> None:
+    """Predicted before anything has run; stated by the estimate of a simulated run.
+
+    A few parameters are told by a constant load alone, such as mb*1x of an upright first axis.
+    """
+    found: Excitation = result("motion")
+    write_motion(tmp_path / "motion.toml", found, MODELS["puma"])
+    words = ["motion.duration=20", "measurement.force_noise=0.5", "measurement.moment_noise=0.1"]
+    promised = excite(asked("puma", *words)).predicted.sigma  # of the same motion, for longer
+    words += [f'motion.file="{tmp_path / "motion.toml"}"', "simulation.friction=false"]
+    estimate = tb.identify(found.tree, tb.record(asked("puma", *words)), "external")
+    ratio = estimate.sigma / promised
+    assert ratio.min() > 0.85
+    assert np.quantile(ratio, 0.75) == pytest.approx(1, abs=0.1)
+    order = np.random.default_rng(0).permutation(len(ratio))
+    names, covariance = np.array(estimate.names)[order], estimate.covariance[np.ix_(order, order)]
+    down, nothing = np.array([0, 0, -9.81]), np.zeros(len(ratio))
+    stated = EstimateSummary("external", tuple(names), nothing, covariance, down, np.ones(6), {})
+    tree = found.tree
+    kept = KeptResult(tree, tb.Settings(), (stated,), model_of(asked()), tree)
+    np.testing.assert_array_equal(prior_covariance(kept, asked()), estimate.covariance)
     with refuses(TestbedError, "internal"):
-        prior_covariance(result, asked("puma", "excitation.instrument=joints"))
+        prior_covariance(kept, asked("puma", "excitation.instrument=joints"))
 
 
 @pytest.mark.slow
