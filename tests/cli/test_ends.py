@@ -161,7 +161,6 @@ LONG = {
 """What may take long, and the command that does it."""
 
 
-@pytest.mark.slow
 def test_nothing_long_is_silent(place: Path, tmp_path: Path) -> None:
     """What is long ends at once here, and leaves word whether its progress was shown."""
     home = tmp_path / "home"

@@ -239,7 +239,6 @@ def test_every_file_is_known_by_its_content(place: Path, tmp_path: Path) -> None
         assert {kind_of(path) for path in ROOT.glob(pattern)} == {kind}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("words", ASKED)
 def test_a_command_says_what_it_was_given(words: str, place: Path, tmp_path: Path) -> None:
     shutil.copytree(place, home := tmp_path / "home")
