@@ -84,8 +84,7 @@ def csv(folder: Path, log: Log) -> str:
     """Lines of text."""
     names = ["t", "q1", "q2", "t1", "t2", *"abcdef"]
     table = np.column_stack([log.t, log.q, log.tau, log.w])
-    lines = [",".join(names), *(",".join(repr(float(x)) for x in row) for row in table)]
-    (folder / "log.csv").write_text("\n".join(lines) + "\n")
+    np.savetxt(folder / "log.csv", table, "%.17g", ",", header=",".join(names), comments="")
     source = '[sources.log]\nfile = "log.csv"\ntime = "t"\ntime_unit = "s"'
     return mapping(source, names[1:3], names[3:5], names[5:])
 
@@ -199,15 +198,7 @@ def _mcap(
     path: Path, encoding: str, schemas: Sequence[tuple[str, bytes]],
     sent: Iterable[tuple[int, int, int, bytes]], packed: CompressionType,
 ) -> None:  # fmt: skip
-    """MCAP of joint states and a plate.
-
-    Args:
-        path: The file.
-        encoding: Of messages.
-        schemas: Name and content of the states' and of the plate's.
-        sent: Number of the topic, instants of log and of publication [ns], message.
-        packed: How.
-    """
+    """MCAP of joint states and a plate: topic, instants of log and publication [ns], message."""
     with path.open("wb") as stream:
         writer = McapWriter(stream, compression=packed)
         writer.start()
