@@ -312,7 +312,7 @@ def lerobot(folder: Path, log: Log, version: str = "v3.0", episodes: int = 1) ->
         "observation.state": (log.q, motors), "observation.effort": (log.tau, {"motors": JOINTS}),
         "observation.wrench": (log.w, None), "action": (log.q + 0.1, motors),
     }  # fmt: skip
-    own: dict[str, Array] = {
+    own: dict[str, Any] = {
         "timestamp": np.tile(log.t[:n], episodes).astype(np.float32),
         "frame_index": np.tile(np.arange(n), episodes),
         "episode_index": np.repeat(np.arange(episodes), n),

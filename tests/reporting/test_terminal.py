@@ -158,10 +158,10 @@ def test_a_campaign_is_a_row_of_a_table_and_of_a_figure_for_each_cell() -> None:
     text = printed(200, print_campaign, results)
     assert text.count(results.failures[0]["error"]) == 1
     for each in cells:
-        coverage, low, high = (f"{100 * share:.1f}" for share in (each.coverage, *each.bounds))
+        inside, low, high = (f"{100 * share:.1f}" for share in (each.coverage, *each.bounds))
         assert f"encoder = {each.levels['encoder']:g} " in text
         assert f" {100 * each.error:.3g} " in text
-        assert f"{coverage} {low} to {high}" in re.sub(" +", " ", text)
+        assert f"{inside} {low} to {high}" in re.sub(" +", " ", text)
     figure = cells_figure(cells)
     assert len(figure.table.rows) == len(cells) == 4
     errors, coverage = figure.panels
