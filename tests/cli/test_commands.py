@@ -77,7 +77,7 @@ COMMANDS = {
                "random searches value"),
     "excite, check": ("excite OUT/m.toml --check --json",
                       "binding holds instants margins postures"),
-    "excite, exceeded": ("excite OUT/m.toml --check --set motion.max_velocity={leads=0.01} --json",
+    "excite, exceeded": ("excite OUT/m.toml --check --set motion.max_velocity={j1=0.01} --json",
                          "binding holds instants margins postures"),
     "view, motion": ("view OUT/m.toml --save OUT/m.rrd", ""),
     "import": ("import map.toml --out OUT/i.parquet --json", "clocks diagnostics import"),
