@@ -17,22 +17,15 @@ from tests.helpers.command import command_line
 from tests.helpers.foreign_files import csv, some_log
 from tests.helpers.measured import measured
 from tests.helpers.paths import GOLDEN, ROOT
+from tests.helpers.robots import random_robot
 from tests.helpers.runs import MODELS, robot, without
 from tests.scenarios.scenarios import result
 
 PUMA = "puma562.xml"
 
-TWO = """<robot name="two"><link name="base"/>
-  <link name="a"><inertial><origin xyz="0.3 0 0.1"/><mass value="2"/>
-    <inertia ixx="0.1" iyy="0.2" izz="0.2" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <link name="b"><inertial><origin xyz="0.2 0.1 0"/><mass value="1"/>
-    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="leads" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/>
-    <limit lower="-2" upper="2" effort="90" velocity="2"/></joint>
-  <joint name="follows" type="revolute"><origin xyz="0.5 0 0"/><parent link="a"/>
-    <child link="b"/><axis xyz="0 1 0"/>
-    <limit lower="-2" upper="2" effort="50" velocity="2"/>MIMIC</joint></robot>"""
-"""A robot of two joints; the second may follow the first."""
+TWO = random_robot(np.random.default_rng(0), 2).urdf()
+MIMIC = TWO.replace('<child link="j2_body"/>', '<child link="j2_body"/><mimic joint="j1"/>')
+"""A robot of two joints, and one whose second joint follows the first."""
 
 
 @pytest.fixture(scope="session")
@@ -41,8 +34,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("place")
     shutil.copy(MODELS["puma"], folder / PUMA)
     shutil.copy(GOLDEN / "robots/ur5.urdf", folder / "ur5.urdf")
-    (folder / "two.urdf").write_text(TWO.replace("MIMIC", ""))
-    (folder / "mimic.urdf").write_text(TWO.replace("MIMIC", '<mimic joint="leads"/>'))
+    (folder / "two.urdf").write_text(TWO)
+    (folder / "mimic.urdf").write_text(MIMIC)
     text = (ROOT / "experiments/table6.toml").read_text()
     (folder / "table.toml").write_text(text.replace("../models/", ""))
     campaign_file(folder, 2, NOISES)

@@ -77,7 +77,7 @@ COMMANDS = {
                "random searches value"),
     "excite, check": ("excite OUT/m.toml --check --json",
                       "binding holds instants margins postures"),
-    "excite, exceeded": ("excite OUT/m.toml --check --set motion.max_velocity={leads=0.01} --json",
+    "excite, exceeded": ("excite OUT/m.toml --check --set motion.max_velocity={j1=0.01} --json",
                          "binding holds instants margins postures"),
     "view, motion": ("view OUT/m.toml --save OUT/m.rrd", ""),
     "import": ("import map.toml --out OUT/i.parquet --json", "clocks diagnostics import"),
@@ -102,6 +102,11 @@ FAILS = ("run, claim", "excite, exceeded")
 
 Done = CompletedProcess[str]
 Told = Callable[..., Done]
+
+
+def answer(words: str, cwd: Path) -> Any:
+    """The JSON that a command prints."""
+    return json.loads(command_line(*shlex.split(words), "--json", cwd=cwd).stdout)
 
 
 @pytest.fixture(scope="module")
@@ -209,10 +214,8 @@ def test_stages_of_an_identification_are_told_beside_its_result(place: Path) -> 
 def test_a_calibrated_plate_is_taken_back_and_its_doubt_is_in_sigma(told: Told) -> None:
     """Else a plate that is known to a percent would promise a thousandth."""
     assert told("calibrate").returncode == 0
-    plain, by_plate = (
-        json.loads(told(name).stdout)["estimates"]["external"]
-        for name in ("identify", "identify, plate")
-    )
+    found = (json.loads(told(name).stdout) for name in ("identify", "identify, plate"))
+    plain, by_plate = (each["estimates"]["external"] for each in found)
     assert plain["names"] == by_plate["names"]
     assert plain["values"] != by_plate["values"]
     pairs = zip(plain["sigma"], by_plate["sigma"], strict=True)
@@ -233,12 +236,11 @@ def test_a_run_of_another_experiment_is_replaced_by_force_only(told: Told, out: 
 
 
 def test_gravity_is_a_vector_however_it_is_written(place: Path) -> None:
-    said = [
-        command_line("minimal", "two.urdf", "--json", "--gravity", *way, cwd=place).stdout
-        for way in (["0,0,-1.62"], ["0", "0", "-1.62"])
-    ]
-    assert said[0] == said[1]
-    assert json.loads(said[0])["gravity"] == [0, 0, -1.62]
+    one, other = (
+        answer(f"minimal two.urdf --gravity {way}", place) for way in ("0,0,-1.62", "0 0 -1.62")
+    )
+    assert one == other
+    assert one["gravity"] == [0, 0, -1.62]
 
 
 def test_drives_and_plate_are_calibrated_though_a_joint_rests(place: Path, tmp_path: Path) -> None:
@@ -253,13 +255,10 @@ def test_drives_and_plate_are_calibrated_though_a_joint_rests(place: Path, tmp_p
     )  # fmt: skip
     three.save(tmp_path / "three.parquet")
     two.save(tmp_path / "two.parquet")
-    model = f"--model {place / 'puma562.xml'} --json"
     for command in ("drives", "calibrate --known mass=20 --known gain/Mx=1 --force"):
-        said = [
-            json.loads(command_line(*shlex.split(f"{command} {each}"), cwd=tmp_path).stdout)
-            for each in (f"three.parquet {model}", f"two.parquet {model} --lock elbow=0.5")
-        ]
-        assert said[0] == said[1], command
+        command += f" --model {place / 'puma562.xml'}"
+        held = answer(f"{command} two.parquet --lock elbow=0.5", tmp_path)
+        assert answer(f"{command} three.parquet", tmp_path) == held, command
 
 
 def test_the_verdict_is_first_and_what_it_is_about_is_validated(place: Path, out: Path) -> None:
@@ -267,24 +266,22 @@ def test_the_verdict_is_first_and_what_it_is_about_is_validated(place: Path, out
     tree = robot("puma")
     slow = replace(measured(tree, 5, speed=0.1), wrench=None, facts={"mapping": {}})
     slow.save(out / "slow.parquet")
-    model = str(place / "puma562.xml")
-    for held, more in (("posterior", []), ("plain", ["--plain"])):
-        words = ["identify", str(out / "slow.parquet"), "--model", model, *more]
-        text = command_line(*words, cwd=place).stdout
-        said = json.loads(command_line(*words, "--json", cwd=place).stdout)
+    for held, more in (("posterior", ""), ("plain", "--plain")):
+        words = f"identify {out / 'slow.parquet'} {ROBOT} {more}"
+        text, said = command_line(*words.split(), cwd=place).stdout, answer(words, place)
         (out / "said.json").write_text(json.dumps(said))
         first, codes = said["verdict"][0], [each["code"] for each in said["verdict"]]
         start = " ".join(text.replace("│", " ").split())
         assert start.find(first["text"]) in range(len("warning: ╭╮ ") + 140)
         assert (codes == ["verdict.well"]) == (first["level"] == "info")
         assert "no-signal" not in {each["code"].partition(".")[2] for each in said["verdict"]}
-        words = ["validate", str(place / "other.parquet"), str(out / "said.json")]
-        found = json.loads(command_line(*words, "--json", cwd=place).stdout)["internal"]
+        words = f"validate other.parquet {out / 'said.json'}"
+        found = answer(words, place)["internal"]
         candidates = found["errors"]["residual"]
         assert found["held"] == held
         assert {"file", "refitted", "plain", "posterior"} <= {*candidates}
         assert found["residual"] == pytest.approx(candidates[held], rel=1e-9)
-        shown = command_line(*words, cwd=place).stdout
+        shown = command_line(*words.split(), cwd=place).stdout
         numbers = [f"{each:.3g}" for each in (*candidates["file"], *candidates[held])]
         assert all(number in shown for number in numbers)
 
@@ -317,11 +314,8 @@ def test_a_real_recording_is_imported_identified_and_looked_at(tmp_path: Path) -
     added = found["posterior"]["internal"]
     assert added["used"]
     assert len(added["determined"]) < added["count"]
-    judging = ("validate", "second.toml", "result.json", *MODEL, "--json")
-    judged = json.loads(command_line(*judging, cwd=tmp_path).stdout)["internal"]["errors"][
-        "residual"
-    ]
-    total = {name: np.linalg.norm(each) for name, each in judged.items()}
+    judged = answer(f"validate second.toml result.json {shlex.join(MODEL)}", tmp_path)["internal"]
+    total = {name: np.linalg.norm(each) for name, each in judged["errors"]["residual"].items()}
     assert total["posterior"] < total["refitted"] < total["file"]
     words = ("report", "first.toml", *MODEL, "--validate", "second.toml", "--out", "page.html")
     more = ("--terms", "auto", "--consistent", "--set", "identification.cutoff=10")

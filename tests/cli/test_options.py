@@ -120,9 +120,9 @@ def test_of_an_option_and_a_setting_the_option_counts() -> None:
 def test_a_joint_that_follows_is_held_where_it_is_told_to_be(place: Path) -> None:
     path = place / "mimic.urdf"
     for how in (Reading(lock_mimic=True), Reading(settings=["robot.lock_mimic=true"])):
-        assert dict(how.model_file(path).lock) == {"follows": None}
-        placed = replace(how, lock=["follows=0.5"])
-        assert dict(placed.model_file(path).lock) == {"follows": 0.5}
+        assert dict(how.model_file(path).lock) == {"j2": None}
+        placed = replace(how, lock=["j2=0.5"])
+        assert dict(placed.model_file(path).lock) == {"j2": 0.5}
     assert not Reading(settings=["robot.lock_mimic=false"]).model_file(path).lock
 
 

@@ -48,18 +48,35 @@ MODELS = {
 }  # fmt: skip
 """Content of each, and what its refusal names besides the file."""
 
-KEYS = """
+KEYS = f"""
 motion.duration=1e9 | motion.duration samples
-measurement.fault=[{kind='plate'}] | 'plate'
-measurement.fault=[{kind='plate_delay',late=1}] | plate_delay 'late'
-simulation.effect=[{kind='payload',joint='hip'}] | payload 'hip' elbow
-simulation.effect=[{kind='payload',mass=-1}] | payload mass
+motion.duration={"9" * 5000} | motion.duration
+motion.duration={"w" * 500} | motion.duration {"w" * 50}
+motion.duration | motion.duration
+motion.duraton=7 | [motion] 'duraton' 'duration'
+duration=3 | 'duration' motion.duration
+motion.harmonics=2.5 | motion.harmonics
+motion.fundamental=1e-12 | fundamental
+motion.max_velocity.wrist=0.1 | 'wrist'
+motion.file="a\\u0000b" | motion.file
+name=../up | name
+name.first=1 | 'name'
+measurement.fault=[{{kind='plate'}}] | 'plate'
+measurement.fault=[{{kind='plate_delay',late=1}}] | plate_delay 'late'
+measurement.torque_constant_error.wrist=0.1 | 'wrist'
+simulation.effect=[{{kind='payload',joint='hip'}}] | payload 'hip' elbow
+simulation.effect=[{{kind='payload',mass=-1}}] | payload mass
+simulation.bandwidth=1e6 | bandwidth
+simulation.step=1e-320 | step
+simulation.step=3e-4 | step
 identification.cutoff=1e5 | position_cutoff cutoff
 identification.terms=['slip'] | 'slip' coulomb
 identification.zeros=['mb9x'] | 'mb9x' 'mb3x'
 identification.span=[3,1] | span 3 1
+robot.base="measured" | robot.base
 robot.lock.hip=0 | 'hip' waist
 robot.joint.hip.coulomb=1 | 'hip' elbow
+expect={{internal_rms_relative_error={{}}}} | at_most
 expect.speed.at_most=1 | 'speed'
 consistent.prior_error=0 | prior_error
 """
@@ -107,7 +124,9 @@ equations puma562.xml --against table.toml | line 1
 import --guess log.csv --out map.toml | map.toml
 new two.urdf --out table.toml | table.toml
 fly | 'fly'
-minimal puma562.xml --speed | --speed
+minimal puma562.xml --speed | --speed testbed minimal --help
+simulate x.toml --out x.csv | testbed simulate --help
+--nothing | testbed --help
 """
 """Words of a command, and what its refusal names."""
 
@@ -231,10 +250,3 @@ def test_a_command_says_what_it_was_given(words: str, place: Path, tmp_path: Pat
             assert kind in line, line
             assert BELONGS[kind].replace("{}", name) in line, line
             assert len(line) <= 300, line
-
-
-def test_an_option_that_is_none_points_to_the_help_of_its_command(tmp_path: Path) -> None:
-    for words in ("run", "run --frce", "simulate x.toml --out x.csv"):
-        done = command_line(*words.split(), cwd=tmp_path)
-        assert f"testbed {words.split()[0]} --help" in done.stderr
-    assert "testbed --help" in command_line("--nothing", cwd=tmp_path).stderr

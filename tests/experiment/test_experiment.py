@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 import testbed as tb
 from benchmarks.robots import MOST_SIGMAS
-from testbed.core.base.errors import ExperimentError, SettingsError, TestbedError
+from testbed.core.base.errors import ExperimentError, TestbedError
 from testbed.core.base.toml_text import LARGEST_FILE, override
 from testbed.core.robot.model_file import mimic_joints, nearest_bodies
 from testbed.core.robot.refusals import InertiaError
@@ -60,22 +60,8 @@ def test_settings_override_keys_and_the_resolved_file_says_the_same(tmp_path: Pa
     assert content == {"robot": quoted, "motion": {"duration": 3}}
 
 
-def test_what_is_not_understood_is_named() -> None:
-    for setting, *culprits in (
-        ("motion.duraton=7", "[motion]", "'duraton'", "'duration'"),
-        ("duration=3", "'duration'", "motion.duration"),
-        ("expect={internal_rms_relative_error={}}", "at_most"),
-        (f"motion.duration={'w' * 500}", "motion.duration", "w" * 50),
-        ("motion.harmonics=2.5", "motion.harmonics"),
-        (f"motion.duration={'9' * 5000}", "motion.duration"),
-        ("name=../up", "name"),
-        ("motion.duration", "motion.duration"),
-        ("name.first=1", "'name'"),
-        ('motion.file="a\\u0000b"', "motion.file"),
-    ):
-        with refuses(ExperimentError, *culprits):
-            tb.Experiment.from_toml(TABLE6, [setting])
-    with pytest.raises(ExperimentError) as caught:  # all faults at once
+def test_all_faults_are_named_at_once() -> None:
+    with pytest.raises(ExperimentError) as caught:
         tb.Experiment.from_toml(TABLE6, ["motion.duration=-1", "speed=1", "seed=-4"])
     assert all(word in str(caught.value) for word in ("duration", "speed", "seed"))
 
@@ -107,12 +93,10 @@ def test_no_number_is_infinite() -> None:
 
 def test_files_that_would_cost_memory_or_the_stack_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "e.toml"
-    size = TABLE6.stat().st_size
-    whole = TABLE6.read_text() + "#" * (LARGEST_FILE - size)
+    whole = TABLE6.read_text() + "#" * (LARGEST_FILE - TABLE6.stat().st_size)
     path.write_text(whole)
-    assert (
-        tb.Experiment.from_toml(path, [f"model='{ROOT / 'models/puma562.xml'}'"]).name == "table6"
-    )
+    found = tb.Experiment.from_toml(path, [f"model='{MODELS['puma']}'"])
+    assert found.name == "table6"
     for text in (
         whole + "#",
         f"a = {'[' * 100_000}",
@@ -122,21 +106,6 @@ def test_files_that_would_cost_memory_or_the_stack_are_refused(tmp_path: Path) -
         path.write_text(text)
         with refuses(ExperimentError, "e.toml"):
             tb.Experiment.from_toml(path)
-
-
-def test_what_does_not_fit_the_robot_or_the_clock_is_refused() -> None:
-    for word, culprit in (
-        ("measurement.torque_constant_error.wrist=0.1", "'wrist'"),
-        ("motion.max_velocity.wrist=0.1", "'wrist'"),
-        ('robot.base="measured"', "robot.base"),
-    ):
-        with refuses(TestbedError, culprit):
-            robot_of(tb.Experiment.from_toml(TABLE6, [word]))
-    for word in ("bandwidth=1e6", "step=1e-320", "step=3e-4"):
-        with refuses(SettingsError, word.partition("=")[0]):
-            tb.record(tb.Experiment.from_toml(TABLE6, [f"simulation.{word}"]))
-    with refuses(ExperimentError, "fundamental"):
-        tb.record(tb.Experiment.from_toml(TABLE6, ["motion.fundamental=1e-12"]))
 
 
 ARM = """<mujoco model="arm"><worldbody><body name="upper" pos="0 0 {l}">

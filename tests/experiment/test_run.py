@@ -244,11 +244,8 @@ def test_another_motion_is_about_as_fast_lasts_no_longer_and_shows_what_it_shows
     other = noisy(ideal(run.tree, seed=8), 4)
     done = validated(run, plus(other, wrench=[0, 0, 0, 0, 0, 50.0]))
     (new,) = {*done.diagnostics} - {*run.diagnostics}
-    assert (new.code, new.method, new.subject) == (
-        "estimate.prediction-offset",
-        "external",
-        "channel Mz",
-    )
+    wanted = "estimate.prediction-offset", "external", "channel Mz"
+    assert (new.code, new.method, new.subject) == wanted
     assert validated(run, ideal(robot("gantry"))).validation == {}
     asked = tb.Experiment.of_model(MODELS["gantry"], ["motion.candidates=5", "seed=3"])
     motions = [make(asked, robot("gantry")) for make in (motion_of, another_motion)]
@@ -281,15 +278,12 @@ def test_consistent_bodies_are_judged_by_the_truth_and_a_wrong_model_file_is_of_
     assert metrics["consistent_to_plain"] == pytest.approx(ratio)
     assert metrics["prior_rms_relative_error"] > metrics["consistent_rms_relative_error"]
     asked = experiment(expect={"consistent_to_plain": Bound(at_most=1.5)})
-    options = asked.model_copy(
-        update={"consistent": ConsistencyOptions(), "prior": PriorTable(error=0.0)}
-    )
-    right = run_of(robot("puma"), asked=options)
+    right, failed = (
+        run_of(robot("puma"), asked=asked.model_copy(update={
+            "prior": PriorTable(error=0.0), "consistent": ConsistencyOptions(known=known)}))
+        for known in ({}, {"mass/nobody": 1.0})
+    )  # fmt: skip
     assert right.metrics["prior_rms_relative_error"] < 1e-9
-    nobody = options.model_copy(
-        update={"consistent": ConsistencyOptions(known={"mass/nobody": 1.0})}
-    )
-    failed = run_of(robot("puma"), asked=nobody)
     assert (failed.consistent, failed.as_expected) == (None, False)
     tree = robot("ur5")
     one, same, other = (

@@ -285,9 +285,8 @@ def test_a_designed_motion_comes_back_from_its_file_and_is_proven_again(tmp_path
     file = tmp_path / "motion.toml"
     write_motion(file, found, MODELS["puma"])
     back = read_motion(file)
-    np.testing.assert_array_equal(
-        back.motion_for(found.tree).coefficients, found.design.motion.coefficients
-    )
+    motion = back.motion_for(found.tree)
+    np.testing.assert_array_equal(motion.coefficients, found.design.motion.coefficients)
     assert back.motion.fundamental == found.design.motion.fundamental
     text = file.read_text()
     word, wrist = f'motion.file="{file}"', "sensors.wrist.link=link3"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -49,12 +49,6 @@ class Log:
     q: Array
     tau: Array
     w: Array
-    names: tuple[str, ...] = JOINTS
-
-    @property
-    def arrays(self) -> dict[str, Array]:
-        """What was measured, by name."""
-        return {"t": self.t, "q": self.q, "tau": self.tau, "w": self.w}
 
 
 def some_log(samples: int = 60) -> Log:
@@ -91,21 +85,20 @@ def csv(folder: Path, log: Log) -> str:
     """Lines of text."""
     names = ["t", "q1", "q2", "t1", "t2", *"abcdef"]
     table = np.column_stack([log.t, log.q, log.tau, log.w])
-    lines = [",".join(names), *(",".join(repr(float(x)) for x in row) for row in table)]
-    (folder / "log.csv").write_text("\n".join(lines) + "\n")
+    np.savetxt(folder / "log.csv", table, "%.17g", ",", header=",".join(names), comments="")
     source = '[sources.log]\nfile = "log.csv"\ntime = "t"\ntime_unit = "s"'
     return mapping(source, names[1:3], names[3:5], names[5:])
 
 
 def npz(folder: Path, log: Log) -> str:
     """NumPy's archive."""
-    np.savez(folder / "log.npz", **log.arrays)  # type: ignore[arg-type]
+    np.savez(folder / "log.npz", **vars(log))
     return by_arrays("log.npz")
 
 
 def mat(folder: Path, log: Log) -> str:
     """MATLAB 5, packed, in a struct."""
-    savemat(folder / "log.mat", {"log": log.arrays}, do_compression=True)
+    savemat(folder / "log.mat", {"log": vars(log)}, do_compression=True)
     return by_arrays("log.mat", "log/")
 
 
@@ -113,7 +106,7 @@ def mat73(folder: Path, log: Log) -> str:
     """MATLAB 7.3: HDF5 with a head of its own, axes the other way round."""
     path = folder / "log.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
-        for name, values in log.arrays.items():
+        for name, values in vars(log).items():
             made = file.create_dataset(f"log/{name}", data=np.atleast_2d(values.T))
             made.attrs["MATLAB_class"] = np.bytes_("double")
     data = bytearray(path.read_bytes())
@@ -125,7 +118,7 @@ def mat73(folder: Path, log: Log) -> str:
 def hdf5(folder: Path, log: Log) -> str:
     """HDF5."""
     with h5py.File(folder / "log.h5", "w") as file:
-        for name, values in log.arrays.items():
+        for name, values in vars(log).items():
             file.create_dataset(f"log/{name}", data=values)
     return by_arrays("log.h5", "log/")
 
@@ -192,37 +185,42 @@ def imported(folder: Path, text: str) -> tb.Recording:
     return tb.import_recording(folder / "map.toml")
 
 
+def _mcap(
+    path: Path, encoding: str, schemas: Sequence[tuple[str, bytes]],
+    sent: Iterable[tuple[int, int, int, bytes]], packed: CompressionType,
+) -> None:  # fmt: skip
+    """MCAP of joint states and a plate: topic, instants of log and publication [ns], message."""
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, compression=packed)
+        writer.start()
+        kind, channels = {"json": "jsonschema"}.get(encoding, encoding), []
+        for topic, (name, schema) in zip(("/joint_states", "/plate"), schemas, strict=True):
+            number = writer.register_schema(name, kind, schema)
+            channels.append(writer.register_channel(topic, encoding, number))
+        for k, logged, published, message in sent:
+            writer.add_message(channels[k], logged, message, published)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
 def mcap_json(folder: Path, log: Log) -> str:
     """MCAP with JSON, packed by zstd: names in a list, a plate that is a list."""
-    states = {"type": "object", "properties": {"name": {"type": "array"}}}
-    head = {"stamp": {"sec": EPOCH // 10**9, "nanosec": 0}}
+    schema = "State", b'{"type": "object", "properties": {"name": {"type": "array"}}}'
 
-    def state(k: int, when: int) -> dict[str, Any]:
-        head["stamp"] = {"sec": when // 10**9, "nanosec": when % 10**9}
-        motion = {"position": log.q[k].tolist(), "effort": log.tau[k].tolist()}
-        return {"header": head, "name": log.names, **motion}
-
-    def finger(k: int, when: int) -> dict[str, Any]:
-        return {"header": head, "name": ["finger"], "position": [log.q[k, 0]], "effort": [0.0]}
-
-    def plate(k: int, when: int) -> dict[str, Any]:
-        force, torque = (
-            dict(zip("xyz", part.tolist(), strict=True)) for part in log.w[k].reshape(2, 3)
-        )
-        return {"header": head, "wrench": {"force": force, "torque": torque}}
-
-    with (folder / "log.mcap").open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start()
-        schema = writer.register_schema("State", "jsonschema", json.dumps(states).encode())
-        channels = [writer.register_channel(t, "json", schema) for t in ("/joint_states", "/plate")]
-        sent = ((channels[0], state, 0), (channels[0], finger, GRIPPER), (channels[1], plate, 0))
+    def sent() -> Iterator[tuple[int, int, int, bytes]]:
         for k, t in enumerate(log.t):
             when = EPOCH + round(t * 1e9)
-            for channel, content, later in sent:
-                data = json.dumps(content(k, when)).encode()
-                writer.add_message(channel, when + later, data, when)
-        writer.finish()  # type: ignore[no-untyped-call]
+            head = {"stamp": {"sec": when // 10**9, "nanosec": when % 10**9}}
+            arm = {"name": JOINTS, "position": log.q[k].tolist(), "effort": log.tau[k].tolist()}
+            finger = {"name": ["finger"], "position": [log.q[k, 0]], "effort": [0.0]}
+            force, torque = (
+                dict(zip("xyz", part.tolist(), strict=True)) for part in log.w[k].reshape(2, 3)
+            )
+            plate = {"wrench": {"force": force, "torque": torque}}
+            for topic, content, later in ((0, arm, 0), (0, finger, GRIPPER), (1, plate, 0)):
+                message = json.dumps({"header": head, **content}).encode()
+                yield topic, when + later, when, message
+
+    _mcap(folder / "log.mcap", "json", [schema, schema], sent(), CompressionType.ZSTD)
     return _topics("log.mcap")
 
 
@@ -262,31 +260,21 @@ def mcap_protobuf(folder: Path, log: Log) -> str:
         GetMessageClass(pool.FindMessageTypeByName(f"foxglove.{name}"))
         for name in ("JointStates", "Plate")
     ]
-    with (folder / "log.mcap").open("wb") as stream:
-        writer = McapWriter(stream, compression=CompressionType.LZ4)
-        writer.start()
-        channels = [
-            writer.register_channel(topic, "protobuf", writer.register_schema(
-                kind.DESCRIPTOR.full_name, "protobuf", schema.SerializeToString()))
-            for topic, kind in zip(("/joint_states", "/plate"), kinds, strict=True)
-        ]  # fmt: skip
+    schemas = [(kind.DESCRIPTOR.full_name, schema.SerializeToString()) for kind in kinds]
+
+    def sent() -> Iterator[tuple[int, int, int, bytes]]:
         for k, t in enumerate(log.t):
             when = EPOCH + round(t * 1e9)
             states, plate = kinds[0](), kinds[1](wrench=log.w[k])
-            for j, name in enumerate(log.names):
+            for j, name in enumerate(JOINTS):
                 states.joints.add(name=name, position=log.q[k, j], effort=log.tau[k, j])
-            for channel, message in zip(channels, (states, plate), strict=True):
+            for topic, message in enumerate((states, plate)):
                 message.timestamp.FromNanoseconds(when)
-                writer.add_message(channel, when, message.SerializeToString(), when)
-        writer.finish()  # type: ignore[no-untyped-call]
-    sources = "\n".join(
-        f'[sources.{name}]\nfile = "log.mcap"\ntopic = "{topic}"\ntime = "timestamp"'
-        for name, topic in (("log", "/joint_states"), ("plate", "/plate"))
-    )
-    position, torque = (
-        [f"joints/{j}/{what}" for j in log.names] for what in ("position", "effort")
-    )
-    return mapping(sources, position, torque, [f"wrench[{k}]" for k in range(6)], plate="plate")
+                yield topic, when, when, message.SerializeToString()
+
+    _mcap(folder / "log.mcap", "protobuf", schemas, sent(), CompressionType.LZ4)
+    plate = [f"wrench[{k}]" for k in range(6)]
+    return _topics("log.mcap", "timestamp", "joints/{joint}/{signal}", plate)
 
 
 def rrd(folder: Path, log: Log) -> str:
@@ -295,7 +283,7 @@ def rrd(folder: Path, log: Log) -> str:
     stream.save(folder / "log.rrd")
     times = [rr.TimeColumn("t", duration=log.t), rr.TimeColumn("step", sequence=range(len(log.t)))]
     for name, values in (("position", log.q), ("effort", log.tau)):
-        for j, joint in enumerate(log.names):
+        for j, joint in enumerate(JOINTS):
             columns = rr.Scalars.columns(scalars=values[:, j])
             stream.send_columns(f"{name}/{joint}", indexes=times, columns=columns)
     columns = rr.Scalars.columns(scalars=log.w)
@@ -303,56 +291,53 @@ def rrd(folder: Path, log: Log) -> str:
     stream.log("position", rr.SeriesLines(names="q"), static=True)
     stream.flush()
     stream.disconnect()
-    position, torque = ([f"{name}/{j}" for j in log.names] for name in ("position", "effort"))
+    position, torque = ([f"{name}/{j}" for j in JOINTS] for name in ("position", "effort"))
     source = '[sources.log]\nfile = "log.rrd"\ntopic = "position/j1"\ntime = "t"'
     return mapping(source, position, torque, [f"plate/wrench[{k}]" for k in range(6)])
 
 
 def lerobot(folder: Path, log: Log, version: str = "v3.0", episodes: int = 1) -> str:
     """LeRobot's dataset: lists in a Parquet file of all episodes (3.0), or one of each (2.1)."""
-    n, place, motors = len(log.t) // episodes, folder / "log", [f"{j}.pos" for j in log.names]
-    lists = {"observation.state": log.q, "observation.effort": log.tau,
-             "observation.wrench": log.w, "action": log.q + 0.1}  # fmt: skip
-    names: dict[str, Any] = {
-        "observation.state": motors, "observation.effort": {"motors": [*log.names]},
-        "observation.wrench": None, "action": motors,
+    n, place, motors = len(log.t) // episodes, folder / "log", [f"{j}.pos" for j in JOINTS]
+    lists: dict[str, tuple[Array, Any]] = {
+        "observation.state": (log.q, motors), "observation.effort": (log.tau, {"motors": JOINTS}),
+        "observation.wrench": (log.w, None), "action": (log.q + 0.1, motors),
+    }  # fmt: skip
+    own: dict[str, Any] = {
+        "timestamp": np.tile(log.t[:n], episodes).astype(np.float32),
+        "frame_index": np.tile(np.arange(n), episodes),
+        "episode_index": np.repeat(np.arange(episodes), n),
+        "index": np.arange(n * episodes), "task_index": np.zeros(n * episodes, int),
     }  # fmt: skip
     features: dict[str, Any] = {
-        name: {"dtype": "float64", "shape": [values.shape[1]], "names": names[name]}
-        for name, values in lists.items()
+        name: {"dtype": "float64", "shape": [values.shape[1]], "names": names}
+        for name, (values, names) in lists.items()
     }
+    for name, values in own.items():
+        features[name] = {"dtype": str(values.dtype), "shape": [1], "names": None}
     video = {"dtype": "video", "shape": [48, 64, 3], "names": ["height", "width", "channel"]}
     features["observation.images.top"] = video
-    counts = ("timestamp", "frame_index", "episode_index", "index", "task_index")
-    for name in counts:
-        kind = "float32" if name == "timestamp" else "int64"
-        features[name] = {"dtype": kind, "shape": [1], "names": None}
-    tables = []
-    for episode in range(episodes):
-        rows = slice(episode * n, (episode + 1) * n)
-        columns: dict[str, Any] = {
-            name: pa.array(values[rows].tolist(), pa.list_(pa.float64()))
-            for name, values in lists.items()
-        }
-        columns["timestamp"] = pa.array(log.t[:n].astype(np.float32))
-        own = np.arange(n), np.full(n, episode), np.arange(n) + episode * n, np.zeros(n, int)
-        columns |= dict(zip(counts[1:], own, strict=True))
-        tables.append(pa.table(columns))
+    columns: dict[str, Any] = {
+        name: pa.array(values[: n * episodes].tolist(), pa.list_(pa.float64()))
+        for name, (values, _) in lists.items()
+    }
+    whole = pa.table(columns | own)
     data = place / "data/chunk-000"
     data.mkdir(parents=True)
     (place / "meta").mkdir()
     old = version.startswith("v2")
     files = [f"episode_{k:06d}.parquet" for k in range(episodes)] if old else ["file-000.parquet"]
-    for name, table in zip(files, tables if old else [pa.concat_tables(tables)], strict=True):
-        pq.write_table(table, data / name)
+    count = n if old else n * episodes
+    for k, name in enumerate(files):
+        pq.write_table(whole.slice(k * count, count), data / name)
     pattern = ("data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet" if old
                else "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet")  # fmt: skip
     info = {"codebase_version": version, "robot_type": "two", "features": features,
             "total_episodes": episodes, "total_frames": n * episodes, "data_path": pattern,
             "fps": round(1 / float(np.median(np.diff(log.t))))}  # fmt: skip
     (place / "meta/info.json").write_text(json.dumps(info))
-    position = [f"observation.state/{j}.pos" for j in log.names]
-    torque = [f"observation.effort/{j}" for j in log.names]
+    position = [f"observation.state/{j}.pos" for j in JOINTS]
+    torque = [f"observation.effort/{j}" for j in JOINTS]
     source = '[sources.log]\nfile = "log"\ntime = "timestamp"'
     return mapping(source, position, torque, [f"observation.wrench[{k}]" for k in range(6)])
 
@@ -366,13 +351,20 @@ FORMATS: dict[str, Callable[[Path, Log], str]] = {
 """Each writes its file into a folder and returns the mapping."""
 
 
-def _topics(file: str) -> str:
+WRENCH = tuple(f"wrench/{part}/{axis}" for part in ("force", "torque") for axis in "xyz")
+
+
+def _topics(
+    file: str, time: str = "stamp", form: str = "{signal}/{joint}", plate: Sequence[str] = WRENCH
+) -> str:
+    """Of joint states and a plate, each a topic of its own."""
     sources = "\n".join(
-        f'[sources.{name}]\nfile = "{file}"\ntopic = "{topic}"\ntime = "stamp"'
+        f'[sources.{name}]\nfile = "{file}"\ntopic = "{topic}"\ntime = "{time}"'
         for name, topic in (("log", "/joint_states"), ("plate", "/plate"))
     )
-    plate = [f"wrench/{part}/{axis}" for part in ("force", "torque") for axis in "xyz"]
-    position, torque = ([f"{what}/{j}" for j in JOINTS] for what in ("position", "effort"))
+    position, torque = (
+        [form.format(signal=signal, joint=j) for j in JOINTS] for signal in ("position", "effort")
+    )
     return mapping(sources, position, torque, plate, plate="plate")
 
 
@@ -395,16 +387,11 @@ def _bag(path: Path, log: Log, plugin: StoragePlugin | None) -> str:
             number = {"seq": k} if plugin is None else {}
             head = kinds["std_msgs/msg/Header"](stamp=stamp, frame_id="base", **number)
             order = [0, 1] if k % 2 else [1, 0]
-            told = kinds[state](
-                header=head, name=[JOINTS[j] for j in order], position=log.q[k, order],
-                velocity=np.zeros(2), effort=log.tau[k, order],
-            )  # fmt: skip
+            arm = [JOINTS[j] for j in order], log.q[k, order], log.tau[k, order], 0
+            finger = ["finger"], log.q[k, :1], np.zeros(1), GRIPPER
+            for names, position, effort, later in (arm, finger):
+                told = kinds[state](head, names, position, np.zeros(len(names)), effort)
+                writer.write(states, when + later, pack(told, state))
             felt = kinds["geometry_msgs/msg/Wrench"](vector(*log.w[k, :3]), vector(*log.w[k, 3:]))
-            writer.write(states, when, pack(told, state))
-            finger = kinds[state](
-                header=head, name=["finger"], position=log.q[k, :1], velocity=np.zeros(1),
-                effort=np.zeros(1),
-            )  # fmt: skip
-            writer.write(states, when + GRIPPER, pack(finger, state))
             writer.write(wrenches, when, pack(kinds[wrench](header=head, wrench=felt), wrench))
     return _topics(path.name)

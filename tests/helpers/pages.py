@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
+import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
-from html.parser import HTMLParser
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import Any
 
 import numpy as np
 
@@ -157,10 +157,11 @@ def page(name: str) -> Path:
 
 
 Row = list[str]
+SVG = "{http://www.w3.org/2000/svg}svg"
 
 
-@dataclass
-class Seen(HTMLParser):
+@dataclass(frozen=True)
+class Seen:
     """What a person sees of a page, or hears.
 
     Attributes:
@@ -173,54 +174,36 @@ class Seen(HTMLParser):
         homes: Attributes of the elements that tables stand in.
     """
 
-    heads: list[Row] = field(default_factory=list)
-    links: list[Row] = field(default_factory=list)
-    titles: list[Row] = field(default_factory=list)
-    tables: list[list[Row]] = field(default_factory=list)
-    open: dict[tuple[str, str], int] = field(default_factory=dict)
-    drawings: list[dict[str, str]] = field(default_factory=list)
-    homes: list[dict[str, str]] = field(default_factory=list)
+    heads: list[Row]
+    links: list[Row]
+    titles: list[str]
+    tables: list[list[Row]]
+    open: Counter[tuple[str, str]]
+    drawings: list[dict[str, str]]
+    homes: list[dict[str, str]]
 
-    def __post_init__(self) -> None:
-        super().__init__()
-        self._folds, self._into = 0, [""]
-        self._div: dict[str, str] = {}
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        own = {name: value or "" for name, value in attrs}
-        lists: dict[str, Any] = {"h1": self.titles, "h2": self.heads, "a": self.links}
-        self._folds += tag == "details"
-        if tag in lists:
-            self._into = [own.get("id") or own.get("href", "").removeprefix("#"), ""]
-            lists[tag].append(self._into)
-        elif tag == "div":
-            self._div = own
-        elif tag == "table":
-            self.tables.append([])
-            self.homes.append(self._div)
-        elif tag == "svg":
-            self.drawings.append(own)
-        elif tag == "tr":
-            self.tables[-1].append([])
-        elif tag in ("td", "th"):
-            self._into = self.tables[-1][-1]
-            self._into.append("")
-        if tag in ("svg", "tr") and not self._folds:
-            section = self.heads[-1][0] if self.heads else ""
-            self.open[section, tag] = self.open.get((section, tag), 0) + 1
-
-    def handle_endtag(self, tag: str) -> None:
-        self._folds -= tag == "details"
-        if tag in ("td", "th", "h1", "h2", "a"):
-            self._into = [""]
-
-    def handle_data(self, data: str) -> None:
-        self._into[-1] += data
+def words(element: ET.Element) -> str:
+    return "".join(element.itertext())
 
 
 @cache
 def seen(name: str) -> Seen:
-    """What is seen of a page."""
-    found = Seen()
-    found.feed(re.sub(r"<style>.*?</style>", "", page(name).read_text(), flags=re.DOTALL))
-    return found
+    """What is seen of a page, which is well-formed."""
+    text = re.sub("<w?br>", "", page(name).read_text()).replace("&middot;", "\u00b7")
+    body = ET.fromstring(text[text.index("<body") : text.index("</html>")])
+    folded = {each for fold in body.iter("details") for each in fold.iter()}
+    section, found = "", Counter[tuple[str, str]]()
+    for each in body.iter():
+        section = each.get("id", "") if each.tag == "h2" else section
+        if each.tag in (SVG, "tr") and each not in folded:
+            found[section, "tr" if each.tag == "tr" else "svg"] += 1
+    return Seen(
+        [[each.get("id", ""), words(each)] for each in body.iter("h2")],
+        [[each.get("href", "").removeprefix("#"), words(each)] for each in body.iter("a")],
+        [words(each) for each in body.iter("h1")],
+        [[[*map(words, row)] for row in table.iter("tr")] for table in body.iter("table")],
+        found,
+        [drawing.attrib for drawing in body.iter(SVG)],
+        [home.attrib for home in body.iter() for _ in home.findall("table")],
+    )

@@ -150,10 +150,8 @@ def test_gaps_are_bridged_or_cut_and_time_that_repeats_or_runs_back_is_named(log
     parts, said = pieces(logs.folder / "map.toml")
     ends = [(round(part.samples / part.rate, 2), round(part.rate, 6)) for part in parts]
     assert ends == [(2.0, 500.0), (2.5, 500.0), (2.0, 500.0)]
-    assert [each.code for each in said] == [
-        *["import.cut"] * 3,
-        "import.short",
-    ]  # where it was cut, and that a piece was left out
+    codes = [*["import.cut"] * 3, "import.short"]  # and that a piece was left out
+    assert [each.code for each in said] == codes
     for part, begin in zip(parts, (0.0, 5.0, 8.0), strict=True):
         at = begin + part.time - part.time[0]
         apart = [np.abs(part.position[:, 0] - signal(at + k * 2e-3)).max() for k in (0, 1)]

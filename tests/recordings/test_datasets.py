@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -21,7 +19,7 @@ from testbed.importing.foreign_table import ForeignTable
 from testbed.importing.guess import guessed
 from testbed.importing.known_layouts import LAYOUTS
 from testbed.importing.readers import open_foreign, tables
-from tests.helpers.foreign_files import EPOCH, FORMATS, JOINTS, Log, lerobot, some_log
+from tests.helpers.foreign_files import EPOCH, FORMATS, JOINTS, lerobot, some_log
 from tests.helpers.refusals import refuses
 
 
@@ -50,58 +48,38 @@ def test_episodes_are_recordings_of_their_own(version: str, tmp_path: Path) -> N
         open_foreign(tmp_path / "log")
 
 
-def columns_of(name: str, values: Array, form: str = "{}[{}]") -> dict[str, Array]:
-    return {form.format(name, k): values[:, k] for k in range(values.shape[1])}
+ARM = "observation/robot_state/"
+LOGGERS: dict[str, tuple[str, str, tuple[str, ...], dict[str, str]]] = {
+    "libfranka": (
+        "log.csv", "{name}[{k}]", ("state.q", "state.dq", "state.tau_J"),
+        {"state.q_d": "q", "state.tau_J_d": "tau", "state.tau_ext_hat_filtered": "tau",
+         "state.O_F_ext_hat_K": "w"}),
+    "UR's RTDE": ("log.csv", "{name}_{k}", ("actual_q", "actual_qd", "actual_current"),
+                  {"target_q": "q", "actual_TCP_force": "w"}),
+    "DROID": ("log.h5", "{name}[{k}]", (f"{ARM}joint_positions", f"{ARM}joint_velocities",
+              f"{ARM}motor_torques_measured"), {f"{ARM}joint_torques_computed": "tau"}),
+    "ALOHA": ("log.hdf5", "{name}[{k}]",
+              ("observations/qpos", "observations/qvel", "observations/effort"), {"action": "q"}),
+    "KUKA's iiwa": ("log.csv", "{name}_LBR_iiwa_7_R800_1[{k}]", ("axisQMsr", "", "axisTauMsr"),
+                    {"axisQCmd": "q", "axisTauExtMsr": "tau"}),
+    "Kinova's Gen3": ("log.csv", "{name}{joint}", ("Position", "Velocity", "Torque"),
+                      {"TorqueSm": "tau", "PositionCmptd": "q"}),
+}  # fmt: skip
+"""File, form of columns, positions and velocities and torques; what else it logs, of what kind."""
+CURRENTS = {"UR's RTDE": "A", "ALOHA": "mA"}
 
 
-def logged(logger: str, log: Log, rates: Array) -> tuple[str, dict[str, Array], dict[str, Any]]:
-    """A logger's file, its columns, and what the mapping of them says."""
-    rtde, iiwa, t = "{}_{}", "_LBR_iiwa_7_R800_1", 1_700_000_000 + log.t
-    droid, aloha, demo = "observation/robot_state", "observations", "data/demo_{}/obs/robot0_joint"
-    junk = np.random.default_rng(1).normal(size=(len(log.t), 6))
-    kinova = {
-        f"{name}{k}": values[:, k - 1]
-        for name, values in (("Position", log.q), ("Velocity", rates), ("Torque", log.tau),
-                             ("TorqueSm", log.tau), ("PositionCmptd", log.q))
-        for k in (1, 2)
-    }  # fmt: skip
-    common = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
-    robot: Mapping[str, tuple[str, dict[str, Array], dict[str, Any]]] = {
-        "libfranka": ("log.csv", {
-            "duration": 1e3 * log.t, **columns_of("state.q", log.q),
-            **columns_of("state.q_d", log.q), **columns_of("state.dq", rates),
-            **columns_of("state.tau_J", log.tau), **columns_of("state.tau_J_d", log.tau),
-            **columns_of("state.tau_ext_hat_filtered", log.tau),
-            **columns_of("state.O_F_ext_hat_K", junk)}, common),
-        "UR's RTDE": ("log.csv", {
-            "timestamp": t, **columns_of("target_q", log.q, rtde),
-            **columns_of("actual_q", log.q, rtde), **columns_of("actual_qd", rates, rtde),
-            **columns_of("actual_current", log.tau, rtde),
-            **columns_of("actual_TCP_force", junk, rtde)}, common | {"torque": "A"}),
-        "DROID": ("log.h5", {
-            **columns_of(f"{droid}/joint_positions", log.q),
-            **columns_of(f"{droid}/joint_velocities", rates),
-            **columns_of(f"{droid}/motor_torques_measured", log.tau),
-            **columns_of(f"{droid}/joint_torques_computed", log.tau),
-            "observation/timestamp/robot_state/robot_timestamp_nanos": 1e9 * (t % 1),
-            "observation/timestamp/robot_state/read_start": np.round(1e3 * t)}, common),
-        "ALOHA": ("log.hdf5", {
-            **columns_of(f"{aloha}/qpos", log.q), **columns_of(f"{aloha}/qvel", rates),
-            **columns_of(f"{aloha}/effort", log.tau), **columns_of("action", log.q)},
-            common | {"torque": "mA"}),
-        "robomimic": ("log.hdf5", {
-            name: values for k in range(3)
-            for name, values in (*columns_of(f"{demo.format(k)}_pos", log.q).items(),
-                                 *columns_of(f"{demo.format(k)}_vel", rates).items())},
-            {"position": "rad", "velocity": "rad/s"}),
-        "KUKA's iiwa": ("log.csv", {
-            "ZeitInSec": np.floor(t), "ZeitInNanoSec": np.round(1e9 * (t % 1), -3),
-            **columns_of(f"axisQMsr{iiwa}", log.q), **columns_of(f"axisQCmd{iiwa}", log.q),
-            **columns_of(f"axisTauMsr{iiwa}", log.tau),
-            **columns_of(f"axisTauExtMsr{iiwa}", log.tau)}, {"position": "rad", "torque": "N m"}),
-        "Kinova's Gen3": ("log.csv", {"Time": 1e3 * log.t, **kinova}, common),
-    }  # fmt: skip
-    return robot[logger]
+def times(logger: str, t: Array) -> dict[str, Array]:
+    """Columns of a logger's clock, of instants since 1970."""
+    second, fraction = np.floor(t), 1e9 * (t % 1)
+    return {
+        "libfranka": {"duration": 1e3 * (t - t[0])},
+        "UR's RTDE": {"timestamp": t},
+        "DROID": {"observation/timestamp/robot_state/robot_timestamp_nanos": fraction,
+                  "observation/timestamp/robot_state/read_start": np.round(1e3 * t)},
+        "KUKA's iiwa": {"ZeitInSec": second, "ZeitInNanoSec": np.round(fraction, -3)},
+        "Kinova's Gen3": {"Time": 1e3 * (t - t[0])},
+    }.get(logger, {})  # fmt: skip
 
 
 @pytest.mark.parametrize("logger", dict.fromkeys(each.logger for each in LAYOUTS))
@@ -109,7 +87,16 @@ def test_a_logger_is_known_by_its_columns(logger: str, tmp_path: Path) -> None:
     """Signals, units and rate; what it commands or estimates is left out."""
     log = some_log(400)
     rates = np.gradient(log.q, 0.01, axis=0)
-    name, columns, units = logged(logger, log, rates)
+    name, form, stems, others = LOGGERS[logger]
+    signals = {"position": log.q, "velocity": rates, "torque": log.tau}
+    said = [each for each in zip(stems, signals.values(), strict=False) if each[0]]
+    said += [(other, getattr(log, kind)) for other, kind in others.items()]
+    columns = times(logger, 1_700_000_000 + log.t) | {
+        form.format(name=stem, k=k, joint=k + 1): column
+        for stem, values in said for k, column in enumerate(values.T)
+    }  # fmt: skip
+    units = {"position": "rad", "velocity": "rad/s", "torque": CURRENTS.get(logger, "N m")}
+    units = {kind: unit for (kind, unit), stem in zip(units.items(), stems, strict=False) if stem}
     if name.endswith(".csv"):
         table = np.column_stack([*columns.values()])
         np.savetxt(tmp_path / name, table, "%.9f", ",", header=",".join(columns), comments="")
@@ -121,17 +108,15 @@ def test_a_logger_is_known_by_its_columns(logger: str, tmp_path: Path) -> None:
                 file[array] = data.astype(np.int64) if "timestamp" in array else data
     found = guessed([tmp_path / name], tmp_path, JOINTS).tables
     assert {kind: found[kind]["unit"] for kind in units} == units
-    signals = {"position": log.q, "velocity": rates, "torque": log.tau}
     read = open_foreign(tmp_path / name)
     for kind in units:
         listed = found[kind]["columns"]
         values = np.column_stack([*read.read(listed).values()])
         np.testing.assert_allclose(values, signals[kind], atol=1e-8)
-        wrong = ("Cmd", "target", "Ext", "computed", "_d[", "action", "demo_1", "Sm")
+        wrong = ("Cmd", "target", "Ext", "computed", "_d[", "action", "Sm")
         assert not any(word in column for column in listed for word in wrong)
     assert {kind for kind in (*signals, "wrench") if found.get(kind)} == set(units)
-    stated = {"ALOHA": 50, "robomimic": 20}  # files without times
-    assert found[""]["rate"] == stated.get(logger, 100)
+    assert found[""]["rate"] == (50 if logger == "ALOHA" else 100)  # whose files have no times
 
 
 def test_the_size_of_positions_shows_degrees_and_counts(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from hypothesis import strategies as st
 from testbed.core.base.errors import RecordingError
 from testbed.importing.derivative import DerivativeError
 from testbed.importing.foreign_table import UNITS, factor
+from testbed.importing.import_report import Draft
 from tests.helpers.foreign_files import imported
 from tests.helpers.ideal import ideal
 from tests.helpers.refusals import refuses
@@ -43,14 +43,13 @@ def columns(kind: str, order: Any = range(N)) -> list[str]:
 
 def mapping(**changed: dict[str, Any]) -> str:
     """A mapping of it, right but for what is changed."""
-    lines = [f"rate = 100\njoints = {json.dumps(JOINTS)}"]
-    lines += ['[sources.log]\nfile = "log.npz"\nrate = 100']
+    tables: dict[str, Any] = {"": {"rate": 100, "joints": [*JOINTS]}}
+    tables["sources.log"] = {"file": "log.npz", "rate": 100}
     for kind, unit in {**UNIT, "torque": "N m"}.items():
         if kind != "acceleration" or kind in changed:
             table = {"source": "log", "columns": columns(kind), "unit": unit}
-            said = (table | changed.get(kind, {})).items()
-            lines += [f"[{kind}]", *(f"{key} = {json.dumps(value)}" for key, value in said)]
-    return "\n".join(lines) + "\n"
+            tables[kind] = table | changed.get(kind, {})
+    return Draft(tables, {}).text
 
 
 def cure(folder: Path, text: str) -> dict[str, dict[str, Any]]:

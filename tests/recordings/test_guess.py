@@ -164,7 +164,7 @@ def test_a_rate_is_as_round_as_its_stamps_allow(rate: float, since: int, unit: s
 
 
 def test_files_names_other_words_and_what_does_not_grow_are_understood(tmp_path: Path) -> None:
-    """Columns of joints alone; a second torque; a counter that begins again."""
+    """Columns of joints alone; a counter that begins again."""
 
     def guess(columns: str, row: str, *names: str) -> Mapping[str, Mapping[str, Any]]:
         rows = [row.replace("K", f"{k}").replace("R", f"{k % 3}") for k in range(5)]
@@ -177,7 +177,4 @@ def test_files_names_other_words_and_what_does_not_grow_are_understood(tmp_path:
     found = guess("J_1,J_2", "1,2", "curr_data", "pos_read_data")
     sources = {kind: found[kind]["source"] for kind in ("position", "torque")}
     assert sources == {"position": "pos_read_data", "torque": "curr_data"}
-    found = guess("Takt [ms],Torque1,Torque2,TorqueSm1,TorqueSm2", "K,1,2,3,4", "log")
-    assert found["torque"]["columns"] == ["Torque1", "Torque2"]
-    assert (found["sources.log"]["time"], found[""]["rate"]) == ("Takt [ms]", 1000)
     assert "time" not in guess("count,q", "R,0", "log")["sources.log"]

@@ -159,11 +159,9 @@ def test_a_signal_that_begins_late_shortens_the_recording_and_an_empty_one_is_le
     assert [each.code for each in of_recording(found.facts)] == ["import.shorter"]
     path = written(tmp_path / "log.csv", stamps, table())
     lines = path.read_text().splitlines()
-    path.write_text(
-        "\n".join([lines[0] + ",qd_left,qd_right", *(f"{line},nan," for line in lines[1:])])
-    )
-    draft = draft_of(path)
-    assert "velocity" not in draft.content
+    rows = (f"{line},nan," for line in lines[1:])
+    path.write_text("\n".join([f"{lines[0]},qd_left,qd_right", *rows]))
+    assert "velocity" not in draft_of(path).content
     is_right(recorded(path))
 
 
@@ -186,9 +184,8 @@ def test_a_clock_that_is_coarser_than_the_samples_is_made_steady(
         tb.import_recording(tmp_path / "map.toml")
     gone = np.delete(np.arange(len(time)), slice(len(time) // 2, len(time) // 2 + rate))
     written(path, [stamps[k] for k in gone], table(time)[gone])
-    assert (
-        "steady" not in draft_of(path).tables["sources.log"]
-    )  # no steady device leaves out a second
+    # no steady device leaves out a second
+    assert "steady" not in draft_of(path).tables["sources.log"]
 
 
 @pytest.mark.parametrize("ending", ["npz", "mat"])
@@ -197,24 +194,18 @@ def test_arrays_of_two_rates_are_sources_with_clocks_of_their_own(
 ) -> None:
     """What is no signal is no source; of which length times are missing is said."""
     fast = np.arange(0, 8, 2e-3)
-    arrays: dict[str, Any] = {
-        "q": motion(fast),
-        "time_q": fast,
-        "tau": load(TIME),
-        "gains": np.ones(5),
-    }
+    arrays: dict[str, Any] = {"q": motion(fast), "time_q": fast, "gains": np.ones(5)}
+    arrays |= {"tau": load(TIME), "t_tau": TIME}
     path = tmp_path / f"log.{ending}"
 
-    def write(**more: Array) -> None:
-        if ending == "mat":
-            savemat(path, {**arrays, **more})
-        else:
-            np.savez(path, **arrays, **more)  # type: ignore[arg-type]
+    def write() -> None:
+        savemat(path, arrays) if ending == "mat" else np.savez(path, **arrays)
 
-    write(t_tau=TIME)
+    write()
     found = recorded(path)
     is_right(found)
     assert found.rate == pytest.approx(500)
+    del arrays["t_tau"]
     write()
     draft = draft_of(path)
     source = f"sources.{draft.tables['torque']['source']}"
@@ -240,20 +231,13 @@ def test_loads_with_a_sign_bit_are_decoded_or_refused_with_the_key(tmp_path: Pat
     assert "sign_bit" not in draft_of(written(path, stamps, plain)).tables["torque"]
 
 
-def plate(kind: int, channels: Array, scale: float) -> dict[str, Any]:
-    """Parameters of one plate whose sensor has the axes x, -y, -z, turned by 20 deg."""
-    turn = Rotation.from_euler("z", 20, degrees=True)
-    quadrants = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])  # along the sensor's axes
-    corners = [turn.apply([0.3 * x, -0.2 * y, 0.0]) + CENTRE for x, y in quadrants]
-    return {
-        "USED": [1], "TYPE": [kind], "CHANNEL": np.arange(1, len(channels) + 1)[:, None],
-        "CORNERS": np.array(corners).T[..., None] / scale,
-        "ORIGIN": np.array([0.12, 0.2, -0.05])[:, None] / scale if kind == 3
-        else np.array([0.01, 0.0, -0.05])[:, None] / scale,
-    }  # fmt: skip
-
-
-CENTRE = np.array([0.4, -0.1, 0.02])
+CENTRE, A, B, DEEP = np.array([0.4, -0.1, 0.02]), 0.12, 0.2, 0.05
+"""Of the plate's top, and of a type-3 plate: places of its sensors about the centre [m]."""
+EIGHT = np.array([
+    [1, 1, 0, 0, 0, 0, 0, 0], [0, 0, 1, 1, 0, 0, 0, 0], [0, 0, 0, 0, 1, 1, 1, 1],
+    [0, 0, 0, 0, B, B, -B, -B], [0, 0, 0, 0, -A, A, A, -A], [-B, B, A, -A, 0, 0, 0, 0],
+])  # fmt: skip
+"""Force and moment by eight channels of a type-3 plate: x12 x34 y14 y23 z1 z2 z3 z4."""
 
 
 @pytest.mark.parametrize("kind", [2, 3, 4])
@@ -267,28 +251,24 @@ def test_plates_that_a_c3d_file_describes_act_where_it_says(
     force = 5 * rng.normal(size=(400, 3)) + [0, 0, -200]  # by the robot, downwards
     at = np.column_stack([0.1 * rng.normal(size=(400, 2)), np.zeros(400)])  # of the centre, on top
     turn = Rotation.from_euler("z", 20, degrees=True)
-    own = turn.inv().apply(force) * [1, -1, -1]
-    place = at * [1, -1, -1]
+    own, place = turn.inv().apply(force) * [1, -1, -1], at * [1, -1, -1]  # z of the sensor is down
+    middle = np.array([0.0 if kind == 3 else -0.01, 0.0, DEEP])
+    wrench = np.hstack([own, np.cross(place - middle, own) / (1.0 if kind == 3 else scale)]).T
+    channels, units = wrench, ["N"] * 3 + [{"mm": "Nmm", "m": "Nm"}[unit]] * 3
+    said: dict[str, Any] = {}
     if kind == 3:
-        a, b, deep = 0.12, 0.2, 0.05
-        down = place - [0, 0, deep]  # of the sensors' plane, z downwards
-        mx, my, mz = np.cross(down, own).T
-        shares = np.array([[1, 1, 1, 1], [b, b, -b, -b], [-a, a, a, -a], [1, -1, 1, -1]])
-        fz = np.linalg.solve(shares, np.stack([own[:, 2], mx, my, np.zeros(400)]))
-        fx, fy = own[:, 0], own[:, 1]
-        twist = mz / (a + b) / 2
-        pairs = [fx / 2 - twist, fx / 2 + twist, fy / 2 + twist, fy / 2 - twist]
-        channels = np.vstack([pairs, fz])
-        units = ["N"] * 8
-    else:
-        moment = np.cross(place - [-0.01, 0, 0.05], own) / scale
-        channels = np.hstack([own, moment]).T
-        units = ["N"] * 3 + [{"mm": "Nmm", "m": "Nm"}[unit]] * 3
-    said = plate(kind, channels, scale)
-    if kind == 4:
+        channels, units = np.linalg.pinv(EIGHT) @ wrench, ["N"] * 8
+    elif kind == 4:
         gains = np.diag([2.0, 2, 5, 1, 1, 3]) + 0.01 * rng.normal(size=(6, 6))
-        channels, units = np.linalg.solve(gains, channels), ["V"] * 6
+        channels, units = np.linalg.solve(gains, wrench), ["V"] * 6
         said["CAL_MATRIX"] = gains[..., None]
+    corners = np.array([(1, 1, 0), (-1, 1, 0), (-1, -1, 0), (1, -1, 0)]) * [0.3, -0.2, 1.0]
+    origin = np.array([A, B, -DEEP] if kind == 3 else [0.01, 0.0, -DEEP])
+    said |= {
+        "USED": [1], "TYPE": [kind], "CHANNEL": np.arange(1, len(channels) + 1)[:, None],
+        "CORNERS": (turn.apply(corners) + CENTRE).T[..., None] / scale,
+        "ORIGIN": origin[:, None] / scale,
+    }  # fmt: skip
     labels = tuple(f"c{k}" for k in range(len(channels)))
     write_c3d(
         tmp_path / "plate.c3d", channels, np.zeros((3, 0, 400)),

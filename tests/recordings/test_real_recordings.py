@@ -94,11 +94,8 @@ def test_what_a_reading_contains_of_the_pedestal_is_said_once(
     pedestal: str | float | None, tmp_path: Path
 ) -> None:
     """The file's pedestal has 4 kg: as said or as a number, it is the same weight."""
-    text = (
-        (UR5E / "ur5e.toml")
-        .read_text()
-        .replace("ur5e_plate.csv.gz", str(UR5E / "ur5e_plate.csv.gz"))
-    )
+    text, data = (UR5E / "ur5e.toml").read_text(), "ur5e_plate.csv.gz"
+    text = text.replace(data, str(UR5E / data))
     said = "" if pedestal is None else f"pedestal = {pedestal!r}\n"
     text = re.sub("tare = .*\n", "", re.sub("pedestal = .*\n", said, text))
     (tmp_path / "m.toml").write_text(text)
@@ -114,10 +111,8 @@ def test_what_is_wrong_with_a_noisy_recording_is_still_seen() -> None:
     """Another sense of the plate, another one of joint 1: noise excuses neither."""
     tree, right = FILE.tree(), recording()
     assert assess(tree, right).certain == ()
-    assert right.wrench is not None
-    assert [each.kind for each in assess(tree, replace(right, wrench=-right.wrench)).remedies] == [
-        "sense"
-    ]
+    upside = assess(tree, replace(right, wrench=-right.measured("wrench")))
+    assert [each.kind for each in upside.remedies] == ["sense"]
     signs = np.where(np.arange(6) == 0, -1.0, 1.0)
     assert assess(tree, replace(right, position=signs * right.position)).certain
 

@@ -120,9 +120,8 @@ def test_page_and_numbers_are_those_of_the_run(name: str) -> None:
     for table in numbers["parameters"]:
         names = [row[0] for row in table["rows"]]
         assert names == by_influence(run.estimates.values(), run.truths)
-        assert [plain(name) for name in names] == [
-            row[0] for each in words if each[0] == table["heads"] for row in each[1:]
-        ]
+        rows = (row for each in words if each[0] == table["heads"] for row in each[1:])
+        assert [plain(name) for name in names] == [row[0] for row in rows]
     for method, estimate in run.estimates.items():
         for k, parameter in enumerate(estimate.names):
             if parameter in estimate.unidentifiable:
@@ -183,22 +182,16 @@ def test_drives_and_bodies_of_the_page_are_the_runs() -> None:
     run, bodies = plated(), run_named("bodies").consistent
     assert run.drives is not None
     assert bodies is not None
-    tables = {
-        f["id"]: f["table"]["rows"]
-        for name in ("plate", "bodies")
-        for f in numbers_of(name)["figures"]
-    }
+    figures = (f for name in ("plate", "bodies") for f in numbers_of(name)["figures"])
+    tables = {figure["id"]: figure["table"]["rows"] for figure in figures}
     for row, drive in zip(tables["drives"], run.drives.estimates, strict=True):
         assert row[:2] == [drive.joint, number_with_sigma(drive.constant, drive.sigma, short=True)]
-    for link, row, *own in zip(
-        bodies.links, tables["bodies"], bodies.prior, bodies.standard, strict=True
-    ):
-        assert row[0] == link
-        assert [float(row[k].split()[0]) for k in (1, 2)] == pytest.approx(
-            [each[0] for each in own], rel=1e-3
-        )
+    assert [row[0] for row in tables["bodies"]] == [*bodies.links]
+    for row, prior, own in zip(tables["bodies"], bodies.prior, bodies.standard, strict=True):
+        masses = [float(row[k].split()[0]) for k in (1, 2)]
+        assert masses == pytest.approx([prior[0], own[0]], rel=1e-3)
         centre = np.array(row[3].split(), dtype=float)
-        np.testing.assert_allclose(centre * own[1][0], own[1][1:4], atol=1e-3)
+        np.testing.assert_allclose(centre * own[0], own[1:4], atol=1e-3)
 
 
 def test_faults_are_sorted_by_chance_and_only_clear_ones_have_a_size() -> None:

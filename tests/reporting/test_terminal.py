@@ -158,22 +158,14 @@ def test_a_campaign_is_a_row_of_a_table_and_of_a_figure_for_each_cell() -> None:
     text = printed(200, print_campaign, results)
     assert text.count(results.failures[0]["error"]) == 1
     for each in cells:
-        values = (each.error, each.coverage, *each.bounds)
-        row = re.search(f"encoder = {each.levels['encoder']:g} .*", text)
-        assert row is not None
-        error, *shares = (
-            f"{100 * value:{how}}" for value, how in zip(values, FORMATS, strict=True)
-        )
-        assert f" {error} " in text
-        assert f"{shares[0]} {shares[1]} to {shares[2]}" in re.sub(" +", " ", text)
+        inside, low, high = (f"{100 * share:.1f}" for share in (each.coverage, *each.bounds))
+        assert f"encoder = {each.levels['encoder']:g} " in text
+        assert f" {100 * each.error:.3g} " in text
+        assert f"{inside} {low} to {high}" in re.sub(" +", " ", text)
     figure = cells_figure(cells)
     assert len(figure.table.rows) == len(cells) == 4
     errors, coverage = figure.panels
-    assert isinstance(errors, Panel)
-    assert isinstance(coverage, Panel)
     for panel, name in ((errors, "error"), (coverage, "coverage")):
+        assert isinstance(panel, Panel)
         drawn, _ = panel.curves["external"]
         np.testing.assert_allclose(drawn, [100 * getattr(each, name) for each in cells])
-
-
-FORMATS = (".3g", ".1f", ".1f", ".1f")
