@@ -63,10 +63,10 @@ def coordinates(base: Array) -> Array:
             f"the base's quaternion has length {size[wrong[0]]:.3g} at sample {wrong[0]}, one of "
             f"{wrong.size} such: it is (w, x, y, z) of length one"
         )
-    angles = Rotation.from_quat(base[:, 3:], scalar_first=True).as_euler("ZYX")
-    if np.abs(angles[:, 1]).max(initial=0.0) > STEEPEST:
+    turns = Rotation.from_quat(base[:, 3:], scalar_first=True)
+    if np.abs(turns.as_matrix()[:, 2, 0]).max(initial=0.0) > np.sin(STEEPEST):
         raise RecordingError(
             "the base's pitch goes beyond 80 degrees, where yaw and roll are no coordinates: turn "
             "the ground's frame, so that the base stands upright in it"
         )
-    return np.hstack([base[:, :3], np.unwrap(angles, axis=0)])
+    return np.hstack([base[:, :3], np.unwrap(turns.as_euler("ZYX"), axis=0)])
