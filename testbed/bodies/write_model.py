@@ -32,7 +32,7 @@ from testbed.core.robot.model_file import (
     references,
 )
 from testbed.core.robot.parsing import read_xml
-from testbed.core.robot.repair import Edit, Link, total
+from testbed.core.robot.repair import Edit, FileLink, total
 from testbed.core.robot.tree import Tree
 
 Fixed = Literal["lump", "share"]
@@ -227,7 +227,7 @@ def check_place(source: Path, path: Path, *, over_source: bool = False) -> None:
 
 
 def share_out(
-    links: Sequence[Link], bodies: Mapping[int, Inertia], fixed: Fixed
+    links: Sequence[FileLink], bodies: Mapping[int, Inertia], fixed: Fixed
 ) -> tuple[dict[str, Inertia], tuple[Diagnostic, ...]]:
     """What each link gets.
 
@@ -244,7 +244,7 @@ def share_out(
     said: list[Diagnostic] = []
     for body, whole in bodies.items():
         own = [link for link in links if link.body == body]
-        groups: dict[str, list[Link]] = {}  # by the link that gets what is theirs
+        groups: dict[str, list[FileLink]] = {}  # by the link that gets what is theirs
         for link in own:
             groups.setdefault(link.name if fixed == "share" else link.carrier, []).append(link)
         parts = _in_proportion(own, whole) if len(groups) > 1 else None
@@ -260,7 +260,7 @@ def share_out(
     return kept, tuple(said)
 
 
-def _in_proportion(own: Sequence[Link], whole: Inertia) -> dict[str, Inertia] | None:
+def _in_proportion(own: Sequence[FileLink], whole: Inertia) -> dict[str, Inertia] | None:
     """Parts that make up a body, by link, about the body's frame; None where there is no measure.
 
     One affine map and one factor take the file's matter to the new one: all parts go along, and

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from testbed.core.base.diagnostics import Diagnostic
     from testbed.core.estimation.estimate import Method
     from testbed.core.robot.model_file import ModelFile
-    from testbed.core.robot.repair import Link
+    from testbed.core.robot.repair import FileLink
     from testbed.core.robot.tree import Tree
 
 Vendor = Annotated[
@@ -49,7 +49,9 @@ Flange = Annotated[
 ]
 
 
-def flange_link(vendor: str | None, flange: str | None, file: ModelFile, tree: Tree) -> Link | None:
+def flange_link(
+    vendor: str | None, flange: str | None, file: ModelFile, tree: Tree
+) -> FileLink | None:
     """The flange that is named for a controller, in a tree's bodies; None for none.
 
     Raises:
@@ -73,7 +75,11 @@ def flange_link(vendor: str | None, flange: str | None, file: ModelFile, tree: T
 
 
 def print_for(
-    vendor: str, found: PayloadEstimate, tree: Tree, link: Link | None, said: Iterable[Diagnostic]
+    vendor: str,
+    found: PayloadEstimate,
+    tree: Tree,
+    link: FileLink | None,
+    said: Iterable[Diagnostic],
 ) -> None:
     """A payload as a controller takes it, and warnings.
 

@@ -32,7 +32,7 @@ from testbed.core.base.file_kinds import LOG, kind_of, misplaced
 if TYPE_CHECKING:
     from testbed.core.recordings.recording import Recording
     from testbed.importing.check.mapping_solution import MappingSolution
-    from testbed.importing.import_report import Draft
+    from testbed.importing.import_report import MappingDraft
 
 
 def write_mapping(
@@ -104,7 +104,7 @@ def write_mapping(
     return None if empty else found
 
 
-def _refused(refusal: Exception, draft: Draft, written: Path) -> RecordingError:
+def _refused(refusal: Exception, draft: MappingDraft, written: Path) -> RecordingError:
     """Refusal of a solved mapping that names the line in question."""
     reason = str(refusal).removeprefix(f"{written}: ")
     named = re.search(r"\[([\w.]+)\] (\w+)", reason)

@@ -20,7 +20,7 @@ from testbed.importing.column_names import (
     grouped,
 )
 from testbed.importing.foreign_table import RAW, UNITS, ForeignTable, Kind, StatedPlate, plain
-from testbed.importing.import_report import Draft
+from testbed.importing.import_report import MappingDraft
 from testbed.importing.likely_signals import (
     BY_BOTH,
     PER_CENT,
@@ -44,7 +44,7 @@ def guessed(
     folder: Path,
     joints: Sequence[str] = (),
     subsets: Iterable[Sequence[str]] = (),
-) -> Draft:
+) -> MappingDraft:
     """A mapping to start from; where something is empty, `read_mapping` refuses it.
 
     Args:
@@ -66,7 +66,7 @@ def guessed(
     sources = [by_name.get(each.name, each) for each in sources]
     signals = {**signals, **_temperatures(sources, joints, signals)}
     files = ", ".join(printable(path.name, 100) for path in paths)
-    draft = Draft().remarking(
+    draft = MappingDraft().remarking(
         "",
         f"# What {files} {'holds' if len(paths) == 1 else 'hold'}, made into a recording by",
         "#   testbed import THIS.toml --out recording.parquet --model ROBOT",
@@ -97,7 +97,7 @@ def guessed(
     return draft
 
 
-def _with_source(draft: Draft, source: LikelySource, folder: Path) -> Draft:
+def _with_source(draft: MappingDraft, source: LikelySource, folder: Path) -> MappingDraft:
     """Mapping with a source's table, and what its columns hold."""
     name = f"sources.{source.name}"
     file = os.path.relpath(source.file.resolve(), folder.resolve())
@@ -173,11 +173,11 @@ def _range(values: Array) -> str:
 
 
 def _with_signal(
-    draft: Draft,
+    draft: MappingDraft,
     kind: Kind,
     signals: Mapping[Kind, LikelySignal],
     sources: Sequence[LikelySource],
-) -> Draft:
+) -> MappingDraft:
     """A signal's table, if columns look like one."""
     beside = [c.name for s in sources for c in s.columns if c.kind == kind and c.beside]
     if beside:

@@ -18,7 +18,7 @@ LONGEST = 300
 
 
 @dataclass(frozen=True)
-class Draft:
+class MappingDraft:
     """A mapping file as it is written.
 
     Attributes:
@@ -31,7 +31,7 @@ class Draft:
     notes: Mapping[tuple[str, str], str] = field(default_factory=dict)
     remarks: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
-    def saying(self, table: str, key: str, value: Any, note: str = "") -> Draft:
+    def saying(self, table: str, key: str, value: Any, note: str = "") -> MappingDraft:
         """The same with another value of a key, and another note beside it; None takes it out.
 
         Args:
@@ -46,14 +46,14 @@ class Draft:
         notes |= {(table, key): note} if note and value is not None else {}
         return replace(self, tables={**self.tables, table: keys}, notes=notes)
 
-    def saying_all(self, table: str, keys: Iterable[tuple[str, Any, str]]) -> Draft:
+    def saying_all(self, table: str, keys: Iterable[tuple[str, Any, str]]) -> MappingDraft:
         """The same with keys of a table, their values and notes."""
         draft = self
         for key, value, note in keys:
             draft = draft.saying(table, key, value, note)
         return draft
 
-    def remarking(self, table: str, *lines: str) -> Draft:
+    def remarking(self, table: str, *lines: str) -> MappingDraft:
         """The same with lines of comment above a table, or in place of one that is not there."""
         said = [*self.remarks.get(table, ()), *lines]
         return replace(

@@ -17,7 +17,7 @@ K = r"[\[_.]?\d+\]?"
 
 
 @dataclass(frozen=True)
-class Layout:
+class LoggerLayout:
     """How a logger names its columns; all names are regular expressions of a whole name.
 
     Attributes:
@@ -74,8 +74,8 @@ UR: Mapping[Kind, tuple[str, str]] = {
     "velocity": (f"actual_qd{K}", "rad/s"),
 }
 
-LAYOUTS: tuple[Layout, ...] = (
-    Layout(
+LAYOUTS: tuple[LoggerLayout, ...] = (
+    LoggerLayout(
         "libfranka",
         {
             "position": (f"{FRANKA}q{K}", "rad"),
@@ -86,10 +86,12 @@ LAYOUTS: tuple[Layout, ...] = (
         time=("time|duration",),
     ),
     *(
-        Layout("UR's RTDE", {**UR, "torque": torque}, beside=f"(?:actual_TCP_|ft_raw_|tcp_).*{K}")
+        LoggerLayout(
+            "UR's RTDE", {**UR, "torque": torque}, beside=f"(?:actual_TCP_|ft_raw_|tcp_).*{K}"
+        )
         for torque in ((f"actual_current_as_torque{K}", "N m"), (f"actual_current{K}", "A"))
     ),
-    Layout(
+    LoggerLayout(
         "DROID",
         {
             "position": (f"{DROID}joint_positions{K}", "rad"),
@@ -100,7 +102,7 @@ LAYOUTS: tuple[Layout, ...] = (
         time=("observation/timestamp/robot_state/read_start",),
         unit="ms",
     ),
-    Layout(
+    LoggerLayout(
         "ALOHA",
         {
             "position": (f"observations/qpos{K}", "rad"),
@@ -109,12 +111,12 @@ LAYOUTS: tuple[Layout, ...] = (
         },
         rate=50.0,
     ),
-    Layout(
+    LoggerLayout(
         "KUKA's iiwa",
         {"position": (f"axisQMsr{IIWA}{K}", "rad"), "torque": (f"axisTauMsr{IIWA}{K}", "N m")},
         time=("ZeitInSec", "ZeitInNanoSec"),
     ),
-    Layout(
+    LoggerLayout(
         "Kinova's Gen3",
         {
             "position": (r"Position\d", "rad"),
@@ -127,7 +129,7 @@ LAYOUTS: tuple[Layout, ...] = (
 """In the order of trying."""
 
 
-def layout_of(columns: Sequence[str]) -> Layout | None:
+def layout_of(columns: Sequence[str]) -> LoggerLayout | None:
     """The logger that names columns like these; None if it is none of `LAYOUTS`.
 
     Args:

@@ -14,7 +14,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import round_significant
 from testbed.importing.column_names import without_unit
 from testbed.importing.foreign_table import TIMES, ForeignTable, plain
-from testbed.importing.known_layouts import Layout
+from testbed.importing.known_layouts import LoggerLayout
 from testbed.importing.source_clock import GAP, Times, steady_line
 
 EPOCH = 1e9
@@ -92,7 +92,7 @@ class LikelyClock:
 
 
 def clock_of(
-    table: ForeignTable, layout: Layout | None = None, rows: NDArray[np.bool_] | bool = True
+    table: ForeignTable, layout: LoggerLayout | None = None, rows: NDArray[np.bool_] | bool = True
 ) -> LikelyClock:
     """Find the time column of a table, its unit and its sampling rate.
 

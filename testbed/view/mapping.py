@@ -9,7 +9,7 @@ from testbed.core.base.diagnostics import sentences
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.importing.check.mapping_solution import MappingSolution, table_of
 from testbed.importing.check.plate import WrenchFit
-from testbed.importing.import_report import Draft
+from testbed.importing.import_report import MappingDraft
 from testbed.view.figures import Panel
 from testbed.view.output import write_page
 from testbed.view.section import Section, Table
@@ -25,7 +25,7 @@ def write_mapping_page(path: Path, solved: MappingSolution) -> None:
     write_page(path, "mapping.html", mapping_contents(path.stem, solved))
 
 
-def solved_table(draft: Draft) -> Table:
+def solved_table(draft: MappingDraft) -> Table:
     """What was solved.
 
     Args:

@@ -22,7 +22,7 @@ from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.importing.check.mapping_solution import KNOWN, MappingSolution
 from testbed.importing.check.plate import WrenchFit
-from testbed.importing.import_report import Draft
+from testbed.importing.import_report import MappingDraft
 from testbed.lab.experiment.excite import design_problem
 from testbed.lab.experiment.motions import CheckedMotion, checked_motion
 from testbed.motion.design import Design
@@ -137,7 +137,7 @@ def mapping() -> MappingSolution:
     wrench = np.sin(np.outer(time, np.arange(1, 7)))
     read = WrenchFit(time, wrench, 0.9 * wrench, np.full(6, 0.01))
     notes = {("wrench", "rate"): KNOWN[0], ("wrench", "file"): KNOWN[0] + HOSTILE}
-    draft = Draft({"wrench": {"rate": 100.0, "file": HOSTILE}}, notes)
+    draft = MappingDraft({"wrench": {"rate": 100.0, "file": HOSTILE}}, notes)
     return MappingSolution(draft, (Diagnostic("note", HOSTILE),), read, replace(read, fit=wrench))
 
 

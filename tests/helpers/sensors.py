@@ -7,16 +7,16 @@ from scipy.spatial.transform import Rotation
 
 import testbed as tb
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.core.robot.repair import Link
+from testbed.core.robot.repair import FileLink
 
 
-def links_of(tree: tb.Tree) -> tuple[Link, ...]:
+def links_of(tree: tb.Tree) -> tuple[FileLink, ...]:
     """A link a body, as of a file without fixed joints."""
     names = ["pedestal", *(joint.body for joint in tree.joints)]
     bodies = [tree.pedestal, *tree.inertias]
     parents = ["", *(names[parent + 1] for parent in tree.parents)]
     return tuple(
-        Link(name, k - 1, parent, name, np.eye(3), np.zeros(3), body)
+        FileLink(name, k - 1, parent, name, np.eye(3), np.zeros(3), body)
         for k, (name, parent, body) in enumerate(zip(names, parents, bodies, strict=True))
     )
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from testbed.core.base.errors import RecordingError
 from testbed.importing.derivative import DerivativeError
 from testbed.importing.foreign_table import UNITS, factor
-from testbed.importing.import_report import Draft
+from testbed.importing.import_report import MappingDraft
 from tests.helpers.foreign_files import imported
 from tests.helpers.ideal import ideal
 from tests.helpers.refusals import refuses
@@ -49,7 +49,7 @@ def mapping(**changed: dict[str, Any]) -> str:
         if kind != "acceleration" or kind in changed:
             table = {"source": "log", "columns": columns(kind), "unit": unit}
             tables[kind] = table | changed.get(kind, {})
-    return Draft(tables, {}).text
+    return MappingDraft(tables, {}).text
 
 
 def cure(folder: Path, text: str) -> dict[str, dict[str, Any]]:

@@ -18,7 +18,7 @@ from testbed.core.base.diagnostics import of_recording
 from testbed.core.base.errors import RecordingError
 from testbed.importing.convert import pieces
 from testbed.importing.guess import guessed
-from testbed.importing.import_report import Draft
+from testbed.importing.import_report import MappingDraft
 from testbed.importing.readers import open_foreign
 from tests.helpers.foreign_files import write_c3d
 from tests.helpers.refusals import refuses
@@ -54,7 +54,7 @@ def table(time: Array = TIME) -> Array:
     return np.hstack([motion(time), load(time)])
 
 
-def draft_of(*paths: Path) -> Draft:
+def draft_of(*paths: Path) -> MappingDraft:
     """The guessed mapping, what names do not say filled in."""
     draft = guessed(paths, paths[0].parent, JOINTS)
     for kind, unit in (("position", "rad"), ("torque", "N m")):

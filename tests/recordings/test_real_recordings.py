@@ -28,7 +28,7 @@ from testbed.importing.check.check import assess
 from testbed.importing.check.mapping_solution import solve_mapping
 from testbed.importing.convert import pieces
 from testbed.importing.guess import guessed
-from testbed.importing.import_report import Draft
+from testbed.importing.import_report import MappingDraft
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 
@@ -39,7 +39,7 @@ PLACE, LATE, REST = (-1.79e-3, -5.17e-3, -68.76e-3), 0.049, {1: -1.5706, 4: 0.0}
 
 
 @cache
-def draft() -> Draft:
+def draft() -> MappingDraft:
     found = guessed([UR5E / "ur5e_plate.csv.gz"], UR5E, FILE.tree().names)
     return solve_mapping(found, UR5E / "mapping.toml", FILE.tree()).draft
 

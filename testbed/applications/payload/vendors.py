@@ -27,7 +27,7 @@ from testbed.core.base.errors import SettingsError, few
 from testbed.core.estimation.regression.normal_equations import standard_deviations
 from testbed.core.parameters.pseudo_inertia import matrices
 from testbed.core.robot.inertia import Inertia
-from testbed.core.robot.repair import Link
+from testbed.core.robot.repair import FileLink
 from testbed.core.robot.rigid_matter import inertia_flaw
 from testbed.core.robot.rotations import to_rpy
 from testbed.core.robot.tree import Tree
@@ -80,7 +80,7 @@ class FlangePayload:
         ]
 
 
-def at_flange(found: PayloadEstimate, tree: Tree, link: Link | None = None) -> FlangePayload:
+def at_flange(found: PayloadEstimate, tree: Tree, link: FileLink | None = None) -> FlangePayload:
     """A payload, or the tool that a force sensor carries, about and along a flange's frame.
 
     Args:

@@ -46,7 +46,7 @@ STRAIGHT = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
-class Link:
+class KernelLink:
     """One step outward: an offset, a turn about x, then the joint along or about z.
 
     Attributes:
@@ -77,7 +77,7 @@ class Canonical:
         bedplate: Orientation of the bedplate's canonical frame, (3, 3).
     """
 
-    links: tuple[Link, ...]
+    links: tuple[KernelLink, ...]
     place: tuple[int, ...]
     frames: Array
     bedplate: Array
@@ -99,23 +99,23 @@ def canonical(tree: Tree) -> Canonical:
         first = next((angle for angle in leans if angle is not None), None)
         if first:
             frames[i + 1] = frames[i + 1] @ _about_z(first)
-    links: list[Link] = []
+    links: list[KernelLink] = []
     place: list[int] = []
     for j, joint in enumerate(tree.joints):
         parent = place[joint.parent] if joint.parent >= 0 else -1
         turn, offset = _between(tree, frames, j), frames[joint.parent + 1].T @ joint.offset
         aside = _lean(turn)
         if aside:
-            links.append(Link(-1, parent, True, np.zeros(3), (1.0, 0.0), aside))
+            links.append(KernelLink(-1, parent, True, np.zeros(3), (1.0, 0.0), aside))
             back = _about_z(-aside)
             parent, turn, offset = len(links) - 1, back @ turn, back @ offset
         lean = (float(turn[2, 2]), float(-turn[1, 2]))
         rest = _about_x(*lean).T @ turn
         angle = float(np.arctan2(rest[1, 0], rest[0, 0]))
         place.append(len(links))
-        links.append(Link(j, parent, not joint.revolute, offset, lean, angle))
+        links.append(KernelLink(j, parent, not joint.revolute, offset, lean, angle))
         if j == tree.sensor_body:  # what it feels rests on the cut
-            links.append(Link(-1, place[j], True, np.zeros(3), (1.0, 0.0), 0.0))
+            links.append(KernelLink(-1, place[j], True, np.zeros(3), (1.0, 0.0), 0.0))
             place[j] += 1
     return Canonical(tuple(links), tuple(place), np.stack(frames[1:]), frames[0])
 
@@ -175,7 +175,7 @@ class Pair(NamedTuple):
 class Shelf:
     """Places in the workspace, used again once all links outward have been seen."""
 
-    def __init__(self, links: Sequence[Link], first: int) -> None:
+    def __init__(self, links: Sequence[KernelLink], first: int) -> None:
         self.links, self.count = links, first
         self.carried = np.bincount([link.parent + 1 for link in links], minlength=len(links) + 1)
         self.places: dict[tuple[int, int], int] = {}
@@ -197,7 +197,7 @@ class Shelf:
         return place
 
 
-class Draft:
+class LayoutBuilder:
     """Channels as they are added; `rows` makes arrays of them."""
 
     def __init__(
@@ -383,7 +383,7 @@ def layout(tree: Tree, minimal: MinimalSet, terms: Sequence[JointTerm] = ()) -> 
         entry = ORDER.index(parameter % 10)
         places[frames.place[parameter // 10]].append((entry, column))
     base = frames.place[tree.sensor_body] if tree.sensor_body >= 0 else -1
-    draft = Draft(frames, [sorted(each) for each in places], base)
+    draft = LayoutBuilder(frames, [sorted(each) for each in places], base)
     turn = shares(tree)
     if minimal.model == "dynamic":
         for j, link in enumerate(frames.place):

@@ -18,7 +18,7 @@ from testbed.core.base.errors import ModelError, UnknownName
 from testbed.core.base.summary_table import Value
 from testbed.core.robot.free_base import FREE
 from testbed.core.robot.inertia import NOTHING, Inertia
-from testbed.core.robot.repair import Link, total
+from testbed.core.robot.repair import FileLink, total
 from testbed.core.robot.tree import Placement, Tree
 
 
@@ -45,7 +45,7 @@ class ForceSensor(Value):
 
 
 def beyond_sensor(
-    tree: Tree, links: Sequence[Link], sensor: ForceSensor, others: Iterable[ForceSensor] = ()
+    tree: Tree, links: Sequence[FileLink], sensor: ForceSensor, others: Iterable[ForceSensor] = ()
 ) -> Tree:
     """What a force sensor feels, as a tree: the joints that lead to it, and all beyond it.
 
@@ -73,7 +73,7 @@ def beyond_sensor(
     return _segment(tree, links, sensor, others)
 
 
-def before_sensors(tree: Tree, links: Sequence[Link], others: Iterable[ForceSensor]) -> Tree:
+def before_sensors(tree: Tree, links: Sequence[FileLink], others: Iterable[ForceSensor]) -> Tree:
     """What the bedplate feels without what lies beyond force sensors; as `beyond_sensor`.
 
     Args:
@@ -85,7 +85,7 @@ def before_sensors(tree: Tree, links: Sequence[Link], others: Iterable[ForceSens
 
 
 def _segment(
-    tree: Tree, links: Sequence[Link], sensor: ForceSensor | None, others: Iterable[ForceSensor]
+    tree: Tree, links: Sequence[FileLink], sensor: ForceSensor | None, others: Iterable[ForceSensor]
 ) -> Tree:
     """What lies between a sensor, or the bedplate, and the next ones."""
     shift = FREE if tree.floating else 0  # the pedestal's links are the base's then
@@ -117,7 +117,7 @@ def _segment(
     }
     held = {link.body + shift for link in ours}
 
-    def placed(each: ForceSensor, link: Link) -> Placement:
+    def placed(each: ForceSensor, link: FileLink) -> Placement:
         body = place[link.body + shift]
         position = link.position + link.rotation @ each.position
         return Placement(position, link.rotation @ each.rotation, each.name, body)
@@ -140,14 +140,14 @@ def _segment(
     )
 
 
-def _link(links: Sequence[Link], sensor: ForceSensor) -> Link:
+def _link(links: Sequence[FileLink], sensor: ForceSensor) -> FileLink:
     named = {link.name: link for link in links}
     if sensor.link not in named:
         raise UnknownName("link", sensor.link, sorted(named))
     return named[sensor.link]
 
 
-def _beyond(links: Sequence[Link], sensor: ForceSensor | None) -> set[str]:
+def _beyond(links: Sequence[FileLink], sensor: ForceSensor | None) -> set[str]:
     """Names of the links beyond a sensor; of all beyond the bedplate."""
     found = {link.name for link in links} if sensor is None else {_link(links, sensor).name}
     for link in links:

@@ -23,7 +23,7 @@ from testbed.core.robot.inertia import HEAVIEST
 from testbed.core.robot.locks import Lock, Travel
 from testbed.core.robot.parsing import check_name, errors_of, read_xml
 from testbed.core.robot.refusals import FreeRootError, LoopError, MimicError
-from testbed.core.robot.repair import Bodies, Link, Repair
+from testbed.core.robot.repair import Bodies, FileLink, Repair
 from testbed.core.robot.tree import ModelSource, Tree
 
 MOST_JOINTS = 1_000
@@ -34,7 +34,7 @@ MOST_JOINTS = 1_000
 class ModelFile(ModelSource):
     """An MJCF or URDF file, and how to read it."""
 
-    def links(self) -> tuple[Link, ...]:
+    def links(self) -> tuple[FileLink, ...]:
         """Its links in the bodies of the tree, carriers before what they carry.
 
         Raises:

@@ -49,7 +49,7 @@ NAMED = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Link:
+class FileLink:
     """A link of a model file.
 
     Attributes:
@@ -126,7 +126,7 @@ class Repair:
 
 
 def repaired(
-    links: Sequence[Link],
+    links: Sequence[FileLink],
     suspects: Mapping[str, str],
     parents: Sequence[int],
     given: Bodies | None,
@@ -150,7 +150,7 @@ def repaired(
         UnknownName: A body is given for a link that is fixed to another, or is not there.
     """
     named = {link.name: link for link in links}
-    parts: dict[str, list[Link]] = {}
+    parts: dict[str, list[FileLink]] = {}
     for link in links:
         parts.setdefault(link.carrier, []).append(link)
     for name in given or ():
@@ -239,7 +239,7 @@ def _out_of_scale(bodies: Bodies, reach: float) -> tuple[Inertia, dict[str, str]
 _SIZE = "link '{}' has a mass of {:.4g} kg with a radius of gyration of {:.4g} m about its joint"
 
 
-def _lump(carrier: Link, parts: Sequence[Link]) -> Inertia:
+def _lump(carrier: FileLink, parts: Sequence[FileLink]) -> Inertia:
     """A link and all that is fixed to it, about and along its frame; alone to the last bit."""
     full = (part for part in parts if part is not carrier and part.inertia.pseudo.any())
     return carrier.inertia + total(carrier.seen_from(part.in_body) for part in full)
@@ -254,7 +254,7 @@ def _flaw(name: str, body: Inertia) -> str | None:
 
 
 def _bare_ends(
-    links: Sequence[Link], bodies: Bodies, parents: Sequence[int]
+    links: Sequence[FileLink], bodies: Bodies, parents: Sequence[int]
 ) -> Iterator[tuple[str, str]]:
     """Bodies of the tree without matter that carry none, and what is wrong with them."""
     full = [False] * len(parents)

@@ -12,12 +12,12 @@ from testbed.core.robot.tree import Tree
 from testbed.importing.arms import joint_sets
 from testbed.importing.check.remedies import own_joints
 from testbed.importing.guess import guessed
-from testbed.importing.import_report import Draft
+from testbed.importing.import_report import MappingDraft
 
 
 def draft_mapping(
     paths: Sequence[Path], folder: Path, file: ModelFile
-) -> tuple[Draft, ModelFile, Tree]:
+) -> tuple[MappingDraft, ModelFile, Tree]:
     """Mapping by the columns' names, and a robot without the joints that the log lacks.
 
     A root that floats is welded, unless the file already says how.

@@ -16,7 +16,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.dynamics.newton_euler import linear
 from testbed.importing.check.instants import Instants
 from testbed.importing.check.plate import WEIGHT, Frame, PlateEvidence, PlateExplanation
-from testbed.importing.check.prior import Prior
+from testbed.importing.check.prior import ScaledPrior
 from testbed.importing.check.remedies import Hypothesis, merge, own_joints
 from testbed.importing.check.torques import NO_TORQUES, TorqueAssignment, TorqueEvidence, assign
 
@@ -156,7 +156,11 @@ class HypothesisFit:
     """
 
     def __init__(
-        self, prior: Prior, frame: Frame, hypotheses: tuple[Hypothesis, ...], instants: Instants
+        self,
+        prior: ScaledPrior,
+        frame: Frame,
+        hypotheses: tuple[Hypothesis, ...],
+        instants: Instants,
     ) -> None:
         """Rows of plate and torques.
 

@@ -50,7 +50,7 @@ from testbed.importing.check.time_offset import TimeOffset, alignment, time_offs
 from testbed.importing.convert import clock_ranges, pieces
 from testbed.importing.derivative import DerivativeError
 from testbed.importing.foreign_table import TURNING
-from testbed.importing.import_report import Draft, in_toml
+from testbed.importing.import_report import MappingDraft, in_toml
 from testbed.importing.mapping import Mapping as MappingFile
 from testbed.importing.mapping import empty_keys
 
@@ -107,7 +107,7 @@ class MappingSolution(Diagnosed):
         prepared: Recordings that this very mapping makes; None where it was refined since.
     """
 
-    draft: Draft
+    draft: MappingDraft
     diagnostics: tuple[Diagnostic, ...] = ()
     before: WrenchFit | None = None
     after: WrenchFit | None = None
@@ -116,7 +116,7 @@ class MappingSolution(Diagnosed):
 
 
 def solve_mapping(
-    draft: Draft, out: Path, tree: Tree, progress: Progress | None = None
+    draft: MappingDraft, out: Path, tree: Tree, progress: Progress | None = None
 ) -> MappingSolution:
     """A mapping without empty keys, as far as names and data determine it.
 
@@ -167,7 +167,7 @@ def solve_mapping(
     )
 
 
-def missing(draft: Draft) -> list[str]:
+def missing(draft: MappingDraft) -> list[str]:
     """Keys that a person must fill in.
 
     Args:
@@ -180,7 +180,7 @@ def missing(draft: Draft) -> list[str]:
     return [*dict.fromkeys((*empty_keys(content), *rateless, *none))]
 
 
-def table_of(draft: Draft) -> list[tuple[str, str, str]]:
+def table_of(draft: MappingDraft) -> list[tuple[str, str, str]]:
     """What was assumed or solved: key, value, and what it is known by.
 
     Args:
@@ -193,13 +193,13 @@ def table_of(draft: Draft) -> list[tuple[str, str, str]]:
     ]
 
 
-def _mapping(draft: Draft, out: Path) -> MappingFile:
+def _mapping(draft: MappingDraft, out: Path) -> MappingFile:
     return checked(MappingFile, draft.content, str(out))
 
 
 def _assessed(
-    draft: Draft, out: Path, tree: Tree, progress: Progress | None
-) -> tuple[Draft, Prepared, Assessment]:
+    draft: MappingDraft, out: Path, tree: Tree, progress: Progress | None
+) -> tuple[MappingDraft, Prepared, Assessment]:
     """Mapping corrected by derivatives, its recordings, and the longest of them assessed."""
     try:
         prepared = Prepared(*pieces(out, _mapping(draft, out)))
@@ -214,7 +214,7 @@ def _assessed(
     return draft, replace(prepared, assessment=assessment), assessment
 
 
-def _assume(draft: Draft, tree: Tree) -> Draft:
+def _assume(draft: MappingDraft, tree: Tree) -> MappingDraft:
     """What is open is what is usual."""
     sliding = {joint.name for joint in tree.joints if not joint.revolute}
     tables = draft.tables
@@ -238,7 +238,7 @@ def _assume(draft: Draft, tree: Tree) -> Draft:
     return draft
 
 
-def _with_starts(draft: Draft, out: Path) -> Draft:
+def _with_starts(draft: MappingDraft, out: Path) -> MappingDraft:
     """Clocks of several files that have little time in common begin together."""
     mapping = _mapping(draft, out)
     ranges = clock_ranges(mapping, out.parent)
@@ -252,7 +252,7 @@ def _with_starts(draft: Draft, out: Path) -> Draft:
     return draft
 
 
-def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
+def _better(draft: MappingDraft, assessment: Assessment, tree: Tree) -> MappingDraft:
     """What the assessment says instead; the same where it finds nothing wrong."""
     codes, best = {each.code for each in assessment.certain}, assessment.best
     plate = draft.tables.get("wrench", {"tare": None})
@@ -269,7 +269,7 @@ def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
     return _with_sizes(draft, assessment, tree)
 
 
-def _with_sizes(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
+def _with_sizes(draft: MappingDraft, assessment: Assessment, tree: Tree) -> MappingDraft:
     """Mapping with the unit or the gains of torques, by their size."""
     best, finite = assessment.best, assessment.sizes[np.isfinite(assessment.sizes)]
     odd = any(each.code == "torque.size" for each in assessment.certain)
@@ -287,7 +287,7 @@ def _with_sizes(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
     return draft
 
 
-def _with_gains(draft: Draft, sizes: Array, tree: Tree, origin: str) -> Draft:
+def _with_gains(draft: MappingDraft, sizes: Array, tree: Tree, origin: str) -> MappingDraft:
     """Mapping with gains by a force plate or the model file's masses.
 
     Args:
@@ -306,7 +306,7 @@ def _with_gains(draft: Draft, sizes: Array, tree: Tree, origin: str) -> Draft:
     return draft.saying("torque", "gain_from", origin)
 
 
-def _with_pedestal(draft: Draft, weighed: tuple[float, float, float]) -> Draft:
+def _with_pedestal(draft: MappingDraft, weighed: tuple[float, float, float]) -> MappingDraft:
     """Whether a plate's reading contains the pedestal, by the model file's masses."""
     included, without, file = weighed
     value = "removed" if removed(*weighed) else "included"
@@ -314,7 +314,7 @@ def _with_pedestal(draft: Draft, weighed: tuple[float, float, float]) -> Draft:
     return draft.saying("wrench", "pedestal", value, f"{note}not; the model file says {file:.3g}")
 
 
-def _with_remedies(draft: Draft, assessment: Assessment) -> Draft:
+def _with_remedies(draft: MappingDraft, assessment: Assessment) -> MappingDraft:
     """What the assessment says, and what for."""
     for each in assessment.remedies:
         note = f"solved: {share(each.after)} of {each.channel} is unexplained"
@@ -331,7 +331,7 @@ def _with_remedies(draft: Draft, assessment: Assessment) -> Draft:
     return draft
 
 
-def _with_rates(draft: Draft, unit: str | list[str]) -> Draft:
+def _with_rates(draft: MappingDraft, unit: str | list[str]) -> MappingDraft:
     """Units of derivatives that were assumed, in those of the positions."""
     for kind, ending in (("velocity", "/s"), ("acceleration", "/s^2")):
         if draft.notes.get((kind, "unit")) == ASSUMED:
@@ -341,7 +341,9 @@ def _with_rates(draft: Draft, unit: str | list[str]) -> Draft:
     return draft
 
 
-def _by_the_data(draft: Draft, best: Explanation, doubts: Sequence[Diagnostic]) -> Draft:
+def _by_the_data(
+    draft: MappingDraft, best: Explanation, doubts: Sequence[Diagnostic]
+) -> MappingDraft:
     """Mapping with notes on keys that were assumed and that a plate's data bear out."""
     if not best.has_plate or any(each.level == "warning" for each in doubts):
         return draft
@@ -354,7 +356,9 @@ def _by_the_data(draft: Draft, best: Explanation, doubts: Sequence[Diagnostic]) 
     return replace(draft, notes=notes)
 
 
-def _with_clocks(draft: Draft, source: Source, offsets: Sequence[TimeOffset]) -> Draft:
+def _with_clocks(
+    draft: MappingDraft, source: Source, offsets: Sequence[TimeOffset]
+) -> MappingDraft:
     """Delays and drifts that are clear."""
     content = draft.content
     for each in offsets:
@@ -367,7 +371,7 @@ def _with_clocks(draft: Draft, source: Source, offsets: Sequence[TimeOffset]) ->
     return draft
 
 
-def _delayed(draft: Draft, signal: str, delay: float, sigma: float) -> Draft:
+def _delayed(draft: MappingDraft, signal: str, delay: float, sigma: float) -> MappingDraft:
     """A signal that is so late [s]; of a clock of its own as its offset."""
     source = draft.tables[signal]["source"]
     table, key, value = signal, "delay", round(delay, 7)
@@ -378,7 +382,7 @@ def _delayed(draft: Draft, signal: str, delay: float, sigma: float) -> Draft:
     return draft.saying(table, key, value, f"solved: {1e3 * value:.3f} +- {1e3 * sigma:.3f} ms")
 
 
-def _with_plate(draft: Draft, best: Explanation) -> Draft:
+def _with_plate(draft: MappingDraft, best: Explanation) -> MappingDraft:
     """Frame, clock and zero of a plate as the data determine them."""
     table = draft.tables.get("wrench")
     if table is None or not best.has_plate:
@@ -402,7 +406,9 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     return _with_zero(draft, replace(best, plate=replace(best.plate, map=placed)))
 
 
-def _with_place(draft: Draft, turn: Array, xyz: Array, rpy: Sequence[float], sigma: Array) -> Draft:
+def _with_place(
+    draft: MappingDraft, turn: Array, xyz: Array, rpy: Sequence[float], sigma: Array
+) -> MappingDraft:
     """Mapping with a plate's place, its rounded angles `rpy`, and how well it is known."""
     angles, wide = np.rad2deg(to_rpy(turn)), np.rad2deg(sigma[TURN])
     spread = sigma[SHIFT]
@@ -415,7 +421,7 @@ def _with_place(draft: Draft, turn: Array, xyz: Array, rpy: Sequence[float], sig
     return draft.saying("wrench", "# place", None).saying("wrench", "place", value, note)
 
 
-def _with_zero(draft: Draft, best: Explanation) -> Draft:
+def _with_zero(draft: MappingDraft, best: Explanation) -> MappingDraft:
     """What the plate shows without the robot, where that is clear."""
     table = MappingFile.model_validate(draft.content).wrench
     zero = None if table is None else zero_hypothesis(best, table.static(None), least=0.0)
@@ -425,7 +431,7 @@ def _with_zero(draft: Draft, best: Explanation) -> Draft:
     return _with_tare(draft, list(zero.values), note)
 
 
-def _with_tare(draft: Draft, tare: list[float], note: str) -> Draft:
+def _with_tare(draft: MappingDraft, tare: list[float], note: str) -> MappingDraft:
     """With all that a plate shows of others than the robot, its pedestal too."""
     included = draft.tables["wrench"].get("pedestal") == "included"
     draft = draft.saying("wrench", "pedestal", None) if included else draft
@@ -456,7 +462,7 @@ def _too_short(best: Explanation) -> Iterator[Diagnostic]:
         yield diagnose("recording.short", value=count * instants.spacing, parameters=parameters)
 
 
-def _doubted(draft: Draft) -> Draft:
+def _doubted(draft: MappingDraft) -> MappingDraft:
     """The same where what was solved is only assumed."""
     notes = {
         place: f"{ASSUMED} ({note})" if note.startswith(KNOWN[1:]) else note

@@ -36,7 +36,7 @@ from testbed.importing.check.plate_map import (
     PlateRows,
     ridge_regression,
 )
-from testbed.importing.check.prior import Prior
+from testbed.importing.check.prior import ScaledPrior
 from testbed.importing.check.remedies import STEPS, Hypothesis, exchanges, place_of, tables_of
 from testbed.importing.foreign_table import FORCES, MOMENTS, plain
 
@@ -286,7 +286,7 @@ class PlateEvidence:
         rows: Of the wrench on all barycentric parameters, (T, 6, 10 n).
     """
 
-    def __init__(self, prior: Prior, frame: Frame, rows: Array, instants: Instants) -> None:
+    def __init__(self, prior: ScaledPrior, frame: Frame, rows: Array, instants: Instants) -> None:
         """Products of rows and channels.
 
         Args:

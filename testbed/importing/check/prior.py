@@ -18,7 +18,7 @@ counts with at least: tools that the model does not know are at light links."""
 
 
 @dataclass(frozen=True, eq=False)
-class Prior:
+class ScaledPrior:
     """A robot's parameters before the data.
 
     Attributes:

@@ -20,7 +20,7 @@ from testbed.importing.check.explanation import (
 )
 from testbed.importing.check.instants import sample
 from testbed.importing.check.plate import EXPLAINED, frame_of
-from testbed.importing.check.prior import Prior
+from testbed.importing.check.prior import ScaledPrior
 from testbed.importing.check.remedies import (
     Hypothesis,
     corrected,
@@ -90,7 +90,7 @@ class Search:
             cutoff: Up to which frequency [Hz].
             progress: Called with how many hypotheses are fitted, and 0: of how many is not known.
         """
-        self.prior = Prior(tree)
+        self.prior = ScaledPrior(tree)
         self.frame = frame_of(mapping)
         self.fits: dict[tuple[Hypothesis, ...], HypothesisFit] = {}
         self._recording, self._progress, self._cutoff = recording, progress, cutoff

@@ -21,7 +21,7 @@ from testbed.importing.foreign_table import (
     readable,
     refusal,
 )
-from testbed.importing.readers.message_rows import Rows, numbers_of
+from testbed.importing.readers.message_rows import MessageRows, numbers_of
 from testbed.importing.readers.ros_bag import Decoder, decoder_of
 
 MOST_BYTES = 250_000_000
@@ -52,7 +52,7 @@ def _tables(path: Path, records: Iterable[Any], wanted: str | None) -> Tables:
     """One topic or all of them, in one pass."""
     known: dict[str, dict[int, Any]] = {"Schema": {}, "Channel": {}}
     decoders: dict[int, Decoder] = {}
-    rows: dict[str, Rows] = {}
+    rows: dict[str, MessageRows] = {}
     failed: Tables = {}
     count = 0
     for record in records:
@@ -67,7 +67,7 @@ def _tables(path: Path, records: Iterable[Any], wanted: str | None) -> Tables:
             if channel.id not in decoders:
                 decoders[channel.id] = _decoder(channel, known["Schema"].get(channel.schema_id))
             numbers = decoders[channel.id](record.data)
-            rows.setdefault(channel.topic, Rows(path)).add(record.log_time, numbers)
+            rows.setdefault(channel.topic, MessageRows(path)).add(record.log_time, numbers)
         except Exception as error:  # whatever a damaged message makes a library raise
             failed[channel.topic] = refusal(path, error)
             rows.pop(channel.topic, None)
@@ -77,7 +77,7 @@ def _tables(path: Path, records: Iterable[Any], wanted: str | None) -> Tables:
     topics = dict.fromkeys(each.topic for each in known["Channel"].values())
     if wanted is not None and wanted not in topics:
         raise UnknownName("topic", wanted, sorted(topics))
-    empty = {topic: Rows(path) for topic in topics if wanted in (None, topic)}
+    empty = {topic: MessageRows(path) for topic in topics if wanted in (None, topic)}
     return {topic: each.table() for topic, each in (empty | rows).items()} | failed
 
 

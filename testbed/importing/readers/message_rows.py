@@ -78,7 +78,7 @@ def _texts(value: Any) -> tuple[str, ...]:
     return tuple(texts) if len(distinct) == len(texts) else ()
 
 
-class Rows:
+class MessageRows:
     """Numbers of a topic's messages, one after the other.
 
     Messages of several nodes have different fields: a number that is not in a message is nan.

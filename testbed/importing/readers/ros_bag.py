@@ -20,7 +20,7 @@ from testbed.importing.foreign_table import (
     readable,
     refusal,
 )
-from testbed.importing.readers.message_rows import Numbers, Rows, numbers_of
+from testbed.importing.readers.message_rows import MessageRows, Numbers, numbers_of
 
 BASE, NAME, ARRAY, SEQUENCE = 1, 2, 3, 4
 """Kinds of nodes in a type's definition."""
@@ -91,7 +91,7 @@ def _table(path: Path, bag: Any, connections: list[Any], version: int) -> Foreig
     """Numbers of a topic's messages."""
     from rosbags.interfaces import MessageDefinitionFormat
 
-    decoders, rows = {}, Rows(path)
+    decoders, rows = {}, MessageRows(path)
     for each in connections:
         idl = each.msgdef.format == MessageDefinitionFormat.IDL
         decoders[each.id] = decoder_of(each.msgtype, each.msgdef.data, version, idl=idl)
@@ -125,10 +125,10 @@ def decoder_of(kind: str, text: str, version: int, *, idl: bool = False) -> Deco
         known |= get_types_from_idl(text) if idl else get_types_from_msg(text, kind)
     if kind not in known:
         raise RecordingError(f"the file does not say what a '{kind}' is")
-    return lambda data: numbers_of(Message(data, version).value(NAME, kind, known))
+    return lambda data: numbers_of(RosMessage(data, version).value(NAME, kind, known))
 
 
-class Message:
+class RosMessage:
     """The bytes of one message, taken from the front."""
 
     def __init__(self, data: bytes, version: int) -> None:

@@ -56,7 +56,7 @@ ALIKE = 0.15
 """Relative difference up to which factors are the same."""
 
 
-class Factor(NamedTuple):
+class TorqueFactor(NamedTuple):
     """Between a torque as it is reported and as it is predicted.
 
     Attributes:
@@ -115,7 +115,9 @@ def diagnostics_of(estimates: Iterable[Estimate]) -> tuple[Diagnostic, ...]:
     return ordered(found)
 
 
-def torque_factor(internal: Estimate, known: Array, spread: Array, joint: int) -> Factor | None:
+def torque_factor(
+    internal: Estimate, known: Array, spread: Array, joint: int
+) -> TorqueFactor | None:
     """Factor between a joint's reported torque and the predicted one.
 
     Args:
@@ -150,4 +152,4 @@ def torque_factor(internal: Estimate, known: Array, spread: Array, joint: int) -
     if factor**2 * alone <= CLEAR * left or error >= KNOWN**2 * alone:
         return None
     rows = max(float(internal.normal_equations.used[joint]), 1.0)
-    return Factor(factor, float(np.sqrt((max(left, 0.0) / rows + error) / alone)))
+    return TorqueFactor(factor, float(np.sqrt((max(left, 0.0) / rows + error) / alone)))

@@ -41,7 +41,7 @@ from testbed.core.estimation.noise.score_tests import Question, Replicas, ScoreT
 from testbed.core.estimation.noise.whitening import (
     NuisanceColumns,
     Products,
-    Rows,
+    WhitenedRows,
     Whitening,
     whitening_of,
 )
@@ -246,7 +246,7 @@ class _Solution:
         """Constants of the channels, (C,) [N, N m]."""
         return np.asarray(self.constants @ self.answer.found.values[self.count :])
 
-    def residual(self, rows: Rows) -> Array:
+    def residual(self, rows: WhitenedRows) -> Array:
         """Residuals of a block of rows, (C, M) [N, N m]."""
         of_sensors = rows.further[..., : len(self.further)] @ self.further
         return np.asarray(rows.own - self.bias[:, None] - of_sensors)
@@ -268,7 +268,7 @@ class _SecondPass:
         self.quantization = QuantizationCovariance(found, m)
         self.repetition = _repetition_sums(passes, found.noise)
 
-    def add(self, rows: Rows) -> None:
+    def add(self, rows: WhitenedRows) -> None:
         """Go on with consecutive rows."""
         solution, ones = self._solution, rows.ones
         columns = solution.units.of_free(rows.columns)

@@ -52,7 +52,7 @@ class NuisanceColumns:
         return self.unknown + self.trends + sum(self.tested)
 
 
-class Rows(NamedTuple):
+class WhitenedRows(NamedTuple):
     """A block of rows: columns and what values leave in units of the noise; and as measured.
 
     Attributes:
@@ -155,7 +155,7 @@ class Whitening:
         whole[:m, -2] = -self.free.fixed @ self.facts.values
         return every.combined(whole)
 
-    def rows(self, passes: Passes, values: Array, made: Made) -> Iterator[Rows]:
+    def rows(self, passes: Passes, values: Array, made: Made) -> Iterator[WhitenedRows]:
         """Rows, block by block.
 
         Args:
@@ -171,7 +171,7 @@ class Whitening:
             stack = np.concatenate([columns[..., :-1], others, own[..., None]], axis=2)
             units = self.root[:, None, None] * stack
             p = len(values)
-            yield Rows(
+            yield WhitenedRows(
                 columns=np.delete(units[..., :-1], slice(p, p + width), axis=2),
                 looked_at=further.shape[2] == self.beside.width,
                 left=units[..., -1],

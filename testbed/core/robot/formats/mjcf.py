@@ -24,7 +24,7 @@ from testbed.core.robot.formats.mjcf_compile import (
 from testbed.core.robot.formats.mjcf_spec import VELOCITY_LIMIT, open_spec, parse
 from testbed.core.robot.inertia import NOTHING, Inertia, about
 from testbed.core.robot.locks import Lock
-from testbed.core.robot.repair import Bodies, Link, Repair, repaired
+from testbed.core.robot.repair import Bodies, FileLink, Repair, repaired
 from testbed.core.robot.tree import FARTHEST, Joint, Kind, Tree
 
 _KINDS: dict[int, Kind] = {
@@ -95,7 +95,7 @@ def repaired_spec(
 
 def read_links(
     path: Path, *, weld_root: bool = False, lock: Lock | None = None
-) -> tuple[Link, ...]:
+) -> tuple[FileLink, ...]:
     """The bodies of an MJCF file in those of its tree, carriers before what they carry.
 
     Arguments are those with which `read_mjcf` has read it.
@@ -105,17 +105,19 @@ def read_links(
     return _links(compile_spec(spec, path), stated, path)
 
 
-def _links(model: mujoco.MjModel, stated: dict[str, StatedInertia], path: Path) -> tuple[Link, ...]:
+def _links(
+    model: mujoco.MjModel, stated: dict[str, StatedInertia], path: Path
+) -> tuple[FileLink, ...]:
     """The bodies with their inertias as the file has them."""
     spec = parse(path)  # kept while its bodies are read: they live in it
     jointed = {body.name for body in spec.bodies if body.joints}
-    found: dict[int, Link] = {}
+    found: dict[int, FileLink] = {}
     for b, (owner, rotation, position) in _places(model).items():
         name, below = model.body(b).name, found.get(model.body_parentid[b])
         carrier = name if below is None or name in jointed else below.carrier
         inertia = _inertia_of(model, b, stated)
         parent = "" if below is None else below.name
-        found[b] = Link(name, owner, parent, carrier, rotation, position, inertia)
+        found[b] = FileLink(name, owner, parent, carrier, rotation, position, inertia)
     return tuple(found.values())
 
 

@@ -22,7 +22,7 @@ from testbed.core.robot.formats.urdf_xml import TENSOR, link_at, numbers_of, sup
 from testbed.core.robot.inertia import NOTHING, Inertia
 from testbed.core.robot.locks import Lock
 from testbed.core.robot.parsing import capture_stderr, errors_of, plain, read_xml
-from testbed.core.robot.repair import Bodies, Link, Repair, repaired
+from testbed.core.robot.repair import Bodies, FileLink, Repair, repaired
 from testbed.core.robot.rigid_matter import inertia_flaw
 from testbed.core.robot.rotations import from_rpy
 from testbed.core.robot.tree import Joint, Kind, Tree
@@ -70,7 +70,7 @@ def repaired_xml(
 
 def read_links(
     path: Path, *, weld_root: bool = False, lock: Lock | None = None
-) -> tuple[Link, ...]:
+) -> tuple[FileLink, ...]:
     """The links of a URDF file in the bodies of its tree, carriers before what they carry.
 
     Arguments are those with which `read_urdf` has read it.
@@ -79,7 +79,7 @@ def read_links(
     return _links(root, path)[0]
 
 
-def _links(root: ET.Element, path: Path) -> tuple[tuple[Link, ...], tuple[int, ...]]:
+def _links(root: ET.Element, path: Path) -> tuple[tuple[FileLink, ...], tuple[int, ...]]:
     """The links with their inertias as the file has them, and the parents of the tree's bodies."""
     joints = read_xml(path).findall("joint")
     parents = {link_at(joint, "child"): link_at(joint, "parent") for joint in joints}
@@ -88,13 +88,13 @@ def _links(root: ET.Element, path: Path) -> tuple[tuple[Link, ...], tuple[int, .
     bare = ET.Element("robot", root.attrib)
     bare[:] = [ET.Element("link", name=name) for name in inertias] + root.findall("joint")
     model = _built(bare, path)
-    links: dict[str, Link] = {}
+    links: dict[str, FileLink] = {}
     for frame in model.frames.tolist():
         if frame.type == pin.FrameType.BODY:
             carrier = frame.name
             if frame.name in held:
                 carrier = links[parents[frame.name]].carrier
-            links[frame.name] = Link(
+            links[frame.name] = FileLink(
                 name=frame.name,
                 body=frame.parentJoint - 1,
                 parent=parents.get(frame.name, ""),
