@@ -106,7 +106,7 @@ def at_flange(found: PayloadEstimate, tree: Tree, link: FileLink | None = None) 
     def seen(values: Array) -> Inertia:
         inertia = Inertia.of_pseudo(matrices(values))
         if link is not None and sensor is not None:
-            inertia = inertia.moved(sensor.rotation, sensor.position)
+            inertia = inertia.moved(sensor.X_BS)
         return inertia if link is None else link.seen_from(inertia)
 
     def numbers(values: Array) -> Array:

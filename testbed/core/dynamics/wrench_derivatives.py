@@ -33,7 +33,7 @@ from testbed.core.base.transform import Transform
 from testbed.core.dynamics.newton_euler import Motion, blocks
 from testbed.core.parameters.symbols import to_standard, with_standard
 from testbed.core.robot.inertia import NOTHING, Inertia
-from testbed.core.robot.tree import Joint, Placement, Tree
+from testbed.core.robot.tree import Joint, Tree
 
 BLOCK = 2048
 """Instants side by side: more are no faster, and need more memory."""
@@ -67,17 +67,19 @@ def base_wrench_derivatives(
         if tree.sensor is not None:
             for j in range(tree.lead):  # the sensor itself turns and moves with these
                 slopes[j, 0, part] -= _cross_force(states[j].screw, whole).T
-            X_WS = _sensor_pose(tree.sensor, states[tree.sensor_body] if tree.lead else None)
+            X_SW = _sensor_pose(tree, states).inverse
             for found in (wrench[part], *(each[part] for three in slopes for each in three)):
-                found[:] = X_WS.inverse.wrench(found)
+                found[:] = X_SW.wrench(found)
     return wrench, slopes
 
 
-def _sensor_pose(sensor: Placement, base: _BodyState | None) -> Transform:
-    """Pose X_WS of a sensor in the bedplate frame, or m of them."""
-    if base is None:
-        return sensor.X_BS
-    return Transform(np.moveaxis(base.turn, 2, 0), base.place.T) @ sensor.X_BS
+def _sensor_pose(tree: Tree, states: list[_BodyState]) -> Transform:
+    """Pose X_WS of the tree's sensor in the bedplate frame, or m of them where its base moves."""
+    assert tree.sensor is not None
+    if not tree.lead:
+        return tree.sensor.X_BS
+    base = states[tree.sensor_body]
+    return Transform(np.moveaxis(base.turn, 2, 0), base.place.T) @ tree.sensor.X_BS
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ import numpy as np
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.errors import ModelError, UnknownName
 from testbed.core.base.summary_table import Value
+from testbed.core.base.transform import Transform
 from testbed.core.robot.free_base import FREE
 from testbed.core.robot.inertia import NOTHING, Inertia
 from testbed.core.robot.repair import FileLink, total
@@ -119,8 +120,8 @@ def _segment(
 
     def placed(each: ForceSensor, link: FileLink) -> Placement:
         body = place[link.body + shift]
-        position = link.position + link.rotation @ each.position
-        return Placement(position, link.rotation @ each.rotation, each.name, body)
+        X_BS = link.X_BL @ Transform(each.rotation, each.position)
+        return Placement(X_BS.p_AB_A, X_BS.R_AB, each.name, body)
 
     def inertia(body: int) -> Inertia:
         return NOTHING if body in path[:-1] else own.get(body, tree.inertias[body])

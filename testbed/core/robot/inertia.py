@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import Array, freeze, readonly, skew
 from testbed.core.base.summary_table import Value
+from testbed.core.base.transform import Transform
 
 
 def about(axis: Array, angle: float) -> Array:
@@ -100,13 +101,13 @@ class Inertia(Value):
         second = matrix[:3, :3]
         return Inertia(matrix[3, 3], matrix[:3, 3], np.trace(second) * np.eye(3) - second)
 
-    def moved(self, rotation: Array, position: Array) -> Inertia:
-        """The same body seen from another frame.
+    def moved(self, X_AB: Transform) -> Inertia:
+        """Inertia about and along frame A of a body given in frame B.
 
         Args:
-            rotation: From the body frame to the new one, (3, 3).
-            position: Origin of the body frame in the new one, (3,) [m].
+            X_AB: Pose of the body frame B in A.
         """
+        rotation, position = X_AB.R_AB, X_AB.p_AB_A
         h = rotation @ self.first_moment
         lever, offset = skew(h), skew(position)
         turned = rotation @ self.tensor @ rotation.T

@@ -16,6 +16,7 @@ import numpy as np
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ModelError, UnknownName, quoted
+from testbed.core.base.transform import Transform
 from testbed.core.robot.inertia import NOTHING, Inertia
 from testbed.core.robot.refusals import InertiaError
 from testbed.core.robot.rigid_matter import ROUNDING, SMALL, inertia_flaw, nearest_body
@@ -74,13 +75,18 @@ class FileLink:
         freeze(self, rotation=(3, 3), position=(3,))
 
     @property
+    def X_BL(self) -> Transform:
+        """Pose of the link L in the frame of its body B."""
+        return Transform(self.rotation, self.position)
+
+    @property
     def in_body(self) -> Inertia:
         """Its inertia about and along the body's frame."""
-        return self.inertia.moved(self.rotation, self.position)
+        return self.inertia.moved(self.X_BL)
 
     def seen_from(self, inertia: Inertia) -> Inertia:
         """An inertia about the body's frame, about and along the link's."""
-        return inertia.moved(self.rotation.T, -self.rotation.T @ self.position)
+        return inertia.moved(self.X_BL.inverse)
 
 
 @dataclass(frozen=True, eq=False)

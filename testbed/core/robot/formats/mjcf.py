@@ -14,6 +14,7 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import ModelError
+from testbed.core.base.transform import Transform
 from testbed.core.robot.formats.mjcf_compile import (
     MASSLESS,
     StatedInertia,
@@ -145,7 +146,7 @@ def _tree_of(
     inertias = [NOTHING] * len(joints)
     pedestal = NOTHING
     for b, (owner, rotation, position) in places.items():
-        inertia = _inertia_of(model, b, stated).moved(rotation, position)
+        inertia = _inertia_of(model, b, stated).moved(Transform(rotation, position))
         if owner < 0:
             pedestal = pedestal + inertia
         else:
