@@ -37,7 +37,7 @@ class Thresholds:
         relative_sigma: Of a parameter, beyond which it is poorly determined.
         small_sigma: Of the largest value of the same unit, below which a parameter is well known.
         condition: Of the scaled equations, beyond which an estimate is doubtful.
-        friction_share: Of a torque's rms, from which negative friction is a model error.
+        negative_share: Of a torque's rms, or of a weight, from which a negative one is an error.
         weight_difference: Relative, of two weights that should be the same.
         residual: Of a channel, relative to its signal and to like signals.
         useless_residual: Relative residual of a prediction that is worse than none.
@@ -58,7 +58,7 @@ class Thresholds:
     relative_sigma: float = 0.3
     small_sigma: float = 0.01
     condition: float = 1e3
-    friction_share: float = 0.02
+    negative_share: float = 0.02
     weight_difference: float = 0.5
     residual: float = 0.2
     useless_residual: float = 1.2
@@ -293,7 +293,7 @@ def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterato
     up = -tree.gravity / gravity
     carried = float(np.mean(wrench[:, :3] @ up)) / gravity
     subject = "the robot's total mass"
-    if mass < -SIGMAS * sigma and mass < -THRESHOLDS.friction_share * abs(carried):
+    if mass < -SIGMAS * sigma and mass < -THRESHOLDS.negative_share * abs(carried):
         first = ["sign-of-wrench", "other-tare"]
         if tare.any() and not tare[:3] @ up < 0:
             first = first[::-1]
@@ -326,7 +326,7 @@ def _friction(estimate: Estimate) -> Iterator[Diagnostic]:
         place = drives.terms[k - estimate.minimal.count].joint
         normal, _, square = equations.of_channel(int(most[place]))
         torque = abs(term.value) * np.sqrt(normal[k, k])
-        sure = term.value < -SIGMAS * term.sigma and torque > THRESHOLDS.friction_share * np.sqrt(
+        sure = term.value < -SIGMAS * term.sigma and torque > THRESHOLDS.negative_share * np.sqrt(
             square
         )
         if term.law.resists and sure:
