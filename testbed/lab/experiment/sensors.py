@@ -24,7 +24,7 @@ class Sensor(Value):
     @property
     @abstractmethod
     def settings(self) -> dict[str, Any]:
-        """Keys of `Instrument` that it sets, but for errors."""
+        """Keyword arguments of `Instrument` for this sensor, without its errors."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,15 @@ class ForcePlate(Sensor):
     model: str = ""
     mounting: ForceSensor | None = None
 
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Keys of `Instrument` that it sets, but for errors."""
+    def __post_init__(self) -> None:
         if np.shape(self.noise) != (2,):
             raise SettingsError(
                 f"ForcePlate: noise is (force [N], moment [N m]), found {self.noise!r}"
             )
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Keyword arguments of `Instrument` for this sensor, without its errors."""
         force, moment = self.noise
         return {
             "plate": self.model,
@@ -80,7 +82,7 @@ class JointTorques(Sensor):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Keys of `Instrument` that it sets, but for errors."""
+        """Keyword arguments of `Instrument` for this sensor, without its errors."""
         errors = {joint: gain - 1 for joint, gain in self.gains.items()}
         return {"torque_noise": self.noise, "torque_constant_error": errors}
 
@@ -103,7 +105,7 @@ class Encoders(Sensor):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Keys of `Instrument` that it sets, but for errors."""
+        """Keyword arguments of `Instrument` for this sensor, without its errors."""
         return {
             "encoder_resolution": self.resolution,
             "encoder_noise": self.noise,
