@@ -269,7 +269,7 @@ def without_unit(name: str) -> tuple[str, str | None]:
 
 
 def _role(text: str) -> tuple[int, int] | None:
-    """Force or moment, and its axis, by words as fx, or force and x."""
+    """Force (0) or moment (1) and axis (0 to 2) of a column of a wrench, by its words."""
     if found := re.search(r"\b([fmt])([xyz])\b", text):
         return int(found[1] != "f"), "xyz".index(found[2])
     axes = re.findall(r"\b[xyz]\b", text)

@@ -19,7 +19,7 @@ LONGEST = 300
 
 @dataclass(frozen=True)
 class MappingDraft:
-    """A mapping file as it is written.
+    """Draft of a mapping file: tables, notes beside keys, comments above tables.
 
     Attributes:
         tables: By dotted name, that of the keys without a table being empty: keys and values.

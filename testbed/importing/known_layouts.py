@@ -18,7 +18,7 @@ K = r"[\[_.]?\d+\]?"
 
 @dataclass(frozen=True)
 class LoggerLayout:
-    """How a logger names its columns; all names are regular expressions of a whole name.
+    """Column names of one logger; each is a regular expression of a whole name.
 
     Attributes:
         logger: Whose they are.

@@ -279,7 +279,7 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class KindDescription:
-    """One kind in words.
+    """Description of one kind, for tables of the documents and `testbed list`.
 
     Attributes:
         kind: Its name.

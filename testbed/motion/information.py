@@ -64,7 +64,7 @@ SMOOTH = 0.05
 
 @dataclass(frozen=True, eq=False)
 class RegressorRows:
-    """Rows of one model in terms of the unknowns.
+    """Regressor rows of one model, expressed in the unknowns.
 
     Attributes:
         model: Whose rows.
@@ -95,7 +95,7 @@ class RegressorRows:
 
 @dataclass(frozen=True, eq=False)
 class DesignObjective:
-    """Unknowns that a motion should identify, and by which rows.
+    """Objective of a design: the parameters to identify, and the rows that identify them.
 
     Attributes:
         names: Names of the minimal parameters, the first of the unknowns; friction is a nuisance.

@@ -67,7 +67,7 @@ class Point(Inside):
 
 
 class Objective(Protocol):
-    """What is to be minimised."""
+    """Function to be minimised, with and without derivatives."""
 
     def inside(self, x: Array) -> Inside:
         """Without derivatives."""
@@ -327,7 +327,7 @@ class BlockJacobian:
 
 @dataclass(frozen=True, eq=False)
 class InteriorPointProblem:
-    """What an interior point method is asked.
+    """Design of a motion as a problem for the interior point method.
 
     Attributes:
         series: How unknowns make a motion.

@@ -40,7 +40,7 @@ POOLED = 400
 
 
 class JointAttenuation(NamedTuple):
-    """A regression as it would be, were the bodies known exactly.
+    """Regression on predicted torques, corrected for attenuation by their errors.
 
     Attributes:
         slope: How the values move with those before, (1 + q, 1 + q).

@@ -62,7 +62,7 @@ def known_masses(tree: Tree, prior: Prior, options: ConsistencyOptions) -> Known
 def _scale(
     prior: Prior, options: ConsistencyOptions, rows: Array, values: Array, sigma: Array
 ) -> Array:
-    """Factors on the prior's bodies that obey the exact masses, (n,)."""
+    """Factors by which the prior's masses meet those that are known exactly, (n,)."""
     total = np.array([name == MASS for name in options.masses], dtype=bool)
     masses = np.array(prior.standard[:, 0])
     open_bodies = masses > 0

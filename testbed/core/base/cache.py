@@ -1,4 +1,4 @@
-"""Where what can be made again is kept."""
+"""The user's cache folder: compiled kernels and other files that can be made again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is in files: texts of a bounded size, and fingerprints."""
+"""Contents of files: texts of a bounded size, and fingerprints."""
 
 from __future__ import annotations
 

@@ -69,10 +69,10 @@ class Value:
         return self.summary.html()
 
     def with_(self, **changes: Any) -> Self:
-        """Copy with some fields changed.
+        """Copy of the value with other values of some fields.
 
         Args:
-            **changes: By name of the field.
+            **changes: New values by the names of fields.
 
         Raises:
             UnknownName: There is no such field.

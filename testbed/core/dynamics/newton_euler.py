@@ -293,7 +293,7 @@ def _sensor_poses(tree: Tree, q: Array, sensors: Sequence[Placement | None]) -> 
 
 
 def wrench_transforms(tree: Tree, q: Array) -> dict[str, Array]:
-    """Matrices from the wrench of each of a tree's next sensors to that of the tree's own.
+    """Wrench transforms from each of a tree's next force sensors to the tree's own.
 
     Args:
         tree: What lies between force sensors.

@@ -224,7 +224,7 @@ def sampled_regressor(
 
 
 def verify(tree: Tree, minimal: MinimalSet) -> Agreement:
-    """Compare a minimal set by the rules with two numerical witnesses.
+    """Verify a minimal set against the exact recursion and the rank of a sampled regressor.
 
     Parameters known to be zero are so for all three.
 

@@ -1,4 +1,4 @@
-"""What a person says is known of a robot and its instrument, in words."""
+"""Parse known values of parameters and calibration numbers from words such as mass=20."""
 
 from __future__ import annotations
 

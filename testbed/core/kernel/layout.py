@@ -198,7 +198,7 @@ class Shelf:
 
 
 class LayoutBuilder:
-    """Channels as they are added; `rows` makes arrays of them."""
+    """Builder of a layout: channels are added one by one, `rows` makes arrays of them."""
 
     def __init__(
         self, frames: Canonical, places: list[list[tuple[int, int]]], base: int = -1

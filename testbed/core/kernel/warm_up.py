@@ -1,4 +1,4 @@
-"""The kernel compiled ahead of its first use."""
+"""Compile the kernel ahead of its first use."""
 
 from __future__ import annotations
 

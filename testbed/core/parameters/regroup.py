@@ -130,7 +130,10 @@ def _momentum(screw: Array) -> Array:
 
 
 def composite_into(joint: Joint) -> Array:
-    """(m, h, I) of composite j in frame i at q = 0, (10, 10)."""
+    """Matrix that moves inertial parameters (m, h, I) from body j to its carrier i, (10, 10).
+
+    At q = 0; tensors in the order of UPPER [kg, kg m, kg m^2].
+    """
     turn, l = joint.rotation, joint.offset
     moved = np.zeros((10, 10))
     moved[0, 0] = 1.0

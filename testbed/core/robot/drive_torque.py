@@ -1,4 +1,4 @@
-"""Torques of drives besides what moves the bodies: friction and rotors, by the model file."""
+"""Friction and rotor torques of the drives, by the coefficients of the model file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from testbed.core.robot.tree import Tree
 
 
 def friction_torque(tree: Tree, qd: Array, smooth: float = 0.0) -> Array:
-    """What friction takes at the joints, (..., n) [N m or N].
+    """Torque that overcomes joint friction, with the sign of the velocity, (..., n) [N m or N].
 
     Args:
         tree: Gives the coefficients.
@@ -23,7 +23,7 @@ def friction_torque(tree: Tree, qd: Array, smooth: float = 0.0) -> Array:
 
 
 def drive_torque(tree: Tree, qd: Array, qdd: Array, smooth: float = 0.0) -> Array:
-    """What the drives deliver besides what moves the bodies, (..., n) [N m or N].
+    """Torque that overcomes joint friction and accelerates rotors, (..., n) [N m or N].
 
     Args:
         tree: Gives the coefficients: friction, and the rotors' inertias.

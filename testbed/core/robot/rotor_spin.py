@@ -1,4 +1,4 @@
-"""What the spin of geared rotors adds to a robot's minimal parameters."""
+"""Contribution of the spin of geared rotors to the minimal parameters."""
 
 from __future__ import annotations
 

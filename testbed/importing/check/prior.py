@@ -19,7 +19,7 @@ counts with at least: tools that the model does not know are at light links."""
 
 @dataclass(frozen=True, eq=False)
 class ScaledPrior:
-    """A robot's parameters before the data.
+    """Prior of the barycentric parameters: mean and root of the covariance.
 
     Attributes:
         tree: The robot, its masses roughly right.

@@ -79,7 +79,7 @@ def _texts(value: Any) -> tuple[str, ...]:
 
 
 class MessageRows:
-    """Numbers of a topic's messages, one after the other.
+    """Table of the numbers in a topic's messages, a row a message.
 
     Messages of several nodes have different fields: a number that is not in a message is nan.
 

@@ -129,7 +129,7 @@ def decoder_of(kind: str, text: str, version: int, *, idl: bool = False) -> Deco
 
 
 class RosMessage:
-    """The bytes of one message, taken from the front."""
+    """Reader of one serialized ROS message, from its front."""
 
     def __init__(self, data: bytes, version: int) -> None:
         """At the message's beginning.

@@ -26,7 +26,7 @@ Range = tuple[Finite, Finite]
 
 
 class StrictTable(BaseModel):
-    """A table whose keys are all known."""
+    """Table of an experiment file that refuses unknown keys."""
 
     model_config = KNOWN_KEYS
 

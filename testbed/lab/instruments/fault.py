@@ -46,7 +46,7 @@ FULL_SCALE = (500.0, 500.0, 1000.0, 200.0, 200.0, 100.0)
 
 
 class StageOrder(IntEnum):
-    """Where in a chain a stage acts, whatever the order in the file."""
+    """Order of the stages of a measuring chain, whatever the order in the file."""
 
     SENSOR = 0
     """Mechanics, calibration and amplifiers: linear, before any noise."""

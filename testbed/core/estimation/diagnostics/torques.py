@@ -57,10 +57,10 @@ ALIKE = 0.15
 
 
 class TorqueFactor(NamedTuple):
-    """Between a torque as it is reported and as it is predicted.
+    """Ratio of a joint's reported torque to the predicted one.
 
     Attributes:
-        value: The factor.
+        value: The ratio.
         sigma: Its standard deviation: of noise in the torque, and of what is predicted at worst.
     """
 

@@ -53,7 +53,7 @@ class NuisanceColumns:
 
 
 class WhitenedRows(NamedTuple):
-    """A block of rows: columns and what values leave in units of the noise; and as measured.
+    """Block of regressor rows and residuals, whitened to unit noise, and as measured.
 
     Attributes:
         columns: The robot's and those beside, (C, k, q); those for tests only where they are

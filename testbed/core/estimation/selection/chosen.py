@@ -1,4 +1,4 @@
-"""Settings with what the data of estimates chose."""
+"""Settings with the terms and filters that estimates chose from their data."""
 
 from __future__ import annotations
 
