@@ -17,10 +17,13 @@ from benchmarks.lines import print_lines
 from benchmarks.random_recordings import MOTIONS, ROBOTS, recorded
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import Estimate
-from testbed.lab.instruments.fault import Fault
-from testbed.lab.instruments.joints import EncoderZeroError
-from testbed.lab.instruments.plate import PlateBias, PlateDrift, PlatePose
-from testbed.lab.instruments.plate_clock import PlateAntiAliasFilter, PlateDelay
+from testbed.sensors.errors.encoder_zero_error import EncoderZeroError
+from testbed.sensors.errors.plate_anti_alias_filter import PlateAntiAliasFilter
+from testbed.sensors.errors.plate_bias import PlateBias
+from testbed.sensors.errors.plate_delay import PlateDelay
+from testbed.sensors.errors.plate_drift import PlateDrift
+from testbed.sensors.errors.plate_pose import PlatePose
+from testbed.sensors.sensor_error import SensorError
 
 REDRAWN = 4000
 """Times that seeds are drawn again for an interval."""
@@ -28,7 +31,7 @@ REDRAWN = 4000
 UNDECIDED = 0.5
 """Weight of the answer with constants below which they count as not estimated."""
 
-REMEDIES: Mapping[str, tuple[tuple[Fault, ...], tuple[str, ...]]] = {
+REMEDIES: Mapping[str, tuple[tuple[SensorError, ...], tuple[str, ...]]] = {
     "bias": ((PlateBias(),), ("bias",)),
     "drift": ((PlateDrift(),), ("bias", "slope")),
     "pose": ((PlatePose(rotation=3.5e-3, translation=1e-3),), ("pose",)),
@@ -92,7 +95,7 @@ def remedies(
     found: dict[str, list[tuple[float, ...]]] = {fault: [] for fault in only}
     for seed in range(first, first + runs):
 
-        def error(faults: Sequence[Fault], asked: Sequence[str], seed: int = seed) -> float:
+        def error(faults: Sequence[SensorError], asked: Sequence[str], seed: int = seed) -> float:
             settings = tb.Settings(zeros=True, nuisances=asked)
             recording = recorded(tree, motion, "white", seconds, seed, faults)
             return of_nine(_error(tree, tb.identify(tree, recording, settings=settings)))

@@ -31,10 +31,14 @@ from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.core.robot.free_root import on_free_base
 from testbed.core.robot.model_file import ModelFile
-from testbed.lab.instruments.fault import Fault
-from testbed.lab.instruments.joints import EncoderGain, EncoderResolution
-from testbed.lab.instruments.plate import PlateCrosstalk, PlateGain, PlatePose
-from testbed.lab.instruments.plate_clock import PlateAntiAliasFilter, PlateDelay
+from testbed.sensors.errors.encoder_gain import EncoderGain
+from testbed.sensors.errors.encoder_resolution import EncoderResolution
+from testbed.sensors.errors.plate_anti_alias_filter import PlateAntiAliasFilter
+from testbed.sensors.errors.plate_crosstalk import PlateCrosstalk
+from testbed.sensors.errors.plate_delay import PlateDelay
+from testbed.sensors.errors.plate_gain import PlateGain
+from testbed.sensors.errors.plate_pose import PlatePose
+from testbed.sensors.sensor_error import SensorError
 from tests.helpers.humanoid import G1, humanoid
 from tests.helpers.paths import ROOT
 
@@ -81,7 +85,7 @@ class Study:
     motion: str = "default"
     noise: str = "white"
     method: Method = "external"
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[SensorError, ...] = ()
     right: str = ""
     goal: float = FALSE_ALARMS
 

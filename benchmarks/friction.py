@@ -31,7 +31,7 @@ from testbed.core.recordings.recording import Recording
 from testbed.core.robot.friction import COULOMB, LOADED, VISCOUS, JointLaw, stribeck
 from testbed.lab.experiment.rig import robot_of
 from testbed.lab.instruments.chain import measured_again
-from testbed.lab.instruments.joints import TorqueNoise
+from testbed.sensors.errors.torque_noise import TorqueNoise
 from tests.helpers.paths import ROOT
 
 LOSSES = (0.0, 0.05, 0.1, 0.2)

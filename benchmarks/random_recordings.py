@@ -14,11 +14,12 @@ from testbed.core.base.arrays import Array
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.lab.experiment.motions import motion_of
 from testbed.lab.instruments.chain import Instrument, measure
-from testbed.lab.instruments.fault import Fault
-from testbed.lab.instruments.plate import PlateColouredNoise, PlatePinkNoise
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import limits_of
 from testbed.motion.random_motion import random_motion
+from testbed.sensors.errors.plate_coloured_noise import PlateColouredNoise
+from testbed.sensors.errors.plate_pink_noise import PlatePinkNoise
+from testbed.sensors.sensor_error import SensorError
 from tests.helpers.paths import GOLDEN, ROOT
 
 ROBOTS: Mapping[str, Path] = {"puma": ROOT / "models/puma562.xml"} | {
@@ -43,7 +44,7 @@ PLATE = Instrument(
 QUIET = 0.1
 """Part of the plate's white noise that stands beside coloured noise."""
 
-NOISES: Mapping[str, tuple[Fault, ...]] = {
+NOISES: Mapping[str, tuple[SensorError, ...]] = {
     "white": (),
     "ar .3 s": (PlateColouredNoise(time_constant=0.3),),
     "ar 3 s": (PlateColouredNoise(time_constant=3.0),),
@@ -52,7 +53,7 @@ NOISES: Mapping[str, tuple[Fault, ...]] = {
 """Of the plate; joints' torques have white noise always."""
 
 
-def instrument(noise: str, faults: Sequence[Fault] = ()) -> Instrument:
+def instrument(noise: str, faults: Sequence[SensorError] = ()) -> Instrument:
     """That of table6, its plate with one of NOISES.
 
     Args:
@@ -99,7 +100,12 @@ def _chosen(seed: int) -> Fourier:
 
 
 def recorded(
-    tree: tb.Tree, motion: str, noise: str, seconds: float, seed: int, faults: Sequence[Fault] = ()
+    tree: tb.Tree,
+    motion: str,
+    noise: str,
+    seconds: float,
+    seed: int,
+    faults: Sequence[SensorError] = (),
 ) -> Recording:
     """A recording of a motion of its own, without its truth.
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from docs.marks import write
-from testbed.lab.instruments.fault import StageOrder
-from testbed.lab.instruments.faults import KINDS
-from testbed.lab.kind_table import in_words, rows
 from testbed.lab.simulation.effects import KINDS as EFFECTS
+from testbed.sensors.catalogue import simulated
+from testbed.sensors.kinds_in_words import in_words, rows
+from testbed.sensors.sensor_error import StageOrder
 
 DOCUMENT = Path(__file__).with_suffix(".md")
 MODULE = "docs.instruments"
@@ -27,20 +27,18 @@ def as_markdown(of: str) -> str:
 
 
 def catalogue() -> str:
-    """Tables of all faults: their places, then one a signal."""
-    kinds = tuple(KINDS.values())
-    lines = ["", "| place | " + " | ".join(TITLES.values()) + " |"]
+    """Tables of all faults: their stages, then one a signal."""
+    kinds = tuple(simulated().values())
+    lines = ["", "| stage | " + " | ".join(TITLES.values()) + " |"]
     lines += ["| --- " * (1 + len(TITLES)) + "|"]
-    for place in StageOrder:
-        here = [fault for fault in kinds if fault.place == place]
+    for stage in StageOrder:
+        here = [fault for fault in kinds if fault.stage == stage]
         cells = [", ".join(f"`{f.kind}`" for f in here if f.signal == s) for s in TITLES]
-        lines.append(f"| {place.name.lower()} | {' | '.join(cells)} |")
+        lines.append(f"| {stage.name.lower()} | {' | '.join(cells)} |")
     for signal, title in TITLES.items():
         own = [in_words(fault) for fault in kinds if fault.signal == signal]
         lines += ["", f"### {title}", "", *rows(own)]
-    examples = "\n".join(f"    {in_words(fault).example}," for fault in kinds)
-    lines += ["", "### All of them, as they may be written", ""]
-    lines += ["```toml", "[measurement]", "fault = [", examples, "]", "```", ""]
+    lines.append("")
     return "\n".join(lines)
 
 

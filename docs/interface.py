@@ -15,17 +15,19 @@ MODULE = "docs.interface"
 def lines(of: str = "") -> str:
     """Rows of the table: a name and the first sentence on it; kinds of errors and effects."""
     import testbed as tb
-    from testbed.lab.instruments.fault import Fault
-    from testbed.lab.kind_table import KindTable
     from testbed.lab.simulation.effect import Effect
+    from testbed.sensors.kind_table import KindTable
+    from testbed.sensors.sensor_error import SensorError
 
     del of
-    titles = {Fault: "errors of sensors", Effect: "effects in the plant"}
+    titles = {SensorError: "errors of sensors", Effect: "effects in the plant"}
     rows, kinds = [], dict[type, list[str]]()
     for name in sorted(tb.__all__, key=str.lower):
         thing = getattr(tb, name)
         if inspect.isclass(thing) and issubclass(thing, KindTable):
-            kinds.setdefault(Fault if issubclass(thing, Fault) else Effect, []).append(f"`{name}`")
+            kinds.setdefault(SensorError if issubclass(thing, SensorError) else Effect, []).append(
+                f"`{name}`"
+            )
         elif not isinstance(thing, str):
             rows.append((f"`{name}`", first_sentence(thing)))
     rows += [

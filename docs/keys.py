@@ -20,7 +20,7 @@ DOCUMENT = Path(__file__).with_suffix(".md")
 TEMPLATE = DOCUMENT.parent / "templates" / DOCUMENT.name
 MODULE = "docs.keys"
 KINDS = {
-    "Fault": "[a fault's](instruments.md#all-faults-and-their-places)",
+    "SensorError": "[a fault's](instruments.md#all-faults-and-their-places)",
     "Effect": "[an effect's](instruments.md#all-effects)",
 }
 """Tables whose keys are their kind's."""

@@ -21,13 +21,14 @@ from testbed.core.estimation.regression.normal_equations import (
     unit_diagonal,
 )
 from testbed.core.estimation.regression.passes import Progress
-from testbed.core.estimation.sensor.correction import NUISANCES, CalibrationCovariance
+from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
-from testbed.core.estimation.sensor.lasting import lastingly_corrected
-from testbed.core.estimation.sensor.plate import SENSITIVITIES
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.source import RecordingLike, Source
 from testbed.core.robot.tree import Tree
+from testbed.sensors.catalogue import estimated
+from testbed.sensors.corrected import corrected as without_errors
+from testbed.sensors.errors.plate_matrix import SENSITIVITIES
 
 UNKNOWN = ("matrix", "bias", "skew")
 """What is calibrated unless something else is asked for."""
@@ -56,7 +57,7 @@ class Calibration:
     @property
     def doubt(self) -> CalibrationCovariance:
         """What is left open of the numbers that hold for other recordings, too."""
-        passing = {nuisance.kind for nuisance in NUISANCES if nuisance.passing}
+        passing = {error.term for error in estimated() if error.of_one_recording}
         kept = [k for k, each in enumerate(self.numbers) if each.kind not in passing]
         correlation = np.eye(len(self.numbers)) if self.correlation is None else self.correlation
         sigma = np.array([self.numbers[k].sigma for k in kept])
@@ -135,4 +136,4 @@ def corrected(source: Source, tree: Tree, plate: Calibration) -> Source:
         tree: The robot.
         plate: The plate that it was made with.
     """
-    return lastingly_corrected(source, tree, {each.name: each.value for each in plate.numbers})
+    return without_errors(source, tree, {each.name: each.value for each in plate.numbers})

@@ -16,10 +16,10 @@ from testbed.core.estimation.regression.normal_equations import (
     NormalEquations,
     standard_deviations,
 )
-from testbed.core.estimation.sensor.lasting import lastingly_corrected
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.source import Source
 from testbed.core.robot.tree import Tree
+from testbed.sensors.corrected import corrected
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,4 +164,4 @@ def corrected_by(source: Source, tree: Tree, said: EstimateSummary) -> Source:
     Raises:
         UnknownName: The estimate has a number that no instrument has.
     """
-    return lastingly_corrected(source, tree, said.nuisances)
+    return corrected(source, tree, said.nuisances)

@@ -30,7 +30,7 @@ from testbed.core.base.errors import UnknownName
 if TYPE_CHECKING:
     from testbed.core.parameters.identifiability import Visibility
     from testbed.core.robot.tree import Tree
-    from testbed.lab.kind_table import KindDescription
+    from testbed.sensors.kinds_in_words import KindDescription
 
 
 class _What(StrEnum):
@@ -237,11 +237,11 @@ def list_(kind: Kind = None) -> None:
 
     Example: testbed list plate_pose
     """
-    from testbed.lab.instruments.faults import KINDS as FAULTS
-    from testbed.lab.kind_table import in_words
     from testbed.lab.simulation.effects import KINDS as EFFECTS
+    from testbed.sensors.catalogue import simulated
+    from testbed.sensors.kinds_in_words import in_words
 
-    tables = {"[measurement] fault": FAULTS, "[simulation] effect": EFFECTS}
+    tables = {"[measurement] fault": simulated(), "[simulation] effect": EFFECTS}
     for table, kinds in tables.items():
         if kind is None:
             typer.echo(f"{table} = [{{ kind = ... }}]")
@@ -251,7 +251,7 @@ def list_(kind: Kind = None) -> None:
             _describe(in_words(kinds[kind]), table)
             return
     if kind is not None:
-        raise UnknownName("kind", kind, (*FAULTS, *EFFECTS))
+        raise UnknownName("kind", kind, (*simulated(), *EFFECTS))
     typer.echo("One of them, with its keys: testbed list KIND")
 
 

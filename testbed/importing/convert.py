@@ -63,6 +63,7 @@ from testbed.importing.source_clock import (
     without_gaps,
     without_repeats,
 )
+from testbed.importing.stated_errors import without_stated_errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +127,7 @@ def pieces(
         for window in windows:
             columns, metadata = _converted(mapping, streams, window)
             recording = Recording.from_columns(columns, metadata, str(path))
+            recording = without_stated_errors(mapping, recording)
             check_columns(recording.columns(), str(path))
             recordings.append(recording)
     except (RecordingError, UnknownName) as error:

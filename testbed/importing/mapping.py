@@ -250,6 +250,9 @@ class Mapping(MappingTable):
     """(gx, gy, gz) [m/s^2], bedplate frame; default the model file's."""
     sources: Annotated[dict[str, SourceTable], Field(min_length=1, max_length=100)]
     """By names of your own."""
+    errors: Annotated[dict[Name, Finite], Field(max_length=1000)] = {}
+    """Known errors of the sensors, taken back: coefficients by name, as `"bias/Fx" = 2.0` [N]
+    (docs/instruments.md)."""
     gear: GearTable | None = None
     position: SignalTable
     velocity: SignalTable | None = None

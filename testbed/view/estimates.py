@@ -280,7 +280,7 @@ def _of_estimate(estimate: Estimate) -> Iterator[TraceTable]:
     tested = sorted(estimate.trace_tests, key=lambda test: test.chance)
     sensor = estimate.instrument if estimate.minimal.of_sensor else ""
     clear = [_test(test, sensor) for test in tested if test.chance <= CLEAR]
-    others = [[phrase(t.nuisance.kind, sensor), _chance(t.chance)] for t in tested[len(clear) :]]
+    others = [[phrase(t.nuisance, sensor), _chance(t.chance)] for t in tested[len(clear) :]]
     if clear:
         heads = ["fault", "chance", "would change", "size"]
         yield TraceTable(heads, clear, "Faults with significant effect, the most significant first")
@@ -306,7 +306,7 @@ def _chance(chance: float) -> str:
 def _test(test: TraceTest, sensor: str) -> list[str]:
     shift = f"{test.parameter} by {test.shift:.2g} standard deviations"
     return [
-        phrase(test.nuisance.kind, sensor),
+        phrase(test.nuisance, sensor),
         _chance(test.chance),
         shift,
         "; ".join(test.largest(LARGEST)),

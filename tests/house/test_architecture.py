@@ -18,7 +18,7 @@ from tests.helpers.modules import HOUSE, MODULES, module_name, syntax
 from tests.helpers.paths import ROOT
 
 ROBOT = "core/base core/robot core/parameters core/dynamics"
-CORE = f"{ROBOT} core/kernel core/recordings core/estimation"
+CORE = f"{ROBOT} core/kernel core/recordings sensors core/estimation"
 LAB = "lab/instruments lab/simulation lab/experiment"
 LIBRARY = f"{CORE} bodies motion applications lab {LAB} importing importing/check"
 PLAN = {
@@ -28,16 +28,17 @@ PLAN = {
     "core/dynamics": "core/base core/robot core/parameters",
     "core/kernel": ROBOT,
     "core/recordings": ROBOT,
-    "core/estimation": f"{ROBOT} core/kernel core/recordings",
+    "sensors": f"{ROBOT} core/recordings",
+    "core/estimation": f"{ROBOT} core/kernel core/recordings sensors",
     "bodies": CORE,
     "motion": f"{ROBOT} core/kernel bodies",
     "applications": f"{CORE} bodies",
-    "importing": f"{ROBOT} core/recordings",
+    "importing": f"{ROBOT} core/recordings sensors",
     "importing/check": f"{CORE} bodies importing",
-    "lab/instruments": "core/base core/robot core/recordings lab",
-    "lab/simulation": f"{ROBOT} core/kernel core/recordings motion lab",
+    "lab/instruments": "core/base core/robot core/recordings sensors lab",
+    "lab/simulation": f"{ROBOT} core/kernel core/recordings sensors motion lab",
     "lab/experiment": f"{CORE} bodies motion applications lab lab/instruments lab/simulation",
-    "lab": "core/base",
+    "lab": "",
     "equations": ROBOT,
     "view": f"{LIBRARY} equations",
     "campaigns": f"{LIBRARY} view",

@@ -23,14 +23,13 @@ from testbed.core.base.errors import SettingsError, TestbedError, UnknownName
 from testbed.core.estimation.regression import windows
 from testbed.core.estimation.regression.constraints import centre_of_mass, total_mass
 from testbed.core.estimation.regression.windows import make_plan, row_weights
-from testbed.core.estimation.sensor.clocks import shifted
-from testbed.core.estimation.sensor.correction import NUISANCES, TESTED
 from testbed.core.estimation.sensor.predicted_wrench import row_filter
 from testbed.core.estimation.sensor.unknowns import Columns, unknowns_of
 from testbed.core.kernel.layout import layout
 from testbed.lab.experiment.plate_file import read_plate, write_plate
-from testbed.lab.instruments.fault import Fault
-from testbed.lab.instruments.faults import fault_of
+from testbed.sensors.catalogue import error_of, estimated, systematic
+from testbed.sensors.sensor_error import SensorError
+from testbed.sensors.shifted_signals import shifted
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.plates import BIAS, LOAD, SCALE, loaded, mass_of, mixing, on_plate
@@ -243,7 +242,7 @@ def test_what_tells_no_payload_is_refused() -> None:
 # errors of the instrument, found beside the robot
 
 SMALL = 1e-6
-ALL = {each.kind: each for each in (*TESTED, *NUISANCES)}
+ALL = systematic()
 TARE = np.array([3.0, -2.0, 200.0, 4.0, -5.0, 1.0])
 FULL = np.array([500.0, 500.0, 1000.0, 200.0, 200.0, 100.0])
 
@@ -264,7 +263,7 @@ def shown(recording: tb.Recording, kind: str, v: Array) -> tb.Recording:
     }
     table = tables[{"tare": "bias", "crosstalk": "matrix"}.get(kind, kind)]
     listed = {k: x.tolist() if isinstance(x, np.ndarray) else x for k, x in table.items()}
-    fault: Fault = fault_of(listed)
+    fault: SensorError = error_of(listed)
     rng = np.random.default_rng(0)
     wrench = fault.apply(recording.measured("wrench"), recording.time, rng)
     return replace(recording, wrench=wrench)
@@ -322,7 +321,7 @@ def effects(kind: str, recording: tb.Recording, tree: tb.Tree) -> list[Array]:
         ]
         after = (tb.base_wrench(tree, tb.Motion(recording.time, *each)) for each in moved)
         return [(before - each) / SMALL for each in after]
-    count = len(ALL[kind].parts(tree))
+    count = len(ALL[kind].coefficients(tree))
     rows = (shown(recording, kind, SMALL * unit).measured("wrench") for unit in np.eye(count))
     return [(each - recording.measured("wrench")) / SMALL for each in rows]
 
@@ -335,7 +334,7 @@ def test_columns_are_what_the_fault_does(name: str) -> None:
     recording, settings = on_pedestal(tree, 8.0), tb.Settings(position_cutoff="off")
     weights, step = row_weights(recording.rate, settings.row_low_pass), int(recording.rate / 10)
     columns = {kind: columns_of(recording, tree, kind) for kind in ALL}
-    for kind in set(ALL) - {"slope", "clock_rate", "tare", "next_bias"}:
+    for kind in set(ALL) - {"slope", "clock_rate", "tare"}:
         found = columns[kind]
         wanted = [
             np.stack([np.convolve(c, weights, "valid")[::step] for c in each.T])
@@ -354,7 +353,7 @@ def test_columns_are_what_the_fault_does(name: str) -> None:
     np.testing.assert_allclose(columns["slope"], time[:, None] * columns["bias"])
     np.testing.assert_allclose(columns["clock_rate"], time[:, None] * columns["skew"])
     np.testing.assert_array_equal(columns["tare"], columns["bias"])
-    for kind in [each.kind for each in NUISANCES if each.by_measured]:
+    for kind in [error.term for error in estimated() if error.signal == "wrench"]:
         own = columns_of(recording, tree, kind, estimated=True)
         np.testing.assert_allclose(own, columns[kind], atol=1e-3 * np.abs(columns[kind]).max())
 
@@ -378,7 +377,7 @@ def test_what_was_added_is_found_or_named(kind: str, hidden: set[str]) -> None:
     recording = shown(on_pedestal(tree, 12.0), kind, values)
     settings = tb.Settings(position_cutoff="off", zeros=True, nuisances=[kind])
     found = tb.identify(tree, recording, settings=settings)
-    wanted = {part.name: x for part, x in zip(ALL[kind].parts(tree), values, strict=True)}
+    wanted = {part.name: x for part, x in zip(ALL[kind].coefficients(tree), values, strict=True)}
     told = {each.name: each.value for each in found.nuisances}
     assert wanted.keys() - told.keys() == hidden
     said = " ".join(d.subject for d in found.diagnostics if d.code == "plate.collinear")
@@ -393,14 +392,12 @@ def test_what_was_added_is_found_or_named(kind: str, hidden: set[str]) -> None:
 
 
 def test_what_the_fault_does_is_undone() -> None:
-    """By the nuisance's inverse, which shares no code with the fault; shifts in time are exact."""
+    """By the inverse; shifts in time are exact."""
     tree = robot("ur5")
     exact = on_pedestal(tree, 2.0)
     for kind, values in VALUES.items():
-        undo = ALL[kind].undo
-        assert undo is not None
         scaled = np.ravel(np.eye(6)) + values if kind == "matrix" else values
-        back = undo(shown(exact, kind, values), scaled, exact.time, tree)
+        back = ALL[kind].undo(shown(exact, kind, values), scaled, exact.time, tree)
         gap = back.measured("wrench")[10:-10] - exact.measured("wrench")[10:-10]
         assert np.abs(gap).max() < 1e-6, kind
     t, powers = np.arange(60.0)[:, None] / 10, np.arange(8)

@@ -16,8 +16,8 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import from_json, messages, ordered, phrase
 from testbed.core.estimation.diagnostics.torques import cross_check, diagnostics_of, torque_factor
 from testbed.core.estimation.estimate import METHODS, Estimate
-from testbed.core.estimation.sensor.correction import TESTED
 from testbed.core.recordings.recording import Recording
+from testbed.sensors.catalogue import tested
 from tests.helpers.ideal import plus
 from tests.helpers.measured import measured
 from tests.helpers.paths import GOLDEN, ROOT
@@ -124,14 +124,14 @@ def test_a_wrong_zero_of_one_encoder_is_named_with_its_size(puma: tb.Tree) -> No
         off = 0.03 * np.eye(3)[joint]
         given = replace(full, position=full.position + off)
         found = tb.identify(puma, given)
-        tested = {test.nuisance.kind: test for test in found.trace_tests}["joint_zeros"]
+        test = {each.nuisance: each for each in found.trace_tests}["joint_zeros"]
         said = [each for each in found.diagnostics if each.code == "sensor.joint_zeros"]
         if joint == 2:
             assert said == []
-            assert tested.chance > 1e-3
+            assert test.chance > 1e-3
             continue
         assert [name in each.text for each in said] == [True]
-        one = tested.alone
+        one = test.alone
         assert one is not None
         assert (one.name, abs(one.value - 0.03) < 4 * one.sigma) == (f"joint_zeros/{name}", True)
         cured = tb.identify(puma, given, settings=tb.Settings(nuisances=["joint_zeros"]))
@@ -300,5 +300,5 @@ def codes_in(code: ast.expr) -> list[str]:
     assert isinstance(code, ast.JoinedStr), ast.dump(code)
     start = code.values[0].value if isinstance(code.values[0], ast.Constant) else ""
     if start == "sensor.":
-        return [f"sensor.{nuisance.kind}" for nuisance in TESTED]
+        return [f"sensor.{error.term}" for error in tested()]
     return [known for known in messages() if known.startswith(str(start))]

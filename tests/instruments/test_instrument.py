@@ -18,12 +18,11 @@ from docs.instruments import catalogue
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError, TestbedError
 from testbed.core.recordings.recording import Recording, Truth
-from testbed.lab.instruments import joints, plate, plate_clock
 from testbed.lab.instruments.chain import Instrument, measure, measured_again
-from testbed.lab.instruments.fault import FULL_SCALE, Fault, StageOrder, apply_chain, stream
-from testbed.lab.instruments.faults import KINDS, fault_of
 from testbed.lab.instruments.plates import PLATES
-from testbed.lab.kind_table import in_words
+from testbed.sensors.catalogue import error_of, simulated
+from testbed.sensors.kinds_in_words import in_words
+from testbed.sensors.sensor_error import FULL_SCALE, SensorError, StageOrder, apply_chain, stream
 from tests.helpers.ideal import ideal
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
@@ -44,7 +43,7 @@ def truth(size: float = 1.0) -> Truth:
     return Truth(q, qd, qdd, 20 * qdd, qd, size * (TARE + np.hstack([40 * q, 30 * qd])))
 
 
-def seen(*faults: Fault, what: Truth | None = None, base: Instrument = NOISY) -> Recording:
+def seen(*faults: SensorError, what: Truth | None = None, base: Instrument = NOISY) -> Recording:
     instrument = replace(base, fault=faults)
     return measure(instrument, NAMES, TIME, what or truth(), TARE, {}, seed=SEED)
 
@@ -95,13 +94,13 @@ def test_noise_comes_from_the_streams_of_older_recordings() -> None:
 
 def test_a_fault_leaves_other_signals_and_the_noise_of_all_others_alone() -> None:
     without, silent = seen(), seen(what=truth(0))
-    for kind, made in KINDS.items():
+    for kind, made in simulated().items():
         fault = made()
         recording = seen(fault)
         for signal in SIGNALS:
             changed = getattr(recording, signal) != getattr(without, signal)
             assert changed.any() == (signal == fault.signal), (kind, signal)
-        if fault.place >= StageOrder.RANGE or kind in (
+        if fault.stage >= StageOrder.RANGE or kind in (
             "encoder_noise",
             "torque_noise",
             "plate_noise",
@@ -115,55 +114,55 @@ def test_a_fault_leaves_other_signals_and_the_noise_of_all_others_alone() -> Non
 def test_two_of_one_kind_have_streams_of_their_own() -> None:
     """Of noise, and of the signs that chance decides."""
     one, two = (
-        wrench(seen(*[plate.PlateNoise()] * count, what=truth(0), base=Instrument()))
+        wrench(seen(*[tb.PlateNoise()] * count, what=truth(0), base=Instrument()))
         for count in (1, 2)
     )
     assert abs(np.mean((two - one) * one)) < 0.1 * np.mean(one**2)
     assert np.mean(two**2) == pytest.approx(2 * np.mean(one**2), rel=0.1)
-    every = Instrument(fault=(plate.PlateBias(),) * 8).installed(NAMES, 0)["wrench"]
-    assert len({str(fault) for fault in every if isinstance(fault, plate.PlateBias)}) > 1
+    every = Instrument(fault=(tb.PlateBias(),) * 8).installed(NAMES, 0)["wrench"]
+    assert len({str(fault) for fault in every if isinstance(fault, tb.PlateBias)}) > 1
 
 
 def test_places_decide_on_the_order_and_then_the_file() -> None:
     """Sensors, then noise, then counts, then the line; counts are whole whatever the noise."""
     faults = (
-        plate_clock.PlateDroppedSamples(0.3),
-        plate.PlateConverter(),
-        plate.PlateNoise(),
-        plate.PlateCrosstalk(),
+        tb.PlateDroppedSamples(0.3),
+        tb.PlateConverter(),
+        tb.PlateNoise(),
+        tb.PlateCrosstalk(),
     )
     assert len({wrench(seen(*order)).tobytes() for order in permutations(faults)}) == 1
     gain, pose = (
-        plate.PlateGain((0.5, 0.0, 0.0, 0.0, 0.0, 0.0)),
-        plate.PlatePose((0.0, 0.0, 1.0), 0.0),
+        tb.PlateGain((0.5, 0.0, 0.0, 0.0, 0.0, 0.0)),
+        tb.PlatePose((0.0, 0.0, 1.0), 0.0),
     )
     for order in ((gain, pose), (pose, gain)):
         expected = apply_chain(order, truth().wrench, TIME, 0)
         np.testing.assert_allclose(wrench(seen(*order, base=Instrument())), expected, atol=1e-12)
     counts = seen(
-        joints.EncoderResolution(0.25), joints.EncoderNoise(0.1), joints.EncoderEccentricity(0.1)
+        tb.EncoderResolution(0.25), tb.EncoderNoise(0.1), tb.EncoderEccentricity(0.1)
     ).position
     same(counts / 0.25, np.rint(counts / 0.25))
     wider = Instrument(full_scale=tuple(10 * v for v in FULL_SCALE))  # type: ignore[arg-type]
     scale = np.array(wider.full_scale)
     coarse = scale / 128 * np.round(truth().wrench / scale * 128)
-    same(wrench(seen(plate.PlateConverter(8), base=wider)), coarse)
+    same(wrench(seen(tb.PlateConverter(8), base=wider)), coarse)
 
 
 def test_a_measured_tare_has_the_plates_own_faults_and_noise_and_the_drift_since() -> None:
     """What is constant leaves with it: the wrench less the tare is as with a true zero."""
     quiet = Instrument()
-    same(seen(plate.PlateBias(), plate.PlatePose(), plate.PlateCrosstalk()).tare, TARE)
-    for faults in ((plate.PlateBias(),), (plate.PlateBias(), plate.PlateBias(1.0))):
-        recording = seen(*faults, plate.MeasuredTare(), base=quiet)
+    same(seen(tb.PlateBias(), tb.PlatePose(), tb.PlateCrosstalk()).tare, TARE)
+    for faults in ((tb.PlateBias(),), (tb.PlateBias(), tb.PlateBias(1.0))):
+        recording = seen(*faults, tb.MeasuredTare(), base=quiet)
         np.testing.assert_allclose(net(recording), truth().wrench - TARE, atol=1e-10)
-    for fault in (plate.PlatePose(), plate.PlateCrosstalk(), plate.PlateGain()):
+    for fault in (tb.PlatePose(), tb.PlateCrosstalk(), tb.PlateGain()):
         bare = seen(fault, what=replace(truth(), wrench=truth().wrench - TARE), base=quiet)
-        shown = net(seen(fault, plate.MeasuredTare(), base=quiet))
+        shown = net(seen(fault, tb.MeasuredTare(), base=quiet))
         np.testing.assert_allclose(shown, wrench(bare), atol=1e-10)
-    drift = seen(plate.PlateDrift((0.05, 0.0, 0.0), 0.0), plate.MeasuredTare(5.0, 60.0), base=quiet)
+    drift = seen(tb.PlateDrift((0.05, 0.0, 0.0), 0.0), tb.MeasuredTare(5.0, 60.0), base=quiet)
     np.testing.assert_allclose(np.asarray(drift.tare), TARE - 0.05 * 62.5005 * np.eye(6)[0])
-    noisy = seen(plate.MeasuredTare(1.0))
+    noisy = seen(tb.MeasuredTare(1.0))
     same(noisy.wrench, seen().wrench)
     own = stream("plate_noise", SEED, 0, "tare").normal(size=(1000, 6)).mean(axis=0)
     np.testing.assert_allclose(
@@ -171,12 +170,12 @@ def test_a_measured_tare_has_the_plates_own_faults_and_noise_and_the_drift_since
     )
 
 
-@given(tree=trees((1, 5)), kinds=st.sets(st.sampled_from(sorted(KINDS)), min_size=1))
+@given(tree=trees((1, 5)), kinds=st.sets(st.sampled_from(sorted(simulated())), min_size=1))
 def test_every_fault_suits_every_robot_and_needs_no_simulation(
     tree: tb.Tree, kinds: set[str]
 ) -> None:
     recording = ideal(tree, duration=3.0)
-    faults = tuple(KINDS[kind]() for kind in sorted(kinds))
+    faults = tuple(simulated()[kind]() for kind in sorted(kinds))
     shown = measured_again(recording, Instrument(rate=200.0, fault=faults), 5)
     for signal in ("position", "torque", "wrench"):
         values = shown.measured(signal)
@@ -191,17 +190,17 @@ def test_every_fault_suits_every_robot_and_needs_no_simulation(
 
 def test_a_file_says_faults_as_python_does_and_every_kind_is_documented() -> None:
     """Read with defaults, written back, listed in the docs with its keys; sizes are sizes."""
-    every = ",".join(entry.example for entry in map(in_words, KINDS.values()))
+    every = ",".join(entry.example for entry in map(in_words, simulated().values()))
     experiment = tb.Experiment.from_toml(TABLE6, [f"measurement.fault=[{every}]"])
-    assert [fault.kind for fault in experiment.measurement.fault] == list(KINDS)
-    for kind, made in KINDS.items():
+    assert [fault.kind for fault in experiment.measurement.fault] == list(simulated())
+    for kind, made in simulated().items():
         fault = made()
-        assert fault_of({"kind": kind}) == fault_of(fault.table()) == fault
+        assert error_of({"kind": kind}) == error_of(fault.table()) == fault
         assert [name for name, _, _ in in_words(type(fault)).keys] == list(fault.known_keys())
         assert all(size > 0 for name, size in fault.table().items() if name != "kind")
     text = '[{kind="plate_bias",force=[1,2,3]},{kind="encoder_zero_error",error={elbow=1e-3}}]'
     found = tb.Experiment.from_toml(TABLE6, [f"measurement.fault={text}"]).measurement.fault
-    assert found == (plate.PlateBias((1.0, 2.0, 3.0)), joints.EncoderZeroError({"elbow": 1e-3}))
+    assert found == (tb.PlateBias((1.0, 2.0, 3.0)), tb.EncoderZeroError({"elbow": 1e-3}))
     assert catalogue() in (ROOT / "docs/instruments.md").read_text()
 
 
@@ -237,14 +236,14 @@ def test_what_no_instrument_can_be_is_refused_before_anything_is_simulated() -> 
         *((name, {name: value}) for value in (-1e-9, np.inf, np.nan)
           for name in ("encoder_resolution", "encoder_noise", "torque_noise", "moment_noise")),
         *(("rate", {"rate": value}) for value in (0.0, np.inf)),
-        ("averaged", {"averaged": False, "fault": (joints.EncoderInstantSampling(),)}),
+        ("averaged", {"averaged": False, "fault": (tb.EncoderInstantSampling(),)}),
         ("torque_constant_error", {"torque_constant_error": {"a": 0.1, "b": np.nan}}),
         *(("full_scale", {"full_scale": (1.0,) * 5 + more}) for more in ((), (0.0,))),
     ]  # fmt: skip
     for culprit, keys in wrong:
         with refuses(SettingsError, culprit):
             Instrument(**keys)
-    assert Instrument(rate=100.0, fault=(plate_clock.PlateAntiAliasFilter(1e-3),)).fault
+    assert Instrument(rate=100.0, fault=(tb.PlateAntiAliasFilter(1e-3),)).fault
 
 
 def test_a_plate_by_name_gives_what_is_not_said_beside_it() -> None:
@@ -273,7 +272,7 @@ def waves(time: Array, channels: int = 6) -> Array:
 Q, W = waves(CLOCK, 3), waves(CLOCK)
 
 
-def through(fault: Fault, signal: Array, time: Array = CLOCK, seed: int = 0) -> Array:
+def through(fault: SensorError, signal: Array, time: Array = CLOCK, seed: int = 0) -> Array:
     return fault.apply(signal, time, np.random.default_rng(seed))
 
 
@@ -282,26 +281,24 @@ def close(one: Array, other: Array, size: float = 1e-12) -> None:
 
 
 def test_zeros_and_scales_are_wrong_joint_by_joint_and_channel_by_channel() -> None:
-    close(through(joints.EncoderZeroError((1.0, 0.0, -2.0)), Q), np.add(Q, [1, 0, -2]))
-    close(through(joints.TorqueOffset(0.5), Q), Q + 0.5)
-    close(through(plate.PlateBias(2.0, (0.0, 0.5, -0.5)), W), np.add(W, [2, 2, 2, 0, 0.5, -0.5]))
-    close(through(joints.EncoderGain(0.01), Q), 1.01 * Q)
-    close(
-        through(joints.TorqueConstantError((0.08, -0.06, 0.0)), Q), Q @ np.diag([1.08, 0.94, 1.0])
-    )
-    close(through(plate.PlateGain(tuple(SIX / 100)), W), W @ np.diag(1 + SIX / 100))
+    close(through(tb.EncoderZeroError((1.0, 0.0, -2.0)), Q), np.add(Q, [1, 0, -2]))
+    close(through(tb.TorqueOffset(0.5), Q), Q + 0.5)
+    close(through(tb.PlateBias(2.0, (0.0, 0.5, -0.5)), W), np.add(W, [2, 2, 2, 0, 0.5, -0.5]))
+    close(through(tb.EncoderGain(0.01), Q), 1.01 * Q)
+    close(through(tb.TorqueConstantError((0.08, -0.06, 0.0)), Q), Q @ np.diag([1.08, 0.94, 1.0]))
+    close(through(tb.PlateGain(tuple(SIX / 100)), W), W @ np.diag(1 + SIX / 100))
     for time in (CLOCK, CLOCK - 60.0):  # a drift begins at time 0
-        slope = through(plate.PlateDrift((1.0, 2.0, 3.0), 0.5), W, time) - W
+        slope = through(tb.PlateDrift((1.0, 2.0, 3.0), 0.5), W, time) - W
         close(slope, np.outer(time, [1, 2, 3, 0.5, 0.5, 0.5]), 1e-10)
 
 
 def test_eccentricity_and_hum_are_waves() -> None:
     q = np.linspace(-4.0, 4.0, 4000)[:, None] * [1.0, 0.5, 2.0]
-    error = through(joints.EncoderEccentricity(4e-4, phase=(0.0, 0.5, 1.0)), q) - q
+    error = through(tb.EncoderEccentricity(4e-4, phase=(0.0, 0.5, 1.0)), q) - q
     close(error, 4e-4 * np.imag(np.exp(1j * np.add(q, [0, 0.5, 1]))))
-    lead = through(joints.EncoderEccentricity(1e-3, period=0.01), q) - q
+    lead = through(tb.EncoderEccentricity(1e-3, period=0.01), q) - q
     close(lead, 1e-3 * np.sin(q * 200 * np.pi))
-    lines = np.fft.rfft(through(plate.PlateHum(2.0, 0.5, 50.0, tuple(SIX)), 0 * W), axis=0) / 2000
+    lines = np.fft.rfft(through(tb.PlateHum(2.0, 0.5, 50.0, tuple(SIX)), 0 * W), axis=0) / 2000
     close(lines[200], np.repeat([2.0, 0.5], 3) * np.exp(1j * (SIX - np.pi / 2)), 1e-9)
     lines[200] = 0
     assert np.abs(lines).max() < 1e-9
@@ -309,13 +306,13 @@ def test_eccentricity_and_hum_are_waves() -> None:
 
 def test_counts_are_whole_and_the_nearest_and_signals_end_where_ranges_do() -> None:
     """Of encoders, of a plate's converter and of a plate that saturates."""
-    seen = through(joints.EncoderResolution((0.1, 0.0, 0.25)), Q)
+    seen = through(tb.EncoderResolution((0.1, 0.0, 0.25)), Q)
     close(seen[:, 1], Q[:, 1])
     close(seen[:, 2], 0.25 * np.floor(Q[:, 2] / 0.25 + 0.5))
     wrench = np.outer(np.linspace(-1.5, 1.5, 4000), FULL_SCALE)
-    counts = through(plate.PlateConverter(8), wrench) / FULL_SCALE * 128
+    counts = through(tb.PlateConverter(8), wrench) / FULL_SCALE * 128
     close(counts, np.clip(np.rint(wrench / FULL_SCALE * 128), -128, 127))
-    share = through(plate.PlateSaturation(0.9), W)
+    share = through(tb.PlateSaturation(0.9), W)
     close(np.ptp(share, axis=0), 0.9 * np.ptp(W, axis=0))
     close(share.max(0) + share.min(0), W.max(0) + W.min(0))
 
@@ -324,12 +321,12 @@ def test_crosstalk_is_in_proportion_to_full_scale() -> None:
     """Each channel alone at its full scale shows one column of the matrix in all others."""
     x = np.zeros((6, 6))
     x[3, 2], x[0, 5], x[1, 1] = 0.01, -0.02, 0.005
-    fault = plate.PlateCrosstalk(matrix=tuple(map(tuple, x.tolist())))
+    fault = tb.PlateCrosstalk(matrix=tuple(map(tuple, x.tolist())))
     for scale in (FULL_SCALE, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)):
         loads = np.diag(scale)
         seen = through(fault.on(NAMES, scale), loads, CLOCK[:6])
         close(((seen - loads) / scale).T, x)
-    mixing = np.array(plate.PlateCrosstalk(0.01).sample(3, np.random.default_rng(1)).matrix)
+    mixing = np.array(tb.PlateCrosstalk(0.01).sample(3, np.random.default_rng(1)).matrix)
     assert not np.diagonal(mixing).any()
     assert 0.005 < np.abs(mixing).max() <= 0.01
 
@@ -343,7 +340,7 @@ def test_a_plate_elsewhere_shows_forces_at_points_about_its_own_origin(
     origin, vector = rng.normal(size=(2, 3))
     axes = Rotation.from_rotvec(vector).inv()
     wrench = np.hstack([force, np.cross(point, force) + couple])
-    seen = through(plate.PlatePose(tuple(vector), tuple(origin)), wrench, CLOCK[:20])
+    seen = through(tb.PlatePose(tuple(vector), tuple(origin)), wrench, CLOCK[:20])
     inside = axes.apply(force)
     moment = np.cross(axes.apply(point - origin), inside) + axes.apply(couple)
     close(seen, np.hstack([inside, moment]))
@@ -352,11 +349,11 @@ def test_a_plate_elsewhere_shows_forces_at_points_about_its_own_origin(
 def test_what_comes_late_is_the_signal_of_another_time() -> None:
     """Exact for smooth signals; held before the first sample and after the last."""
     for delay in (1e-3, 2.34e-4, -7e-4, 0.0123):
-        close(through(plate_clock.PlateDelay(delay), W)[INNER], waves(CLOCK - delay)[INNER], 1e-9)
-    close(through(plate_clock.PlateClockRate(0.01), W)[INNER], waves(CLOCK / 1.01)[INNER], 1e-9)
-    close(through(plate_clock.PlateDelay(0.01), W)[:10], np.tile(W[0], (10, 1)), 1e-10)
-    close(through(plate_clock.PlateDelay(-0.01), W)[-10:], np.tile(W[-1], (10, 1)), 1e-10)
-    seen = through(plate_clock.PlateDroppedSamples(0.2), W)
+        close(through(tb.PlateDelay(delay), W)[INNER], waves(CLOCK - delay)[INNER], 1e-9)
+    close(through(tb.PlateClockRate(0.01), W)[INNER], waves(CLOCK / 1.01)[INNER], 1e-9)
+    close(through(tb.PlateDelay(0.01), W)[:10], np.tile(W[0], (10, 1)), 1e-10)
+    close(through(tb.PlateDelay(-0.01), W)[-10:], np.tile(W[-1], (10, 1)), 1e-10)
+    seen = through(tb.PlateDroppedSamples(0.2), W)
     lost = np.flatnonzero((seen != W).any(axis=1))
     assert 0.17 < len(lost) / 4000 < 0.23
     close(seen[lost], seen[lost - 1])
@@ -364,7 +361,7 @@ def test_what_comes_late_is_the_signal_of_another_time() -> None:
     f, k = 0.3 + 0.2 * np.arange(3), np.arange(3)
     phase, turn = 2 * np.pi * np.outer(CLOCK, f) + k, 2 * np.pi * f / RATE
     means = 40.0 * (k + 1) + (10.0 + k) * (np.cos(phase) - np.cos(phase + turn)) / turn
-    close(through(joints.EncoderInstantSampling(), means), Q, 2e-9)
+    close(through(tb.EncoderInstantSampling(), means), Q, 2e-9)
 
 
 @given(order=st.integers(1, 8), frequency=st.sampled_from([0.5, 5.0, 40.0]))
@@ -373,12 +370,12 @@ def test_the_anti_alias_filter_is_butterworths(order: int, frequency: float) -> 
     time = np.arange(20_000) / 10_000.0
     gain = freqs(*butter(order, 2 * np.pi * 50, analog=True), worN=[2 * np.pi * frequency])[1][0]
     signal = np.tile(np.sin(2 * np.pi * frequency * time)[:, None], 6)
-    seen = through(plate_clock.PlateAntiAliasFilter(50.0, order), signal, time)[:, 0]
+    seen = through(tb.PlateAntiAliasFilter(50.0, order), signal, time)[:, 0]
     expected = np.imag(gain * np.exp(2j * np.pi * frequency * time))
     straight = (2 * np.pi * frequency * 1e-4) ** 2 / 12  # error of a sine of straight pieces
     assert np.abs(seen - expected)[5000:].max() < 1.1 * straight * (order + 1) / 2 + 1e-8
     still = np.tile(SIX, (500, 1))
-    close(through(plate_clock.PlateAntiAliasFilter(100.0, order), still, CLOCK[:500]), still, 1e-9)
+    close(through(tb.PlateAntiAliasFilter(100.0, order), still, CLOCK[:500]), still, 1e-9)
 
 
 def test_noise_has_its_size_and_memory() -> None:
@@ -386,20 +383,20 @@ def test_noise_has_its_size_and_memory() -> None:
     white = np.random.default_rng(0).normal(size=(4000, 6))
     size = np.array([0.5, 0.5, 0.5, 0.1, 0.2, 0.3])
     moment = (0.1, 0.2, 0.3)
-    close(through(plate.PlateNoise(0.5, moment), 0 * W), size * white)
+    close(through(tb.PlateNoise(0.5, moment), 0 * W), size * white)
     three = np.random.default_rng(0).normal(size=(4000, 3)) * [0.1, 0.0, 0.3]
-    for kind in (joints.EncoderNoise, joints.TorqueNoise):
+    for kind in (tb.EncoderNoise, tb.TorqueNoise):
         close(through(kind((0.1, 0.0, 0.3)), Q) - Q, three)
     coloured, walk = np.array(white), 0.0 * white
     for k in range(1, 4000):
         kept = np.exp(-1 / RATE / 0.05)
         coloured[k] = kept * coloured[k - 1] + np.sqrt(1 - kept**2) * white[k]
         walk[k] = walk[k - 1] + np.sqrt(1 / RATE) * white[k]
-    close(through(plate.PlateColouredNoise(0.5, moment, 0.05), 0 * W), size * coloured, 1e-9)
-    close(through(plate.PlateRandomWalk(0.5, moment), 0 * W), size * walk, 1e-9)
-    long_ago = through(plate.PlateRandomWalk(1.0), 0 * white, CLOCK - 9.0)
+    close(through(tb.PlateColouredNoise(0.5, moment, 0.05), 0 * W), size * coloured, 1e-9)
+    close(through(tb.PlateRandomWalk(0.5, moment), 0 * W), size * walk, 1e-9)
+    long_ago = through(tb.PlateRandomWalk(1.0), 0 * white, CLOCK - 9.0)
     close(long_ago[0], 3.0 * white[0] * [1, 1, 1, 0.01, 0.01, 0.01])
-    fault = plate.PlatePinkNoise(2.0, 2.0, 0.5)
+    fault = tb.PlatePinkNoise(2.0, 2.0, 0.5)
     pink = np.hstack([through(fault, 0 * W, seed=seed) for seed in range(20)])
     assert pink.std() == pytest.approx(2.0, rel=0.05)
     assert abs(np.corrcoef(pink[0], pink[-1])[0, 1]) < 0.4  # the end forgets the start
@@ -415,15 +412,15 @@ def test_a_single_number_gets_signs_and_phases_by_chance_and_a_list_keeps_its_ow
     signs, phases = set(), []
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        fault = plate.PlateBias(0.3, (1.0, -2.0, 3.0)).sample(3, rng)
+        fault = tb.PlateBias(0.3, (1.0, -2.0, 3.0)).sample(3, rng)
         assert np.abs(fault.force).tolist() == [0.3] * 3
         assert fault.moment == (1.0, -2.0, 3.0)
         signs.add(tuple(np.sign(fault.force)))
-        phases += list(np.atleast_1d(plate.PlateHum().sample(3, rng).phase or 0.0))
+        phases += list(np.atleast_1d(tb.PlateHum().sample(3, rng).phase or 0.0))
     assert len(signs) == 8
     every = np.sort(phases)
     assert np.diff(every, append=every[0] + 2 * np.pi).max() < 0.3  # all around, six at a time
-    assert plate.PlateHum(phase=1.0).sample(3, rng).phase == 1.0
-    by_name = joints.EncoderEccentricity({"a": 1e-3}, period={"c": 0.01}).on(NAMES)
+    assert tb.PlateHum(phase=1.0).sample(3, rng).phase == 1.0
+    by_name = tb.EncoderEccentricity({"a": 1e-3}, period={"c": 0.01}).on(NAMES)
     assert by_name.amplitude == (1e-3, 0.0, 0.0)
     assert by_name.period == (2 * np.pi, 2 * np.pi, 0.01)

@@ -205,7 +205,7 @@ def test_faults_are_sorted_by_chance_and_only_clear_ones_have_a_size() -> None:
                 assert chances == sorted(chances)
                 assert table.traced == (max(chances) <= CLEAR) == (len(table.heads) == 4)
                 rows += table.rows
-        wanted = {phrase(test.nuisance.kind): test.chance for test in external.trace_tests}
+        wanted = {phrase(test.nuisance): test.chance for test in external.trace_tests}
         assert set(wanted) == {row[0] for row in rows}
         for fault, chance, *_ in rows:
             if "below" not in chance:

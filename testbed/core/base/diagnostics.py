@@ -287,7 +287,8 @@ def phrase(cause: str, instrument: str = "") -> str:
         cause: Its code, or the phrase itself.
         instrument: As of the diagnostic.
     """
-    said = str(_table()["causes"].get(cause, cause))
+    words = cause.replace("_", " ") if cause.isidentifier() else cause
+    said = str(_table()["causes"].get(cause, words))
     return _PLATE.sub(instrument, said) if instrument else said
 
 
@@ -297,8 +298,9 @@ def _table() -> Mapping[str, Any]:
 
 
 def _message(code: str) -> Message:
-    """Message of a diagnostic code; an empty message for an unknown code."""
-    return messages().get(code, Message(""))
+    """Message of a code; for an unknown code that of its group's "other", or an empty one."""
+    other = f"{code.partition('.')[0]}.other"
+    return messages().get(code, messages().get(other, Message("")))
 
 
 def _kind(each: Diagnostic) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from pydantic import (
 from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.core.base.summary_table import Value
 from testbed.core.robot.friction import STRIBECK, JointLaw, law_of
+from testbed.sensors.catalogue import term_of, terms
 
 LARGEST = 1e9
 """Times [s] and speeds [rad/s, m/s] that no robot has."""
@@ -51,21 +52,6 @@ def with_sigmas(stated: Mapping[str, float | Sequence[float]]) -> dict[str, tupl
     return found
 
 
-FAULTS = {
-    "plate_bias": "bias",
-    "plate_drift": "slope",
-    "plate_gain": "matrix",
-    "plate_crosstalk": "matrix",
-    "plate_pose": "pose",
-    "plate_origin_height": "height",
-    "plate_delay": "skew",
-    "encoder_zero_error": "joint_zeros",
-}
-"""Nuisances by the fault that makes them."""
-
-KINDS = (*dict.fromkeys(FAULTS.values()), "tare")
-"""Nuisances that can be estimated."""
-
 USUAL = ("coulomb", "viscous")
 """Terms of which nothing else is said."""
 
@@ -91,13 +77,6 @@ def _distinct(names: tuple[str | JointLaw, ...]) -> tuple[str | JointLaw, ...]:
     if len(set(kinds)) < len(kinds):
         raise ValueError
     return names
-
-
-def _nuisance(name: str) -> str:
-    """Raise UnknownName where nothing of the instrument has the name."""
-    if name not in KINDS:
-        raise UnknownName("nuisance", name, KINDS)
-    return name
 
 
 def _known_terms(terms: tuple[str | JointLaw, ...]) -> tuple[str | JointLaw, ...]:
@@ -143,9 +122,7 @@ FIELDS: Mapping[str, tuple[Any, str]] = {
         'a list of names, none twice, or "auto"',
     ),
     "nuisances": (
-        Annotated[
-            tuple[Annotated[Name, AfterValidator(_nuisance)], ...], AfterValidator(_distinct)
-        ],
+        Annotated[tuple[Annotated[Name, AfterValidator(term_of)], ...], AfterValidator(_distinct)],
         "a list of names, none twice",
     ),
     "tare": (Literal["known", "unknown"], '"known" or "unknown"'),
@@ -288,15 +265,15 @@ class Settings(Value):
         Raises:
             UnknownName: There is no such error and no such law.
         """
-        listed, known = [names] if isinstance(names, str) else names, (*FAULTS, *KINDS)
-        errors = dict.fromkeys(FAULTS.get(name, name) for name in listed if name in known)
+        listed, known = [names] if isinstance(names, str) else names, terms()
+        errors = dict.fromkeys(known[name] for name in listed if name in known)
         laws = tuple(name for name in listed if name not in known)
         try:
             return replace(
                 self, nuisances=tuple(errors) or self.nuisances, terms=laws or self.terms
             )
         except UnknownName as error:
-            raise UnknownName("term", error.name, (*FAULTS, *error.known)) from None
+            raise UnknownName("term", error.name, (*known, *error.known)) from None
 
     @property
     def laws(self) -> tuple[JointLaw, ...]:

@@ -53,6 +53,7 @@ from testbed.importing.check.recording_diagnostics import (
 )
 from testbed.importing.check.remedies import Hypothesis, Remedy, in_words, remedies_for, with_lines
 from testbed.importing.check.search import Progress, Search
+from testbed.importing.check.sensor_errors import diagnostic, sensor_error
 from testbed.importing.check.time_offset import TimeOffset, alignment, time_offsets
 from testbed.importing.convert import pieces
 from testbed.importing.import_report import in_mapping
@@ -192,6 +193,10 @@ def _judge(
     gain = as_read.cost - best.cost
     clear = gain > CERTAIN and _explains(as_read, best)
     plate = list(unexplained_plate(best))
+    changing = sensor_error(best) if best.has_plate else None
+    if changing is not None:
+        mended = changing.explains(best)
+        plate = [*([] if mended else plate), diagnostic(changing, best)]
     foreign = any(each.level == "error" for each in plate)
     still = list(still_joints(tree, as_read))
     if any(each.value for each in still) and (foreign or not clear):

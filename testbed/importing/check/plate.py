@@ -389,12 +389,28 @@ class PlateEvidence:
         Returns:
             Besides these what they leave of the wrench, (T, 6) [N, N m].
         """
-        prior, wrench = self._prior, self.wrench(each)
+        prior, (departure, root, left) = self._prior, self._regression(each, self._spread)
+        return prior.mean + prior.root @ departure, prior.root @ root, left
+
+    def residual(self, each: PlateExplanation, columns: Array) -> tuple[Array, Array, Array]:
+        """Residual, (T, 6), with further columns; their values and sigmas, (k,).
+
+        Args:
+            each: Of the plate.
+            columns: Of the bedplate's wrench, (T, 6, k).
+        """
+        values, root, left = self._regression(each, np.concatenate([self._spread, columns], axis=2))
+        others = self._spread.shape[2]
+        return left, values[others:], np.linalg.norm(root[others:], axis=1)
+
+    def _regression(self, each: PlateExplanation, columns: Array) -> tuple[Array, Array, Array]:
+        """Values of columns, a root of their covariance, and the residual, by an explanation."""
+        wrench = self.wrench(each)
         share = np.maximum(each.unexplained, LEAST_LEFT) * LASTS
         sigma = np.sqrt(share * np.maximum(wrench.var(axis=0), 1e-12))
         rest = wrench - self._expected
-        departure, root, left = ridge_regression(self._spread, rest[..., None], sigma)
-        return prior.mean + prior.root @ departure[:, 0], prior.root @ root, left[..., 0]
+        values, root, left = ridge_regression(columns, rest[..., None], sigma)
+        return values[:, 0], root, left[..., 0]
 
     def zero(self, each: PlateExplanation) -> tuple[Array, Array]:
         """What the plate shows without the robot, and its sigma, (6,) [N, N m].

@@ -21,7 +21,6 @@ from testbed.core.dynamics.newton_euler import Motion, regressor
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.regression.normal_equations import standard_deviations
 from testbed.core.estimation.regression.windows import motion_taps, row_weights
-from testbed.core.estimation.sensor.clocks import reach, shifted
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.recordings.geometry import check_robot, in_its_gravity
 from testbed.core.recordings.recording import Recording
@@ -37,6 +36,7 @@ from testbed.importing.check.instants import (
 )
 from testbed.importing.check.remedies import tables_of
 from testbed.importing.import_report import ImportReport, Line
+from testbed.sensors.shifted_signals import reach, shifted
 
 ROW_CUTOFF, POSITION_CUTOFF = 5.0, 40.0
 """Of the low-pass on rows and on positions [Hz], as estimates have them; less where the

@@ -10,9 +10,9 @@ from pydantic import AfterValidator, Field, model_validator
 from testbed.core.base.errors import UnknownName
 from testbed.core.base.toml_text import Finite, NotNegative, Positive
 from testbed.lab.experiment.robot_tables import StrictTable
-from testbed.lab.kind_table import AsTable
 from testbed.lab.simulation.effect import Effect
 from testbed.lab.simulation.effects import effect_of
+from testbed.sensors.kind_table import AsTable
 
 ALWAYS_JUDGED = (
     "external_rms_relative_error",

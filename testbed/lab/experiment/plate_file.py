@@ -14,9 +14,9 @@ from testbed.core.base.errors import ExperimentError
 from testbed.core.base.files import replacing
 from testbed.core.base.installation import version
 from testbed.core.base.toml_text import Finite, checked, read_toml
-from testbed.core.estimation.sensor.correction import NUISANCES
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.core.robot.tree import Tree
+from testbed.sensors.catalogue import estimated
 
 _HEAD = """\
 # A plate, calibrated by the motion of the robot on it (testbed {version}, calibrate).
@@ -68,9 +68,9 @@ def read_plate(path: Path, tree: Tree) -> Calibration:
         ExperimentError: It is no such file.
     """
     found = checked(_Plate, read_toml(path, "plate's calibration"), str(path))
-    kinds = {part.name: n.kind for n in NUISANCES for part in n.parts(tree)}
+    terms = {c.name: error.term for error in estimated() for c in error.coefficients(tree)}
     numbers = tuple(
-        NuisanceEstimate(kinds.get(name, name), name, each.unit, each.value, each.sigma)
+        NuisanceEstimate(terms.get(name, name), name, each.unit, each.value, each.sigma)
         for name, each in found.numbers.items()
     )
     correlation = _correlation(found.correlation, len(numbers), path)

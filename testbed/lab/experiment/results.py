@@ -27,8 +27,6 @@ from testbed.core.estimation.diagnostics.torques import diagnostics_of
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
 from testbed.core.estimation.problem import set_of
 from testbed.core.estimation.selection.chosen import with_chosen_settings
-from testbed.core.estimation.sensor.correction import NUISANCES, TESTED
-from testbed.core.estimation.sensor.estimates import Nuisance
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.recordings.recording import Recording
@@ -274,7 +272,6 @@ def _makers(run: Run) -> Makers:
         MinimalSet: sets.__getitem__,
         DriveSet: lambda words: drive_set(tree, sets["dynamic"], words),
         JointLaw: joint_law,
-        Nuisance: {each.kind: each for each in (*NUISANCES, *TESTED)}.__getitem__,
     }
 
 

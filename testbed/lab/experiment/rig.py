@@ -19,8 +19,8 @@ from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.sensors import Encoders, ForcePlate, JointTorques, Sensor, sensors_of
 from testbed.lab.instruments.chain import Instrument
-from testbed.lab.instruments.fault import Fault
 from testbed.lab.simulation.effect import Effect
+from testbed.sensors.sensor_error import SensorError
 
 MOST_STEPS = 10_000
 """Most simulation steps a sample: a thousand samples are held in full."""
@@ -69,7 +69,7 @@ class Rig(Summarized):
         _check_kinds("plant", self.plant, Effect)
         _check_kinds("sensors", self.sensors, Sensor)
         for sensor in self.sensors:
-            _check_kinds(f"errors of {type(sensor).__name__}", sensor.errors, Fault)
+            _check_kinds(f"errors of {type(sensor).__name__}", sensor.errors, SensorError)
         if not isinstance(self.friction, bool):
             raise SettingsError(
                 f"Rig: friction is True or False, found {self.friction!r}; that of joints is the "

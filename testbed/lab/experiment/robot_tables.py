@@ -18,9 +18,9 @@ from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.rotations import from_rpy
 from testbed.core.robot.shafts import with_shafts
 from testbed.core.robot.tree import Tree
-from testbed.lab.instruments.fault import FULL_SCALE, Fault
-from testbed.lab.instruments.faults import fault_of
-from testbed.lab.kind_table import AsTable
+from testbed.sensors.catalogue import error_of
+from testbed.sensors.kind_table import AsTable
+from testbed.sensors.sensor_error import FULL_SCALE, SensorError
 
 Range = tuple[Finite, Finite]
 
@@ -93,7 +93,7 @@ class SensorTable(StrictTable):
     """Standard deviation of its moments [N m]."""
     full_scale: tuple[Positive, Positive, Positive, Positive, Positive, Positive] = FULL_SCALE
     """Largest values that it can show [N, N m], as `measurement.full_scale`."""
-    fault: tuple[Annotated[Fault, AsTable(fault_of)], ...] = ()
+    fault: tuple[Annotated[SensorError, AsTable(error_of)], ...] = ()
     """What else is wrong with it, `[[sensors.NAME.fault]]`: as of the plate."""
 
     @model_validator(mode="after")

@@ -21,8 +21,8 @@ from testbed.core.robot.friction import COULOMB, LOAD, ROTOR, JointLaw, term_tor
 from testbed.core.robot.shafts import shares
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.instruments.joints import TorqueConstantError
-from testbed.lab.kind_table import each_joint
+from testbed.sensors.errors.torque_constant_error import TorqueConstantError
+from testbed.sensors.kind_table import each_joint
 
 INSTANTS = 400
 """Of a motion on which predictions are held against the truth, about."""

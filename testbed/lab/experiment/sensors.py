@@ -13,13 +13,13 @@ from testbed.core.base.errors import SettingsError
 from testbed.core.base.summary_table import Value
 from testbed.core.robot.force_sensor import ForceSensor
 from testbed.lab.instruments.chain import Instrument
-from testbed.lab.instruments.fault import FULL_SCALE, Fault
+from testbed.sensors.sensor_error import FULL_SCALE, SensorError
 
 
 class Sensor(Value):
     """One of the sensors of a rig."""
 
-    errors: Sequence[Fault]
+    errors: Sequence[SensorError]
 
     @property
     @abstractmethod
@@ -43,7 +43,7 @@ class ForcePlate(Sensor):
     """
 
     noise: tuple[float, float] = (0.0, 0.0)
-    errors: Sequence[Fault] = ()
+    errors: Sequence[SensorError] = ()
     full_scale: tuple[float, float, float, float, float, float] = FULL_SCALE
     model: str = ""
     mounting: ForceSensor | None = None
@@ -78,7 +78,7 @@ class JointTorques(Sensor):
 
     noise: float = 0.0
     gains: Mapping[str, float] = field(default_factory=dict)
-    errors: Sequence[Fault] = ()
+    errors: Sequence[SensorError] = ()
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -101,7 +101,7 @@ class Encoders(Sensor):
     resolution: float = 0.0
     noise: float = 0.0
     kinematics: bool = False
-    errors: Sequence[Fault] = ()
+    errors: Sequence[SensorError] = ()
 
     @property
     def settings(self) -> dict[str, Any]:

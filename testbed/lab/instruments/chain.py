@@ -11,25 +11,24 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
 from testbed.core.recordings.recording import Recording, Truth
-from testbed.lab.instruments.fault import (
+from testbed.lab.instruments.plates import PLATES
+from testbed.sensors.catalogue import error_of
+from testbed.sensors.errors.encoder_instant_sampling import EncoderInstantSampling
+from testbed.sensors.errors.encoder_noise import EncoderNoise
+from testbed.sensors.errors.encoder_resolution import EncoderResolution
+from testbed.sensors.errors.measured_tare import MeasuredTare
+from testbed.sensors.errors.plate_noise import PlateNoise
+from testbed.sensors.errors.torque_constant_error import TorqueConstantError
+from testbed.sensors.errors.torque_noise import TorqueNoise
+from testbed.sensors.kind_table import AsTable, Key
+from testbed.sensors.sensor_error import (
     FULL_SCALE,
-    Fault,
+    SensorError,
     Signal,
     apply_chain,
     number_kinds,
     stream,
 )
-from testbed.lab.instruments.faults import fault_of
-from testbed.lab.instruments.joints import (
-    EncoderInstantSampling,
-    EncoderNoise,
-    EncoderResolution,
-    TorqueConstantError,
-    TorqueNoise,
-)
-from testbed.lab.instruments.plate import MeasuredTare, PlateNoise
-from testbed.lab.instruments.plates import PLATES
-from testbed.lab.kind_table import AsTable, Key
 
 _SIZES: Mapping[str, Key] = {
     "rate": Key(positive=True),
@@ -78,7 +77,7 @@ class Instrument:
     force_noise: float = 0.0
     moment_noise: float = 0.0
     full_scale: tuple[float, float, float, float, float, float] = FULL_SCALE
-    fault: tuple[Annotated[Fault, AsTable(fault_of)], ...] = ()
+    fault: tuple[Annotated[SensorError, AsTable(error_of)], ...] = ()
 
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True, "allow_inf_nan": False}
 
@@ -111,14 +110,14 @@ class Instrument:
         """Standard deviation of the plate's channels, (6,) [N, N m]."""
         return np.repeat([self.force_noise, self.moment_noise], 3)
 
-    def stages(self, names: tuple[str, ...]) -> dict[Signal, tuple[Fault, ...]]:
+    def stages(self, names: tuple[str, ...]) -> dict[Signal, tuple[SensorError, ...]]:
         """What happens to each signal, in order: by place, then as asked for.
 
         Raises:
             SettingsError: A fault names a joint that is not there, or not of all.
         """
         errors = tuple(self.torque_constant_error.get(name, 0.0) for name in names)
-        always: tuple[Fault, ...] = (
+        always: tuple[SensorError, ...] = (
             EncoderNoise(self.encoder_noise),
             EncoderResolution(self.encoder_resolution),
             TorqueConstantError(errors),
@@ -126,12 +125,12 @@ class Instrument:
             PlateNoise(self.force_noise, self.moment_noise),
         )
         every = [fault.on(names, self.full_scale) for fault in (*always, *self.fault)]
-        every.sort(key=lambda fault: fault.place)
+        every.sort(key=lambda fault: fault.stage)
         return {s: tuple(fault for fault in every if fault.signal == s) for s in _SIGNALS}
 
     def installed(
         self, names: tuple[str, ...], seed: int, sensor: str = ""
-    ) -> dict[Signal, tuple[Fault, ...]]:
+    ) -> dict[Signal, tuple[SensorError, ...]]:
         """The stages with all that chance decides once: signs, phases, crosstalk.
 
         Args:

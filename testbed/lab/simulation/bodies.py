@@ -16,8 +16,8 @@ from testbed.core.robot.formats.mjcf_compile import no_mujoco_warnings
 from testbed.core.robot.inertia import Inertia, about
 from testbed.core.robot.rotations import align_z
 from testbed.core.robot.tree import Tree
-from testbed.lab.kind_table import PerJoint, each_joint, key
 from testbed.lab.simulation.effect import Effect
+from testbed.sensors.kind_table import PerJoint, each_joint, key
 
 MASSLESS = 1e-9
 """Mass of a body of which only the inertia counts [kg]: MuJoCo needs one."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, Self, TypeAlias
 
 from testbed.core.base.arrays import Array
 from testbed.core.robot.tree import Tree
-from testbed.lab.kind_table import KindTable
+from testbed.sensors.kind_table import KindTable
 
 if TYPE_CHECKING:
     import mujoco

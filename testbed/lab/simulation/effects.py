@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from testbed.lab.kind_table import of_table
 from testbed.lab.simulation.bodies import CompliantPlate, GearedRotor, Payload, Tilt
 from testbed.lab.simulation.effect import Effect
 from testbed.lab.simulation.joint_friction import (
@@ -13,6 +12,7 @@ from testbed.lab.simulation.joint_friction import (
     Stribeck,
     WarmingDrives,
 )
+from testbed.sensors.kind_table import of_table
 
 KINDS: Mapping[str, type[Effect]] = {
     effect.kind: effect

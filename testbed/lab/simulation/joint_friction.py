@@ -15,9 +15,9 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.robot.friction import COULOMB, ROOM, VISCOUS
 from testbed.core.robot.tree import Tree
-from testbed.lab.kind_table import PerJoint, each_joint, key
 from testbed.lab.simulation.effect import Effect, StepForces
 from testbed.lab.simulation.gear_friction import Gears
+from testbed.sensors.kind_table import PerJoint, each_joint, key
 
 SMOOTH = 0.01
 """Speed over which a sign is smoothed [rad/s or m/s]."""

@@ -12,8 +12,9 @@ from testbed.core.base.errors import few
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.noise.noise_model import NoiseModel
 from testbed.core.estimation.regression.normal_equations import TINY
-from testbed.core.estimation.sensor.encoders import JOINT_ZEROS
 from testbed.core.estimation.sensor.estimates import TraceTest
+from testbed.sensors.catalogue import systematic
+from testbed.sensors.errors.encoder_zero_error import EncoderZeroError
 
 FALSE_ALARMS = 1e-6
 """Nominal probability of a diagnostic of a recording without any fault, all its tests together. It
@@ -53,17 +54,17 @@ def fault_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
     if not clear:
         yield from _repetition(estimate)
         return
-    best, kinds = clear[0], [test.nuisance.kind for test in clear[:NAMED]]
+    best, terms = clear[0], [test.nuisance for test in clear[:NAMED]]
     yield diagnose(
-        f"sensor.{best.nuisance.kind}",
+        f"sensor.{best.nuisance}",
         "the plate's residuals",
         best.shift,
         significance=float(-special.ndtri(max(best.chance / 2, TINY))),
-        method="" if best.nuisance.of_encoders else "external",
-        causes=[*kinds, *["level"] * bool(LIKE_TILT & {*kinds}), "unmodelled-load"],
+        method="external" if systematic()[best.nuisance].signal == "wrench" else "",
+        causes=[*terms, *["level"] * bool(LIKE_TILT & {*terms}), "unmodelled-load"],
         chance=chance_text(best.chance),
-        cause=phrase(best.nuisance.kind),
-        kind=best.nuisance.kind,
+        cause=phrase(best.nuisance),
+        kind=best.nuisance,
         size=", ".join(best.largest(NAMED)),
         parameter=best.parameter,
     )
@@ -71,7 +72,7 @@ def fault_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
 
 def _too_far(test: TraceTest) -> bool:
     """Whether a wrong zero is so large that it is none: columns of it hold to first order."""
-    one = test.alone if test.nuisance is JOINT_ZEROS else None
+    one = test.alone if test.nuisance == EncoderZeroError.term else None
     return one is not None and one.unit == "rad" and abs(one.value) > FIRST_ORDER
 
 

@@ -1,8 +1,8 @@
-"""Recordings corrected by what is known of the instrument, and what the calibration leaves open."""
+"""Uncertainty of a calibration, as constraints on coefficients of sensor errors."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,19 +10,9 @@ from scipy.linalg import block_diag
 
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.estimation.regression.constraints import LinearConstraints
-from testbed.core.estimation.sensor.clocks import CLOCKS, reach
-from testbed.core.estimation.sensor.encoders import ENCODERS
-from testbed.core.estimation.sensor.estimates import Nuisance
-from testbed.core.estimation.sensor.plate import PLATE
-from testbed.core.recordings.recording import Recording
-from testbed.core.recordings.source import DerivedSource, Source
 from testbed.core.robot.tree import Tree
-
-NUISANCES = tuple(n for n in (*CLOCKS, *PLATE, *ENCODERS) if n.undo is not None)
-"""Those that can be estimated, in the order in which they are taken back: last made, first."""
-
-TESTED = tuple(n for n in (*CLOCKS, *PLATE, *ENCODERS) if n.tested)
-"""Those whose traces are looked for in every estimate."""
+from testbed.sensors.catalogue import estimated
+from testbed.sensors.systematic_error import SystematicError
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +31,10 @@ class CalibrationCovariance:
         shape = (len(self.names), np.shape(self.root)[-1])
         freeze(self, root=shape)
 
-    def nuisances(self, tree: Tree, asked: Sequence[Nuisance]) -> list[Nuisance]:
-        """Kinds whose numbers it is about, but for those that are estimated anyway.
+    def nuisances(
+        self, tree: Tree, asked: Sequence[type[SystematicError]]
+    ) -> list[type[SystematicError]]:
+        """Sensor errors of these coefficients, but for those that are estimated anyway.
 
         Args:
             tree: The robot.
@@ -51,8 +43,10 @@ class CalibrationCovariance:
         named = set(self.names)
         return [
             n
-            for n in NUISANCES
-            if n not in asked and not n.passing and named & {p.name for p in n.parts(tree)}
+            for n in estimated()
+            if n not in asked
+            and not n.of_one_recording
+            and named & {each.name for each in n.coefficients(tree)}
         ]
 
     def added(
@@ -80,34 +74,3 @@ class CalibrationCovariance:
             scale=np.vstack([given.scale, np.zeros_like(rows)]),
             reached=np.append(given.reached, np.zeros(len(right))),
         )
-
-
-class Corrected(DerivedSource):
-    """A recording as another instrument would have made it, joints in the order of the tree.
-
-    Samples at the ends that a delay leaves without neighbours are left out.
-    """
-
-    def __init__(self, source: Source, values: Mapping[str, Array], tree: Tree) -> None:
-        """The same samples, corrected.
-
-        Args:
-            source: As they were measured.
-            values: What is to be taken back, by kind of nuisance.
-            tree: The robot.
-        """
-        self._source, self._values, self._tree = source, values, tree
-        self._ends = reach(float(values["skew"][0]), source.rate) if "skew" in values else 0
-        super().__init__(source, source.samples - 2 * self._ends, source.rate)
-        self.names = tree.names
-        self.segments = tuple((a, b - 2 * self._ends) for a, b in source.segments)
-
-    def part(self, first: int, last: int) -> Recording:
-        """Samples `first` to `last` - 1, without the truth."""
-        found = self._source.part(first, last + 2 * self._ends).ordered(self._tree)
-        number = np.arange(first, last + 2 * self._ends, dtype=np.float64)
-        time = (number - (self._source.samples - 1) / 2) / self.rate
-        for nuisance in NUISANCES:
-            if nuisance.kind in self._values and nuisance.undo is not None:
-                found = nuisance.undo(found, self._values[nuisance.kind], time, self._tree)
-        return found.part(self._ends, self._ends + last - first)

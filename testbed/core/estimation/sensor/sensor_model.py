@@ -28,20 +28,13 @@ from testbed.core.estimation.regression.normal_equations import (
 from testbed.core.estimation.regression.passes import Passes
 from testbed.core.estimation.regression.solvers import Fit
 from testbed.core.estimation.regression.windows import Plan
-from testbed.core.estimation.sensor.correction import (
-    NUISANCES,
-    TESTED,
-    CalibrationCovariance,
-    Corrected,
-)
+from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.sensor.estimates import (
     NEARLY,
-    Nuisance,
     NuisanceEstimate,
     TraceTest,
     in_order,
 )
-from testbed.core.estimation.sensor.plate import BIAS, SLOPE, TARE
 from testbed.core.estimation.sensor.predicted_wrench import row_filter
 from testbed.core.estimation.sensor.unknowns import (
     Columns,
@@ -54,6 +47,12 @@ from testbed.core.estimation.sensor.unknowns import (
 from testbed.core.estimation.settings import Settings
 from testbed.core.recordings.source import Source
 from testbed.core.robot.tree import Tree
+from testbed.sensors.catalogue import estimated, tested
+from testbed.sensors.corrected import Corrected
+from testbed.sensors.errors.plate_bias import PlateBias
+from testbed.sensors.errors.plate_drift import PlateDrift
+from testbed.sensors.errors.plate_tare import PlateTare
+from testbed.sensors.systematic_error import SystematicError
 
 ROUNDS = 8
 """Most corrections of a recording."""
@@ -116,38 +115,38 @@ class SensorModel:
         """
         settings, names, tree = problem.settings, problem.names, problem.layout.tree
         plate = problem.method == "external"
-        kinds = {*settings.nuisances} if plate else set()
-        asked = [n for n in NUISANCES if {n.kind, n.beside} & kinds]
+        terms = settings.nuisances if plate else ()
+        asked = [error for error in estimated() if error.term in terms]
         calibrated = doubt.nuisances(tree, asked) if plate and doubt is not None else []
-        asked = [n for n in NUISANCES if n in asked or n in calibrated]
+        asked = [error for error in estimated() if error in asked or error in calibrated]
         _check_cut(tree, asked)
         every = unknowns_of(tree, asked)
         given = {n: v for n, v in settings.facts.items() if plate or n in names}
         known = facts(tree, problem.minimal, names, every.names, given)
-        right = {part.name: part.right for n in calibrated for part in n.parts(tree)}
-        if doubt is not None and right:
-            known = doubt.added(known, right, (*names, *every.names))
+        neutral = {c.name: c.neutral for error in calibrated for c in error.coefficients(tree)}
+        if doubt is not None and neutral:
+            known = doubt.added(known, neutral, (*names, *every.names))
         unknowns, nonidentifiable = identifiable_subset(problem, asked, known)
         _check_whole(every, nonidentifiable, settings)
         tests = plate and settings.row_low_pass is not None
-        covered = {kind for n in asked for kind in (n.kind, *n.covers)}
-        tested = [n for n in TESTED if tests and n.kind not in covered]
+        covered = {term for error in asked for term in (error.term, *error.contains)}
+        others = [error for error in tested() if tests and error.term not in covered]
         return cls(
             settings=settings,
             unknowns=unknowns,
             nonidentifiable=nonidentifiable,
-            tested=unknowns_of(tree, tested),
-            trends=unknowns_of(tree, [SLOPE] if tests and SLOPE not in asked else []),
+            tested=unknowns_of(tree, others),
+            trends=unknowns_of(tree, [PlateDrift] if tests and PlateDrift not in asked else []),
             known=known.about([*range(len(names)), *(len(names) + k for k in unknowns.kept)]),
-            corrected=frozenset(right),
+            corrected=frozenset(neutral),
         )
 
     @property
     def with_unknown_zero(self) -> tuple[str, ...]:
         """Parameters that are collinear with constants of the plate that were asked for."""
-        kinds = (BIAS.kind, TARE.kind)
+        terms = (PlateBias.term, PlateTare.term)
         return tuple(
-            n for i in self.nonidentifiable if i.name.partition("/")[0] in kinds for n in i.by
+            n for i in self.nonidentifiable if i.name.partition("/")[0] in terms for n in i.by
         )
 
     def columns(
@@ -167,11 +166,10 @@ class SensorModel:
             return NuisanceColumns(facts=known)
         cutoff = self.settings.row_low_pass
         assert cutoff is not None, "settings refuse nuisances of rows that are not filtered"
-        whole = any(n.whole for n in self.unknowns.nuisances)
-        filtered = row_filter(plan, cutoff, exact=whole)
+        exact = any(error.jointly for error in self.unknowns.nuisances)
+        filtered = row_filter(plan, cutoff, exact=exact)
         sensed = plan.source.senses_kinematics
         noisy = 0.0 if sensed else self.settings.position_low_pass or 0.0
-        kinds = [len(n.parts(plan.layout.tree)) for n in self.tested.nuisances]
         return NuisanceColumns(
             columns=Columns(
                 plan,
@@ -179,13 +177,13 @@ class SensorModel:
                 values,
                 [each for each in shown if each.kept],
                 self.unknowns,
-                self.unknowns.unmixed(numbers),
+                self.unknowns.unmixing(numbers),
                 always=int(bool(self.unknowns.kept)),
-                unfolded=row_filter(plan, cutoff, exact=whole, noisy=noisy),
+                unfolded=row_filter(plan, cutoff, exact=exact, noisy=noisy),
             ),
             unknown=len(self.unknowns.kept),
             trends=len(self.trends.kept) if tests else 0,
-            tested=tuple(kinds) if tests else (),
+            tested=self.tested.counts if tests else (),
             facts=known,
         )
 
@@ -198,7 +196,7 @@ class SensorModel:
         """
         sigma = standard_deviations(fit.further_covariance)
         own = self.unknowns
-        numbers = zip(own.kinds, own.names, own.units, values + fit.further, sigma, strict=True)
+        numbers = zip(own.terms, own.names, own.units, values + fit.further, sigma, strict=True)
         return tuple(
             NuisanceEstimate(kind, name, unit, float(value), float(spread))
             for kind, name, unit, value, spread in numbers
@@ -243,17 +241,17 @@ class SensorModel:
         tests = []
         for nuisance, (trace, chance) in zip(self.tested.nuisances, fit.traces, strict=False):
             moved = np.abs(trace.shift) / sigma
-            parts, one = nuisance.parts(problem.layout.tree), trace.alone
-            part, clearness = parts[one.place], trace.square - 2 * trace.count
-            named = NuisanceEstimate(nuisance.kind, part.name, part.unit, one.size, one.sigma)
+            coefficients, one = nuisance.coefficients(problem.layout.tree), trace.alone
+            first, clearness = coefficients[one.place], trace.square - 2 * trace.count
+            named = NuisanceEstimate(nuisance.term, first.name, first.unit, one.size, one.sigma)
             tests.append(
                 TraceTest(
-                    nuisance=nuisance,
+                    nuisance=nuisance.term,
                     chance=chance,
                     clearness=clearness,
                     alone=named if one.square - 2 > NEARLY * clearness > 0 else None,
-                    names=tuple(part.name for part in parts),
-                    units=tuple(part.unit for part in parts),
+                    names=tuple(each.name for each in coefficients),
+                    units=tuple(each.unit for each in coefficients),
                     size=tuple(float(x) for x in trace.size),
                     shift=float(moved.max()),
                     parameter=problem.names[int(moved.argmax())],
@@ -262,9 +260,9 @@ class SensorModel:
         return in_order(tests)
 
 
-def _check_cut(tree: Tree, asked: Sequence[Nuisance]) -> None:
+def _check_cut(tree: Tree, asked: Sequence[type[SystematicError]]) -> None:
     """Raise SettingsError where more than zeros is asked of a difference of two sensors."""
-    mixed = [n.kind for n in asked if tree.cuts and (not n.added or n.unmixed)]
+    mixed = [error.term for error in asked if tree.cuts and (not error.added or error.jointly)]
     if mixed:
         raise SettingsError(
             f"{', '.join(mixed)}: of a wrench that is a difference of two sensors' only zeros "
@@ -280,9 +278,9 @@ def _check_whole(
     Raises:
         SettingsError: Some cannot; says which, and what to do.
     """
-    needed = {n.kind for n in every.nuisances if n.whole}
-    kinds = dict(zip(every.names, every.kinds, strict=True))
-    open_ones = [each for each in nonidentifiable if kinds[each.name] in needed]
+    needed = {error.term for error in every.nuisances if error.jointly}
+    terms = dict(zip(every.names, every.terms, strict=True))
+    open_ones = [each for each in nonidentifiable if terms[each.name] in needed]
     if open_ones:
         raise SettingsError(explain_nonidentifiable(open_ones, settings.known, settings.nuisances))
 
@@ -313,7 +311,7 @@ def gauss_newton(
         solve: Finds the weighted solution of a recording.
         model: Which parameters.
     """
-    values, solution = model.unknowns.right, solve(source)
+    values, solution = model.unknowns.neutral, solve(source)
     weak: tuple[str, ...] = ()
     if not len(values):
         return GaussNewtonResult(solution, values, True, weak)
@@ -322,11 +320,11 @@ def gauss_newton(
         columns = model.columns(plan, solution.fit.values, values, tests=False)
         step, sigma, share = sensor_step(solution.fit, solution.passes, columns)
         # with a whole matrix all numbers are correlated, and sigma holds all the same: measured
-        if not any(n.whole for n in model.unknowns.nuisances):
+        if not any(error.jointly for error in model.unknowns.nuisances):
             each = zip(model.unknowns.names, share, strict=True)
             weak = tuple(n for n, s in each if s < OWN and n not in model.corrected)
         values = values + step
-        solution = solve(Corrected(source, model.unknowns.by_kind(values), plan.layout.tree))
+        solution = solve(Corrected(source, model.unknowns.by_error(values), plan.layout.tree))
         if np.all(np.abs(step) <= SETTLED * sigma + ROUNDING * np.abs(values)):
             return GaussNewtonResult(solution, values, True, weak)
     return GaussNewtonResult(solution, values, False, weak)

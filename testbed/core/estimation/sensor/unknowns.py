@@ -13,15 +13,12 @@ from testbed.core.dynamics.newton_euler import Motion, linear
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.constraints import MASS, LinearConstraints, free
 from testbed.core.estimation.regression.windows import Plan
-from testbed.core.estimation.sensor.estimates import Nuisance, Part
-from testbed.core.estimation.sensor.plate import BIAS
-from testbed.core.estimation.sensor.predicted_wrench import (
-    PredictedWrench,
-    RowFilter,
-    predict_wrench,
-)
+from testbed.core.estimation.sensor.predicted_wrench import predict_wrench
 from testbed.core.kernel.records import Signals
 from testbed.core.robot.tree import Tree
+from testbed.sensors.errors.plate_bias import PlateBias
+from testbed.sensors.predicted_wrench import PredictedWrench, RowFilter
+from testbed.sensors.systematic_error import Coefficient, SystematicError
 
 KEPT = 64e6
 """Bytes of columns that are kept from one pass to the next."""
@@ -29,76 +26,73 @@ KEPT = 64e6
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Some numbers of some nuisances.
+    """Coefficients of sensor errors, some of them unknown.
 
     Attributes:
-        nuisances: The kinds.
-        counts: How many numbers each has.
-        parts: All their numbers, kind by kind.
-        kept: Places of those among `parts` that are unknown; the others are as they should be.
+        nuisances: The sensor errors.
+        counts: Coefficients of each.
+        coefficients: Of all, sensor error by sensor error.
+        kept: Places of the unknown ones among them; the others are neutral.
     """
 
-    nuisances: tuple[Nuisance, ...]
+    nuisances: tuple[type[SystematicError], ...]
     counts: tuple[int, ...]
-    parts: tuple[Part, ...]
+    coefficients: tuple[Coefficient, ...]
     kept: tuple[int, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of those that are unknown."""
-        return tuple(self.parts[k].name for k in self.kept)
+        """Names of the unknown coefficients."""
+        return tuple(self.coefficients[k].name for k in self.kept)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """One each."""
-        return tuple(self.parts[k].unit for k in self.kept)
+        """Units of the unknown coefficients."""
+        return tuple(self.coefficients[k].unit for k in self.kept)
 
     @property
-    def right(self) -> Array:
-        """Values of the unknown ones where nothing is wrong."""
-        return np.array([self.parts[k].right for k in self.kept])
+    def neutral(self) -> Array:
+        """Values of the unknown coefficients of sensors without errors."""
+        return np.array([self.coefficients[k].neutral for k in self.kept])
 
     @property
-    def kinds(self) -> tuple[str, ...]:
-        """Whose number each unknown one is."""
-        all_of_them = np.repeat([n.kind for n in self.nuisances], self.counts)
-        return tuple(str(all_of_them[k]) for k in self.kept)
+    def terms(self) -> tuple[str, ...]:
+        """Term of each unknown coefficient."""
+        terms = np.repeat([n.term for n in self.nuisances], self.counts)
+        return tuple(str(terms[k]) for k in self.kept)
 
-    def unmixed(self, values: Array) -> Array | None:
-        """What takes a mixture of the plate's channels back, (6, 6); None where there is none.
-
-        Args:
-            values: Of the unknown ones.
-        """
-        numbers = self.by_kind(values)
-        for nuisance in self.nuisances:
-            if nuisance.unmixed is not None:
-                return nuisance.unmixed(numbers[nuisance.kind])
-        return None
-
-    def by_kind(self, values: Array) -> dict[str, Array]:
-        """Numbers of each nuisance, those that are not unknown as they should be.
+    def unmixing(self, values: Array) -> Array | None:
+        """Inverse of a mixture of the plate's channels, (6, 6); None for no mixture.
 
         Args:
-            values: Of the unknown ones.
+            values: Of the unknown coefficients.
         """
-        all_of_them = np.array([part.right for part in self.parts])
-        all_of_them[list(self.kept)] = values
-        cut = np.split(all_of_them, np.cumsum(self.counts, dtype=int))[:-1]
-        return {n.kind: own for n, own in zip(self.nuisances, cut, strict=True)}
+        inverses = (error.unmixing(own) for error, own in self.by_error(values).items())
+        return next((each for each in inverses if each is not None), None)
+
+    def by_error(self, values: Array) -> dict[type[SystematicError], Array]:
+        """Coefficients of each sensor error, those that are not unknown neutral.
+
+        Args:
+            values: Of the unknown coefficients.
+        """
+        every = np.array([each.neutral for each in self.coefficients])
+        every[list(self.kept)] = values
+        blocks = np.split(every, np.cumsum(self.counts, dtype=int))[:-1]
+        return dict(zip(self.nuisances, blocks, strict=True))
 
 
-def unknowns_of(tree: Tree, nuisances: Sequence[Nuisance]) -> Unknowns:
-    """All numbers of some nuisances.
+def unknowns_of(tree: Tree, nuisances: Sequence[type[SystematicError]]) -> Unknowns:
+    """All coefficients of sensor errors.
 
     Args:
         tree: The robot.
-        nuisances: The kinds.
+        nuisances: The sensor errors.
     """
-    each = [nuisance.parts(tree) for nuisance in nuisances]
-    parts = tuple(part for own in each for part in own)
+    each = [error.coefficients(tree) for error in nuisances]
+    coefficients = tuple(coefficient for own in each for coefficient in own)
     counts = tuple(len(own) for own in each)
-    return Unknowns(tuple(nuisances), counts, parts, tuple(range(len(parts))))
+    return Unknowns(tuple(nuisances), counts, coefficients, tuple(range(len(coefficients))))
 
 
 class Columns:
@@ -111,7 +105,7 @@ class Columns:
         values: Array,
         unknowns: Sequence[Unknowns],
         estimated: Unknowns | None = None,
-        unmixed: Array | None = None,
+        unmixing: Array | None = None,
         always: int | None = None,
         unfolded: RowFilter | None = None,
     ) -> None:
@@ -123,14 +117,14 @@ class Columns:
             values: Minimal parameters, (p,).
             unknowns: Whose columns, one after the other.
             estimated: Those of them that are to be estimated.
-            unmixed: What a mixture of the plate's channels was taken back with, (6, 6).
+            unmixing: Inverse of the mixture of the plate's channels that was taken back, (6, 6).
             always: How many of `unknowns` have columns in all windows; default all. The others
                 have them in those that are looked at.
             unfolded: At more instants, for nuisances that need them; default the same filter.
         """
         self._unfolded = unfolded or filtered
         self._always, self._looked_at = always, plan.looked_at
-        self._unmixed = unmixed
+        self._unmixing = unmixing
         self._estimated = estimated
         self._plan, self._filtered, self._unknowns = plan, filtered, tuple(unknowns)
         layout = plan.layout
@@ -173,16 +167,18 @@ class Columns:
         blocks = []
         for unknowns in shown:
             own = unknowns is self._estimated
-            made = [self._shown(n, found[n.unfolded], own) for n in unknowns.nuisances]
+            made = [self._effect(n, found[n.unfolded], own) for n in unknowns.nuisances]
             blocks.append(np.concatenate(made, axis=2)[..., list(unknowns.kept)])
         return np.concatenate(blocks, axis=2).transpose(1, 0, 2)
 
-    def _shown(self, nuisance: Nuisance, found: PredictedWrench, estimated: bool) -> Array:
-        """What a nuisance does to the wrench, mixtures of the channels taken back."""
-        made = ((estimated and nuisance.by_measured) or nuisance.columns)(found)
-        if not nuisance.added or self._unmixed is None:
-            return made
-        return self._unmixed @ made
+    def _effect(
+        self, error: type[SystematicError], predicted: PredictedWrench, estimated: bool
+    ) -> Array:
+        """Columns of a sensor error, mixtures of the channels taken back."""
+        columns = error.measured_columns(predicted) if estimated else error.columns(predicted)
+        if not error.added or self._unmixing is None:
+            return columns
+        return self._unmixing @ columns
 
 
 DEPENDENT = 1e-6
@@ -217,7 +213,9 @@ class NonIdentifiable:
 
 
 def identifiable_subset(
-    problem: Problem, nuisances: Sequence[Nuisance], stated: LinearConstraints | None = None
+    problem: Problem,
+    nuisances: Sequence[type[SystematicError]],
+    stated: LinearConstraints | None = None,
 ) -> tuple[Unknowns, tuple[NonIdentifiable, ...]]:
     """Which numbers of nuisances can be estimated beside the parameters.
 
@@ -229,7 +227,7 @@ def identifiable_subset(
     names, wanted = problem.names, unknowns_of(problem.layout.tree, nuisances)
     if not nuisances:
         return wanted, ()
-    count, rng = len(wanted.parts), np.random.default_rng(SEED)
+    count, rng = len(wanted.coefficients), np.random.default_rng(SEED)
     own, theirs = _generic_columns(problem, nuisances, 40 + (len(names) + count) // 2, rng)
     labels, sure = list(names), [False] * count
     if stated is not None and len(stated):
@@ -297,7 +295,7 @@ def explain_nonidentifiable(
     first, more = open_ones[0], len(open_ones) - 1
     phrase = f"{first.name} from {few(first.by, SHORT)}{f', nor {more} others' * (more > 0)}"
     zero = " (the zero of Fz is unknown: the mass alone does not)" * (
-        MASS in known and BIAS.kind in nuisances
+        MASS in known and PlateBias.term in nuisances
     )
     return (
         f"no motion identifies {phrase}: state a known value. A total mass (mass=20) and a gain "
@@ -312,7 +310,7 @@ def _unit(columns: Array) -> Array:
 
 def _generic_columns(
     problem: Problem,
-    nuisances: Sequence[Nuisance],
+    nuisances: Sequence[type[SystematicError]],
     rows: int,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:

@@ -1,16 +1,16 @@
-"""A fault: a stage of an instrument that an experiment file can ask for.
+"""Sensor error: a stage of the measuring chain between the truth and the recording.
 
-What happens to a signal on its way from the truth to the recording is a chain of faults, in order.
-A fault is one frozen dataclass: `kind`, `signal` and `place` as class variables, a field a key with
-default and bounds, its formula in `apply`, in the module of the device that has it.
+One error is one frozen dataclass in a module of `testbed/sensors/errors`: `kind`, `signal` and
+`stage` as class variables, a field for each key with default and bounds, its formula in `apply`.
+An error with coefficients, which can be estimated and taken back, is a `SystematicError`.
 
-A single number where a fault has one for every joint, axis or channel is the size; the
-signs (of errors) and the phases (of waves) are then drawn from the fault's own stream. A
-list gives each its own, sign included; in a table by joint name those left out have zero,
-or the default where zero makes no sense, as for a period.
+A single number where an error has one for every joint, axis or channel is a size; signs (of errors)
+and phases (of waves) are then drawn from the error's own stream. A list gives each its own value,
+sign included; in a table by joint name those left out have zero, or the default where zero makes no
+sense, as for a period.
 
-Random numbers come from a stream of the kind and the seed, so that adding, removing or changing a
-fault leaves the noise of all others as it was, to the bit. Several of one kind in a chain have a
+Random numbers come from a stream of the kind and the seed, so that adding, removing or changing one
+error leaves the noise of all others as it was, to the bit. Several of one kind in a chain have a
 stream each, numbered in their order: one more goes last.
 """
 
@@ -27,10 +27,10 @@ from typing import Any, ClassVar, Literal, Self, TypeAlias
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.lab.kind_table import COUNTS, KindTable, PerJoint, each_joint
+from testbed.sensors.kind_table import COUNTS, KindTable, PerJoint, each_joint
 
 Signal = Literal["position", "torque", "wrench", "tare"]
-"""What a fault spoils; the tare is what the plate shows at rest without the robot."""
+"""Signals that have errors; the tare is the wrench of the plate at rest without the robot."""
 
 PerAxis: TypeAlias = float | tuple[float, ...]
 """One for x, y and z, or three."""
@@ -62,24 +62,24 @@ class StageOrder(IntEnum):
     """Samples on their way to the file."""
 
 
-class Fault(KindTable):
-    """One imperfection that an experiment file can ask for."""
+class SensorError(KindTable):
+    """Imperfection of a sensor, one value of its kind."""
 
     signal: ClassVar[Signal]
-    place: ClassVar[StageOrder]
+    stage: ClassVar[StageOrder]
 
     @abstractmethod
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """What the fault makes of a signal.
+        """Signal with the error.
 
         Args:
             signal: (M, k), in the signal's unit.
             time: (M,) [s].
-            rng: The fault's own random numbers.
+            rng: The error's own random numbers.
         """
 
     def on(self, names: tuple[str, ...], full_scale: tuple[float, ...] = FULL_SCALE) -> Self:
-        """The same fault on a robot and a plate: a value a joint, in their order.
+        """Copy of the error for a robot and a plate: a value a joint, in their order.
 
         Args:
             names: Joint names.
@@ -94,7 +94,7 @@ class Fault(KindTable):
         return replace(self, **found)
 
     def check_rate(self, rate: float) -> None:
-        """Whether the fault can be at a rate.
+        """Check that the error can be simulated at a rate.
 
         Args:
             rate: Samples a second [Hz].
@@ -105,11 +105,11 @@ class Fault(KindTable):
         del rate  # most can be at any
 
     def sample(self, joints: int, rng: np.random.Generator) -> Self:
-        """The same fault with the signs and phases that chance gives it.
+        """Copy of the error with random signs and phases where a size alone is given.
 
         Args:
             joints: Number of joints.
-            rng: The fault's own random numbers, for this use.
+            rng: The error's own random numbers, for this use.
         """
         found: dict[str, Any] = {}
         for name, wanted in self.known_keys().items():
@@ -121,42 +121,67 @@ class Fault(KindTable):
         return replace(self, **found)
 
 
-class GainFault(Fault):
-    """Signal on a wrong scale, by a relative `error` of each joint or channel."""
+class NoiseError(SensorError):
+    """White noise of standard deviation `sigma`, joint by joint."""
 
-    error: PerJoint
+    stage: ClassVar[StageOrder] = StageOrder.NOISE
+    sigma: PerJoint
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """Signal times one plus the error, (M, k)."""
-        del time, rng
-        return (1 + each_joint(self.error)) * signal
+        """Signal with noise, (M, n)."""
+        del time
+        return signal + each_joint(self.sigma) * rng.normal(size=signal.shape)
 
 
-class EncoderFault(Fault):
-    """Fault of joint positions, (M, n) [rad or m]."""
-
-    signal: ClassVar[Signal] = "position"
-
-
-class TorqueFault(Fault):
-    """Fault of reported joint torques, (M, n) [N m or N]."""
-
-    signal: ClassVar[Signal] = "torque"
-
-
-class PlateFault(Fault):
-    """Fault of a plate's wrench, (M, 6) [N, N m]."""
+class AddedWrench(SensorError):
+    """Random or periodic error of the plate's channels: their sizes times a pattern over time."""
 
     signal: ClassVar[Signal] = "wrench"
+    stage: ClassVar[StageOrder] = StageOrder.NOISE
+    force: PerAxis
+    moment: PerAxis
+
+    @abstractmethod
+    def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Error of channels of size one, (M, 6) or (M, 1).
+
+        Args:
+            signal: Wrench before the error, (M, 6) [N, N m].
+            time: (M,) [s].
+            rng: The error's own random numbers.
+        """
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Wrench with the error, (M, 6) [N, N m]."""
+        return signal + channels(self.force, self.moment) * self.pattern(signal, time, rng)
+
+
+def channels(force: PerAxis, moment: PerAxis) -> Array:
+    """Values of the plate's channels, (6,), of those of forces and of moments.
+
+    Args:
+        force: One for x, y and z, or three.
+        moment: Likewise.
+    """
+    return np.concatenate([np.broadcast_to(np.asarray(each), 3) for each in (force, moment)])
+
+
+def sampling_time(time: Array) -> float:
+    """Time between two samples [s].
+
+    Args:
+        time: Uniform, (M,) [s].
+    """
+    return float((time[-1] - time[0]) / (len(time) - 1))
 
 
 def stream(kind: str, seed: int, number: int = 0, use: str = "") -> np.random.Generator:
-    """Random numbers of a fault.
+    """Random numbers of an error.
 
     Args:
-        kind: Of the fault.
+        kind: Of the error.
         seed: Of the recording.
-        number: Of the fault among those of its kind in its chain.
+        number: Of the error among those of its kind in its chain.
         use: What the numbers are for; by default the noise of a recording.
     """
 
@@ -169,26 +194,26 @@ def stream(kind: str, seed: int, number: int = 0, use: str = "") -> np.random.Ge
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(key)))
 
 
-def number_kinds(chain: Iterable[Fault]) -> Iterator[tuple[Fault, int]]:
-    """Faults, each with its number among those of its kind."""
+def number_kinds(chain: Iterable[SensorError]) -> Iterator[tuple[SensorError, int]]:
+    """Errors, each with its number among those of its kind."""
     seen: Counter[str] = Counter()
-    for fault in chain:
-        yield fault, seen[fault.kind]
-        seen[fault.kind] += 1
+    for error in chain:
+        yield error, seen[error.kind]
+        seen[error.kind] += 1
 
 
 def apply_chain(
-    chain: Iterable[Fault], signal: Array, time: Array, seed: int, use: str = ""
+    chain: Iterable[SensorError], signal: Array, time: Array, seed: int, use: str = ""
 ) -> Array:
-    """A signal through a chain of faults, in their order.
+    """Signal after a chain of errors, in their order.
 
     Args:
-        chain: What the instrument does to it.
+        chain: The errors.
         signal: (M, k).
         time: (M,) [s].
         seed: Of the recording.
         use: What is measured, where it is not a recording's signal: it has noise of its own.
     """
-    for fault, number in number_kinds(chain):
-        signal = fault.apply(signal, time, stream(fault.kind, seed, number, use))
+    for error, number in number_kinds(chain):
+        signal = error.apply(signal, time, stream(error.kind, seed, number, use))
     return signal

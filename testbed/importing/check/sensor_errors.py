@@ -1,0 +1,137 @@
+"""Sensor errors that change in time, as causes of what no reading of a plate explains."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import Diagnostic, diagnose, phrase
+from testbed.core.base.errors import few
+from testbed.core.recordings.columns import AXES
+from testbed.importing.check.explanation import Explanation
+from testbed.importing.check.plate import MIXED, TINY, WEIGHT
+from testbed.importing.import_report import in_mapping
+from testbed.sensors.catalogue import tested
+from testbed.sensors.errors.plate_delay import PlateDelay
+from testbed.sensors.errors.plate_gain import PlateGain
+from testbed.sensors.errors.plate_matrix import PlateMatrix
+from testbed.sensors.systematic_error import ClockError, Coefficient, PlateError, SystematicError
+
+LIKELY = 6.0
+"""Log-likelihood ratio from which a sensor error is named [nats]."""
+
+CLEAR = 5.0
+"""Sigmas from which a coefficient is written."""
+
+
+GAIN = 0.3
+"""Sigma of the channels' gains, which are free beside: an error from time 0 on has a mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class SensorErrorFit:
+    """Coefficients of one sensor error, fitted beside the robot's parameters.
+
+    Attributes:
+        error: The sensor error.
+        coefficients: Those that are clear.
+        values: Their values.
+        unexplained: Part of each channel's variance with the error, (6,).
+        gain: Log-likelihood ratio [nats].
+    """
+
+    error: type[SystematicError]
+    coefficients: tuple[Coefficient, ...]
+    values: tuple[float, ...]
+    unexplained: Array
+    gain: float
+
+    def explains(self, best: Explanation) -> bool:
+        """Check whether nothing odd is left of the plate, noise aside.
+
+        Args:
+            best: Explanation of the recording without the error.
+        """
+        return bool((self.unexplained < MIXED + 3 * best.plate.noise).all())
+
+
+def sensor_error(best: Explanation) -> SensorErrorFit | None:
+    """Sensor error that explains a plate best beside its reading; None where none is likely.
+
+    Errors that do not change in time are readings of the plate, or crosstalk.
+
+    Args:
+        best: Explanation of the recording; with a wrench.
+    """
+    fits = sorted(_fits(best), key=lambda each: -each.gain)
+    return fits[0] if fits and fits[0].gain > LIKELY and fits[0].coefficients else None
+
+
+def diagnostic(fit: SensorErrorFit, best: Explanation) -> Diagnostic:
+    """Diagnostic of a sensor error, with the lines of the mapping.
+
+    Args:
+        fit: The sensor error.
+        best: Explanation of the recording without it.
+    """
+    shares, left = best.plate.unexplained, fit.unexplained
+    channel = int(np.argmax(np.log((shares + TINY) / (left + TINY))))
+    pairs = [*zip(fit.coefficients, fit.values, strict=True)]
+    lines = [("errors", f'"{each.name}"', float(f"{value:.4g}")) for each, value in pairs]
+    return diagnose(
+        "plate.sensor-error",
+        "the plate",
+        shares[channel],
+        channel=AXES[channel],
+        causes=[fit.error.term],
+        cause=phrase(fit.error.term),
+        size=few([f"{each.name} {value:.3g} {each.unit}".rstrip() for each, value in pairs]),
+        before=f"{100 * shares[channel]:.2g} %",
+        after=f"{100 * left[channel]:.2g} %",
+        lines=in_mapping(lines),
+    )
+
+
+def _fits(best: Explanation) -> Iterator[SensorErrorFit]:
+    """Fits of all sensor errors that change in time."""
+    evidence, plate, tree = best.fit.plate, best.plate, best.fit.prior.tree
+    wrench, count = evidence.wrench(plate), len(best.fit.instants.wrench)
+    # of the explained wrench, not the measured one: noise on both sides would make them too small
+    explained = wrench - evidence.residual(plate, np.zeros((count, 6, 0)))[0]
+    gains = GAIN * PlateGain.derivative(explained, np.zeros(count), np.zeros(6))
+    before = _shares(evidence.residual(plate, gains)[0], wrench)
+    for error in tested():
+        columns = _columns(error, best, explained)
+        if columns is None:
+            continue
+        both = np.concatenate([gains, columns], axis=2)
+        after = _shares(evidence.residual(plate, both)[0], wrench)
+        fitted = replace(plate, unexplained=after)  # the residual that the sigmas are of
+        residual, *estimate = evidence.residual(fitted, both)
+        values, sigma = (each[gains.shape[2] :] for each in estimate)
+        after = _shares(residual, wrench)
+        gain = WEIGHT * float(np.log((before + TINY) / (after + TINY)).sum())
+        clear = np.flatnonzero(np.abs(values) > CLEAR * sigma)
+        coefficients = tuple(error.coefficients(tree)[k] for k in clear)
+        yield SensorErrorFit(error, coefficients, tuple(values[clear].tolist()), after, gain)
+
+
+def _columns(error: type[SystematicError], best: Explanation, wrench: Array) -> Array | None:
+    """Derivative of a wrench, (T, 6), by coefficients, (T, 6, k); None without change in time."""
+    time = best.fit.instants.motion.t
+    time = time - time.mean()
+    if issubclass(error, ClockError) and error is not PlateDelay:
+        rate = best.fit.instants.wrench_rate @ best.plate.map.T
+        late = np.broadcast_to(error.lateness(time), len(time))
+        return np.asarray(-(rate * late[:, None])[..., None])
+    if issubclass(error, PlateError) and error.term not in PlateMatrix.contains:
+        return error.derivative(wrench, time, error.neutral(best.fit.prior.tree))
+    return None
+
+
+def _shares(residual: Array, wrench: Array) -> Array:
+    """Part of each channel's variance, (6,)."""
+    return np.asarray(residual.var(axis=0) / np.maximum(wrench.var(axis=0), 1e-12))

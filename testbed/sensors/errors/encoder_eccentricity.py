@@ -1,0 +1,63 @@
+"""Eccentricity of encoders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.sensors.kind_table import PerJoint, each_joint, key
+from testbed.sensors.sensor_error import (
+    StageOrder,
+)
+from testbed.sensors.systematic_error import (
+    EncoderError,
+)
+
+
+@dataclass(frozen=True)
+class EncoderEccentricity(EncoderError):
+    """Eccentric discs: an error that repeats with every turn.
+
+    Shown is q + amplitude sin(2 pi q / period + phase). A sliding joint has the period of its
+    screw's or belt's turn.
+
+    Source    10 um at a radius of 25 mm, as data sheets of ring encoders allow on mounting.
+
+    Attributes:
+        amplitude: Of the wave [rad or m].
+        period: Of the wave [rad or m].
+        phase: Of the wave at q = 0; drawn if left out [rad].
+    """
+
+    kind: ClassVar[str] = "encoder_eccentricity"
+    term: ClassVar[str] = "eccentricity"
+    stage: ClassVar[StageOrder] = StageOrder.SENSOR
+    estimated: ClassVar[bool] = False
+    of_revolute: ClassVar[bool] = True
+    per_joint: ClassVar[tuple[str, ...]] = ("/sin", "/cos")
+    units: ClassVar[tuple[str, str]] = ("rad", "rad")
+    amplitude: PerJoint = key(4e-4, "joints")
+    period: PerJoint = key(2 * np.pi, "joints", positive=True)
+    phase: PerJoint | None = key(None, "joints", "phase")
+
+    @property
+    def values(self) -> Array:
+        """Amplitudes of sine and cosine, joint by joint, of errors that repeat with every turn."""
+        size, phase = np.broadcast_arrays(each_joint(self.amplitude), each_joint(self.phase or 0.0))
+        return np.stack([size * np.cos(phase), size * np.sin(phase)], axis=-1).ravel()
+
+    @classmethod
+    def effect(cls, signal: Array, time: Array, values: Array) -> Array:
+        """Positions with the waves of a turn, (M, n) [rad]."""
+        del time
+        sine, cosine = values.reshape(-1, 2).T
+        return signal + sine * np.sin(signal) + cosine * np.cos(signal)
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Positions with a wave of any period, (M, n) [rad or m]."""
+        del time, rng
+        angle = 2 * np.pi * signal / each_joint(self.period) + each_joint(self.phase or 0.0)
+        return signal + each_joint(self.amplitude) * np.sin(angle)

@@ -1,0 +1,39 @@
+"""Wrong scales of encoders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from testbed.core.base.arrays import Array
+from testbed.sensors.kind_table import PerJoint, key
+from testbed.sensors.sensor_error import (
+    StageOrder,
+)
+from testbed.sensors.systematic_error import (
+    EncoderError,
+)
+
+
+@dataclass(frozen=True)
+class EncoderGain(EncoderError):
+    """Positions on a wrong scale: a wrong gear ratio or pitch.
+
+    Source    A ratio typed with two digits, 1 %.
+
+    Attributes:
+        error: Relative; 0.01 shows 1 % too much.
+    """
+
+    kind: ClassVar[str] = "encoder_gain"
+    term: ClassVar[str] = "encoder_gains"
+    stage: ClassVar[StageOrder] = StageOrder.SENSOR
+    estimated: ClassVar[bool] = False
+    units: ClassVar[tuple[str, str]] = ("", "")
+    error: PerJoint = key(0.01, "joints", "sign")
+
+    @classmethod
+    def effect(cls, signal: Array, time: Array, values: Array) -> Array:
+        """Positions times one plus the errors, (M, n) [rad or m]."""
+        del time
+        return (1 + values) * signal

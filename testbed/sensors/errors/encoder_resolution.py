@@ -1,0 +1,39 @@
+"""Resolution of encoders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.sensors.kind_table import PerJoint, each_joint, key
+from testbed.sensors.sensor_error import (
+    SensorError,
+    Signal,
+    StageOrder,
+)
+
+
+@dataclass(frozen=True)
+class EncoderResolution(SensorError):
+    """Positions rounded to the nearest count.
+
+    Source    16 bits a turn: 9.6e-5 rad.
+
+    Attributes:
+        count: Least count; 0 for none [rad or m].
+    """
+
+    kind: ClassVar[str] = "encoder_resolution"
+    signal: ClassVar[Signal] = "position"
+    stage: ClassVar[StageOrder] = StageOrder.CONVERTER
+    count: PerJoint = key(1e-4, "joints", least=0)
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Positions in whole counts, (M, n) [rad or m]."""
+        del time, rng
+        count = each_joint(self.count)
+        step = np.where(count > 0, count, 1.0)
+        return np.where(count > 0, step * np.round(signal / step), signal)

@@ -1,0 +1,46 @@
+"""Wrong zeros of encoders."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from testbed.core.base.arrays import Array
+from testbed.sensors.kind_table import PerJoint, key
+from testbed.sensors.sensor_error import (
+    StageOrder,
+)
+from testbed.sensors.systematic_error import (
+    EncoderError,
+)
+
+
+@dataclass(frozen=True)
+class EncoderZeroError(EncoderError):
+    """A constant error of the positions: wrong zeros.
+
+    Source    An arm zeroed by eye at engraved marks: 0.2 degrees.
+
+    Attributes:
+        error: What is shown too much [rad or m].
+    """
+
+    kind: ClassVar[str] = "encoder_zero_error"
+    term: ClassVar[str] = "joint_zeros"
+    stage: ClassVar[StageOrder] = StageOrder.SENSOR
+    unfolded: ClassVar[bool] = True
+    units: ClassVar[tuple[str, str]] = ("rad", "m")
+    error: PerJoint = key(3.5e-3, "joints", "sign")
+
+    @classmethod
+    def effect(cls, signal: Array, time: Array, values: Array) -> Array:
+        """Positions plus the errors, (M, n) [rad or m]."""
+        del time
+        return signal + values
+
+    @classmethod
+    def coordinate_errors(cls, q: Array, qd: Array, qdd: Array) -> Iterable[tuple[Any, Any, Any]]:
+        """Constant of the position."""
+        del q, qd, qdd
+        return ((1.0, 0.0, 0.0),)

@@ -1,0 +1,46 @@
+"""Rate of the plate's clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from testbed.core.base.arrays import Array
+from testbed.sensors.kind_table import key
+from testbed.sensors.sensor_error import (
+    StageOrder,
+)
+from testbed.sensors.shifted_signals import at_times
+from testbed.sensors.systematic_error import (
+    ClockError,
+    Coefficient,
+)
+
+
+@dataclass(frozen=True)
+class PlateClockRate(ClockError):
+    """A plate with a clock of its own that runs too fast: a skew that grows from time 0.
+
+    Source    Tolerance of quartz clocks in data sheets: 50 parts in a million.
+
+    Attributes:
+        error: Relative; the sample of time t is of t / (1 + error).
+    """
+
+    kind: ClassVar[str] = "plate_clock_rate"
+    term: ClassVar[str] = "clock_rate"
+    fixed: ClassVar[tuple[Coefficient, ...]] = (Coefficient("clock_rate", ""),)
+    stage: ClassVar[StageOrder] = StageOrder.CLOCK
+    estimated: ClassVar[bool] = False
+    error: float = key(5e-5, least=-0.5, most=1.0)
+
+    @classmethod
+    def effect(cls, signal: Array, time: Array, values: Array) -> Array:
+        """Wrench of earlier and earlier times, (M, 6) [N, N m]; held beyond its ends."""
+        rate = 1 + float(values[0])
+        return at_times(signal, time, time / rate) if rate != 1 else signal
+
+    @classmethod
+    def lateness(cls, time: Array) -> Array | float:
+        """Time, (M,) [s]."""
+        return time

@@ -1,0 +1,46 @@
+"""Coloured noise of the plate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.sensors.kind_table import key
+from testbed.sensors.sensor_error import (
+    AddedWrench,
+    PerAxis,
+    sampling_time,
+)
+
+
+@dataclass(frozen=True)
+class PlateColouredNoise(AddedWrench):
+    """Coloured noise: autoregressive of first order, stationary.
+
+    Its correlation fades as exp(-t / time_constant).
+
+    Source    Our own choice: as much as the white noise of experiments/table6.toml, and slow
+        enough to pass a filter of 5 Hz.
+
+    Attributes:
+        force: Standard deviation of the forces [N].
+        moment: Standard deviation of the moments [N m].
+        time_constant: Of the memory [s].
+    """
+
+    kind: ClassVar[str] = "plate_coloured_noise"
+    force: PerAxis = key(0.5, "axes", least=0)
+    moment: PerAxis = key(0.1, "axes", least=0)
+    time_constant: float = key(0.3, positive=True)
+
+    def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Noise of variance one, (M, 6)."""
+        from scipy.signal import lfilter
+
+        white = rng.normal(size=signal.shape)
+        kept = np.exp(-sampling_time(time) / self.time_constant)
+        white[1:] *= np.sqrt(1 - kept**2)  # the first sample is as large as all others
+        return np.asarray(lfilter([1.0], [1.0, -kept], white, axis=0))

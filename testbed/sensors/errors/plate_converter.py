@@ -1,0 +1,44 @@
+"""Quantization of the plate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.sensors.kind_table import hidden, key
+from testbed.sensors.sensor_error import (
+    FULL_SCALE,
+    SensorError,
+    Signal,
+    StageOrder,
+)
+
+
+@dataclass(frozen=True)
+class PlateConverter(SensorError):
+    """An analog-to-digital converter: values in whole counts, within its range.
+
+    Its range is `full_scale` of the instrument, to both sides.
+
+    Source    12 bits, as data acquisition cards had; 16 are common now.
+
+    Attributes:
+        bits: Of a count, 1 to 32.
+    """
+
+    kind: ClassVar[str] = "plate_converter"
+    signal: ClassVar[Signal] = "wrench"
+    stage: ClassVar[StageOrder] = StageOrder.CONVERTER
+    bits: int = key(12, least=1, most=32, whole=True)
+    full_scale: tuple[float, ...] = hidden(FULL_SCALE)
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """The wrench in whole counts, (M, 6) [N, N m]."""
+        del time, rng
+        half = 2 ** (self.bits - 1)
+        count = np.array(self.full_scale) / half
+        counted: Array = count * np.clip(np.round(signal / count), -half, half - 1)
+        return counted

@@ -1,0 +1,57 @@
+"""Drift of the plate's zero."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.recordings.columns import PLATE_UNITS
+from testbed.sensors.kind_table import key
+from testbed.sensors.sensor_error import (
+    PerAxis,
+    StageOrder,
+)
+from testbed.sensors.systematic_error import (
+    Coefficient,
+    PlateError,
+    of_channels,
+)
+
+
+@dataclass(frozen=True)
+class PlateDrift(PlateError):
+    """An error of the zero that grows in proportion to time, from none at time 0.
+
+    Source    Drift of charge amplifiers in data sheets, 0.01 N/s, five times over: one that
+        warms up.
+
+    Attributes:
+        force: Of the forces [N/s].
+        moment: Of the moments [N m/s].
+    """
+
+    kind: ClassVar[str] = "plate_drift"
+    term: ClassVar[str] = "slope"
+    fixed: ClassVar[tuple[Coefficient, ...]] = of_channels(
+        "slope", [f"{unit}/s" for unit in PLATE_UNITS]
+    )
+    stage: ClassVar[StageOrder] = StageOrder.NOISE
+    tested: ClassVar[bool] = False  # slow noise looks alike
+    of_one_recording: ClassVar[bool] = True
+    added: ClassVar[bool] = True
+    force: PerAxis = key(0.05, "axes", "sign")
+    moment: PerAxis = key(0.01, "axes", "sign")
+
+    @classmethod
+    def effect(cls, signal: Array, time: Array, values: Array) -> Array:
+        """Wrench plus time times the slopes, (M, 6) [N, N m]."""
+        return signal + time[:, None] * values
+
+    @classmethod
+    def derivative(cls, signal: Array, time: Array, neutral: Array) -> Array:
+        """Time times unit matrices, (M, 6, 6) [s]."""
+        del signal, neutral
+        return time[:, None, None] * np.eye(6)

@@ -1,0 +1,39 @@
+"""Samples of the plate that are lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.sensors.kind_table import key
+from testbed.sensors.sensor_error import (
+    SensorError,
+    Signal,
+    StageOrder,
+)
+
+
+@dataclass(frozen=True)
+class PlateDroppedSamples(SensorError):
+    """Samples that are lost on the way, and the ones before them repeated.
+
+    Source    A bus without retransmission: one sample in a thousand.
+
+    Attributes:
+        share: Of the samples, each lost by chance.
+    """
+
+    kind: ClassVar[str] = "plate_dropped_samples"
+    signal: ClassVar[Signal] = "wrench"
+    stage: ClassVar[StageOrder] = StageOrder.LINE
+    share: float = key(1e-3, least=0, most=1)
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """The wrench with samples repeated, (M, 6) [N, N m]."""
+        del time
+        lost = rng.random(len(signal)) < self.share
+        last = np.maximum.accumulate(np.where(lost, 0, np.arange(len(signal))))
+        return signal[last]

@@ -1,0 +1,41 @@
+"""Wrong gains of the plate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from testbed.core.base.arrays import Array
+from testbed.sensors.kind_table import key
+from testbed.sensors.sensor_error import (
+    PerChannel,
+    StageOrder,
+)
+from testbed.sensors.systematic_error import (
+    Coefficient,
+    PlateError,
+    of_channels,
+)
+
+
+@dataclass(frozen=True)
+class PlateGain(PlateError):
+    """Channels on wrong scales.
+
+    Source    Accuracy of force plates and six-axis sensors in data sheets: 0.5 %.
+
+    Attributes:
+        error: Relative; 0.005 shows 0.5 % too much.
+    """
+
+    kind: ClassVar[str] = "plate_gain"
+    term: ClassVar[str] = "gains"
+    fixed: ClassVar[tuple[Coefficient, ...]] = of_channels("gains", [""] * 6)
+    stage: ClassVar[StageOrder] = StageOrder.SENSOR
+    error: PerChannel = key(0.005, "channels", "sign")
+
+    @classmethod
+    def effect(cls, signal: Array, time: Array, values: Array) -> Array:
+        """Channels times one plus their errors, (M, 6) [N, N m]."""
+        del time
+        return (1 + values) * signal

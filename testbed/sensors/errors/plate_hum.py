@@ -1,0 +1,43 @@
+"""Hum of the mains in the plate's channels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.sensors.kind_table import key
+from testbed.sensors.sensor_error import (
+    AddedWrench,
+    PerAxis,
+    PerChannel,
+)
+
+
+@dataclass(frozen=True)
+class PlateHum(AddedWrench):
+    """Hum of the mains: a sine in every channel, each of its own phase.
+
+    Source    50 Hz: frequency of the mains in Europe and most of Asia and Africa (60 Hz in
+        America); as much as the bias.
+
+    Attributes:
+        force: Amplitude of the forces [N].
+        moment: Amplitude of the moments [N m].
+        frequency: Of the mains [Hz].
+        phase: At time 0; drawn if left out [rad].
+    """
+
+    kind: ClassVar[str] = "plate_hum"
+    force: PerAxis = key(2.0, "axes")
+    moment: PerAxis = key(0.5, "axes")
+    frequency: float = key(50.0, positive=True)
+    phase: PerChannel | None = key(None, "channels", "phase")
+
+    def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Sine of the mains, (M, 6)."""
+        del signal, rng
+        turn = 2 * np.pi * self.frequency * time[:, None] + np.asarray(self.phase or 0.0)
+        return np.asarray(np.sin(turn))

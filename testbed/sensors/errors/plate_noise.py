@@ -1,0 +1,36 @@
+"""White noise of the plate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.sensors.kind_table import key
+from testbed.sensors.sensor_error import (
+    AddedWrench,
+    PerAxis,
+)
+
+
+@dataclass(frozen=True)
+class PlateNoise(AddedWrench):
+    """White noise on the plate's channels, besides that of `measurement.force_noise`.
+
+    Source    Our own choice: the noise of experiments/table6.toml, of a plate for 1 kN.
+
+    Attributes:
+        force: Standard deviation of the forces [N].
+        moment: Standard deviation of the moments [N m].
+    """
+
+    kind: ClassVar[str] = "plate_noise"
+    force: PerAxis = key(0.5, "axes", least=0)
+    moment: PerAxis = key(0.1, "axes", least=0)
+
+    def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Noise of variance one, (M, 6)."""
+        del time
+        return rng.normal(size=signal.shape)

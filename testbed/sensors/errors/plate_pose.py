@@ -1,0 +1,72 @@
+"""Pose of the plate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.core.base.transform import Transform
+from testbed.core.robot.inertia import from_vector
+from testbed.sensors.kind_table import key
+from testbed.sensors.sensor_error import (
+    PerAxis,
+    StageOrder,
+)
+from testbed.sensors.systematic_error import (
+    Coefficient,
+    PlateError,
+)
+
+
+@dataclass(frozen=True)
+class PlatePose(PlateError):
+    """A plate that is turned and shifted against the bedplate frame.
+
+    The plate's frame has the origin p and the axes R, both in the bedplate frame; it shows
+    R^T F and R^T (M - p x F), of robot and tare alike.
+
+    Source    Alignment with square and ruler: 0.2 degrees, 1 mm.
+
+    Attributes:
+        rotation: Vector of the rotation R [rad].
+        translation: p [m].
+    """
+
+    kind: ClassVar[str] = "plate_pose"
+    term: ClassVar[str] = "pose"
+    fixed: ClassVar[tuple[Coefficient, ...]] = tuple(
+        Coefficient(f"pose/{part}{axis}", unit)
+        for part, unit in (("r", "rad"), ("p", "m"))
+        for axis in "xyz"
+    )
+    stage: ClassVar[StageOrder] = StageOrder.SENSOR
+    rotation: PerAxis = key(3.5e-3, "axes", "sign")
+    translation: PerAxis = key(1e-3, "axes", "sign")
+
+    @classmethod
+    def effect(cls, signal: Array, time: Array, values: Array) -> Array:
+        """Wrench in the plate's frame P, of one in the bedplate's B, (M, 6) [N, N m]."""
+        del time
+        X_BP = Transform(from_vector(values[:3]), values[3:])
+        return np.asarray(X_BP.inverse.wrench(signal))
+
+    @classmethod
+    def without(cls, signal: Array, time: Array, values: Array) -> Array:
+        """Wrench in the bedplate's frame B, of one in the plate's P, (M, 6) [N, N m]."""
+        del time
+        X_BP = Transform(from_vector(values[:3]), values[3:])
+        return np.asarray(X_BP.wrench(signal))
+
+    @classmethod
+    def derivative(cls, signal: Array, time: Array, neutral: Array) -> Array:
+        """Cross products of the axes with force and moment, (M, 6, 6)."""
+        del time, neutral
+        force, moment = signal[:, :3], signal[:, 3:]
+        columns = np.zeros((len(signal), 6, 6))
+        for k, axis in enumerate(np.eye(3)):
+            columns[:, :3, k] = columns[:, 3:, 3 + k] = np.cross(force, axis)
+            columns[:, 3:, k] = np.cross(moment, axis)
+        return columns

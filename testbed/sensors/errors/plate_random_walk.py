@@ -1,0 +1,36 @@
+"""Random walk of the plate's zero."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.sensors.kind_table import key
+from testbed.sensors.sensor_error import (
+    AddedWrench,
+    PerAxis,
+)
+
+
+@dataclass(frozen=True)
+class PlateRandomWalk(AddedWrench):
+    """An error of the zero that wanders at random, from none at time 0.
+
+    Source    Our own choice: after a second it is where the drift of 0.05 N/s would be.
+
+    Attributes:
+        force: Standard deviation of the forces after a second [N/sqrt(s)].
+        moment: Standard deviation of the moments after a second [N m/sqrt(s)].
+    """
+
+    kind: ClassVar[str] = "plate_random_walk"
+    force: PerAxis = key(0.05, "axes", least=0)
+    moment: PerAxis = key(0.01, "axes", least=0)
+
+    def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Random walk of variance one a second, (M, 6) [sqrt(s)]."""
+        spread = np.sqrt(np.append(abs(time[0]), np.diff(time)))
+        return np.cumsum(spread[:, None] * rng.normal(size=signal.shape), axis=0)

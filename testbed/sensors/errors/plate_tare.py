@@ -1,0 +1,38 @@
+"""Constant of the plate beyond its tare."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from testbed.core.robot.tree import Tree
+from testbed.sensors.errors.plate_bias import PlateBias
+from testbed.sensors.systematic_error import (
+    Coefficient,
+    of_channels,
+)
+
+
+@dataclass(frozen=True)
+class PlateTare(PlateBias):
+    """A constant wrench beyond the stated tare, of all recordings with the pedestal.
+
+    To a plate that does not move it is the same as a bias.
+
+    Source    Our own choice: as much as the bias.
+
+    Attributes:
+        force: What the forces show too much [N].
+        moment: What the moments show too much [N m].
+    """
+
+    kind: ClassVar[str] = "plate_tare"
+    term: ClassVar[str] = "tare"
+    fixed: ClassVar[tuple[Coefficient, ...]] = of_channels("tare")
+    of_one_recording: ClassVar[bool] = False
+
+    @classmethod
+    def coefficients(cls, tree: Tree) -> tuple[Coefficient, ...]:
+        """Constants of the channels, (6,)."""
+        del tree
+        return cls.fixed

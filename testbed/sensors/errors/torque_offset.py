@@ -1,0 +1,38 @@
+"""Constant error of reported torques."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from testbed.core.base.arrays import Array
+from testbed.sensors.kind_table import PerJoint, each_joint, key
+from testbed.sensors.sensor_error import (
+    SensorError,
+    Signal,
+    StageOrder,
+)
+
+
+@dataclass(frozen=True)
+class TorqueOffset(SensorError):
+    """A constant error of the reported torques.
+
+    Source    Zero error of Hall-effect current sensors in data sheets: 0.5 to 1 % of their
+        range, of joints of 100 N m.
+
+    Attributes:
+        error: What is reported too much [N m or N].
+    """
+
+    kind: ClassVar[str] = "torque_offset"
+    signal: ClassVar[Signal] = "torque"
+    stage: ClassVar[StageOrder] = StageOrder.NOISE
+    error: PerJoint = key(1.0, "joints", "sign")
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Torques with the constant, (M, n) [N m or N]."""
+        del time, rng
+        return signal + each_joint(self.error)

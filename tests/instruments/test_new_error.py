@@ -1,0 +1,99 @@
+"""One file adds one sensor error: simulated, estimated, tested for, proposed, taken back, listed.
+
+If one fails, an error of a sensor has to be written down in more than one place.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from testbed.core.base.arrays import Array
+from testbed.importing.check.check import assess
+from testbed.sensors import catalogue, errors
+from testbed.sensors.kinds_in_words import in_words
+from testbed.sensors.sensor_error import SensorError
+from tests.helpers.foreign_files import imported, npz, some_log
+from tests.helpers.measured import measured
+from tests.helpers.runs import robot
+
+KIND, RATE = "plate_gain_drift", 1e-2
+CLASS = '''
+from dataclasses import dataclass
+from typing import ClassVar
+
+from testbed.sensors.kind_table import key
+from testbed.sensors.sensor_error import PerChannel, StageOrder
+from testbed.sensors.systematic_error import PlateError, of_channels
+
+
+@dataclass(frozen=True)
+class PlateGainDrift(PlateError):
+    """Sensitivities that drift in proportion to time.
+
+    Source    A test.
+
+    Attributes:
+        rate: Relative [1/s].
+    """
+
+    kind: ClassVar[str] = "plate_gain_drift"
+    fixed: ClassVar = of_channels("plate_gain_drift", ["1/s"] * 6)
+    stage: ClassVar[StageOrder] = StageOrder.SENSOR
+    rate: PerChannel = key(1e-3, "channels", "sign")
+
+    @classmethod
+    def effect(cls, signal, time, values):
+        """Wrench of drifting sensitivities, (M, 6) [N, N m]."""
+        return signal * (1 + time[:, None] * values)
+'''
+
+
+@pytest.fixture
+def drift(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[type[SensorError]]:
+    """The error, in a module of its own."""
+    (tmp_path / f"{KIND}.py").write_text(CLASS)
+    monkeypatch.setattr(errors, "__path__", [*errors.__path__, str(tmp_path)])
+    importlib.invalidate_caches()
+    cached = (catalogue.sensor_errors, catalogue.simulated, catalogue.systematic)
+    for each in cached:
+        each.cache_clear()
+    yield catalogue.simulated()[KIND]
+    for each in cached:
+        each.cache_clear()
+
+
+def centred(time: Array) -> Array:
+    return np.asarray((time - time.mean())[:, None])
+
+
+def test_one_file_adds_one_error_everywhere(drift: type[SensorError], tmp_path: Path) -> None:
+    """Witness: the recording is spoilt here, channel by channel, without the class."""
+    tree, fx = robot("puma"), np.eye(6)[0]
+    good = measured(tree, 3, duration=20.0)
+    wrench, time = good.measured("wrench"), good.time
+    bad = replace(good, wrench=wrench * (1 + RATE * centred(time) * fx))
+    table = {"kind": KIND, "rate": [RATE, 0, 0, 0, 0, 0]}
+    shown = catalogue.error_of(table).apply(wrench, time, np.random.default_rng(0))
+    np.testing.assert_allclose(shown, wrench * (1 + RATE * time[:, None] * fx), rtol=1e-14)
+    plain = tb.identify(tree, bad)
+    assert any(KIND in each.causes for each in plain.diagnostics)
+    found = tb.identify(tree, bad, terms=[KIND])
+    number = {each.name: each for each in found.nuisances}[f"{KIND}/Fx"]
+    assert abs(number.value - RATE) < 4 * number.sigma < 0.1 * RATE
+    proposed = [each for each in assess(tree, bad).diagnostics if each.code == "plate.sensor-error"]
+    assert [each.causes for each in proposed] == [(KIND,)]
+    assert f'[errors] "{KIND}/Fx" = ' in proposed[0].remedy
+    assert not any(each.code == "plate.sensor-error" for each in assess(tree, good).diagnostics)
+    assert in_words(drift).summary.startswith("Sensitivities that drift")
+    log = some_log()
+    text = f'errors = {{ "{KIND}/Fx" = 0.1 }}\n' + npz(tmp_path, log)
+    back = imported(tmp_path, text)
+    wanted = log.w / (1 + 0.1 * centred(back.time) * fx)
+    np.testing.assert_allclose(back.measured("wrench"), wanted, rtol=1e-11)
