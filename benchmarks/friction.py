@@ -28,7 +28,8 @@ from testbed.applications.drives.joint_regression import regressions, torques_be
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
 from testbed.core.recordings.recording import Recording
-from testbed.core.robot.friction import COULOMB, LOADED, VISCOUS, JointLaw, stribeck
+from testbed.core.robot.friction import COULOMB, LOADED, VISCOUS, stribeck
+from testbed.core.robot.joint_law import JointLaw
 from testbed.lab.experiment.rig import robot_of
 from testbed.lab.instruments.chain import measured_again
 from testbed.sensors.errors.torque_noise import TorqueNoise

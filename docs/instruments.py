@@ -6,7 +6,7 @@ from pathlib import Path
 
 from docs.marks import write
 from testbed.lab.simulation.effects import KINDS as EFFECTS
-from testbed.sensors.catalogue import simulated
+from testbed.sensors.catalogue import simulated_errors
 from testbed.sensors.kinds_in_words import in_words, rows
 from testbed.sensors.sensor_error import StageOrder
 
@@ -28,7 +28,7 @@ def as_markdown(of: str) -> str:
 
 def catalogue() -> str:
     """Tables of all faults: their stages, then one a signal."""
-    kinds = tuple(simulated().values())
+    kinds = tuple(simulated_errors().values())
     lines = ["", "| stage | " + " | ".join(TITLES.values()) + " |"]
     lines += ["| --- " * (1 + len(TITLES)) + "|"]
     for stage in StageOrder:

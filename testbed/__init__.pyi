@@ -63,6 +63,7 @@ from .lab.simulation.bodies import CompliantPlate as CompliantPlate
 from .lab.simulation.bodies import GearedRotor as GearedRotor
 from .lab.simulation.bodies import Payload as Payload
 from .lab.simulation.bodies import Tilt as Tilt
+from .lab.simulation.joint_friction import FrictionTerm as FrictionTerm
 from .lab.simulation.joint_friction import LoadFriction as LoadFriction
 from .lab.simulation.joint_friction import LuGreFriction as LuGreFriction
 from .lab.simulation.joint_friction import Stribeck as Stribeck

@@ -26,7 +26,7 @@ from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.recordings.source import RecordingLike, Source
 from testbed.core.robot.tree import Tree
-from testbed.sensors.catalogue import estimated
+from testbed.sensors.catalogue import estimable_errors
 from testbed.sensors.corrected import corrected as without_errors
 from testbed.sensors.errors.plate_matrix import SENSITIVITIES
 
@@ -57,7 +57,7 @@ class Calibration:
     @property
     def doubt(self) -> CalibrationCovariance:
         """What is left open of the numbers that hold for other recordings, too."""
-        passing = {error.term for error in estimated() if error.of_one_recording}
+        passing = {error.term for error in estimable_errors() if error.of_one_recording}
         kept = [k for k, each in enumerate(self.numbers) if each.kind not in passing]
         correlation = np.eye(len(self.numbers)) if self.correlation is None else self.correlation
         sigma = np.array([self.numbers[k].sigma for k in kept])

@@ -238,10 +238,10 @@ def list_(kind: Kind = None) -> None:
     Example: testbed list plate_pose
     """
     from testbed.lab.simulation.effects import KINDS as EFFECTS
-    from testbed.sensors.catalogue import simulated
+    from testbed.sensors.catalogue import simulated_errors
     from testbed.sensors.kinds_in_words import in_words
 
-    tables = {"[measurement] fault": simulated(), "[simulation] effect": EFFECTS}
+    tables = {"[measurement] fault": simulated_errors(), "[simulation] effect": EFFECTS}
     for table, kinds in tables.items():
         if kind is None:
             typer.echo(f"{table} = [{{ kind = ... }}]")
@@ -251,7 +251,7 @@ def list_(kind: Kind = None) -> None:
             _describe(in_words(kinds[kind]), table)
             return
     if kind is not None:
-        raise UnknownName("kind", kind, (*simulated(), *EFFECTS))
+        raise UnknownName("kind", kind, (*simulated_errors(), *EFFECTS))
     typer.echo("One of them, with its keys: testbed list KIND")
 
 

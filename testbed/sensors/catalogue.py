@@ -32,32 +32,32 @@ def sensor_errors() -> tuple[type[SensorError], ...]:
 
 
 @cache
-def simulated() -> Mapping[str, type[SensorError]]:
+def simulated_errors() -> Mapping[str, type[SensorError]]:
     """Sensor errors that can be simulated, by kind, in the order of the measuring chain."""
     return {e.kind: e for e in reversed(sensor_errors()) if not inspect.isabstract(e)}
 
 
 @cache
-def systematic() -> Mapping[str, type[SystematicError]]:
+def systematic_errors() -> Mapping[str, type[SystematicError]]:
     """Sensor errors with coefficients, by term, in the order in which they are taken back."""
     every = (e for e in sensor_errors() if issubclass(e, SystematicError))
     return {e.term: e for e in cast(Iterator[type[SystematicError]], every)}
 
 
-def estimated() -> tuple[type[SystematicError], ...]:
+def estimable_errors() -> tuple[type[SystematicError], ...]:
     """Systematic errors whose coefficients an estimate may have among its unknowns."""
-    return tuple(e for e in systematic().values() if e.estimated)
+    return tuple(e for e in systematic_errors().values() if e.estimated)
 
 
-def tested() -> tuple[type[SystematicError], ...]:
+def candidate_errors() -> tuple[type[SystematicError], ...]:
     """Systematic errors that every estimate tests its residuals for."""
-    return tuple(e for e in systematic().values() if e.tested)
+    return tuple(e for e in systematic_errors().values() if e.tested)
 
 
 def terms() -> Mapping[str, str]:
     """Terms that can be estimated, by the names of kinds and by themselves."""
-    by_kind = {e.kind: e.estimated_as or e.term for e in systematic().values()}
-    own = {e.term: e.term for e in estimated()}
+    by_kind = {e.kind: e.estimated_as or e.term for e in systematic_errors().values()}
+    own = {e.term: e.term for e in estimable_errors()}
     return {name: term for name, term in (by_kind | own).items() if term in own}
 
 
@@ -88,7 +88,7 @@ def errors_of(
     Raises:
         UnknownName: No sensor error has such a coefficient.
     """
-    coefficients = {e: e.coefficients(tree) for e in estimated()}
+    coefficients = {e: e.coefficients(tree) for e in estimable_errors()}
     known = [each.name for own in coefficients.values() for each in own]
     for name in names:
         if name not in known:
@@ -109,4 +109,4 @@ def error_of(table: object) -> SensorError:
     Raises:
         SettingsError: The kind or a key is not known, or a value is none that it takes.
     """
-    return of_table(table, "fault", simulated())
+    return of_table(table, "fault", simulated_errors())

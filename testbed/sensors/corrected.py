@@ -10,7 +10,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import DerivedSource, Source
 from testbed.core.robot.tree import Tree
-from testbed.sensors.catalogue import errors_of, estimated
+from testbed.sensors.catalogue import errors_of, estimable_errors
 from testbed.sensors.systematic_error import SystematicError
 
 
@@ -41,7 +41,7 @@ class Corrected(DerivedSource):
         recording = self._source.part(first, last + 2 * self._ends).ordered(self._tree)
         number = np.arange(first, last + 2 * self._ends, dtype=np.float64)
         time = (number - (self._source.samples - 1) / 2) / self.rate
-        for error in estimated():
+        for error in estimable_errors():
             if error in self._values:
                 recording = error.undo(recording, self._values[error], time, self._tree)
         return recording.part(self._ends, self._ends + last - first)

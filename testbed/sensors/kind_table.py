@@ -11,11 +11,13 @@ table by joint name those left out have zero, or the default where zero makes no
 from __future__ import annotations
 
 from abc import ABC
-from collections.abc import Callable, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields
-from typing import Any, ClassVar, TypeAlias, TypeVar, cast
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, Field, dataclass, fields
+from functools import cache
+from typing import Annotated, Any, ClassVar, TypeAlias, TypeVar, cast, get_args, get_type_hints
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError, UnknownName
@@ -24,8 +26,39 @@ from testbed.core.base.summary_table import Value
 LARGEST = 1e9
 """Sizes beyond this are a mistake; so are positive ones below its inverse."""
 
-PerJoint: TypeAlias = float | tuple[float, ...] | Mapping[str, float]
+
+@dataclass(frozen=True)
+class Each:
+    """Mark of a key's type: one value for all members, or one each.
+
+    Attributes:
+        members: "joints", "axes" or "channels".
+    """
+
+    members: str
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Mark of a key's type: what is drawn where a single number leaves it open.
+
+    Attributes:
+        what: "sign", or "phase" where the value is left out.
+    """
+
+    what: str
+
+
+SIGN, PHASE = Sample("sign"), Sample("phase")
+
+PerJoint: TypeAlias = Annotated[float | tuple[float, ...] | Mapping[str, float], Each("joints")]
 """One for all joints, one a joint in their order, or by name."""
+PerAxis: TypeAlias = Annotated[float | tuple[float, ...], Each("axes")]
+"""One for x, y and z, or three."""
+PerChannel: TypeAlias = Annotated[float | tuple[float, ...], Each("channels")]
+"""One for all channels of the plate, or six: Fx, Fy, Fz, Mx, My, Mz."""
+Matrix: TypeAlias = Annotated[tuple[tuple[float, ...], ...], Each("matrix")]
+"""Six rows of six."""
 
 COUNTS = {"axes": 3, "channels": 6}
 """How many members a list has that is not of joints."""
@@ -119,21 +152,39 @@ class Key:
         return f"a {number} {' and '.join(bounds)}".strip() + _LISTS.get(self.members, "")
 
 
-def key(default: Any, members: str = "", sample: str = "", **bounds: Any) -> Any:
-    """A field that is a key of its kind's table.
-
-    Args:
-        default: Its value; None where nothing need be said.
-        members: As in `Key`.
-        sample: As in `Key`.
-        bounds: As in `Key`.
-    """
-    return field(default=default, metadata={"key": Key(members, sample, **bounds)})
+@cache
+def _keys(kind: type) -> dict[str, Key]:
+    """Keys of a kind, by the types of its fields; fields without repr are none."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {each.name: _key(hints[each.name]) for each in fields(kind) if each.repr}
 
 
-def hidden(default: Any) -> Any:
-    """A field that is no key: the instrument decides it."""
-    return field(default=default, repr=False, compare=False)
+def _key(hint: Any) -> Key:
+    """Key of a field's type, as `Annotated[PerJoint, Ge(0)]`."""
+    leaves = [*_leaves(hint)]
+    known: dict[str, Any] = {"whole": int in leaves, "members": "word" if hint is str else ""}
+    for leaf in leaves:
+        match leaf:
+            case Each():
+                known["members"] = leaf.members
+            case Sample():
+                known["sample"] = leaf.what
+            case Ge():
+                known["least"] = leaf.ge
+            case Le():
+                known["most"] = leaf.le
+            case Gt():
+                known["positive"] = True
+    return Key(**known)
+
+
+def _leaves(hint: Any) -> Iterator[Any]:
+    """Types and marks that a type is made of."""
+    inner = get_args(hint)
+    for each in inner:
+        yield from _leaves(each)
+    if not inner:
+        yield hint
 
 
 class KindTable(Value, ABC):
@@ -163,8 +214,8 @@ class KindTable(Value, ABC):
 
     @classmethod
     def known_keys(cls) -> dict[str, Key]:
-        """What may be said in the table, besides `kind`."""
-        return {f.name: f.metadata["key"] for f in fields(cls) if "key" in f.metadata}
+        """Keys of the table, besides `kind`."""
+        return _keys(cls)
 
     def table(self) -> dict[str, Any]:
         """The value as a file says it, every default written out."""

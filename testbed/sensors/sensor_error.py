@@ -22,21 +22,15 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from enum import IntEnum
-from typing import Any, ClassVar, Literal, Self, TypeAlias
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import COUNTS, KindTable, PerJoint, each_joint
+from testbed.sensors.kind_table import COUNTS, KindTable, PerAxis, PerJoint, each_joint
 
 Signal = Literal["position", "torque", "wrench", "tare"]
 """Signals that have errors; the tare is the wrench of the plate at rest without the robot."""
-
-PerAxis: TypeAlias = float | tuple[float, ...]
-"""One for x, y and z, or three."""
-PerChannel: TypeAlias = float | tuple[float, ...]
-"""One for all channels of the plate, or six: Fx, Fy, Fz, Mx, My, Mz."""
-Matrix: TypeAlias = tuple[tuple[float, ...], ...]
 
 _FIRST_STREAMS = {"encoder_noise": 0, "torque_noise": 1, "plate_noise": 2}
 """Streams of the kinds that were there before kinds had names; their noise stays the same."""

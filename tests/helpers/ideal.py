@@ -14,7 +14,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import Method
 from testbed.core.parameters.rules import Model
 from testbed.core.recordings.recording import Recording, Truth
-from testbed.core.robot.friction import JointLaw
+from testbed.core.robot.joint_law import JointLaw
 
 EXACT = tb.Settings(position_cutoff="off", cutoff="off")
 

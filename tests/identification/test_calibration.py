@@ -27,7 +27,7 @@ from testbed.core.estimation.sensor.predicted_wrench import row_filter
 from testbed.core.estimation.sensor.unknowns import Columns, unknowns_of
 from testbed.core.kernel.layout import layout
 from testbed.lab.experiment.plate_file import read_plate, write_plate
-from testbed.sensors.catalogue import error_of, estimated, systematic
+from testbed.sensors.catalogue import error_of, estimable_errors, systematic_errors
 from testbed.sensors.sensor_error import SensorError
 from testbed.sensors.shifted_signals import shifted
 from tests.helpers.ideal import EXACT, ideal, plus
@@ -242,7 +242,7 @@ def test_what_tells_no_payload_is_refused() -> None:
 # errors of the instrument, found beside the robot
 
 SMALL = 1e-6
-ALL = systematic()
+ALL = systematic_errors()
 TARE = np.array([3.0, -2.0, 200.0, 4.0, -5.0, 1.0])
 FULL = np.array([500.0, 500.0, 1000.0, 200.0, 200.0, 100.0])
 
@@ -353,7 +353,7 @@ def test_columns_are_what_the_fault_does(name: str) -> None:
     np.testing.assert_allclose(columns["slope"], time[:, None] * columns["bias"])
     np.testing.assert_allclose(columns["clock_rate"], time[:, None] * columns["skew"])
     np.testing.assert_array_equal(columns["tare"], columns["bias"])
-    for kind in [error.term for error in estimated() if error.signal == "wrench"]:
+    for kind in [error.term for error in estimable_errors() if error.signal == "wrench"]:
         own = columns_of(recording, tree, kind, estimated=True)
         np.testing.assert_allclose(own, columns[kind], atol=1e-3 * np.abs(columns[kind]).max())
 

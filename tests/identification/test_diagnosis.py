@@ -17,7 +17,7 @@ from testbed.core.base.diagnostics import from_json, messages, ordered, phrase
 from testbed.core.estimation.diagnostics.torques import cross_check, diagnostics_of, torque_factor
 from testbed.core.estimation.estimate import METHODS, Estimate
 from testbed.core.recordings.recording import Recording
-from testbed.sensors.catalogue import tested
+from testbed.sensors.catalogue import candidate_errors
 from tests.helpers.ideal import plus
 from tests.helpers.measured import measured
 from tests.helpers.paths import GOLDEN, ROOT
@@ -300,5 +300,5 @@ def codes_in(code: ast.expr) -> list[str]:
     assert isinstance(code, ast.JoinedStr), ast.dump(code)
     start = code.values[0].value if isinstance(code.values[0], ast.Constant) else ""
     if start == "sensor.":
-        return [f"sensor.{error.term}" for error in tested()]
+        return [f"sensor.{error.term}" for error in candidate_errors()]
     return [known for known in messages() if known.startswith(str(start))]

@@ -33,13 +33,7 @@ from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import drive_filter
 from testbed.core.estimation.selection.held_out import Parts, stretches
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.core.robot.friction import (
-    SLOPE,
-    VARYING,
-    WARM_VISCOUS,
-    joint_law,
-    stribeck,
-)
+from testbed.core.robot.friction import SLOPE, VARYING, WARM_VISCOUS, joint_law, stribeck
 from testbed.importing.check.time_offset import delivered
 from testbed.lab.simulation.replay import replay
 from tests.helpers.foreign_files import imported, npz, some_log

@@ -31,7 +31,8 @@ from testbed.core.estimation.selection.term_choice import choose_terms
 from testbed.core.recordings.views import with_base_joints
 from testbed.core.robot.free_base import coordinates
 from testbed.core.robot.free_root import on_free_base
-from testbed.core.robot.friction import LAWS, OFFSET, ROTOR, JointLaw
+from testbed.core.robot.friction import LAWS, OFFSET, ROTOR
+from testbed.core.robot.joint_law import JointLaw
 from tests.helpers.humanoid import G1, humanoid, squatting
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.measured import measured

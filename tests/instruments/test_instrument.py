@@ -20,7 +20,7 @@ from testbed.core.base.errors import RecordingError, SettingsError, TestbedError
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.lab.instruments.chain import Instrument, measure, measured_again
 from testbed.lab.instruments.plates import PLATES
-from testbed.sensors.catalogue import error_of, simulated
+from testbed.sensors.catalogue import error_of, simulated_errors
 from testbed.sensors.kinds_in_words import in_words
 from testbed.sensors.sensor_error import FULL_SCALE, SensorError, StageOrder, apply_chain, stream
 from tests.helpers.ideal import ideal
@@ -94,7 +94,7 @@ def test_noise_comes_from_the_streams_of_older_recordings() -> None:
 
 def test_a_fault_leaves_other_signals_and_the_noise_of_all_others_alone() -> None:
     without, silent = seen(), seen(what=truth(0))
-    for kind, made in simulated().items():
+    for kind, made in simulated_errors().items():
         fault = made()
         recording = seen(fault)
         for signal in SIGNALS:
@@ -170,12 +170,12 @@ def test_a_measured_tare_has_the_plates_own_faults_and_noise_and_the_drift_since
     )
 
 
-@given(tree=trees((1, 5)), kinds=st.sets(st.sampled_from(sorted(simulated())), min_size=1))
+@given(tree=trees((1, 5)), kinds=st.sets(st.sampled_from(sorted(simulated_errors())), min_size=1))
 def test_every_fault_suits_every_robot_and_needs_no_simulation(
     tree: tb.Tree, kinds: set[str]
 ) -> None:
     recording = ideal(tree, duration=3.0)
-    faults = tuple(simulated()[kind]() for kind in sorted(kinds))
+    faults = tuple(simulated_errors()[kind]() for kind in sorted(kinds))
     shown = measured_again(recording, Instrument(rate=200.0, fault=faults), 5)
     for signal in ("position", "torque", "wrench"):
         values = shown.measured(signal)
@@ -190,10 +190,10 @@ def test_every_fault_suits_every_robot_and_needs_no_simulation(
 
 def test_a_file_says_faults_as_python_does_and_every_kind_is_documented() -> None:
     """Read with defaults, written back, listed in the docs with its keys; sizes are sizes."""
-    every = ",".join(entry.example for entry in map(in_words, simulated().values()))
+    every = ",".join(entry.example for entry in map(in_words, simulated_errors().values()))
     experiment = tb.Experiment.from_toml(TABLE6, [f"measurement.fault=[{every}]"])
-    assert [fault.kind for fault in experiment.measurement.fault] == list(simulated())
-    for kind, made in simulated().items():
+    assert [fault.kind for fault in experiment.measurement.fault] == list(simulated_errors())
+    for kind, made in simulated_errors().items():
         fault = made()
         assert error_of({"kind": kind}) == error_of(fault.table()) == fault
         assert [name for name, _, _ in in_words(type(fault)).keys] == list(fault.known_keys())

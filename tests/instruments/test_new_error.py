@@ -26,10 +26,10 @@ from tests.helpers.runs import robot
 KIND, RATE = "plate_gain_drift", 1e-2
 CLASS = '''
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
-from testbed.sensors.kind_table import key
-from testbed.sensors.sensor_error import PerChannel, StageOrder
+from testbed.sensors.kind_table import SIGN, PerChannel
+from testbed.sensors.sensor_error import StageOrder
 from testbed.sensors.systematic_error import PlateError, of_channels
 
 
@@ -46,7 +46,7 @@ class PlateGainDrift(PlateError):
     kind: ClassVar[str] = "plate_gain_drift"
     fixed: ClassVar = of_channels("plate_gain_drift", ["1/s"] * 6)
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
-    rate: PerChannel = key(1e-3, "channels", "sign")
+    rate: Annotated[PerChannel, SIGN] = 1e-3
 
     @classmethod
     def effect(cls, signal, time, values):
@@ -61,10 +61,10 @@ def drift(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Sens
     (tmp_path / f"{KIND}.py").write_text(CLASS)
     monkeypatch.setattr(errors, "__path__", [*errors.__path__, str(tmp_path)])
     importlib.invalidate_caches()
-    cached = (catalogue.sensor_errors, catalogue.simulated, catalogue.systematic)
+    cached = (catalogue.sensor_errors, catalogue.simulated_errors, catalogue.systematic_errors)
     for each in cached:
         each.cache_clear()
-    yield catalogue.simulated()[KIND]
+    yield catalogue.simulated_errors()[KIND]
     for each in cached:
         each.cache_clear()
 

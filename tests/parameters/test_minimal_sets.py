@@ -38,8 +38,9 @@ from testbed.core.parameters.symbols import (
     to_barycentric,
     to_standard,
 )
-from testbed.core.robot.friction import COULOMB, LAWS, OFFSET, ROTOR, VISCOUS, JointLaw
+from testbed.core.robot.friction import COULOMB, LAWS, OFFSET, ROTOR, VISCOUS
 from testbed.core.robot.inertia import NOTHING, Inertia
+from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.rigid_matter import SMALL
 from testbed.core.robot.shafts import with_shafts
 from testbed.core.robot.tree import Tree

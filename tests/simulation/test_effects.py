@@ -12,7 +12,7 @@ from hypothesis import given
 
 import testbed as tb
 from testbed.core.base.arrays import Array
-from testbed.core.base.errors import ExperimentError, ModelError, SettingsError
+from testbed.core.base.errors import ExperimentError, ModelError, SettingsError, TestbedError
 from testbed.core.robot.friction import COULOMB, VISCOUS
 from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.rotor_spin import with_rotor_spin
@@ -51,6 +51,11 @@ def test_friction_follows_its_law(puma: Tree) -> None:
     dry, wet = COULOMB.coefficients(puma)[0], VISCOUS.coefficients(puma)[0]
     stribeck = taken(puma, v, -20.0, kind="stribeck_friction", coefficient=2.0, speed=0.2)
     np.testing.assert_allclose(stribeck, 2 * sign * dip, rtol=1e-8)
+    roots = taken(puma, v, kind="friction_term", term="square_root", coefficient=2.0)
+    np.testing.assert_allclose(roots, 2 * sign * np.abs(v) ** 0.5, rtol=1e-12)
+    for term in ("rotor", "load", "tar"):
+        with refuses(TestbedError, term):
+            taken(puma, v, kind="friction_term", term=term)
     slip = taken(puma, v, steps=400, kind="lugre_friction", static=1.5, speed=0.2)
     np.testing.assert_allclose(slip, sign * dry * (1 + 0.5 * dip) + wet * v, rtol=1e-6)
     for damping in (0.0, 100.0):  # at first a spring and a damper

@@ -25,14 +25,8 @@ from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import standard_deviations
 from testbed.core.estimation.selection.held_out import ALWAYS, OFFERED, Parts, Step, grown, rivals
-from testbed.core.robot.friction import (
-    BY_LOAD,
-    LOADED,
-    ROTOR,
-    STRIBECK,
-    VARYING,
-    JointLaw,
-)
+from testbed.core.robot.friction import BY_LOAD, LOADED, ROTOR, STRIBECK, VARYING
+from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.tree import Tree
 
 NODES = (0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1, 1.4, 2, 2.8, 4, 5.6, 8, 11, 16)

@@ -29,7 +29,7 @@ from testbed.core.estimation.regression.passes import Passes
 from testbed.core.estimation.settings import Settings
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import minimal_set, selection
-from testbed.core.robot.friction import JointLaw
+from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.tree import Tree
 
 LEAST = 0.5

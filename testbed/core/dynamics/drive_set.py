@@ -16,7 +16,8 @@ from testbed.core.base.arrays import Array, readonly
 from testbed.core.dynamics.newton_euler import Motion, regressor
 from testbed.core.parameters.joint_terms import DriveSet, with_joint_terms
 from testbed.core.parameters.minimal_set import MinimalSet
-from testbed.core.robot.friction import JointLaw, JointTerm, joint_terms, term_torque
+from testbed.core.robot.friction import JointTerm, joint_terms, term_torque
+from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.tree import Tree
 
 

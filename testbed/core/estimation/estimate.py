@@ -25,7 +25,7 @@ from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.rules import Model, Signal
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
-from testbed.core.robot.friction import JointLaw
+from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.shafts import places
 from testbed.core.robot.tree import Tree
 

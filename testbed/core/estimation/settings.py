@@ -21,7 +21,8 @@ from pydantic import (
 
 from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.core.base.summary_table import Value
-from testbed.core.robot.friction import STRIBECK, JointLaw, law_of
+from testbed.core.robot.friction import STRIBECK, law_of
+from testbed.core.robot.joint_law import JointLaw
 from testbed.sensors.catalogue import term_of, terms
 
 LARGEST = 1e9

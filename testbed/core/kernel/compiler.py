@@ -19,7 +19,7 @@ from numba import extending, njit, types
 from numba.core import config
 
 from testbed.core.base.cache import cache_folder
-from testbed.core.robot import friction
+from testbed.core.robot import friction, laws
 
 settings: Any = config  # whose names Numba makes while it loads
 
@@ -34,7 +34,9 @@ def compiled_folder() -> Path:
     """
     base = cache_folder()
     digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__}".encode())
-    for source in (*sorted(Path(__file__).parent.glob("*.py")), Path(friction.__file__)):
+    folders = (Path(__file__).parent, *map(Path, laws.__path__))
+    sources = (each for folder in folders for each in sorted(folder.glob("*.py")))
+    for source in (*sources, Path(friction.__file__)):
         digest.update(source.read_bytes())
     folder = base / f"kernel-{digest.hexdigest()[:16]}"
     try:

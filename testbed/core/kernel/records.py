@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import AnyArray, Array
-from testbed.core.robot.friction import LAWS, JointLaw
+from testbed.core.robot.friction import LAWS
+from testbed.core.robot.joint_law import JointLaw
 
 # Entries of a row on one body.
 

@@ -26,7 +26,8 @@ from testbed.core.parameters.elimination import INDEPENDENT, Direction, echelon
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.regroup import NEW, Lengths, beyond, seen_wrenches
 from testbed.core.parameters.symbols import DriveSymbol, Formula, Label, Term
-from testbed.core.robot.friction import CONSTANTS, ROTOR, JointLaw, JointTerm, joint_terms
+from testbed.core.robot.friction import CONSTANTS, ROTOR, JointTerm, joint_terms
+from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.shafts import places
 from testbed.core.robot.tree import Tree
 

@@ -5,79 +5,29 @@ coefficient: friction, a rotor's inertia, an offset of the measured torque. This
 place where they are written down: the kernel compiles these columns; simulation, prediction,
 units, scores and the command line read them here.
 
-To add a law, write a `JointLaw` and put it into LAWS. A law that is only tried out need not
-be there: `Settings(terms=("coulomb", my_law))` takes any `JointLaw`.
+To add a law, write a module with a `JointLaw` in `testbed/core/robot/laws`. A law that is only
+tried out need not be there: `Settings(terms=("coulomb", my_law))` takes any `JointLaw`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib import import_module
+from operator import attrgetter
+from pkgutil import iter_modules
 from typing import Any
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.codec import named
 from testbed.core.base.errors import UnknownName
+from testbed.core.robot import laws
+from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.shafts import places, shares
-from testbed.core.robot.tree import Joint, Tree
-
-
-@dataclass(frozen=True)
-class JointLaw:
-    """One kind of term of the joints' torques; every joint has a coefficient of its own.
-
-    Attributes:
-        kind: Its name: the estimate calls the coefficients `kind/JOINT`.
-        turning: Unit of the coefficient at a revolute joint.
-        sliding: Unit of the coefficient at a prismatic joint.
-        column: What the coefficient multiplies: a function of velocity and acceleration
-            [rad/s or m/s, rad/s^2 or m/s^2], element by element. Those in LAWS are
-            compiled for single numbers, too: arithmetic and NumPy's functions only.
-        parameter: The field of `Joint` that holds the model file's coefficient; None where
-            no model file states one.
-        resists: Whether it takes energy from the motion, as friction does: such a
-            coefficient cannot be negative.
-        jumps: Whether the column jumps where the motion reverses.
-        by: What of the recording multiplies the column, joint by joint: "time" since its middle
-            [s], "temperature" above 25 degC [K], one of BY_LOAD; "" for nothing. Of joints only,
-            not of shafts.
-    """
-
-    kind: str
-    turning: str
-    sliding: str
-    column: Callable[[Any, Any], Any]
-    parameter: str | None = None
-    resists: bool = False
-    jumps: bool = False
-    by: str = ""
-
-    __get_pydantic_core_schema__ = named(lambda law: law.kind)
-
-    def unit(self, joint: Joint) -> str:
-        """Unit of the coefficient at a joint."""
-        return self.turning if joint.revolute else self.sliding
-
-    def coefficients(self, tree: Tree) -> Array:
-        """What the model file states, (n,); zero where it states nothing."""
-        if self.parameter is None:
-            return np.zeros(tree.n)
-        return np.array([getattr(joint, self.parameter) for joint in tree.joints], dtype=float)
-
-    def columns(self, qd: Array, qdd: Array, smooth: float = 0.0) -> Array:
-        """The column of every joint, shaped as `qd`.
-
-        Args:
-            qd: Velocities [rad/s or m/s].
-            qdd: Accelerations, of the same shape [rad/s^2 or m/s^2].
-            smooth: Speed over which a jump is smoothed [rad/s or m/s]; 0 for none.
-        """
-        found: Array = np.broadcast_to(self.column(qd, qdd), np.shape(qd))
-        return np.abs(found) * np.tanh(qd / smooth) if self.jumps and smooth else found
+from testbed.core.robot.tree import Tree
 
 
 def _sign(qd: Any, qdd: Any) -> Any:
@@ -92,10 +42,6 @@ def _one(qd: Any, qdd: Any) -> Any:
     return 1.0
 
 
-def _speed(qd: Any, qdd: Any) -> Any:
-    return np.abs(qd)
-
-
 COULOMB = JointLaw("coulomb", "N m", "N", _sign, "coulomb", resists=True, jumps=True)
 """Dry friction: against the motion, however fast."""
 
@@ -107,20 +53,6 @@ OFFSET = JointLaw("offset", "N m", "N", _one)
 
 ROTOR = JointLaw("rotor", "kg m^2", "kg", lambda qd, qdd: qdd, "rotor_inertia")
 """Inertia of the drive's rotor, reflected to the joint."""
-
-ASYMMETRIC = JointLaw("asymmetric", "N m s/rad", "N s/m", _speed)
-"""Viscous friction that differs by direction; where dry friction does, an offset shows it."""
-
-QUADRATIC = JointLaw("quadratic", "N m s^2/rad^2", "N s^2/m^2", lambda qd, qdd: qd * np.abs(qd))
-"""Friction in proportion to the square of the velocity."""
-
-SQUARE_ROOT = JointLaw(
-    "square_root",
-    "N m s^.5/rad^.5",
-    "N s^.5/m^.5",
-    lambda qd, qdd: np.sign(qd) * np.sqrt(np.abs(qd)),
-)
-"""Friction in proportion to the root of the velocity: of lubricated gears."""
 
 FORWARD = JointLaw("coulomb+offset", "N m", "N", _one)
 """Dry friction and offset of a joint that only moves forward: all that shows is their sum."""
@@ -168,21 +100,21 @@ LOADED = (
     # viscous friction that grows with the load
     JointLaw("viscous_load", "s/rad", "s/m", _velocity, by="load"),
     # the same as far as a gear that drives has more of it than one that is driven back
-    JointLaw("driving_load", "s/rad", "s/m", _speed, by="signed load"),
+    JointLaw("driving_load", "s/rad", "s/m", lambda qd, qdd: np.abs(qd), by="signed load"),
     QUADRATIC_LOAD,
 )
 """Laws of the load. Dry friction that differs between driving and being driven is not among them:
 its column, load - sign(v) abs(load), has nothing of its own beside the torque constant's."""
 
-LAWS: tuple[JointLaw, ...] = (
-    COULOMB,
-    VISCOUS,
-    OFFSET,
-    ROTOR,
-    ASYMMETRIC,
-    QUADRATIC,
-    SQUARE_ROOT,
-)
+
+def _further_laws() -> Iterator[JointLaw]:
+    """Laws of the modules in `testbed/core/robot/laws`, by the modules' names."""
+    for module in sorted(iter_modules(laws.__path__, f"{laws.__name__}."), key=attrgetter("name")):
+        values = vars(import_module(module.name)).values()
+        yield from (value for value in values if isinstance(value, JointLaw))
+
+
+LAWS: tuple[JointLaw, ...] = (COULOMB, VISCOUS, OFFSET, ROTOR, *_further_laws())
 """All that can be asked for by name; beside them stribeck@SPEED and what one direction leaves."""
 
 STRIBECK = "stribeck"
@@ -201,9 +133,19 @@ def stribeck(speed: float) -> JointLaw:
     """
 
     def column(qd: Any, qdd: Any) -> Any:
-        return np.sign(qd) * np.exp(-((qd / speed) ** 2))
+        return np.sign(qd) * fading(qd, speed)
 
     return JointLaw(f"{STRIBECK}@{speed:g}", "N m", "N", column, jumps=True)
+
+
+def fading(qd: Any, speed: Any) -> Any:
+    """Part of friction at rest that is left at a speed: exp(-(v / speed)^2).
+
+    Args:
+        qd: Velocity v [rad/s or m/s].
+        speed: At which it fades out [rad/s or m/s].
+    """
+    return np.exp(-((qd / speed) ** 2))
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from testbed.core.recordings.columns import AXES
 from testbed.importing.check.explanation import Explanation
 from testbed.importing.check.plate import MIXED, TINY, WEIGHT
 from testbed.importing.import_report import in_mapping
-from testbed.sensors.catalogue import tested
+from testbed.sensors.catalogue import candidate_errors
 from testbed.sensors.errors.plate_delay import PlateDelay
 from testbed.sensors.errors.plate_gain import PlateGain
 from testbed.sensors.errors.plate_matrix import PlateMatrix
@@ -103,7 +103,7 @@ def _fits(best: Explanation) -> Iterator[SensorErrorFit]:
     explained = wrench - evidence.residual(plate, np.zeros((count, 6, 0)))[0]
     gains = GAIN * PlateGain.derivative(explained, np.zeros(count), np.zeros(6))
     before = _shares(evidence.residual(plate, gains)[0], wrench)
-    for error in tested():
+    for error in candidate_errors():
         columns = _columns(error, best, explained)
         if columns is None:
             continue

@@ -16,7 +16,7 @@ from testbed.core.base.installation import version
 from testbed.core.base.toml_text import Finite, checked, read_toml
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.core.robot.tree import Tree
-from testbed.sensors.catalogue import estimated
+from testbed.sensors.catalogue import estimable_errors
 
 _HEAD = """\
 # A plate, calibrated by the motion of the robot on it (testbed {version}, calibrate).
@@ -68,7 +68,7 @@ def read_plate(path: Path, tree: Tree) -> Calibration:
         ExperimentError: It is no such file.
     """
     found = checked(_Plate, read_toml(path, "plate's calibration"), str(path))
-    terms = {c.name: error.term for error in estimated() for c in error.coefficients(tree)}
+    terms = {c.name: error.term for error in estimable_errors() for c in error.coefficients(tree)}
     numbers = tuple(
         NuisanceEstimate(terms.get(name, name), name, each.unit, each.value, each.sigma)
         for name, each in found.numbers.items()

@@ -31,7 +31,8 @@ from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.asset_files import ENDINGS
-from testbed.core.robot.friction import JointLaw, joint_law
+from testbed.core.robot.friction import joint_law
+from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.model_file import ModelFile, copy_model, model_format
 from testbed.lab.experiment.evaluate import evaluate
 from testbed.lab.experiment.experiment import Experiment

@@ -17,7 +17,8 @@ from testbed.core.parameters.minimal_set import MinimalSet, minimal_set, selecti
 from testbed.core.parameters.symbols import barycentric
 from testbed.core.recordings.columns import PLATE_UNITS
 from testbed.core.recordings.recording import Recording, Truth
-from testbed.core.robot.friction import COULOMB, LOAD, ROTOR, JointLaw, term_torque
+from testbed.core.robot.friction import COULOMB, LOAD, ROTOR, term_torque
+from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.shafts import shares
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment

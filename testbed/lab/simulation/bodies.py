@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import mujoco
 import numpy as np
+from annotated_types import Ge, Gt, Le
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError, UnknownName
@@ -17,7 +18,11 @@ from testbed.core.robot.inertia import Inertia, about
 from testbed.core.robot.rotations import align_z
 from testbed.core.robot.tree import Tree
 from testbed.lab.simulation.effect import Effect
-from testbed.sensors.kind_table import PerJoint, each_joint, key
+from testbed.sensors.kind_table import (
+    PerAxis,
+    PerJoint,
+    each_joint,
+)
 
 MASSLESS = 1e-9
 """Mass of a body of which only the inertia counts [kg]: MuJoCo needs one."""
@@ -37,10 +42,10 @@ class Payload(Effect):
     """
 
     kind: ClassVar[str] = "payload"
-    joint: str = key("", "word")
-    mass: float = key(1.0, positive=True)
-    centre: float | tuple[float, ...] = key(0.05, "axes")
-    inertia: float | tuple[float, ...] = key(2e-3, "axes", positive=True)
+    joint: str = ""
+    mass: Annotated[float, Gt(0)] = 1.0
+    centre: PerAxis = 0.05
+    inertia: Annotated[PerAxis, Gt(0)] = 2e-3
 
     @property
     def body(self) -> Inertia:
@@ -81,8 +86,8 @@ class GearedRotor(Effect):
     """
 
     kind: ClassVar[str] = "geared_rotor"
-    inertia: PerJoint = key(2e-4, "joints", least=0)
-    ratio: PerJoint = key(60.0, "joints")
+    inertia: Annotated[PerJoint, Ge(0)] = 2e-4
+    ratio: PerJoint = 60.0
 
     def robot(self, tree: Tree) -> Tree:
         """The carriers with the rotors at rest on them, the joints with what their spin takes."""
@@ -198,8 +203,8 @@ class CompliantPlate(Effect):
     """
 
     kind: ClassVar[str] = "compliant_plate"
-    frequency: float = key(200.0, positive=True)
-    damping: float = key(0.02, least=0, most=10)
+    frequency: Annotated[float, Gt(0)] = 200.0
+    damping: Annotated[float, Ge(0), Le(10)] = 0.02
 
     def disturb(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
         """Six joints between world and plate.
@@ -237,8 +242,8 @@ class Tilt(Effect):
     """
 
     kind: ClassVar[str] = "tilt"
-    angle: float = key(3.5e-3, least=-1.5, most=1.5)
-    direction: float = key(0.0)
+    angle: Annotated[float, Ge(-1.5), Le(1.5)] = 3.5e-3
+    direction: float = 0.0
 
     def disturb(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
         """Gravity of another direction."""

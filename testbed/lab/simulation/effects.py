@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from testbed.lab.simulation.bodies import CompliantPlate, GearedRotor, Payload, Tilt
 from testbed.lab.simulation.effect import Effect
 from testbed.lab.simulation.joint_friction import (
+    FrictionTerm,
     LoadFriction,
     LuGreFriction,
     Stribeck,
@@ -18,6 +19,7 @@ KINDS: Mapping[str, type[Effect]] = {
     effect.kind: effect
     for effect in (
         Stribeck,
+        FrictionTerm,
         LoadFriction,
         WarmingDrives,
         LuGreFriction,

@@ -8,16 +8,21 @@ friction that grows with the load is solved with the motion, and needs no such s
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 
 from testbed.core.base.arrays import Array
-from testbed.core.robot.friction import COULOMB, ROOM, VISCOUS
+from testbed.core.base.errors import SettingsError
+from testbed.core.robot.friction import COULOMB, ROOM, ROTOR, VISCOUS, fading, joint_law
 from testbed.core.robot.tree import Tree
 from testbed.lab.simulation.effect import Effect, StepForces
 from testbed.lab.simulation.gear_friction import Gears
-from testbed.sensors.kind_table import PerJoint, each_joint, key
+from testbed.sensors.kind_table import (
+    PerJoint,
+    each_joint,
+)
 
 SMOOTH = 0.01
 """Speed over which a sign is smoothed [rad/s or m/s]."""
@@ -37,8 +42,8 @@ class Stribeck(Effect):
     """
 
     kind: ClassVar[str] = "stribeck_friction"
-    coefficient: PerJoint = key(3.0, "joints", least=0)
-    speed: PerJoint = key(0.08, "joints", positive=True)
+    coefficient: Annotated[PerJoint, Ge(0)] = 3.0
+    speed: Annotated[PerJoint, Gt(0)] = 0.08
 
     def forces(self, tree: Tree, step: float) -> StepForces:
         """The more the slower; the sign is smoothed."""
@@ -47,7 +52,38 @@ class Stribeck(Effect):
 
         def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
             del time, q, motor
-            return -size * np.exp(-((qd / speed) ** 2)) * np.tanh(qd / SMOOTH)
+            return np.asarray(-size * fading(qd, speed) * np.tanh(qd / SMOOTH))
+
+        return push
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionTerm(Effect):
+    """Friction by any term of the joints' torques that estimates know: coefficient times column.
+
+    It comes on top of the joints' own dry and viscous friction.
+
+    Source    Our own choice.
+
+    Attributes:
+        term: Its name, as "quadratic", "square_root" or "stribeck@0.1".
+        coefficient: In the units of the term.
+    """
+
+    kind: ClassVar[str] = "friction_term"
+    term: str = "quadratic"
+    coefficient: PerJoint = 1.0
+
+    def forces(self, tree: Tree, step: float) -> StepForces:
+        """Torques of the term; a jump is smoothed."""
+        del tree, step
+        law, size = joint_law(self.term), each_joint(self.coefficient)
+        if law.by or law.parameter == ROTOR.parameter:
+            raise SettingsError(f"friction_term: '{self.term}' depends on more than the velocity")
+
+        def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
+            del time, q, motor
+            return -size * law.columns(qd, np.zeros_like(qd), SMOOTH)
 
         return push
 
@@ -75,11 +111,11 @@ class LoadFriction(Effect):
 
     kind: ClassVar[str] = "load_friction"
     owns_friction: ClassVar[bool] = True
-    share: PerJoint = key(0.05, "joints", least=0, most=0.9)
-    driven: PerJoint = key(1.0, "joints", least=0, most=1)
-    viscous_load: PerJoint = key(0.0, "joints", least=0)
-    static: PerJoint = key(1.0, "joints", least=1, most=10)
-    speed: PerJoint = key(0.08, "joints", positive=True)
+    share: Annotated[PerJoint, Ge(0), Le(0.9)] = 0.05
+    driven: Annotated[PerJoint, Ge(0), Le(1)] = 1.0
+    viscous_load: Annotated[PerJoint, Ge(0)] = 0.0
+    static: Annotated[PerJoint, Ge(1), Le(10)] = 1.0
+    speed: Annotated[PerJoint, Gt(0)] = 0.08
 
     def gears(self, tree: Tree) -> Gears:
         """Of all joints."""
@@ -111,9 +147,9 @@ class WarmingDrives(Effect):
     """
 
     kind: ClassVar[str] = "warming_drives"
-    rise: PerJoint = key(20.0, "joints", least=-100, most=100)
-    time_constant: float = key(60.0, positive=True)
-    viscous: PerJoint = key(-0.02, "joints")
+    rise: Annotated[PerJoint, Ge(-100), Le(100)] = 20.0
+    time_constant: Annotated[float, Gt(0)] = 60.0
+    viscous: PerJoint = -0.02
 
     def temperature(self, time: Array) -> Array:
         """Of the drives, (M, n) or (M, 1) [degC]."""
@@ -152,10 +188,10 @@ class LuGreFriction(Effect):
 
     kind: ClassVar[str] = "lugre_friction"
     owns_friction: ClassVar[bool] = True
-    static: PerJoint = key(1.5, "joints", least=1, most=10)
-    speed: PerJoint = key(0.08, "joints", positive=True)
-    stiffness: PerJoint = key(2e4, "joints", positive=True)
-    damping: PerJoint = key(50.0, "joints", least=0)
+    static: Annotated[PerJoint, Ge(1), Le(10)] = 1.5
+    speed: Annotated[PerJoint, Gt(0)] = 0.08
+    stiffness: Annotated[PerJoint, Gt(0)] = 2e4
+    damping: Annotated[PerJoint, Ge(0)] = 50.0
 
     def forces(self, tree: Tree, step: float) -> StepForces:
         """Of bristles that are straight at first."""
@@ -167,7 +203,7 @@ class LuGreFriction(Effect):
         def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
             del time, q, motor
             nonlocal bent
-            slip = dry * (1 + (static - 1) * np.exp(-((qd / speed) ** 2)))
+            slip = dry * (1 + (static - 1) * fading(qd, speed))
             before = bent
             bent = _bent(before, qd, slip, stiff, step)
             rate = (bent - before) / step

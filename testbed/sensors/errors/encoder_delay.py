@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import PerJoint, key
+from testbed.sensors.kind_table import SIGN, PerJoint
 from testbed.sensors.predicted_wrench import PredictedWrench
-from testbed.sensors.sensor_error import (
-    StageOrder,
-)
+from testbed.sensors.sensor_error import StageOrder
 from testbed.sensors.shifted_signals import at_times
-from testbed.sensors.systematic_error import (
-    EncoderError,
-)
+from testbed.sensors.systematic_error import EncoderError
 
 
 @dataclass(frozen=True)
@@ -37,7 +33,7 @@ class EncoderDelay(EncoderError):
     estimated: ClassVar[bool] = False
     contains: ClassVar[tuple[str, ...]] = ("skew",)
     units: ClassVar[tuple[str, str]] = ("s", "s")
-    delay: PerJoint = key(1e-3, "joints", "sign")
+    delay: Annotated[PerJoint, SIGN] = 1e-3
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Gt
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import PerJoint, each_joint, key
-from testbed.sensors.sensor_error import (
-    StageOrder,
-)
-from testbed.sensors.systematic_error import (
-    EncoderError,
-)
+from testbed.sensors.kind_table import PHASE, PerJoint, each_joint
+from testbed.sensors.sensor_error import StageOrder
+from testbed.sensors.systematic_error import EncoderError
 
 
 @dataclass(frozen=True)
@@ -39,9 +36,9 @@ class EncoderEccentricity(EncoderError):
     of_revolute: ClassVar[bool] = True
     per_joint: ClassVar[tuple[str, ...]] = ("/sin", "/cos")
     units: ClassVar[tuple[str, str]] = ("rad", "rad")
-    amplitude: PerJoint = key(4e-4, "joints")
-    period: PerJoint = key(2 * np.pi, "joints", positive=True)
-    phase: PerJoint | None = key(None, "joints", "phase")
+    amplitude: PerJoint = 4e-4
+    period: Annotated[PerJoint, Gt(0)] = 2 * np.pi
+    phase: Annotated[PerJoint | None, PHASE] = None
 
     @property
     def values(self) -> Array:

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import PerJoint, key
-from testbed.sensors.sensor_error import (
-    StageOrder,
-)
-from testbed.sensors.systematic_error import (
-    EncoderError,
-)
+from testbed.sensors.kind_table import SIGN, PerJoint
+from testbed.sensors.sensor_error import StageOrder
+from testbed.sensors.systematic_error import EncoderError
 
 
 @dataclass(frozen=True)
@@ -30,7 +26,7 @@ class EncoderGain(EncoderError):
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
     estimated: ClassVar[bool] = False
     units: ClassVar[tuple[str, str]] = ("", "")
-    error: PerJoint = key(0.01, "joints", "sign")
+    error: Annotated[PerJoint, SIGN] = 0.01
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:

@@ -8,11 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.sensor_error import (
-    SensorError,
-    Signal,
-    StageOrder,
-)
+from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
-from testbed.sensors.kind_table import PerJoint, key
-from testbed.sensors.sensor_error import (
-    NoiseError,
-    Signal,
-)
+from annotated_types import Ge
+
+from testbed.sensors.kind_table import PerJoint
+from testbed.sensors.sensor_error import NoiseError, Signal
 
 
 @dataclass(frozen=True)
@@ -24,4 +23,4 @@ class EncoderNoise(NoiseError):
 
     kind: ClassVar[str] = "encoder_noise"
     signal: ClassVar[Signal] = "position"
-    sigma: PerJoint = key(1e-4, "joints", least=0)
+    sigma: Annotated[PerJoint, Ge(0)] = 1e-4

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Ge
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import PerJoint, each_joint, key
-from testbed.sensors.sensor_error import (
-    SensorError,
-    Signal,
-    StageOrder,
-)
+from testbed.sensors.kind_table import PerJoint, each_joint
+from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 
 
 @dataclass(frozen=True)
@@ -29,7 +26,7 @@ class EncoderResolution(SensorError):
     kind: ClassVar[str] = "encoder_resolution"
     signal: ClassVar[Signal] = "position"
     stage: ClassVar[StageOrder] = StageOrder.CONVERTER
-    count: PerJoint = key(1e-4, "joints", least=0)
+    count: Annotated[PerJoint, Ge(0)] = 1e-4
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Positions in whole counts, (M, n) [rad or m]."""

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import PerJoint, key
-from testbed.sensors.sensor_error import (
-    StageOrder,
-)
-from testbed.sensors.systematic_error import (
-    EncoderError,
-)
+from testbed.sensors.kind_table import SIGN, PerJoint
+from testbed.sensors.sensor_error import StageOrder
+from testbed.sensors.systematic_error import EncoderError
 
 
 @dataclass(frozen=True)
@@ -31,7 +27,7 @@ class EncoderZeroError(EncoderError):
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
     unfolded: ClassVar[bool] = True
     units: ClassVar[tuple[str, str]] = ("rad", "m")
-    error: PerJoint = key(3.5e-3, "joints", "sign")
+    error: Annotated[PerJoint, SIGN] = 3.5e-3
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:

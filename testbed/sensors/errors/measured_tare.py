@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import key
-from testbed.sensors.sensor_error import (
-    SensorError,
-    Signal,
-    StageOrder,
-)
+from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 
 
 @dataclass(frozen=True)
@@ -33,8 +29,8 @@ class MeasuredTare(SensorError):
     kind: ClassVar[str] = "measured_tare"
     signal: ClassVar[Signal] = "tare"
     stage: ClassVar[StageOrder] = StageOrder.LINE
-    seconds: float = key(5.0, positive=True, most=60)
-    before: float = key(60.0, least=0)
+    seconds: Annotated[float, Gt(0), Le(60)] = 5.0
+    before: Annotated[float, Ge(0)] = 60.0
 
     def instants(self, rate: float) -> Array:
         """When it is measured, with the recording's first sample at 0 [s].

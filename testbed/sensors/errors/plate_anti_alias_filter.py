@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError
-from testbed.sensors.kind_table import key
-from testbed.sensors.sensor_error import (
-    SensorError,
-    Signal,
-    StageOrder,
-    sampling_time,
-)
+from testbed.sensors.sensor_error import SensorError, Signal, StageOrder, sampling_time
 
 LEAST_CUTOFF = 1e-5
 """Of a filter, in sampling rates: below, its coefficients drown in rounding."""
@@ -39,8 +34,8 @@ class PlateAntiAliasFilter(SensorError):
     kind: ClassVar[str] = "plate_anti_alias_filter"
     signal: ClassVar[Signal] = "wrench"
     stage: ClassVar[StageOrder] = StageOrder.FILTER
-    cutoff: float = key(100.0, positive=True)
-    order: int = key(2, least=1, most=8, whole=True)
+    cutoff: Annotated[float, Gt(0)] = 100.0
+    order: Annotated[int, Ge(1), Le(8)] = 2
 
     def check_rate(self, rate: float) -> None:
         """Check that the memory of the filter is within rounding."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -11,17 +11,10 @@ from testbed.core.base.arrays import Array, apply
 from testbed.core.dynamics.newton_euler import wrench_transforms
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.tree import Tree
-from testbed.sensors.kind_table import key
+from testbed.sensors.kind_table import SIGN, PerAxis
 from testbed.sensors.predicted_wrench import PredictedWrench
-from testbed.sensors.sensor_error import (
-    PerAxis,
-    StageOrder,
-)
-from testbed.sensors.systematic_error import (
-    Coefficient,
-    PlateError,
-    of_channels,
-)
+from testbed.sensors.sensor_error import StageOrder
+from testbed.sensors.systematic_error import Coefficient, PlateError, of_channels
 
 
 @dataclass(frozen=True)
@@ -42,8 +35,8 @@ class PlateBias(PlateError):
     tested: ClassVar[bool] = False
     of_one_recording: ClassVar[bool] = True
     added: ClassVar[bool] = True
-    force: PerAxis = key(2.0, "axes", "sign")
-    moment: PerAxis = key(0.5, "axes", "sign")
+    force: Annotated[PerAxis, SIGN] = 2.0
+    moment: Annotated[PerAxis, SIGN] = 0.5
 
     @classmethod
     def coefficients(cls, tree: Tree) -> tuple[Coefficient, ...]:

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
+
+from annotated_types import Ge, Le
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import key
-from testbed.sensors.sensor_error import (
-    StageOrder,
-)
+from testbed.sensors.sensor_error import StageOrder
 from testbed.sensors.shifted_signals import at_times
-from testbed.sensors.systematic_error import (
-    ClockError,
-    Coefficient,
-)
+from testbed.sensors.systematic_error import ClockError, Coefficient
 
 
 @dataclass(frozen=True)
@@ -32,7 +28,7 @@ class PlateClockRate(ClockError):
     fixed: ClassVar[tuple[Coefficient, ...]] = (Coefficient("clock_rate", ""),)
     stage: ClassVar[StageOrder] = StageOrder.CLOCK
     estimated: ClassVar[bool] = False
-    error: float = key(5e-5, least=-0.5, most=1.0)
+    error: Annotated[float, Ge(-0.5), Le(1.0)] = 5e-5
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Ge, Gt
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import key
-from testbed.sensors.sensor_error import (
-    AddedWrench,
-    PerAxis,
-    sampling_time,
-)
+from testbed.sensors.kind_table import PerAxis
+from testbed.sensors.sensor_error import AddedWrench, sampling_time
 
 
 @dataclass(frozen=True)
@@ -32,9 +29,9 @@ class PlateColouredNoise(AddedWrench):
     """
 
     kind: ClassVar[str] = "plate_coloured_noise"
-    force: PerAxis = key(0.5, "axes", least=0)
-    moment: PerAxis = key(0.1, "axes", least=0)
-    time_constant: float = key(0.3, positive=True)
+    force: Annotated[PerAxis, Ge(0)] = 0.5
+    moment: Annotated[PerAxis, Ge(0)] = 0.1
+    time_constant: Annotated[float, Gt(0)] = 0.3
 
     def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Noise of variance one, (M, 6)."""

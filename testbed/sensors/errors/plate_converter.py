@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Ge, Le
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import hidden, key
-from testbed.sensors.sensor_error import (
-    FULL_SCALE,
-    SensorError,
-    Signal,
-    StageOrder,
-)
+from testbed.sensors.sensor_error import FULL_SCALE, SensorError, Signal, StageOrder
 
 
 @dataclass(frozen=True)
@@ -32,8 +27,8 @@ class PlateConverter(SensorError):
     kind: ClassVar[str] = "plate_converter"
     signal: ClassVar[Signal] = "wrench"
     stage: ClassVar[StageOrder] = StageOrder.CONVERTER
-    bits: int = key(12, least=1, most=32, whole=True)
-    full_scale: tuple[float, ...] = hidden(FULL_SCALE)
+    bits: Annotated[int, Ge(1), Le(32)] = 12
+    full_scale: tuple[float, ...] = field(default=FULL_SCALE, repr=False)
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """The wrench in whole counts, (M, 6) [N, N m]."""

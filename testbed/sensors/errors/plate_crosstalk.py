@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from dataclasses import dataclass, field, replace
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
+from annotated_types import Ge, Le
 
 from testbed.core.base.arrays import Array
 from testbed.sensors.errors.plate_matrix import SENSITIVITIES, PlateMatrix
-from testbed.sensors.kind_table import hidden, key
-from testbed.sensors.sensor_error import (
-    FULL_SCALE,
-    Matrix,
-    StageOrder,
-)
-from testbed.sensors.systematic_error import (
-    Coefficient,
-    PlateError,
-)
+from testbed.sensors.kind_table import Matrix
+from testbed.sensors.sensor_error import FULL_SCALE, StageOrder
+from testbed.sensors.systematic_error import Coefficient, PlateError
 
 MIXED = np.flatnonzero(~np.eye(6, dtype=np.bool_))
 """Sensitivities of a channel to the load of another."""
@@ -49,9 +43,9 @@ class PlateCrosstalk(PlateError):
     estimated: ClassVar[bool] = False
     estimated_as: ClassVar[str] = "matrix"
     contains: ClassVar[tuple[str, ...]] = ("pose",)
-    size: float = key(0.01, least=0, most=1)
-    matrix: Matrix | None = key(None, "matrix")
-    full_scale: tuple[float, ...] = hidden(FULL_SCALE)
+    size: Annotated[float, Ge(0), Le(1)] = 0.01
+    matrix: Matrix | None = None
+    full_scale: tuple[float, ...] = field(default=FULL_SCALE, repr=False)
 
     def sample(self, joints: int, rng: np.random.Generator) -> Self:
         """Copy of the error with a random matrix where none is given."""

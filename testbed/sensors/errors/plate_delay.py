@@ -6,17 +6,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import key
 from testbed.sensors.predicted_wrench import PredictedWrench
-from testbed.sensors.sensor_error import (
-    StageOrder,
-    sampling_time,
-)
+from testbed.sensors.sensor_error import StageOrder, sampling_time
 from testbed.sensors.shifted_signals import at_times, reach, shifted
-from testbed.sensors.systematic_error import (
-    ClockError,
-    Coefficient,
-)
+from testbed.sensors.systematic_error import ClockError, Coefficient
 
 
 @dataclass(frozen=True)
@@ -33,7 +26,7 @@ class PlateDelay(ClockError):
     term: ClassVar[str] = "skew"
     fixed: ClassVar[tuple[Coefficient, ...]] = (Coefficient("skew", "s"),)
     stage: ClassVar[StageOrder] = StageOrder.CLOCK
-    delay: float = key(1e-3)
+    delay: float = 1e-3
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:

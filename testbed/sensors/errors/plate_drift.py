@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.recordings.columns import PLATE_UNITS
-from testbed.sensors.kind_table import key
-from testbed.sensors.sensor_error import (
-    PerAxis,
-    StageOrder,
-)
-from testbed.sensors.systematic_error import (
-    Coefficient,
-    PlateError,
-    of_channels,
-)
+from testbed.sensors.kind_table import SIGN, PerAxis
+from testbed.sensors.sensor_error import StageOrder
+from testbed.sensors.systematic_error import Coefficient, PlateError, of_channels
 
 
 @dataclass(frozen=True)
@@ -42,8 +35,8 @@ class PlateDrift(PlateError):
     tested: ClassVar[bool] = False  # slow noise looks alike
     of_one_recording: ClassVar[bool] = True
     added: ClassVar[bool] = True
-    force: PerAxis = key(0.05, "axes", "sign")
-    moment: PerAxis = key(0.01, "axes", "sign")
+    force: Annotated[PerAxis, SIGN] = 0.05
+    moment: Annotated[PerAxis, SIGN] = 0.01
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:

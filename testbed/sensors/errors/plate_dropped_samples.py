@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Ge, Le
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import key
-from testbed.sensors.sensor_error import (
-    SensorError,
-    Signal,
-    StageOrder,
-)
+from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 
 
 @dataclass(frozen=True)
@@ -29,7 +25,7 @@ class PlateDroppedSamples(SensorError):
     kind: ClassVar[str] = "plate_dropped_samples"
     signal: ClassVar[Signal] = "wrench"
     stage: ClassVar[StageOrder] = StageOrder.LINE
-    share: float = key(1e-3, least=0, most=1)
+    share: Annotated[float, Ge(0), Le(1)] = 1e-3
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """The wrench with samples repeated, (M, 6) [N, N m]."""

@@ -3,19 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import key
-from testbed.sensors.sensor_error import (
-    PerChannel,
-    StageOrder,
-)
-from testbed.sensors.systematic_error import (
-    Coefficient,
-    PlateError,
-    of_channels,
-)
+from testbed.sensors.kind_table import SIGN, PerChannel
+from testbed.sensors.sensor_error import StageOrder
+from testbed.sensors.systematic_error import Coefficient, PlateError, of_channels
 
 
 @dataclass(frozen=True)
@@ -32,7 +25,7 @@ class PlateGain(PlateError):
     term: ClassVar[str] = "gains"
     fixed: ClassVar[tuple[Coefficient, ...]] = of_channels("gains", [""] * 6)
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
-    error: PerChannel = key(0.005, "channels", "sign")
+    error: Annotated[PerChannel, SIGN] = 0.005
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Gt
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import key
-from testbed.sensors.sensor_error import (
-    AddedWrench,
-    PerAxis,
-    PerChannel,
-)
+from testbed.sensors.kind_table import PHASE, PerAxis, PerChannel
+from testbed.sensors.sensor_error import AddedWrench
 
 
 @dataclass(frozen=True)
@@ -31,10 +28,10 @@ class PlateHum(AddedWrench):
     """
 
     kind: ClassVar[str] = "plate_hum"
-    force: PerAxis = key(2.0, "axes")
-    moment: PerAxis = key(0.5, "axes")
-    frequency: float = key(50.0, positive=True)
-    phase: PerChannel | None = key(None, "channels", "phase")
+    force: PerAxis = 2.0
+    moment: PerAxis = 0.5
+    frequency: Annotated[float, Gt(0)] = 50.0
+    phase: Annotated[PerChannel | None, PHASE] = None
 
     def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Sine of the mains, (M, 6)."""

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Gt
 
 from testbed.core.base.arrays import Array
 from testbed.core.recordings.columns import AXES
-from testbed.sensors.kind_table import key
+from testbed.sensors.kind_table import Matrix
 from testbed.sensors.predicted_wrench import PredictedWrench
-from testbed.sensors.sensor_error import (
-    Matrix,
-    StageOrder,
-)
-from testbed.sensors.systematic_error import (
-    Coefficient,
-    PlateError,
-)
+from testbed.sensors.sensor_error import StageOrder
+from testbed.sensors.systematic_error import Coefficient, PlateError
 
 SENSITIVITIES = tuple(
     Coefficient(f"gain/{shown}", "", 1.0)
@@ -52,8 +47,8 @@ class PlateMatrix(PlateError):
     contains: ClassVar[tuple[str, ...]] = ("gains", "crosstalk", "pose", "height")
     jointly: ClassVar[bool] = True
     added: ClassVar[bool] = True
-    gain: float = key(1.01, positive=True)
-    matrix: Matrix | None = key(None, "matrix")
+    gain: Annotated[float, Gt(0)] = 1.01
+    matrix: Matrix | None = None
 
     @property
     def values(self) -> Array:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Ge
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import key
-from testbed.sensors.sensor_error import (
-    AddedWrench,
-    PerAxis,
-)
+from testbed.sensors.kind_table import PerAxis
+from testbed.sensors.sensor_error import AddedWrench
 
 
 @dataclass(frozen=True)
@@ -27,8 +25,8 @@ class PlateNoise(AddedWrench):
     """
 
     kind: ClassVar[str] = "plate_noise"
-    force: PerAxis = key(0.5, "axes", least=0)
-    moment: PerAxis = key(0.1, "axes", least=0)
+    force: Annotated[PerAxis, Ge(0)] = 0.5
+    moment: Annotated[PerAxis, Ge(0)] = 0.1
 
     def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Noise of variance one, (M, 6)."""

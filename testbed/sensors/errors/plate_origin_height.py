@@ -9,14 +9,8 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.sensors.errors.plate_pose import PlatePose
-from testbed.sensors.kind_table import key
-from testbed.sensors.sensor_error import (
-    StageOrder,
-)
-from testbed.sensors.systematic_error import (
-    Coefficient,
-    PlateError,
-)
+from testbed.sensors.sensor_error import StageOrder
+from testbed.sensors.systematic_error import Coefficient, PlateError
 
 
 @dataclass(frozen=True)
@@ -34,7 +28,7 @@ class PlateOriginHeight(PlateError):
     fixed: ClassVar[tuple[Coefficient, ...]] = (Coefficient("height", "m"),)
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
     tested: ClassVar[bool] = False  # the pose is
-    height: float = key(0.02)
+    height: float = 0.02
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:

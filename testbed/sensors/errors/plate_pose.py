@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.transform import Transform
 from testbed.core.robot.inertia import from_vector
-from testbed.sensors.kind_table import key
-from testbed.sensors.sensor_error import (
-    PerAxis,
-    StageOrder,
-)
-from testbed.sensors.systematic_error import (
-    Coefficient,
-    PlateError,
-)
+from testbed.sensors.kind_table import SIGN, PerAxis
+from testbed.sensors.sensor_error import StageOrder
+from testbed.sensors.systematic_error import Coefficient, PlateError
 
 
 @dataclass(frozen=True)
@@ -43,8 +37,8 @@ class PlatePose(PlateError):
         for axis in "xyz"
     )
     stage: ClassVar[StageOrder] = StageOrder.SENSOR
-    rotation: PerAxis = key(3.5e-3, "axes", "sign")
-    translation: PerAxis = key(1e-3, "axes", "sign")
+    rotation: Annotated[PerAxis, SIGN] = 3.5e-3
+    translation: Annotated[PerAxis, SIGN] = 1e-3
 
     @classmethod
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Ge
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import key
-from testbed.sensors.sensor_error import (
-    AddedWrench,
-    PerAxis,
-)
+from testbed.sensors.kind_table import PerAxis
+from testbed.sensors.sensor_error import AddedWrench
 
 
 @dataclass(frozen=True)
@@ -27,8 +25,8 @@ class PlateRandomWalk(AddedWrench):
     """
 
     kind: ClassVar[str] = "plate_random_walk"
-    force: PerAxis = key(0.05, "axes", least=0)
-    moment: PerAxis = key(0.01, "axes", least=0)
+    force: Annotated[PerAxis, Ge(0)] = 0.05
+    moment: Annotated[PerAxis, Ge(0)] = 0.01
 
     def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Random walk of variance one a second, (M, 6) [sqrt(s)]."""

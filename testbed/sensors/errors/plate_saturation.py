@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Ge
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import key
-from testbed.sensors.sensor_error import (
-    PerChannel,
-    SensorError,
-    Signal,
-    StageOrder,
-)
+from testbed.sensors.kind_table import PerChannel
+from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 
 
 @dataclass(frozen=True)
@@ -33,7 +29,7 @@ class PlateSaturation(SensorError):
     kind: ClassVar[str] = "plate_saturation"
     signal: ClassVar[Signal] = "wrench"
     stage: ClassVar[StageOrder] = StageOrder.RANGE
-    covered: PerChannel = key(0.9, "channels", least=0)
+    covered: Annotated[PerChannel, Ge(0)] = 0.9
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """The wrench within the range, (M, 6) [N, N m]."""

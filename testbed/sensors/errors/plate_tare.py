@@ -7,10 +7,7 @@ from typing import ClassVar
 
 from testbed.core.robot.tree import Tree
 from testbed.sensors.errors.plate_bias import PlateBias
-from testbed.sensors.systematic_error import (
-    Coefficient,
-    of_channels,
-)
+from testbed.sensors.systematic_error import Coefficient, of_channels
 
 
 @dataclass(frozen=True)

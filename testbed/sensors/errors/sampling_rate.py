@@ -8,14 +8,8 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.sensors.predicted_wrench import PredictedWrench
-from testbed.sensors.sensor_error import (
-    Signal,
-    StageOrder,
-)
-from testbed.sensors.systematic_error import (
-    Coefficient,
-    SystematicError,
-)
+from testbed.sensors.sensor_error import Signal, StageOrder
+from testbed.sensors.systematic_error import Coefficient, SystematicError
 
 
 class SamplingRate(SystematicError):

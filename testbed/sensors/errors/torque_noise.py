@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
-from testbed.sensors.kind_table import PerJoint, key
-from testbed.sensors.sensor_error import (
-    NoiseError,
-    Signal,
-)
+from annotated_types import Ge
+
+from testbed.sensors.kind_table import PerJoint
+from testbed.sensors.sensor_error import NoiseError, Signal
 
 
 @dataclass(frozen=True)
@@ -24,4 +23,4 @@ class TorqueNoise(NoiseError):
 
     kind: ClassVar[str] = "torque_noise"
     signal: ClassVar[Signal] = "torque"
-    sigma: PerJoint = key(0.5, "joints", least=0)
+    sigma: Annotated[PerJoint, Ge(0)] = 0.5

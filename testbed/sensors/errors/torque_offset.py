@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.sensors.kind_table import PerJoint, each_joint, key
-from testbed.sensors.sensor_error import (
-    SensorError,
-    Signal,
-    StageOrder,
-)
+from testbed.sensors.kind_table import SIGN, PerJoint, each_joint
+from testbed.sensors.sensor_error import SensorError, Signal, StageOrder
 
 
 @dataclass(frozen=True)
@@ -30,7 +26,7 @@ class TorqueOffset(SensorError):
     kind: ClassVar[str] = "torque_offset"
     signal: ClassVar[Signal] = "torque"
     stage: ClassVar[StageOrder] = StageOrder.NOISE
-    error: PerJoint = key(1.0, "joints", "sign")
+    error: Annotated[PerJoint, SIGN] = 1.0
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Torques with the constant, (M, n) [N m or N]."""

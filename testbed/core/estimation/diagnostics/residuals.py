@@ -13,7 +13,7 @@ from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.noise.noise_model import NoiseModel
 from testbed.core.estimation.regression.normal_equations import TINY
 from testbed.core.estimation.sensor.estimates import TraceTest
-from testbed.sensors.catalogue import systematic
+from testbed.sensors.catalogue import systematic_errors
 from testbed.sensors.errors.encoder_zero_error import EncoderZeroError
 
 FALSE_ALARMS = 1e-6
@@ -60,7 +60,7 @@ def fault_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
         "the plate's residuals",
         best.shift,
         significance=float(-special.ndtri(max(best.chance / 2, TINY))),
-        method="external" if systematic()[best.nuisance].signal == "wrench" else "",
+        method="external" if systematic_errors()[best.nuisance].signal == "wrench" else "",
         causes=[*terms, *["level"] * bool(LIKE_TILT & {*terms}), "unmodelled-load"],
         chance=chance_text(best.chance),
         cause=phrase(best.nuisance),

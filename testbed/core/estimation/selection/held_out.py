@@ -14,17 +14,11 @@ from testbed.core.estimation.regression.normal_equations import (
     TINY,
     scaled_solve,
 )
-from testbed.core.robot.friction import (
-    ASYMMETRIC,
-    COULOMB,
-    OFFSET,
-    QUADRATIC,
-    SQUARE_ROOT,
-    STRIBECK,
-    VISCOUS,
-    JointLaw,
-    stribeck,
-)
+from testbed.core.robot.friction import COULOMB, OFFSET, STRIBECK, VISCOUS, stribeck
+from testbed.core.robot.joint_law import JointLaw
+from testbed.core.robot.laws.asymmetric import ASYMMETRIC
+from testbed.core.robot.laws.quadratic import QUADRATIC
+from testbed.core.robot.laws.square_root import SQUARE_ROOT
 
 ALWAYS = (COULOMB, VISCOUS)
 """What every joint has."""

@@ -36,11 +36,11 @@ from testbed.core.robot.friction import (
     ROTOR,
     STRIBECK,
     VARYING,
-    JointLaw,
     JointTerm,
     joint_terms,
     stribeck,
 )
+from testbed.core.robot.joint_law import JointLaw
 
 SPEEDS = tuple(np.geomspace(0.01, 1.0, 13).tolist())
 """First look [rad/s or m/s]."""

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.estimation.regression.constraints import LinearConstraints
 from testbed.core.robot.tree import Tree
-from testbed.sensors.catalogue import estimated
+from testbed.sensors.catalogue import estimable_errors
 from testbed.sensors.systematic_error import SystematicError
 
 
@@ -43,7 +43,7 @@ class CalibrationCovariance:
         named = set(self.names)
         return [
             n
-            for n in estimated()
+            for n in estimable_errors()
             if n not in asked
             and not n.of_one_recording
             and named & {each.name for each in n.coefficients(tree)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from testbed.sensors.catalogue import systematic
+from testbed.sensors.catalogue import systematic_errors
 
 NEARLY = 0.6
 """Part of what a cause explains that a simpler one among it has to explain to be named first."""
@@ -87,7 +87,7 @@ def in_order(tests: Iterable[TraceTest]) -> tuple[TraceTest, ...]:
 
     def rank(test: TraceTest) -> tuple[float, int]:
         own = test.clearness
-        held = [clearness.get(kind, 0.0) for kind in systematic()[test.nuisance].contains]
+        held = [clearness.get(kind, 0.0) for kind in systematic_errors()[test.nuisance].contains]
         nearly = [other for other in held if other > NEARLY * own > 0]
         return -min([own, *nearly]), len(nearly)
 

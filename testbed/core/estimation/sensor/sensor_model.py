@@ -47,7 +47,7 @@ from testbed.core.estimation.sensor.unknowns import (
 from testbed.core.estimation.settings import Settings
 from testbed.core.recordings.source import Source
 from testbed.core.robot.tree import Tree
-from testbed.sensors.catalogue import estimated, tested
+from testbed.sensors.catalogue import candidate_errors, estimable_errors
 from testbed.sensors.corrected import Corrected
 from testbed.sensors.errors.plate_bias import PlateBias
 from testbed.sensors.errors.plate_drift import PlateDrift
@@ -116,9 +116,9 @@ class SensorModel:
         settings, names, tree = problem.settings, problem.names, problem.layout.tree
         plate = problem.method == "external"
         terms = settings.nuisances if plate else ()
-        asked = [error for error in estimated() if error.term in terms]
+        asked = [error for error in estimable_errors() if error.term in terms]
         calibrated = doubt.nuisances(tree, asked) if plate and doubt is not None else []
-        asked = [error for error in estimated() if error in asked or error in calibrated]
+        asked = [error for error in estimable_errors() if error in asked or error in calibrated]
         _check_cut(tree, asked)
         every = unknowns_of(tree, asked)
         given = {n: v for n, v in settings.facts.items() if plate or n in names}
@@ -130,7 +130,7 @@ class SensorModel:
         _check_whole(every, nonidentifiable, settings)
         tests = plate and settings.row_low_pass is not None
         covered = {term for error in asked for term in (error.term, *error.contains)}
-        others = [error for error in tested() if tests and error.term not in covered]
+        others = [error for error in candidate_errors() if tests and error.term not in covered]
         return cls(
             settings=settings,
             unknowns=unknowns,

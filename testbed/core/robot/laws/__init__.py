@@ -1,0 +1,3 @@
+"""Laws of joints' torques, one a module; `testbed.core.robot.friction` finds them."""
+
+from __future__ import annotations
