@@ -12,7 +12,6 @@ from typing import cast
 from testbed.core.base.errors import UnknownName
 from testbed.core.robot.tree import Tree
 from testbed.sensors import errors
-from testbed.sensors.kind_table import of_table
 from testbed.sensors.sensor_error import SensorError
 from testbed.sensors.systematic_error import SystematicError
 
@@ -98,15 +97,3 @@ def errors_of(
         for error, own in coefficients.items()
         if any(each.name in names for each in own)
     }
-
-
-def error_of(table: object) -> SensorError:
-    """Sensor error of the table that an experiment file has.
-
-    Args:
-        table: `kind` and the kind's own keys; a sensor error is returned as it is.
-
-    Raises:
-        SettingsError: The kind or a key is not known, or a value is none that it takes.
-    """
-    return of_table(table, "fault", simulated_errors())

@@ -16,10 +16,7 @@ stream each, numbered in their order: one more goes last.
 
 from __future__ import annotations
 
-import hashlib
 from abc import abstractmethod
-from collections import Counter
-from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from enum import IntEnum
 from typing import Any, ClassVar, Literal, Self
@@ -31,9 +28,6 @@ from testbed.sensors.kind_table import COUNTS, KindTable, PerAxis, PerJoint, eac
 
 Signal = Literal["position", "torque", "wrench", "tare"]
 """Signals that have errors; the tare is the wrench of the plate at rest without the robot."""
-
-_FIRST_STREAMS = {"encoder_noise": 0, "torque_noise": 1, "plate_noise": 2}
-"""Streams of the kinds that were there before kinds had names; their noise stays the same."""
 
 FULL_SCALE = (500.0, 500.0, 1000.0, 200.0, 200.0, 100.0)
 """Largest values that the plate's channels can show [N, N m]: a plate for loads of 100 kg."""
@@ -167,47 +161,3 @@ def sampling_time(time: Array) -> float:
         time: Uniform, (M,) [s].
     """
     return float((time[-1] - time[0]) / (len(time) - 1))
-
-
-def stream(kind: str, seed: int, number: int = 0, use: str = "") -> np.random.Generator:
-    """Random numbers of an error.
-
-    Args:
-        kind: Of the error.
-        seed: Of the recording.
-        number: Of the error among those of its kind in its chain.
-        use: What the numbers are for; by default the noise of a recording.
-    """
-
-    def code(word: str) -> int:
-        return int.from_bytes(hashlib.sha256(word.encode()).digest()[:4], "big")
-
-    key = [_FIRST_STREAMS.get(kind, code(kind))]
-    if number or use:
-        key += [number, code(use)]
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(key)))
-
-
-def number_kinds(chain: Iterable[SensorError]) -> Iterator[tuple[SensorError, int]]:
-    """Errors, each with its number among those of its kind."""
-    seen: Counter[str] = Counter()
-    for error in chain:
-        yield error, seen[error.kind]
-        seen[error.kind] += 1
-
-
-def apply_chain(
-    chain: Iterable[SensorError], signal: Array, time: Array, seed: int, use: str = ""
-) -> Array:
-    """Signal after a chain of errors, in their order.
-
-    Args:
-        chain: The errors.
-        signal: (M, k).
-        time: (M,) [s].
-        seed: Of the recording.
-        use: What is measured, where it is not a recording's signal: it has noise of its own.
-    """
-    for error, number in number_kinds(chain):
-        signal = error.apply(signal, time, stream(error.kind, seed, number, use))
-    return signal

@@ -27,7 +27,8 @@ from testbed.core.estimation.sensor.predicted_wrench import row_filter
 from testbed.core.estimation.sensor.unknowns import Columns, unknowns_of
 from testbed.core.kernel.layout import layout
 from testbed.lab.experiment.plate_file import read_plate, write_plate
-from testbed.sensors.catalogue import error_of, estimable_errors, systematic_errors
+from testbed.sensors.catalogue import estimable_errors, systematic_errors
+from testbed.sensors.kind_reader import error_of
 from testbed.sensors.sensor_error import SensorError
 from testbed.sensors.shifted_signals import shifted
 from tests.helpers.ideal import EXACT, ideal, plus

@@ -19,10 +19,12 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError, TestbedError
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.lab.instruments.chain import Instrument, measure, measured_again
+from testbed.lab.instruments.error_chain import apply_chain, stream
 from testbed.lab.instruments.plates import PLATES
-from testbed.sensors.catalogue import error_of, simulated_errors
+from testbed.sensors.catalogue import simulated_errors
+from testbed.sensors.kind_reader import error_of
 from testbed.sensors.kinds_in_words import in_words
-from testbed.sensors.sensor_error import FULL_SCALE, SensorError, StageOrder, apply_chain, stream
+from testbed.sensors.sensor_error import FULL_SCALE, SensorError, StageOrder
 from tests.helpers.ideal import ideal
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses

@@ -17,6 +17,7 @@ import testbed as tb
 from testbed.core.base.arrays import Array
 from testbed.importing.check.check import assess
 from testbed.sensors import catalogue, errors
+from testbed.sensors.kind_reader import error_of
 from testbed.sensors.kinds_in_words import in_words
 from testbed.sensors.sensor_error import SensorError
 from tests.helpers.foreign_files import imported, npz, some_log
@@ -80,7 +81,7 @@ def test_one_file_adds_one_error_everywhere(drift: type[SensorError], tmp_path: 
     wrench, time = good.measured("wrench"), good.time
     bad = replace(good, wrench=wrench * (1 + RATE * centred(time) * fx))
     table = {"kind": KIND, "rate": [RATE, 0, 0, 0, 0, 0]}
-    shown = catalogue.error_of(table).apply(wrench, time, np.random.default_rng(0))
+    shown = error_of(table).apply(wrench, time, np.random.default_rng(0))
     np.testing.assert_allclose(shown, wrench * (1 + RATE * time[:, None] * fx), rtol=1e-14)
     plain = tb.identify(tree, bad)
     assert any(KIND in each.causes for each in plain.diagnostics)

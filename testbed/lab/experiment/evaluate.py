@@ -29,7 +29,7 @@ from testbed.lab.experiment.rig import sensed_robot
 from testbed.lab.experiment.run import Run, assemble_run
 from testbed.lab.experiment.score import relative_errors, root_mean_square, shared_errors
 from testbed.lab.instruments.chain import Instrument, measured_again
-from testbed.sensors.sensor_error import stream
+from testbed.lab.instruments.error_chain import stream
 
 FINE = SimulationTable().step
 """Step up to which the floor is not looked for [s]: it is below what instruments leave."""

@@ -12,7 +12,7 @@ from testbed.core.base.toml_text import Finite, NotNegative, Positive
 from testbed.lab.experiment.robot_tables import StrictTable
 from testbed.lab.simulation.effect import Effect
 from testbed.lab.simulation.effects import effect_of
-from testbed.sensors.kind_table import AsTable
+from testbed.sensors.kind_reader import AsTable
 
 ALWAYS_JUDGED = (
     "external_rms_relative_error",

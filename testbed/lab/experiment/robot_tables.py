@@ -18,8 +18,7 @@ from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.rotations import from_rpy
 from testbed.core.robot.shafts import with_shafts
 from testbed.core.robot.tree import Tree
-from testbed.sensors.catalogue import error_of
-from testbed.sensors.kind_table import AsTable
+from testbed.sensors.kind_reader import AsTable, error_of
 from testbed.sensors.sensor_error import FULL_SCALE, SensorError
 
 Range = tuple[Finite, Finite]

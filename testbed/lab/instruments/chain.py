@@ -11,8 +11,8 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
 from testbed.core.recordings.recording import Recording, Truth
+from testbed.lab.instruments.error_chain import apply_chain, number_kinds, stream
 from testbed.lab.instruments.plates import PLATES
-from testbed.sensors.catalogue import error_of
 from testbed.sensors.errors.encoder_instant_sampling import EncoderInstantSampling
 from testbed.sensors.errors.encoder_noise import EncoderNoise
 from testbed.sensors.errors.encoder_resolution import EncoderResolution
@@ -20,15 +20,9 @@ from testbed.sensors.errors.measured_tare import MeasuredTare
 from testbed.sensors.errors.plate_noise import PlateNoise
 from testbed.sensors.errors.torque_constant_error import TorqueConstantError
 from testbed.sensors.errors.torque_noise import TorqueNoise
-from testbed.sensors.kind_table import AsTable, Key
-from testbed.sensors.sensor_error import (
-    FULL_SCALE,
-    SensorError,
-    Signal,
-    apply_chain,
-    number_kinds,
-    stream,
-)
+from testbed.sensors.kind_reader import AsTable, error_of
+from testbed.sensors.kind_table import Key
+from testbed.sensors.sensor_error import FULL_SCALE, SensorError, Signal
 
 _SIZES: Mapping[str, Key] = {
     "rate": Key(positive=True),

@@ -18,11 +18,7 @@ from testbed.core.robot.inertia import Inertia, about
 from testbed.core.robot.rotations import align_z
 from testbed.core.robot.tree import Tree
 from testbed.lab.simulation.effect import Effect
-from testbed.sensors.kind_table import (
-    PerAxis,
-    PerJoint,
-    each_joint,
-)
+from testbed.sensors.kind_table import PerAxis, PerJoint, each_joint
 
 MASSLESS = 1e-9
 """Mass of a body of which only the inertia counts [kg]: MuJoCo needs one."""

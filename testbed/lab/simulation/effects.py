@@ -13,7 +13,7 @@ from testbed.lab.simulation.joint_friction import (
     Stribeck,
     WarmingDrives,
 )
-from testbed.sensors.kind_table import of_table
+from testbed.sensors.kind_reader import of_table
 
 KINDS: Mapping[str, type[Effect]] = {
     effect.kind: effect

@@ -19,10 +19,7 @@ from testbed.core.robot.friction import COULOMB, ROOM, ROTOR, VISCOUS, fading, j
 from testbed.core.robot.tree import Tree
 from testbed.lab.simulation.effect import Effect, StepForces
 from testbed.lab.simulation.gear_friction import Gears
-from testbed.sensors.kind_table import (
-    PerJoint,
-    each_joint,
-)
+from testbed.sensors.kind_table import PerJoint, each_joint
 
 SMOOTH = 0.01
 """Speed over which a sign is smoothed [rad/s or m/s]."""
