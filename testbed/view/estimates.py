@@ -18,8 +18,8 @@ from testbed.core.estimation.influence import by_influence
 from testbed.core.estimation.selection.held_out import HeldOut, TermChoice
 from testbed.core.estimation.sensor.estimates import TraceTest
 from testbed.core.recordings.columns import AXES
-from testbed.lab.experiment.run import SAID, Run, matrix_errors
-from testbed.view.section import HeatTable, Table
+from testbed.lab.experiment.run import Run
+from testbed.view.section import Table
 
 if TYPE_CHECKING:
     from testbed.applications.payload.payload import PayloadEstimate
@@ -310,23 +310,6 @@ def _test(test: TraceTest, sensor: str) -> list[str]:
         _chance(test.chance),
         shift,
         "; ".join(test.largest(LARGEST)),
-    ]
-
-
-def matrix_maps(run: Run) -> list[HeatTable]:
-    """The plate's matrix before and after calibration: its errors, and sigma of each; [] for none.
-
-    Args:
-        run: The run.
-    """
-    found = matrix_errors(run)
-    if found is None:
-        return []
-    most = found.most or 1.0
-    tables = {"Before: error of the matrix": found.error, "After: standard deviation": found.sigma}
-    return [
-        HeatTable.of_shares(f"{title}, {SAID}", AXES, AXES, values, np.abs(values) / most)
-        for title, values in tables.items()
     ]
 
 

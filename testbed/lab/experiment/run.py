@@ -15,7 +15,6 @@ from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.posterior import Posterior
 from testbed.bodies.prior import Prior
 from testbed.bodies.verdict import WELL, verdict_of
-from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import (
     Diagnosed,
     Diagnostic,
@@ -41,7 +40,6 @@ from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.selection.chosen import with_chosen_settings
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.settings import DEFAULTS, Settings
-from testbed.core.recordings.columns import AXES
 from testbed.core.recordings.geometry import in_its_gravity
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.views import on_its_base, with_gear
@@ -372,49 +370,3 @@ def _drives(
     except TestbedError as error:
         return None, (diagnose("drives.missing", "the drives", reason=error),)
     return found, found.diagnostics
-
-
-SAID = "of what the channel (row) reaches, by what the component (column) reaches [%]"
-"""What the numbers are parts of."""
-
-
-@dataclass(frozen=True, eq=False)
-class MatrixErrors:
-    """In parts of what the channel reaches, by what the component reaches [%].
-
-    Attributes:
-        error: Of the plate as it is, (6, 6): what calibration takes away.
-        sigma: Of the calibration, (6, 6): what it leaves.
-    """
-
-    error: Array
-    sigma: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, error=(6, 6), sigma=(6, 6))
-
-    @property
-    def most(self) -> float:
-        """The largest of all, without sign [%]."""
-        return float(max(np.abs(self.error).max(), self.sigma.max()))
-
-
-def matrix_errors(run: Run) -> MatrixErrors | None:
-    """Of a run in which the plate's matrix was estimated; else None.
-
-    Args:
-        run: The run.
-    """
-    external = run.estimates.get("external")
-    found = {n.name: n for n in external.nuisances} if external is not None else {}
-    if not any(name.startswith("crosstalk/") for name in found) or run.recording.wrench is None:
-        return None
-    error, sigma = np.zeros((2, 6, 6))
-    for i, shown in enumerate(AXES):
-        for j, felt in enumerate(AXES):
-            number = found.get(f"gain/{shown}" if i == j else f"crosstalk/{shown}/{felt}")
-            if number is not None:
-                error[i, j], sigma[i, j] = number.value - (i == j), number.sigma
-    reach = np.abs(run.recording.wrench).max(axis=0)
-    share = 100 * np.outer(1 / np.where(reach > 0, reach, 1.0), reach)
-    return MatrixErrors(error * share, sigma * share)
