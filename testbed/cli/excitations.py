@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.reading import Force, Json, Set, app, check_outputs, ending, note
+from testbed.cli.options import Force, Json, Set, check_outputs, command, ending, note
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.installation import own_or_shipped
 
@@ -25,7 +25,7 @@ TIMED = 3
 """Steps by which the time that all would take is known."""
 
 
-@app.command()
+@command()
 def excite(
     file: Annotated[
         Path,

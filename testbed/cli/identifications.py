@@ -11,39 +11,28 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.opening import corrected_source, opened
-from testbed.cli.reading import (
+from testbed.cli.options import (
     Everything,
+    Fields,
     Force,
     Gravity,
     Json,
-    Lock,
-    LockMimic,
     OtherModel,
     Plate,
-    Reading,
     RecordingSet,
     RobotModel,
-    Sensor,
-    Terms,
     Threads,
     Timings,
-    Unchecked,
-    Weld,
-    Zeros,
-    app,
     check_outputs,
+    command,
 )
+from testbed.cli.reading import Reading
 from testbed.core.base.diagnostics import diagnose
 
 if TYPE_CHECKING:
     from testbed.applications.drives.identify_drives import DriveFindings
     from testbed.bodies.consistency.consistent import Consistent
-    from testbed.bodies.consistency.options import ConsistencyOptions
-    from testbed.bodies.prior import Prior
-    from testbed.cli.reading import Reading
     from testbed.core.base.diagnostics import Diagnostic
-    from testbed.core.estimation.estimate import Estimate
-    from testbed.core.recordings.source import Source
 
 
 class Fixed(StrEnum):
@@ -79,56 +68,30 @@ InPlace = Annotated[
 ]
 
 
-def prior_of_bodies(
-    reading: Reading, model: Path, source: Source
-) -> tuple[Prior, ConsistencyOptions]:
-    """Prior and conditions of consistent bodies for a recording.
-
-    Args:
-        reading: How the model file is read, and what is wished.
-        model: The model file.
-        source: The recording.
-    """
-    from testbed.bodies.prior import prior_of
-    from testbed.core.recordings.views import with_gear
-
-    tree = with_gear(reading.tree(model), source)
-    return prior_of(tree), reading.tables().consistent
-
-
 @dataclass(frozen=True)
 class Writing:
-    """What was said of consistent bodies.
+    """Options of consistent bodies and of the model file that holds them."""
 
-    Attributes:
-        consistent: Whether they are wanted.
-        write: The file to write, which wants them too.
-        fixed: What fixed links get.
-        in_place: Whether the model file may be replaced.
-        force: Whether another file may be.
-    """
-
-    consistent: bool = False
-    write: Path | None = None
-    fixed: Fixed = Fixed.lump
-    in_place: bool = False
-    force: bool = False
+    consistent: ConsistentBodies = False
+    write: Write = None
+    fixed: FixedLinks = Fixed.lump
+    in_place: InPlace = False
+    force: Force = False
 
     @property
     def wanted(self) -> bool:
         """Whether consistent bodies are to be made."""
         return self.consistent or self.write is not None
 
-    def check(self, reading: Reading, model: Path, recordings: Sequence[Path]) -> None:
-        """Whether the file may be written, and conditions are of use: said before the work.
+    def check(self, reading: Reading, recordings: Sequence[Path]) -> None:
+        """Check, before the work, that the file may be written and conditions are of use.
 
         Args:
             reading: What is wished.
-            model: The model file.
             recordings: What is identified, which is not replaced.
 
         Raises:
-            ModelError: It may not.
+            ModelError: The file may not be written.
             SettingsError: Something is wished of bodies that nobody asked for.
         """
         from testbed.bodies.consistency.options import ConsistencyOptions
@@ -136,39 +99,22 @@ class Writing:
         from testbed.core.base.errors import SettingsError
 
         default = ConsistencyOptions()
-        asked = replace(reading.tables().consistent, prior_error=default.prior_error)
+        asked = replace(reading.tables.consistent, prior_error=default.prior_error)
         if not self.wanted and asked != default:
             raise SettingsError("--set consistent... needs --consistent")
         if self.in_place and self.write is None:
             raise SettingsError("--in-place needs --write FILE")
         if self.write is not None:
+            model = reading.file.path
             check_place(model, self.write, over_source=self.in_place)
             own = self.in_place and self.write.resolve() == model.resolve()
             read = *recordings, reading.plate
             check_outputs(self.write, force=self.force or own, read=read)
 
-    def bodies(
-        self, reading: Reading, model: Path, source: Source, estimates: Sequence[Estimate]
-    ) -> Consistent:
-        """Consistent bodies by estimates of a recording.
-
-        Args:
-            reading: How the model file is read, and what is wished.
-            model: The model file.
-            source: The recording.
-            estimates: Of the recording.
-        """
-        from testbed.bodies.consistency.consistent import consistent
-        from testbed.core.recordings.views import with_gear
-
-        tree = with_gear(reading.tree(model), source)
-        return consistent(tree, estimates, *prior_of_bodies(reading, model, source))
-
     def written(
         self,
         found: Consistent,
         reading: Reading,
-        model: Path,
         recordings: Sequence[Path],
         drives: DriveFindings | None = None,
         delay: float = 0.0,
@@ -178,7 +124,6 @@ class Writing:
         Args:
             found: Consistent bodies.
             reading: How the model file is read.
-            model: The model file.
             recordings: What it was identified from.
             drives: Their friction, rotors and torque constants are written, too.
             delay: Of their commands [s].
@@ -193,14 +138,13 @@ class Writing:
 
         if self.write is None:
             return found.diagnostics
-        file = reading.model_file(model)
-        robot = robot_of(found, file.tree())
+        robot = robot_of(found, reading.file.tree())
         return found.diagnostics + write_model(
-            file,
+            reading.file,
             robot if drives is None else with_drives(robot, drives),
             self.write,
             fixed=self.fixed.value,
-            note=provenance(found, file, recordings),
+            note=provenance(found, reading.file, recordings),
             over_source=self.in_place,
             gears=None if drives is None else drives.gears,
             delay=delay,
@@ -213,7 +157,7 @@ class _Method(StrEnum):
     both = "both"
 
 
-@app.command()
+@command()
 def identify(
     recordings: Annotated[
         list[Path],
@@ -221,27 +165,18 @@ def identify(
             metavar="RECORDING...", help="Recordings (Parquet) or mapping files of one robot."
         ),
     ],
-    model: RobotModel,
-    settings: RecordingSet = None,
+    reading: Annotated[
+        Reading,
+        Fields(
+            "settings zeros gravity sensor weld_root lock lock_mimic plate terms unchecked threads",
+            model=RobotModel,
+        ),
+    ],
+    writing: Annotated[Writing, Fields("consistent write fixed in_place force")],
     method: Annotated[
         _Method, typer.Option(help="external: force plate, internal: joint torques.")
     ] = _Method.both,
-    zeros: Zeros = False,
-    gravity: Gravity = None,
-    sensor: Sensor = None,
-    weld_root: Weld = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
-    plate: Plate = None,
-    terms: Terms = None,
     plain: Plain = False,
-    consistent: ConsistentBodies = False,
-    write: Write = None,
-    fixed: FixedLinks = Fixed.lump,
-    in_place: InPlace = False,
-    force: Force = False,
-    unchecked: Unchecked = False,
-    threads: Threads = None,
     timings: Timings = False,
     everything: Everything = False,
     as_json: Json = False,
@@ -263,34 +198,29 @@ def identify(
     from testbed.core.recordings.views import is_imported
     from testbed.view import output, terminal
 
-    reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms, sensor)
-    writing = Writing(consistent, write, fixed, in_place, force)
-    writing.check(reading, model, recordings)
-    reading, source, said = reading.joined(recordings, model, unchecked=unchecked)
-    tree = reading.tree(model)
+    writing.check(reading, recordings)
+    reading, source, said = reading.joined(recordings)
+    tree = reading.tree
     if reading.prior_error and not (writing.wanted or is_imported(source)):
         raise SettingsError("--set consistent... needs --consistent, or an imported recording")
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
     said = [*tree.diagnostics, *said]
     if (everything or as_json) and not tree.is_part:  # no fault: few recordings have both
+        lacking = [name for name in wanted if name not in there]
         said += [
-            diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m])
-            for m in wanted
-            if m not in there
+            diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking
         ]
     with output.Progress("identifying") as progress:
         found = analyse(
             tree,
             source,
-            reading.tables().identification,
             methods=there or wanted,  # the first says what lacks
-            gravity=gravity,
-            doubt=reading.doubt(tree),
+            doubt=reading.doubt,
             prior_error=reading.prior_error,
-            bodies=prior_of_bodies(reading, model, source) if writing.wanted else None,
-            threads=threads,
+            bodies=reading.bodies(source) if writing.wanted else None,
             progress=progress,
+            **reading.arguments,
         )
     for name, error in found.failures.items():
         if plain or name not in found.posterior:
@@ -299,15 +229,15 @@ def identify(
     if found.bodies_failure is not None:
         raise found.bodies_failure
     if found.bodies is not None:
-        said += writing.written(found.bodies, reading, model, recordings)
+        said += writing.written(found.bodies, reading, recordings)
     estimates, posteriors = list(found.estimates.values()), list(found.posterior.values())
     if as_json:
         from testbed.lab.experiment.results import identified
 
         result = identified(
             estimates,
-            reading.model_file(model),
-            reading.tables(),
+            reading.file,
+            reading.tables,
             said,
             found.bodies,
             found.posterior,
@@ -323,11 +253,11 @@ def identify(
         plain=plain,
         everything=everything,
     )
-    if write is not None:
-        output.print_lines([f"model file: {write}"], ())
+    if writing.write is not None:
+        output.print_lines([f"model file: {writing.write}"], ())
 
 
-@app.command()
+@command()
 def validate(
     recording: Annotated[
         Path, typer.Argument(metavar="RECORDING", help="Recording of another motion (Parquet).")
@@ -385,7 +315,7 @@ def validate(
         terminal.print_validations(list(found.values()), said)
 
 
-@app.command()
+@command()
 def sample(
     result: Annotated[
         Path,

@@ -10,21 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.reading import (
-    Force,
-    Json,
-    Lock,
-    LockMimic,
-    OtherModel,
-    Reading,
-    RecordingSet,
-    Unchecked,
-    Weld,
-    app,
-    check_outputs,
-    ending,
-    note,
-)
+from testbed.cli.options import Fields, Force, Json, check_outputs, command, ending, note
+from testbed.cli.reading import Reading
 from testbed.core.base.diagnostics import Diagnostic, diagnose, ordered
 from testbed.core.base.errors import RecordingError, few
 from testbed.core.base.file_kinds import LOG, kind_of, misplaced
@@ -38,7 +25,6 @@ if TYPE_CHECKING:
 def write_mapping(
     files: Sequence[Path],
     out: Path | None,
-    model: Path | None,
     reading: Reading,
     page: Path | None = None,
 ) -> MappingSolution | None:
@@ -47,8 +33,7 @@ def write_mapping(
     Args:
         files: Of other programs.
         out: Mapping file to write.
-        model: The robot's file, if it is known.
-        reading: How that is read.
+        reading: The robot's model file, if it is known, and how it is read.
         page: HTML file to write of what was solved.
 
     Returns:
@@ -67,11 +52,11 @@ def write_mapping(
     folder, found = out.parent if out else Path(), None
     written = out or folder / "mapping.toml"
     with output.Progress("reading"):
-        if model is None:
+        if reading.model is None:
             draft = guessed(files, folder)
         else:
-            draft, file, tree = draft_mapping(files, folder, reading.model_file(model))
-    if model is not None:
+            draft, file, tree = draft_mapping(files, folder, reading.file)
+    if reading.model is not None:
         with output.Progress("solving the mapping, hypotheses") as bar:
             found = solve_mapping(draft, written, tree, bar)
         draft = found.draft
@@ -98,8 +83,7 @@ def write_mapping(
     notes = {f"{table}.{key}".removeprefix("."): said for (table, key), said in draft.notes.items()}
     note(f"{out}:{draft.line(key)}: {key}: {notes.get(key, 'not found')}" for key in empty)
     fill = f"fill in what is empty ({', '.join(empty)}), then " if empty else ""
-    words = ["import", out, "--out", out.with_suffix(".parquet"), "--model", model or "ROBOT"]
-    words += reading.model_words
+    words = ["import", out, "--out", out.with_suffix(".parquet"), *reading.model_words]
     typer.echo(f"{out}: {fill}testbed {shlex.join(map(str, words))}")
     return None if empty else found
 
@@ -112,7 +96,7 @@ def _refused(refusal: Exception, draft: MappingDraft, written: Path) -> Recordin
     return RecordingError(f"{written}:{number}: {reason}")
 
 
-@app.command("import")
+@command("import")
 def import_(
     files: Annotated[
         list[Path],
@@ -128,7 +112,8 @@ def import_(
     guess: Annotated[
         bool, typer.Option("--guess", help="Write a draft mapping of the file.")
     ] = False,
-    model: OtherModel = None,
+    *,
+    reading: Annotated[Reading, Fields("model settings weld_root lock lock_mimic unchecked")],
     align: Annotated[
         bool, typer.Option("--align", help="Correct delays of torques and plate (needs --model).")
     ] = False,
@@ -139,11 +124,6 @@ def import_(
             help="With --guess and --model: HTML page of the solution.",
         ),
     ] = None,
-    unchecked: Unchecked = False,
-    settings: RecordingSet = None,
-    weld_root: Weld = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -164,13 +144,13 @@ def import_(
     for each in files:
         if not guess and each.suffix.lower() != ".toml":
             raise typer.BadParameter(misplaced(each, kind_of(each) or LOG, "mapping"))
+    model = reading.model
     if page is not None and not (guess and model):
         raise typer.BadParameter("--page is of a mapping: --guess and --model go with it")
     logs = () if guess or out is None else sources(files[0])
     check_outputs(out, page, force=force, read=(*files, model, *logs))
-    reading = Reading(settings, False, weld_root, lock, lock_mimic)
     if guess:
-        write_mapping(files, out, model, reading, page)
+        write_mapping(files, out, reading, page)
         return
     if len(files) > 1:
         raise typer.BadParameter(f"one mapping at a time, not {len(files)}; it may name many files")
@@ -188,12 +168,12 @@ def import_(
         with output.Progress("importing, checking against the robot") as bar:
             made, cuts, report = import_and_check(
                 mapping,
-                lambda one: reading.robot_of(one, model)[1:],
+                reading.robot_of,
                 align=align,
-                unchecked=unchecked,
+                unchecked=reading.unchecked,
                 progress=bar,
             )
-        checked = [*reading.robot_of(made[0], model)[1].diagnostics, *report.diagnostics]
+        checked = [*reading.robot_of(made[0])[0].diagnostics, *report.diagnostics]
     taken = " (corrected)" if align else ""
     lines = [
         each.diagnostic().text + (taken if each.matters else ", not significant")

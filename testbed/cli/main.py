@@ -106,7 +106,7 @@ def _command() -> int:
     import warnings
 
     from testbed.cli.commands import app
-    from testbed.cli.reading import joined_vectors
+    from testbed.cli.options import joined_vectors
     from testbed.core.base.cache import cache_folder
     from testbed.core.base.files import guarded
 

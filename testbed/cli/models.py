@@ -10,21 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
-from testbed.cli.reading import (
+from testbed.cli.options import (
+    Fields,
     Force,
     Gravity,
     Json,
-    Lock,
-    LockMimic,
     Model,
-    Reading,
-    Sensor,
-    Weld,
     Zero,
     Zeros,
-    app,
     check_outputs,
+    command,
 )
+from testbed.cli.reading import Reading
 from testbed.core.base.errors import UnknownName
 
 if TYPE_CHECKING:
@@ -56,9 +53,8 @@ class _Language(StrEnum):
     c = "c"
 
 
-@app.command()
+@command()
 def minimal(
-    model: Model,
     zeros: Zeros = False,
     zero: Zero = None,
     gravity: Gravity = None,
@@ -83,10 +79,8 @@ def minimal(
     matrices: Annotated[
         bool, typer.Option("--matrices/--no-matrices", help="With --json: include the matrices.")
     ] = True,
-    sensor: Sensor = None,
-    weld_root: Weld = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
+    *,
+    reading: Annotated[Reading, Fields("sensor weld_root lock lock_mimic", model=Model)],
     as_json: Json = False,
 ) -> None:
     """Print what joint torques and what a force plate or sensor can identify of a robot.
@@ -99,7 +93,7 @@ def minimal(
     from testbed.view import output
     from testbed.view.minimal_sets import Findings, as_document, print_latex, print_sets
 
-    tree = Reading(None, False, weld_root, lock, lock_mimic, sensor=sensor).tree(model)
+    tree = reading.tree
     known = _known(zeros, zero)
     with output.Progress("deriving"):
         dynamic = minimal_set(tree, "dynamic", gravity, known)
@@ -122,9 +116,8 @@ def minimal(
     raise typer.Exit(0 if found.hold else 1)
 
 
-@app.command()
+@command()
 def equations(
-    model: Model,
     what: Annotated[list[_What] | None, typer.Option(help="Which equations; repeatable.")] = None,
     form: Annotated[
         _Form,
@@ -146,9 +139,8 @@ def equations(
     max_terms: Annotated[
         int | None, typer.Option(min=1, help="Largest number of terms; default 150000.")
     ] = None,
-    weld_root: Weld = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
+    *,
+    reading: Annotated[Reading, Fields("weld_root lock lock_mimic", model=Model)],
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -165,8 +157,8 @@ def equations(
     from testbed.equations.robot import right_angles
     from testbed.view import output
 
-    tree = Reading(None, False, weld_root, lock, lock_mimic).tree(model)
-    tree = right_angles(tree) if square else tree
+    model = reading.file.path
+    tree = right_angles(reading.tree) if square else reading.tree
     check_outputs(out, force=force, read=(model, against))
     if zeros and zero:
         raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")
@@ -231,7 +223,7 @@ def _compare(
 Kind = Annotated[str | None, typer.Argument(metavar="KIND", help="One of them, with its keys.")]
 
 
-@app.command("list")
+@command("list")
 def list_(kind: Kind = None) -> None:
     """List errors of encoders, drives and plate, and effects in the plant, for experiments.
 

@@ -7,35 +7,34 @@ from typing import Annotated
 
 import typer
 
-from testbed.cli.calibrations import Flange, Vendor, flange_link, print_for
+from testbed.cli.calibrations import Controller
 from testbed.cli.opening import opened
-from testbed.cli.reading import (
-    Gravity,
-    Json,
-    Lock,
-    LockMimic,
-    Reading,
-    RecordingSet,
-    RobotModel,
-    Threads,
-    Weld,
-    app,
-)
+from testbed.cli.options import Fields, Json, RobotModel, command
+from testbed.cli.reading import Reading
+
+ToolSensor = Annotated[
+    str,
+    typer.Option(
+        "--sensor", metavar="NAME|LINK", help="The force sensor, or the first link beyond it."
+    ),
+]
 
 
-@app.command()
+@command()
 def tool(
     recording: Annotated[
         Path,
         typer.Argument(metavar="FILE", help="Recording in motion; with --at-rest, table of poses."),
     ],
-    model: RobotModel,
-    sensor: Annotated[
-        str,
-        typer.Option(
-            "--sensor", metavar="NAME|LINK", help="The force sensor, or the first link beyond it."
+    reading: Annotated[
+        Reading,
+        Fields(
+            "settings gravity weld_root lock lock_mimic threads",
+            model=RobotModel,
+            sensor=ToolSensor,
         ),
     ],
+    controller: Annotated[Controller, Fields("vendor flange")],
     at_rest: Annotated[
         bool,
         typer.Option(
@@ -46,14 +45,6 @@ def tool(
         bool,
         typer.Option("--degrees", help="With --at-rest: angles without a unit are in degrees."),
     ] = False,
-    settings: RecordingSet = None,
-    gravity: Gravity = None,
-    weld_root: Weld = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
-    vendor: Vendor = None,
-    flange: Flange = None,
-    threads: Threads = None,
     as_json: Json = False,
 ) -> None:
     """Find mass, centre and inertia of the tool that a force sensor carries.
@@ -78,44 +69,37 @@ def tool(
     from testbed.view import estimates as shown
     from testbed.view import output, terminal
 
-    if vendor is not None and as_json:
-        raise SettingsError("--as and --json are two forms of one answer: give one of them")
-    reading = Reading(settings, False, weld_root, lock, lock_mimic, sensor=sensor)
+    controller.check(as_json)
+    sensor = reading.sensor
+    assert sensor is not None
     if at_rest:
-        tree = reading.tree(model).with_gravity(gravity)
+        tree = reading.tree.with_gravity(reading.gravity)
         poses = StaticPoses(*read_static_poses(recording, tree, degrees=degrees))
-        link = flange_link(vendor, flange, reading.model_file(model), tree)
-        still = tool_at_rest(tree, poses, reading.tables().force_sensors[sensor])
+        link = controller.link(reading, tree)
+        still = tool_at_rest(tree, poses, reading.tables.force_sensors[sensor])
         known = [*tree.diagnostics, *still.diagnostics]
         if as_json:
             output.print_json(encode(still))
-        elif vendor is not None:
+        elif controller.vendor is not None:
             if still.payload is None or still.doubtful:
                 first = printable(ordered(still.diagnostics)[0].text, 250)
                 raise SettingsError(f"no controller should get this tool: {first}")
-            print_for(vendor, still.payload, tree, link, known)
+            controller.print(still.payload, tree, link, known)
         else:
             output.print_lines((), known)
             output.print_lines(shown.tool_lines(still), ())
         return
-    reading, tree, source = reading.robot_of(opened(recording), model)
-    tree = tree.with_gravity(gravity)
-    link = flange_link(vendor, flange, reading.model_file(model), tree)
+    reading, source = reading.of_recording(opened(recording))
+    tree = reading.tree.with_gravity(reading.gravity)
+    link = controller.link(reading, tree)
     with output.Progress("identifying") as progress:
-        estimate = identify(
-            tree,
-            source,
-            gravity=gravity,
-            settings=reading.tables().identification,
-            threads=threads,
-            progress=progress,
-        )
+        estimate = identify(tree, source, progress=progress, **reading.arguments)
     found = tool_of(tree, estimate)
     known = [*tree.diagnostics, *estimate.diagnostics, *found.diagnostics]
     if as_json:
         output.print_json(encode(found))
-    elif vendor is not None:
-        print_for(vendor, found, tree, link, known)
+    elif controller.vendor is not None:
+        controller.print(found, tree, link, known)
     else:
         title = f"tool beyond the force sensor at {sensor}, about its origin and along its axes"
         terminal.print_payload(found, known, title)
