@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 from packaging.requirements import Requirement
 
-from testbed.cli.importing import save_pieces, write_mapping
+from testbed.cli.importing import checked_import, save_pieces, write_mapping
 from testbed.cli.options import Fields, Force, Json, check_outputs, command
 from testbed.cli.reading import Reading
 from testbed.core.base.installation import DISTRIBUTION, own_or_shipped
@@ -134,7 +134,6 @@ def new(
 
 def _recorded(files: list[Path], mapping: Path, reading: Reading, *, force: bool) -> None:
     """Write a mapping for logs, and the recording that it makes of a robot."""
-    from testbed.importing.check.check import import_and_check
     from testbed.importing.import_report import ImportReport
     from testbed.view import output
 
@@ -143,25 +142,21 @@ def _recorded(files: list[Path], mapping: Path, reading: Reading, *, force: bool
         made = made.with_stem(f"{made.stem}_recording")
     written = (mapping,) if robot is None else (mapping, made)
     check_outputs(*written, force=force, read=(robot, *files))
-    found = write_mapping(files, mapping, reading)
-    if found is None or robot is None:
+    solution = write_mapping(files, mapping, reading)
+    if solution is None or robot is None:
         return
-    with output.Progress("importing, checking against the robot") as bar:
-        several, cuts, report = import_and_check(
-            mapping,
-            reading.robot_of,
-            progress=bar,
-            prepared=found.prepared,
-        )
-    paths = save_pieces(several, made, force=force)
+    recordings, cuts, report = checked_import(mapping, reading, prepared=solution.prepared)
+    paths = save_pieces(recordings, made, force=force)
     listed, taken = (made, made) if len(paths) == 1 else (f"{paths[0]} to {paths[-1]}", mapping)
     words = ["identify", taken, "--model", robot]
-    if several[0].wrench is not None:  # the plate's frame and clock are known to a sigma only
+    if recordings[0].wrench is not None:  # the plate's frame and clock are known to a sigma only
         words += ["--set", 'identification.nuisances=["pose","skew"]']
-    last = f"{listed}: testbed {shlex.join(map(str, words))}"
-    imported = ImportReport.from_dict(several[0].facts["import"]).diagnostics
+    imported = ImportReport.from_dict(recordings[0].facts["import"]).diagnostics
     said = [*cuts, *imported, *report.diagnostics]
-    output.print_lines([last], [each for each in said if each not in found.diagnostics])
+    output.print_lines(
+        [f"{listed}: testbed {shlex.join(map(str, words))}"],
+        [each for each in said if each not in solution.diagnostics],
+    )
 
 
 @command()
