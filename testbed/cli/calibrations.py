@@ -21,6 +21,7 @@ from testbed.cli.options import (
     ending,
 )
 from testbed.cli.reading import Reading
+from testbed.core.base.errors import SettingsError, UnknownName, printable
 
 if TYPE_CHECKING:
     from testbed.applications.payload.payload import PayloadEstimate
@@ -40,21 +41,15 @@ Flange = Annotated[
 
 
 @dataclass(frozen=True)
-class Controller:
-    """Options of the controller that is told a payload."""
+class PayloadOutput:
+    """Options of the form in which a payload is printed."""
 
     vendor: Vendor = None
     flange: Flange = None
+    as_json: Json = False
 
-    def check(self, as_json: bool) -> None:
-        """Refuse two forms of one answer.
-
-        Raises:
-            SettingsError: JSON is asked for as well.
-        """
-        from testbed.core.base.errors import SettingsError
-
-        if self.vendor is not None and as_json:
+    def __post_init__(self) -> None:
+        if self.vendor is not None and self.as_json:
             raise SettingsError("--as and --json are two forms of one answer: give one of them")
 
     def link(self, reading: Reading, tree: Tree) -> FileLink | None:
@@ -65,7 +60,6 @@ class Controller:
             UnknownName: There is no such controller or link.
         """
         from testbed.applications.payload.vendors import VENDORS
-        from testbed.core.base.errors import SettingsError, UnknownName
 
         if self.vendor is not None and self.vendor not in VENDORS:
             raise UnknownName("controller", self.vendor, list(VENDORS))
@@ -86,23 +80,30 @@ class Controller:
         tree: Tree,
         link: FileLink | None,
         diagnostics: Iterable[Diagnostic],
+        title: str = "",
     ) -> None:
-        """Print a payload as the controller takes it, and warnings.
+        """Print a payload as a table, as JSON, or as a controller takes it.
 
         Args:
             found: The payload.
             tree: The robot.
             link: The flange.
             diagnostics: What to know of it.
+            title: Of the table; default which link carries the payload.
         """
         from testbed.applications.payload.vendors import VENDORS, at_flange
-        from testbed.core.base.errors import printable
+        from testbed.core.base.codec import encode
+        from testbed.view import output, terminal
 
-        assert self.vendor is not None
-        typer.echo(VENDORS[self.vendor](at_flange(found, tree, link)))
-        for each in diagnostics:
-            kind = "note" if each.level == "info" else "warning"
-            typer.echo(printable(f"{kind}: {each}"), err=True)
+        if self.as_json:
+            output.print_json(encode(found))
+        elif self.vendor is None:
+            terminal.print_payload(found, [*diagnostics], title)
+        else:
+            typer.echo(VENDORS[self.vendor](at_flange(found, tree, link)))
+            for each in diagnostics:
+                kind = "note" if each.level == "info" else "warning"
+                typer.echo(printable(f"{kind}: {each}"), err=True)
 
 
 @command()
@@ -146,7 +147,6 @@ def calibrate(
     from testbed.applications.calibration import calibrate as calibrated
     from testbed.applications.payload.torque_scales import torque_scales
     from testbed.core.base.codec import encode
-    from testbed.core.base.errors import SettingsError
     from testbed.core.estimation.known import parse_known
     from testbed.lab.experiment.plate_file import write_plate
     from testbed.view import estimates as shown
@@ -229,9 +229,7 @@ def drives(
     from testbed.applications.drives.identify_drives import identify_drives
     from testbed.bodies.consistency.consistent import consistent
     from testbed.core.base.codec import encode
-    from testbed.core.base.errors import SettingsError
     from testbed.core.base.files import together
-    from testbed.core.estimation.identify import identify
     from testbed.core.recordings.views import with_gear
     from testbed.importing.check.time_offset import delivered
     from testbed.view import output, terminal
@@ -247,10 +245,7 @@ def drives(
         raise SettingsError("--write and --commands need bodies by the plate, not by a sensor")
     reading = replace(sensed, sensor=None)
     tree, source = reading.tree, reading.source(source)
-    with output.Progress("identifying by the wrench") as progress:
-        bodies = identify(
-            sensed.tree, source, doubt=reading.doubt, progress=progress, **reading.arguments
-        )
+    bodies = sensed.identify(source, "identifying by the wrench")
     source, offset = delivered(tree, source, bodies) if commands else (source, None)
     delay, lines = (0.0, []) if offset is None else (-offset.delay, [delay_line(offset)])
     choose = choose_terms or reading.tables.identification.drives == "chosen"
@@ -296,12 +291,12 @@ def payload(
         Reading,
         Fields("settings gravity weld_root lock lock_mimic plate threads", model=RobotModel),
     ],
-    controller: Annotated[Controller, Fields("vendor flange")],
+    *,
     joint: Annotated[
         str | None,
         typer.Option(help="Joint that moves the link with the payload; default the last."),
     ] = None,
-    as_json: Json = False,
+    printed: Annotated[PayloadOutput, Fields("vendor flange as_json")],
 ) -> None:
     """Find a payload's mass, centre and inertia by two recordings, without it and with it.
 
@@ -313,30 +308,16 @@ def payload(
     Example: testbed payload empty.parquet loaded.parquet --model ur5e.urdf --as ur --flange tool0
     """
     from testbed.applications.payload.payload import payload as payload_of
-    from testbed.core.base.codec import encode
-    from testbed.core.estimation.identify import identify
-    from testbed.view import output, terminal
 
-    controller.check(as_json)
-    tree = reading.tree
-    link = controller.link(reading, tree)
+    tree, link = reading.tree, printed.link(reading, reading.tree)
     sources = [reading.source(opened(path)) for path in (without, loaded)]
     plates = all("wrench" in source.signals for source in sources)
     method: Method = "external" if plates else "internal"
-    estimates = []
-    for source, name in zip(sources, ("without", "with"), strict=True):
-        with output.Progress(f"identifying, {name}") as progress:
-            made = identify(
-                tree, source, method, doubt=reading.doubt, progress=progress, **reading.arguments
-            )
-            estimates.append(made)
+    estimates = [
+        reading.identify(source, f"identifying, {name}", method)
+        for source, name in zip(sources, ("without", "with"), strict=True)
+    ]
     found = payload_of(tree, estimates[0], estimates[1], joint)
     known = [each for estimate in estimates for each in estimate.diagnostics]
     known = [each for each in known if each.code != "plate.no-tare"]  # the difference has none
-    said = [*tree.diagnostics, *known, *found.diagnostics]
-    if as_json:
-        output.print_json(encode(found))
-    elif controller.vendor is not None:
-        controller.print(found, tree, link, said)
-    else:
-        terminal.print_payload(found, said)
+    printed.print(found, tree, link, [*tree.diagnostics, *known, *found.diagnostics])

@@ -354,11 +354,11 @@ def sample(
     kept = read_result(result, model, settings or ())
     if kept.tree.is_part:
         raise SettingsError(f"'{result}' is of a force sensor: robots need plate or joint torques")
-    there = [each.name for each in out.iterdir()] if out.exists() else []
-    ours = (ARCHIVE, *(name for name in there if name.startswith(f"{kept.file.path.stem}_")))
-    if others := sorted({*there} - {*ours}):
+    others = {each.name for each in out.iterdir()} if out.exists() else set()
+    stem = f"{kept.file.path.stem}_"
+    if others := {name for name in others - {ARCHIVE} if not name.startswith(stem)}:
         raise SettingsError(
-            f"'{out}' holds {others[0]}, not robots alone: --out names a new folder"
+            f"'{out}' holds {min(others)}, not robots alone: --out names a new folder"
         )
     check_outputs(out, force=force, folder=True)
     prior = prior_of(kept.prior)

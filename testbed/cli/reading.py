@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from testbed.bodies.consistency.options import ConsistencyOptions
     from testbed.bodies.prior import Prior
+    from testbed.core.estimation.estimate import Estimate, Method
     from testbed.core.estimation.sensor.correction import CalibrationCovariance
     from testbed.core.recordings.source import Source
     from testbed.core.robot.model_file import ModelFile
@@ -55,6 +56,8 @@ class Reading:
     terms: Terms = None
     unchecked: Unchecked = False
     threads: Threads = None
+    sensors: Mapping[str, Any] = field(default_factory=dict)
+    """Force sensors of the recording, by name."""
 
     @property
     def model_words(self) -> list[str]:
@@ -80,7 +83,7 @@ class Reading:
             said.append(f"identification.terms={json.dumps(listed)}")
         if self.sensor is not None:
             said.append(f"robot.sensor={json.dumps(self.sensor)}")
-        return RecordingTables.of([*(self.settings or ()), *said])
+        return RecordingTables.of([*(self.settings or ()), *said], self.sensors)
 
     @property
     def prior_error(self) -> float | None:
@@ -93,6 +96,24 @@ class Reading:
         """Keyword arguments that all estimators take."""
         settings = self.tables.identification
         return {"gravity": self.gravity, "settings": settings, "threads": self.threads}
+
+    def identify(
+        self, source: Source, label: str = "identifying", method: Method = "external"
+    ) -> Estimate:
+        """Identify the robot from a recording, with progress on the terminal.
+
+        Args:
+            source: The recording.
+            label: Name of the work.
+            method: By which signals.
+        """
+        from testbed.core.estimation.identify import identify
+        from testbed.view.output import Progress
+
+        with Progress(label) as bar:
+            return identify(
+                self.tree, source, method, doubt=self.doubt, progress=bar, **self.arguments
+            )
 
     @cached_property
     def file(self) -> ModelFile:
@@ -210,19 +231,14 @@ class Reading:
             source: The recording.
             alone: Only the one of --sensor: with all that it carries.
         """
-        places, said = source.facts.get("sensors"), list(self.settings or ())
+        places = source.facts.get("sensors")
         if not isinstance(places, Mapping) or "sensors" not in source.signals:
             return self
-        for name, place in places.items():
-            if alone and name != self.sensor:
-                continue
-            key = f"sensors.{name}" if name.isidentifier() else f"sensors.{json.dumps(name)}"
-            if not any(word.startswith(f"{key}.") for word in said):
-                said += [f"{key}.{what}={json.dumps(value)}" for what, value in place.items()]
         sensor = self.sensor
         if sensor is None and len(places) == 1 and not {"wrench", "torque"} & {*source.signals}:
             (sensor,) = places
-        return replace(self, settings=said, sensor=sensor)
+        meant = {name: place for name, place in places.items() if not alone or name == self.sensor}
+        return replace(self, sensors={**meant, **self.sensors}, sensor=sensor)
 
     def holding(
         self, source: Source, said: Sequence[Diagnostic] = ()

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from testbed.cli.calibrations import Controller
+from testbed.cli.calibrations import PayloadOutput
 from testbed.cli.opening import opened
-from testbed.cli.options import Fields, Json, RobotModel, command
+from testbed.cli.options import Fields, RobotModel, command
 from testbed.cli.reading import Reading
 
 ToolSensor = Annotated[
@@ -34,7 +34,7 @@ def tool(
             sensor=ToolSensor,
         ),
     ],
-    controller: Annotated[Controller, Fields("vendor flange")],
+    *,
     at_rest: Annotated[
         bool,
         typer.Option(
@@ -45,7 +45,7 @@ def tool(
         bool,
         typer.Option("--degrees", help="With --at-rest: angles without a unit are in degrees."),
     ] = False,
-    as_json: Json = False,
+    printed: Annotated[PayloadOutput, Fields("vendor flange as_json")],
 ) -> None:
     """Find mass, centre and inertia of the tool that a force sensor carries.
 
@@ -59,47 +59,44 @@ def tool(
 
     Example: testbed tool poses.csv --at-rest --degrees --model robot.urdf --sensor tool0
     """
-    from testbed.applications.payload.static_fit import StaticPoses
-    from testbed.applications.payload.tool import tool_at_rest, tool_of
-    from testbed.core.base.codec import encode
-    from testbed.core.base.diagnostics import ordered
-    from testbed.core.base.errors import SettingsError, printable
-    from testbed.core.estimation.identify import identify
-    from testbed.importing.static_poses import read_static_poses
-    from testbed.view import estimates as shown
-    from testbed.view import output, terminal
+    from testbed.applications.payload.tool import tool_of
 
-    controller.check(as_json)
-    sensor = reading.sensor
-    assert sensor is not None
     if at_rest:
-        tree = reading.tree.with_gravity(reading.gravity)
-        poses = StaticPoses(*read_static_poses(recording, tree, degrees=degrees))
-        link = controller.link(reading, tree)
-        still = tool_at_rest(tree, poses, reading.tables.force_sensors[sensor])
-        known = [*tree.diagnostics, *still.diagnostics]
-        if as_json:
-            output.print_json(encode(still))
-        elif controller.vendor is not None:
-            if still.payload is None or still.doubtful:
-                first = printable(ordered(still.diagnostics)[0].text, 250)
-                raise SettingsError(f"no controller should get this tool: {first}")
-            controller.print(still.payload, tree, link, known)
-        else:
-            output.print_lines((), known)
-            output.print_lines(shown.tool_lines(still), ())
+        _print_at_rest(recording, reading, printed, degrees=degrees)
         return
     reading, source = reading.of_recording(opened(recording))
     tree = reading.tree.with_gravity(reading.gravity)
-    link = controller.link(reading, tree)
-    with output.Progress("identifying") as progress:
-        estimate = identify(tree, source, progress=progress, **reading.arguments)
+    link = printed.link(reading, tree)
+    estimate = reading.identify(source)
     found = tool_of(tree, estimate)
     known = [*tree.diagnostics, *estimate.diagnostics, *found.diagnostics]
-    if as_json:
+    title = f"tool beyond the force sensor at {reading.sensor}, about its origin and along its axes"
+    printed.print(found, tree, link, known, title)
+
+
+def _print_at_rest(table: Path, reading: Reading, printed: PayloadOutput, *, degrees: bool) -> None:
+    """Print the tool by a table of static poses."""
+    from testbed.applications.payload.static_fit import StaticPoses
+    from testbed.applications.payload.tool import tool_at_rest
+    from testbed.core.base.codec import encode
+    from testbed.core.base.diagnostics import ordered
+    from testbed.core.base.errors import SettingsError, printable
+    from testbed.importing.static_poses import read_static_poses
+    from testbed.view import estimates as shown
+    from testbed.view import output
+
+    tree = reading.tree.with_gravity(reading.gravity)
+    poses = StaticPoses(*read_static_poses(table, tree, degrees=degrees))
+    link = printed.link(reading, tree)
+    found = tool_at_rest(tree, poses, reading.tables.force_sensors[reading.sensor or ""])
+    known = [*tree.diagnostics, *found.diagnostics]
+    if printed.as_json:
         output.print_json(encode(found))
-    elif controller.vendor is not None:
-        controller.print(found, tree, link, known)
+    elif printed.vendor is None:
+        output.print_lines((), known)
+        output.print_lines(shown.tool_lines(found), ())
+    elif found.payload is None or found.doubtful:
+        first = printable(ordered(found.diagnostics)[0].text, 250)
+        raise SettingsError(f"no controller should get this tool: {first}")
     else:
-        title = f"tool beyond the force sensor at {sensor}, about its origin and along its axes"
-        terminal.print_payload(found, known, title)
+        printed.print(found.payload, tree, link, known)
