@@ -30,22 +30,21 @@ if TYPE_CHECKING:
     from testbed.core.robot.repair import FileLink
     from testbed.core.robot.tree import Tree
 
-Vendor = Annotated[
-    str | None,
-    typer.Option("--as", metavar="VENDOR", help="Print it for a controller: ur, franka or kuka."),
-]
-Flange = Annotated[
-    str | None,
-    typer.Option(metavar="LINK", help="With --as: link with the flange's frame, e.g. tool0."),
-]
-
 
 @dataclass(frozen=True)
 class PayloadOutput:
     """Options of the form in which a payload is printed."""
 
-    vendor: Vendor = None
-    flange: Flange = None
+    vendor: Annotated[
+        str | None,
+        typer.Option(
+            "--as", metavar="VENDOR", help="Print it for a controller: ur, franka or kuka."
+        ),
+    ] = None
+    flange: Annotated[
+        str | None,
+        typer.Option(metavar="LINK", help="With --as: link with the flange's frame, e.g. tool0."),
+    ] = None
     as_json: Json = False
 
     def __post_init__(self) -> None:

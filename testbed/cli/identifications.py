@@ -15,13 +15,8 @@ from testbed.cli.options import (
     Everything,
     Fields,
     Force,
-    Gravity,
     Json,
-    OtherModel,
-    Plate,
-    RecordingSet,
     RobotModel,
-    Threads,
     Timings,
     check_outputs,
     command,
@@ -48,23 +43,8 @@ ConsistentBodies = Annotated[
         "--consistent", help="Also compute physically consistent bodies near the model file's."
     ),
 ]
-Write = Annotated[
-    Path | None,
-    typer.Option(
-        "--write", metavar="FILE", help="Write the model file with consistent bodies and friction."
-    ),
-]
 FixedLinks = Annotated[
     Fixed, typer.Option("--fixed", help="With --write: lump the mass of fixed bodies, or share it.")
-]
-Plain = Annotated[
-    bool,
-    typer.Option(
-        "--plain", help="Of an imported recording: least squares, without the model file as prior."
-    ),
-]
-InPlace = Annotated[
-    bool, typer.Option("--in-place", help="Allow --write to replace the model file.")
 ]
 
 
@@ -73,9 +53,18 @@ class Writing:
     """Options of consistent bodies and of the model file that holds them."""
 
     consistent: ConsistentBodies = False
-    write: Write = None
+    write: Annotated[
+        Path | None,
+        typer.Option(
+            "--write",
+            metavar="FILE",
+            help="Write the model file with consistent bodies and friction.",
+        ),
+    ] = None
     fixed: FixedLinks = Fixed.lump
-    in_place: InPlace = False
+    in_place: Annotated[
+        bool, typer.Option("--in-place", help="Allow --write to replace the model file.")
+    ] = False
     force: Force = False
 
     @property
@@ -176,7 +165,13 @@ def identify(
     method: Annotated[
         _Method, typer.Option(help="external: force plate, internal: joint torques.")
     ] = _Method.both,
-    plain: Plain = False,
+    plain: Annotated[
+        bool,
+        typer.Option(
+            "--plain",
+            help="Of an imported recording: least squares, without the model file as prior.",
+        ),
+    ] = False,
     timings: Timings = False,
     everything: Everything = False,
     as_json: Json = False,
@@ -266,11 +261,7 @@ def validate(
         Path,
         typer.Argument(metavar="RESULT.json", help="Output of identify --json, or a run folder."),
     ],
-    model: OtherModel = None,
-    gravity: Gravity = None,
-    settings: RecordingSet = None,
-    plate: Plate = None,
-    threads: Threads = None,
+    reading: Annotated[Reading, Fields("model gravity settings plate threads")],
     as_json: Json = False,
 ) -> None:
     """Hold estimates against a recording of a motion that they have not seen.
@@ -287,8 +278,8 @@ def validate(
     from testbed.lab.experiment.read_result import read_result
     from testbed.view import output, terminal
 
-    kept = read_result(result, model, settings or ())
-    source = corrected_source(kept.without_held(opened(recording)), kept.tree, plate)
+    kept = read_result(result, reading.model, reading.settings or ())
+    source = corrected_source(kept.without_held(opened(recording)), kept.tree, reading.plate)
     there = [a for a in kept.answers if SIGNAL_OF[a.estimate.method] in source.signals]
     lacking = [a.estimate.method for a in kept.answers if a not in there]
     said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking]
@@ -302,9 +293,9 @@ def validate(
                 kept.tree,
                 source,
                 answer.estimate,
-                gravity=gravity,
+                gravity=reading.gravity,
                 settings=kept.settings,
-                threads=threads,
+                threads=reading.threads,
                 progress=progress,
                 models=answer.models,
                 held=answer.held,
@@ -322,10 +313,10 @@ def sample(
         typer.Argument(metavar="RESULT.json", help="Output of identify --json, or a run folder."),
     ],
     out: Annotated[Path, typer.Option(help="New folder for model files and robots.npz.")],
+    *,
     count: Annotated[int, typer.Option("-n", min=1, max=100_000, help="How many robots.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Of the draws.")] = 0,
-    model: OtherModel = None,
-    settings: RecordingSet = None,
+    reading: Annotated[Reading, Fields("model settings")],
     fixed: FixedLinks = Fixed.lump,
     force: Force = False,
     as_json: Json = False,
@@ -350,8 +341,8 @@ def sample(
     from testbed.view import bodies as shown
     from testbed.view import output
 
-    check_outputs(out, force=True, folder=True, read=(result, model))
-    kept = read_result(result, model, settings or ())
+    check_outputs(out, force=True, folder=True, read=(result, reading.model))
+    kept = read_result(result, reading.model, reading.settings or ())
     if kept.tree.is_part:
         raise SettingsError(f"'{result}' is of a force sensor: robots need plate or joint torques")
     others = {each.name for each in out.iterdir()} if out.exists() else set()

@@ -13,11 +13,9 @@ import typer
 from testbed.cli.options import (
     Fields,
     Force,
-    Gravity,
     Json,
     Model,
-    Zero,
-    Zeros,
+    Vector,
     check_outputs,
     command,
 )
@@ -55,9 +53,9 @@ class _Language(StrEnum):
 
 @command()
 def minimal(
-    zeros: Zeros = False,
-    zero: Zero = None,
-    gravity: Gravity = None,
+    reading: Annotated[
+        Reading, Fields("zeros zero gravity sensor weld_root lock lock_mimic", model=Model)
+    ],
     tared: Annotated[
         bool, typer.Option("--tared", help="The static wrench is subtracted (tared force plate).")
     ] = False,
@@ -79,8 +77,6 @@ def minimal(
     matrices: Annotated[
         bool, typer.Option("--matrices/--no-matrices", help="With --json: include the matrices.")
     ] = True,
-    *,
-    reading: Annotated[Reading, Fields("sensor weld_root lock lock_mimic", model=Model)],
     as_json: Json = False,
 ) -> None:
     """Print what joint torques and what a force plate or sensor can identify of a robot.
@@ -94,7 +90,7 @@ def minimal(
     from testbed.view.minimal_sets import Findings, as_document, print_latex, print_sets
 
     tree = reading.tree
-    known = _known(zeros, zero)
+    gravity, known = reading.gravity, reading.known_zeros
     with output.Progress("deriving"):
         dynamic = minimal_set(tree, "dynamic", gravity, known)
         reaction = minimal_set(tree, "reaction", gravity, known, tared)
@@ -124,9 +120,10 @@ def equations(
         typer.Option(help="All parameters, base parameters, or recursive form."),
     ] = _Form.full,
     language: Annotated[_Language, typer.Option(help="Notation.")] = _Language.paper,
-    zeros: Zeros = False,
-    zero: Zero = None,
-    gravity: Gravity = None,
+    *,
+    reading: Annotated[
+        Reading, Fields("zeros zero gravity weld_root lock lock_mimic", model=Model)
+    ],
     square: Annotated[
         bool,
         typer.Option("--right-angles", help="Round almost right angles."),
@@ -139,8 +136,6 @@ def equations(
     max_terms: Annotated[
         int | None, typer.Option(min=1, help="Largest number of terms; default 150000.")
     ] = None,
-    *,
-    reading: Annotated[Reading, Fields("weld_root lock lock_mimic", model=Model)],
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -160,9 +155,9 @@ def equations(
     model = reading.file.path
     tree = right_angles(reading.tree) if square else reading.tree
     check_outputs(out, force=force, read=(model, against))
-    if zeros and zero:
+    if reading.zeros and reading.zero:
         raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")
-    known, most = _known(zeros, zero), max_terms or MAX_TERMS
+    gravity, known, most = reading.gravity, reading.known_zeros, max_terms or MAX_TERMS
     if against is not None:
         if what or out is not None or as_json:
             raise typer.BadParameter(
@@ -185,16 +180,11 @@ def equations(
         sys.stdout.write(text)
 
 
-def _map(tree: Tree, gravity: Gravity, known: bool | list[str]) -> tuple[Visibility, ...]:
+def _map(tree: Tree, gravity: Vector | None, known: bool | list[str]) -> tuple[Visibility, ...]:
     """What each sensor identifies; SciPy's sparse matrices take a third of a second to import."""
     from testbed.core.parameters.identifiability import identifiability
 
     return identifiability(tree, gravity, known)
-
-
-def _known(zeros: bool, zero: list[str] | None) -> bool | list[str]:
-    """Which parameters are known to be zero: those named, or the file's, or none."""
-    return list(zero) if zero else zeros
 
 
 def _compare(

@@ -210,76 +210,6 @@ Set = Annotated[
         "--set", metavar="KEY=VALUE", help="Set a key, e.g. motion.duration=20; repeatable."
     ),
 ]
-RecordingSet = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="KEY=VALUE", help="Set a key, e.g. identification.cutoff=8; repeatable."
-    ),
-]
-Terms = Annotated[
-    str | None,
-    typer.Option(
-        metavar="TERM,...|auto",
-        help="Joint terms, e.g. coulomb,viscous,rotor/elbow; auto: by cross-validation.",
-    ),
-]
-Weld = Annotated[
-    bool,
-    typer.Option(
-        "--weld-root", help="Weld a floating root to the bedplate.", rich_help_panel=ROBOT
-    ),
-]
-Lock = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--lock",
-        metavar="JOINT[=q]",
-        help="Fix a joint at q [rad or m], default as recorded, or at rest; a pattern as arm_*, or "
-        "!arm_* for all others; repeatable.",
-        rich_help_panel=ROBOT,
-    ),
-]
-Sensor = Annotated[
-    str | None,
-    typer.Option(
-        "--sensor",
-        metavar="NAME|LINK",
-        help="Use the wrench of this force sensor, or of the one that carries this link; plate: of "
-        "the force plate, without what lies beyond the sensors.",
-        rich_help_panel=ROBOT,
-    ),
-]
-LockMimic = Annotated[
-    bool,
-    typer.Option("--lock-mimic", help="Fix all joints that follow others.", rich_help_panel=ROBOT),
-]
-Unchecked = Annotated[
-    bool,
-    typer.Option("--unchecked", help="Skip the plausibility check of imported recordings."),
-]
-Plate = Annotated[
-    Path | None, typer.Option(help="Calibration file of the plate, by testbed calibrate.")
-]
-Zeros = Annotated[
-    bool,
-    typer.Option("--zeros", help="Fix to zero all parameters that are zero in the model file."),
-]
-Zero = Annotated[
-    list[str] | None,
-    typer.Option("--zero", metavar="NAME", help="Fix a parameter to zero, e.g. mb1x; repeatable."),
-]
-Gravity = Annotated[
-    Vector | None,
-    typer.Option(
-        metavar="X,Y,Z",
-        parser=Vector.parse,
-        help="Gravity [m/s^2]; default from the recording or the model file.",
-        rich_help_panel=ROBOT,
-    ),
-]
-Threads = Annotated[
-    int | None, typer.Option(min=1, help="Default: one per processor.", rich_help_panel=OUTPUT)
-]
 Force = Annotated[
     bool,
     typer.Option("--force", help="Replace files that are there.", rich_help_panel=OUTPUT),
@@ -291,15 +221,6 @@ RobotModel = Annotated[
     Path,
     typer.Option(
         "--model", metavar="PATH", parser=own_or_shipped, help="MJCF or URDF file of the robot."
-    ),
-]
-OtherModel = Annotated[
-    Path | None,
-    typer.Option(
-        "--model",
-        metavar="PATH",
-        parser=own_or_shipped,
-        help="MJCF or URDF file of the robot; runs and results have their own.",
     ),
 ]
 ExperimentFile = Annotated[

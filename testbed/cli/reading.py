@@ -6,30 +6,19 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from testbed.cli.opening import corrected_source, opened_pieces, require_different
-from testbed.cli.options import (
-    Gravity,
-    Lock,
-    LockMimic,
-    OtherModel,
-    Plate,
-    RecordingSet,
-    Sensor,
-    Terms,
-    Threads,
-    Unchecked,
-    Weld,
-    Zeros,
-)
+from testbed.cli.options import OUTPUT, ROBOT, Vector
 from testbed.core.base.diagnostics import Diagnostic
+from testbed.core.base.installation import own_or_shipped
 from testbed.core.base.stages import stage
 from testbed.core.robot.refusals import FreeRootError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from testbed.bodies.consistency.options import ConsistencyOptions
     from testbed.bodies.prior import Prior
     from testbed.core.estimation.estimate import Estimate, Method
@@ -44,18 +33,91 @@ if TYPE_CHECKING:
 class Reading:
     """Options by which a robot and its recordings are read."""
 
-    model: OtherModel = None
-    settings: RecordingSet = None
-    zeros: Zeros = False
-    gravity: Gravity = None
-    sensor: Sensor = None
-    weld_root: Weld = False
-    lock: Lock = None
-    lock_mimic: LockMimic = False
-    plate: Plate = None
-    terms: Terms = None
-    unchecked: Unchecked = False
-    threads: Threads = None
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            "--model",
+            metavar="PATH",
+            parser=own_or_shipped,
+            help="MJCF or URDF file of the robot; runs and results have their own.",
+        ),
+    ] = None
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Set a key, e.g. identification.cutoff=8; repeatable.",
+        ),
+    ] = None
+    zeros: Annotated[
+        bool,
+        typer.Option("--zeros", help="Fix to zero all parameters that are zero in the model file."),
+    ] = False
+    zero: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--zero", metavar="NAME", help="Fix a parameter to zero, e.g. mb1x; repeatable."
+        ),
+    ] = None
+    gravity: Annotated[
+        Vector | None,
+        typer.Option(
+            metavar="X,Y,Z",
+            parser=Vector.parse,
+            help="Gravity [m/s^2]; default from the recording or the model file.",
+            rich_help_panel=ROBOT,
+        ),
+    ] = None
+    sensor: Annotated[
+        str | None,
+        typer.Option(
+            "--sensor",
+            metavar="NAME|LINK",
+            help="Use the wrench of this force sensor, or of the one that carries this link; "
+            "plate: of the force plate, without what lies beyond the sensors.",
+            rich_help_panel=ROBOT,
+        ),
+    ] = None
+    weld_root: Annotated[
+        bool,
+        typer.Option(
+            "--weld-root", help="Weld a floating root to the bedplate.", rich_help_panel=ROBOT
+        ),
+    ] = False
+    lock: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--lock",
+            metavar="JOINT[=q]",
+            help="Fix a joint at q [rad or m], default as recorded, or at rest; a pattern as "
+            "arm_*, or !arm_* for all others; repeatable.",
+            rich_help_panel=ROBOT,
+        ),
+    ] = None
+    lock_mimic: Annotated[
+        bool,
+        typer.Option(
+            "--lock-mimic", help="Fix all joints that follow others.", rich_help_panel=ROBOT
+        ),
+    ] = False
+    plate: Annotated[
+        Path | None, typer.Option(help="Calibration file of the plate, by testbed calibrate.")
+    ] = None
+    terms: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TERM,...|auto",
+            help="Joint terms, e.g. coulomb,viscous,rotor/elbow; auto: by cross-validation.",
+        ),
+    ] = None
+    unchecked: Annotated[
+        bool,
+        typer.Option("--unchecked", help="Skip the plausibility check of imported recordings."),
+    ] = False
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="Default: one per processor.", rich_help_panel=OUTPUT)
+    ] = None
     sensors: Mapping[str, Any] = field(default_factory=dict)
     """Force sensors of the recording, by name."""
 
@@ -67,6 +129,11 @@ class Reading:
         said += [("--lock", each) for each in self.lock or ()]
         flags = {"--weld-root": self.weld_root, "--lock-mimic": self.lock_mimic}
         return [*(word for pair in said for word in pair), *(w for w, on in flags.items() if on)]
+
+    @property
+    def known_zeros(self) -> bool | list[str]:
+        """Parameters that are known to be zero: those named, or the model file's, or none."""
+        return self.zero or self.zeros
 
     @cached_property
     def tables(self) -> RecordingTables:

@@ -12,13 +12,6 @@ from testbed.cli.opening import opened
 from testbed.cli.options import Fields, RobotModel, command
 from testbed.cli.reading import Reading
 
-ToolSensor = Annotated[
-    str,
-    typer.Option(
-        "--sensor", metavar="NAME|LINK", help="The force sensor, or the first link beyond it."
-    ),
-]
-
 
 @command()
 def tool(
@@ -31,7 +24,14 @@ def tool(
         Fields(
             "settings gravity weld_root lock lock_mimic threads",
             model=RobotModel,
-            sensor=ToolSensor,
+            sensor=Annotated[
+                str,
+                typer.Option(
+                    "--sensor",
+                    metavar="NAME|LINK",
+                    help="The force sensor, or the first link beyond it.",
+                ),
+            ],
         ),
     ],
     *,
