@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -30,13 +29,6 @@ if TYPE_CHECKING:
     from testbed.core.base.diagnostics import Diagnostic
 
 
-class Fixed(StrEnum):
-    """What links get that are fixed to others."""
-
-    lump = "lump"
-    share = "share"
-
-
 ConsistentBodies = Annotated[
     bool,
     typer.Option(
@@ -44,7 +36,8 @@ ConsistentBodies = Annotated[
     ),
 ]
 FixedLinks = Annotated[
-    Fixed, typer.Option("--fixed", help="With --write: lump the mass of fixed bodies, or share it.")
+    Literal["lump", "share"],
+    typer.Option("--fixed", help="With --write: lump the mass of fixed bodies, or share it."),
 ]
 
 
@@ -61,7 +54,7 @@ class Writing:
             help="Write the model file with consistent bodies and friction.",
         ),
     ] = None
-    fixed: FixedLinks = Fixed.lump
+    fixed: FixedLinks = "lump"
     in_place: Annotated[
         bool, typer.Option("--in-place", help="Allow --write to replace the model file.")
     ] = False
@@ -132,18 +125,12 @@ class Writing:
             reading.file,
             robot if drives is None else with_drives(robot, drives),
             self.write,
-            fixed=self.fixed.value,
+            fixed=self.fixed,
             note=provenance(found, reading.file, recordings),
             over_source=self.in_place,
             gears=None if drives is None else drives.gears,
             delay=delay,
         )
-
-
-class _Method(StrEnum):
-    external = "external"
-    internal = "internal"
-    both = "both"
 
 
 @command()
@@ -163,8 +150,9 @@ def identify(
     ],
     writing: Annotated[Writing, Fields("consistent write fixed in_place force")],
     method: Annotated[
-        _Method, typer.Option(help="external: force plate, internal: joint torques.")
-    ] = _Method.both,
+        Literal["external", "internal", "both"],
+        typer.Option(help="external: force plate, internal: joint torques."),
+    ] = "both",
     plain: Annotated[
         bool,
         typer.Option(
@@ -198,7 +186,7 @@ def identify(
     tree = reading.tree
     if reading.prior_error and not (writing.wanted or is_imported(source)):
         raise SettingsError("--set consistent... needs --consistent, or an imported recording")
-    wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
+    wanted = METHODS if method == "both" else (method,)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
     said = [*tree.diagnostics, *said]
     if (everything or as_json) and not tree.is_part:  # no fault: few recordings have both
@@ -317,7 +305,7 @@ def sample(
     count: Annotated[int, typer.Option("-n", min=1, max=100_000, help="How many robots.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Of the draws.")] = 0,
     reading: Annotated[Reading, Fields("model settings")],
-    fixed: FixedLinks = Fixed.lump,
+    fixed: FixedLinks = "lump",
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -360,7 +348,7 @@ def sample(
     file = kept.file.tree()
     with output.Progress("writing model files"):
         trees = [found.tree(k, file) for k in range(count)]
-        said = write_models(kept.file, trees, out, fixed=fixed.value, note=note)
+        said = write_models(kept.file, trees, out, fixed=fixed, note=note)
     if as_json:
         output.print_json(encode(found, exclude={"values"}))
     else:

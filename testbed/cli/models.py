@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from testbed.lab.kind_table import KindDescription
 
 
-class _What(StrEnum):
+class What(StrEnum):
+    """Equations to choose from; typer takes no list of literals."""
+
     joint_forces = "joint-forces"
     base_wrench = "base-wrench"
     dynamic_regressor = "dynamic-regressor"
@@ -38,17 +40,7 @@ class _What(StrEnum):
     all = "all"
 
 
-class _Form(StrEnum):
-    full = "full"
-    reduced = "reduced"
-    recursive = "recursive"
-
-
-class _Language(StrEnum):
-    paper = "paper"
-    latex = "latex"
-    python = "python"
-    c = "c"
+Form = Literal["full", "reduced", "recursive"]
 
 
 @command()
@@ -114,12 +106,14 @@ def minimal(
 
 @command()
 def equations(
-    what: Annotated[list[_What] | None, typer.Option(help="Which equations; repeatable.")] = None,
+    what: Annotated[list[What] | None, typer.Option(help="Which equations; repeatable.")] = None,
     form: Annotated[
-        _Form,
+        Form,
         typer.Option(help="All parameters, base parameters, or recursive form."),
-    ] = _Form.full,
-    language: Annotated[_Language, typer.Option(help="Notation.")] = _Language.paper,
+    ] = "full",
+    language: Annotated[
+        Literal["paper", "latex", "python", "c"], typer.Option(help="Notation.")
+    ] = "paper",
     *,
     reading: Annotated[
         Reading, Fields("zeros zero gravity weld_root lock lock_mimic", model=Model)
@@ -164,12 +158,12 @@ def equations(
                 "--against compares and writes nothing: leave --what, --out, --json out"
             )
         _compare(tree, against, form, gravity, known, most)
-    wanted = what or [_What.joint_forces]
-    names = list(KINDS) if _What.all in wanted else [each.value for each in wanted]
+    wanted = what or [What.joint_forces]
+    names = list(KINDS) if What.all in wanted else [each.value for each in wanted]
     with output.Progress("deriving"):
-        listing = derived(tree, names, form.value, gravity, known, most)
+        listing = derived(tree, names, form, gravity, known, most)
         text = write_equations(
-            listing, language.value, f"{model.name}, SHA-256 {fingerprint(model)[:16]}"
+            listing, language, f"{model.name}, SHA-256 {fingerprint(model)[:16]}"
         )
     if out is not None:
         with replacing(out) as fresh:
@@ -190,7 +184,7 @@ def _map(tree: Tree, gravity: Vector | None, known: bool | list[str]) -> tuple[V
 def _compare(
     tree: Tree,
     path: Path,
-    form: _Form,
+    form: Form,
     gravity: tuple[float, float, float] | None,
     zeros: bool | list[str],
     max_terms: int,
@@ -203,7 +197,7 @@ def _compare(
 
     text = read_text(path, 4 * TERM_LENGTH * max_terms)  # a character has up to four bytes
     with output.Progress("deriving"):
-        found = compare_equations(tree, text, form.value, gravity, zeros, max_terms)
+        found = compare_equations(tree, text, form, gravity, zeros, max_terms)
     for name, difference in found.items():
         same = "equal" if not difference else f"the listing less the robot: {line(difference)}"
         sys.stdout.write(f"{name}: {same}\n")
