@@ -2,107 +2,116 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.identifications import Write, Writing
+from testbed.cli.identifications import Writing
 from testbed.cli.opening import opened
-from testbed.cli.reading import (
+from testbed.cli.options import (
+    Fields,
     Force,
-    Gravity,
     Json,
-    Lock,
-    LockMimic,
-    Plate,
-    Reading,
-    RecordingSet,
     RobotModel,
-    Sensor,
-    Threads,
-    Weld,
-    Zeros,
-    app,
     check_outputs,
+    command,
     ending,
 )
+from testbed.cli.reading import Reading
+from testbed.core.base.errors import SettingsError, UnknownName, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from testbed.applications.payload.payload import PayloadEstimate
     from testbed.core.base.diagnostics import Diagnostic
     from testbed.core.estimation.estimate import Method
-    from testbed.core.robot.model_file import ModelFile
     from testbed.core.robot.repair import FileLink
     from testbed.core.robot.tree import Tree
 
-Vendor = Annotated[
-    str | None,
-    typer.Option("--as", metavar="VENDOR", help="Print it for a controller: ur, franka or kuka."),
-]
-Flange = Annotated[
-    str | None,
-    typer.Option(metavar="LINK", help="With --as: link with the flange's frame, e.g. tool0."),
-]
+
+@dataclass(frozen=True)
+class PayloadOutput:
+    """Options of the form in which a payload is printed."""
+
+    vendor: Annotated[
+        str | None,
+        typer.Option(
+            "--as", metavar="VENDOR", help="Print it for a controller: ur, franka or kuka."
+        ),
+    ] = None
+    flange: Annotated[
+        str | None,
+        typer.Option(metavar="LINK", help="With --as: link with the flange's frame, e.g. tool0."),
+    ] = None
+    as_json: Json = False
+
+    def __post_init__(self) -> None:
+        if self.vendor is not None and self.as_json:
+            raise SettingsError("--as and --json are two forms of one answer: give one of them")
+
+    def link(self, reading: Reading, tree: Tree) -> FileLink | None:
+        """The flange in a tree's bodies; None for none.
+
+        Raises:
+            SettingsError: A flange is named for no controller.
+            UnknownName: There is no such controller or link.
+        """
+        from testbed.applications.payload.vendors import VENDORS
+
+        if self.vendor is not None and self.vendor not in VENDORS:
+            raise UnknownName("controller", self.vendor, list(VENDORS))
+        if self.flange is None:
+            return None
+        if self.vendor is None:
+            raise SettingsError("--flange names the frame for --as: both are needed")
+        links = {each.name: each for each in reading.file.links()}
+        if self.flange not in links:
+            raise UnknownName("link", self.flange, list(links))
+        link, joints = links[self.flange], dict(enumerate(reading.file.tree().names))
+        joint = joints.get(link.body)
+        return replace(link, body=-1 if joint not in tree.names else tree.index(joint))
+
+    def print(
+        self,
+        found: PayloadEstimate,
+        tree: Tree,
+        link: FileLink | None,
+        diagnostics: Iterable[Diagnostic],
+        title: str = "",
+    ) -> None:
+        """Print a payload as a table, as JSON, or as a controller takes it.
+
+        Args:
+            found: The payload.
+            tree: The robot.
+            link: The flange.
+            diagnostics: What to know of it.
+            title: Of the table; default which link carries the payload.
+        """
+        from testbed.applications.payload.vendors import VENDORS, at_flange
+        from testbed.core.base.codec import encode
+        from testbed.view import output, terminal
+
+        if self.as_json:
+            output.print_json(encode(found))
+        elif self.vendor is None:
+            terminal.print_payload(found, [*diagnostics], title)
+        else:
+            typer.echo(VENDORS[self.vendor](at_flange(found, tree, link)))
+            for each in diagnostics:
+                kind = "note" if each.level == "info" else "warning"
+                typer.echo(printable(f"{kind}: {each}"), err=True)
 
 
-def flange_link(
-    vendor: str | None, flange: str | None, file: ModelFile, tree: Tree
-) -> FileLink | None:
-    """The flange that is named for a controller, in a tree's bodies; None for none.
-
-    Raises:
-        SettingsError: A flange is named for no controller.
-        UnknownName: There is no such controller or link.
-    """
-    from testbed.applications.payload.vendors import VENDORS
-    from testbed.core.base.errors import SettingsError, UnknownName
-
-    if vendor is not None and vendor not in VENDORS:
-        raise UnknownName("controller", vendor, list(VENDORS))
-    if flange is None:
-        return None
-    if vendor is None:
-        raise SettingsError("--flange names the frame for --as: both are needed")
-    links, joints = {x.name: x for x in file.links()}, dict(enumerate(file.tree().names))
-    if flange not in links:
-        raise UnknownName("link", flange, list(links))
-    joint = joints.get(links[flange].body)
-    return replace(links[flange], body=-1 if joint not in tree.names else tree.index(joint))
-
-
-def print_for(
-    vendor: str,
-    found: PayloadEstimate,
-    tree: Tree,
-    link: FileLink | None,
-    said: Iterable[Diagnostic],
-) -> None:
-    """A payload as a controller takes it, and warnings.
-
-    Args:
-        vendor: Whose.
-        found: The payload.
-        tree: The robot.
-        link: The flange.
-        said: What to know of it.
-    """
-    from testbed.applications.payload.vendors import VENDORS, at_flange
-    from testbed.core.base.errors import printable
-
-    typer.echo(VENDORS[vendor](at_flange(found, tree, link)))
-    for each in said:
-        kind = "note" if each.level == "info" else "warning"
-        typer.echo(printable(f"{kind}: {each}"), err=True)
-
-
-@app.command()
+@command()
 def calibrate(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Parquet file.")],
-    model: RobotModel,
+    reading: Annotated[
+        Reading,
+        Fields("settings zeros gravity weld_root lock lock_mimic threads", model=RobotModel),
+    ],
     known: Annotated[
         list[str],
         typer.Option(
@@ -121,14 +130,7 @@ def calibrate(
         str | None,
         typer.Option(help="Joint that moves the link with the payload; default the last."),
     ] = None,
-    settings: RecordingSet = None,
-    zeros: Zeros = False,
-    gravity: Gravity = None,
-    weld_root: Weld = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
     force: Force = False,
-    threads: Threads = None,
     as_json: Json = False,
 ) -> None:
     """Calibrate the plate by the robot's own motion: sensitivities, zero, delay.
@@ -144,58 +146,52 @@ def calibrate(
     from testbed.applications.calibration import calibrate as calibrated
     from testbed.applications.payload.torque_scales import torque_scales
     from testbed.core.base.codec import encode
-    from testbed.core.base.errors import SettingsError
     from testbed.core.estimation.known import parse_known
     from testbed.lab.experiment.plate_file import write_plate
     from testbed.view import estimates as shown
     from testbed.view import output, terminal
 
-    reading = Reading(settings, zeros, weld_root, lock, lock_mimic)
     if loaded is None:  # else scales are printed, and nothing is written
-        check_outputs(out, force=force, read=(recording, model))
+        check_outputs(out, force=force, read=(recording, reading.model))
     if joint is not None and loaded is None:
         raise SettingsError("--joint names the link of --loaded: both are needed")
-    said: list[Diagnostic] = []
     facts, source = parse_known(known), opened(recording)
-    if loaded is None:
-        reading, source, said = reading.holding(source, model, ())
-    tree = reading.tree(model)
-    table = reading.tables().identification
-    how: dict[str, Any] = {"gravity": gravity, "settings": table, "threads": threads}
     if loaded is not None:
         with output.Progress("calibrating torques") as progress:
-            scales = torque_scales(tree, source, loaded, facts, joint, progress=progress, **how)
+            scales = torque_scales(
+                reading.tree, source, loaded, facts, joint, progress=progress, **reading.arguments
+            )
         if as_json:
             output.print_json(encode(scales))
         else:
             output.print_tables(output.console(), [shown.scales_table(scales)])
         return
+    reading, source, held = reading.holding(source)
     with output.Progress("calibrating") as progress:
-        plate = calibrated(tree, source, facts, progress=progress, **how)
+        plate = calibrated(reading.tree, source, facts, progress=progress, **reading.arguments)
     write_plate(plate, out)
     if as_json:
         output.print_json(encode(plate, exclude={"estimate": {"normal_equations"}}))
     else:
-        terminal.print_plate(plate, [*tree.diagnostics, *said], out)
+        terminal.print_plate(plate, [*reading.tree.diagnostics, *held], out)
 
 
-@app.command()
+@command()
 def drives(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Parquet file.")],
-    model: RobotModel,
-    settings: RecordingSet = None,
-    zeros: Zeros = False,
-    gravity: Gravity = None,
-    weld_root: Weld = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
-    plate: Plate = None,
-    sensor: Sensor = None,
+    *,
+    reading: Annotated[
+        Reading,
+        Fields(
+            "settings zeros gravity weld_root lock lock_mimic plate sensor threads",
+            model=RobotModel,
+        ),
+    ],
     choose_terms: Annotated[
         bool,
         typer.Option("--choose-terms", help="Choose the terms of each joint by cross-validation."),
     ] = False,
-    write: Write = None,
+    writing: Annotated[Writing, Fields("write force")],
     unseen: Annotated[
         Path | None,
         typer.Option(help="With --write: another motion, whose torques drive the file in MuJoCo."),
@@ -211,8 +207,6 @@ def drives(
             help="File for friction: .csv (curve and law) or .json (BAM).",
         ),
     ] = None,
-    force: Force = False,
-    threads: Threads = None,
     as_json: Json = False,
 ) -> None:
     """Hold joint torques against the plate: torque constants, friction, rotors, joint by joint.
@@ -232,84 +226,76 @@ def drives(
     """
     from testbed.applications.drives.friction_files import write_friction
     from testbed.applications.drives.identify_drives import identify_drives
+    from testbed.bodies.consistency.consistent import consistent
     from testbed.core.base.codec import encode
-    from testbed.core.base.errors import SettingsError
     from testbed.core.base.files import together
-    from testbed.core.estimation.identify import identify
+    from testbed.core.recordings.views import with_gear
     from testbed.importing.check.time_offset import delivered
     from testbed.view import output, terminal
     from testbed.view.drives import delay_line
 
-    check_outputs(friction, force=force, read=(recording, model))
-    reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, sensor=sensor)
-    writing = Writing(write=write, force=force)
-    writing.check(reading, model, [recording])
-    if unseen is not None and write is None:
+    check_outputs(friction, force=writing.force, read=(recording, reading.model))
+    writing.check(reading, [recording])
+    if unseen is not None and writing.write is None:
         raise SettingsError("--unseen drives the file that --write writes")
-    reading, source, held = reading.holding(opened(recording), model, ())
-    reading = reading.with_sensors(source, alone=True)
-    felt, table = reading.tree(model), reading.tables().identification
-    if felt.sensor is not None and (write is not None or commands):
+    reading, source, held = reading.holding(opened(recording))
+    sensed = reading.with_sensors(source, alone=True)
+    if sensed.tree.sensor is not None and (writing.write is not None or commands):
         raise SettingsError("--write and --commands need bodies by the plate, not by a sensor")
-    tree = replace(reading, sensor=None).tree(model)
-    source = reading.source(source, tree)
-    how: dict[str, Any] = {"gravity": gravity, "settings": table, "threads": threads}
-    with output.Progress("identifying by the wrench") as progress:
-        bodies = identify(felt, source, doubt=reading.doubt(tree), progress=progress, **how)
+    reading = replace(sensed, sensor=None)
+    tree, source = reading.tree, reading.source(source)
+    bodies = sensed.identify(source, "identifying by the wrench")
     source, offset = delivered(tree, source, bodies) if commands else (source, None)
-    late, lines = (0.0, []) if offset is None else (-offset.delay, [delay_line(offset)])
-    choose = choose_terms or table.drives == "chosen"
+    delay, lines = (0.0, []) if offset is None else (-offset.delay, [delay_line(offset)])
+    choose = choose_terms or reading.tables.identification.drives == "chosen"
     with output.Progress("regressing torques") as progress:
-        found = identify_drives(tree, source, bodies, choose=choose, progress=progress, **how)
+        found = identify_drives(
+            tree, source, bodies, choose=choose, progress=progress, **reading.arguments
+        )
     said = [*tree.diagnostics, *held, *bodies.diagnostics, *found.diagnostics]
     with together():
         if friction is not None:
             write_friction(found, friction)
-        if write is not None:
-            links = writing.bodies(reading, model, source, [bodies])
-            said += writing.written(links, reading, model, [recording], found, late)
-            lines.append(f"model file: {write}")
-    if write is not None and unseen is not None:
-        lines += _replayed(reading, unseen, model, write)
+        if writing.write is not None:
+            links = consistent(with_gear(tree, source), [bodies], *reading.bodies(source))
+            said += writing.written(links, reading, [recording], found, delay)
+            lines.append(f"model file: {writing.write}")
+    if writing.write is not None and unseen is not None:
+        lines += _replayed(reading, unseen, writing.write)
     if as_json:
-        output.print_json({**encode(found), "delay": late})
+        output.print_json({**encode(found), "delay": delay})
     else:
         terminal.print_drives(found, said)
         output.print_lines(lines, ())
 
 
-def _replayed(reading: Reading, unseen: Path, model: Path, written: Path) -> list[str]:
+def _replayed(reading: Reading, unseen: Path, written: Path) -> list[str]:
     """How far a model file, and what was written, are from an unseen motion by its torques."""
     from testbed.core.recordings.recording import Recording
     from testbed.lab.simulation.replay import replay
     from testbed.view.drives import replay_lines
 
     motion = Recording.load(unseen)
-    ends = [replay(reading.model_file(path), motion) for path in (model, written)]
-    return replay_lines(reading.tree(model).names, *ends)
+    ends = [replay(each.file, motion) for each in (reading, replace(reading, model=written))]
+    return replay_lines(reading.tree.names, *ends)
 
 
-@app.command()
+@command()
 def payload(
     without: Annotated[
         Path, typer.Argument(metavar="WITHOUT", help="Recording without the payload.")
     ],
     loaded: Annotated[Path, typer.Argument(metavar="WITH", help="Recording with the payload.")],
-    model: RobotModel,
+    reading: Annotated[
+        Reading,
+        Fields("settings gravity weld_root lock lock_mimic plate threads", model=RobotModel),
+    ],
+    *,
     joint: Annotated[
         str | None,
         typer.Option(help="Joint that moves the link with the payload; default the last."),
     ] = None,
-    settings: RecordingSet = None,
-    gravity: Gravity = None,
-    weld_root: Weld = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
-    plate: Plate = None,
-    vendor: Vendor = None,
-    flange: Flange = None,
-    threads: Threads = None,
-    as_json: Json = False,
+    printed: Annotated[PayloadOutput, Fields("vendor flange as_json")],
 ) -> None:
     """Find a payload's mass, centre and inertia by two recordings, without it and with it.
 
@@ -321,32 +307,16 @@ def payload(
     Example: testbed payload empty.parquet loaded.parquet --model ur5e.urdf --as ur --flange tool0
     """
     from testbed.applications.payload.payload import payload as payload_of
-    from testbed.core.base.codec import encode
-    from testbed.core.base.errors import SettingsError
-    from testbed.core.estimation.identify import identify
-    from testbed.view import output, terminal
 
-    reading = Reading(settings, False, weld_root, lock, lock_mimic, plate)
-    if vendor is not None and as_json:
-        raise SettingsError("--as and --json are two forms of one answer: give one of them")
-    tree, table = reading.tree(model), reading.tables().identification
-    link = flange_link(vendor, flange, reading.model_file(model), tree)
-    sources = [reading.source(opened(path), tree) for path in (without, loaded)]
+    tree, link = reading.tree, printed.link(reading, reading.tree)
+    sources = [reading.source(opened(path)) for path in (without, loaded)]
     plates = all("wrench" in source.signals for source in sources)
     method: Method = "external" if plates else "internal"
-    how: dict[str, Any] = {"gravity": gravity, "settings": table, "threads": threads}
-    doubt, estimates = reading.doubt(tree), []
-    for source, name in zip(sources, ("without", "with"), strict=True):
-        with output.Progress(f"identifying, {name}") as progress:
-            made = identify(tree, source, method, doubt=doubt, progress=progress, **how)
-            estimates.append(made)
+    estimates = [
+        reading.identify(source, f"identifying, {name}", method)
+        for source, name in zip(sources, ("without", "with"), strict=True)
+    ]
     found = payload_of(tree, estimates[0], estimates[1], joint)
     known = [each for estimate in estimates for each in estimate.diagnostics]
     known = [each for each in known if each.code != "plate.no-tare"]  # the difference has none
-    said = [*tree.diagnostics, *known, *found.diagnostics]
-    if as_json:
-        output.print_json(encode(found))
-    elif vendor is not None:
-        print_for(vendor, found, tree, link, said)
-    else:
-        terminal.print_payload(found, said)
+    printed.print(found, tree, link, [*tree.diagnostics, *known, *found.diagnostics])

@@ -13,7 +13,7 @@ from testbed.cli import (
     starting,
     tools,
 )
-from testbed.cli.reading import app
+from testbed.cli.options import app
 
 __all__ = [
     "app",

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.reading import Force, Json, Set, app, check_outputs, ending, note
+from testbed.cli.options import Force, Json, Set, check_outputs, command, ending, note
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.installation import own_or_shipped
 
 if TYPE_CHECKING:
-    from testbed.core.base.arrays import Array
     from testbed.lab.experiment.experiment import Experiment
     from testbed.view.output import Progress
 
@@ -25,7 +24,7 @@ TIMED = 3
 """Steps by which the time that all would take is known."""
 
 
-@app.command()
+@command()
 def excite(
     file: Annotated[
         Path,
@@ -77,6 +76,7 @@ def excite(
     """
     from testbed.core.base.files import together
     from testbed.lab.experiment.excite import excite as excited
+    from testbed.lab.experiment.read_result import prior_covariance, read_result
     from testbed.motion.motion_file import write_motion, write_trajectory
     from testbed.view import output
     from testbed.view.motion import print_excitation
@@ -87,7 +87,7 @@ def excite(
         _check(file, settings, everything=everything, as_json=as_json)
     check_outputs(out, trajectory, page, force=force, read=(file, prior))
     experiment = _experiment(file, settings)
-    known = None if prior is None else _covariance(prior, experiment)
+    known = None if prior is None else prior_covariance(read_result(prior), experiment)
     with output.Progress("searching") as progress, _interrupt() as interrupted:
         found = excited(experiment, _Searching(progress), known, interrupted)
     with output.Progress("writing"), together():
@@ -187,10 +187,3 @@ def _check(file: Path, settings: list[str], *, everything: bool, as_json: bool) 
         output.print_diagnostics(output.console(), every)
         print_proof(output.console(), proof, everything=everything)
     raise typer.Exit(0 if proof.holds else 1)
-
-
-def _covariance(prior: Path, experiment: Experiment) -> Array:
-    """Of the minimal parameters, from an earlier estimate."""
-    from testbed.lab.experiment.read_result import prior_covariance, read_result
-
-    return prior_covariance(read_result(prior), experiment)

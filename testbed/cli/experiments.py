@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.reading import (
+from testbed.cli.options import (
     Everything,
     ExperimentFile,
     Force,
     Json,
     Set,
-    app,
     check_outputs,
+    command,
     ending,
     note,
 )
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from testbed.lab.simulation.rollout import Watch
 
 
-@app.command()
+@command()
 def run(
     file: ExperimentFile,
     settings: Set = None,
@@ -74,7 +74,7 @@ def run(
     raise typer.Exit(0 if done.as_expected else 1)
 
 
-@app.command()
+@command()
 def simulate(
     file: ExperimentFile,
     out: Annotated[
@@ -117,7 +117,7 @@ def _watcher(experiment: Experiment) -> Watch:
     return Live(experiment.name, look)
 
 
-@app.command()
+@command()
 def campaign(
     file: Annotated[
         Path,

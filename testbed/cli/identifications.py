@@ -4,53 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from testbed.cli.opening import corrected_source, opened
-from testbed.cli.reading import (
+from testbed.cli.options import (
     Everything,
+    Fields,
     Force,
-    Gravity,
     Json,
-    Lock,
-    LockMimic,
-    OtherModel,
-    Plate,
-    Reading,
-    RecordingSet,
     RobotModel,
-    Sensor,
-    Terms,
-    Threads,
     Timings,
-    Unchecked,
-    Weld,
-    Zeros,
-    app,
     check_outputs,
+    command,
 )
+from testbed.cli.reading import Reading
 from testbed.core.base.diagnostics import diagnose
 
 if TYPE_CHECKING:
     from testbed.applications.drives.identify_drives import DriveFindings
     from testbed.bodies.consistency.consistent import Consistent
-    from testbed.bodies.consistency.options import ConsistencyOptions
-    from testbed.bodies.prior import Prior
-    from testbed.cli.reading import Reading
     from testbed.core.base.diagnostics import Diagnostic
-    from testbed.core.estimation.estimate import Estimate
-    from testbed.core.recordings.source import Source
-
-
-class Fixed(StrEnum):
-    """What links get that are fixed to others."""
-
-    lump = "lump"
-    share = "share"
 
 
 ConsistentBodies = Annotated[
@@ -59,76 +35,45 @@ ConsistentBodies = Annotated[
         "--consistent", help="Also compute physically consistent bodies near the model file's."
     ),
 ]
-Write = Annotated[
-    Path | None,
-    typer.Option(
-        "--write", metavar="FILE", help="Write the model file with consistent bodies and friction."
-    ),
-]
 FixedLinks = Annotated[
-    Fixed, typer.Option("--fixed", help="With --write: lump the mass of fixed bodies, or share it.")
+    Literal["lump", "share"],
+    typer.Option("--fixed", help="With --write: lump the mass of fixed bodies, or share it."),
 ]
-Plain = Annotated[
-    bool,
-    typer.Option(
-        "--plain", help="Of an imported recording: least squares, without the model file as prior."
-    ),
-]
-InPlace = Annotated[
-    bool, typer.Option("--in-place", help="Allow --write to replace the model file.")
-]
-
-
-def prior_of_bodies(
-    reading: Reading, model: Path, source: Source
-) -> tuple[Prior, ConsistencyOptions]:
-    """Prior and conditions of consistent bodies for a recording.
-
-    Args:
-        reading: How the model file is read, and what is wished.
-        model: The model file.
-        source: The recording.
-    """
-    from testbed.bodies.prior import prior_of
-    from testbed.core.recordings.views import with_gear
-
-    tree = with_gear(reading.tree(model), source)
-    return prior_of(tree), reading.tables().consistent
 
 
 @dataclass(frozen=True)
 class Writing:
-    """What was said of consistent bodies.
+    """Options of consistent bodies and of the model file that holds them."""
 
-    Attributes:
-        consistent: Whether they are wanted.
-        write: The file to write, which wants them too.
-        fixed: What fixed links get.
-        in_place: Whether the model file may be replaced.
-        force: Whether another file may be.
-    """
-
-    consistent: bool = False
-    write: Path | None = None
-    fixed: Fixed = Fixed.lump
-    in_place: bool = False
-    force: bool = False
+    consistent: ConsistentBodies = False
+    write: Annotated[
+        Path | None,
+        typer.Option(
+            "--write",
+            metavar="FILE",
+            help="Write the model file with consistent bodies and friction.",
+        ),
+    ] = None
+    fixed: FixedLinks = "lump"
+    in_place: Annotated[
+        bool, typer.Option("--in-place", help="Allow --write to replace the model file.")
+    ] = False
+    force: Force = False
 
     @property
     def wanted(self) -> bool:
         """Whether consistent bodies are to be made."""
         return self.consistent or self.write is not None
 
-    def check(self, reading: Reading, model: Path, recordings: Sequence[Path]) -> None:
-        """Whether the file may be written, and conditions are of use: said before the work.
+    def check(self, reading: Reading, recordings: Sequence[Path]) -> None:
+        """Check, before the work, that the file may be written and conditions are of use.
 
         Args:
             reading: What is wished.
-            model: The model file.
             recordings: What is identified, which is not replaced.
 
         Raises:
-            ModelError: It may not.
+            ModelError: The file may not be written.
             SettingsError: Something is wished of bodies that nobody asked for.
         """
         from testbed.bodies.consistency.options import ConsistencyOptions
@@ -136,39 +81,22 @@ class Writing:
         from testbed.core.base.errors import SettingsError
 
         default = ConsistencyOptions()
-        asked = replace(reading.tables().consistent, prior_error=default.prior_error)
+        asked = replace(reading.tables.consistent, prior_error=default.prior_error)
         if not self.wanted and asked != default:
             raise SettingsError("--set consistent... needs --consistent")
         if self.in_place and self.write is None:
             raise SettingsError("--in-place needs --write FILE")
         if self.write is not None:
+            model = reading.file.path
             check_place(model, self.write, over_source=self.in_place)
             own = self.in_place and self.write.resolve() == model.resolve()
             read = *recordings, reading.plate
             check_outputs(self.write, force=self.force or own, read=read)
 
-    def bodies(
-        self, reading: Reading, model: Path, source: Source, estimates: Sequence[Estimate]
-    ) -> Consistent:
-        """Consistent bodies by estimates of a recording.
-
-        Args:
-            reading: How the model file is read, and what is wished.
-            model: The model file.
-            source: The recording.
-            estimates: Of the recording.
-        """
-        from testbed.bodies.consistency.consistent import consistent
-        from testbed.core.recordings.views import with_gear
-
-        tree = with_gear(reading.tree(model), source)
-        return consistent(tree, estimates, *prior_of_bodies(reading, model, source))
-
     def written(
         self,
         found: Consistent,
         reading: Reading,
-        model: Path,
         recordings: Sequence[Path],
         drives: DriveFindings | None = None,
         delay: float = 0.0,
@@ -178,7 +106,6 @@ class Writing:
         Args:
             found: Consistent bodies.
             reading: How the model file is read.
-            model: The model file.
             recordings: What it was identified from.
             drives: Their friction, rotors and torque constants are written, too.
             delay: Of their commands [s].
@@ -193,27 +120,20 @@ class Writing:
 
         if self.write is None:
             return found.diagnostics
-        file = reading.model_file(model)
-        robot = robot_of(found, file.tree())
+        robot = robot_of(found, reading.file.tree())
         return found.diagnostics + write_model(
-            file,
+            reading.file,
             robot if drives is None else with_drives(robot, drives),
             self.write,
-            fixed=self.fixed.value,
-            note=provenance(found, file, recordings),
+            fixed=self.fixed,
+            note=provenance(found, reading.file, recordings),
             over_source=self.in_place,
             gears=None if drives is None else drives.gears,
             delay=delay,
         )
 
 
-class _Method(StrEnum):
-    external = "external"
-    internal = "internal"
-    both = "both"
-
-
-@app.command()
+@command()
 def identify(
     recordings: Annotated[
         list[Path],
@@ -221,27 +141,25 @@ def identify(
             metavar="RECORDING...", help="Recordings (Parquet) or mapping files of one robot."
         ),
     ],
-    model: RobotModel,
-    settings: RecordingSet = None,
+    reading: Annotated[
+        Reading,
+        Fields(
+            "settings zeros gravity sensor weld_root lock lock_mimic plate terms unchecked threads",
+            model=RobotModel,
+        ),
+    ],
+    writing: Annotated[Writing, Fields("consistent write fixed in_place force")],
     method: Annotated[
-        _Method, typer.Option(help="external: force plate, internal: joint torques.")
-    ] = _Method.both,
-    zeros: Zeros = False,
-    gravity: Gravity = None,
-    sensor: Sensor = None,
-    weld_root: Weld = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
-    plate: Plate = None,
-    terms: Terms = None,
-    plain: Plain = False,
-    consistent: ConsistentBodies = False,
-    write: Write = None,
-    fixed: FixedLinks = Fixed.lump,
-    in_place: InPlace = False,
-    force: Force = False,
-    unchecked: Unchecked = False,
-    threads: Threads = None,
+        Literal["external", "internal", "both"],
+        typer.Option(help="external: force plate, internal: joint torques."),
+    ] = "both",
+    plain: Annotated[
+        bool,
+        typer.Option(
+            "--plain",
+            help="Of an imported recording: least squares, without the model file as prior.",
+        ),
+    ] = False,
     timings: Timings = False,
     everything: Everything = False,
     as_json: Json = False,
@@ -263,34 +181,29 @@ def identify(
     from testbed.core.recordings.views import is_imported
     from testbed.view import output, terminal
 
-    reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms, sensor)
-    writing = Writing(consistent, write, fixed, in_place, force)
-    writing.check(reading, model, recordings)
-    reading, source, said = reading.joined(recordings, model, unchecked=unchecked)
-    tree = reading.tree(model)
+    writing.check(reading, recordings)
+    reading, source, said = reading.joined(recordings)
+    tree = reading.tree
     if reading.prior_error and not (writing.wanted or is_imported(source)):
         raise SettingsError("--set consistent... needs --consistent, or an imported recording")
-    wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
+    wanted = METHODS if method == "both" else (method,)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
     said = [*tree.diagnostics, *said]
     if (everything or as_json) and not tree.is_part:  # no fault: few recordings have both
+        lacking = [name for name in wanted if name not in there]
         said += [
-            diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m])
-            for m in wanted
-            if m not in there
+            diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking
         ]
     with output.Progress("identifying") as progress:
         found = analyse(
             tree,
             source,
-            reading.tables().identification,
             methods=there or wanted,  # the first says what lacks
-            gravity=gravity,
-            doubt=reading.doubt(tree),
+            doubt=reading.doubt,
             prior_error=reading.prior_error,
-            bodies=prior_of_bodies(reading, model, source) if writing.wanted else None,
-            threads=threads,
+            bodies=reading.bodies(source) if writing.wanted else None,
             progress=progress,
+            **reading.arguments,
         )
     for name, error in found.failures.items():
         if plain or name not in found.posterior:
@@ -299,15 +212,15 @@ def identify(
     if found.bodies_failure is not None:
         raise found.bodies_failure
     if found.bodies is not None:
-        said += writing.written(found.bodies, reading, model, recordings)
+        said += writing.written(found.bodies, reading, recordings)
     estimates, posteriors = list(found.estimates.values()), list(found.posterior.values())
     if as_json:
         from testbed.lab.experiment.results import identified
 
         result = identified(
             estimates,
-            reading.model_file(model),
-            reading.tables(),
+            reading.file,
+            reading.tables,
             said,
             found.bodies,
             found.posterior,
@@ -323,11 +236,11 @@ def identify(
         plain=plain,
         everything=everything,
     )
-    if write is not None:
-        output.print_lines([f"model file: {write}"], ())
+    if writing.write is not None:
+        output.print_lines([f"model file: {writing.write}"], ())
 
 
-@app.command()
+@command()
 def validate(
     recording: Annotated[
         Path, typer.Argument(metavar="RECORDING", help="Recording of another motion (Parquet).")
@@ -336,11 +249,7 @@ def validate(
         Path,
         typer.Argument(metavar="RESULT.json", help="Output of identify --json, or a run folder."),
     ],
-    model: OtherModel = None,
-    gravity: Gravity = None,
-    settings: RecordingSet = None,
-    plate: Plate = None,
-    threads: Threads = None,
+    reading: Annotated[Reading, Fields("model gravity settings plate threads")],
     as_json: Json = False,
 ) -> None:
     """Hold estimates against a recording of a motion that they have not seen.
@@ -357,8 +266,8 @@ def validate(
     from testbed.lab.experiment.read_result import read_result
     from testbed.view import output, terminal
 
-    kept = read_result(result, model, settings or ())
-    source = corrected_source(kept.without_held(opened(recording)), kept.tree, plate)
+    kept = read_result(result, reading.model, reading.settings or ())
+    source = corrected_source(kept.without_held(opened(recording)), kept.tree, reading.plate)
     there = [a for a in kept.answers if SIGNAL_OF[a.estimate.method] in source.signals]
     lacking = [a.estimate.method for a in kept.answers if a not in there]
     said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking]
@@ -372,9 +281,9 @@ def validate(
                 kept.tree,
                 source,
                 answer.estimate,
-                gravity=gravity,
+                gravity=reading.gravity,
                 settings=kept.settings,
-                threads=threads,
+                threads=reading.threads,
                 progress=progress,
                 models=answer.models,
                 held=answer.held,
@@ -385,18 +294,18 @@ def validate(
         terminal.print_validations(list(found.values()), said)
 
 
-@app.command()
+@command()
 def sample(
     result: Annotated[
         Path,
         typer.Argument(metavar="RESULT.json", help="Output of identify --json, or a run folder."),
     ],
     out: Annotated[Path, typer.Option(help="New folder for model files and robots.npz.")],
+    *,
     count: Annotated[int, typer.Option("-n", min=1, max=100_000, help="How many robots.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Of the draws.")] = 0,
-    model: OtherModel = None,
-    settings: RecordingSet = None,
-    fixed: FixedLinks = Fixed.lump,
+    reading: Annotated[Reading, Fields("model settings")],
+    fixed: FixedLinks = "lump",
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -420,15 +329,15 @@ def sample(
     from testbed.view import bodies as shown
     from testbed.view import output
 
-    check_outputs(out, force=True, folder=True, read=(result, model))
-    kept = read_result(result, model, settings or ())
+    check_outputs(out, force=True, folder=True, read=(result, reading.model))
+    kept = read_result(result, reading.model, reading.settings or ())
     if kept.tree.is_part:
         raise SettingsError(f"'{result}' is of a force sensor: robots need plate or joint torques")
-    there = [each.name for each in out.iterdir()] if out.exists() else []
-    ours = (ARCHIVE, *(name for name in there if name.startswith(f"{kept.file.path.stem}_")))
-    if others := sorted({*there} - {*ours}):
+    others = {each.name for each in out.iterdir()} if out.exists() else set()
+    stem = f"{kept.file.path.stem}_"
+    if others := {name for name in others - {ARCHIVE} if not name.startswith(stem)}:
         raise SettingsError(
-            f"'{out}' holds {others[0]}, not robots alone: --out names a new folder"
+            f"'{out}' holds {min(others)}, not robots alone: --out names a new folder"
         )
     check_outputs(out, force=force, folder=True)
     prior = prior_of(kept.prior)
@@ -439,7 +348,7 @@ def sample(
     file = kept.file.tree()
     with output.Progress("writing model files"):
         trees = [found.tree(k, file) for k in range(count)]
-        said = write_models(kept.file, trees, out, fixed=fixed.value, note=note)
+        said = write_models(kept.file, trees, out, fixed=fixed, note=note)
     if as_json:
         output.print_json(encode(found, exclude={"values"}))
     else:

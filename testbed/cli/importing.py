@@ -10,27 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.reading import (
-    Force,
-    Json,
-    Lock,
-    LockMimic,
-    OtherModel,
-    Reading,
-    RecordingSet,
-    Unchecked,
-    Weld,
-    app,
-    check_outputs,
-    ending,
-    note,
-)
+from testbed.cli.options import Fields, Force, Json, check_outputs, command, ending, note
+from testbed.cli.reading import Reading
 from testbed.core.base.diagnostics import Diagnostic, diagnose, ordered
 from testbed.core.base.errors import RecordingError, few
 from testbed.core.base.file_kinds import LOG, kind_of, misplaced
 
 if TYPE_CHECKING:
     from testbed.core.recordings.recording import Recording
+    from testbed.importing.check.check import CheckReport, Prepared
     from testbed.importing.check.mapping_solution import MappingSolution
     from testbed.importing.import_report import MappingDraft
 
@@ -38,7 +26,6 @@ if TYPE_CHECKING:
 def write_mapping(
     files: Sequence[Path],
     out: Path | None,
-    model: Path | None,
     reading: Reading,
     page: Path | None = None,
 ) -> MappingSolution | None:
@@ -47,61 +34,66 @@ def write_mapping(
     Args:
         files: Of other programs.
         out: Mapping file to write.
-        model: The robot's file, if it is known.
-        reading: How that is read.
+        reading: The robot's model file, if it is known, and how it is read.
         page: HTML file to write of what was solved.
 
     Returns:
-        The mapping with the robot that it was solved for; None where it is not complete.
+        The solved mapping; None where it is not complete.
 
     Raises:
         TestbedError: The data contradict the mapping, which is written as far as it is known.
     """
     from testbed.core.base.files import replacing, together
-    from testbed.importing.check.draft_mapping import draft_mapping
-    from testbed.importing.check.mapping_solution import missing, solve_mapping
-    from testbed.importing.guess import guessed
+    from testbed.importing.check.mapping_solution import missing
     from testbed.view import output
     from testbed.view.mapping import solved_table, write_mapping_page
 
-    folder, found = out.parent if out else Path(), None
-    written = out or folder / "mapping.toml"
-    with output.Progress("reading"):
-        if model is None:
-            draft = guessed(files, folder)
-        else:
-            draft, file, tree = draft_mapping(files, folder, reading.model_file(model))
-    if model is not None:
-        with output.Progress("solving the mapping, hypotheses") as bar:
-            found = solve_mapping(draft, written, tree, bar)
-        draft = found.draft
-        locked = few([f"{name} at {q:.4g}" for name, q in draft.tables.get("lock", {}).items()])
-        said = [diagnose("robot.locked", locked)] if locked else []
-        if file.weld_root and not reading.weld_root:
-            said.append(diagnose("robot.welded", tree.name))
-        output.print_lines((), [*tree.diagnostics, *said, *found.diagnostics])
-        if out is not None:
-            output.print_tables(output.console(), [solved_table(draft)])
+    written = out or Path("mapping.toml")
+    solution = _solution(files, written, reading)
+    draft = solution.draft
+    if out is not None and reading.model is not None:
+        output.print_tables(output.console(), [solved_table(draft)])
     with together():
-        if page is not None and found is not None:
-            write_mapping_page(page, found)
+        if page is not None:
+            write_mapping_page(page, solution)
         if out is not None:
             with replacing(out) as fresh:
                 fresh.write_text(draft.text, encoding="utf-8")
     if out is None:
         typer.echo(draft.text, nl=False)
-    if found is not None and found.refusal is not None:
-        raise _refused(found.refusal, draft, written)
+    if solution.refusal is not None:
+        raise _refused(solution.refusal, draft, written)
     if out is None:
         return None
     empty = missing(draft)
     notes = {f"{table}.{key}".removeprefix("."): said for (table, key), said in draft.notes.items()}
     note(f"{out}:{draft.line(key)}: {key}: {notes.get(key, 'not found')}" for key in empty)
     fill = f"fill in what is empty ({', '.join(empty)}), then " if empty else ""
-    words = ["import", out, "--out", out.with_suffix(".parquet"), "--model", model or "ROBOT"]
-    words += reading.model_words
+    words = ["import", out, "--out", out.with_suffix(".parquet"), *reading.model_words]
     typer.echo(f"{out}: {fill}testbed {shlex.join(map(str, words))}")
-    return None if empty else found
+    return None if empty else solution
+
+
+def _solution(files: Sequence[Path], written: Path, reading: Reading) -> MappingSolution:
+    """Mapping by the columns' names and, where the robot is known, by the data."""
+    from testbed.importing.check.draft_mapping import draft_mapping
+    from testbed.importing.check.mapping_solution import MappingSolution, solve_mapping
+    from testbed.importing.guess import guessed
+    from testbed.view import output
+
+    with output.Progress("reading"):
+        if reading.model is None:
+            return MappingSolution(guessed(files, written.parent))
+        draft, file, tree = draft_mapping(files, written.parent, reading.file)
+    with output.Progress("solving the mapping, hypotheses") as bar:
+        solution = solve_mapping(draft, written, tree, bar)
+    lock = solution.draft.tables.get("lock", {})
+    locked = few([f"{name} at {q:.4g}" for name, q in lock.items()])
+    said = [diagnose("robot.locked", locked)] if locked else []
+    if file.weld_root and not reading.weld_root:
+        said.append(diagnose("robot.welded", tree.name))
+    output.print_lines((), [*tree.diagnostics, *said, *solution.diagnostics])
+    return solution
 
 
 def _refused(refusal: Exception, draft: MappingDraft, written: Path) -> RecordingError:
@@ -112,7 +104,7 @@ def _refused(refusal: Exception, draft: MappingDraft, written: Path) -> Recordin
     return RecordingError(f"{written}:{number}: {reason}")
 
 
-@app.command("import")
+@command("import")
 def import_(
     files: Annotated[
         list[Path],
@@ -128,7 +120,8 @@ def import_(
     guess: Annotated[
         bool, typer.Option("--guess", help="Write a draft mapping of the file.")
     ] = False,
-    model: OtherModel = None,
+    *,
+    reading: Annotated[Reading, Fields("model settings weld_root lock lock_mimic unchecked")],
     align: Annotated[
         bool, typer.Option("--align", help="Correct delays of torques and plate (needs --model).")
     ] = False,
@@ -139,11 +132,6 @@ def import_(
             help="With --guess and --model: HTML page of the solution.",
         ),
     ] = None,
-    unchecked: Unchecked = False,
-    settings: RecordingSet = None,
-    weld_root: Weld = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -155,8 +143,6 @@ def import_(
 
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
-    from testbed.importing.check.check import CheckReport, import_and_check
-    from testbed.importing.convert import pieces
     from testbed.importing.import_report import ImportReport
     from testbed.importing.mapping import sources
     from testbed.view import output
@@ -164,13 +150,13 @@ def import_(
     for each in files:
         if not guess and each.suffix.lower() != ".toml":
             raise typer.BadParameter(misplaced(each, kind_of(each) or LOG, "mapping"))
+    model = reading.model
     if page is not None and not (guess and model):
         raise typer.BadParameter("--page is of a mapping: --guess and --model go with it")
     logs = () if guess or out is None else sources(files[0])
     check_outputs(out, page, force=force, read=(*files, model, *logs))
-    reading = Reading(settings, False, weld_root, lock, lock_mimic)
     if guess:
-        write_mapping(files, out, model, reading, page)
+        write_mapping(files, out, reading, page)
         return
     if len(files) > 1:
         raise typer.BadParameter(f"one mapping at a time, not {len(files)}; it may name many files")
@@ -179,39 +165,55 @@ def import_(
         raise typer.BadParameter("--out is missing, e.g. --out recording.parquet")
     if model is None and align:
         raise typer.BadParameter("--align needs --model: delays are found by the robot's motion")
-    report = CheckReport()
-    checked: list[Diagnostic] = []
-    if model is None:
-        with output.Progress("importing"):
-            made, cuts = pieces(mapping)
-    else:
-        with output.Progress("importing, checking against the robot") as bar:
-            made, cuts, report = import_and_check(
-                mapping,
-                lambda one: reading.robot_of(one, model)[1:],
-                align=align,
-                unchecked=unchecked,
-                progress=bar,
-            )
-        checked = [*reading.robot_of(made[0], model)[1].diagnostics, *report.diagnostics]
-    taken = " (corrected)" if align else ""
-    lines = [
-        each.diagnostic().text + (taken if each.matters else ", not significant")
-        for each in report.offsets
-    ]
-    paths = [str(path) for path in save_pieces(made, out, force=force)]
-    found = [recording.facts["import"] for recording in made]
+    recordings, cuts, report = checked_import(mapping, reading, align=align)
+    checked = report.diagnostics
+    if model is not None:
+        checked = (*reading.robot_of(recordings[0])[0].diagnostics, *checked)
+    significance = {True: " (corrected)" if align else "", False: ", not significant"}
+    clocks = [each.diagnostic().text + significance[each.matters] for each in report.offsets]
+    paths = [str(path) for path in save_pieces(recordings, out, force=force)]
+    imports = [recording.facts["import"] for recording in recordings]
     if as_json:
-        several = {"recordings": paths, "cuts": [each.text for each in cuts]} if cuts else {}
-        said = {"import": found if cuts else found[0], "clocks": lines}
-        output.print_json(said | {"diagnostics": [d.as_dict() for d in checked]} | several)
+        document = {"import": imports if cuts else imports[0], "clocks": clocks}
+        document["diagnostics"] = [each.as_dict() for each in checked]
+        if cuts:
+            document |= {"recordings": paths, "cuts": [each.text for each in cuts]}
+        output.print_json(document)
         return
-    reports = [ImportReport.from_dict(each) for each in found]
+    reports = [ImportReport.from_dict(each) for each in imports]
     doubts = ordered([*(each for report in reports for each in report.diagnostics), *checked])
-    reported = [line for report in reports for line in report.lines()]
-    named = f"{', '.join(paths)}; identify takes them together" if cuts else str(out)
-    last = f"recording{'s' * bool(cuts)}: {named}"
-    output.print_lines([*reported, *lines, last], [*cuts, *doubts])
+    lines = [*(line for report in reports for line in report.lines()), *clocks]
+    last = f"recordings: {', '.join(paths)}; identify takes them together"
+    output.print_lines([*lines, last if cuts else f"recording: {out}"], [*cuts, *doubts])
+
+
+def checked_import(
+    mapping: Path, reading: Reading, *, align: bool = False, prepared: Prepared | None = None
+) -> tuple[Sequence[Recording], list[Diagnostic], CheckReport]:
+    """Recordings that a mapping file makes, where it was cut, and their check by the robot.
+
+    Args:
+        mapping: The file.
+        reading: How the robot is read; without a model nothing is checked.
+        align: Whether delays and drifts of clocks are taken back.
+        prepared: The recordings, where they were made already.
+    """
+    from testbed.importing.check.check import CheckReport, import_and_check
+    from testbed.importing.convert import pieces
+    from testbed.view import output
+
+    if reading.model is None:
+        with output.Progress("importing"):
+            return *pieces(mapping), CheckReport()
+    with output.Progress("importing, checking against the robot") as bar:
+        return import_and_check(
+            mapping,
+            reading.robot_of,
+            align=align,
+            unchecked=reading.unchecked,
+            progress=bar,
+            prepared=prepared,
+        )
 
 
 def save_pieces(pieces: Sequence[Recording], out: Path, *, force: bool) -> list[Path]:

@@ -106,7 +106,7 @@ def _command() -> int:
     import warnings
 
     from testbed.cli.commands import app
-    from testbed.cli.reading import joined_vectors
+    from testbed.cli.options import joined_vectors
     from testbed.core.base.cache import cache_folder
     from testbed.core.base.files import guarded
 
@@ -128,35 +128,37 @@ def _told(error: BaseException) -> int:
     """Say what an error means, in one line; the exit code."""
     from testbed.core.base.errors import TestbedError
 
-    code = INPUT_AT_FAULT
-    if isinstance(error, TestbedError):
-        _say(str(error))
-    elif isinstance(error, BrokenPipeError):
-        code = UNREAD
-    elif isinstance(error, OSError):  # a full disk, a folder that may not be written
-        name = error.filename2 or error.filename  # of a copy, where it goes to
-        place = f"'{name}': " if name is not None else ""
-        _say(f"{place}{error.strerror}" if error.strerror else str(error))
-    elif isinstance(error, MemoryError):
-        _say("not enough memory; ask for less, such as a shorter motion")
-    elif isinstance(error, RecursionError):
-        _say("the input is nested too deeply")
-    elif isinstance(error, UnicodeDecodeError):
-        _say(f"a file that should be text is not UTF-8: {error.reason} at byte {error.start}")
-    elif isinstance(error, ImportError):  # an installation that is broken, or no memory for it
-        _say(f"a library cannot be loaded: {error}")
-        code = OUR_FAULT
-    elif hasattr(error, "format_message"):  # what the option parser found
-        if message := error.format_message():  # none where it has printed the help instead
+    code, message = INPUT_AT_FAULT, str(error)
+    match error:
+        case TestbedError():
+            pass
+        case BrokenPipeError():
+            return UNREAD
+        case OSError():  # a full disk, a folder that may not be written
+            name = error.filename2 or error.filename  # of a copy, where it goes to
+            place = f"'{name}': " if name is not None else ""
+            message = f"{place}{error.strerror}" if error.strerror else message
+        case MemoryError():
+            message = "not enough memory; ask for less, such as a shorter motion"
+        case RecursionError():
+            message = "the input is nested too deeply"
+        case UnicodeDecodeError():
+            fault = f"{error.reason} at byte {error.start}"
+            message = f"a file that should be text is not UTF-8: {fault}"
+        case ImportError():  # an installation that is broken, or no memory for it
+            code, message = OUR_FAULT, f"a library cannot be loaded: {error}"
+        case _ if hasattr(error, "format_message"):  # of the option parser
             context = getattr(error, "ctx", None)
             command = f" {context.info_name}" if context is not None and context.parent else ""
-            _say(f"{message} (see testbed{command} --help)")
-    else:
-        import traceback
+            message = error.format_message()  # none where it has printed the help instead
+            message = message and f"{message} (see testbed{command} --help)"
+        case _:
+            import traceback
 
-        traceback.print_exception(error)
-        _say("the above is a fault of the program; please report it")
-        code = OUR_FAULT
+            traceback.print_exception(error)
+            code, message = OUR_FAULT, "the above is a fault of the program; please report it"
+    if message:
+        _say(message)
     return code
 
 

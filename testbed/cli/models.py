@@ -10,21 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
-from testbed.cli.reading import (
+from testbed.cli.options import (
+    Fields,
     Force,
-    Gravity,
     Json,
-    Lock,
-    LockMimic,
     Model,
-    Reading,
-    Sensor,
-    Weld,
-    Zero,
-    Zeros,
-    app,
+    Vector,
     check_outputs,
+    command,
 )
+from testbed.cli.reading import Reading
 from testbed.core.base.errors import UnknownName
 
 if TYPE_CHECKING:
@@ -33,7 +28,9 @@ if TYPE_CHECKING:
     from testbed.sensors.kinds_in_words import KindDescription
 
 
-class _What(StrEnum):
+class What(StrEnum):
+    """Equations to choose from; typer takes no list of literals."""
+
     joint_forces = "joint-forces"
     base_wrench = "base-wrench"
     dynamic_regressor = "dynamic-regressor"
@@ -43,25 +40,14 @@ class _What(StrEnum):
     all = "all"
 
 
-class _Form(StrEnum):
-    full = "full"
-    reduced = "reduced"
-    recursive = "recursive"
+Form = Literal["full", "reduced", "recursive"]
 
 
-class _Language(StrEnum):
-    paper = "paper"
-    latex = "latex"
-    python = "python"
-    c = "c"
-
-
-@app.command()
+@command()
 def minimal(
-    model: Model,
-    zeros: Zeros = False,
-    zero: Zero = None,
-    gravity: Gravity = None,
+    reading: Annotated[
+        Reading, Fields("zeros zero gravity sensor weld_root lock lock_mimic", model=Model)
+    ],
     tared: Annotated[
         bool, typer.Option("--tared", help="The static wrench is subtracted (tared force plate).")
     ] = False,
@@ -83,10 +69,6 @@ def minimal(
     matrices: Annotated[
         bool, typer.Option("--matrices/--no-matrices", help="With --json: include the matrices.")
     ] = True,
-    sensor: Sensor = None,
-    weld_root: Weld = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
     as_json: Json = False,
 ) -> None:
     """Print what joint torques and what a force plate or sensor can identify of a robot.
@@ -99,8 +81,8 @@ def minimal(
     from testbed.view import output
     from testbed.view.minimal_sets import Findings, as_document, print_latex, print_sets
 
-    tree = Reading(None, False, weld_root, lock, lock_mimic, sensor=sensor).tree(model)
-    known = _known(zeros, zero)
+    tree = reading.tree
+    gravity, known = reading.gravity, reading.known_zeros
     with output.Progress("deriving"):
         dynamic = minimal_set(tree, "dynamic", gravity, known)
         reaction = minimal_set(tree, "reaction", gravity, known, tared)
@@ -122,18 +104,20 @@ def minimal(
     raise typer.Exit(0 if found.hold else 1)
 
 
-@app.command()
+@command()
 def equations(
-    model: Model,
-    what: Annotated[list[_What] | None, typer.Option(help="Which equations; repeatable.")] = None,
+    what: Annotated[list[What] | None, typer.Option(help="Which equations; repeatable.")] = None,
     form: Annotated[
-        _Form,
+        Form,
         typer.Option(help="All parameters, base parameters, or recursive form."),
-    ] = _Form.full,
-    language: Annotated[_Language, typer.Option(help="Notation.")] = _Language.paper,
-    zeros: Zeros = False,
-    zero: Zero = None,
-    gravity: Gravity = None,
+    ] = "full",
+    language: Annotated[
+        Literal["paper", "latex", "python", "c"], typer.Option(help="Notation.")
+    ] = "paper",
+    *,
+    reading: Annotated[
+        Reading, Fields("zeros zero gravity weld_root lock lock_mimic", model=Model)
+    ],
     square: Annotated[
         bool,
         typer.Option("--right-angles", help="Round almost right angles."),
@@ -146,9 +130,6 @@ def equations(
     max_terms: Annotated[
         int | None, typer.Option(min=1, help="Largest number of terms; default 150000.")
     ] = None,
-    weld_root: Weld = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -165,24 +146,24 @@ def equations(
     from testbed.equations.robot import right_angles
     from testbed.view import output
 
-    tree = Reading(None, False, weld_root, lock, lock_mimic).tree(model)
-    tree = right_angles(tree) if square else tree
+    model = reading.file.path
+    tree = right_angles(reading.tree) if square else reading.tree
     check_outputs(out, force=force, read=(model, against))
-    if zeros and zero:
+    if reading.zeros and reading.zero:
         raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")
-    known, most = _known(zeros, zero), max_terms or MAX_TERMS
+    gravity, known, most = reading.gravity, reading.known_zeros, max_terms or MAX_TERMS
     if against is not None:
         if what or out is not None or as_json:
             raise typer.BadParameter(
                 "--against compares and writes nothing: leave --what, --out, --json out"
             )
         _compare(tree, against, form, gravity, known, most)
-    wanted = what or [_What.joint_forces]
-    names = list(KINDS) if _What.all in wanted else [each.value for each in wanted]
+    wanted = what or [What.joint_forces]
+    names = list(KINDS) if What.all in wanted else [each.value for each in wanted]
     with output.Progress("deriving"):
-        listing = derived(tree, names, form.value, gravity, known, most)
+        listing = derived(tree, names, form, gravity, known, most)
         text = write_equations(
-            listing, language.value, f"{model.name}, SHA-256 {fingerprint(model)[:16]}"
+            listing, language, f"{model.name}, SHA-256 {fingerprint(model)[:16]}"
         )
     if out is not None:
         with replacing(out) as fresh:
@@ -193,22 +174,17 @@ def equations(
         sys.stdout.write(text)
 
 
-def _map(tree: Tree, gravity: Gravity, known: bool | list[str]) -> tuple[Visibility, ...]:
+def _map(tree: Tree, gravity: Vector | None, known: bool | list[str]) -> tuple[Visibility, ...]:
     """What each sensor identifies; SciPy's sparse matrices take a third of a second to import."""
     from testbed.core.parameters.identifiability import identifiability
 
     return identifiability(tree, gravity, known)
 
 
-def _known(zeros: bool, zero: list[str] | None) -> bool | list[str]:
-    """Which parameters are known to be zero: those named, or the file's, or none."""
-    return list(zero) if zero else zeros
-
-
 def _compare(
     tree: Tree,
     path: Path,
-    form: _Form,
+    form: Form,
     gravity: tuple[float, float, float] | None,
     zeros: bool | list[str],
     max_terms: int,
@@ -221,7 +197,7 @@ def _compare(
 
     text = read_text(path, 4 * TERM_LENGTH * max_terms)  # a character has up to four bytes
     with output.Progress("deriving"):
-        found = compare_equations(tree, text, form.value, gravity, zeros, max_terms)
+        found = compare_equations(tree, text, form, gravity, zeros, max_terms)
     for name, difference in found.items():
         same = "equal" if not difference else f"the listing less the robot: {line(difference)}"
         sys.stdout.write(f"{name}: {same}\n")
@@ -231,7 +207,7 @@ def _compare(
 Kind = Annotated[str | None, typer.Argument(metavar="KIND", help="One of them, with its keys.")]
 
 
-@app.command("list")
+@command("list")
 def list_(kind: Kind = None) -> None:
     """List errors of encoders, drives and plate, and effects in the plant, for experiments.
 

@@ -10,24 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.identifications import ConsistentBodies, prior_of_bodies
+from testbed.cli.identifications import ConsistentBodies
 from testbed.cli.opening import corrected_source, opened
-from testbed.cli.reading import (
-    Force,
-    Lock,
-    LockMimic,
-    OtherModel,
-    Plate,
-    Reading,
-    RecordingSet,
-    Terms,
-    Unchecked,
-    Weld,
-    Zeros,
-    app,
-    check_outputs,
-    ending,
-)
+from testbed.cli.options import Fields, Force, check_outputs, command, ending
+from testbed.cli.reading import Reading
 from testbed.core.base.diagnostics import Diagnostic, diagnose, of_recording, ordered
 from testbed.core.base.file_kinds import expecting
 
@@ -37,7 +23,11 @@ if TYPE_CHECKING:
     from testbed.lab.experiment.run import Run
 
 
-@app.command()
+RECORDED = Fields("model settings zeros weld_root lock lock_mimic plate terms unchecked")
+"""Options of a recording that is identified to be shown."""
+
+
+@command()
 def view(
     runs: Annotated[
         list[Path],
@@ -45,7 +35,8 @@ def view(
             metavar="RUN...", help="Run folders, recordings (with --model), or a motion (.toml)."
         ),
     ],
-    model: OtherModel = None,
+    *,
+    reading: Annotated[Reading, RECORDED],
     save: Annotated[
         Path | None,
         typer.Option(
@@ -56,14 +47,6 @@ def view(
         bool, typer.Option("--serve", help="Show it in a browser on this machine.")
     ] = False,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Of the page, with --serve.")] = 9090,
-    settings: RecordingSet = None,
-    zeros: Zeros = False,
-    weld_root: Weld = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
-    plate: Plate = None,
-    terms: Terms = None,
-    unchecked: Unchecked = False,
     force: Force = False,
 ) -> None:
     """Show runs in the Rerun viewer: robot, reaction, predictions.
@@ -81,26 +64,25 @@ def view(
     from testbed.view.viewer.log import write_rrd
     from testbed.view.viewer.scene import scene_of
 
-    reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
     log = save or _beside(runs[0], ".rrd")
-    check_outputs(log, force=force or save is None, read=(*runs, model, plate))
+    check_outputs(log, force=force or save is None, read=(*runs, reading.model, reading.plate))
     if save is None and not serve and not has_screen():
         raise ViewerError(
             f"there is no screen to open the viewer on: --save {log.name} writes a file for "
             "another machine, --serve shows it in a browser"
         )
-    motion = model is None and [path.suffix.lower() for path in runs] == [".toml"]
+    motion = reading.model is None and [path.suffix.lower() for path in runs] == [".toml"]
     if motion:  # a mapping, which is a TOML file, too, needs --model
         with output.Progress("looking"):
-            said = _write_motion(runs[0], settings or [], log)
+            said = _write_motion(runs[0], reading.settings or (), log)
         _show(log, said, serve, save is None, port)
         return
-    _check_said(runs, model, reading)
+    _check_said(runs, reading)
     scenes = []
     with output.Progress("looking") as progress:
         for k, path in enumerate(runs):
             progress(k, len(runs))
-            run = _run_at(path, model, reading, unchecked=unchecked)
+            run = _run_at(path, reading)
             scenes.append(scene_of(run))
         write_rrd(scenes, log)
     _show(log, [each for scene in scenes for each in scene.diagnostics], serve, save is None, port)
@@ -121,7 +103,7 @@ def _show(path: Path, said: list[Diagnostic], serve: bool, opened: bool, port: i
         open_viewer(path)
 
 
-def _write_motion(file: Path, settings: list[str], path: Path) -> list[Diagnostic]:
+def _write_motion(file: Path, settings: Sequence[str], path: Path) -> list[Diagnostic]:
     """Write what there is to see of a file's motion; what to know of it."""
     from testbed.bodies.shapes.appearance import load_appearance
     from testbed.lab.experiment.experiment_robot import model_of
@@ -139,29 +121,22 @@ def _write_motion(file: Path, settings: list[str], path: Path) -> list[Diagnosti
     return [diagnose("motion.not-proven", reason=proof.worst.words), *said]
 
 
-@app.command()
+@command()
 def report(
     run: Annotated[
         Path, typer.Argument(metavar="RUN", help="Run folder, or recording (with --model).")
     ],
-    model: OtherModel = None,
+    *,
+    reading: Annotated[Reading, RECORDED],
     out: Annotated[
         Path | None,
         typer.Option(callback=ending(".html", ".htm"), help="HTML file; default RUN.html."),
     ] = None,
-    settings: RecordingSet = None,
-    zeros: Zeros = False,
-    weld_root: Weld = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
-    plate: Plate = None,
-    terms: Terms = None,
     consistent: ConsistentBodies = False,
     validate: Annotated[
         Path | None,
         typer.Option(help="Another recording, for cross-validation."),
     ] = None,
-    unchecked: Unchecked = False,
     force: Force = False,
 ) -> None:
     """Write a run's report: one HTML file that needs nothing else, and its numbers as JSON.
@@ -177,14 +152,13 @@ def report(
 
     path = out or _beside(run, ".html")
     again = out is None and path.is_file()  # the run's own page, and the numbers beside it
-    read = run, model, plate, validate
+    read = run, reading.model, reading.plate, validate
     check_outputs(path, path.with_suffix(".json"), force=force or again, read=read)
-    reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
-    _check_said([run], model, reading, consistent=consistent, other=validate)
+    _check_said([run], reading, consistent=consistent, other=validate)
     with output.Progress("identifying") as progress:
-        done = _run_at(run, model, reading, unchecked=unchecked, consistent=consistent)
+        done = _run_at(run, reading, consistent=consistent)
         if validate is not None:
-            done = _judged_on(done, validate, reading, unchecked=unchecked)
+            done = _judged_on(done, validate, reading)
         elif done.unseen is None:
             from testbed.lab.experiment.carry_out import on_unseen_motion, with_payload_metrics
 
@@ -204,7 +178,6 @@ def _beside(run: Path, ending: str) -> Path:
 
 def _check_said(
     paths: list[Path],
-    model: Path | None,
     reading: Reading,
     *,
     consistent: bool = False,
@@ -213,7 +186,7 @@ def _check_said(
     """Whether what was said of recordings has one to be about."""
     from testbed.core.base.errors import ExperimentError
 
-    said = model is not None or reading != Reading() or consistent or other is not None
+    said = replace(reading, unchecked=False) != Reading() or consistent or other is not None
     if all(path.is_dir() for path in paths) and said:
         raise ExperimentError(
             f"'{paths[0]}' is a run folder: it has its own model and settings; --model, --set and "
@@ -221,14 +194,7 @@ def _check_said(
         )
 
 
-def _run_at(
-    path: Path,
-    model: Path | None,
-    reading: Reading,
-    *,
-    unchecked: bool,
-    consistent: bool = False,
-) -> Run:
+def _run_at(path: Path, reading: Reading, *, consistent: bool = False) -> Run:
     """A run folder's run, or a recording's with what can be identified from it."""
     from testbed.core.base.errors import ExperimentError
     from testbed.lab.experiment.results import read_run
@@ -241,20 +207,19 @@ def _run_at(
             raise ExperimentError(f"'{path}' is a campaign: testbed campaign --summary {path}")
         return read_run(path)
     with expecting(path, "recording", "mapping"):
-        if model is None:
+        if reading.model is None:
             raise ExperimentError(f"'{path}' is no run folder; a recording needs --model")
-        reading, recording, accepted = _loaded(path, model, reading, unchecked=unchecked)
-    reading, source, accepted = reading.holding(recording, model, accepted)
-    tree = reading.tree(model)
+        reading, recording, accepted = _loaded(path, reading)
+    reading, source, accepted = reading.holding(recording, accepted)
     run = assemble_run(
-        tree,
+        reading.tree,
         _in_memory(source),
         name=path.stem,
-        settings=reading.tables().identification,
-        model=reading.model_file(model),
-        doubt=reading.doubt(tree),
+        settings=reading.tables.identification,
+        model=reading.file,
+        doubt=reading.doubt,
         prior_error=reading.prior_error,
-        bodies=prior_of_bodies(reading, model, source) if consistent else None,
+        bodies=reading.bodies(source) if consistent else None,
     )
     return replace(run, diagnostics=ordered([*accepted, *run.diagnostics]))
 
@@ -271,16 +236,14 @@ def _alike(path: Path) -> str:
     return f"; there is {', '.join(sorted(found)[:3])}" if found else ""
 
 
-def _loaded(
-    path: Path, model: Path, reading: Reading, *, unchecked: bool
-) -> tuple[Reading, Recording, Sequence[Diagnostic]]:
+def _loaded(path: Path, reading: Reading) -> tuple[Reading, Recording, Sequence[Diagnostic]]:
     """A recording in memory, the plate's faults taken back, and what to doubt of it."""
     from testbed.core.recordings.recording import Recording
 
     whole = opened(path) if path.suffix == ".toml" else Recording.load(path)
-    reading, tree, source = reading.robot_of(whole, model)
-    accepted = reading.accepted(source, tree, unchecked=unchecked)
-    return reading, _in_memory(corrected_source(source, tree, reading.plate)), accepted
+    reading, source = reading.of_recording(whole)
+    accepted = reading.accepted(source)
+    return reading, _in_memory(corrected_source(source, reading.tree, reading.plate)), accepted
 
 
 def _in_memory(source: Source) -> Recording:
@@ -290,12 +253,12 @@ def _in_memory(source: Source) -> Recording:
     return source if isinstance(source, Recording) else source.part(0, source.samples)
 
 
-def _judged_on(run: Run, path: Path, reading: Reading, *, unchecked: bool) -> Run:
+def _judged_on(run: Run, path: Path, reading: Reading) -> Run:
     """A run with its estimates held against another recording."""
     from testbed.lab.experiment.carry_out import validated
 
     assert run.model is not None
-    held = reading.with_lock(run.model)
-    _, other, doubted = _loaded(path, run.model.path, held, unchecked=unchecked)
+    held = replace(reading.with_lock(run.model), model=run.model.path)
+    _, other, doubted = _loaded(path, held)
     said = (*of_recording(other.facts), *doubted)
     return validated(run, other).with_diagnostics(replace(d, recording=path.name) for d in said)

@@ -7,7 +7,7 @@ import shlex
 import sys
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Annotated
@@ -15,8 +15,9 @@ from typing import Annotated
 import typer
 from packaging.requirements import Requirement
 
-from testbed.cli.importing import save_pieces, write_mapping
-from testbed.cli.reading import Force, Json, Lock, LockMimic, Reading, app, check_outputs
+from testbed.cli.importing import checked_import, save_pieces, write_mapping
+from testbed.cli.options import Fields, Force, Json, check_outputs, command
+from testbed.cli.reading import Reading
 from testbed.core.base.installation import DISTRIBUTION, own_or_shipped
 from testbed.core.base.installation import version as own_version
 
@@ -71,7 +72,7 @@ def _installed(name: str) -> str:
         return ""
 
 
-@app.command()
+@command()
 def new(
     robot: Annotated[
         Path | None,
@@ -79,6 +80,7 @@ def new(
             metavar="ROBOT", parser=own_or_shipped, help="MJCF or URDF file.", show_default=False
         ),
     ] = None,
+    *,
     recording: Annotated[
         list[Path] | None,
         typer.Option(help="A logger's file instead: writes a mapping; repeatable."),
@@ -88,8 +90,7 @@ def new(
         bool,
         typer.Option("--strict", help="Refuse impossible bodies instead of repairing them."),
     ] = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
+    reading: Annotated[Reading, Fields("lock lock_mimic")],
     force: Force = False,
 ) -> None:
     """Write an experiment file for a robot, commented and ready to run.
@@ -108,10 +109,10 @@ def new(
     from testbed.view import output
 
     check_outputs(out, force=force, read=(robot, *(recording or ())))
-    reading = Reading(lock=lock, lock_mimic=lock_mimic)
+    reading = replace(reading, model=robot)
     if recording:
         stem = recording[0].name.partition(".")[0]
-        _recorded(recording, out or Path(f"{stem}.toml"), robot, reading, force=force)
+        _recorded(recording, out or Path(f"{stem}.toml"), reading, force=force)
         return
     assert robot is not None
     from testbed.lab.experiment.new_experiment import new_experiment
@@ -121,7 +122,7 @@ def new(
             robot,
             out.parent if out else Path(),
             strict=strict,
-            lock=reading.model_file(robot).lock,
+            lock=reading.file.lock,
             say=typer.echo,
         )
     path = out or Path(f"{tomllib.loads(text)['name']}.toml")
@@ -131,41 +132,34 @@ def new(
     typer.echo(f"{path}: testbed run {path}")
 
 
-def _recorded(
-    files: list[Path], mapping: Path, robot: Path | None, reading: Reading, *, force: bool
-) -> None:
+def _recorded(files: list[Path], mapping: Path, reading: Reading, *, force: bool) -> None:
     """Write a mapping for logs, and the recording that it makes of a robot."""
-    from testbed.importing.check.check import import_and_check
     from testbed.importing.import_report import ImportReport
     from testbed.view import output
 
-    made = mapping.with_suffix(".parquet")
+    robot, made = reading.model, mapping.with_suffix(".parquet")
     if any(made.resolve() == each.resolve() for each in files):
         made = made.with_stem(f"{made.stem}_recording")
     written = (mapping,) if robot is None else (mapping, made)
     check_outputs(*written, force=force, read=(robot, *files))
-    found = write_mapping(files, mapping, robot, reading)
-    if found is None or robot is None:
+    solution = write_mapping(files, mapping, reading)
+    if solution is None or robot is None:
         return
-    with output.Progress("importing, checking against the robot") as bar:
-        several, cuts, report = import_and_check(
-            mapping,
-            lambda one: reading.robot_of(one, robot)[1:],
-            progress=bar,
-            prepared=found.prepared,
-        )
-    paths = save_pieces(several, made, force=force)
+    recordings, cuts, report = checked_import(mapping, reading, prepared=solution.prepared)
+    paths = save_pieces(recordings, made, force=force)
     listed, taken = (made, made) if len(paths) == 1 else (f"{paths[0]} to {paths[-1]}", mapping)
     words = ["identify", taken, "--model", robot]
-    if several[0].wrench is not None:  # the plate's frame and clock are known to a sigma only
+    if recordings[0].wrench is not None:  # the plate's frame and clock are known to a sigma only
         words += ["--set", 'identification.nuisances=["pose","skew"]']
-    last = f"{listed}: testbed {shlex.join(map(str, words))}"
-    imported = ImportReport.from_dict(several[0].facts["import"]).diagnostics
+    imported = ImportReport.from_dict(recordings[0].facts["import"]).diagnostics
     said = [*cuts, *imported, *report.diagnostics]
-    output.print_lines([last], [each for each in said if each not in found.diagnostics])
+    output.print_lines(
+        [f"{listed}: testbed {shlex.join(map(str, words))}"],
+        [each for each in said if each not in solution.diagnostics],
+    )
 
 
-@app.command()
+@command()
 def doctor(
     compile_: Annotated[
         bool, typer.Option("--compile", help="Compile the kernel ahead of its first use.")

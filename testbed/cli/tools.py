@@ -7,35 +7,34 @@ from typing import Annotated
 
 import typer
 
-from testbed.cli.calibrations import Flange, Vendor, flange_link, print_for
+from testbed.cli.calibrations import PayloadOutput
 from testbed.cli.opening import opened
-from testbed.cli.reading import (
-    Gravity,
-    Json,
-    Lock,
-    LockMimic,
-    Reading,
-    RecordingSet,
-    RobotModel,
-    Threads,
-    Weld,
-    app,
-)
+from testbed.cli.options import Fields, RobotModel, command
+from testbed.cli.reading import Reading
 
 
-@app.command()
+@command()
 def tool(
     recording: Annotated[
         Path,
         typer.Argument(metavar="FILE", help="Recording in motion; with --at-rest, table of poses."),
     ],
-    model: RobotModel,
-    sensor: Annotated[
-        str,
-        typer.Option(
-            "--sensor", metavar="NAME|LINK", help="The force sensor, or the first link beyond it."
+    reading: Annotated[
+        Reading,
+        Fields(
+            "settings gravity weld_root lock lock_mimic threads",
+            model=RobotModel,
+            sensor=Annotated[
+                str,
+                typer.Option(
+                    "--sensor",
+                    metavar="NAME|LINK",
+                    help="The force sensor, or the first link beyond it.",
+                ),
+            ],
         ),
     ],
+    *,
     at_rest: Annotated[
         bool,
         typer.Option(
@@ -46,15 +45,7 @@ def tool(
         bool,
         typer.Option("--degrees", help="With --at-rest: angles without a unit are in degrees."),
     ] = False,
-    settings: RecordingSet = None,
-    gravity: Gravity = None,
-    weld_root: Weld = False,
-    lock: Lock = None,
-    lock_mimic: LockMimic = False,
-    vendor: Vendor = None,
-    flange: Flange = None,
-    threads: Threads = None,
-    as_json: Json = False,
+    printed: Annotated[PayloadOutput, Fields("vendor flange as_json")],
 ) -> None:
     """Find mass, centre and inertia of the tool that a force sensor carries.
 
@@ -68,54 +59,44 @@ def tool(
 
     Example: testbed tool poses.csv --at-rest --degrees --model robot.urdf --sensor tool0
     """
+    from testbed.applications.payload.tool import tool_of
+
+    if at_rest:
+        _print_at_rest(recording, reading, printed, degrees=degrees)
+        return
+    reading, source = reading.of_recording(opened(recording))
+    tree = reading.tree.with_gravity(reading.gravity)
+    link = printed.link(reading, tree)
+    estimate = reading.identify(source)
+    found = tool_of(tree, estimate)
+    known = [*tree.diagnostics, *estimate.diagnostics, *found.diagnostics]
+    title = f"tool beyond the force sensor at {reading.sensor}, about its origin and along its axes"
+    printed.print(found, tree, link, known, title)
+
+
+def _print_at_rest(table: Path, reading: Reading, printed: PayloadOutput, *, degrees: bool) -> None:
+    """Print the tool by a table of static poses."""
     from testbed.applications.payload.static_fit import StaticPoses
-    from testbed.applications.payload.tool import tool_at_rest, tool_of
+    from testbed.applications.payload.tool import tool_at_rest
     from testbed.core.base.codec import encode
     from testbed.core.base.diagnostics import ordered
     from testbed.core.base.errors import SettingsError, printable
-    from testbed.core.estimation.identify import identify
     from testbed.importing.static_poses import read_static_poses
     from testbed.view import estimates as shown
-    from testbed.view import output, terminal
+    from testbed.view import output
 
-    if vendor is not None and as_json:
-        raise SettingsError("--as and --json are two forms of one answer: give one of them")
-    reading = Reading(settings, False, weld_root, lock, lock_mimic, sensor=sensor)
-    if at_rest:
-        tree = reading.tree(model).with_gravity(gravity)
-        poses = StaticPoses(*read_static_poses(recording, tree, degrees=degrees))
-        link = flange_link(vendor, flange, reading.model_file(model), tree)
-        still = tool_at_rest(tree, poses, reading.tables().force_sensors[sensor])
-        known = [*tree.diagnostics, *still.diagnostics]
-        if as_json:
-            output.print_json(encode(still))
-        elif vendor is not None:
-            if still.payload is None or still.doubtful:
-                first = printable(ordered(still.diagnostics)[0].text, 250)
-                raise SettingsError(f"no controller should get this tool: {first}")
-            print_for(vendor, still.payload, tree, link, known)
-        else:
-            output.print_lines((), known)
-            output.print_lines(shown.tool_lines(still), ())
-        return
-    reading, tree, source = reading.robot_of(opened(recording), model)
-    tree = tree.with_gravity(gravity)
-    link = flange_link(vendor, flange, reading.model_file(model), tree)
-    with output.Progress("identifying") as progress:
-        estimate = identify(
-            tree,
-            source,
-            gravity=gravity,
-            settings=reading.tables().identification,
-            threads=threads,
-            progress=progress,
-        )
-    found = tool_of(tree, estimate)
-    known = [*tree.diagnostics, *estimate.diagnostics, *found.diagnostics]
-    if as_json:
+    tree = reading.tree.with_gravity(reading.gravity)
+    poses = StaticPoses(*read_static_poses(table, tree, degrees=degrees))
+    link = printed.link(reading, tree)
+    found = tool_at_rest(tree, poses, reading.tables.force_sensors[reading.sensor or ""])
+    known = [*tree.diagnostics, *found.diagnostics]
+    if printed.as_json:
         output.print_json(encode(found))
-    elif vendor is not None:
-        print_for(vendor, found, tree, link, known)
+    elif printed.vendor is None:
+        output.print_lines((), known)
+        output.print_lines(shown.tool_lines(found), ())
+    elif found.payload is None or found.doubtful:
+        first = printable(ordered(found.diagnostics)[0].text, 250)
+        raise SettingsError(f"no controller should get this tool: {first}")
     else:
-        title = f"tool beyond the force sensor at {sensor}, about its origin and along its axes"
-        terminal.print_payload(found, known, title)
+        printed.print(found.payload, tree, link, known)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from itertools import product
+
 import numpy as np
 
 from testbed.bodies.consistency.consistent import Consistent
 from testbed.bodies.consistency.robots import Robots
 from testbed.bodies.linear_prior import DETERMINED
-from testbed.core.base.summary_table import number_with_sigma
+from testbed.core.base.summary_table import numbers_with_sigma
 from testbed.core.estimation.estimate import NAMES
 from testbed.core.parameters.symbols import STANDARD
 from testbed.view.section import Section, Table
@@ -22,31 +25,33 @@ def consistent_tables(found: Consistent) -> list[Table]:
     Args:
         found: The bodies, friction and rotors.
     """
-    rows = [
-        [
-            link if c == 0 else "",
-            name,
-            f"{found.prior[k, c]:.4g}",
-            number_with_sigma(float(found.standard[k, c]), float(found.sigma[k, c]), short=True),
-            f"{found.data_share[k, c]:.0%}",
-        ]
-        for k, link in enumerate(found.links)
-        for c, name in enumerate(STANDARD)
-    ]
+    cells = zip(
+        [f"{value:.4g}" for value in found.prior.ravel()],
+        numbers_with_sigma(found.standard, found.sigma, short=True),
+        [f"{share:.0%}" for share in found.data_share.ravel()],
+        strict=True,
+    )
+    rows = _body_rows(found.links, STANDARD, cells)
     title = (
         "physically consistent bodies, about and along their frames [kg, kg m, kg m^2]; data: "
         "share of the prior variance that the data remove"
     )
     tables = [Table(["link", "", "model file", "estimate", "data"], rows, title, left=[""])]
-    terms = zip(found.terms, found.coefficients, found.coefficient_sigma, strict=True)
-    own = [
-        [
-            f"{term.law.kind}/{found.places[term.joint]}",
-            number_with_sigma(float(value), float(sigma), short=True),
-        ]
-        for term, value, sigma in terms
-    ]
+    names = [f"{term.law.kind}/{found.places[term.joint]}" for term in found.terms]
+    numbers = numbers_with_sigma(found.coefficients, found.coefficient_sigma, short=True)
+    own = list(zip(names, numbers, strict=True))
     return [*tables, *([Table(["joint's own", "estimate"], own)] if own else [])]
+
+
+def _body_rows(
+    links: Iterable[str], names: Sequence[str], cells: Iterable[tuple[str, ...]]
+) -> list[tuple[str, ...]]:
+    """Rows of parameters, each link in the first of its own."""
+    places = product(links, names)
+    return [
+        (link if name == names[0] else "", name, *row)
+        for (link, name), row in zip(places, cells, strict=True)
+    ]
 
 
 def draws_table(found: Robots) -> Table:
@@ -55,17 +60,15 @@ def draws_table(found: Robots) -> Table:
     Args:
         found: The draws.
     """
-    rows = [
-        [
-            f"{link}, {joint}" if c == 0 else "",
-            name,
-            number_with_sigma(float(found.mean[k, c]), float(found.sigma[k, c]), short=True),
-            f"{found.share[k, c]:.0%}",
-            _origin(float(found.share[k, c])),
-        ]
-        for k, (link, joint) in enumerate(zip(found.links, found.joints, strict=True))
-        for c, name in enumerate(found.names)
-    ]
+    shares = found.share.ravel().tolist()
+    cells = zip(
+        numbers_with_sigma(found.mean, found.sigma, short=True),
+        [f"{share:.0%}" for share in shares],
+        map(_origin, shares),
+        strict=True,
+    )
+    places = map(", ".join, zip(found.links, found.joints, strict=True))
+    rows = _body_rows(places, found.names, cells)
     title = (
         "robots drawn [kg, kg m, kg m^2, N m, N m s/rad]; data: share of the prior variance that "
         f"the data remove; the model file is taken to be wrong by {found.prior_error:g}"
@@ -86,11 +89,12 @@ def consistent_lines(found: Consistent) -> list[str]:
     Args:
         found: The bodies, friction and rotors.
     """
-    massive = found.eigenvalues[:, -1] > 0
     lines = []
+    with np.errstate(invalid="ignore"):
+        least = found.eigenvalues[:, 0] / found.eigenvalues[:, -1]
+    massive = found.eigenvalues[:, -1] > 0
     if massive.any():
-        least = found.eigenvalues[:, 0] / np.where(massive, found.eigenvalues[:, -1], 1.0)
-        worst = int(np.argmin(np.where(massive, least, np.inf)))
+        worst = int(np.where(massive, least, np.inf).argmin())
         lines.append(
             f"Every body is physically consistent: least eigenvalue of a pseudo-inertia over its "
             f"greatest {least[worst]:.2g}, of '{found.links[worst]}'."

@@ -5,21 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from testbed.applications.calibration import Calibration
+from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import phrase
 from testbed.core.base.errors import plural, printable
-from testbed.core.base.summary_table import number_with_sigma
+from testbed.core.base.summary_table import number_with_sigma, numbers_with_sigma
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.influence import by_influence
 from testbed.core.estimation.selection.held_out import HeldOut, TermChoice
 from testbed.core.estimation.sensor.estimates import TraceTest
 from testbed.core.recordings.columns import AXES
-from testbed.lab.experiment.run import SAID, Run, matrix_errors
-from testbed.view.section import HeatTable, Table
+from testbed.lab.experiment.run import Run
+from testbed.view.section import Table
 
 if TYPE_CHECKING:
     from testbed.applications.payload.payload import PayloadEstimate
@@ -59,42 +60,36 @@ def _table(
 ) -> Table:
     """Of some methods; short: 1.0610(9) for 1.0610 +- 0.0009, and no units."""
     units = {n: u for e in estimates for n, u in zip(e.names, e.units, strict=True)}
-    heads = ["parameter"] if short else ["parameter", "unit"]
-    rows = [[name] if short else [name, units[name]] for name in names if name in units]
+    names = [name for name in names if name in units]
+    columns: dict[str, list[str]] = {"parameter": names}
+    if not short:
+        columns["unit"] = [units[name] for name in names]
     if truths:
-        heads.append("truth")
-        for row in rows:
-            row.append(f"{truths[row[0]]:.6g}" if row[0] in truths else "-")
+        columns["truth"] = [f"{truths[n]:.6g}" if n in truths else "-" for n in names]
+    heads = [*columns]
+    cells = [*columns.values()]
     for estimate in estimates:
+        numbers, errors = _cells(estimate, truths, short)
         heads.append(estimate.instrument)
-        cells = _cells(estimate, short)
-        for row in rows:
-            row.append(cells.get(row[0], "-"))
+        cells.append([numbers.get(name, "-") for name in names])
         if truths:
             heads.append("z" if short else "error/std")
-            errors = _errors(estimate, truths)
-            for row in rows:
-                row.append(errors.get(row[0], ""))
-    return Table(heads, rows, title, left=["unit"])
+            cells.append([errors.get(name, "") for name in names])
+    return Table(heads, list(zip(*cells, strict=True)), title, left=["unit"])
 
 
-def _cells(estimate: Estimate, short: bool) -> dict[str, str]:
-    """Value with sigma by name."""
-    numbers = zip(estimate.names, estimate.values.tolist(), estimate.sigma.tolist(), strict=True)
-    return {
-        name: number_with_sigma(value, sigma, short or name in estimate.unidentifiable)
-        for name, value, sigma in numbers
-    }
-
-
-def _errors(estimate: Estimate, truths: Mapping[str, float]) -> dict[str, str]:
-    """Errors in standard deviations by name, of what is identifiable and known."""
-    numbers = zip(estimate.names, estimate.values.tolist(), estimate.sigma.tolist(), strict=True)
-    return {
-        name: f"{(value - truths[name]) / sigma if sigma else 0.0:+.1f}"
-        for name, value, sigma in numbers
-        if name in truths and math.isfinite(sigma)
-    }
+def _cells(
+    estimate: Estimate, truths: Mapping[str, float], short: bool
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Values with sigmas by name; errors in sigmas of what is identifiable and known."""
+    numbers, errors = {}, {}
+    rows = zip(estimate.names, estimate.values.tolist(), estimate.sigma.tolist(), strict=True)
+    for name, value, sigma in rows:
+        brief = short or name in estimate.unidentifiable
+        numbers[name] = number_with_sigma(value, sigma, brief)
+        if name in truths and math.isfinite(sigma):
+            errors[name] = f"{(value - truths[name]) / sigma if sigma else 0.0:+.1f}"
+    return numbers, errors
 
 
 def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
@@ -176,10 +171,10 @@ def payload_table(found: PayloadEstimate, title: str = "") -> Table:
         found: The payload.
         title: Of the table; default which link carries the payload.
     """
-    numbers = zip(found.values.tolist(), found.sigma.tolist(), found.identifiable, strict=True)
+    numbers = numbers_with_sigma(found.values, found.sigma, short=True)
     said = [
-        number_with_sigma(value, sigma, short=True) if identifiable else "only in combination"
-        for value, sigma, identifiable in numbers
+        number if identifiable else "only in combination"
+        for number, identifiable in zip(numbers, found.identifiable, strict=True)
     ]
     rows = list(zip(found.names, said, found.units, strict=True))
     title = title or f"payload on the link of {found.joint}, about and along its frame"
@@ -192,8 +187,7 @@ def scales_table(found: TorqueScales) -> Table:
     Args:
         found: By a known payload.
     """
-    numbers = zip(found.joints, found.values.tolist(), found.sigma.tolist(), strict=True)
-    rows = [(name, number_with_sigma(value, sigma, short=False)) for name, value, sigma in numbers]
+    rows = list(zip(found.joints, numbers_with_sigma(found.values, found.sigma), strict=True))
     return Table(["joint", "reported over true torque"], rows, "divide torques, or gains, by")
 
 
@@ -219,7 +213,7 @@ def tool_lines(found: ToolEstimate) -> list[str]:
     """
 
     def each(values: Sequence[tuple[float, float]], unit: str) -> str:
-        return ", ".join(number_with_sigma(v, s, short=False) for v, s in values) + f" {unit}"
+        return f"{', '.join(numbers_with_sigma(*np.transpose(values)))} {unit}"
 
     force, moment = found.residual
     angle, doubt = np.rad2deg(found.tilt).tolist()
@@ -236,13 +230,12 @@ def tool_lines(found: ToolEstimate) -> list[str]:
     return lines
 
 
-def _place(centre: Any, sigma: Any) -> str:
-    said = [
-        f"{axis} {number_with_sigma(float(c), float(s), short=False)} m"
-        if np.isfinite(c)
-        else f"{axis} not identifiable"
-        for axis, c, s in zip("xyz", centre, sigma, strict=True)
-    ]
+def _place(centre: Array, sigma: Array) -> str:
+    numbers = numbers_with_sigma(centre, np.nan_to_num(sigma))
+    said = (
+        f"{axis} {number} m" if known else f"{axis} not identifiable"
+        for axis, number, known in zip("xyz", numbers, np.isfinite(centre), strict=True)
+    )
     return ", ".join(said)
 
 
@@ -313,40 +306,19 @@ def _test(test: TraceTest, sensor: str) -> list[str]:
     ]
 
 
-def matrix_maps(run: Run) -> list[HeatTable]:
-    """The plate's matrix before and after calibration: its errors, and sigma of each; [] for none.
-
-    Args:
-        run: The run.
-    """
-    found = matrix_errors(run)
-    if found is None:
-        return []
-    most = found.most or 1.0
-    tables = {"Before: error of the matrix": found.error, "After: standard deviation": found.sigma}
-    return [
-        HeatTable.of_shares(f"{title}, {SAID}", AXES, AXES, values, np.abs(values) / most)
-        for title, values in tables.items()
-    ]
-
-
 def plate_table(plate: Calibration) -> Table:
     """The matrix of a plate.
 
     Args:
         plate: The calibration.
     """
-    values, sigmas = plate.matrix.tolist(), plate.matrix_sigma.tolist()
-    rows = [
-        [name, *(_cell(v, s) for v, s in zip(values[k], sigmas[k], strict=True))]
-        for k, name in enumerate(AXES)
-    ]
+    numbers = numbers_with_sigma(plate.matrix, plate.matrix_sigma, short=True)
+    known = [f"{value:.6g}" for value in plate.matrix.ravel()]
+    sigmas = plate.matrix_sigma.ravel()
+    cells = np.where(sigmas > 0, numbers, known).reshape(plate.matrix.shape).tolist()
+    rows = [[name, *row] for name, row in zip(AXES, cells, strict=True)]
     title = "what a channel (row) shows of a component of the wrench (column)"
     return Table(["", *AXES], rows, title, parts=(range(1, 4), range(4, 7)))
-
-
-def _cell(value: float, sigma: float) -> str:
-    return number_with_sigma(value, sigma, short=True) if sigma else f"{value:.6g}"
 
 
 def plate_lines(plate: Calibration) -> list[str]:

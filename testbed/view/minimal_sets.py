@@ -14,7 +14,7 @@ from testbed.core.dynamics.rank_check import Agreement, DriveAgreement
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet, selection
 from testbed.core.parameters.regroup import Lengths
-from testbed.core.parameters.rules import REASONS, Model
+from testbed.core.parameters.rules import REASONS
 from testbed.core.parameters.symbols import (
     STANDARD,
     Formula,
@@ -35,6 +35,9 @@ GAP = 2
 
 WIDTHS = (6, 7, 8)
 """Widths of the columns between name and formula: unit, torques, plate."""
+
+SENSORS = {"torques": "joint torques", "plate": "the force plate", "sensor": "the force sensor"}
+"""Names of sensors in a sentence."""
 
 SHARE = 3
 """A name takes no more than one part of so many of a line, and goes on below."""
@@ -61,22 +64,27 @@ class Findings:
     agreements: Sequence[Agreement | DriveAgreement] = ()
 
     @property
+    def by_sensor(self) -> dict[str, MinimalSet]:
+        """Sets by the sensor's name; a force sensor in the robot is the only one."""
+        if self.tree.sensor is not None:
+            return {"sensor": self.reaction}
+        return {"torques": self.dynamic, "plate": self.reaction}
+
+    @property
     def sets(self) -> tuple[MinimalSet, ...]:
-        """Those of the robot's instruments: a force sensor in the robot is the only one."""
-        return (self.dynamic, self.reaction) if self.tree.sensor is None else (self.reaction,)
+        """Sets of the robot's sensors."""
+        return tuple(self.by_sensor.values())
 
     @property
     def hold(self) -> bool:
         """Whether all witnesses agree."""
         return all(each.holds for each in self.agreements)
 
-    def formulas(self, model: Model, lengths: Lengths) -> tuple[Formula, ...]:
-        """Of one model's minimal parameters, with the terms regrouped into them."""
-        if model == "reaction":
-            return self.reaction.formulas_with(lengths)
-        if self.drives is None:
-            return self.dynamic.formulas_with(lengths)
-        return self.drives.formulas_with(lengths)[: self.dynamic.count]
+    def formulas(self, minimal: MinimalSet, lengths: Lengths) -> tuple[Formula, ...]:
+        """Formulas of one set's parameters, with the terms regrouped into them."""
+        if minimal.model == "reaction" or self.drives is None:
+            return minimal.formulas_with(lengths)
+        return self.drives.formulas_with(lengths)[: minimal.count]
 
 
 def print_sets(console: Console, found: Findings, lengths: Lengths) -> None:
@@ -100,9 +108,8 @@ def print_sets(console: Console, found: Findings, lengths: Lengths) -> None:
     for line in _verdicts(found):
         console.print(line, soft_wrap=True)
     beyond = parameter_names(found.tree)[10 * found.tree.massless :]
-    never = [each.never for each in found.sets]
-    lost = [name for name in beyond if all(name in each for each in never)]
-    if lost:
+    never = set.intersection(*(set(each.never) for each in found.sets))
+    if lost := [name for name in beyond if name in never]:
         console.print(
             f"not identifiable, not even in combination: {', '.join(lost)}", soft_wrap=True
         )
@@ -119,8 +126,7 @@ def print_latex(console: Console, found: Findings, lengths: Lengths) -> None:
     """
     for each in found.sets:
         console.print(f"% {each.model}: {each.count}")
-        formulas = found.formulas(each.model, lengths)
-        for formula in (*formulas, *each.auxiliary_with(lengths)):
+        for formula in (*found.formulas(each, lengths), *each.auxiliary_with(lengths)):
             console.print(rf"{formula.latex('&=')} \\", soft_wrap=True)
     for line in _verdicts(found):
         console.print(f"% {line}", soft_wrap=True)
@@ -146,31 +152,29 @@ def _print_bodies(console: Console, found: Findings, lengths: Lengths) -> None:
     rows = _rows(found, lengths)
     names = [formula.left.text for known in rows.values() for formula in known]
     width = min(max(map(len, names), default=0), console.width // SHARE)
-    heads = ["torques", "plate"] if found.tree.sensor is None else ["sensor"]
     for body in sorted(rows, reverse=True):
         console.print(_heading(found, body), style="bold", soft_wrap=True)
         table = Table(box=None, padding=(0, 0, 0, GAP), header_style="bold")
         table.add_column("parameter", width=max(width, len("parameter")), overflow="fold")
         table.show_header = body == max(rows)
-        for head, wide in zip(("unit", *heads), WIDTHS, strict=False):
+        for head, wide in zip(("unit", *found.by_sensor), WIDTHS, strict=False):
             table.add_column(head, min_width=wide)
         table.add_column("combination of", overflow="fold")
         for formula, row in rows[body].items():
-            rules = (row.get(each.model, "-") for each in found.sets)
-            right = "" if formula.trivial else formula.said
-            table.add_row(formula.left.text, row["unit"], *rules, right)
+            rules = (row.get(sensor, "-") for sensor in ("unit", *found.by_sensor))
+            table.add_row(formula.left.text, *rules, "" if formula.trivial else formula.said)
         console.print(table)
 
 
 def _rows(found: Findings, lengths: Lengths) -> dict[int, dict[Formula, dict[str, str]]]:
-    """By body and formula: the unit, and the rule that keeps it by model."""
+    """By body and formula: the unit, and the rule that keeps it by sensor."""
     rows: dict[int, dict[Formula, dict[str, str]]] = {}
-    for each in found.sets:
-        formulas = found.formulas(each.model, lengths)
+    for sensor, each in found.by_sensor.items():
+        formulas = found.formulas(each, lengths)
         columns = zip(each.bodies, formulas, each.units, each.reasons, strict=True)
         for body, formula, unit, reason in columns:
             row = rows.setdefault(body, {}).setdefault(formula, {"unit": unit})
-            row[each.model] = reason
+            row[sensor] = reason
     return rows
 
 
@@ -187,12 +191,11 @@ def _explained(found: Findings, lengths: Lengths) -> Iterator[str]:
     """Rules, redefinitions, directions and terms of the joints, a line each."""
     for number in sorted({reason for each in found.sets for reason in each.reasons}):
         yield f"{'rule ' * number[0].isdigit()}{number}: {REASONS[number]}"
-    instruments: dict[Formula, list[str]] = {}
-    for each in found.sets:
+    sensors: dict[Formula, list[str]] = {}
+    for sensor, each in found.by_sensor.items():
         for formula in each.auxiliary_with(lengths):
-            name = "torques" if each.model == "dynamic" else "plate"
-            instruments.setdefault(formula, []).append(name)
-    for formula, names in instruments.items():
+            sensors.setdefault(formula, []).append(sensor)
+    for formula, names in sensors.items():
         yield f"with {formula}{f' ({names[0]})' if len(names) < len(found.sets) else ''}"
     for body, triad in (found.sets[0].triads | found.reaction.triads).items():
         axes = (
@@ -206,8 +209,8 @@ def _explained(found: Findings, lengths: Lengths) -> Iterator[str]:
 
 def _drive_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
     """Which terms of the joints have columns of their own, and where the others are."""
+    names = places(tree)
     for law in dict.fromkeys(term.law for term in drives.asked):
-        names = places(tree)
         joints = [names[term.joint] for term in drives.terms if term.law == law]
         if joints:
             yield f"{law.kind}: a column of its own for {', '.join(joints)}"
@@ -218,12 +221,10 @@ def _drive_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
 
 
 def _summary(found: Findings) -> str:
-    instruments = ["joint torques", "the force plate"]
-    if found.tree.sensor is not None:
-        instruments = ["the force sensor"]
-    first, *others = zip(found.sets, instruments, strict=True)
-    phrase = f"{plural(first[0].count, 'combination')} identifiable by {first[1]}"
-    phrase += "".join(f", {each.count} by {name}" for each, name in others)
+    (first, *others), (count, *counts) = found.by_sensor, [each.count for each in found.sets]
+    phrase = f"{plural(count, 'combination')} identifiable by {SENSORS[first]}"
+    for sensor, count in zip(others, counts, strict=True):
+        phrase += f", {count} by {SENSORS[sensor]}"
     phrase += " (tared)" * found.reaction.tared
     if found.drives is not None:
         phrase += f"; with terms of the joints, {plural(found.drives.count, 'unknown')}"

@@ -27,7 +27,6 @@ from testbed.lab.experiment.summary import obtained, summary, verdict
 from testbed.view.estimates import (
     choice_lines,
     instrument_tables,
-    matrix_maps,
     parameter_tables,
 )
 from testbed.view.figures import Panel
@@ -115,7 +114,6 @@ def contents(run: Run) -> dict[str, Any]:
         "figures": sections(predict(run, run.unseen)),
         "posterior": _posterior_tables(run),
         "instrument": instrument_tables(run),
-        "matrix": matrix_maps(run),
         "maps": _maps(run),
         "zeros": bool(run.settings.zeros),
         "settings": _settings(run),

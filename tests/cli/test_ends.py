@@ -121,7 +121,7 @@ def test_ctrl_c_ends_a_search_with_the_best_motion_so_far(place: Path, tmp_path:
 
 def test_starting_loads_only_what_is_needed(place: Path) -> None:
     """Help nothing heavy; `minimal` no physics engine, which would look for a window."""
-    code = "import sys\nfrom testbed.cli import main, reading\nprint(*sys.modules)\n"
+    code = "import sys\nfrom testbed.cli import main, options\nprint(*sys.modules)\n"
     code += "sys.argv[1:] = ['minimal', sys.argv[1]]\n"
     code += "try: main.main()\nfinally: print(*sys.modules)"
     first, *_, last = process(

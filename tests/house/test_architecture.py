@@ -69,7 +69,7 @@ GUESTS = {
     "typer": "cli/",
     "rich": "view/ campaigns/campaign_section.py",
     "matplotlib": "view/drawing.py",
-    "jinja2": "view/output.py",
+    "jinja2": "view/output.py lab/experiment/new_experiment.py",
     "markupsafe": "view/output.py",
     "subprocess": "view/viewer/live.py core/base/child_process.py",  # the viewer; what may crash
 }

@@ -20,7 +20,7 @@ from testbed.core.estimation.estimate import METHODS, NAMES
 from testbed.core.estimation.influence import by_influence
 from testbed.lab.experiment.evaluate import wrong_bodies
 from testbed.lab.experiment.summary import summary, verdict
-from testbed.view.estimates import CLEAR, instrument_tables, matrix_maps
+from testbed.view.estimates import CLEAR, instrument_tables
 from testbed.view.figures import Panel
 from testbed.view.run_page import write_report
 from testbed.view.signals import sections
@@ -162,17 +162,9 @@ def test_residuals_in_tables_and_plots_are_those_of_the_predictions() -> None:
     assert [*panels, *rows] == []
 
 
-def test_the_plates_matrix_is_shown_before_and_after() -> None:
-    """2 % of a large force are much of a small moment: errors count by what a channel reaches."""
+def test_predictions_are_held_against_what_the_plate_ought_to_have_shown() -> None:
     run = plated()
-    (before, after), reach = matrix_maps(run), np.abs(run.recording.measured("wrench")).max(axis=0)
-    cells, left = dict(before.rows), dict(after.rows)
-    assert float(cells["Mx"][2]["text"]) == pytest.approx(2 * reach[2] / reach[3], rel=0.06)
-    assert float(cells["Fy"][1]["text"]) == pytest.approx(1.0, rel=0.06)
-    assert float(left["Fy"][1]["text"]) == pytest.approx(0.1, rel=0.06)
-    assert cells["Mx"][2]["share"] > cells["Fy"][1]["share"] > left["Fy"][1]["share"]
-    assert min(cell["share"] for row in cells.values() for cell in row) == 0
-    matrix = np.eye(6)  # predictions are held against what the plate ought to have shown
+    matrix = np.eye(6)
     matrix[1, 1], matrix[3, 2] = 1.01, 0.02
     right = run.recording.measured("wrench") @ np.linalg.inv(matrix).T
     np.testing.assert_allclose(tb.predict(run).recording.measured("wrench"), right, rtol=1e-9)

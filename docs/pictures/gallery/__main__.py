@@ -64,9 +64,9 @@ def main(names: list[str]) -> None:
 
 def counted(robot: Robot) -> dict[str, int]:
     """Count a robot's joints and base parameters."""
-    reading = Reading(weld_root=robot.weld, lock=robot.lock, lock_mimic=robot.mimic)
     folder = PACKAGE if robot.file.startswith("robots/") else ROOT
-    tree = reading.model_file(folder / robot.file).tree()
+    model, held = folder / robot.file, [*robot.lock]
+    tree = Reading(model, weld_root=robot.weld, lock=held, lock_mimic=robot.mimic).file.tree()
     counts = {of: tb.minimal_set(tree, of).count for of in ("dynamic", "reaction")}
     return {"joints": tree.n, **counts}
 

@@ -4,35 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Annotated
 
 from testbed.core.base.errors import SettingsError
-from testbed.core.estimation.settings import Settings, finite_number, with_sigmas
+from testbed.core.estimation.settings import KNOWN, Checked, Share, Valid, with_sigmas
 
 MASS = "mass"
 """Of all moving bodies together; `mass/LINK` is that of one with all that is fixed to it."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConsistencyOptions:
+class ConsistencyOptions(Checked):
     """What is asked of physically consistent bodies, besides that they fit the data.
 
     Plain values only: an experiment file's table [consistent] holds the same keys.
     """
 
-    prior_error: float = 0.5
+    prior_error: Annotated[float, Valid(Share, "a positive part of one")] = 0.5
     """How wrong the model file's bodies are taken to be, in parts of themselves."""
 
-    known: Mapping[str, float | Sequence[float]] = field(default_factory=dict, hash=False)
+    known: Annotated[Mapping[str, float | Sequence[float]], KNOWN] = field(
+        default_factory=dict, hash=False
+    )
     """Masses, or mass and sigma, by name: "mass" is that of all moving bodies, "mass/LINK" of one
     with all that is fixed to it [kg]."""
 
-    __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
-
     def __post_init__(self) -> None:
-        if not (finite_number(self.prior_error) or 0) > 0:
-            raise SettingsError(f"prior_error is a positive part of one: {self.prior_error!r}")
-        object.__setattr__(self, "known", Settings(known=self.known).known)
+        super().__post_init__()
         for name, (mass, _) in self.masses.items():
             if name != MASS and not name.startswith(f"{MASS}/"):
                 raise SettingsError(f"known.{name}: only '{MASS}' and '{MASS}/LINK' can be known")

@@ -134,6 +134,18 @@ def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
     return f"{value:.{digits}f} +- {sigma:.{digits}f}"
 
 
+def numbers_with_sigma(values: Array, sigma: Array, short: bool = False) -> list[str]:
+    """Values and sigmas in words, row by row of arrays of more axes.
+
+    Args:
+        values: Of any shape.
+        sigma: Standard deviations, of the same shape.
+        short: As of `number_with_sigma`.
+    """
+    pairs = zip(values.ravel().tolist(), sigma.ravel().tolist(), strict=True)
+    return [number_with_sigma(*pair, short) for pair in pairs]
+
+
 def parameter_rows(
     names: Sequence[str], values: Array, sigma: Array, units: Sequence[str]
 ) -> tuple[tuple[str, ...], ...]:
@@ -145,6 +157,4 @@ def parameter_rows(
         sigma: Standard deviations, (p,).
         units: (p,).
     """
-    pairs = zip(values.tolist(), sigma.tolist(), strict=True)
-    numbers = [number_with_sigma(*pair) for pair in pairs]
-    return tuple(zip(names, numbers, units, strict=True))
+    return tuple(zip(names, numbers_with_sigma(values, sigma), units, strict=True))

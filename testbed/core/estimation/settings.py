@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
-from numbers import Real
-from typing import Annotated, Any, ClassVar, Final, Literal
+from functools import cached_property
+from typing import Annotated, Any, ClassVar, Final, Literal, get_args, get_type_hints
 
 import numpy as np
 from pydantic import (
@@ -27,17 +25,6 @@ from testbed.sensors.catalogue import term_of, terms
 
 LARGEST = 1e9
 """Times [s] and speeds [rad/s, m/s] that no robot has."""
-
-
-def finite_number(value: object) -> float | None:
-    """A finite number, or None for what is none.
-
-    Args:
-        value: As it was written.
-    """
-    real = isinstance(value, Real) and not isinstance(value, bool)
-    number = float(value) if real else math.nan  # type: ignore[arg-type]
-    return number if math.isfinite(number) else None
 
 
 def with_sigmas(stated: Mapping[str, float | Sequence[float]]) -> dict[str, tuple[float, float]]:
@@ -102,80 +89,107 @@ Filter = Annotated[
     Annotated[Number, Field(gt=0)] | Literal["off", "fit"],
     BeforeValidator(lambda given: "off" if given is None else given),
 ]
-
-FIELDS: Mapping[str, tuple[Any, str]] = {
-    "zeros": (
-        Annotated[bool, Field(strict=True)] | tuple[Name, ...],
-        "true, false or a list of parameters' names",
-    ),
-    "position_cutoff": (Filter, 'a positive frequency [Hz] or "off"'),
-    "cutoff": (Filter, 'a positive frequency [Hz] or "off"'),
-    "deadband": (Amount, f"a speed [rad/s or m/s], from 0 to {LARGEST:g}"),
-    "reversal_reach": (Amount | None, f"a time [s], from 0 to {LARGEST:g}"),
-    "terms": (
-        Annotated[
-            tuple[Name | InstanceOf[JointLaw], ...],
-            AfterValidator(_known_terms),
-            AfterValidator(_distinct),
-        ]
-        | Literal["auto"]
-        | None,
-        'a list of names, none twice, or "auto"',
-    ),
-    "nuisances": (
-        Annotated[tuple[Annotated[Name, AfterValidator(term_of)], ...], AfterValidator(_distinct)],
-        "a list of names, none twice",
-    ),
-    "tare": (Literal["known", "unknown"], '"known" or "unknown"'),
-    "span": (
-        Annotated[tuple[Number, Number], AfterValidator(_rising)] | None,
-        "two times [s], the earlier one first",
-    ),
-    "known": (
-        dict[Name, Number | tuple[Number] | tuple[Number, Annotated[Number, Field(ge=0)]]],
-        "a table of values, or of values and their sigmas, by name",
-    ),
-    "drives": (Literal["off", "given", "chosen"], '"off", "given" or "chosen"'),
-    "engine": (Literal["by size", "compiled", "numpy"], '"by size", "compiled" or "numpy"'),
-}
-"""What each setting may be, and that in words."""
+Share = Annotated[Number, Field(gt=0)]
 
 
-@cache
-def _adapter(name: str) -> TypeAdapter[Any]:
-    return TypeAdapter(FIELDS[name][0])
+@dataclass(frozen=True)
+class Valid:
+    """Values of a field, beside its type.
+
+    Attributes:
+        kind: What they are, as pydantic takes it.
+        meaning: The same in words.
+    """
+
+    kind: Any
+    meaning: str
+
+    @cached_property
+    def adapter(self) -> TypeAdapter[Any]:
+        """Validator of the kind."""
+        return TypeAdapter(self.kind)
+
+
+class Checked(Value):
+    """A frozen dataclass whose fields with `Valid` are checked, whoever makes the value."""
+
+    __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
+    _valid: ClassVar[Mapping[str, Valid]]
+
+    def __init_subclass__(cls) -> None:
+        hints = get_type_hints(cls, include_extras=True).items()
+        metadata = ((name, each) for name, hint in hints for each in get_args(hint))
+        cls._valid = {name: each for name, each in metadata if isinstance(each, Valid)}
+
+    def __post_init__(self) -> None:
+        for name, valid in self._valid.items():
+            given = getattr(self, name)
+            try:
+                checked = valid.adapter.validate_python(given)
+            except ValidationError:
+                raise SettingsError(f"{name} is {valid.meaning}, found {given!r}") from None
+            object.__setattr__(self, name, checked)
+
+
+KNOWN = Valid(
+    dict[Name, Number | tuple[Number] | tuple[Number, Annotated[Number, Field(ge=0)]]],
+    "a table of values, or of values and their sigmas, by name",
+)
+FREQUENCY = Valid(Filter, 'a positive frequency [Hz] or "off"')
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings(Value):
+class Settings(Checked):
     """How a recording becomes equations, and what is known before.
 
     Plain values only: an experiment file's table [identification] holds the same keys.
     """
 
-    zeros: bool | Sequence[str] = False
+    zeros: Annotated[
+        bool | Sequence[str],
+        Valid(
+            Annotated[bool, Field(strict=True)] | tuple[Name, ...],
+            "true, false or a list of parameters' names",
+        ),
+    ] = False
     """Barycentric parameters that are known to be zero: true for all that are zero in the
     model file, or their names, such as "mb1x" or "K2xy"."""
 
-    position_cutoff: Cutoff | None = "fit"
+    position_cutoff: Annotated[Cutoff | None, FREQUENCY] = "fit"
     """Low-pass on encoder positions before they are differentiated [Hz], or "off". At least
     twice `cutoff`: what it takes from the motion would bias the estimate. By default 40 Hz, or
     none where the sampling is too slow for that."""
 
-    cutoff: Cutoff | None = "fit"
+    cutoff: Annotated[Cutoff | None, FREQUENCY] = "fit"
     """Low-pass on the regressor's columns and the measurement alike [Hz], or "off". By default
     5 Hz, or a tenth of the sampling rate or half of `position_cutoff` where that is less."""
 
-    deadband: float = 0.02
+    deadband: Annotated[float, Valid(Amount, f"a speed [rad/s or m/s], from 0 to {LARGEST:g}")] = (
+        0.02
+    )
     """Joints that are slower rest: dry friction there has no sign, and is unknown
     [rad/s or m/s]."""
 
-    reversal_reach: float | None = None
+    reversal_reach: Annotated[
+        float | None, Valid(Amount | None, f"a time [s], from 0 to {LARGEST:g}")
+    ] = None
     """Rows of a joint that rests within this time do not count, since the filter on rows spreads
     what friction does there [s]. Default: in an estimate they do, whitened of it; where single
     rows are looked at, all but 3 % of the filter's weight has to move, 0.15 s at 5 Hz."""
 
-    terms: Sequence[str | JointLaw] | Literal["auto"] | None = None
+    terms: Annotated[
+        Sequence[str | JointLaw] | Literal["auto"] | None,
+        Valid(
+            Annotated[
+                tuple[Name | InstanceOf[JointLaw], ...],
+                AfterValidator(_known_terms),
+                AfterValidator(_distinct),
+            ]
+            | Literal["auto"]
+            | None,
+            'a list of names, none twice, or "auto"',
+        ),
+    ] = None
     """What a joint's torque holds besides the forces that move the bodies: "coulomb", "viscous",
     "offset", "rotor", "asymmetric", "quadratic", "square_root", "slope", "warm_coulomb",
     "warm_viscous", and "stribeck@0.1", friction that fades out at 0.1 rad/s; "stribeck" looks for
@@ -184,43 +198,60 @@ class Settings(Value):
     imported recordings, and "rotor" of torques from motors, else of joints whose rotor the model
     file states."""
 
-    nuisances: Sequence[str] = ()
+    nuisances: Annotated[
+        Sequence[str],
+        Valid(
+            Annotated[
+                tuple[Annotated[Name, AfterValidator(term_of)], ...], AfterValidator(_distinct)
+            ],
+            "a list of names, none twice",
+        ),
+    ] = ()
     """What of the instrument is unknown beside the parameters, for the external method: "bias",
     "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare" (docs/uncertainty.md)."""
 
-    tare: Literal["known", "unknown"] = "known"
+    tare: Annotated[
+        Literal["known", "unknown"],
+        Valid(Literal["known", "unknown"], '"known" or "unknown"'),
+    ] = "known"
     """Whether it is known what of the wrench is the pedestal's. If not, the plate shows only how
     its wrench changes: the parameters are those of the tared set, and "bias" is among the
     nuisances."""
 
-    known: Mapping[str, float | Sequence[float]] = field(default_factory=dict, hash=False)
+    known: Annotated[Mapping[str, float | Sequence[float]], KNOWN] = field(
+        default_factory=dict, hash=False
+    )
     """What is known exactly, or with a sigma: a value, or value and sigma, by name. "mass" is that
     of all moving bodies [kg], "centre/x" where its centre is [m]; any minimal parameter and any
     number of a nuisance can be known."""
 
-    span: Sequence[float] | None = None
+    span: Annotated[
+        Sequence[float] | None,
+        Valid(
+            Annotated[tuple[Number, Number], AfterValidator(_rising)] | None,
+            "two times [s], the earlier one first",
+        ),
+    ] = None
     """Samples from the first to before the second time count [s]. Default: those that the recording
     says are for an estimate, as one from rest to rest does; else all."""
 
-    drives: Literal["off", "given", "chosen"] = "off"
+    drives: Annotated[
+        Literal["off", "given", "chosen"],
+        Valid(Literal["off", "given", "chosen"], '"off", "given" or "chosen"'),
+    ] = "off"
     """Whether joint torques are held against the plate's estimate: torque constants, friction
     curves, both methods combined; with the given terms, or with those that held-out data choose
     for each joint (docs/drives.md)."""
 
-    engine: Literal["by size", "compiled", "numpy"] = "by size"
+    engine: Annotated[
+        Literal["by size", "compiled", "numpy"],
+        Valid(Literal["by size", "compiled", "numpy"], '"by size", "compiled" or "numpy"'),
+    ] = "by size"
     """What makes the rows: the compiled kernel, NumPy, or whichever is faster for the size of the
     job. They differ in rounding only."""
 
-    __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
-
     def __post_init__(self) -> None:
-        for name, (_, meaning) in FIELDS.items():
-            given = getattr(self, name)
-            try:
-                checked = _adapter(name).validate_python(given)
-            except ValidationError:
-                raise SettingsError(f"{name} is {meaning}, found {given!r}") from None
-            object.__setattr__(self, name, checked)
+        super().__post_init__()
         if self.nuisances and self.row_low_pass is None:
             raise SettingsError("nuisances need a cutoff: rows are filtered")
         slow, fast = self.row_low_pass, self.position_low_pass

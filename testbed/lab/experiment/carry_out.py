@@ -138,20 +138,17 @@ def with_payload_metrics(run: Run, progress: Progress = lambda done, total: None
     without = identify(tree, record(empty, progress).blind(), settings=settings)
     loaded = identify(tree, run.recording.blind(), settings=settings)
     found = payload(tree, without, loaded, loads[0].joint or None)
-    metrics = dict(run.score.metrics)
+    metrics = {}
     if found.identifiable[0]:
-        error, sigma = float(found.values[0]) - loads[0].mass, float(found.sigma[0])
-        metrics |= {
-            "payload_mass_error": abs(error),
+        error, sigma = abs(float(found.values[0]) - loads[0].mass), float(found.sigma[0])
+        metrics = {
+            "payload_mass_error": error,
             "payload_mass_sigma": sigma,
-            "payload_mass_z": abs(error) / sigma,
+            "payload_mass_z": error / sigma,
         }
-    if found.centre is not None:
-        off = found.centre[0] - np.broadcast_to(np.asarray(loads[0].centre), 3)
-        if np.isfinite(off).all():
-            metrics["payload_centre_error"] = float(np.linalg.norm(off))
-    judged = replace(run, score=replace(run.score, metrics=metrics))
-    return judged.with_diagnostics(found.diagnostics)
+    if found.centre is not None and np.isfinite(found.centre[0]).all():
+        metrics["payload_centre_error"] = float(np.linalg.norm(found.centre[0] - loads[0].centre))
+    return run.with_metrics(metrics).with_diagnostics(found.diagnostics)
 
 
 def _without(experiment: Experiment) -> Experiment:

@@ -57,8 +57,7 @@ def with_floor(run: Run) -> Run:
     floor = root_mean_square(shared_errors(run.tree, estimate.base.values, plain.zeros))
     if floor is None:
         return run
-    metrics = {**run.score.metrics, "external_floor": floor}
-    return replace(run, score=replace(run.score, metrics=metrics))
+    return run.with_metrics({"external_floor": floor})
 
 
 def evaluate(
@@ -142,8 +141,7 @@ def with_body_metrics(run: Run) -> Run:
     """
     if run.score is None or run.consistent is None:
         return run
-    metrics = {**run.score.metrics, **_metrics(run, run.consistent)}
-    return replace(run, score=replace(run.score, metrics=metrics))
+    return run.with_metrics(_metrics(run, run.consistent))
 
 
 def wrong_prior(tree: Tree, experiment: Experiment) -> Tree:
@@ -158,23 +156,19 @@ def wrong_prior(tree: Tree, experiment: Experiment) -> Tree:
 
 def _metrics(run: Run, found: Consistent) -> dict[str, float]:
     """Figures of consistent bodies against the truth."""
-    massive = found.eigenvalues[:, -1] > 0
+    massive = found.eigenvalues[found.eigenvalues[:, -1] > 0]
+    consistent, prior = _error(run, found.standard), _error(run, found.prior)
+    least = (massive[:, 0] / massive[:, -1]).min(initial=np.inf)
+    plain = (run.metrics.get(f"{method}_rms_relative_error") for method in run.estimates)
+    first = next((error for error in plain if error is not None), None)
+    ratio = None if consistent is None or first is None else consistent / max(first, TINY)
     metrics = {
-        "consistent_rms_relative_error": _error(run, found.standard),
-        "prior_rms_relative_error": _error(run, found.prior),
+        "consistent_rms_relative_error": consistent,
+        "prior_rms_relative_error": prior,
+        "consistent_least_eigenvalue": float(least) if len(massive) else None,
+        "consistent_to_plain": ratio,
     }
-    known_metrics = {name: value for name, value in metrics.items() if value is not None}
-    least = found.eigenvalues[massive, 0] / found.eigenvalues[massive, -1]
-    if len(least):
-        known_metrics["consistent_least_eigenvalue"] = float(least.min())
-    plain = [f"{method}_rms_relative_error" for method in run.estimates]
-    plain_metrics = [run.metrics[name] for name in plain if name in run.metrics]
-    if plain_metrics and "consistent_rms_relative_error" in known_metrics:
-        floor = TINY
-        known_metrics["consistent_to_plain"] = known_metrics["consistent_rms_relative_error"] / max(
-            *plain_metrics[:1], floor
-        )
-    return known_metrics
+    return {name: value for name, value in metrics.items() if value is not None}
 
 
 def _error(run: Run, bodies: Array) -> float | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -225,12 +225,18 @@ class RecordingTables(RobotTables):
     """What is asked of physically consistent bodies."""
 
     @staticmethod
-    def of(settings: Iterable[str]) -> RecordingTables:
+    def of(settings: Iterable[str], sensors: Mapping[str, Any] = {}) -> RecordingTables:
         """From words "table.key=value".
+
+        Args:
+            settings: The words.
+            sensors: Tables of force sensors of which the words say nothing, by name.
 
         Raises:
             ExperimentError: They say what is not understood.
         """
-        content: dict[str, Any] = {}
+        content: dict[str, Any] = {"sensors": {}}
         override(content, settings)
+        if isinstance(content["sensors"], dict):
+            content["sensors"] = {**sensors, **content["sensors"]}
         return checked(RecordingTables, content, "--set")

@@ -15,7 +15,6 @@ from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.posterior import Posterior
 from testbed.bodies.prior import Prior
 from testbed.bodies.verdict import WELL, verdict_of
-from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import (
     Diagnosed,
     Diagnostic,
@@ -41,7 +40,6 @@ from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.selection.chosen import with_chosen_settings
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.settings import DEFAULTS, Settings
-from testbed.core.recordings.columns import AXES
 from testbed.core.recordings.geometry import in_its_gravity
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.views import on_its_base, with_gear
@@ -123,23 +121,22 @@ def correlated(estimate: Estimate) -> Iterator[Diagnostic]:
         estimate: Of one method.
     """
     scale = np.sqrt(np.maximum(np.diagonal(estimate.covariance), 1e-300))
-    correlation = estimate.covariance / np.outer(scale, scale)
-    pairs = np.argwhere(np.triu(np.abs(correlation) > CLOSE, 1)).tolist()
-    pairs.sort(key=lambda pair: -abs(correlation[pair[0], pair[1]]))
-    if not pairs:
-        return
+    correlation = np.triu(estimate.covariance / np.outer(scale, scale), 1)
+    pairs = np.argwhere(np.abs(correlation) > CLOSE).tolist()
+    pairs.sort(key=lambda pair: -abs(correlation[*pair]))
     named = [
         f"{estimate.names[a]} and {estimate.names[b]} (correlation {correlation[a, b]:.2f})"
-        for a, b in pairs[:MOST_PAIRS]
+        for a, b in pairs
     ]
-    more = len(pairs) - len(named)
-    yield diagnose(
-        "estimate.correlated",
-        f"the {estimate.method} estimate",
-        correlation[pairs[0][0], pairs[0][1]],
-        method=estimate.method,
-        pairs=", ".join(named) + (f" and {more} more pairs" if more else ""),
-    )
+    more = len(pairs) - MOST_PAIRS
+    if pairs:
+        yield diagnose(
+            "estimate.correlated",
+            f"the {estimate.method} estimate",
+            correlation[*pairs[0]],
+            method=estimate.method,
+            pairs=", ".join(named[:MOST_PAIRS]) + (f" and {more} more pairs" if more > 0 else ""),
+        )
 
 
 def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[Diagnostic]:
@@ -152,12 +149,11 @@ def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[Diagnostic
     gap = np.abs(estimate.values - errors.truth)
     rounding = EXACT * np.abs(errors.truth).max(initial=0.0)  # where nothing has a scale
     exact = np.where(np.isnan(errors.relative), gap < rounding, np.abs(errors.relative) < EXACT)
-    off = (np.abs(errors.z) > FAR) & ~exact
-    if not off.any():
+    far = np.where(exact, 0.0, np.nan_to_num(np.abs(errors.z), posinf=np.inf))
+    others = int((far > FAR).sum()) - 1
+    if others < 0:
         return
-    far = np.where(off, np.abs(errors.z), 0.0)
     worst = int(far.argmax())
-    others = int(off.sum()) - 1
     more = f" and of {plural(others, 'more parameter')}" if others else ""
     yield diagnose(
         "estimate.bias",
@@ -225,6 +221,17 @@ class Run(Diagnosed, Summarized):
             more: The diagnostics.
         """
         return replace(self, diagnostics=ordered([*self.diagnostics, *more]))
+
+    def with_metrics(self, metrics: Mapping[str, float]) -> Run:
+        """The same with more figures of merit; as it is where the truth is not known.
+
+        Args:
+            metrics: Figures by name.
+        """
+        if self.score is None:
+            return self
+        score = replace(self.score, metrics={**self.score.metrics, **metrics})
+        return replace(self, score=score)
 
     @property
     def instruments(self) -> dict[str, str]:
@@ -325,10 +332,7 @@ def assemble_run(
     if found.bodies_failure is not None:
         said.append(diagnose("bodies.missing", reason=found.bodies_failure))
     drives, more = _drives(tree, recording, estimates, settings, progress)
-    if judged is not None and drives is not None and experiment is not None:
-        metrics = drive_metrics(tree, experiment, recording, drives)
-        judged = replace(judged, metrics={**judged.metrics, **metrics})
-    return Run(
+    run = Run(
         name=name,
         tree=tree,
         recording=recording,
@@ -344,6 +348,9 @@ def assemble_run(
         posterior=made,
         verdict=verdict,
     )
+    if experiment is None or drives is None:
+        return run
+    return run.with_metrics(drive_metrics(tree, experiment, recording, drives))
 
 
 def _drives(
@@ -372,49 +379,3 @@ def _drives(
     except TestbedError as error:
         return None, (diagnose("drives.missing", "the drives", reason=error),)
     return found, found.diagnostics
-
-
-SAID = "of what the channel (row) reaches, by what the component (column) reaches [%]"
-"""What the numbers are parts of."""
-
-
-@dataclass(frozen=True, eq=False)
-class MatrixErrors:
-    """In parts of what the channel reaches, by what the component reaches [%].
-
-    Attributes:
-        error: Of the plate as it is, (6, 6): what calibration takes away.
-        sigma: Of the calibration, (6, 6): what it leaves.
-    """
-
-    error: Array
-    sigma: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, error=(6, 6), sigma=(6, 6))
-
-    @property
-    def most(self) -> float:
-        """The largest of all, without sign [%]."""
-        return float(max(np.abs(self.error).max(), self.sigma.max()))
-
-
-def matrix_errors(run: Run) -> MatrixErrors | None:
-    """Of a run in which the plate's matrix was estimated; else None.
-
-    Args:
-        run: The run.
-    """
-    external = run.estimates.get("external")
-    found = {n.name: n for n in external.nuisances} if external is not None else {}
-    if not any(name.startswith("crosstalk/") for name in found) or run.recording.wrench is None:
-        return None
-    error, sigma = np.zeros((2, 6, 6))
-    for i, shown in enumerate(AXES):
-        for j, felt in enumerate(AXES):
-            number = found.get(f"gain/{shown}" if i == j else f"crosstalk/{shown}/{felt}")
-            if number is not None:
-                error[i, j], sigma[i, j] = number.value - (i == j), number.sigma
-    reach = np.abs(run.recording.wrench).max(axis=0)
-    share = 100 * np.outer(1 / np.where(reach > 0, reach, 1.0), reach)
-    return MatrixErrors(error * share, sigma * share)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,15 +69,12 @@ def accuracies(
     found: dict[Method, Accuracy] = {}
     for method, estimate in estimates.items():
         own, values = estimate.minimal, estimate.base.values
-        wrench = None
+        wrench = torque = None
         if method == "external":
             wrench = _share(tree, some, own, values, PLATE_UNITS, about_mean=True)
-            try:
-                values = selection(dynamic, own) @ values
-            except ValueError:  # a plate that measures changes only
-                found[method] = Accuracy(wrench, None)
-                continue
-        torque = _share(tree, some, dynamic, values, units, about_mean=False)
+        with suppress(ValueError):  # a plate that measures changes only
+            values = selection(dynamic, own) @ values if method == "external" else values
+            torque = _share(tree, some, dynamic, values, units, about_mean=False)
         found[method] = Accuracy(wrench, torque)
     return found
 
@@ -198,21 +196,18 @@ def score(
         for method, estimate in estimates.items()
     }
     metrics: dict[str, float | None] = {}
-    if "external" in errors:
-        metrics |= _inertial("external", errors, estimates)
-        shared = shared_errors(tree, estimates["external"].base.values, zeros)
-        metrics["external_rms_relative_error"] = root_mean_square(shared)
+    for method, estimate in estimates.items():
+        found, count = errors[method], estimate.minimal.count
+        relative = found.relative[:count]
+        metrics[f"{method}_max_relative_error"] = _largest(relative)
+        metrics[f"{method}_max_z"] = _largest(found.z[:count])
+        if method == "external":
+            relative = shared_errors(tree, estimate.base.values, zeros)
+        metrics[f"{method}_rms_relative_error"] = root_mean_square(relative)
     if "internal" in errors:
-        metrics |= _inertial("internal", errors, estimates)
-        count = estimates["internal"].minimal.count
-        metrics["internal_rms_relative_error"] = root_mean_square(
-            errors["internal"].relative[:count]
-        )
-        terms = zip(
-            estimates["internal"].joint_terms, errors["internal"].relative[count:], strict=True
-        )
-        resisting = np.array([error for term, error in terms if term.law.resists])
-        metrics["friction_max_relative_error"] = _largest(resisting)
+        own = estimates["internal"]
+        resisting = [False] * own.minimal.count + [term.law.resists for term in own.joint_terms]
+        metrics["friction_max_relative_error"] = _largest(errors["internal"].relative[resisting])
     ours, theirs = (metrics.get(f"{m}_rms_relative_error") for m in ("internal", "external"))
     if ours is not None and theirs is not None:
         metrics["internal_to_external"] = ours / max(theirs, TINY)
@@ -241,43 +236,29 @@ def shared_errors(tree: Tree, values: Array, zeros: bool | Sequence[str]) -> Arr
     return relative_errors(known, dynamic.values(barycentric(tree)), dynamic.units)
 
 
-def _inertial(
-    method: Method, errors: Mapping[Method, Errors], estimates: Mapping[Method, Estimate]
-) -> dict[str, float | None]:
-    """Metrics over one method's own minimal parameters."""
-    count = estimates[method].minimal.count
-    return {
-        f"{method}_max_relative_error": _largest(errors[method].relative[:count]),
-        f"{method}_max_z": _largest(errors[method].z[:count]),
-    }
-
-
 def _errors(estimate: Estimate, truth: Array, motion: Motion, torque: Array | None) -> Errors:
     error = estimate.values - truth
     sigma = np.maximum(estimate.sigma, TINY)
-    base, count = estimate.base, estimate.minimal.count
-    scales = [_usual(truth[:count], base.units), *_of_terms(estimate, truth, motion, torque)]
-    scale = np.concatenate(scales)
+    count = estimate.minimal.count
+    terms = _term_scales(estimate, truth[count:], motion, torque)
+    scale = np.concatenate([_usual(truth[:count], estimate.units[:count]), [*terms]])
     error[np.isinf(sigma)] = np.nan
     return Errors(estimate.names, truth, scale, error / scale, error / sigma)
 
 
-def _of_terms(
+def _term_scales(
     estimate: Estimate, truth: Array, motion: Motion, torque: Array | None
-) -> Iterator[Array]:
-    """Scales of the joints' terms, (1,) each: what would make a small part of the torque."""
+) -> Iterator[float]:
+    """Scales of the joints' terms: what would make a small part of the torque."""
     if estimate.drives is None:
         return
-    tree, terms = estimate.drives.tree, estimate.drives.terms
-    for term, true in zip(terms, truth[estimate.minimal.count :], strict=True):
-        columns = term_torque(tree, term, motion.qd, motion.qdd)
+    tree = estimate.drives.tree
+    for term, true in zip(estimate.drives.terms, np.abs(truth), strict=True):
         j = int(np.argmax(np.abs(shares(tree)[term.joint])))
-        column = columns[:, j]
-        makes, all_of_it = _root_mean_square(column), 0.0
-        if torque is not None and makes > 0:
-            all_of_it = _root_mean_square(torque[:, j]) / makes
-        scale = max(abs(float(true)), FAINT * all_of_it)
-        yield np.array([scale if scale > 0 else np.nan])
+        unit_torque = _root_mean_square(term_torque(tree, term, motion.qd, motion.qdd)[:, j])
+        if torque is not None and unit_torque > 0:
+            true = max(true, FAINT * (_root_mean_square(torque[:, j]) / unit_torque))
+        yield true if true > 0 else np.nan
 
 
 def _usual(truth: Array, units: Sequence[str]) -> Array:
@@ -339,28 +320,30 @@ def drive_metrics(
         recording: What it recorded, columns in the order of `tree.names`.
         found: What the plate says of the drives.
     """
-    constants = true_constants(experiment, recording)
+    constants, load = true_constants(experiment, recording), np.zeros(tree.n)
     estimates = found.estimates
-    gears = [g for e in experiment.simulation.effect if (g := e.on(tree.names).gears(tree))]
-    more = {}
-    for gear in gears:  # as one loss in both directions and a constant: no torque shows more
-        constants = constants * (1 + (gear.driving - gear.driven) / 2)
-        loss = (gear.driving + gear.driven) / (2 + gear.driving - gear.driven)
-        there = zip(estimates, loss, strict=True)
-        off = [abs(_coefficient(each, LOAD) / part - 1) for each, part in there if part]
-        more = {"load_max_relative_error": float(max(off))} if off else {}
+    for effect in experiment.simulation.effect:
+        gears = effect.on(tree.names).gears(tree)
+        if gears is not None:  # as one loss in both directions and a constant: no torque shows more
+            constants = constants * (1 + (gears.driving - gears.driven) / 2)
+            load = (gears.driving + gears.driven) / (2 + gears.driving - gears.driven)
     errors = np.array([each.constant for each in estimates]) / constants - 1
     sigmas = np.array([each.sigma for each in estimates]) / constants
     metrics = {
         "torque_constant_max_error": float(np.abs(errors).max()),
         "torque_constant_max_z": float(np.abs(errors / np.maximum(sigmas, 1e-300)).max()),
         **_bodies(tree, experiment, found),
-        **more,
     }
-    for law, name in ((COULOMB, "coulomb"), (ROTOR, "rotor")):
-        off = list(_relative(tree, law, estimates))
-        if off:
-            metrics[f"{name}_max_relative_error"] = max(off)
+    for name, law, truth, missing in (
+        ("load", LOAD, load, 0.0),
+        ("coulomb", COULOMB, COULOMB.coefficients(tree), np.nan),
+        ("rotor", ROTOR, ROTOR.coefficients(tree), np.nan),
+    ):
+        values = np.array([_coefficient(each, law, missing) for each in estimates])
+        there = (truth != 0) & ~np.isnan(values)
+        if there.any():
+            off = np.abs(values[there] / truth[there] - 1)
+            metrics[f"{name}_max_relative_error"] = float(off.max())
     if recording.truth is not None:
         least = experiment.identification.deadband
         errors = np.concatenate([*_curve_errors(found.curves, recording.truth, least)])
@@ -385,17 +368,9 @@ def true_constants(experiment: Experiment, recording: Recording) -> Array:
     return shown
 
 
-def _coefficient(drive: DriveEstimate, law: JointLaw) -> float:
-    """Of a law at a joint; zero where it is none of its terms."""
-    return next((term.value for term in drive.terms if term.law == law), 0.0)
-
-
-def _relative(tree: Tree, law: JointLaw, drives: Iterable[DriveEstimate]) -> Iterator[float]:
-    """Relative errors of one law's coefficients, where the robot has them."""
-    for true, drive in zip(law.coefficients(tree), drives, strict=True):
-        for term in drive.terms:
-            if term.law == law and true:
-                yield abs(term.value / float(true) - 1)
+def _coefficient(drive: DriveEstimate, law: JointLaw, missing: float) -> float:
+    """Coefficient of a law at a joint; `missing` where the joint has no such term."""
+    return next((term.value for term in drive.terms if term.law == law), missing)
 
 
 def _curve_errors(curves: Iterable[FrictionCurve], truth: Truth, least: float) -> Iterator[Array]:
