@@ -22,7 +22,7 @@ from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import ModelError
 from testbed.core.dynamics.newton_euler import poses
 from testbed.core.robot.model_file import ModelFile, copy_model
-from testbed.core.robot.rotations import align_z
+from testbed.core.robot.rotations import from_vector
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import trees
@@ -208,7 +208,7 @@ def test_bounds_are_where_a_shape_ends(kind: Kind) -> None:
         "capsule": lambda u: size[0] + size[1] * abs(u[2]),
         "mesh": lambda u: (WEDGE @ u).max(),
     }
-    turn, place = align_z(rng.normal(size=3)), rng.normal(size=3)
+    turn, place = from_vector(rng.normal(size=3)), rng.normal(size=3)
     mesh = (WEDGE, FACES) if kind == "mesh" else ()
     low, high = bounds(Shape(-1, kind, size, place, turn, np.ones(4), *mesh))
     for axis, along in enumerate(turn):  # the body's axis in the shape's own frame

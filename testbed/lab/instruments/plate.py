@@ -10,7 +10,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.transform import Transform
-from testbed.core.robot.inertia import from_vector
+from testbed.core.robot.rotations import from_vector
 from testbed.lab.instruments.fault import (
     FULL_SCALE,
     Fault,

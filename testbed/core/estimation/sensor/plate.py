@@ -13,7 +13,7 @@ from testbed.core.estimation.sensor.estimates import Nuisance, Numbers, Part, al
 from testbed.core.estimation.sensor.predicted_wrench import PredictedWrench
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.recordings.recording import Recording
-from testbed.core.robot.inertia import from_vector
+from testbed.core.robot.rotations import from_vector
 from testbed.core.robot.tree import Tree
 
 SENSITIVITIES = tuple(

@@ -23,9 +23,10 @@ from testbed.core.robot.formats.mjcf_compile import (
     stated_inertias,
 )
 from testbed.core.robot.formats.mjcf_spec import VELOCITY_LIMIT, open_spec, parse
-from testbed.core.robot.inertia import NOTHING, Inertia, about
+from testbed.core.robot.inertia import NOTHING, Inertia
 from testbed.core.robot.locks import Lock
 from testbed.core.robot.repair import Bodies, FileLink, Repair, repaired
+from testbed.core.robot.rotations import from_vector
 from testbed.core.robot.tree import FARTHEST, Joint, Kind, Tree
 
 _KINDS: dict[int, Kind] = {
@@ -196,7 +197,7 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, rotation: Array, positi
     attachment = position + rotation @ model.jnt_pos[j]
     kind = _KINDS[int(model.jnt_type[j])]
     if kind == "revolute":
-        rotation = rotation @ about(axis, -zero)
+        rotation = rotation @ from_vector(-zero * axis)
     else:
         attachment = attachment - rotation @ axis * zero
     dof = model.jnt_dofadr[j]

@@ -24,7 +24,6 @@ from testbed.core.robot.locks import Lock
 from testbed.core.robot.parsing import capture_stderr, errors_of, plain, read_xml
 from testbed.core.robot.repair import Bodies, FileLink, Repair, repaired
 from testbed.core.robot.rigid_matter import inertia_flaw
-from testbed.core.robot.rotations import from_rpy
 from testbed.core.robot.tree import Joint, Kind, Tree
 
 
@@ -112,7 +111,7 @@ def _link_inertia(link: ET.Element) -> Inertia:
     if inertial is None:
         return NOTHING
     origin = inertial.find("origin")
-    turn = from_rpy(numbers_of(origin, "rpy", "0 0 0"))
+    turn = pin.rpy.rpyToMatrix(*numbers_of(origin, "rpy", "0 0 0"))
     mass, central = _stated(inertial)
     return Inertia.about_centre(mass, numbers_of(origin, "xyz", "0 0 0"), turn @ central @ turn.T)
 

@@ -19,11 +19,11 @@ import numpy as np
 
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ModelError, few, quoted
-from testbed.core.robot.inertia import HEAVIEST, about
+from testbed.core.robot.inertia import HEAVIEST
 from testbed.core.robot.locks import Coupling, Lock, Travel, lock_positions
 from testbed.core.robot.parsing import decimals, errors_of, plain, read_xml
 from testbed.core.robot.refusals import FreeRootError
-from testbed.core.robot.rotations import from_rpy, to_rpy
+from testbed.core.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.core.robot.tree import FARTHEST, UNIT
 
 DEEPEST_LINKS = 1_500
@@ -227,12 +227,12 @@ def _move_origin(joint: ET.Element, position: float) -> None:
         origin = ET.SubElement(joint, "origin")
     axis = np.array(numbers_of(joint.find("axis"), "xyz", "1 0 0"))
     axis /= np.linalg.norm(axis)
-    turn = from_rpy(numbers_of(origin, "rpy", "0 0 0"))
+    R_PJ = from_rpy(numbers_of(origin, "rpy", "0 0 0"))
     if joint.get("type") == "prismatic":
-        place = np.array(numbers_of(origin, "xyz", "0 0 0")) + turn @ axis * position
-        origin.set("xyz", plain(list(place)))
+        p_PJ = np.array(numbers_of(origin, "xyz", "0 0 0")) + R_PJ @ axis * position
+        origin.set("xyz", plain(p_PJ))
     else:
-        origin.set("rpy", plain(list(to_rpy(turn @ about(axis, position)))))
+        origin.set("rpy", plain(to_rpy(R_PJ @ from_vector(position * axis))))
 
 
 def _keep(element: ET.Element, owner: str, also: tuple[str, ...]) -> Iterator[tuple[str, str]]:
