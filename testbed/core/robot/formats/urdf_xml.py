@@ -24,7 +24,7 @@ from testbed.core.robot.locks import Coupling, Lock, Travel, lock_positions
 from testbed.core.robot.parsing import decimals, errors_of, plain, read_xml
 from testbed.core.robot.refusals import FreeRootError
 from testbed.core.robot.rotations import from_rpy, from_vector, to_rpy
-from testbed.core.robot.tree import FARTHEST, UNIT
+from testbed.core.robot.tree import FARTHEST, UNIT, ModelSource
 
 DEEPEST_LINKS = 1_500
 """Links in a row: Pinocchio's parser overflows its stack between 2000 and 4000."""
@@ -105,21 +105,19 @@ _NO_NUMBERS = ("nan", "inf", "infinity")
 
 
 def supported_xml(
-    path: Path,
-    *,
-    weld_root: bool = False,
-    lock: Lock | None = None,
-    keep_visuals: bool = False,
+    file: ModelSource, *, keep_visuals: bool = False
 ) -> tuple[ET.Element, tuple[Diagnostic, ...]]:
     """The file's links and joints, checked for what is supported; held joints become fixed ones.
 
-    Arguments and errors are those of `load_tree`; `keep_visuals` keeps what is to be seen.
+    Args:
+        file: The file, and how to read it; errors are those of `load_tree`.
+        keep_visuals: Keep what is to be seen.
 
     Returns:
         The root element, and what was accepted although it is wrong.
     """
-    root, said = _checked(path, weld_root, keep_visuals)
-    return root, (*said, *_hold(root.findall("joint"), lock or {}, path))
+    root, said = _checked(file.path, file.weld_root, keep_visuals)
+    return root, (*said, *_hold(root.findall("joint"), file.lock, file.path))
 
 
 def _checked(
