@@ -28,7 +28,6 @@ from testbed.core.robot.model_file import (
     ModelFile,
     copy_model,
     model_format,
-    nearest_bodies,
     references,
 )
 from testbed.core.robot.parsing import read_xml
@@ -144,10 +143,9 @@ def changes_of(model: ModelFile, trees: Sequence[Tree], fixed: Fixed) -> list[Ed
         fixed: As for `write_model`.
     """
     file = model.tree()
-    repair = nearest_bodies(
-        model.path, weld_root=model.weld_root, lock=model.lock, repair=model.repair
-    ).links
-    links = [replace(x, inertia=repair.get(x.name, x.inertia)) for x in model.links()]
+    source = model.read()
+    repair = source.repair.links
+    links = [replace(x, inertia=repair.get(x.name, x.inertia)) for x in source.links]
     found = []
     for tree in trees:
         bodies = {
@@ -254,7 +252,7 @@ def share_out(
         for group in groups.values():
             lump = whole if parts is None else total(parts[link.name] for link in group)
             found |= {link.name: NOTHING for link in group}
-            found[group[0].name] = group[0].seen_from(lump)
+            found[group[0].name] = lump.moved(group[0].X_BL.inverse)
     bare = {link.name for link in links if not link.inertia.pseudo.any()}
     kept = {name: own for name, own in found.items() if own.mass or name not in bare}
     return kept, tuple(said)

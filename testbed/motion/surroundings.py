@@ -67,7 +67,7 @@ def surroundings(
         ExperimentError: There are obstacles, and the model file has no shapes.
         UnknownName: There is no body of a name in `exclude`.
     """
-    found = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
+    found = load_shapes(model, tree)
     said = found.diagnostics
     if not any(shape.body >= 0 for shape in found.shapes):
         if obstacles:

@@ -15,7 +15,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.errors import InfeasibleMotion, UnknownName
 from testbed.core.base.transform import Transform
 from testbed.core.dynamics.newton_euler import poses
-from testbed.core.robot.inertia import about
+from testbed.core.robot.rotations import from_vector
 from testbed.motion.clearance import FAR, ClearanceTerm, DistanceMeter
 from testbed.motion.collision_model import CELL, FLOOR, STANDING, Obstacle, collision_model, levers
 from testbed.motion.fourier import Fourier
@@ -345,7 +345,10 @@ def test_shapes_that_are_passed_over_are_not_the_nearest(
     """Several shapes a body, of every kind: the least distance of all pairs, each measured."""
 
     def some(body: int, kind: Kind, count: int) -> Shape:
-        size, turn = rng.uniform(0.01, 0.1, count), about(np.array([0.6, 0.0, 0.8]), rng.normal())
+        size, turn = (
+            rng.uniform(0.01, 0.1, count),
+            from_vector(rng.normal() * np.array([0.6, 0.0, 0.8])),
+        )
         corners = rng.normal(size=(0 if count else 20, 3)) * rng.uniform(0.02, 0.1, 3)
         return Shape(body, kind, size, 0.2 * rng.normal(size=3), turn, GREY, vertices=corners)
 

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import testbed as tb
+from testbed.core.base.transform import Transform
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.core.robot.repair import FileLink
 
@@ -16,7 +17,7 @@ def links_of(tree: tb.Tree) -> tuple[FileLink, ...]:
     bodies = [tree.pedestal, *tree.inertias]
     parents = ["", *(names[parent + 1] for parent in tree.parents)]
     return tuple(
-        FileLink(name, k - 1, parent, name, np.eye(3), np.zeros(3), body)
+        FileLink(name, k - 1, parent, name, Transform(), body)
         for k, (name, parent, body) in enumerate(zip(names, parents, bodies, strict=True))
     )
 

@@ -40,7 +40,7 @@ from testbed.core.estimation.noise.noise_model import (
     lateness,
     period_of,
 )
-from testbed.core.robot.inertia import about
+from testbed.core.robot.rotations import from_vector
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.plates import mass_of
@@ -408,7 +408,7 @@ def test_facts_that_mean_nothing_are_refused() -> None:
 def test_a_plate_that_is_not_level_is_named() -> None:
     """By 1 degree; a level one is not."""
     tree = robot("ur5")
-    leaning = tree.with_gravity(about(np.array([1.0, 0, 0]), 0.02) @ tree.gravity)
+    leaning = tree.with_gravity(from_vector([0.02, 0, 0]) @ tree.gravity)
     for actual, said in ((leaning, True), (tree, False)):
         made = noisy(ideal(actual, duration=20.0), size=0.02)
         facts = {**made.facts, "gravity": tree.gravity.tolist()}

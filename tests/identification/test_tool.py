@@ -26,6 +26,7 @@ from testbed.applications.payload.tool import tool_at_rest, tool_of
 from testbed.applications.payload.vendors import VENDORS, at_flange
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
+from testbed.core.base.transform import Transform
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.core.robot.inertia import NOTHING, Inertia
 from testbed.core.robot.repair import FileLink
@@ -323,7 +324,7 @@ def test_a_sensors_mapping_is_checked_and_its_frame_is_solved(tmp_path: Path) ->
 
 TURN = Rotation.from_euler("xyz", [0.3, -0.8, 2.0]).as_matrix()
 PLACE = np.array([0.02, -0.05, 0.11])
-FLANGE = FileLink("tool0", 2, "forearm", "forearm", TURN, PLACE, NOTHING)
+FLANGE = FileLink("tool0", 2, "forearm", "forearm", Transform(TURN, PLACE), NOTHING)
 
 
 def points() -> tuple[Array, Array]:

@@ -22,7 +22,7 @@ from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import ModelError
 from testbed.core.dynamics.newton_euler import poses
 from testbed.core.robot.model_file import ModelFile, copy_model
-from testbed.core.robot.rotations import align_z
+from testbed.core.robot.rotations import from_vector
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import trees
@@ -100,7 +100,7 @@ def test_shapes_are_where_mujoco_has_them(
     for ending in ("stl", "obj"):
         write_mesh(tmp_path / f"wedge.{ending}")
     tree = tb.load_tree(path, lock=lock)
-    seen = load_shapes(path, tree, lock=lock)
+    seen = load_shapes(ModelFile(path, lock=lock), tree)
     assert seen.diagnostics == ()
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
@@ -138,7 +138,7 @@ def test_what_cannot_be_shown_is_named_in_one_line_and_the_rest_is_shown(tmp_pat
 
     def left_out(file: str, text: str, culprit: str) -> int:
         (tmp_path / file).write_text(text)
-        seen = load_shapes(tmp_path / file, tb.load_tree(tmp_path / file))
+        seen = load_shapes(ModelFile(tmp_path / file), tb.load_tree(tmp_path / file))
         (line,) = sentences(seen.diagnostics)
         assert culprit in line
         assert line.isprintable()
@@ -208,7 +208,7 @@ def test_bounds_are_where_a_shape_ends(kind: Kind) -> None:
         "capsule": lambda u: size[0] + size[1] * abs(u[2]),
         "mesh": lambda u: (WEDGE @ u).max(),
     }
-    turn, place = align_z(rng.normal(size=3)), rng.normal(size=3)
+    turn, place = from_vector(rng.normal(size=3)), rng.normal(size=3)
     mesh = (WEDGE, FACES) if kind == "mesh" else ()
     low, high = bounds(Shape(-1, kind, size, place, turn, np.ones(4), *mesh))
     for axis, along in enumerate(turn):  # the body's axis in the shape's own frame
@@ -226,7 +226,7 @@ def test_a_robot_stands_on_a_plate_that_arrows_are_clear_of(name: str) -> None:
     clear = [highs[:, 0].max() + 0.05 * robot.reach, lows[:, 1].min() - 0.05 * robot.reach]
     np.testing.assert_allclose(robot.corner[:2], clear)
     puma = ModelFile(ROOT / "models/puma562.xml")
-    drawn = load_shapes(puma.path, puma.tree()).shapes
+    drawn = load_shapes(puma, puma.tree()).shapes
     assert len(load_appearance(puma.tree(), puma).shapes) == len(drawn)
 
 
@@ -299,7 +299,7 @@ def test_a_mesh_that_kills_or_blocks_its_reader_is_left_out(tmp_path: Path) -> N
     (tmp_path / "self.dae").write_text(ITSELF)
     (tmp_path / "pipe.obj").write_text("mtllib\tm.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     os.mkfifo(tmp_path / "m.mtl")
-    seen = load_shapes(path, tb.load_tree(path))
+    seen = load_shapes(ModelFile(path), tb.load_tree(path))
     assert len(seen.shapes) == 1
     said = " ".join(sentences(seen.diagnostics))
     assert "self.dae" in said

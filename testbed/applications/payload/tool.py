@@ -13,7 +13,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic
 from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.estimation.estimate import Estimate
-from testbed.core.parameters.pseudo_inertia import matrices, parameters
+from testbed.core.parameters.pseudo_inertia import inertia_matrix
 from testbed.core.robot.force_sensor import ForceSensor
 from testbed.core.robot.tree import Placement, Tree
 
@@ -29,7 +29,7 @@ def tool_of(tree: Tree, estimate: Estimate) -> PayloadEstimate:
         SettingsError: The estimate is by no force sensor, or joints lie beyond it.
     """
     sensor = _sensor_of_tool(tree)
-    adds = seen_of_payload(tree, estimate.minimal, tree.names[-1]) @ _to_body(sensor)
+    adds = seen_of_payload(tree, estimate.minimal, tree.names[-1]) @ inertia_matrix(sensor.X_BS)
     count = len(adds)
     noise = estimate.covariance[:count, :count]
     return payload_from(tree.names[-1], adds, estimate.values[:count], noise, "tool")
@@ -45,13 +45,6 @@ def _sensor_of_tool(tree: Tree) -> Placement:
             "them with --lock"
         )
     return tree.sensor
-
-
-def _to_body(sensor: Placement) -> Array:
-    """Standard parameters about the body's frame from those about the sensor's, (10, 10)."""
-    place = np.eye(4)
-    place[:3, :3], place[:3, 3] = sensor.rotation, sensor.position
-    return parameters(place @ matrices(np.eye(10)) @ place.T).T
 
 
 @dataclass(frozen=True, eq=False)

@@ -107,7 +107,7 @@ def at_flange(found: PayloadEstimate, tree: Tree, link: FileLink | None = None) 
         inertia = Inertia.of_pseudo(matrices(values))
         if link is not None and sensor is not None:
             inertia = inertia.moved(sensor.X_BS)
-        return inertia if link is None else link.seen_from(inertia)
+        return inertia if link is None else inertia.moved(link.X_BL.inverse)
 
     def numbers(values: Array) -> Array:
         own = seen(values)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
 from testbed.bodies.shapes.shapes import DrawnShapes, Shape, bounds, sticks
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic
-from testbed.core.robot.locks import Lock
 from testbed.core.robot.model_file import ModelFile, model_format
-from testbed.core.robot.tree import Tree
+from testbed.core.robot.tree import ModelSource, Tree
 
 STEEL = (0.62, 0.64, 0.68, 1.0)
 """Colour of a plate that the model file does not draw."""
@@ -72,26 +70,21 @@ class Appearance:
         return 0.0 if widest is None else float(widest[1][2])
 
 
-def load_shapes(
-    path: str | Path, tree: Tree, *, weld_root: bool = False, lock: Lock | None = None
-) -> DrawnShapes:
+def load_shapes(model: ModelSource, tree: Tree) -> DrawnShapes:
     """What the model file gives to be seen of the robot, and what of it cannot be shown.
 
     Args:
-        path: The model file, MJCF or URDF.
+        model: The model file, and how the tree was read from it.
         tree: The tree read from it.
-        weld_root: Whether a floating root was welded to the bedplate.
-        lock: Joints that are held, as when the tree was read.
 
     Raises:
         ModelError: The file cannot be read.
     """
-    path = Path(path)
-    if model_format(path) == "mjcf":
+    if model_format(model.path) == "mjcf":
         from testbed.bodies.shapes.mjcf_shapes import read_shapes as read
     else:
         from testbed.bodies.shapes.urdf_shapes import read_shapes as read
-    return read(path, tree, weld_root=weld_root, lock=lock)
+    return read(model, tree)
 
 
 def load_appearance(tree: Tree, model: ModelFile | None = None) -> Appearance:
@@ -106,7 +99,7 @@ def load_appearance(tree: Tree, model: ModelFile | None = None) -> Appearance:
     """
     drawing = DrawnShapes(())
     if model is not None:
-        drawing = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
+        drawing = load_shapes(model, tree)
     shapes = drawing.shapes or tuple(sticks(tree))
     return Appearance(tree, _with_plate(tree, shapes), drawing.diagnostics)
 

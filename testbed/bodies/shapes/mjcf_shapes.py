@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -19,8 +18,7 @@ from testbed.core.robot.formats.mjcf_compile import (
     stated_inertias,
 )
 from testbed.core.robot.formats.mjcf_spec import open_spec
-from testbed.core.robot.locks import Lock
-from testbed.core.robot.tree import Tree
+from testbed.core.robot.tree import ModelSource, Tree
 
 _KINDS: dict[int, Kind] = {
     int(mujoco.mjtGeom.mjGEOM_BOX): "box",
@@ -34,19 +32,17 @@ _SEEN_GROUPS = 3
 """MuJoCo's viewers show geoms of groups 0, 1 and 2."""
 
 
-def read_shapes(
-    path: Path, tree: Tree, *, weld_root: bool = False, lock: Lock | None = None
-) -> DrawnShapes:
+def read_shapes(model_file: ModelSource, tree: Tree) -> DrawnShapes:
     """What MuJoCo's own viewer shows, but for floors; arguments are those of `load_shapes`."""
-    spec, _ = open_spec(path, weld_root=weld_root, lock=lock)
+    spec, _ = open_spec(model_file)
     stated_inertias(spec)  # impossible ones would keep it from being compiled
     said: tuple[Diagnostic, ...] = ()
     try:
         with no_mujoco_warnings():
             model = spec.compile()
     except ValueError:
-        said = drop_unreadable_meshes(spec, path)
-        model = compile_spec(spec, path)
+        said = drop_unreadable_meshes(spec, model_file.path)
+        model = compile_spec(spec, model_file.path)
     return DrawnShapes(tuple(_shapes(model, tree)), said)
 
 

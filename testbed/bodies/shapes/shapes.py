@@ -11,7 +11,7 @@ import numpy as np
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.transform import Transform
-from testbed.core.robot.rotations import align_z
+from testbed.core.parameters.rules import across
 from testbed.core.robot.tree import Tree
 
 Kind = Literal["box", "ellipsoid", "cylinder", "capsule", "mesh"]
@@ -78,16 +78,16 @@ def sticks(tree: Tree) -> Iterator[Shape]:
     radius = longest / 30
     grey, dark = np.array([0.72, 0.74, 0.78, 1.0]), np.array([0.25, 0.28, 0.33, 1.0])
     for j, joint in enumerate(tree.joints):
-        length = float(np.linalg.norm(joint.offset))
-        if length > radius:
-            size, middle = np.array([radius, length / 2]), joint.offset / 2
-            yield Shape(joint.parent, "capsule", size, middle, align_z(joint.offset), grey)
-        end = tree.inertias[j].com
-        if not tree.children(j) and np.linalg.norm(end) > radius:
-            half = np.array([radius, float(np.linalg.norm(end)) / 2])
-            yield Shape(j, "capsule", half, end / 2, align_z(end), grey)
+        ends = {joint.parent: joint.offset}
+        if not tree.children(j):
+            ends[j] = tree.inertias[j].com
+        for body, end in ends.items():
+            length = float(np.linalg.norm(end))
+            if length > radius:
+                size, axes = np.array([radius, length / 2]), across(end / length).R_BT
+                yield Shape(body, "capsule", size, end / 2, axes, grey)
         size = np.array([1.6 * radius, 2.4 * radius])
-        yield Shape(j, "cylinder", size, np.zeros(3), align_z(joint.axis), dark)
+        yield Shape(j, "cylinder", size, np.zeros(3), across(joint.axis).R_BT, dark)
 
 
 def equivalent_ellipsoids(tree: Tree, colour: Sequence[float]) -> tuple[Shape, ...]:

@@ -20,10 +20,9 @@ from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import WIDTH, ModelError, few
 from testbed.core.robot.asset_files import blocking
 from testbed.core.robot.formats.urdf_xml import rewrite_numbers, supported_xml
-from testbed.core.robot.locks import Lock
 from testbed.core.robot.model_file import find_mesh
 from testbed.core.robot.parsing import capture_stderr
-from testbed.core.robot.tree import Tree
+from testbed.core.robot.tree import ModelSource, Tree
 
 PATIENCE = 60.0
 """For finding the meshes that cannot be read [s]."""
@@ -32,9 +31,7 @@ _PARTS = ("size", "position", "rotation", "colour", "vertices", "faces")
 """Of a shape, as a child returns them."""
 
 
-def read_shapes(
-    path: Path, tree: Tree, *, weld_root: bool = False, lock: Lock | None = None
-) -> DrawnShapes:
+def read_shapes(model_file: ModelSource, tree: Tree) -> DrawnShapes:
     """The file's visual elements; mesh files are looked for beside the file and above it.
 
     Arguments are those of `load_shapes`.
@@ -42,7 +39,8 @@ def read_shapes(
     Raises:
         ModelError: Pinocchio refuses the shapes.
     """
-    root, _ = supported_xml(path, weld_root=weld_root, lock=lock, keep_visuals=True)
+    path = model_file.path
+    root, _ = supported_xml(model_file, keep_visuals=True)
     lost: list[str] = []
     missing = [each for link in root.findall("link") for each in _prepared(link, path, lost)]
     if lost:

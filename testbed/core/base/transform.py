@@ -28,6 +28,12 @@ class Transform:
     R_AB: AnyArray = field(default_factory=lambda: np.eye(3))
     p_AB_A: AnyArray = field(default_factory=lambda: np.zeros(3))
 
+    def __post_init__(self) -> None:
+        for name in ("R_AB", "p_AB_A"):
+            array = np.array(getattr(self, name))
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
     def __matmul__(self, X_BC: Transform) -> Transform:
         """Composition X_AC = X_AB @ X_BC."""
         return Transform(self.R_AB @ X_BC.R_AB, self.point(X_BC.p_AB_A))
@@ -37,6 +43,13 @@ class Transform:
         """Pose X_BA of frame A in frame B."""
         R_BA = np.swapaxes(self.R_AB, -1, -2)
         return Transform(R_BA, -apply(R_BA, self.p_AB_A))
+
+    @property
+    def matrix(self) -> AnyArray:
+        """Homogeneous matrix [[R_AB, p_AB_A], [0, 1]], (..., 4, 4)."""
+        top = np.concatenate([self.R_AB, self.p_AB_A[..., None]], axis=-1)
+        bottom = np.broadcast_to(np.eye(4)[3:], (*top.shape[:-2], 1, 4))
+        return np.concatenate([top, bottom], axis=-2)
 
     def point(self, p_B: AnyArray) -> AnyArray:
         """Points given in B, in A, (..., 3) [m]."""

@@ -20,7 +20,7 @@ from testbed.core.parameters.regroup import (
     span,
 )
 from testbed.core.parameters.rules import Model
-from testbed.core.parameters.symbols import STANDARD, to_standard
+from testbed.core.parameters.symbols import STANDARD_ORDER, to_standard
 from testbed.core.robot.friction import term_torque
 from testbed.core.robot.tree import Tree
 
@@ -78,9 +78,6 @@ def distance(a: Space, b: Space) -> float:
     return float(np.linalg.norm(a.rows - (a.rows @ b.rows.T) @ b.rows, 2))
 
 
-_INERTIA = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
-
-
 def recursive_space(
     tree: Tree,
     model: Model,
@@ -128,8 +125,7 @@ def _on_barycentric(tree: Tree, seen: list[Array], static: Array, base: int = -1
 def _standard_from_barycentric(tree: Tree) -> Array:
     """(m, h, I) of every body, I in the order xx xy xz yy yz zz, from theta, (10 n, 10 n)."""
     theta = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
-    in_our_order = [STANDARD.index(name) for name in ("m", "mx", "my", "mz", *_INERTIA)]
-    return to_standard(tree, theta)[:, in_our_order].reshape(10 * tree.n, -1)
+    return to_standard(tree, theta)[:, STANDARD_ORDER].reshape(10 * tree.n, -1)
 
 
 def _static(gravity: Array) -> Array:

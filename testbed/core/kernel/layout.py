@@ -93,7 +93,7 @@ def canonical(tree: Tree) -> Canonical:
     Args:
         tree: The robot; only its geometry matters.
     """
-    frames = [np.eye(3), *(upright(joint.axis) for joint in tree.joints)]  # bedplate first
+    frames = [np.eye(3), *(across(joint.axis).R_BT for joint in tree.joints)]  # bedplate first
     for i in range(-1, tree.n):
         leans = [_lean(_between(tree, frames, j)) for j in tree.children(i)]
         first = next((angle for angle in leans if angle is not None), None)
@@ -118,12 +118,6 @@ def canonical(tree: Tree) -> Canonical:
             links.append(KernelLink(-1, place[j], True, np.zeros(3), (1.0, 0.0), 0.0))
             place[j] += 1
     return Canonical(tuple(links), tuple(place), np.stack(frames[1:]), frames[0])
-
-
-def upright(axis: Array) -> Array:
-    """A right-handed frame with its z along a unit vector, columns, (3, 3)."""
-    x = across(axis).axes[0]
-    return np.column_stack([x, np.cross(axis, x), axis])
 
 
 def _between(tree: Tree, frames: list[Array], j: int) -> Array:

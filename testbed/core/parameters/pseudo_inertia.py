@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from testbed.core.base.arrays import Array
+from testbed.core.base.arrays import Array, skew
+from testbed.core.base.transform import Transform
 
 UPPER = tuple((a, b) for b in range(4) for a in range(b + 1))
 """Entries of the upper triangle, column by column: the order of `coordinates`."""
@@ -47,6 +48,27 @@ def parameters(pseudo: Array) -> Array:
     tensor = _complement(pseudo[..., :3, :3], 1.0)
     parts = pseudo[..., 3, 3:], pseudo[..., 3, :3], tensor[..., ROWS, COLUMNS]
     return np.concatenate(parts, axis=-1)
+
+
+def inertia_matrix(X_AB: Transform) -> Array:
+    """Standard parameters about and along frame A from those about and along B, (10, 10).
+
+    Args:
+        X_AB: Pose of frame B in A.
+    """
+    X = X_AB.matrix
+    return parameters(X @ matrices(np.eye(10)) @ X.T).T
+
+
+def inertia_rate(twist: Array) -> Array:
+    """Rate of standard parameters in the frame that a body moves in, (10, 10).
+
+    Args:
+        twist: Of the body, linear part first, (6,).
+    """
+    units, S = matrices(np.eye(10)), np.zeros((4, 4))
+    S[:3, :3], S[:3, 3] = skew(twist[3:]), twist[:3]
+    return parameters(S @ units + units @ S.T).T
 
 
 def _complement(tensors: Array, share: float) -> Array:

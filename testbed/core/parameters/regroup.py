@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array, skew
+from testbed.core.parameters.pseudo_inertia import inertia_matrix, inertia_rate
 from testbed.core.parameters.rules import NOTHING_KEPT, Model, Row, base_rule, mobilities, rule
 from testbed.core.parameters.symbols import (
+    STANDARD_ORDER,
     TENSOR,
     UPPER,
     Formula,
@@ -68,7 +70,8 @@ def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> It
     rest: list[Array] = [-np.concatenate([gravity, np.zeros(3)])]
     known: list[Array] = [static]
     for j, joint in enumerate(tree.joints):
-        screw, into, rate = _screw(joint), joint.X_PB.wrench_matrix, _rate(joint)
+        screw, into = _screw(joint), joint.X_PB.wrench_matrix
+        rate = _in_our_order(inertia_rate(screw))
         turning, momentum = _ad(screw).T, _momentum(screw)
         still = rest[joint.parent + 1] @ into
         ahead = _closed(np.vstack([free[joint.parent + 1] @ into, still @ turning]), turning)
@@ -134,34 +137,12 @@ def composite_into(joint: Joint) -> Array:
 
     At q = 0; tensors in the order of UPPER [kg, kg m, kg m^2].
     """
-    turn, l = joint.rotation, joint.offset
-    moved = np.zeros((10, 10))
-    moved[0, 0] = 1.0
-    moved[1:4, 0], moved[1:4, 1:4] = l, turn
-    moved[4:, 0] = (-skew(l) @ skew(l))[UPPER]
-    for k in range(3):
-        lever = skew(turn[:, k])
-        moved[4:, 1 + k] = -(skew(l) @ lever + lever @ skew(l))[UPPER]
-    for k in range(6):
-        moved[4:, 4 + k] = (turn @ TENSOR[:, :, k] @ turn.T)[UPPER]
-    return moved
+    return _in_our_order(inertia_matrix(joint.X_PB))
 
 
-def _rate(joint: Joint) -> Array:
-    """d/dq at q = 0 of (m, h, I) of composite j, about the frame it is moved from, (10, 10)."""
-    e = skew(joint.axis)
-    rate = np.zeros((10, 10))
-    if joint.revolute:
-        rate[1:4, 1:4] = e
-        for k in range(6):
-            unit = TENSOR[:, :, k]
-            rate[4:, 4 + k] = (e @ unit - unit @ e)[UPPER]
-        return rate
-    rate[1:4, 0] = joint.axis
-    for k in range(3):
-        lever = skew(np.eye(3)[k])
-        rate[4:, 1 + k] = -(e @ lever + lever @ e)[UPPER]
-    return rate
+def _in_our_order(matrix: Array) -> Array:
+    """Matrix on (m, h, I) of one on standard parameters, (10, 10)."""
+    return matrix[np.ix_(STANDARD_ORDER, STANDARD_ORDER)]
 
 
 def _closed(rows: Array, operator: Array) -> Array:

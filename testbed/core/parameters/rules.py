@@ -229,6 +229,12 @@ class Triad:
         """Whether the axes are others than the body's own."""
         return self.letters == ("u", "v", "w")
 
+    @property
+    def R_BT(self) -> Array:
+        """Right-handed frame T with z along the last direction, in the body's frame B, (3, 3)."""
+        x, _, z = self.axes
+        return np.column_stack([x, np.cross(z, x), z])
+
 
 @dataclass(frozen=True, eq=False)
 class Kept:

@@ -46,7 +46,8 @@ TENSOR_INDEX = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
 TENSOR: Array = np.eye(6)[np.array(TENSOR_INDEX)]
 """The tensor of six numbers, (3, 3, 6): K[a, b] = sum over k of TENSOR[a, b, k] K6[k]."""
 
-_TO_STANDARD_ORDER = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)  # swaps Kxz and Kyy; its own inverse
+STANDARD_ORDER = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)
+"""Swaps Kxz and Kyy, from the order STANDARD to COMPONENTS and back."""
 
 
 def standard(tree: Tree) -> Array:
@@ -54,7 +55,7 @@ def standard(tree: Tree) -> Array:
     rows = [
         (inertia.mass, *inertia.first_moment, *inertia.tensor[UPPER]) for inertia in tree.inertias
     ]
-    return readonly(np.array(rows)[:, _TO_STANDARD_ORDER], (tree.n, 10), "standard")
+    return readonly(np.array(rows)[:, STANDARD_ORDER], (tree.n, 10), "standard")
 
 
 def with_standard(tree: Tree, standard: Array) -> Tree:
@@ -64,7 +65,7 @@ def with_standard(tree: Tree, standard: Array) -> Tree:
         tree: The robot.
         standard: (n, 10) in the order STANDARD [kg, kg m, kg m^2].
     """
-    tensors = standard[:, _TO_STANDARD_ORDER][:, 4:] @ np.moveaxis(TENSOR, 2, 0).reshape(6, 9)
+    tensors = standard[:, STANDARD_ORDER][:, 4:] @ np.moveaxis(TENSOR, 2, 0).reshape(6, 9)
     bodies = [
         Inertia(own[0], own[1:4], tensor.reshape(3, 3))
         for own, tensor in zip(standard, tensors, strict=True)
@@ -92,7 +93,7 @@ def to_barycentric(tree: Tree, standard: AnyArray) -> AnyArray:
     Returns:
         theta, (n, 10, ...) in the order COMPONENTS.
     """
-    theta = standard[:, _TO_STANDARD_ORDER].copy()
+    theta = standard[:, STANDARD_ORDER].copy()
     for j in reversed(range(tree.n)):
         if tree.parents[j] >= 0:
             mass = point_mass(tree.joints[j].offset)
@@ -109,7 +110,7 @@ def on_standard(tree: Tree, rows: Array) -> Array:
     for j in range(tree.n):
         if tree.parents[j] >= 0:
             own[:, j, 0] += own[:, tree.parents[j]] @ point_mass(tree.joints[j].offset)
-    return own[:, :, _TO_STANDARD_ORDER].reshape(rows.shape)
+    return own[:, :, STANDARD_ORDER].reshape(rows.shape)
 
 
 def to_standard(tree: Tree, theta: AnyArray) -> AnyArray:
@@ -119,7 +120,7 @@ def to_standard(tree: Tree, theta: AnyArray) -> AnyArray:
         if tree.parents[j] >= 0:
             mass = point_mass(tree.joints[j].offset)
             own[tree.parents[j]] -= np.multiply.outer(mass, theta[j, 0])
-    return own[:, _TO_STANDARD_ORDER]
+    return own[:, STANDARD_ORDER]
 
 
 def parameter_scale(values: Array, units: Sequence[str], share: float) -> Array:

@@ -17,20 +17,6 @@ from testbed.core.base.arrays import Array, freeze, readonly, skew
 from testbed.core.base.summary_table import Value
 from testbed.core.base.transform import Transform
 
-
-def about(axis: Array, angle: float) -> Array:
-    """The turn about a unit vector by an angle [rad], (3, 3): Rodrigues' formula."""
-    cross = skew(axis)
-    turn: Array = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    return turn
-
-
-def from_vector(rotation: Array) -> Array:
-    """The turn by a rotation vector [rad], (3,), as a matrix, (3, 3)."""
-    angle = float(np.linalg.norm(rotation))
-    return about(rotation / angle, angle) if angle else np.eye(3)
-
-
 HEAVIEST = 1e12
 """Masses, first moments and inertias beyond this are a mistake [kg, kg m, kg m^2]."""
 

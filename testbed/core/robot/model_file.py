@@ -11,7 +11,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from testbed.core.base.diagnostics import diagnose
 from testbed.core.base.errors import WIDTH, ModelError, few
@@ -26,6 +26,10 @@ from testbed.core.robot.refusals import FreeRootError, LoopError, MimicError
 from testbed.core.robot.repair import Bodies, FileLink, Repair
 from testbed.core.robot.tree import ModelSource, Tree
 
+if TYPE_CHECKING:
+    from testbed.core.robot.formats.mjcf import MjcfModel
+    from testbed.core.robot.formats.urdf import UrdfModel
+
 MOST_JOINTS = 1_000
 """Matrices of a robot grow with the square of its joints."""
 
@@ -34,17 +38,27 @@ MOST_JOINTS = 1_000
 class ModelFile(ModelSource):
     """An MJCF or URDF file, and how to read it."""
 
+    def read(self) -> MjcfModel | UrdfModel:
+        """Its links, and what its language makes of them.
+
+        Raises:
+            ModelError: The file cannot be read or holds what is not supported.
+        """
+        if model_format(self.path) == "mjcf":
+            from testbed.core.robot.formats import mjcf
+
+            return mjcf.read(self)
+        from testbed.core.robot.formats import urdf
+
+        return urdf.read(self)
+
     def links(self) -> tuple[FileLink, ...]:
         """Its links in the bodies of the tree, carriers before what they carry.
 
         Raises:
             ModelError: The file cannot be read.
         """
-        if model_format(self.path) == "mjcf":
-            from testbed.core.robot.formats.mjcf import read_links
-        else:
-            from testbed.core.robot.formats.urdf import read_links
-        return read_links(self.path, weld_root=self.weld_root, lock=self.lock)
+        return self.read().links
 
     def tree(self) -> Tree:
         """The robot.
@@ -116,20 +130,15 @@ def load_tree(
             FreeRootError, InertiaError, MimicError.
         UnknownName: A joint to be held, or the sensor's link, is not in the file.
     """
-    path = own_or_shipped(path)
-    if model_format(path) == "mjcf":
-        from testbed.core.robot.formats.mjcf import read_mjcf as read
-    else:
-        from testbed.core.robot.formats.urdf import read_urdf as read
-    tree = read(path, weld_root=weld_root, repair=repair, lock=lock)
-    with errors_of(path):
+    file = ModelFile(own_or_shipped(path), weld_root, repair, lock or {})
+    source = file.read()
+    tree = replace(source.tree(), file=file)
+    with errors_of(file.path):
         check_tree(tree)
-    if strange := {f"'{each.name}' ({why})": 0 for each, _, why in _named_files(path) if why}:
+    if strange := {f"'{each.name}' ({why})": 0 for each, _, why in _named_files(file.path) if why}:
         said = diagnose("model.not-copied", few([*strange], WIDTH, "; "))
         tree = replace(tree, diagnostics=(*tree.diagnostics, said))
-    file = ModelFile(path, weld_root, repair, lock or {})
-    tree = replace(tree, file=file)
-    return tree if sensor is None else beyond_sensor(tree, file.links(), sensor)
+    return tree if sensor is None else beyond_sensor(tree, source.links, sensor)
 
 
 def nearest_bodies(
@@ -146,14 +155,7 @@ def nearest_bodies(
 
     Arguments and errors are those of `load_tree`.
     """
-    path = Path(path)
-    if model_format(path) == "mjcf":
-        from testbed.core.robot.formats.mjcf import repaired_spec
-
-        return repaired_spec(path, weld_root=weld_root, lock=lock, repair=repair).repair
-    from testbed.core.robot.formats.urdf import repaired_xml
-
-    return repaired_xml(path, weld_root=weld_root, lock=lock, repair=repair)[1]
+    return ModelFile(Path(path), weld_root, repair, lock or {}).read().repair
 
 
 def mimic_joints(path: str | Path) -> tuple[str, ...]:

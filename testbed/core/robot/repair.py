@@ -13,7 +13,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ModelError, UnknownName, quoted
 from testbed.core.base.transform import Transform
@@ -58,8 +57,7 @@ class FileLink:
         body: Index of the tree's body that it is part of, -1 for the pedestal.
         parent: The link that carries it by whatever joint; "" for the root.
         carrier: The link to which fixed joints of the file hold it; itself where none does.
-        rotation: From the link's frame to the body's, (3, 3).
-        position: Of the link's origin in the body's frame, (3,) [m].
+        X_BL: Pose of the link L in the frame of its body B.
         inertia: As the file has it, about and along the link's frame.
     """
 
@@ -67,26 +65,13 @@ class FileLink:
     body: int
     parent: str
     carrier: str
-    rotation: Array
-    position: Array
+    X_BL: Transform
     inertia: Inertia
-
-    def __post_init__(self) -> None:
-        freeze(self, rotation=(3, 3), position=(3,))
-
-    @property
-    def X_BL(self) -> Transform:
-        """Pose of the link L in the frame of its body B."""
-        return Transform(self.rotation, self.position)
 
     @property
     def in_body(self) -> Inertia:
         """Its inertia about and along the body's frame."""
         return self.inertia.moved(self.X_BL)
-
-    def seen_from(self, inertia: Inertia) -> Inertia:
-        """An inertia about the body's frame, about and along the link's."""
-        return inertia.moved(self.X_BL.inverse)
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,8 +232,9 @@ _SIZE = "link '{}' has a mass of {:.4g} kg with a radius of gyration of {:.4g} m
 
 def _lump(carrier: FileLink, parts: Sequence[FileLink]) -> Inertia:
     """A link and all that is fixed to it, about and along its frame; alone to the last bit."""
+    X_CB = carrier.X_BL.inverse
     full = (part for part in parts if part is not carrier and part.inertia.pseudo.any())
-    return carrier.inertia + total(carrier.seen_from(part.in_body) for part in full)
+    return carrier.inertia + total(part.inertia.moved(X_CB @ part.X_BL) for part in full)
 
 
 def _flaw(name: str, body: Inertia) -> str | None:

@@ -26,8 +26,7 @@ from testbed.core.base.transform import Transform
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.recordings.source import Source
 from testbed.core.recordings.views import on_its_base
-from testbed.core.robot.inertia import from_vector
-from testbed.core.robot.rotations import from_rpy, to_rpy
+from testbed.core.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.check import Assessment, Prepared, assess, zero_hypothesis
 from testbed.importing.check.explanation import Explanation

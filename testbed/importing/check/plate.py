@@ -21,8 +21,7 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.transform import Transform
 from testbed.core.estimation.regression.normal_equations import inverse_and_solution
-from testbed.core.robot.inertia import from_vector
-from testbed.core.robot.rotations import from_rpy, to_rpy
+from testbed.core.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.importing.check.instants import Instants, delay
 from testbed.importing.check.plate_map import (
     LASTS,

@@ -13,9 +13,10 @@ from annotated_types import Ge, Gt, Le
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.core.dynamics.newton_euler import poses
+from testbed.core.parameters.rules import across
 from testbed.core.robot.formats.mjcf_compile import no_mujoco_warnings
-from testbed.core.robot.inertia import Inertia, about
-from testbed.core.robot.rotations import align_z
+from testbed.core.robot.inertia import Inertia
+from testbed.core.robot.rotations import from_vector
 from testbed.core.robot.tree import Tree
 from testbed.lab.simulation.effect import Effect
 from testbed.sensors.kind_table import PerAxis, PerJoint, each_joint
@@ -105,7 +106,7 @@ class GearedRotor(Effect):
         for joint, inertia, _ in self._each(tree):
             known = tree.joints[joint]
             hinge, moments = spec.joint(prefix + known.name), inertia * np.array([0.5, 0.5, 1.0])
-            frame = tree, joint, align_z(known.axis), np.zeros(3)
+            frame = tree, joint, across(known.axis).R_BT, np.zeros(3)
             _weld(spec, hinge.parent.parent, _rotor(known.name), *frame, MASSLESS, moments)
             hinge.armature = known.rotor_inertia
 
@@ -245,7 +246,7 @@ class Tilt(Effect):
         """Gravity of another direction."""
         del prefix
         axis = np.array([np.cos(self.direction), np.sin(self.direction), 0.0])
-        spec.option.gravity = about(axis, self.angle) @ tree.gravity
+        spec.option.gravity = from_vector(self.angle * axis) @ tree.gravity
 
 
 def _inertias(spec: mujoco.MjSpec) -> Array:

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -18,11 +18,14 @@ from testbed.core.base.transform import Transform
 from testbed.core.dynamics.newton_euler import Motion, base_wrench, joint_forces
 from testbed.core.robot.drive_torque import friction_torque
 from testbed.core.robot.force_sensor import ForceSensor
-from testbed.core.robot.formats.mjcf import repaired_spec
-from testbed.core.robot.formats.mjcf_compile import MASSLESS, compile_spec, no_mujoco_warnings
-from testbed.core.robot.formats.urdf import repaired_xml
+from testbed.core.robot.formats.mjcf import MjcfModel
+from testbed.core.robot.formats.mjcf_compile import (
+    MASSLESS,
+    compile_spec,
+    no_mujoco_warnings,
+)
 from testbed.core.robot.friction import ROTOR
-from testbed.core.robot.model_file import ModelFile, model_format
+from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.tree import Tree
 from testbed.lab.simulation.effect import Effect
 from testbed.motion.limits import limits_of
@@ -211,11 +214,10 @@ def robot_spec(model: ModelFile) -> mujoco.MjSpec:
     Raises:
         ModelError: MuJoCo refuses it.
     """
-    path = model.path
-    how: dict[str, Any] = {"weld_root": model.weld_root, "repair": model.repair, "lock": model.lock}
-    if model_format(path) == "mjcf":
-        return repaired_spec(path, **how).spec
-    root, *_ = repaired_xml(path, **how)
+    source = model.read()
+    if isinstance(source, MjcfModel):
+        return source.spec
+    root = source.root
     for tag, key in (("link", "name"), ("parent", "link"), ("child", "link")):
         for each in root.iter(tag):
             if each.get(key) == "world":
@@ -226,7 +228,7 @@ def robot_spec(model: ModelFile) -> mujoco.MjSpec:
         try:
             spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
         except ValueError as error:
-            raise ModelError(f"{path}: {' '.join(str(error).split())}") from None
+            raise ModelError(f"{model.path}: {' '.join(str(error).split())}") from None
     spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     return spec
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.transform import Transform
-from testbed.core.robot.inertia import from_vector
+from testbed.core.robot.rotations import from_vector
 from testbed.sensors.kind_table import SIGN, PerAxis
 from testbed.sensors.sensor_error import StageOrder
 from testbed.sensors.systematic_error import Coefficient, PlateError

@@ -23,10 +23,10 @@ from testbed.core.robot.formats.mjcf_compile import (
     stated_inertias,
 )
 from testbed.core.robot.formats.mjcf_spec import VELOCITY_LIMIT, open_spec, parse
-from testbed.core.robot.inertia import NOTHING, Inertia, about
-from testbed.core.robot.locks import Lock
-from testbed.core.robot.repair import Bodies, FileLink, Repair, repaired
-from testbed.core.robot.tree import FARTHEST, Joint, Kind, Tree
+from testbed.core.robot.inertia import NOTHING, Inertia
+from testbed.core.robot.repair import FileLink, Repair, repaired
+from testbed.core.robot.rotations import from_vector
+from testbed.core.robot.tree import FARTHEST, Joint, Kind, ModelSource, Tree
 
 _KINDS: dict[int, Kind] = {
     int(mujoco.mjtJoint.mjJNT_HINGE): "revolute",
@@ -34,76 +34,69 @@ _KINDS: dict[int, Kind] = {
 }
 
 
-def read_mjcf(
-    path: Path,
-    *,
-    weld_root: bool = False,
-    repair: Bodies | None = None,
-    lock: Lock | None = None,
-) -> Tree:
-    """The tree of an MJCF file; the bedplate frame is MuJoCo's world frame.
-
-    Arguments and errors are those of `load_tree`.
-    """
-    found = repaired_spec(path, weld_root=weld_root, repair=repair, lock=lock)
-    model = compile_spec(found.spec, path)
-    for k in range(model.nnumeric):
-        name = model.numeric(k).name
-        joint = name.removeprefix(VELOCITY_LIMIT)
-        if joint != name and not _has(model, mujoco.mjtObj.mjOBJ_JOINT, joint):
-            raise ModelError(f"{path}: <numeric name='{name}'> names no joint")
-    said = (*found.repair.diagnostics, *found.diagnostics)
-    return _tree_of(model, found.stated, said)
-
-
 @dataclass(frozen=True, eq=False)
-class RepairedSpec:
-    """MuJoCo's editable model of a file, of bodies that can be.
+class MjcfModel:
+    """MJCF file as MuJoCo's editable model, of bodies that can be.
 
     Attributes:
+        path: The file.
         spec: The model.
-        stated: Inertias as stated, by body.
+        compiled: Compiled before inertias were repaired.
+        links: Bodies with their inertias as the file has them, carriers before what they carry.
         repair: What was repaired.
         diagnostics: What was accepted although it is wrong.
     """
 
+    path: Path
     spec: mujoco.MjSpec
-    stated: dict[str, StatedInertia]
+    compiled: mujoco.MjModel
+    links: tuple[FileLink, ...]
     repair: Repair
     diagnostics: tuple[Diagnostic, ...]
 
+    def tree(self) -> Tree:
+        """Robot; the bedplate frame is MuJoCo's world frame.
 
-def repaired_spec(
-    path: Path,
-    *,
-    weld_root: bool = False,
-    repair: Bodies | None = None,
-    lock: Lock | None = None,
-) -> RepairedSpec:
-    """An MJCF file with bodies that can be, for every reader; otherwise as `read_mjcf`."""
-    spec, said = open_spec(path, weld_root=weld_root, lock=lock)
+        Raises:
+            ModelError: A velocity limit is of no joint.
+        """
+        model = self.compiled
+        for k in range(model.nnumeric):
+            name = model.numeric(k).name
+            joint = name.removeprefix(VELOCITY_LIMIT)
+            if joint != name and not _has(model, mujoco.mjtObj.mjOBJ_JOINT, joint):
+                raise ModelError(f"{self.path}: <numeric name='{name}'> names no joint")
+        joints, _ = _joints(model)
+        bodies = [NOTHING] * (len(joints) + 1)  # the last is the pedestal, body -1
+        for link in self.links:
+            inertia = self.repair.links.get(link.name, link.inertia)
+            bodies[link.body] += inertia.moved(link.X_BL)
+        *inertias, pedestal = bodies
+        return Tree(
+            name=model.names[: model.names.index(b"\0")].decode() or "robot",
+            joints=joints,
+            inertias=tuple(inertias),
+            pedestal=pedestal,
+            gravity=np.zeros(3) if _disabled(model, "GRAVITY") else model.opt.gravity,
+            diagnostics=(*self.repair.diagnostics, *self.diagnostics),
+        )
+
+
+def read(file: ModelSource) -> MjcfModel:
+    """Read an MJCF file; errors are those of `load_tree`."""
+    path = file.path
+    spec, said = open_spec(file)
     suspects, stated = stated_inertias(spec)
     model = compile_spec(spec, path)
     _check_places(model, path)
     # bodies that the compiler makes stay as they are
     reach = float(np.linalg.norm(model.body_pos, axis=1).sum()) if stated else np.inf
+    links = _links(model, stated, path)
     # no chain ends without matter: MuJoCo takes no such file
-    found = repaired(_links(model, stated, path), suspects, (), repair, path.name, reach)
-    for name, inertia in found.links.items():
-        stated[name] = set_inertia(spec.body(name), inertia)
-    return RepairedSpec(spec, stated, found, said)
-
-
-def read_links(
-    path: Path, *, weld_root: bool = False, lock: Lock | None = None
-) -> tuple[FileLink, ...]:
-    """The bodies of an MJCF file in those of its tree, carriers before what they carry.
-
-    Arguments are those with which `read_mjcf` has read it.
-    """
-    spec, _ = open_spec(path, weld_root=weld_root, lock=lock)
-    _, stated = stated_inertias(spec)
-    return _links(compile_spec(spec, path), stated, path)
+    repair = repaired(links, suspects, (), file.repair, path.name, reach)
+    for name, inertia in repair.links.items():
+        set_inertia(spec.body(name), inertia)
+    return MjcfModel(path, spec, model, links, repair, said)
 
 
 def _links(
@@ -112,14 +105,14 @@ def _links(
     """The bodies with their inertias as the file has them."""
     spec = parse(path)  # kept while its bodies are read: they live in it
     jointed = {body.name for body in spec.bodies if body.joints}
-    found: dict[int, FileLink] = {}
-    for b, (owner, rotation, position) in _places(model).items():
-        name, below = model.body(b).name, found.get(model.body_parentid[b])
+    links: dict[int, FileLink] = {}
+    for b, (owner, X_OB) in _joints(model)[1].items():
+        name, below = model.body(b).name, links.get(model.body_parentid[b])
         carrier = name if below is None or name in jointed else below.carrier
-        inertia = _inertia_of(model, b, stated)
         parent = "" if below is None else below.name
-        found[b] = FileLink(name, owner, parent, carrier, rotation, position, inertia)
-    return tuple(found.values())
+        inertia = _inertia_of(model, b, stated)
+        links[b] = FileLink(name, owner, parent, carrier, X_OB, inertia)
+    return tuple(links.values())
 
 
 def _check_places(model: mujoco.MjModel, path: Path) -> None:
@@ -138,54 +131,25 @@ def _check_places(model: mujoco.MjModel, path: Path) -> None:
             )
 
 
-def _tree_of(
-    model: mujoco.MjModel, stated: dict[str, StatedInertia], diagnostics: tuple[Diagnostic, ...]
-) -> Tree:
+def _joints(
+    model: mujoco.MjModel,
+) -> tuple[tuple[Joint, ...], dict[int, tuple[int, Transform]]]:
+    """The tree's joints; and by MuJoCo body, its owner in the tree and its pose X_OB there."""
     joints: list[Joint] = []
-    places = _places(model, joints)
-    inertias = [NOTHING] * len(joints)
-    pedestal = NOTHING
-    for b, (owner, rotation, position) in places.items():
-        inertia = _inertia_of(model, b, stated).moved(Transform(rotation, position))
-        if owner < 0:
-            pedestal = pedestal + inertia
-        else:
-            inertias[owner] = inertias[owner] + inertia
-    return Tree(
-        name=model.names[: model.names.index(b"\0")].decode() or "robot",
-        joints=tuple(joints),
-        inertias=tuple(inertias),
-        pedestal=pedestal,
-        gravity=np.zeros(3) if _disabled(model, "GRAVITY") else model.opt.gravity,
-        diagnostics=diagnostics,
-    )
-
-
-def _places(
-    model: mujoco.MjModel, joints: list[Joint] | None = None
-) -> dict[int, tuple[int, Array, Array]]:
-    """By MuJoCo body, the tree's body that it is part of, and its pose there.
-
-    Args:
-        model: Compiled.
-        joints: Gets the tree's joints.
-    """
-    joints = [] if joints is None else joints
-    found = {0: (-1, np.eye(3), np.zeros(3))}
+    poses = {0: (-1, Transform())}
     for b in range(1, model.nbody):
-        owner, rotation, position = found[model.body_parentid[b]]
-        position = position + rotation @ model.body_pos[b]
-        rotation = rotation @ _matrix(model.body_quat[b])
+        owner, X_OP = poses[model.body_parentid[b]]
+        X_OB = X_OP @ Transform(_matrix(model.body_quat[b]), model.body_pos[b])
         for j in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b]):
-            joints.append(_joint_of(model, j, owner, rotation, position))
-            owner, rotation, position = len(joints) - 1, np.eye(3), -model.jnt_pos[j]
-        found[b] = (owner, rotation, position)
-    del found[0]
-    return found
+            joints.append(_joint_of(model, j, owner, X_OB))
+            owner, X_OB = len(joints) - 1, Transform(p_AB_A=-model.jnt_pos[j])
+        poses[b] = owner, X_OB
+    del poses[0]
+    return tuple(joints), poses
 
 
-def _joint_of(model: mujoco.MjModel, j: int, owner: int, rotation: Array, position: Array) -> Joint:
-    """Joint j, its body's axes at `rotation` and origin at `position` in the owner's frame.
+def _joint_of(model: mujoco.MjModel, j: int, owner: int, X_OB: Transform) -> Joint:
+    """Joint j of a body in pose X_OB on its owner.
 
     MuJoCo turns about the anchor `jnt_pos`, which becomes our O^j, and counts from the
     position `qpos0` that the file's posture has.
@@ -193,10 +157,10 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, rotation: Array, positi
     body = model.body(model.jnt_bodyid[j]).name
     name = model.joint(j).name
     axis, zero = model.jnt_axis[j], model.qpos0[model.jnt_qposadr[j]]
-    attachment = position + rotation @ model.jnt_pos[j]
+    rotation, attachment = X_OB.R_AB, X_OB.point(model.jnt_pos[j])
     kind = _KINDS[int(model.jnt_type[j])]
     if kind == "revolute":
-        rotation = rotation @ about(axis, -zero)
+        rotation = rotation @ from_vector(-zero * axis)
     else:
         attachment = attachment - rotation @ axis * zero
     dof = model.jnt_dofadr[j]

@@ -284,7 +284,7 @@ def stated_inertias(spec: mujoco.MjSpec) -> tuple[dict[str, str], dict[str, Stat
     return flaws, stated
 
 
-def set_inertia(body: mujoco.MjsBody, inertia: Inertia) -> StatedInertia:
+def set_inertia(body: mujoco.MjsBody, inertia: Inertia) -> None:
     """Give a body another inertia, along its own axes."""
     central = inertia.central
     body.explicitinertial = True
@@ -292,7 +292,6 @@ def set_inertia(body: mujoco.MjsBody, inertia: Inertia) -> StatedInertia:
     body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     body.inertia = np.zeros(3)
     body.fullinertia = [central[at] for at in FULL] if central.any() else np.full(6, np.nan)
-    return StatedInertia(inertia.mass, central)
 
 
 def resolve(spec: mujoco.MjSpec, path: Path) -> tuple[mujoco.MjModel, dict[str, StatedInertia]]:

@@ -25,6 +25,7 @@ from testbed.core.robot.formats.mjcf_compile import (
 )
 from testbed.core.robot.locks import Coupling, Lock, Travel, lock_positions
 from testbed.core.robot.refusals import FreeRootError, LoopError, MimicError
+from testbed.core.robot.tree import ModelSource
 
 VELOCITY_LIMIT = "velocity_limit/"
 """MJCF has no element for a velocity limit: <numeric name="velocity_limit/JOINT" data=.../>."""
@@ -49,23 +50,22 @@ def commands_kept(delay: float, timestep: float) -> int:
     return int(np.ceil(delay / timestep)) + 2 if delay else 0
 
 
-def open_spec(
-    path: Path, *, weld_root: bool = False, lock: Lock | None = None
-) -> tuple[mujoco.MjSpec, tuple[Diagnostic, ...]]:
+def open_spec(file: ModelSource) -> tuple[mujoco.MjSpec, tuple[Diagnostic, ...]]:
     """The editable MuJoCo model of an MJCF file: its mechanism, checked for what is supported.
 
-    Held joints are taken out, their bodies posed. Arguments and errors are those of `load_tree`.
+    Held joints are taken out, their bodies posed. Errors are those of `load_tree`.
 
     Returns:
         The model, and what was accepted although it is wrong.
     """
+    path = file.path
     spec = parse(path)
     spec.compiler.fusestatic = False  # fused bodies would lose what their links weigh
     _set_total_mass(spec, path)
     _strip(spec)
     for joint in list(spec.joints):
         if joint.type == mujoco.mjtJoint.mjJNT_FREE and joint.parent.parent.name == "world":
-            if not weld_root:
+            if not file.weld_root:
                 raise FreeRootError(path.name, joint.name or joint.parent.name)
             spec.delete(joint)
         elif joint.type not in _SUPPORTED:
@@ -74,7 +74,7 @@ def open_spec(
                 f"{path}: joint '{joint.name or joint.parent.name}' is of type '{kind}', which is "
                 "not supported (supported: hinge, slide)"
             )
-    said = hold_joints(spec, lock or {}, path)
+    said = hold_joints(spec, file.lock, path)
     return spec, (*said, *drop_passive_forces(spec, path))
 
 

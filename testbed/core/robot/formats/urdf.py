@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,65 +19,70 @@ import pinocchio as pin
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import ModelError
+from testbed.core.base.transform import Transform
 from testbed.core.robot.formats.urdf_xml import TENSOR, link_at, numbers_of, supported_xml
 from testbed.core.robot.inertia import NOTHING, Inertia
-from testbed.core.robot.locks import Lock
 from testbed.core.robot.parsing import capture_stderr, errors_of, plain, read_xml
-from testbed.core.robot.repair import Bodies, FileLink, Repair, repaired
+from testbed.core.robot.repair import FileLink, Repair, repaired
 from testbed.core.robot.rigid_matter import inertia_flaw
-from testbed.core.robot.rotations import from_rpy
-from testbed.core.robot.tree import Joint, Kind, Tree
+from testbed.core.robot.tree import Joint, Kind, ModelSource, Tree
 
 
-def read_urdf(
-    path: Path,
-    *,
-    weld_root: bool = False,
-    repair: Bodies | None = None,
-    lock: Lock | None = None,
-) -> Tree:
-    """The tree of a URDF file; the bedplate frame is the root link's frame.
+@dataclass(frozen=True, eq=False)
+class UrdfModel:
+    """Links and joints of a URDF file, of bodies that can be, for all readers.
 
-    Arguments and errors are those of `load_tree`.
+    Attributes:
+        path: The file.
+        root: Its XML.
+        links: Links with their inertias as the file has them, carriers before what they carry.
+        repair: What was repaired.
+        diagnostics: What was accepted although it is wrong.
     """
-    root, found, said = repaired_xml(path, weld_root=weld_root, repair=repair, lock=lock)
-    return _tree_of(_built(root, path), root.get("name", ""), (*found.diagnostics, *said))
+
+    path: Path
+    root: ET.Element
+    links: tuple[FileLink, ...]
+    repair: Repair
+    diagnostics: tuple[Diagnostic, ...]
+
+    def tree(self) -> Tree:
+        """Robot; the bedplate frame is the root link's frame.
+
+        Raises:
+            ModelError: Pinocchio does not take the file.
+        """
+        model = _built(self.root, self.path)
+        bodies = {
+            frame.parentJoint: frame.name
+            for frame in reversed(model.frames.tolist())
+            if frame.type == pin.FrameType.BODY
+        }
+        pedestal, *inertias = (_inertia_of(inertia) for inertia in model.inertias)
+        return Tree(
+            name=self.root.get("name", ""),
+            joints=tuple(_joint_of(model, j, bodies) for j in range(1, model.njoints)),
+            inertias=tuple(inertias),
+            pedestal=pedestal,
+            gravity=model.gravity.linear,
+            diagnostics=(*self.repair.diagnostics, *self.diagnostics),
+        )
 
 
-def repaired_xml(
-    path: Path,
-    *,
-    weld_root: bool = False,
-    repair: Bodies | None = None,
-    lock: Lock | None = None,
-) -> tuple[ET.Element, Repair, tuple[Diagnostic, ...]]:
-    """The file's links and joints with bodies that can be, for all readers; else as `read_urdf`.
-
-    Returns:
-        The root element; what was repaired; and what was accepted although it is wrong.
-    """
-    root, said = supported_xml(path, weld_root=weld_root, lock=lock)
+def read(file: ModelSource) -> UrdfModel:
+    """Read a URDF file; errors are those of `load_tree`."""
+    path = file.path
+    root, said = supported_xml(file)
     elements = {link.get("name", ""): link for link in root.findall("link")}
     with errors_of(path):
         suspects = {name: line for name, link in elements.items() if (line := _link_flaw(link))}
     links, parents = _links(root, path)
     origins = (joint.find("origin") for joint in root.findall("joint"))
     reach = sum(math.hypot(*numbers_of(origin, "xyz", "0 0 0")) for origin in origins)
-    found = repaired(links, suspects, parents, repair, path.name, reach)
-    for name, inertia in found.links.items():
+    repair = repaired(links, suspects, parents, file.repair, path.name, reach)
+    for name, inertia in repair.links.items():
         _set_inertia(elements[name], inertia)
-    return root, found, said
-
-
-def read_links(
-    path: Path, *, weld_root: bool = False, lock: Lock | None = None
-) -> tuple[FileLink, ...]:
-    """The links of a URDF file in the bodies of its tree, carriers before what they carry.
-
-    Arguments are those with which `read_urdf` has read it.
-    """
-    root, _ = supported_xml(path, weld_root=weld_root, lock=lock)
-    return _links(root, path)[0]
+    return UrdfModel(path, root, links, repair, said)
 
 
 def _links(root: ET.Element, path: Path) -> tuple[tuple[FileLink, ...], tuple[int, ...]]:
@@ -99,8 +105,7 @@ def _links(root: ET.Element, path: Path) -> tuple[tuple[FileLink, ...], tuple[in
                 body=frame.parentJoint - 1,
                 parent=parents.get(frame.name, ""),
                 carrier=carrier,
-                rotation=frame.placement.rotation,
-                position=frame.placement.translation,
+                X_BL=Transform(frame.placement.rotation, frame.placement.translation),
                 inertia=inertias[frame.name],
             )
     return tuple(links.values()), tuple(model.parents[j] - 1 for j in range(1, model.njoints))
@@ -112,7 +117,7 @@ def _link_inertia(link: ET.Element) -> Inertia:
     if inertial is None:
         return NOTHING
     origin = inertial.find("origin")
-    turn = from_rpy(numbers_of(origin, "rpy", "0 0 0"))
+    turn = pin.rpy.rpyToMatrix(*numbers_of(origin, "rpy", "0 0 0"))
     mass, central = _stated(inertial)
     return Inertia.about_centre(mass, numbers_of(origin, "xyz", "0 0 0"), turn @ central @ turn.T)
 
@@ -163,24 +168,6 @@ def _set_inertia(link: ET.Element, inertia: Inertia) -> None:
         ET.SubElement(new, "mass", value=plain([inertia.mass]))
         moments = {key: plain([inertia.central[at]]) for key, at in TENSOR.items()}
         ET.SubElement(new, "inertia", moments)
-
-
-def _tree_of(model: pin.Model, name: str, diagnostics: tuple[Diagnostic, ...]) -> Tree:
-    bodies = {
-        frame.parentJoint: frame.name
-        for frame in reversed(model.frames.tolist())
-        if frame.type == pin.FrameType.BODY
-    }
-    joints = tuple(_joint_of(model, j, bodies) for j in range(1, model.njoints))
-    inertias = tuple(_inertia_of(model.inertias[j]) for j in range(1, model.njoints))
-    return Tree(
-        name=name,
-        joints=joints,
-        inertias=inertias,
-        pedestal=_inertia_of(model.inertias[0]),
-        gravity=model.gravity.linear,
-        diagnostics=diagnostics,
-    )
 
 
 def _joint_of(model: pin.Model, j: int, bodies: dict[int, str]) -> Joint:

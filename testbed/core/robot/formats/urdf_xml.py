@@ -19,12 +19,12 @@ import numpy as np
 
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ModelError, few, quoted
-from testbed.core.robot.inertia import HEAVIEST, about
+from testbed.core.robot.inertia import HEAVIEST
 from testbed.core.robot.locks import Coupling, Lock, Travel, lock_positions
 from testbed.core.robot.parsing import decimals, errors_of, plain, read_xml
 from testbed.core.robot.refusals import FreeRootError
-from testbed.core.robot.rotations import from_rpy, to_rpy
-from testbed.core.robot.tree import FARTHEST, UNIT
+from testbed.core.robot.rotations import from_rpy, from_vector, to_rpy
+from testbed.core.robot.tree import FARTHEST, UNIT, ModelSource
 
 DEEPEST_LINKS = 1_500
 """Links in a row: Pinocchio's parser overflows its stack between 2000 and 4000."""
@@ -105,21 +105,19 @@ _NO_NUMBERS = ("nan", "inf", "infinity")
 
 
 def supported_xml(
-    path: Path,
-    *,
-    weld_root: bool = False,
-    lock: Lock | None = None,
-    keep_visuals: bool = False,
+    file: ModelSource, *, keep_visuals: bool = False
 ) -> tuple[ET.Element, tuple[Diagnostic, ...]]:
     """The file's links and joints, checked for what is supported; held joints become fixed ones.
 
-    Arguments and errors are those of `load_tree`; `keep_visuals` keeps what is to be seen.
+    Args:
+        file: The file, and how to read it; errors are those of `load_tree`.
+        keep_visuals: Keep what is to be seen.
 
     Returns:
         The root element, and what was accepted although it is wrong.
     """
-    root, said = _checked(path, weld_root, keep_visuals)
-    return root, (*said, *_hold(root.findall("joint"), lock or {}, path))
+    root, said = _checked(file.path, file.weld_root, keep_visuals)
+    return root, (*said, *_hold(root.findall("joint"), file.lock, file.path))
 
 
 def _checked(
@@ -227,12 +225,12 @@ def _move_origin(joint: ET.Element, position: float) -> None:
         origin = ET.SubElement(joint, "origin")
     axis = np.array(numbers_of(joint.find("axis"), "xyz", "1 0 0"))
     axis /= np.linalg.norm(axis)
-    turn = from_rpy(numbers_of(origin, "rpy", "0 0 0"))
+    R_PJ = from_rpy(numbers_of(origin, "rpy", "0 0 0"))
     if joint.get("type") == "prismatic":
-        place = np.array(numbers_of(origin, "xyz", "0 0 0")) + turn @ axis * position
-        origin.set("xyz", plain(list(place)))
+        p_PJ = np.array(numbers_of(origin, "xyz", "0 0 0")) + R_PJ @ axis * position
+        origin.set("xyz", plain(p_PJ))
     else:
-        origin.set("rpy", plain(list(to_rpy(turn @ about(axis, position)))))
+        origin.set("rpy", plain(to_rpy(R_PJ @ from_vector(position * axis))))
 
 
 def _keep(element: ET.Element, owner: str, also: tuple[str, ...]) -> Iterator[tuple[str, str]]:
