@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from numbers import Real
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, get_type_hints
 
 import numpy as np
 from pydantic import (
@@ -123,49 +123,17 @@ Filter = Annotated[
     BeforeValidator(lambda given: "off" if given is None else given),
 ]
 
-FIELDS: Mapping[str, tuple[Any, str]] = {
-    "zeros": (
-        Annotated[bool, Field(strict=True)] | tuple[Name, ...],
-        "true, false or a list of parameters' names",
-    ),
-    "position_cutoff": (Filter, 'a positive frequency [Hz] or "off"'),
-    "cutoff": (Filter, 'a positive frequency [Hz] or "off"'),
-    "deadband": (Amount, f"a speed [rad/s or m/s], from 0 to {LARGEST:g}"),
-    "reversal_reach": (Amount | None, f"a time [s], from 0 to {LARGEST:g}"),
-    "terms": (
-        Annotated[
-            tuple[Name | InstanceOf[JointLaw], ...],
-            AfterValidator(_known_terms),
-            AfterValidator(_distinct),
-        ]
-        | Literal["auto"]
-        | None,
-        'a list of names, none twice, or "auto"',
-    ),
-    "nuisances": (
-        Annotated[
-            tuple[Annotated[Name, AfterValidator(_nuisance)], ...], AfterValidator(_distinct)
-        ],
-        "a list of names, none twice",
-    ),
-    "tare": (Literal["known", "unknown"], '"known" or "unknown"'),
-    "span": (
-        Annotated[tuple[Number, Number], AfterValidator(_rising)] | None,
-        "two times [s], the earlier one first",
-    ),
-    "known": (
-        dict[Name, Number | tuple[Number] | tuple[Number, Annotated[Number, Field(ge=0)]]],
-        "a table of values, or of values and their sigmas, by name",
-    ),
-    "drives": (Literal["off", "given", "chosen"], '"off", "given" or "chosen"'),
-    "engine": (Literal["by size", "compiled", "numpy"], '"by size", "compiled" or "numpy"'),
-}
-"""What each setting may be, and that in words."""
 
+class Rule(NamedTuple):
+    """Check of a setting.
 
-@cache
-def _adapter(name: str) -> TypeAdapter[Any]:
-    return TypeAdapter(FIELDS[name][0])
+    Attributes:
+        kind: Type that a value has to validate as.
+        meaning: The same in words.
+    """
+
+    kind: Any
+    meaning: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,29 +143,53 @@ class Settings(Value):
     Plain values only: an experiment file's table [identification] holds the same keys.
     """
 
-    zeros: bool | Sequence[str] = False
+    zeros: Annotated[
+        bool | Sequence[str],
+        Rule(
+            Annotated[bool, Field(strict=True)] | tuple[Name, ...],
+            "true, false or a list of parameters' names",
+        ),
+    ] = False
     """Barycentric parameters that are known to be zero: true for all that are zero in the
     model file, or their names, such as "mb1x" or "K2xy"."""
 
-    position_cutoff: Cutoff | None = "fit"
+    position_cutoff: Annotated[
+        Cutoff | None, Rule(Filter, 'a positive frequency [Hz] or "off"')
+    ] = "fit"
     """Low-pass on encoder positions before they are differentiated [Hz], or "off". At least
     twice `cutoff`: what it takes from the motion would bias the estimate. By default 40 Hz, or
     none where the sampling is too slow for that."""
 
-    cutoff: Cutoff | None = "fit"
+    cutoff: Annotated[Cutoff | None, Rule(Filter, 'a positive frequency [Hz] or "off"')] = "fit"
     """Low-pass on the regressor's columns and the measurement alike [Hz], or "off". By default
     5 Hz, or a tenth of the sampling rate or half of `position_cutoff` where that is less."""
 
-    deadband: float = 0.02
+    deadband: Annotated[float, Rule(Amount, f"a speed [rad/s or m/s], from 0 to {LARGEST:g}")] = (
+        0.02
+    )
     """Joints that are slower rest: dry friction there has no sign, and is unknown
     [rad/s or m/s]."""
 
-    reversal_reach: float | None = None
+    reversal_reach: Annotated[
+        float | None, Rule(Amount | None, f"a time [s], from 0 to {LARGEST:g}")
+    ] = None
     """Rows of a joint that rests within this time do not count, since the filter on rows spreads
     what friction does there [s]. Default: in an estimate they do, whitened of it; where single
     rows are looked at, all but 3 % of the filter's weight has to move, 0.15 s at 5 Hz."""
 
-    terms: Sequence[str | JointLaw] | Literal["auto"] | None = None
+    terms: Annotated[
+        Sequence[str | JointLaw] | Literal["auto"] | None,
+        Rule(
+            Annotated[
+                tuple[Name | InstanceOf[JointLaw], ...],
+                AfterValidator(_known_terms),
+                AfterValidator(_distinct),
+            ]
+            | Literal["auto"]
+            | None,
+            'a list of names, none twice, or "auto"',
+        ),
+    ] = None
     """What a joint's torque holds besides the forces that move the bodies: "coulomb", "viscous",
     "offset", "rotor", "asymmetric", "quadratic", "square_root", "slope", "warm_coulomb",
     "warm_viscous", and "stribeck@0.1", friction that fades out at 0.1 rad/s; "stribeck" looks for
@@ -206,40 +198,68 @@ class Settings(Value):
     imported recordings, and "rotor" of torques from motors, else of joints whose rotor the model
     file states."""
 
-    nuisances: Sequence[str] = ()
+    nuisances: Annotated[
+        Sequence[str],
+        Rule(
+            Annotated[
+                tuple[Annotated[Name, AfterValidator(_nuisance)], ...], AfterValidator(_distinct)
+            ],
+            "a list of names, none twice",
+        ),
+    ] = ()
     """What of the instrument is unknown beside the parameters, for the external method: "bias",
     "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare" (docs/uncertainty.md)."""
 
-    tare: Literal["known", "unknown"] = "known"
+    tare: Annotated[
+        Literal["known", "unknown"], Rule(Literal["known", "unknown"], '"known" or "unknown"')
+    ] = "known"
     """Whether it is known what of the wrench is the pedestal's. If not, the plate shows only how
     its wrench changes: the parameters are those of the tared set, and "bias" is among the
     nuisances."""
 
-    known: Mapping[str, float | Sequence[float]] = field(default_factory=dict, hash=False)
+    known: Annotated[
+        Mapping[str, float | Sequence[float]],
+        Rule(
+            dict[Name, Number | tuple[Number] | tuple[Number, Annotated[Number, Field(ge=0)]]],
+            "a table of values, or of values and their sigmas, by name",
+        ),
+    ] = field(default_factory=dict, hash=False)
     """What is known exactly, or with a sigma: a value, or value and sigma, by name. "mass" is that
     of all moving bodies [kg], "centre/x" where its centre is [m]; any minimal parameter and any
     number of a nuisance can be known."""
 
-    span: Sequence[float] | None = None
+    span: Annotated[
+        Sequence[float] | None,
+        Rule(
+            Annotated[tuple[Number, Number], AfterValidator(_rising)] | None,
+            "two times [s], the earlier one first",
+        ),
+    ] = None
     """Samples from the first to before the second time count [s]. Default: those that the recording
     says are for an estimate, as one from rest to rest does; else all."""
 
-    drives: Literal["off", "given", "chosen"] = "off"
+    drives: Annotated[
+        Literal["off", "given", "chosen"],
+        Rule(Literal["off", "given", "chosen"], '"off", "given" or "chosen"'),
+    ] = "off"
     """Whether joint torques are held against the plate's estimate: torque constants, friction
     curves, both methods combined; with the given terms, or with those that held-out data choose
     for each joint (docs/drives.md)."""
 
-    engine: Literal["by size", "compiled", "numpy"] = "by size"
+    engine: Annotated[
+        Literal["by size", "compiled", "numpy"],
+        Rule(Literal["by size", "compiled", "numpy"], '"by size", "compiled" or "numpy"'),
+    ] = "by size"
     """What makes the rows: the compiled kernel, NumPy, or whichever is faster for the size of the
     job. They differ in rounding only."""
 
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
 
     def __post_init__(self) -> None:
-        for name, (_, meaning) in FIELDS.items():
+        for name, (adapter, meaning) in _rules().items():
             given = getattr(self, name)
             try:
-                checked = _adapter(name).validate_python(given)
+                checked = adapter.validate_python(given)
             except ValidationError:
                 raise SettingsError(f"{name} is {meaning}, found {given!r}") from None
             object.__setattr__(self, name, checked)
@@ -319,6 +339,14 @@ class Settings(Value):
     def facts(self) -> dict[str, tuple[float, float]]:
         """Value and sigma of what is known, by name."""
         return with_sigmas(self.known)
+
+
+@cache
+def _rules() -> dict[str, Rule]:
+    """Rules of all settings, a validator in place of each type."""
+    hints = get_type_hints(Settings, include_extras=True)
+    rules = {each.name: hints[each.name].__metadata__[0] for each in fields(Settings)}
+    return {name: Rule(TypeAdapter(kind), meaning) for name, (kind, meaning) in rules.items()}
 
 
 def _hertz(cutoff: Cutoff | None, fit: float) -> float | None:
