@@ -16,7 +16,7 @@ from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.noise.fits import NoiseFit, weighted_fits
 from testbed.core.estimation.noise.lagged_products import HIGHEST, LaggedProducts, LaggedSums
-from testbed.core.estimation.noise.score_tests import REPLICAS, SEED, Replicas
+from testbed.core.estimation.noise.replicas import REPLICAS, SEED, Replicas
 from testbed.core.estimation.noise.whitening import counted
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import (

@@ -18,7 +18,11 @@ from testbed.core.dynamics.newton_euler import pedestal_wrench
 from testbed.core.estimation.diagnostics.diagnosis import diagnostics, quality
 from testbed.core.estimation.diagnostics.residuals import zero_unknown
 from testbed.core.estimation.estimate import Estimate, Method, channel_units, sensor_of
-from testbed.core.estimation.noise.coloured_noise import GlsFit, generalized_least_squares
+from testbed.core.estimation.noise.coloured_noise import (
+    GlsFit,
+    bootstrap,
+    generalized_least_squares,
+)
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.constraints import MASS
 from testbed.core.estimation.regression.normal_equations import (
@@ -143,7 +147,7 @@ def _least_squares(problem: Problem, doubt: CalibrationCovariance | None) -> Est
         sensor = gauss_newton(problem.source, weighted_solution, model)
         passes, equations, linear = sensor.solution
         columns = model.columns(passes.plan, linear.values, sensor.values)
-        fit = generalized_least_squares(linear, passes, problem.names, columns)
+        fit = bootstrap(generalized_least_squares(linear, passes, columns), problem.names)
         if not np.isfinite(fit.covariance).all():
             raise RecordingError("the recording holds numbers too large to compute with")
         estimate = _estimate(problem, equations, linear, fit, model, sensor.values)
