@@ -194,8 +194,7 @@ def torques_beside(
     drives = problem.drives
     assert drives is not None, "terms are those of joint torques"
     lift = _lift(problem.tree, bodies, drives, problem.settings)
-    problem = replace(problem, load=(lift @ bodies.values)[: problem.minimal.count])
-    passes = problem.passes(3)
+    passes = problem.passes(3, load=(lift @ bodies.values)[: problem.minimal.count])
     with one_blas_thread():
         equations = problem.equations(passes)
     combined = np.column_stack([lift @ bodies.values, drives.columns])
