@@ -12,6 +12,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import TINY, NormalEquations
 from testbed.core.estimation.regression.passes import Columns
+from testbed.core.estimation.selection.folds import Folds
 from testbed.core.kernel.records import Signals
 from testbed.core.recordings.source import Source
 
@@ -196,22 +197,21 @@ def products_of(problem: Problem, source: Source, offset: bool, whole: bool = Fa
     """
     p, width = len(problem.names), len(problem.channels)
     passes = problem.passes(1, source, whole)
-    ends = np.linspace(0, passes.plan.rows, PARTS + 1).round().astype(int)
+    folds = Folds.even(passes.plan.rows, PARTS)
     sums = np.zeros((2, PARTS, width, p + 2, p + 2))
     speed, last = np.zeros((PARTS, problem.tree.n)), np.zeros((width, 1, p + 2))
-    first = 0
+    count, first = np.zeros((PARTS, 1)), 0
     for columns, moving, measured in passes.rows_beside(np.eye(p), _speeds(source.rate, width)):
         there = columns.any(axis=2, keepdims=True)  # rows near a reversal are zero
         block = np.concatenate([columns, there, measured[..., None]], axis=2)
         before = np.concatenate([last, block], axis=1)
-        cuts = np.clip(ends - first, 0, block.shape[1])
-        for k in range(PARTS):
-            own = slice(cuts[k], cuts[k + 1])
+        for k, own in folds.cut(first, block.shape[1]):
             rows = block[:, own].swapaxes(1, 2)
             sums[:, k] += rows @ block[:, own], rows @ before[:, own]
             speed[k] += (moving[0, own] ** 2).sum(axis=0)
+            count[k] += rows.shape[2]
         last, first = block[:, -1:], first + block.shape[1]
-    return RowParts(problem, sums, offset, speed / np.maximum(np.diff(ends), 1)[:, None])
+    return RowParts(problem, sums, offset, speed / np.maximum(count, 1))
 
 
 def _speeds(rate: float, channels: int) -> Columns:

@@ -31,9 +31,9 @@ from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.estimation.estimate import METHODS
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import drive_filter
-from testbed.core.estimation.selection.held_out import Parts, stretches
+from testbed.core.estimation.selection.folds import Folds
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
-from testbed.core.robot.friction import SLOPE, VARYING, WARM_VISCOUS, joint_law, stribeck
+from testbed.core.robot.friction import SLOPE, VARYING, WARM_VISCOUS, joint_law
 from testbed.importing.check.time_offset import delivered
 from testbed.lab.simulation.replay import replay
 from tests.helpers.foreign_files import imported, npz, some_log
@@ -202,21 +202,6 @@ def test_friction_over_velocity_is_the_law_at_every_node() -> None:
 
 
 @pytest.mark.slow
-def test_the_speed_at_which_friction_fades_is_found() -> None:
-    """By an outer loop of the internal estimate, for all joints alike."""
-    tree = driven("puma", 0.0)
-    recording = ideal(tree, 20.0, own={stribeck(0.2): np.full(tree.n, 2.0)})
-    how = replace(EXACT, terms=("coulomb", "viscous", "stribeck"))
-    found = tb.identify(tree, recording, "internal", settings=how)
-    named = [name for name in found.names if name.startswith("stribeck@")]
-    assert len(named) == tree.n
-    speed = float(named[0].partition("@")[2].partition("/")[0])
-    assert speed == pytest.approx(0.2, rel=0.1)
-    truth = tb.minimal_set(tree, "dynamic").values(tb.barycentric(tree))
-    np.testing.assert_allclose(found.base.values, truth, rtol=2e-2, atol=2e-2)
-
-
-@pytest.mark.slow
 def test_what_tells_no_drives_is_refused() -> None:
     """Another method, no torques, too few rows."""
     tree = driven("puma")
@@ -237,22 +222,24 @@ def test_what_is_left_is_what_plain_fits_leave(reach: int) -> None:
     rng = np.random.default_rng(0)
     x = rng.normal(size=(600, 7)) * np.geomspace(0.1, 100, 7)
     y = x[:, [0, 2, 3]] @ np.array([10.0, 2.0, 0.1]) + rng.normal(size=600)
-    rows, spans = np.column_stack([x, y]), list(stretches(600, 6, reach))
-    assert np.concatenate([np.arange(600)[own] for own, _ in spans]).tolist() == list(range(600))
-    for own, beside in spans:
+    rows, folds = np.column_stack([x, y]), Folds.even(600, 6, reach)
+    spans = [dict(folds.cut(0, 600, beside)) for beside in (0, reach)]
+    assert np.concatenate([np.arange(600)[own] for own in spans[0].values()]).tolist() == [
+        *range(600)
+    ]
+    for own, beside in zip(*(each.values() for each in spans), strict=True):
         wanted = max(own.start - reach, 0), min(own.stop + reach, 600)
         assert (beside.start, beside.stop) == wanted
-    unseen = np.array([rows[own].T @ rows[own] for own, _ in spans])
-    near = np.array([rows[beside].T @ rows[beside] for _, beside in spans])
-    found = Parts(unseen, rows.T @ rows - near)
+    blocks = (block[None] for block in np.split(rows, [70, 300, 301, 555]))
+    found = folds.products(blocks).weighted(np.ones(1))
     for some in ([0], [0, 2], [0, 2, 3, 5]):
-        for k, (part, beside) in enumerate(spans):
-            seen = np.delete(np.arange(600), beside)
+        for k, part in spans[0].items():
+            seen = np.delete(np.arange(600), spans[1][k])
             fit = np.linalg.lstsq(x[seen][:, some], y[seen], rcond=None)[0]
             left = float(np.sum((y[part] - x[part][:, some] @ fit) ** 2))
-            assert found.left(some)[k] == pytest.approx(left, rel=1e-9)
-    one_more = np.column_stack([found.left([0, 2, k]) for k in (1, 3, 5)])
-    np.testing.assert_allclose(found.left_with([0, 2], [1, 3, 5]), one_more, rtol=1e-9)
+            assert found.residual_squares(some)[k] == pytest.approx(left, rel=1e-9)
+    one_more = np.column_stack([found.residual_squares([0, 2, k]) for k in (1, 3, 5)])
+    np.testing.assert_allclose(found.with_each([0, 2], [1, 3, 5]), one_more, rtol=1e-9)
 
 
 @cache

@@ -40,6 +40,7 @@ from testbed.core.estimation.noise.noise_model import (
     lateness,
     period_of,
 )
+from testbed.core.estimation.noise.whitening import WhitenedRows
 from testbed.core.robot.rotations import from_vector
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured
@@ -157,7 +158,7 @@ def test_an_offset_counts_as_far_as_the_data_show_it() -> None:
     shifted[..., 3] += 5.0
     clear, few = (averaged_fit(products(x), None, whole=True) for x in (shifted, shifted[:, :40]))
     assert clear.weight > 0.99
-    np.testing.assert_allclose(clear.directions @ clear.found.values[3:], 5.0, atol=1.0)
+    np.testing.assert_allclose(clear.directions @ clear.fit.values[3:], 5.0, atol=1.0)
     assert (few.directions.shape, few.weight) == ((4, 0), 0.0)
     weights = [averaged_fit(products(problem(s, WHITE)), None, whole=True).weight for s in range(9)]
     assert np.median(weights) < 0.5
@@ -176,8 +177,10 @@ def repetition(noise: Autoregression, left: Array, cut: int = 10**9) -> Periodic
     """What is found in residuals of a motion with a period of 100 rows, 10 s."""
     sums = PeriodicSums(noise, 100, 10.0)
     for first in range(0, left.shape[1], cut):
-        sums.add(left[:, first : first + cut])
-    return sums.found()
+        white = left[:, first : first + cut]
+        none = np.zeros((*white.shape, 0))
+        sums.add(WhitenedRows(none, False, white, np.ones_like(white), white, none, none))
+    return sums.result()
 
 
 def test_chances_of_repetition_are_no_smaller_than_they_say() -> None:

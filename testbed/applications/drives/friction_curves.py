@@ -24,7 +24,14 @@ from testbed.core.base.blas import one_blas_thread
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import standard_deviations
-from testbed.core.estimation.selection.held_out import ALWAYS, OFFERED, Parts, Step, grown, rivals
+from testbed.core.estimation.selection.folds import CrossProducts, Folds
+from testbed.core.estimation.selection.held_out import (
+    ALWAYS,
+    OFFERED,
+    SelectionStep,
+    forward_selection,
+    rivals,
+)
 from testbed.core.robot.friction import BY_LOAD, LOADED, ROTOR, STRIBECK, VARYING
 from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.tree import Tree
@@ -161,8 +168,9 @@ def _curve(tree: Tree, found: JointRegression, nodes: Sequence[Node]) -> Frictio
 PARTS = 8
 """Of a recording."""
 
+
 RUN = 16
-"""Rows whose products are kept as one."""
+"""Rows that are of one part together."""
 
 
 @dataclass(frozen=True)
@@ -176,8 +184,8 @@ class Choice:
     """
 
     laws: tuple[JointLaw, ...]
-    steps: tuple[Step, ...]
-    next_best: Step | None
+    steps: tuple[SelectionStep, ...]
+    next_best: SelectionStep | None
 
 
 def offered(laws: Sequence[JointLaw], signals: Collection[str]) -> tuple[JointLaw, ...]:
@@ -201,7 +209,7 @@ def chosen_terms(tree: Tree, torques: Torques, bodies: Estimate) -> dict[int, Ch
         bodies: The external estimate.
     """
     products = _products(torques)
-    choices = {joint: _choice(torques, joint, products[joint]) for joint in torques.joints}
+    choices = {joint: _choice(torques, joint, products) for joint in torques.joints}
     for found in regressions(torques, bodies, picked_terms(torques, choices)):
         choice = choices[found.joint]
         terms = drive_of(tree, torques, found).terms
@@ -224,23 +232,16 @@ def picked_terms(torques: Torques, choices: Mapping[int, Choice]) -> dict[int, A
     return {joint: torques.terms(joint, each.laws) for joint, each in choices.items()}
 
 
-def _products(torques: Torques) -> list[Array]:
-    """By joint, the products of its columns and torque, of every part, (PARTS, m, m)."""
-    runs: list[list[Array]] = [[] for _ in torques.equations.channels]
+def _products(torques: Torques) -> CrossProducts:
+    """Products of every joint's columns and torque, fold by fold."""
+    rows = torques.passes.rows(torques.combined)
+    parts = np.array_split(range(0, torques.passes.plan.rows, RUN), PARTS)
     with one_blas_thread():
-        for columns, measured in torques.passes.rows(torques.combined):
-            for own, *each in zip(runs, columns, measured, strict=True):
-                rows = np.column_stack(each)
-                for first in range(0, len(rows), RUN):
-                    part = rows[first : first + RUN]
-                    own.append(part.T @ part)
-    return [
-        np.array([np.sum(part, axis=0) for part in np.array_split(np.array(each), PARTS)])
-        for each in runs
-    ]
+        blocks = (np.concatenate([x, y[..., None]], axis=2) for x, y in rows)
+        return Folds(np.cumsum([0, *(RUN * len(part) for part in parts)])).products(blocks)
 
 
-def _choice(torques: Torques, joint: int, products: Array) -> Choice:
+def _choice(torques: Torques, joint: int, products: CrossProducts) -> Choice:
     """Laws are added as long as one gains enough on parts that the fit has not seen.
 
     Friction that fades out is offered where rows are slow enough: its coefficient is friction at
@@ -249,16 +250,17 @@ def _choice(torques: Torques, joint: int, products: Array) -> Choice:
     asked = torques.drives.asked
     place = {term.law: 1 + k for k, term in enumerate(asked) if term.joint == joint}
     laws = [law for law in place if law in (*ALWAYS, ROTOR)]
-    whole = products.sum(axis=0)
-    open_ones = {
+    folds = products.weighted(np.eye(products.unseen.shape[1])[joint])
+    squares = np.einsum("kii->i", folds.unseen)
+    candidates = {
         law: at
         for law, at in place.items()
-        if law not in laws and (STRIBECK not in law.kind or whole[at, at] >= LEAST)
+        if law not in laws and (STRIBECK not in law.kind or squares[at] >= LEAST)
     }
-    more, how = grown(
-        Parts(products, whole - products),
+    more, how = forward_selection(
+        folds,
         [0, *(place[law] for law in laws)],
-        open_ones,
+        candidates,
         lambda law: law.kind,
         rivals,
     )

@@ -298,7 +298,6 @@ def identify_drives(
         knows_load=True,
     )
     settings = problem.settings
-    choose = choose or settings.open_speed  # which is chosen with the terms
     laws = offered(settings.laws, problem.source.signals) if choose else None
     torques = torques_beside(problem, bodies, laws)
     choices = chosen_terms(problem.tree, torques, bodies) if choose else {}

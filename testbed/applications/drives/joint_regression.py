@@ -16,7 +16,7 @@ from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.noise.fits import NoiseFit, weighted_fits
 from testbed.core.estimation.noise.lagged_products import HIGHEST, LaggedProducts, LaggedSums
-from testbed.core.estimation.noise.score_tests import REPLICAS, SEED, Replicas
+from testbed.core.estimation.noise.replicas import REPLICAS, SEED, Replicas
 from testbed.core.estimation.noise.whitening import counted
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import (
@@ -194,8 +194,7 @@ def torques_beside(
     drives = problem.drives
     assert drives is not None, "terms are those of joint torques"
     lift = _lift(problem.tree, bodies, drives, problem.settings)
-    problem = replace(problem, load=(lift @ bodies.values)[: problem.minimal.count])
-    passes = problem.passes(3)
+    passes = problem.passes(3, load=(lift @ bodies.values)[: problem.minimal.count])
     with one_blas_thread():
         equations = problem.equations(passes)
     combined = np.column_stack([lift @ bodies.values, drives.columns])

@@ -2,36 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import one_blas_thread
-from testbed.core.base.diagnostics import Diagnostic, diagnose, of_instrument, of_recording, ordered
-from testbed.core.base.errors import RecordingError, SettingsError, UnseenParameters, few
+from testbed.core.base.diagnostics import Diagnostic, of_instrument, ordered
+from testbed.core.base.errors import RecordingError, SettingsError, UnseenParameters
 from testbed.core.base.stages import stage
-from testbed.core.dynamics.newton_euler import pedestal_wrench
 from testbed.core.estimation.diagnostics.diagnosis import diagnostics, quality
 from testbed.core.estimation.diagnostics.residuals import zero_unknown
+from testbed.core.estimation.diagnostics.setup import regrouped_rotors, setup_diagnostics
 from testbed.core.estimation.estimate import Estimate, Method, channel_units, sensor_of
-from testbed.core.estimation.noise.coloured_noise import GlsFit, generalized_least_squares
+from testbed.core.estimation.noise.coloured_noise import (
+    GlsFit,
+    bootstrap,
+    generalized_least_squares,
+)
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.constraints import MASS
-from testbed.core.estimation.regression.normal_equations import (
-    NormalEquations,
-    standard_deviations,
-)
+from testbed.core.estimation.regression.normal_equations import standard_deviations
 from testbed.core.estimation.regression.passes import Progress
-from testbed.core.estimation.regression.solvers import (
-    Fit,
-    by_normal_equations,
-    noise_weights,
-    solve,
-)
+from testbed.core.estimation.regression.solvers import noise_weights, solve
+from testbed.core.estimation.selection.held_out import TermChoice
 from testbed.core.estimation.selection.position_filter import with_position_filter
 from testbed.core.estimation.selection.term_choice import with_all_terms, with_fewer_terms
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
@@ -39,8 +36,6 @@ from testbed.core.estimation.sensor.sensor_model import LinearFit, SensorModel, 
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.source import RecordingLike, Source
-from testbed.core.recordings.views import is_imported, pedestal_said
-from testbed.core.robot.friction import BACKWARD, FORWARD, LAWS, ROTOR
 from testbed.core.robot.tree import Tree, require_tree
 
 
@@ -112,127 +107,83 @@ def estimate_of(
         RecordingError: As `identify`.
         UnseenParameters: As `identify`.
     """
-    problem, choice = with_all_terms(problem)
-    problem, filtered = with_position_filter(problem)
+    problem, choice, chosen = prepare(problem)
     try:
-        estimate = _least_squares(problem, doubt)
+        estimate = _estimate_of(problem, doubt)
     except UnseenParameters:
         fewer = with_fewer_terms(problem)
         if fewer.names == problem.names:
             raise
-        problem, estimate = fewer, _least_squares(fewer, doubt)
-    said = [_cause_of_lead(each, problem, estimate) for each in estimate.diagnostics]
-    diagnostics = of_instrument([*said, *filtered], sensor_of(problem.tree))
+        problem, estimate = fewer, _estimate_of(fewer, doubt)
+    diagnostics = of_instrument([*estimate.diagnostics, *chosen], sensor_of(problem.tree))
     return problem, replace(estimate, choice=choice, diagnostics=diagnostics)
 
 
-def _least_squares(problem: Problem, doubt: CalibrationCovariance | None) -> Estimate:
+class Prepared(NamedTuple):
+    """Problem with the terms and the filter on positions that data chose.
+
+    Attributes:
+        problem: The problem.
+        choice: Evidence for the terms; None where they were stated.
+        diagnostics: Of the filter.
+    """
+
+    problem: Problem
+    choice: TermChoice | None
+    diagnostics: tuple[Diagnostic, ...]
+
+
+def prepare(problem: Problem) -> Prepared:
+    """Choose terms and the filter on positions by held-out data, where nobody stated them.
+
+    Args:
+        problem: Robot, recording and method.
+    """
+    problem, choice = with_all_terms(problem)
+    problem, chosen = with_position_filter(problem)
+    return Prepared(problem, choice, chosen)
+
+
+@stage("rows and their products")
+def weighted_least_squares(problem: Problem, source: Source) -> LinearFit:
+    """Solution under white noise of each channel's own size.
+
+    Args:
+        problem: Its terms and filters are chosen.
+        source: The recording, errors of the sensors taken back.
+    """
+    passes = problem.passes(3, source, whole=True)
+    equations = problem.equations(passes)
+    return LinearFit(passes, equations, solve(equations, noise_weights(equations), passes.rows))
+
+
+def _estimate_of(problem: Problem, doubt: CalibrationCovariance | None) -> Estimate:
     """Y = X theta + e, e autoregressive channel by channel: generalised least squares."""
     if not problem.minimal.names:
         raise SettingsError("identification.zeros leaves no parameter to estimate; name fewer")
-
-    @stage("rows and their products")
-    def weighted_solution(source: Source) -> LinearFit:
-        passes = problem.passes(3, source, whole=True)
-        equations = problem.equations(passes)
-        weights = noise_weights(equations)
-        return LinearFit(passes, equations, solve(equations, weights, passes.rows))
-
     with one_blas_thread():
         model = SensorModel.of(problem, doubt)
-        sensor = gauss_newton(problem.source, weighted_solution, model)
-        passes, equations, linear = sensor.solution
-        columns = model.columns(passes.plan, linear.values, sensor.values)
-        fit = generalized_least_squares(linear, passes, problem.names, columns)
+        sensors = gauss_newton(problem.source, partial(weighted_least_squares, problem), model)
+        start = sensors.solution
+        columns = model.columns(start.passes.plan, start.fit.values, sensors.values)
+        solution = generalized_least_squares(start.fit, start.passes, columns)
+        fit = bootstrap(solution, problem.names)
         if not np.isfinite(fit.covariance).all():
             raise RecordingError("the recording holds numbers too large to compute with")
-        estimate = _estimate(problem, equations, linear, fit, model, sensor.values)
-        of_data = diagnostics(estimate, problem.tree, passes.surveyor.survey(), problem.tare)
-    if pedestal_said(problem.source):  # else a tare that is not its weight is odd
-        of_data = tuple(each for each in of_data if each.code != "plate.tare")
-    every = [*_of_problem(problem), *of_data, *model.diagnostics(sensor), *quality(estimate)]
-    every += _rotors_within(problem)
+        estimate = _estimate(problem, start, fit, model, sensors.values)
+        tests = diagnostics(estimate, problem, start.passes.surveyor.survey())
+    every = [*setup_diagnostics(problem), *tests, *model.diagnostics(sensors), *quality(estimate)]
+    every += regrouped_rotors(problem)
     zero = {*zero_unknown(fit.noise), *model.with_unknown_zero}
     unidentifiable = [name for name in estimate.names if name in zero]
     return replace(estimate, diagnostics=ordered(every)).without(unidentifiable)
 
 
-def _cause_of_lead(given: Diagnostic, problem: Problem, estimate: Estimate) -> Diagnostic:
-    """Torques that lead the motion, by rotors where those explain more of them than a delay."""
-    if given.code != "torque.delay" or ROTOR.kind not in given.causes:
-        return given
-    with suppress(UnseenParameters):
-        beside = problem.with_settings(terms=(*problem.settings.words, ROTOR.kind))
-        equations = beside.equations(beside.passes(1, whole=True))
-        weights = estimate.residual**-2.0
-        found = by_normal_equations(equations, weights)
-        left = float(weights @ equations.residual(found.values))
-        if equations.rows - left > (given.significance or 0.0) ** 2:
-            causes = dict.fromkeys((ROTOR.kind, *given.causes))
-            remedy = f"add '{ROTOR.kind}' to identification.terms"
-            return replace(given, causes=tuple(causes), remedy=remedy)
-    return given
-
-
-def _of_problem(problem: Problem) -> Iterator[Diagnostic]:
-    """What is to be known before any sample is used."""
-    source, settings = problem.source, problem.settings
-    plate = problem.method == "external"
-    yield from of_recording(source.facts)
-    if problem.repeated:
-        yield diagnose("encoder.interpolated", "the poses", problem.repeated)
-    if plate and MASS not in settings.facts and "bias" not in settings.nuisances:
-        yield from _of_pedestal(problem)
-    if problem.drives is not None:
-        yield from _missing_terms(problem.tree, settings)
-        for term in problem.drives.asked:
-            if term.law in (FORWARD, BACKWARD):
-                yield diagnose("drives.one-way", problem.tree.names[term.joint], method="internal")
-    passing = [kind for kind in ("bias", "slope") if kind in settings.nuisances]
-    if plate and passing and len(source.segments) > 1:
-        yield diagnose("plate.common-offset", " and ".join(passing), method="external")
-
-
-BY_MODEL = 2e-3
-"""Part of the model's pedestal by which a tare is not its weight."""
-
-
-def _of_pedestal(problem: Problem) -> Iterator[Diagnostic]:
-    """A pedestal whose weight nobody has measured: by the model file, or by a solved mapping."""
-    weight = float(np.linalg.norm(pedestal_wrench(problem.tree)[:3]))
-    by_model = abs(np.linalg.norm(problem.tare[:3]) - weight) <= BY_MODEL * weight
-    stated = problem.source.tare is not None and not is_imported(problem.source)
-    if weight and by_model and not stated:
-        yield diagnose("plate.no-tare", "the tare", weight, method="external")
-
-
-def _missing_terms(tree: Tree, settings: Settings) -> Iterator[Diagnostic]:
-    """Terms of the joints' torque that the model file states and the settings leave out."""
-    for law in LAWS:
-        given = law.coefficients(tree)
-        if given.any() and law not in settings.laws:
-            names = ", ".join(name for name, value in zip(tree.names, given, strict=True) if value)
-            yield diagnose("drives.term", names, method="internal", kind=law.kind)
-
-
-def _rotors_within(problem: Problem) -> Iterator[Diagnostic]:
-    """Rotors that the model file states and that torques identify only in sums with bodies."""
-    stated = [f"+{ROTOR.kind}/{each.name}" for each in problem.tree.joints if each.rotor_inertia]
-    sums = [name for name in problem.names if name.endswith(tuple(stated))]
-    if sums:
-        yield diagnose("drives.rotor", few(sums), method="internal")
-
-
 def _estimate(
-    problem: Problem,
-    equations: NormalEquations,
-    linear: Fit,
-    fit: GlsFit,
-    model: SensorModel,
-    numbers: Array,
+    problem: Problem, start: LinearFit, fit: GlsFit, model: SensorModel, numbers: Array
 ) -> Estimate:
-    """The fit as an estimate, with the instrument's numbers and what was tested of it."""
-    signal = equations.squares
+    """The fit as an estimate, with the sensors' errors and score tests."""
+    equations, signal = start.equations, start.equations.squares
     return Estimate(
         method=problem.method,
         names=equations.unknowns,
@@ -246,7 +197,7 @@ def _estimate(
         residual=np.sqrt(fit.squares / np.maximum(equations.used, 1.0)),
         relative_residual=np.sqrt(fit.squares / np.where(signal > 0, signal, 1.0)),
         samples=tuple(int(n) for n in equations.used),
-        condition=linear.condition,
+        condition=start.fit.condition,
         normal_equations=equations,
         diagnostics=(),
         minimal=problem.minimal,

@@ -13,6 +13,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import Array
+from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
 from testbed.core.base.stages import stage
 from testbed.core.dynamics.drive_set import drive_set
@@ -27,7 +28,7 @@ from testbed.core.estimation.regression.normal_equations import NormalEquations,
 from testbed.core.estimation.regression.passes import Passes, Progress
 from testbed.core.estimation.regression.windows import ROWS_PER_CUTOFF, drive_filter, make_plan
 from testbed.core.estimation.selection.held_out import ALWAYS
-from testbed.core.estimation.settings import DEFAULTS, FIT, Settings
+from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.kernel.layout import Layout, layout
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
@@ -49,24 +50,22 @@ class Problem:
         tree: The robot under the recording's gravity, with the shafts of its gear.
         source: The samples that count; of a robot on a free base, with the base's coordinates.
         method: "external" or "internal".
-        settings: Complete: filters fit the sampling rate, and the terms are said ("auto" and an
-            open speed stay until held-out data choose).
+        settings: Complete: filters fit the sampling rate, and the terms are said ("auto" stays
+            until held-out data choose).
+        asked: Settings before that.
         threads: How many to use; None for one a processor.
         progress: Called with samples done and samples in all.
-        open_filter: Whether data may choose the filter on positions: nobody has said it.
-        repeated: Part of the poses that a slow device repeated, which are interpolated.
-        load: What is known of the minimal parameters, (N,), for laws of the load.
+        diagnostics: Of the recording's poses.
     """
 
     tree: Tree
     source: Source
     method: Method
     settings: Settings
+    asked: Settings
     threads: int | None = None
     progress: Progress = lambda done, total: None
-    open_filter: bool = False
-    repeated: float = 0.0
-    load: Array | None = None
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     @classmethod
     def of(
@@ -99,22 +98,20 @@ class Problem:
             SettingsError: A span of time is said of several recordings.
         """
         by_signal: Mapping[str, Method] = {SIGNAL_OF[each]: each for each in METHODS}
-        said = by_signal.get(method, method)
-        if said not in METHODS:
+        method = by_signal.get(method, method)
+        if method not in METHODS:
             raise UnknownName("signal", method, by_signal)
-        method = said
-        source, repeated = without_repeated_poses(
-            on_its_base(samples_of(recording, settings), tree)
-        )
+        based = on_its_base(samples_of(recording, settings), tree)
+        source, repeated = without_repeated_poses(based)
         check_source(source, tree, method)
         tree = with_gear(in_its_gravity(tree, source, gravity), source)
-        open_filter = settings.position_cutoff == FIT and not source.senses_kinematics
-        settings = _complete(settings, tree, source, method)
-        there = {"", *source.signals, *(BY_LOAD if knows_load or method == "external" else ())}
-        lacking = {law.by for law in settings.laws} - there
+        complete = _complete(settings, tree, source, method)
+        by_load = BY_LOAD if knows_load or method == "external" else ()
+        lacking = {law.by for law in complete.laws} - {"", *source.signals, *by_load}
         if lacking:
             raise RecordingError(f"the recording has no {lacking.pop()}, which the terms need")
-        return cls(tree, source, method, settings, threads, progress, open_filter, repeated)
+        told = (diagnose("encoder.interpolated", "the poses", repeated),) if repeated else ()
+        return cls(tree, source, method, complete, settings, threads, progress, told)
 
     def with_settings(self, **changes: Any) -> Problem:
         """The same with some settings changed.
@@ -171,6 +168,7 @@ class Problem:
         source: Source | None = None,
         whole: bool = False,
         per_cutoff: float = ROWS_PER_CUTOFF,
+        load: Array | None = None,
     ) -> Passes:
         """Passes over the rows.
 
@@ -180,6 +178,7 @@ class Problem:
             whole: Whether rows near reversals count, too, if the settings do not say how near:
                 they are whitened, and single ones are no torques then.
             per_cutoff: Rows a second per Hz of the filter on rows.
+            load: Minimal parameters, (N,), for laws of the load; None where they are not known.
 
         Raises:
             RecordingError: The recording is too short, or sampled too slowly.
@@ -187,10 +186,10 @@ class Problem:
         plan = make_plan(source or self.source, self.layout, self.tare, self.settings, per_cutoff)
         if whole and self.settings.reversal_reach is None:
             plan = replace(plan, rest_reach=0)
-        if self.load is not None:  # friction alone is sought: what a reversal leaves would bias it
+        if load is not None:  # friction alone is sought: what a reversal leaves would bias it
             bodies = self.layout.theta.shape[2], self.minimal.count
-            load = self.layout.basis[: bodies[0], : bodies[1]] @ self.load
             weights, nearby = drive_filter(self.settings, plan.source.rate)
+            load = self.layout.basis[: bodies[0], : bodies[1]] @ load
             plan = replace(plan, load=load, weights=weights, rest_reach=nearby)
         return Passes(plan, self.threads, self.progress, number)
 

@@ -19,7 +19,7 @@ from pydantic import (
 
 from testbed.core.base.errors import SettingsError, UnknownName
 from testbed.core.base.summary_table import Value
-from testbed.core.robot.friction import STRIBECK, law_of
+from testbed.core.robot.friction import law_of
 from testbed.core.robot.joint_law import JointLaw
 from testbed.sensors.catalogue import term_of, terms
 
@@ -70,8 +70,7 @@ def _distinct(names: tuple[str | JointLaw, ...]) -> tuple[str | JointLaw, ...]:
 def _known_terms(terms: tuple[str | JointLaw, ...]) -> tuple[str | JointLaw, ...]:
     """Raise UnknownName where a term is no law."""
     for term in terms:
-        if term != STRIBECK:
-            law_of(term)
+        law_of(term)
     return terms
 
 
@@ -192,11 +191,10 @@ class Settings(Checked):
     ] = None
     """What a joint's torque holds besides the forces that move the bodies: "coulomb", "viscous",
     "offset", "rotor", "asymmetric", "quadratic", "square_root", "slope", "warm_coulomb",
-    "warm_viscous", and "stribeck@0.1", friction that fades out at 0.1 rad/s; "stribeck" looks for
-    the speed, too. Each holds at all joints and at all shafts that couple some, "rotor/elbow" at
-    that one. "auto" lets held-out data choose. Default: "coulomb" and "viscous", "offset" of
-    imported recordings, and "rotor" of torques from motors, else of joints whose rotor the model
-    file states."""
+    "warm_viscous", and "stribeck@0.1", friction that fades out at 0.1 rad/s. Each holds at all
+    joints and at all shafts that couple some, "rotor/elbow" at that one. "auto" lets held-out data
+    choose. Default: "coulomb" and "viscous", "offset" of imported recordings, and "rotor" of
+    torques from motors, else of joints whose rotor the model file states."""
 
     nuisances: Annotated[
         Sequence[str],
@@ -309,20 +307,15 @@ class Settings(Checked):
 
     @property
     def laws(self) -> tuple[JointLaw, ...]:
-        """The terms as laws of the joints' torque; of one with an open speed, none yet."""
+        """The terms as laws of the joints' torque."""
         return tuple(dict.fromkeys(law_of(term) for term in self.words))
 
     @property
     def words(self) -> tuple[str | JointLaw, ...]:
-        """The terms but for one with an open speed: "rotor" of all joints, "rotor/elbow" of one."""
+        """The terms: "rotor" of all joints, "rotor/elbow" of one."""
         if self.terms is None or isinstance(self.terms, str):
             return USUAL
-        return tuple(term for term in self.terms if term != STRIBECK)
-
-    @property
-    def open_speed(self) -> bool:
-        """Whether the speed at which friction fades out is to be found."""
-        return self.terms is not None and STRIBECK in self.terms
+        return tuple(self.terms)
 
     @property
     def facts(self) -> dict[str, tuple[float, float]]:

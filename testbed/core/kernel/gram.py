@@ -8,74 +8,61 @@ from testbed.core.kernel.rows import dot, fill
 
 
 @summing
-def tile(X, Y, n, G, at, ld):
-    """G[at + i ld + j] += X_i . Y_j for four slots of each."""
-    a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = 0.0
-    c0 = c1 = c2 = c3 = d0 = d1 = d2 = d3 = 0.0
-    for k in range(n):
-        y0, y1, y2, y3 = Y[k], Y[D + k], Y[2 * D + k], Y[3 * D + k]
-        x0, x1, x2, x3 = X[k], X[D + k], X[2 * D + k], X[3 * D + k]
-        a0 += x0 * y0
-        a1 += x0 * y1
-        a2 += x0 * y2
-        a3 += x0 * y3
-        b0 += x1 * y0
-        b1 += x1 * y1
-        b2 += x1 * y2
-        b3 += x1 * y3
-        c0 += x2 * y0
-        c1 += x2 * y1
-        c2 += x2 * y2
-        c3 += x2 * y3
-        d0 += x3 * y0
-        d1 += x3 * y1
-        d2 += x3 * y2
-        d3 += x3 * y3
-    G[at] += a0
-    G[at + 1] += a1
-    G[at + 2] += a2
-    G[at + 3] += a3
-    at += ld
-    G[at] += b0
-    G[at + 1] += b1
-    G[at + 2] += b2
-    G[at + 3] += b3
-    at += ld
-    G[at] += c0
-    G[at + 1] += c1
-    G[at + 2] += c2
-    G[at + 3] += c3
-    at += ld
-    G[at] += d0
-    G[at + 1] += d1
-    G[at + 2] += d2
-    G[at + 3] += d3
+def four(X, k):
+    """A sample of four slots."""
+    return X[k], X[D + k], X[2 * D + k], X[3 * D + k]
 
 
 @summing
+def plus(a, x, y):
+    """Four sums, each with one more product."""
+    return a[0] + x * y[0], a[1] + x * y[1], a[2] + x * y[2], a[3] + x * y[3]
+
+
+@summing
+def dots(E, X, n):
+    """E . X for four slots X."""
+    a = (0.0, 0.0, 0.0, 0.0)
+    for k in range(n):
+        a = plus(a, E[k], four(X, k))
+    return a
+
+
+@summing
+def products(X, Y, n):
+    """X_i . Y_j for four slots of each; of those that nobody reads, nothing is computed."""
+    a = b = c = d = (0.0, 0.0, 0.0, 0.0)
+    for k in range(n):
+        x, y = four(X, k), four(Y, k)
+        a, b, c, d = plus(a, x[0], y), plus(b, x[1], y), plus(c, x[2], y), plus(d, x[3], y)
+    return a, b, c, d
+
+
+@summing
+def add_to(G, at, a):
+    """Add four sums to consecutive numbers."""
+    G[at] += a[0]
+    G[at + 1] += a[1]
+    G[at + 2] += a[2]
+    G[at + 3] += a[3]
+
+
+@inline
+def tile(X, Y, n, G, at, ld):
+    """G[at + i ld + j] += X_i . Y_j for four slots of each."""
+    a, b, c, d = products(X, Y, n)
+    add_to(G, at, a)
+    add_to(G, at + ld, b)
+    add_to(G, at + 2 * ld, c)
+    add_to(G, at + 3 * ld, d)
+
+
+@inline
 def half_tile(X, Y, n, G, at, ld):
     """`tile` for two slots with four."""
-    a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = 0.0
-    for k in range(n):
-        y0, y1, y2, y3 = Y[k], Y[D + k], Y[2 * D + k], Y[3 * D + k]
-        x0, x1 = X[k], X[D + k]
-        a0 += x0 * y0
-        a1 += x0 * y1
-        a2 += x0 * y2
-        a3 += x0 * y3
-        b0 += x1 * y0
-        b1 += x1 * y1
-        b2 += x1 * y2
-        b3 += x1 * y3
-    G[at] += a0
-    G[at + 1] += a1
-    G[at + 2] += a2
-    G[at + 3] += a3
-    at += ld
-    G[at] += b0
-    G[at + 1] += b1
-    G[at + 2] += b2
-    G[at + 3] += b3
+    a, b, _, _ = products(X, Y, n)
+    add_to(G, at, a)
+    add_to(G, at + ld, b)
 
 
 @inline
@@ -88,48 +75,19 @@ def two_halves(X, Y, n, G, at, ld):
 fitting_tile = tile if WIDE else two_halves
 
 
-@summing
+@inline
 def diagonal_tile(X, n, G, at, ld):
-    """`tile` for four slots with themselves."""
-    a0 = b0 = b1 = c0 = c1 = c2 = d0 = d1 = d2 = d3 = 0.0
-    for k in range(n):
-        x0, x1, x2, x3 = X[k], X[D + k], X[2 * D + k], X[3 * D + k]
-        a0 += x0 * x0
-        b0 += x1 * x0
-        b1 += x1 * x1
-        c0 += x2 * x0
-        c1 += x2 * x1
-        c2 += x2 * x2
-        d0 += x3 * x0
-        d1 += x3 * x1
-        d2 += x3 * x2
-        d3 += x3 * x3
-    G[at] += a0
+    """`tile` for four slots with themselves: its lower triangle."""
+    a, b, c, d = products(X, X, n)
+    G[at] += a[0]
     at += ld
-    G[at] += b0
-    G[at + 1] += b1
+    G[at] += b[0]
+    G[at + 1] += b[1]
     at += ld
-    G[at] += c0
-    G[at + 1] += c1
-    G[at + 2] += c2
-    at += ld
-    G[at] += d0
-    G[at + 1] += d1
-    G[at + 2] += d2
-    G[at + 3] += d3
-
-
-@summing
-def dots(E, X, n):
-    """E . X for four slots X."""
-    a = b = c = d = 0.0
-    for k in range(n):
-        e = E[k]
-        a += e * X[k]
-        b += e * X[D + k]
-        c += e * X[2 * D + k]
-        d += e * X[3 * D + k]
-    return a, b, c, d
+    G[at] += c[0]
+    G[at + 1] += c[1]
+    G[at + 2] += c[2]
+    add_to(G, at + ld, d)
 
 
 @plain

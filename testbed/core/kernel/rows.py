@@ -17,9 +17,51 @@ SCREW = 6 * B  # of a screw: turning u, sliding v at the body's origin
 
 
 @inline
-def turn(c, s, x, y, z):
+def vector(X, at, k):
+    """Three slots of a sample, from slot `at` on."""
+    return X[at + k], X[at + B + k], X[at + 2 * B + k]
+
+
+@inline
+def put(X, at, k, v):
+    """Write a sample of three slots, from slot `at` on."""
+    X[at + k], X[at + B + k], X[at + 2 * B + k] = v
+
+
+@inline
+def matrix(X, k):
+    """O of a body, row by row."""
+    return vector(X, O, k), vector(X, O + 3 * B, k), vector(X, O + 6 * B, k)
+
+
+@inline
+def plus(a, b):
+    """Sum of two vectors."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@inline
+def cross(a, b):
+    """Cross product of two vectors."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inline
+def inner(a, b):
+    """Inner product of two vectors."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inline
+def column(o, i):
+    """A column of a matrix of rows."""
+    return o[0][i], o[1][i], o[2][i]
+
+
+@inline
+def turn(c, s, v):
     """A vector in a frame turned about z."""
-    return c * x + s * y, c * y - s * x, z
+    return c * v[0] + s * v[1], c * v[1] - s * v[0], v[2]
 
 
 @inline
@@ -43,86 +85,75 @@ def sine_cosine(q, shift, s, c):
 
 
 @inline
-def square(ca, sa, y, z):
-    """Leaning by a right angle."""
-    return z, -y
+def square(J, v):
+    """A vector in a frame that leans about x by a right angle."""
+    return v[0], v[2], -v[1]
 
 
 @inline
-def inclined(ca, sa, y, z):
-    """Leaning by any angle."""
-    return ca * y + sa * z, ca * z - sa * y
+def inclined(J, v):
+    """A vector in a frame that leans about x by any angle."""
+    return v[0], J[0] * v[1] + J[1] * v[2], J[0] * v[2] - J[1] * v[1]
 
 
 @inline
-def move(ca, sa, r0, r1, r2, turns, P, X, qd, qdd):
+def move(J, turns, P, X, qd, qdd):
     """The motion of a body from its carrier's, P, without what slides."""
+    lean, r = (J[0], J[1]), (J[2], J[3], J[4])
     for k in range(NB):
-        c, s = X[C + k], X[S + k]
-        a0, a1, a2 = P[A + k], P[A + B + k], P[A + 2 * B + k]
-        a0 += P[O + k] * r0 + P[O + B + k] * r1 + P[O + 2 * B + k] * r2
-        a1 += P[O + 3 * B + k] * r0 + P[O + 4 * B + k] * r1 + P[O + 5 * B + k] * r2
-        a2 += P[O + 6 * B + k] * r0 + P[O + 7 * B + k] * r1 + P[O + 8 * B + k] * r2
-        w1, w2 = inclined(ca, sa, P[W + B + k], P[W + 2 * B + k])
-        e1, e2 = inclined(ca, sa, P[E + B + k], P[E + 2 * B + k])
-        a1, a2 = inclined(ca, sa, a1, a2)
-        w0, w1, w2 = turn(c, s, P[W + k], w1, w2)
-        e0, e1, e2 = turn(c, s, P[E + k], e1, e2)
-        a0, a1, a2 = turn(c, s, a0, a1, a2)
+        c, s, o = X[C + k], X[S + k], matrix(P, k)
+        a = plus(vector(P, A, k), (inner(o[0], r), inner(o[1], r), inner(o[2], r)))
+        w = turn(c, s, inclined(lean, vector(P, W, k)))
+        e = turn(c, s, inclined(lean, vector(P, E, k)))
         speed = turns * qd[k]
-        w2 += speed
-        e0 += w1 * speed
-        e1 -= w0 * speed
-        e2 += turns * qdd[k]
-        X[W + k], X[W + B + k], X[W + 2 * B + k] = w0, w1, w2
-        X[E + k], X[E + B + k], X[E + 2 * B + k] = e0, e1, e2
-        X[A + k], X[A + B + k], X[A + 2 * B + k] = a0, a1, a2
-        xx, yy, zz = w0 * w0, w1 * w1, w2 * w2
-        X[O + k], X[O + 4 * B + k], X[O + 8 * B + k] = -yy - zz, -xx - zz, -xx - yy
-        X[O + B + k], X[O + 3 * B + k] = w0 * w1 - e2, w0 * w1 + e2
-        X[O + 2 * B + k], X[O + 6 * B + k] = w0 * w2 + e1, w0 * w2 - e1
-        X[O + 5 * B + k], X[O + 7 * B + k] = w1 * w2 - e0, w1 * w2 + e0
+        w = w[0], w[1], w[2] + speed
+        e = e[0] + w[1] * speed, e[1] - w[0] * speed, e[2] + turns * qdd[k]
+        put(X, W, k, w)
+        put(X, E, k, e)
+        put(X, A, k, turn(c, s, inclined(lean, a)))
+        xx, yy, zz = w[0] * w[0], w[1] * w[1], w[2] * w[2]
+        xy, xz, yz = w[0] * w[1], w[0] * w[2], w[1] * w[2]
+        put(X, O, k, (-yy - zz, xy - e[2], xz + e[1]))
+        put(X, O + 3 * B, k, (xy + e[2], -xx - zz, yz - e[0]))
+        put(X, O + 6 * B, k, (xz - e[1], yz + e[0], -xx - yy))
 
 
-def carrier(lean):
+@inline
+def first_moment(u, v, a, o, i):
+    """Entry of a first moment: component i of v O + a x u."""
+    return inner(v, column(o, i)) + cross(a, u)[i]
+
+
+def carrier(leaning):
     """`carry` for joints that lean about x by a right angle, or by any.
 
     Most joints stand square on the one before: no product is spent on them.
     """
 
     @inline
-    def carry(ca, sa, r0, r1, r2, P, V, X, Y):
+    def carry(J, P, V, X, Y):
         """A screw from the carrier, P, to the body, V, and the row it makes there, Y.
 
         Entries: mbx, mby, Kxx, Kxy, Kxz, Kyz, Kzz.
         """
+        lean, r = (J[0], J[1]), (J[2], J[3], J[4])
         for k in range(NB):
             c, s, z = X[C + k], X[S + k], X[Z + k]
-            u0, u1, u2 = P[k], P[B + k], P[2 * B + k]
-            v0 = P[3 * B + k] + u1 * r2 - u2 * r1
-            v1 = P[4 * B + k] + u2 * r0 - u0 * r2
-            v2 = P[5 * B + k] + u0 * r1 - u1 * r0
-            u1, u2 = lean(ca, sa, u1, u2)
-            v1, v2 = lean(ca, sa, v1, v2)
-            u0, u1, u2 = turn(c, s, u0, u1, u2)
-            v0, v1, v2 = turn(c, s, v0, v1, v2)
-            v0 += u1 * z
-            v1 -= u0 * z
-            V[k], V[B + k], V[2 * B + k] = u0, u1, u2
-            V[3 * B + k], V[4 * B + k], V[5 * B + k] = v0, v1, v2
-            e0, e1, e2 = X[E + k], X[E + B + k], X[E + 2 * B + k]
-            o00, o01, o02 = X[O + k], X[O + B + k], X[O + 2 * B + k]
-            o10, o11, o12 = X[O + 3 * B + k], X[O + 4 * B + k], X[O + 5 * B + k]
-            o20, o21, o22 = X[O + 6 * B + k], X[O + 7 * B + k], X[O + 8 * B + k]
-            wxy, wxz, wyz = o01 + e2, o02 - e1, o12 + e0
-            a0, a1, a2 = X[A + k], X[A + B + k], X[A + 2 * B + k]
-            Y[k] = a1 * u2 - a2 * u1 + v0 * o00 + v1 * o10 + v2 * o20
-            Y[D + k] = a2 * u0 - a0 * u2 + v0 * o01 + v1 * o11 + v2 * o21
-            Y[2 * D + k] = u0 * e0 + u1 * wxz - u2 * wxy
-            Y[3 * D + k] = u1 * o21 - u0 * o20 + u2 * (o00 - o11)
-            Y[4 * D + k] = u0 * o10 + u1 * (o22 - o00) - u2 * o12
-            Y[5 * D + k] = u0 * (o11 - o22) - u1 * o01 + u2 * o02
-            Y[6 * D + k] = u0 * wyz - u1 * wxz + u2 * e2
+            u = vector(P, 0, k)
+            v = turn(c, s, leaning(lean, plus(vector(P, 3 * B, k), cross(u, r))))
+            u = turn(c, s, leaning(lean, u))
+            v = v[0] + u[1] * z, v[1] - u[0] * z, v[2]
+            put(V, 0, k, u)
+            put(V, 3 * B, k, v)
+            e, a, o = vector(X, E, k), vector(X, A, k), matrix(X, k)
+            xy, xz, yz = o[0][1] + e[2], o[0][2] - e[1], o[1][2] + e[0]
+            Y[k] = first_moment(u, v, a, o, 0)
+            Y[D + k] = first_moment(u, v, a, o, 1)
+            Y[2 * D + k] = u[0] * e[0] + u[1] * xz - u[2] * xy
+            Y[3 * D + k] = u[1] * o[2][1] - u[0] * o[2][0] + u[2] * (o[0][0] - o[1][1])
+            Y[4 * D + k] = u[0] * o[1][0] + u[1] * (o[2][2] - o[0][0]) - u[2] * o[1][2]
+            Y[5 * D + k] = u[0] * (o[1][1] - o[2][2]) - u[1] * o[0][1] + u[2] * o[0][2]
+            Y[6 * D + k] = u[0] * yz - u[1] * xz + u[2] * e[2]
 
     return carry
 
@@ -135,35 +166,32 @@ def slide(X, q, qd, qdd):
     """What a prismatic joint's displacement adds to the motion of its body."""
     for k in range(NB):
         z, speed = q[k], 2.0 * qd[k]
-        z0 = X[O + 2 * B + k] * z + X[W + B + k] * speed
-        z1 = X[O + 5 * B + k] * z - X[W + k] * speed
-        z2 = X[O + 8 * B + k] * z + qdd[k]
-        X[Z + k], X[ZZ + k], X[ZZ + B + k], X[ZZ + 2 * B + k] = z, z0, z1, z2
-        X[A + k] += z0
-        X[A + B + k] += z1
-        X[A + 2 * B + k] += z2
+        x, y, along = column(matrix(X, k), 2)
+        more = x * z + X[W + B + k] * speed, y * z - X[W + k] * speed, along * z + qdd[k]
+        X[Z + k] = z
+        put(X, ZZ, k, more)
+        put(X, A, k, plus(vector(X, A, k), more))
 
 
 @inline
-def push(ca, sa, P, V, X, Y):
+def push(J, P, V, X, Y):
     """`carry` of a screw that only slides: a force. Entries: mbx, mby."""
+    lean = J[0], J[1]
     for k in range(NB):
-        v1, v2 = inclined(ca, sa, P[4 * B + k], P[5 * B + k])
-        v0, v1, v2 = turn(X[C + k], X[S + k], P[3 * B + k], v1, v2)
-        V[3 * B + k], V[4 * B + k], V[5 * B + k] = v0, v1, v2
-        Y[k] = v0 * X[O + k] + v1 * X[O + 3 * B + k] + v2 * X[O + 6 * B + k]
-        Y[D + k] = v0 * X[O + B + k] + v1 * X[O + 4 * B + k] + v2 * X[O + 7 * B + k]
+        v, o = turn(X[C + k], X[S + k], inclined(lean, vector(P, 3 * B, k))), matrix(X, k)
+        put(V, 3 * B, k, v)
+        Y[k], Y[D + k] = inner(v, column(o, 0)), inner(v, column(o, 1))
 
 
 @inline
 def turn_here(X, Y):
     """The row of a revolute joint's screw, u = z, on its own body. Entries as of `carry`."""
     for k in range(NB):
+        o, spin = matrix(X, k), X[E + 2 * B + k]
         Y[k], Y[D + k] = X[A + B + k], -X[A + k]
-        Y[2 * D + k] = -X[O + B + k] - X[E + 2 * B + k]
-        Y[3 * D + k] = X[O + k] - X[O + 4 * B + k]
-        Y[4 * D + k], Y[5 * D + k] = -X[O + 5 * B + k], X[O + 2 * B + k]
-        Y[6 * D + k] = X[E + 2 * B + k]
+        Y[2 * D + k], Y[3 * D + k] = -o[0][1] - spin, o[0][0] - o[1][1]
+        Y[4 * D + k], Y[5 * D + k] = -o[1][2], o[0][2]
+        Y[6 * D + k] = spin
 
 
 @inline
@@ -177,18 +205,15 @@ def slide_here(X, Y):
 def rest(turns, V, X, Y):
     """The entries that few bodies have: mbz, Kyy, and mbar twice (outermost, inward)."""
     for k in range(NB):
-        u0, u1, u2 = turns * V[k], turns * V[B + k], turns * V[2 * B + k]
-        v0, v1, v2 = V[3 * B + k], V[4 * B + k], V[5 * B + k]
-        a0, a1, a2 = X[A + k], X[A + B + k], X[A + 2 * B + k]
-        e0, e1, e2 = X[E + k], X[E + B + k], X[E + 2 * B + k]
-        z = X[Z + k]
-        o02, o12, o22 = X[O + 2 * B + k], X[O + 5 * B + k], X[O + 8 * B + k]
-        Y[k] = a0 * u1 - a1 * u0 + v0 * o02 + v1 * o12 + v2 * o22
-        Y[D + k] = u1 * e1 - u0 * (o12 + e0) + u2 * (X[O + B + k] + e2)
-        Y[2 * D + k] = v0 * a0 + v1 * a1 + v2 * a2
+        u, v = vector(V, 0, k), vector(V, 3 * B, k)
+        u = turns * u[0], turns * u[1], turns * u[2]
+        e, a, o, z = vector(X, E, k), vector(X, A, k), matrix(X, k), X[Z + k]
+        Y[k] = first_moment(u, v, a, o, 2)
+        Y[D + k] = u[1] * e[1] - u[0] * (o[1][2] + e[0]) + u[2] * (o[0][1] + e[2])
+        Y[2 * D + k] = inner(v, a)
         # a sliding body's mass is known to its carriers already: they feel what the slide adds
-        z0, z1, z2 = X[ZZ + k], X[ZZ + B + k], X[ZZ + 2 * B + k]
-        Y[3 * D + k] = (v0 - u1 * z) * z0 + (v1 + u0 * z) * z1 + v2 * z2 + z * (u1 * a0 - u0 * a1)
+        at_origin = v[0] - u[1] * z, v[1] + u[0] * z, v[2]
+        Y[3 * D + k] = inner(at_origin, vector(X, ZZ, k)) + z * cross(a, u)[2]
 
 
 @summing
@@ -261,7 +286,7 @@ def move_link(i, robot, work):
     else:
         turns = 1.0
         sine_cosine(q, J[5], X[S : S + B], X[C : C + B])
-    move(J[0], J[1], J[2], J[3], J[4], turns, P, X, qd, qdd)
+    move(J, turns, P, X, qd, qdd)
     if robot.slides[i] and robot.coordinate[i] >= 0:
         slide(X, q, qd, qdd)
 
@@ -282,11 +307,11 @@ def fill_link(i, robot, rows, work, Y, at):
             else:
                 turn_here(X, out)
         elif rows.force[e]:
-            push(J[0], J[1], P, V, X, out)
+            push(J, P, V, X, out)
         elif robot.square[i]:
-            carry_square(J[0], J[1], J[2], J[3], J[4], P, V, X, out)
+            carry_square(J, P, V, X, out)
         else:
-            carry_inclined(J[0], J[1], J[2], J[3], J[4], P, V, X, out)
+            carry_inclined(J, P, V, X, out)
         if rows.rest[e]:
             rest(0.0 if rows.force[e] else 1.0, V, X, work.T[7 * D :])
         for t in range(rows.copies[e], rows.copies[e + 1]):

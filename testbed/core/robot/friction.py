@@ -118,7 +118,7 @@ LAWS: tuple[JointLaw, ...] = (COULOMB, VISCOUS, OFFSET, ROTOR, *_further_laws())
 """All that can be asked for by name; beside them stribeck@SPEED and what one direction leaves."""
 
 STRIBECK = "stribeck"
-"""Kind of the laws that fade out above a speed; by itself it leaves the speed open."""
+"""Kind of the laws that fade out above a speed."""
 
 SLOWEST, FASTEST = 1e-3, 10.0
 """Speeds at which friction may fade out [rad/s or m/s]."""

@@ -7,7 +7,7 @@ file: data are compared with themselves, with limits, and with what rigid bodies
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,8 +23,12 @@ from testbed.core.estimation.diagnostics.residuals import (
 )
 from testbed.core.estimation.diagnostics.rigid_bodies import SIGMAS, rigid_body_test
 from testbed.core.estimation.estimate import Estimate, Method
+from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.passes import HELD, Repeats, Survey
+from testbed.core.estimation.regression.solvers import minimum_norm
+from testbed.core.recordings.views import pedestal_said
 from testbed.core.robot.friction import ROTOR
+from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.shafts import shares
 from testbed.core.robot.tree import Joint, Tree
 
@@ -89,32 +93,30 @@ OTHER_CAUSES: Mapping[Method, tuple[str, ...]] = {
 
 
 @stage("what the residuals say")
-def diagnostics(
-    estimate: Estimate, tree: Tree, survey: Survey, tare: Array
-) -> tuple[Diagnostic, ...]:
-    """What is wrong with a recording, as far as one method's data show it.
+def diagnostics(estimate: Estimate, problem: Problem, survey: Survey) -> tuple[Diagnostic, ...]:
+    """Faults of a recording, as far as one method's data show them.
 
     Args:
         estimate: Made from it.
-        tree: The robot under the recording's gravity: the joints' limits are read, and the
-            pedestal, which is known.
+        problem: Of the tree, the joints' limits and the pedestal are read.
         survey: Some of the raw samples.
-        tare: What was subtracted from the wrench, (6,) [N, N m].
     """
-    found = [*_few(estimate), *_encoders(tree, survey.position)]
-    found += [*_channels(estimate, survey.measured), *_repeated(estimate, survey.repeats)]
+    tree, tare = problem.tree, problem.tare
+    faults = [*_few(estimate), *_encoders(tree, survey.position)]
+    faults += [*_channels(estimate, survey.measured), *_repeated(estimate, survey.repeats)]
     negative: list[Diagnostic] = []
     if estimate.method == "external":
-        found += _tare(tree, tare)
+        if not pedestal_said(problem.source):  # else a tare that is not its weight is odd
+            faults += _tare(tree, tare)
         negative += _mass(estimate, tree, survey.measured, tare)
     else:
-        found += _efforts(tree, survey.measured)
+        faults += _efforts(tree, survey.measured)
         negative += _friction(estimate)
-        found += _late(estimate)
-    found += [*negative, *fault_diagnostics(estimate), *_residuals(estimate, tree)]
+        faults += _late(estimate, problem)
+    faults += [*negative, *fault_diagnostics(estimate), *_residuals(estimate, tree)]
     if not negative:
-        found += _impossible(estimate)
-    return tuple(found)
+        faults += _impossible(estimate)
+    return tuple(faults)
 
 
 def quality(estimate: Estimate) -> Iterator[Diagnostic]:
@@ -340,24 +342,37 @@ def _friction(estimate: Estimate) -> Iterator[Diagnostic]:
             )
 
 
-def _late(estimate: Estimate) -> Iterator[Diagnostic]:
-    """Torques that follow the motion, or go before it."""
-    found = None if estimate.noise is None else estimate.noise.lateness
-    if found is None or abs(found.z) < THRESHOLDS.delay_z or not noisy(estimate):
+def _late(estimate: Estimate, problem: Problem) -> Iterator[Diagnostic]:
+    """Torques that follow the motion, or lead it: by rotors, where those explain more of them."""
+    delay = None if estimate.noise is None else estimate.noise.lateness
+    if delay is None or abs(delay.z) < THRESHOLDS.delay_z or not noisy(estimate):
         return
-    drives = estimate.drives
-    missing = found.z < 0 and drives is not None and ROTOR not in {t.law for t in drives.asked}
-    first = "late-torques" if found.z > 0 else "encoder_delays"
-    yield diagnose(
+    missing = delay.z < 0 and ROTOR not in problem.settings.laws
+    rotors = missing and _score(problem, estimate, ROTOR) > delay.z**2
+    first = "late-torques" if delay.z > 0 else "encoder_delays"
+    causes = (first, *[ROTOR.kind] * missing, "friction-terms", "sampling")
+    told = diagnose(
         "torque.delay",
         "the joint torques",
-        found.delay,
-        significance=abs(found.z),
+        delay.delay,
+        significance=abs(delay.z),
         method="internal",
-        causes=(first, *["rotor"] * missing, "friction-terms", "sampling"),
-        direction="lag behind" if found.z > 0 else "lead",
-        delay=1e3 * abs(found.delay),
+        causes=dict.fromkeys([*[ROTOR.kind] * rotors, *causes]),
+        direction="lag behind" if delay.z > 0 else "lead",
+        delay=1e3 * abs(delay.delay),
     )
+    remedy = f"add '{ROTOR.kind}' to identification.terms" if rotors else told.remedy
+    yield replace(told, remedy=remedy)
+
+
+def _score(problem: Problem, estimate: Estimate, law: JointLaw) -> float:
+    """Score test of a law at all joints: a chi-square where the torques do not hold it."""
+    beside = problem.with_settings(terms=(*problem.settings.words, law))
+    equations, weights = beside.equations(beside.passes(1, whole=True)), estimate.residual**-2.0
+    matrix = equations.matrix(weights)
+    values = np.pad(estimate.values, (0, len(matrix) - len(estimate.values)))
+    gradient = equations.vector(weights) - matrix @ values
+    return float(gradient @ minimum_norm(matrix, gradient))
 
 
 def _residuals(estimate: Estimate, tree: Tree) -> Iterator[Diagnostic]:

@@ -1,12 +1,13 @@
-"""The fit under coloured noise: unknowns, a calibrated covariance, and what the noise is like.
+"""Generalised least squares under coloured noise: unknowns, calibrated covariance, noise model.
 
-Two passes after the one that has found the weighted solution: residuals with columns made
-orthonormal, so that nothing is lost to the equations' condition; then replicas of the noise.
-Unknowns of the instrument, and columns whose traces are looked for, stand beside the robot's.
+Two passes after the one of the weighted solution: residuals with columns made orthonormal, so
+that nothing is lost to the equations' condition; then replicas of the noise. Unknowns of the
+instrument, and tested columns, stand beside the robot's.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,7 +21,6 @@ from testbed.core.base.stages import stage
 from testbed.core.estimation.noise.errors_in_variables import (
     AttenuationCorrection,
     PositionNoise,
-    QuantizationCovariance,
     correct_attenuation,
 )
 from testbed.core.estimation.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
@@ -28,7 +28,6 @@ from testbed.core.estimation.noise.lagged_products import (
     HIGHEST,
     Autoregression,
     LaggedProducts,
-    Whitened,
 )
 from testbed.core.estimation.noise.noise_model import (
     NoiseModel,
@@ -37,7 +36,8 @@ from testbed.core.estimation.noise.noise_model import (
     lateness,
     period_of,
 )
-from testbed.core.estimation.noise.score_tests import Question, Replicas, ScoreTests, Trace
+from testbed.core.estimation.noise.replicas import Bootstrap, QuantizationSums
+from testbed.core.estimation.noise.score_tests import ScoreTest, ScoreTests, TestedColumns
 from testbed.core.estimation.noise.whitening import (
     NuisanceColumns,
     Products,
@@ -58,114 +58,114 @@ IMITATED = 1e-8
 """Share of a constant's square that the parameters leave of it if they cannot imitate it."""
 
 
-def constants(given: LaggedProducts) -> tuple[Array, Array]:
+def constants(products: LaggedProducts) -> tuple[Array, Array]:
     """Constants of the channels that can be distinguished from the parameters.
 
     Args:
-        given: Products of unknowns' columns, residuals and ones.
+        products: Of unknowns' columns, residuals and ones.
 
     Returns:
         Combinations of the channels, (C, k), orthonormal; and unknowns that imitate the other
         constants, (C - k, m).
     """
-    squares = given.products[0]
-    m = given.unknowns
+    squares, m = products.products[0], products.unknowns
     mixed = squares[:, :m, -1].T  # (m, C)
     counts = squares[:, -1, -1]
     imitating = scaled_solve(squares[:, :m, :m].sum(axis=0), mixed)
-    left = np.diag(counts) - mixed.T @ imitating
-    spread, axes = eigh((left + left.T) / 2)
+    rest = np.diag(counts) - mixed.T @ imitating
+    spread, axes = eigh((rest + rest.T) / 2)
     identifiable = spread > IMITATED * max(counts.max(initial=0.0), 1.0)
     return axes[:, identifiable], (imitating @ axes[:, ~identifiable]).T
 
 
-def square_of_last(found: NoiseFit, count: int) -> float:
-    """How far the last `count` unknowns of a fit are from zero: a chi-square if they are."""
-    if not count:
-        return 0.0
-    values, covariance = found.values[-count:], found.covariance[-count:, -count:]
-    return float(values @ scaled_solve(covariance, values))
-
-
-FEW = 50
+FEWEST_ROWS = 50
 """Rows below which constants are not looked for."""
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
-    """Unknowns, and then constants, of both models together.
+class AveragedFit:
+    """Average of the fits with and without constants of the channels.
 
     Attributes:
-        found: Averaged; its noise is the likelier model's.
-        fits: What fitted either.
+        fit: Unknowns, then constants; its noise is the likelier model's.
+        fits: Function that fitted either.
         directions: Combinations of the channels that are constants, (C, k).
-        hidden: Unknowns that imitate other constants, (C - k, m).
-        alone: Without constants, noise in the columns taken back; None where none was known.
+        imitating: Unknowns that imitate other constants, (C - k, m).
+        correction: Of attenuation, without constants; None where columns have no noise.
         weight: Of the model with constants, 0 to 1.
-        square: How far constants are from zero: a chi-square if they are.
+        chi_square: Of the constants.
     """
 
-    found: NoiseFit
+    fit: NoiseFit
     fits: Fits
     directions: Array
-    hidden: Array
-    alone: AttenuationCorrection | None = None
+    imitating: Array
+    correction: AttenuationCorrection | None = None
     weight: float = 0.0
-    square: float = 0.0
+    chi_square: float = 0.0
+
+    def chance(self, factor: float) -> float:
+        """Probability of constants as large where there are none.
+
+        Args:
+            factor: By which sigma is larger than the formula's.
+        """
+        count = self.directions.shape[1]
+        return float(special.chdtrc(count, self.chi_square / factor**2)) if count else 1.0
 
 
 @stage("fit under coloured noise")
-def averaged_fit(given: LaggedProducts, made: LaggedProducts | None, whole: bool) -> Answer:
-    """Unknowns by the fit that suits the rows, constants averaged where there are rows enough.
+def averaged_fit(
+    products: LaggedProducts, noise: LaggedProducts | None, whole: bool
+) -> AveragedFit:
+    """Unknowns by the fit that suits the rows, averaged over constants where rows suffice.
 
     Args:
-        given: Products of unknowns' columns, residuals and ones.
-        made: Of noise in the same places; None for none.
+        products: Of unknowns' columns, residuals and ones.
+        noise: Products of noise in the same places; None for none.
         whole: Whether no rows are missing.
     """
     fits = whitened_fits if whole else weighted_fits
-    (alone,) = fits(given)
-    correction = None if made is None else correct_attenuation(alone, made)
+    (alone,) = fits(products)
+    correction = None if noise is None else correct_attenuation(alone, noise)
     if correction is not None:
-        alone = correction.found
-    none = np.zeros((given.products.shape[1], 0))
-    answer = Answer(alone, fits, none, np.zeros((0, given.unknowns)), correction)
-    if not whole:
-        return answer
-    directions, hidden = constants(given)
-    count = directions.shape[1]
-    if given.rows < FEW or not count:
-        return replace(answer, hidden=hidden)
-    (beside,) = whitened_fits(given.with_constants(directions))
-    if made is not None:
-        beside = correct_attenuation(beside, made.with_constants(directions)).found
-    square = square_of_last(beside, count)
-    weight = float(special.expit(square / 2 - count))
-    found = averaged(alone, beside, weight)
-    return Answer(found, fits, directions, hidden, correction, weight, square)
+        alone = correction.fit
+    none, imitating = np.zeros((products.products.shape[1], 0)), np.zeros((0, products.unknowns))
+    if whole:
+        directions, imitating = constants(products)
+    if not whole or products.rows < FEWEST_ROWS or not directions.shape[1]:
+        return AveragedFit(alone, fits, none, imitating, correction)
+    (beside,) = whitened_fits(products.with_constants(directions))
+    if noise is not None:
+        beside = correct_attenuation(beside, noise.with_constants(directions)).fit
+    own = slice(products.unknowns, None)
+    square = scaled_solve(beside.covariance[own, own], beside.values[own]) @ beside.values[own]
+    weight = float(special.expit(square / 2 - directions.shape[1]))
+    fit = averaged(alone, beside, weight)
+    return AveragedFit(fit, fits, directions, imitating, correction, weight, float(square))
 
 
 def averaged(alone: NoiseFit, beside: NoiseFit, weight: float) -> NoiseFit:
-    """Both answers; without constants they are zero, for sure.
+    """Mixture of two fits; without constants, these are zero and certain.
 
     Args:
         alone: Without constants, (m,).
         beside: With them after the unknowns, (m + k,).
         weight: Of the latter.
     """
-    m, every = len(alone.values), len(beside.values)
-    values, covariance, inverse = np.zeros(every), *np.zeros((2, every, every))
-    values[:m], covariance[:m, :m], inverse[:m, :m] = alone.values, alone.covariance, alone.inverse
-    likelier = beside if weight > 0.5 else alone
+    more = (0, len(beside.values) - len(alone.values))
+    values = np.pad(alone.values, more)
     apart = beside.values - values
-    return NoiseFit(
+
+    def mixed(first: Array, second: Array) -> Array:
+        return (1 - weight) * np.pad(first, more) + weight * second
+
+    return replace(
+        beside if weight > 0.5 else alone,
         values=values + weight * apart,
-        covariance=(1 - weight) * covariance
-        + weight * beside.covariance
+        covariance=mixed(alone.covariance, beside.covariance)
         + weight * (1 - weight) * np.outer(apart, apart),
-        noise=likelier.noise,
-        weighting=likelier.weighting,
-        inverse=(1 - weight) * inverse + weight * beside.inverse,
+        inverse=mixed(alone.inverse, beside.inverse),
     )
 
 
@@ -178,51 +178,56 @@ LARGE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class GlsFit:
-    """A solution after the passes that look at the residuals themselves.
+    """Solution by generalised least squares, its covariance, noise and score tests.
 
     Attributes:
         values: Of the unknowns, (p,).
         covariance: (p, p).
         squares: Sums of the squares of each channel's residuals, (C,).
-        noise: What they are like.
-        further: Values of the instrument's unknowns, (s,).
-        further_covariance: Theirs, (s, s).
-        traces: Of each kind of fault that was looked for, and its chance in mere noise.
+        noise: Of the residuals.
+        sensor_values: Values of the instrument's unknowns, (s,).
+        sensor_covariance: Their covariance, (s, s).
+        score_tests: Of each kind of tested columns, with its probability in mere noise.
     """
 
     values: Array
     covariance: Array
     squares: Array
     noise: NoiseModel
-    further: Array
-    further_covariance: Array
-    traces: tuple[tuple[Trace, float], ...]
+    sensor_values: Array
+    sensor_covariance: Array
+    score_tests: tuple[tuple[ScoreTest, float], ...]
 
 
 @dataclass(frozen=True, eq=False)
-class _Solution:
-    """Generalised least squares, by units in which all noise is one.
+class GlsSolution:
+    """Generalised least squares in units in which all noise is one.
 
     Attributes:
-        units: These units.
+        passes: Over all rows.
+        encoders: Noise of the positions.
+        units: In which all noise is one.
         start: The robot's unknowns before, (p,).
-        answer: What is to be added, in these units.
+        products: Of rows with rows before them.
+        average: Correction of the unknowns, in these units.
     """
 
+    passes: Passes
+    encoders: PositionNoise
     units: Whitening
     start: Array
-    answer: Answer
+    products: Products
+    average: AveragedFit
 
     @property
     def count(self) -> int:
         """Unknowns that are free, m; those of constants come after them."""
-        return int(self.units.lead.shape[1])
+        return int(self.units.basis.shape[1])
 
     @cached_property
     def step(self) -> Array:
-        """What is added to all unknowns, (p + s,)."""
-        values = self.answer.found.values[: self.count]
-        return self.units.fixed + self.units.lead @ values
+        """Correction of all unknowns, (p + s,)."""
+        return self.units.fixed + self.units.basis @ self.average.fit.values[: self.count]
 
     @cached_property
     def values(self) -> Array:
@@ -230,120 +235,137 @@ class _Solution:
         return self.start + self.step[: len(self.start)]
 
     @property
-    def further(self) -> Array:
+    def sensor_values(self) -> Array:
         """The instrument's unknowns, (s,)."""
         return self.step[len(self.start) :]
 
     @cached_property
     def constants(self) -> Array:
         """Directions of the constants in the channels as measured, (C, k) [N, N m]."""
-        found = self.answer.directions / self.units.root[:, None]
-        found[np.abs(found) < ROUNDING * np.abs(found).max(initial=0.0)] = 0.0
-        return found
+        measured = self.average.directions / self.units.root[:, None]
+        small = np.abs(measured) < ROUNDING * np.abs(measured).max(initial=0.0)
+        return np.where(small, 0.0, measured)
 
-    @property
+    @cached_property
     def bias(self) -> Array:
         """Constants of the channels, (C,) [N, N m]."""
-        return np.asarray(self.constants @ self.answer.found.values[self.count :])
+        return np.asarray(self.constants @ self.average.fit.values[self.count :])
 
-    def residual(self, rows: WhitenedRows) -> Array:
-        """Residuals of a block of rows, (C, M) [N, N m]."""
-        of_sensors = rows.further[..., : len(self.further)] @ self.further
-        return np.asarray(rows.own - self.bias[:, None] - of_sensors)
+    @property
+    def bias_sigma(self) -> Array:
+        """Standard deviations of the constants by the formula, (C,) [N, N m]."""
+        covariance = self.average.fit.covariance[self.count :, self.count :]
+        return standard_deviations(self.constants @ covariance @ self.constants.T)
+
+    def rows(self) -> Iterator[WhitenedRows]:
+        """Rows with the columns of what is free, and residuals in place of measurements."""
+        made = self.encoders.again(self.passes.plan, self.values)
+        sensors = self.sensor_values
+        for rows in self.units.rows(self.passes, self.values, made):
+            of_sensors = rows.sensors[..., : len(sensors)] @ sensors
+            residual = rows.measured - self.bias[:, None] - of_sensors
+            yield rows._replace(
+                columns=self.units.of_free(rows.columns),
+                measured=residual,
+                white=self.units.root[:, None] * residual,
+            )
 
 
-class _SecondPass:
-    """Bootstrap, tests, quantization, repetition and residuals, block by block of rows."""
+class ResidualSums:
+    """Squares of the channels' residuals, about their mean where a channel has a constant.
 
-    def __init__(
-        self, solution: _Solution, given: Products, passes: Passes, beside: NuisanceColumns
-    ) -> None:
-        units, found, m = solution.units, solution.answer.found, solution.count
-        every = units.as_free(given.every)
-        question = Question(m + beside.trends, beside.tested)
-        self._solution = solution
-        self._sums = np.zeros((3, len(units.root)))
-        self.tests = ScoreTests(units.as_free(given.looked_at), question)
-        self.bootstrap = Replicas(found.noise, every.with_constants(solution.answer.directions))
-        self.quantization = QuantizationCovariance(found, m)
-        self.repetition = _repetition_sums(passes, found.noise)
+    Under noise that wanders, the likeliest constant may lie far from all that was measured.
+    """
+
+    def __init__(self, constant: NDArray[np.bool_]) -> None:
+        """Nothing yet.
+
+        Args:
+            constant: Whether each channel has a constant, (C,).
+        """
+        self._constant, self._sums = constant, np.zeros((3, len(constant)))
 
     def add(self, rows: WhitenedRows) -> None:
         """Go on with consecutive rows."""
-        solution, ones = self._solution, rows.ones
-        columns = solution.units.of_free(rows.columns)
-        own = columns[..., : solution.count]
-        constant = ones[..., None] * solution.answer.directions[:, None]
-        residual = solution.residual(rows)
-        self.bootstrap.add(np.concatenate([own, constant], axis=2), ones)
-        self.tests.add(columns, ones, rows.looked_at)
-        self.quantization.add(own, rows.made)
-        self._sums += [part.sum(axis=1) for part in (ones, residual * ones, residual**2 * ones)]
-        if self.repetition:
-            self.repetition.add(solution.units.root[:, None] * residual)
+        residual, ones = rows.measured, rows.ones
+        self._sums += np.stack([ones, residual * ones, residual**2 * ones]).sum(axis=2)
 
-    @property
-    def squares(self) -> Array:
-        """Squares of the channels' residuals, (C,).
-
-        Under noise that wanders, the likeliest constant may lie far from all that was measured:
-        where a channel has one, its residuals are taken about their mean.
-        """
+    def result(self) -> Array:
+        """Sums of squares, (C,)."""
         used, first, second = self._sums
-        constant = self._solution.constants.any(axis=1)
-        about = second - constant * first**2 / np.maximum(used, 1.0)
+        about = second - self._constant * first**2 / np.maximum(used, 1.0)
         return np.maximum(about, 0.0)  # rounding, where nothing is left but a constant
 
 
 @stage("residuals and replicas of noise")
 def generalized_least_squares(
-    start: solvers.Fit,
-    passes: Passes,
-    names: tuple[str, ...],
-    beside: NuisanceColumns,
-) -> GlsFit:
-    """Go on from a weighted solution.
+    start: solvers.Fit, passes: Passes, beside: NuisanceColumns
+) -> GlsSolution:
+    """Go on from a weighted solution, by one pass.
 
     Args:
         start: The solution, and the weights in whose units rows are taken.
         passes: Over all rows.
-        names: Of the robot's unknowns.
-        beside: Columns beside theirs.
+        beside: Columns beside the robot's.
     """
-    plan, p = passes.plan, len(names)
-    units = whitening_of(start, beside, plan.layout)
-    encoders = _encoder_noise(passes)
-    given = units.products(passes, start.values, HIGHEST, encoders)
-    answer = averaged_fit(
-        units.as_free(given.every),
-        None if given.noise is None else units.as_free(given.noise),
-        whole=plan.layout.model == "reaction",
+    units, encoders = whitening_of(start, beside, passes.plan.layout), _encoder_noise(passes)
+    products = units.products(passes, start.values, HIGHEST, encoders)
+    average = averaged_fit(
+        units.as_free(products.every),
+        products.noise and units.as_free(products.noise),
+        whole=passes.plan.layout.model == "reaction",
     )
-    solution = _Solution(units, start.values, answer)
-    second = _SecondPass(solution, given, passes, beside)
-    for rows in units.rows(passes, solution.values, encoders.again(plan, solution.values)):
-        second.add(rows)
-    lead = units.lead[:p]
-    factor = second.bootstrap.factor(answer.fits, lead[lead.any(axis=1)])
-    by_counts, share = second.quantization.found()
-    covariance = _covariance(solution, given.every, factor, by_counts)
-    noise = replace(
-        _noise_model(solution, plan, factor),
-        hidden=_named(_large(answer.hidden[:, : solution.count] @ units.lead.T), names),
-        noise_limited=_named(answer.alone.noise_limited(lead), names) if answer.alone else (),
-        least_counts=encoders.least_counts,
-        by_counts=share,
-        repetition=second.repetition.found() if second.repetition else None,
-        lateness=_lateness(solution, given.every, factor, plan),
-    )
+    return GlsSolution(passes, encoders, units, start.values, products, average)
+
+
+@stage("residuals and replicas of noise")
+def bootstrap(solution: GlsSolution, names: tuple[str, ...]) -> GlsFit:
+    """Calibrate the covariance and test columns, by one pass over residuals and replicas of noise.
+
+    Args:
+        solution: By generalised least squares.
+        names: Of the robot's unknowns.
+    """
+    units, average, plan = solution.units, solution.average, solution.passes.plan
+    noise, robot, beside = average.fit.noise, units.basis[: len(names)], units.beside
+    free = units.as_free(solution.products.every)
+    columns = TestedColumns(solution.count + beside.trends, beside.tested)
+    residuals = ResidualSums(np.any(solution.constants, axis=1))
+    replicas = Bootstrap(noise, free, average.directions, robot[robot.any(axis=1)])
+    quantization = QuantizationSums(average.fit, solution.count)
+    tests = ScoreTests(units.as_free(solution.products.tested), columns, robot)
+    repetition = _repetition_sums(solution.passes, noise)
+    for rows in solution.rows():
+        for sums in (residuals, replicas, quantization, tests, repetition):
+            sums.add(rows)
+    factor, (by_counts, share) = replicas.result(average.fits), quantization.result()
+    covariance = _covariance(solution, factor, by_counts)
+    own, sensors = slice(0, len(names)), slice(len(names), None)
     return GlsFit(
         values=solution.values,
-        covariance=covariance[:p, :p],
-        squares=second.squares,
-        noise=noise,
-        further=solution.further,
-        further_covariance=covariance[p:, p:],
-        traces=second.tests.found(lead),
+        covariance=covariance[own, own],
+        squares=residuals.result(),
+        noise=NoiseModel(
+            order=noise.order,
+            memory=tuple(float(rows) / plan.rate for rows in noise.memory),
+            factor=factor,
+            bias=solution.bias,
+            bias_sigma=factor * solution.bias_sigma,
+            bias_chance=average.chance(factor),
+            bias_weight=average.weight,
+            span=plan.source.samples / plan.source.rate,
+            hidden=_named(_large(average.imitating @ units.basis.T), names),
+            noise_limited=_named(average.correction.noise_limited(robot), names)
+            if average.correction
+            else (),
+            least_counts=solution.encoders.least_counts,
+            by_counts=share,
+            repetition=repetition.result(),
+            lateness=_lateness(solution, factor, plan),
+        ),
+        sensor_values=solution.sensor_values,
+        sensor_covariance=covariance[sensors, sensors],
+        score_tests=tests.result(),
     )
 
 
@@ -361,67 +383,43 @@ def sensor_step(
         beside: Columns beside theirs, no tested ones among them.
     """
     units, p = whitening_of(start, beside, passes.plan.layout), len(start.values)
-    given = units.products(passes, start.values, 0).every
-    (found,) = whitened_fits(units.as_free(given), 0)
+    products = units.products(passes, start.values, 0).every
+    (fit,) = whitened_fits(units.as_free(products), 0)
     own = slice(p, p + beside.unknown)
-    squares = np.einsum("c,cii->i", found.noise.sigma**-2.0, given.products[0])[own]
-    lead = units.lead[own]
-    variance = np.einsum("si,ij,sj->s", lead, found.covariance, lead)
+    squares = np.einsum("c,cii->i", fit.noise.sigma**-2.0, products.products[0])[own]
+    basis = units.basis[own]
+    variance = np.einsum("si,ij,sj->s", basis, fit.covariance, basis)
     variance = np.maximum(variance, TINY)
     share = 1 / np.sqrt(np.maximum(squares * variance, 1.0))
-    share[~lead.any(axis=1)] = 1.0  # known
-    return (units.fixed + units.lead @ found.values)[own], np.sqrt(variance), share
+    share[~basis.any(axis=1)] = 1.0  # known
+    return (units.fixed + units.basis @ fit.values)[own], np.sqrt(variance), share
 
 
-def _lateness(
-    solution: _Solution, every: LaggedProducts, factor: float, plan: Plan
-) -> TimeDelay | None:
+def _lateness(solution: GlsSolution, factor: float, plan: Plan) -> TimeDelay | None:
     """Of joint torques; of the plate, there are tests that are more sensitive."""
     units = solution.units
     if plan.layout.model == "reaction" or units.facts is not None or len(plan.weights) == 1:
         return None
     start = np.asarray(np.linalg.solve(units.white, solution.start), dtype=np.float64)
-    return lateness(every, solution.answer.found, start, factor, plan.rate)
+    return lateness(solution.products.every, solution.average.fit, start, factor, plan.rate)
 
 
-def _covariance(
-    solution: _Solution, every: LaggedProducts, factor: float, by_counts: Array
-) -> Array:
+def _covariance(solution: GlsSolution, factor: float, by_counts: Array) -> Array:
     """Of all unknowns, (p + s, p + s): by the fit, by counts of encoders, by doubt about facts."""
-    units, answer, m = solution.units, solution.answer, solution.count
-    spread = factor**2 * answer.found.covariance[:m, :m] + by_counts
-    covariance = np.asarray(units.lead @ spread @ units.lead.T)
+    units, average, m = solution.units, solution.average, solution.count
+    spread = factor**2 * average.fit.covariance[:m, :m] + by_counts
+    covariance = np.asarray(units.basis @ spread @ units.basis.T)
     if units.facts is None or units.free is None:
         return covariance
-    noise, biases = answer.found.noise, answer.directions.shape[1]
-    white = Whitened(every.with_constants(answer.directions), noise.coefficients[None])
-    size = len(units.fixed) + biases
-    normal = white.sums(noise.sigma[None] ** -2.0)[0, :size, :size]
+    size, biases = len(units.fixed), average.directions.shape[1]
+    products = solution.products.every.with_constants(average.directions)
+    normal = average.fit.normal(products)[: size + biases, : size + biases]
     lead = linalg.block_diag(units.free.lead, np.eye(biases))
     fixed = np.pad(units.free.fixed, ((0, biases), (0, 0)))
     across = lead.T @ normal
     moved = fixed - lead @ scaled_solve(across @ lead, across @ fixed)
-    root = units.grown @ moved[: len(units.fixed)] @ units.facts.doubt(solution.step)
+    root = units.grown @ moved[:size] @ units.facts.doubt(solution.step)
     return np.asarray(covariance + root @ root.T)
-
-
-def _noise_model(solution: _Solution, plan: Plan, factor: float) -> NoiseModel:
-    """What the residuals are like; parameters that they say something of are not named yet."""
-    answer, m, back = solution.answer, solution.count, solution.constants
-    noise, count = answer.found.noise, back.shape[1]
-    spread = back @ answer.found.covariance[m:, m:] @ back.T
-    chance = float(special.chdtrc(count, answer.square / factor**2)) if count else 1.0
-    return NoiseModel(
-        order=noise.order,
-        memory=tuple(float(rows) / plan.rate for rows in noise.memory),
-        factor=factor,
-        bias=solution.bias,
-        bias_sigma=factor * standard_deviations(spread),
-        bias_chance=chance,
-        bias_weight=answer.weight,
-        span=plan.source.samples / plan.source.rate,
-        hidden=(),
-    )
 
 
 def _encoder_noise(passes: Passes) -> PositionNoise:
@@ -446,12 +444,12 @@ def _large(part: Array) -> NDArray[np.bool_]:
     return np.asarray(large.any(axis=0))
 
 
-def _repetition_sums(passes: Passes, noise: Autoregression) -> PeriodicSums | None:
-    """None where the motion has no period, or rows have gaps or are too far apart for it."""
+def _repetition_sums(passes: Passes, noise: Autoregression) -> PeriodicSums:
+    """Of no rows where the motion has no period, or rows have gaps or are too far apart for it."""
     plan, surveyor = passes.plan, passes.surveyor
-    if plan.layout.model != "reaction" or len(plan.spans) > 1:
-        return None
-    samples = (period_of(surveyor.survey().position) or 0) * surveyor.stride
-    rows = round(samples / plan.step)
+    rows = 0
+    if plan.layout.model == "reaction" and len(plan.spans) == 1:
+        samples = (period_of(surveyor.survey().position) or 0) * surveyor.stride
+        rows = round(samples / plan.step)
     period = rows * plan.step / plan.source.rate  # what is compared is so long apart
-    return PeriodicSums(noise, rows, period) if rows > HIGHEST else None
+    return PeriodicSums(noise, rows if rows > HIGHEST else 0, period)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
 from testbed.core.estimation.noise.fits import NoiseFit
-from testbed.core.estimation.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.core.estimation.noise.lagged_products import LaggedProducts
 from testbed.core.estimation.regression.normal_equations import square_root
 from testbed.core.estimation.regression.passes import Columns, motion_rows
 from testbed.core.estimation.regression.windows import Plan
@@ -267,82 +267,46 @@ class AttenuationCorrection:
     """Unknowns as they were without noise in the columns.
 
     Attributes:
-        found: Values and covariance.
+        fit: Values and covariance.
         directions: Combinations of the unknowns, of normal matrix one before, (m, m).
         share: Part of the square of each one's column that is noise, (m,).
     """
 
-    found: NoiseFit
+    fit: NoiseFit
     directions: Array
     share: Array
 
-    def noise_limited(self, lead: Array) -> NDArray[np.bool_]:
+    def noise_limited(self, basis: Array) -> NDArray[np.bool_]:
         """Parameters that columns identify of which more than `NAMED` is noise, (p,).
 
         Args:
-            lead: How the unknowns make up the parameters, (p, m).
+            basis: Parameters from the unknowns, (p, m).
         """
-        parts = (lead @ self.directions) ** 2
+        parts = (basis @ self.directions) ** 2
         rest = 1 - np.clip(self.share, 0.0, ALL)
         return np.asarray(parts.sum(axis=1) < (1 - NAMED) * (parts / rest).sum(axis=1))
 
 
-def correct_attenuation(found: NoiseFit, made: LaggedProducts) -> AttenuationCorrection:
+def correct_attenuation(fit: NoiseFit, noise: LaggedProducts) -> AttenuationCorrection:
     """Take noise in the columns back.
 
     Args:
-        found: A fit.
-        made: Products of noise in the same unknowns' columns, of what it leaves in the
+        fit: With noise in its columns.
+        noise: Products of noise in the same unknowns' columns, of what it leaves in the
             residuals, and of ones, as the rows' own.
     """
-    m = len(found.values)
-    white, root = found.normal(made), square_root(found.inverse)
+    m = len(fit.values)
+    white, root = fit.normal(noise), square_root(fit.inverse)
     share, axes = eigh(root.T @ white[:m, :m] @ root)
     directions, kept = root @ axes, np.clip(share, 0.0, MOST)
-    taken = white[:m, :m] @ found.values - white[:m, m]
+    taken = white[:m, :m] @ fit.values - white[:m, m]
     taken = directions.T @ taken * np.where(share > MOST, MOST / np.maximum(share, MOST), 1.0)
     spread = directions / (1 - kept)
     back = spread @ np.linalg.inv(directions)
     better = replace(
-        found,
-        values=found.values + spread @ taken,
-        covariance=back @ found.covariance @ back.T,
+        fit,
+        values=fit.values + spread @ taken,
+        covariance=back @ fit.covariance @ back.T,
         inverse=spread @ directions.T,
     )
     return AttenuationCorrection(better, directions, share)
-
-
-class QuantizationCovariance:
-    """Products of rows with replicas of what counts do to them."""
-
-    def __init__(self, found: NoiseFit, count: int) -> None:
-        """Nothing yet.
-
-        Args:
-            found: The fit; its unknowns may have constants after them.
-            count: How many unknowns.
-        """
-        self._fit, self._inverse = found, found.inverse[:count, :count]
-        self._sums, self._numbers = LaggedSums(found.weighting.order), 0
-
-    def add(self, columns: Array, made: Array) -> None:
-        """Go on with consecutive rows.
-
-        Args:
-            columns: Of the unknowns, (C, rows, m).
-            made: Replicas, (C, rows, k); none where there are no counts.
-        """
-        if not made.shape[2]:
-            return
-        self._sums.add(np.concatenate([columns, made], axis=2))
-        self._numbers += columns.shape[0] * columns.shape[1]
-
-    def found(self) -> tuple[Array, float]:
-        """Covariance of the unknowns by counts alone, (m, m), and their part of the residuals."""
-        m = len(self._inverse)
-        if not self._numbers:
-            return np.zeros((m, m)), 0.0
-        squares = self._fit.normal(self._sums.finish())
-        moved = self._inverse @ squares[:m, m:]
-        share = float(np.diagonal(squares)[m:].mean()) / self._numbers
-        return moved @ moved.T / moved.shape[1], share

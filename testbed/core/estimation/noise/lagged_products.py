@@ -211,7 +211,10 @@ class LaggedProducts:
         """
         if count == self.unknowns:
             return self
-        which = np.r_[:count, self.unknowns : self.products.shape[2]]
+        return self._of(np.r_[:count, self.unknowns : self.products.shape[2]])
+
+    def _of(self, which: Ints) -> LaggedProducts:
+        """Copy of some of the columns, in any order."""
         products = self.products[..., which[:, None], which]
         first, last = self.first[..., which], self.last[..., which]
         return replace(self, products=products, first=first, last=last)
@@ -261,21 +264,15 @@ class LaggedProducts:
             inner: Each B, symmetric, (R, q, q).
             order: P, at most K.
         """
-        whole = self.traces(inner)[..., : order + 1]
-        first, last = (
-            _times(each[None], inner) @ each.swapaxes(2, 3) for each in (self.first, self.last)
+        lag, last = np.arange(order + 1), self.last[:, :, self.lags - order :]
+        head, tail = (
+            (_times(each[None], inner) @ each.swapaxes(2, 3)).sum(axis=1)
+            for each in (self.first, last)
         )
-        found = np.zeros((*whole.shape, order + 1))
-        for lag in range(order + 1):
-            # rows before t = P, and those after the last t - i, do not count
-            at, none = np.arange(order + 1 - lag), np.zeros((*whole.shape[:2], 1))
-            head, tail = (np.diagonal(e.sum(axis=1), -lag, 2, 3) for e in (first, last))
-            heads, tails = (
-                np.cumsum(np.concatenate([none, edge[..., : order - lag]], axis=2), axis=2)
-                for edge in (head, tail[..., ::-1])
-            )
-            left = whole[..., lag, None] - heads[..., ::-1] - tails
-            found[..., at, at + lag] = found[..., at + lag, at] = left
+        found = self.traces(inner)[..., np.abs(np.subtract.outer(lag, lag))]
+        for t in range(order):  # rows before t = P, and zeros after the last, do not count
+            found[..., : t + 1, : t + 1] -= head[..., t::-1, t::-1]
+            found[..., t + 1 :, t + 1 :] -= tail[..., t:, t:][..., ::-1, ::-1]
         return found
 
     def with_constants(self, directions: Array) -> LaggedProducts:
@@ -287,14 +284,11 @@ class LaggedProducts:
         m, count, size = self.unknowns, directions.shape[1], self.products.shape[2]
         if not count:
             return self
-        which, own = np.r_[:m, [size - 1] * count, m:size], slice(m, m + count)
-        products = self.products[..., which[:, None], which]
-        products[..., own, :] *= directions[:, :, None]
-        products[..., own] *= directions[:, None]
-        first, last = self.first[..., which], self.last[..., which]
-        first[..., own] *= directions[:, None]
-        last[..., own] *= directions[:, None]
-        return replace(self, products=products, first=first, last=last)
+        extended, own = self._of(np.r_[:m, [size - 1] * count, m:size]), slice(m, m + count)
+        extended.products[..., own, :] *= directions[:, :, None]
+        for each in (extended.products, extended.first, extended.last):
+            each[..., own] *= directions[:, None]
+        return extended
 
 
 class Whitened:
@@ -360,15 +354,12 @@ class Whitened:
 
 
 def _edges(given: LaggedProducts, alpha: Array) -> Array:
-    """e_t before t = P and after the last row, zeros there, (R, S, C, 2 P, q)."""
-    order, size = alpha.shape[2] - 1, given.last.shape[2]
-    sequences, channels, _, columns = given.first.shape
-    found = np.zeros((len(alpha), sequences, channels, 2 * order, columns))
-    for i in range(order + 1):
-        share = alpha[:, None, :, i, None, None]
-        found[..., i:order, :] += share * given.first[:, :, : order - i]
-        found[..., order : order + i, :] += share * given.last[:, :, size - i :]
-    return found
+    """e_t before t = P and after the last row, zeros there, (R, 2 S, C, P, q)."""
+    order = alpha.shape[2] - 1
+    ends = (given.first, (order, 0)), (given.last, (0, order))
+    rows = np.concatenate([np.pad(each, ((0, 0), (0, 0), pad, (0, 0))) for each, pad in ends])
+    parts = (rows[:, :, order - i : 2 * order - i] for i in range(order + 1))
+    return np.asarray(sum(alpha[:, None, :, i, None, None] * part for i, part in enumerate(parts)))
 
 
 def _times(rows: Array, matrices: Array) -> Array:
@@ -383,7 +374,7 @@ def _times(rows: Array, matrices: Array) -> Array:
 
 
 class LaggedSums:
-    """Adds up products of rows as they come, of each channel's own columns: the others are zero."""
+    """Adds up products of rows as they come, of each channel's columns from the first in use on."""
 
     def __init__(self, lags: int) -> None:
         """Nothing yet.
@@ -393,9 +384,7 @@ class LaggedSums:
         """
         self._lags = lags
         self._rows = 0
-        self._width = 0
-        self._own: list[Ints] = []
-        self._products: list[Array] = []
+        self._products: Array | None = None
         self._edges: list[tuple[Array, Array]] = []
         self._begin()
 
@@ -407,34 +396,24 @@ class LaggedSums:
 
     def add(self, block: Array) -> None:
         """Go on with consecutive rows, (C, rows, q)."""
-        channels, rows, self._width = block.shape
-        if not self._own:
-            self._own = [np.zeros(0, dtype=np.int64)] * channels
-            self._products = [np.zeros((self._lags + 1, 0, 0))] * channels
+        channels, rows, width = block.shape
+        if self._products is None:
+            self._products = np.zeros((self._lags + 1, channels, width, width))
         if self._recent is None:
-            self._recent = np.zeros((channels, self._lags, self._width))
+            self._recent = np.zeros((channels, self._lags, width))
         missing = self._lags - self._since
         if missing > 0:
             self._first.append(block[:, :missing])
         run = np.concatenate([self._recent, block], axis=1)
         for channel, each in enumerate(run):
-            self._widen(channel, each.any(axis=0).nonzero()[0])
-            part = each[:, self._own[channel]]
+            used = each.any(axis=0).nonzero()[0]
+            part = each[:, used]
             before = np.lib.stride_tricks.sliding_window_view(part, rows, axis=0)[::-1]
-            for own, then in zip(self._products[channel], before, strict=True):
-                own += part[self._lags :].T @ then.T
+            for products, then in zip(self._products[:, channel], before, strict=True):
+                products[used[:, None], used] += part[self._lags :].T @ then.T
         self._rows += rows
         self._since += rows
         self._recent = run[:, rows:]
-
-    def _widen(self, channel: int, which: Ints) -> None:
-        """Make room for columns that are not zero any more."""
-        own = self._own[channel]
-        every = np.union1d(own, which)
-        if len(every) > len(own):
-            wider = np.zeros((self._lags + 1, len(every), len(every)))
-            _place(self._products[channel], np.searchsorted(every, own), wider)
-            self._own[channel], self._products[channel] = every, wider
 
     def pause(self) -> None:
         """What comes next does not follow what came last."""
@@ -443,11 +422,9 @@ class LaggedSums:
 
     def finish(self) -> LaggedProducts:
         """The sums."""
+        assert self._products is not None, "sums of no rows"
         first, last = zip(*self._edges, *self._open(), strict=True)
-        products = np.zeros((self._lags + 1, len(self._own), self._width, self._width))
-        for channel, own in enumerate(self._own):
-            _place(self._products[channel], own, products[:, channel])
-        return LaggedProducts(self._rows, products, np.stack(first), np.stack(last))
+        return LaggedProducts(self._rows, self._products, np.stack(first), np.stack(last))
 
     def _open(self) -> list[tuple[Array, Array]]:
         """First and last rows of the sequence that is not closed, if it has any."""
@@ -457,12 +434,3 @@ class LaggedSums:
         first = np.concatenate([*self._first, np.zeros((channels, 0, columns))], axis=1)
         room = np.zeros((channels, self._lags - first.shape[1], columns))
         return [(np.concatenate([first, room], axis=1), self._recent)]
-
-
-def _place(products: Array, at: Ints, into: Array) -> None:
-    """Write products of some columns where those columns are."""
-    if len(at) and at[-1] - at[0] == len(at) - 1:  # side by side, as those of a joint are
-        into[:, at[0] : at[-1] + 1, at[0] : at[-1] + 1] = products
-        return
-    for own, each in zip(into, products, strict=True):
-        own[at[:, None], at] = each

@@ -14,6 +14,7 @@ from testbed.core.estimation.noise.lagged_products import (
     LaggedProducts,
     prediction_errors,
 )
+from testbed.core.estimation.noise.whitening import WhitenedRows
 from testbed.core.estimation.regression.normal_equations import scaled_solve
 
 ALIKE = 1e-3
@@ -97,7 +98,7 @@ class PeriodicSums:
 
         Args:
             noise: Of the residuals.
-            rows: Of one period.
+            rows: Of one period; 0 for none.
             period: Of the motion [s].
         """
         channels = len(noise.sigma)
@@ -107,13 +108,13 @@ class PeriodicSums:
         self._sums = np.zeros((3, channels))
         self._pairs = 0
 
-    def add(self, left: Array) -> None:
-        """Go on with consecutive rows' residuals, (C, rows)."""
+    def add(self, rows: WhitenedRows) -> None:
+        """Go on with consecutive rows."""
         order = self._noise.order
-        run = np.concatenate([self._recent, left], axis=1)
+        run = np.concatenate([self._recent, rows.white], axis=1)
         self._recent = run[:, max(0, run.shape[1] - order) :]
         alpha, count = prediction_errors(self._noise.coefficients), run.shape[1] - order
-        if count <= 0:
+        if count <= 0 or not self._rows:
             return
         fresh = np.zeros((len(run), count))
         for i in range(order + 1):
@@ -124,7 +125,7 @@ class PeriodicSums:
         self._sums += [(now * then).sum(axis=1), (now**2).sum(axis=1), (then**2).sum(axis=1)]
         self._pairs += now.shape[1]
 
-    def found(self) -> PeriodicResidual | None:
+    def result(self) -> PeriodicResidual | None:
         """What the sums say; None where the rows are too few."""
         products, *powers = self._sums
         size = np.sqrt(powers[0] * powers[1])

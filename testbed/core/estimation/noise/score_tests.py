@@ -1,4 +1,4 @@
-"""Traces that faults of the instrument leave in the residuals, tested against noise.
+"""Score tests of the residuals for faults of the instrument.
 
 A fault shows, to first order, as more columns of the equations. If the model is right they
 explain no more of the residuals than chance: an F test for every kind of fault. The noise is
@@ -7,8 +7,6 @@ against those of made noise: found noise is whiter than it is, and the tests wou
 that are not there.
 
 Constants and trends are always beside the parameters: slow noise looks like a drift.
-
-Source    [ET93] for the bootstrap
 """
 
 from __future__ import annotations
@@ -23,123 +21,15 @@ from scipy import linalg, special
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
 from testbed.core.base.stages import stage
-from testbed.core.estimation.noise.fits import Fits, NoiseFit, whitened_fits
+from testbed.core.estimation.noise.fits import whitened_fits
 from testbed.core.estimation.noise.lagged_products import (
     Autoregression,
     LaggedProducts,
-    LaggedSums,
-    NoiseMaker,
     Whitened,
 )
+from testbed.core.estimation.noise.replicas import Replicas
+from testbed.core.estimation.noise.whitening import WhitenedRows
 from testbed.core.estimation.regression.normal_equations import TINY
-
-REPLICAS = 12
-"""Replicas of the noise: with all parameters pooled, sigma is found to a few percent."""
-
-SEED = 1996
-"""Of the replicas: the same recording gives the same sigma."""
-
-
-class Replicas:
-    """Products of rows with replicas of their noise.
-
-    Of columns with columns they are known from the residuals' own products.
-    """
-
-    def __init__(self, noise: Autoregression, known: LaggedProducts, seed: int = SEED) -> None:
-        """Nothing yet.
-
-        Args:
-            noise: What is to be made.
-            known: Products of the rows' columns, residuals and ones.
-            seed: Of the replicas.
-        """
-        self._order = noise.order
-        columns = known.unknowns
-        self._known = known.up_to(noise.order)
-        self._maker = NoiseMaker(noise, REPLICAS, np.random.default_rng(seed))
-        self._noise = LaggedSums(noise.order)
-        lags, channels = self._known.products.shape[:2]
-        self._across = np.zeros((lags, channels, columns + 1, REPLICAS))
-        self._before: tuple[Array, Array] | None = None
-
-    def add(self, columns: Array, ones: Array) -> None:
-        """Go on with consecutive rows.
-
-        Args:
-            columns: Of the unknowns, (C, rows, m).
-            ones: Where a row counts, (C, rows).
-        """
-        noise = self._maker.rows(columns.shape[1]) * ones[..., None]
-        self._noise.add(noise)
-        now = np.concatenate([columns, ones[..., None]], axis=2), noise
-        lags, rows = len(self._across) - 1, columns.shape[1]
-        before = self._before or tuple(np.zeros((len(ones), lags, z.shape[2])) for z in now)
-        columns, noise = (np.concatenate(each, axis=1) for each in zip(before, now, strict=True))
-        around = np.zeros((*noise.shape[:2], lags + 1, REPLICAS))
-        for lag in range(lags + 1):  # as a lag's products and their transpose come together only
-            late, early = slice(lags, lags + rows), slice(lags - lag, lags - lag + rows)
-            around[:, late, lag] += noise[:, early] / 2
-            around[:, early, lag] += noise[:, late] / 2
-        found = columns.swapaxes(1, 2) @ around.reshape(*noise.shape[:2], -1)
-        self._across += np.moveaxis(found.reshape(*found.shape[:2], lags + 1, -1), 2, 0)
-        self._before = columns[:, rows:], noise[:, rows:]
-
-    def pause(self) -> None:
-        """What comes next does not follow what came last."""
-        self._noise.pause()
-        self._before = None
-
-    @property
-    def products(self) -> LaggedProducts:
-        """Products with the replicas in the residuals' place, symmetric those of a lag, too."""
-        made, known = self._noise.finish(), self._known
-        m = known.unknowns
-        own, size = slice(m, m + REPLICAS), m + REPLICAS + 1
-        rest = [*range(m), size - 1]  # columns and ones
-        products = np.empty((*known.products.shape[:2], size, size))
-        for lag, channel in np.ndindex(products.shape[:2]):  # one by one: they fit into a cache
-            each, across = products[lag, channel], self._across[lag, channel]
-            before = np.delete(np.delete(known.products[lag, channel], m, 0), m, 1)
-            each[np.ix_(rest, rest)] = _alike(before)
-            each[rest, own], each[own, rest] = across, across.T
-            each[own, own] = _alike(made.products[lag, channel])
-        first, last = (
-            np.concatenate([old[..., :m], new, old[..., -1:]], axis=3)
-            for old, new in ((known.first, made.first), (known.last, made.last))
-        )
-        return LaggedProducts(made.rows, products, first, last, REPLICAS, alike=True)
-
-    @stage("sigma from replicas of noise")
-    def factor(self, fits: Fits, lead: Array) -> float:
-        """By how much sigma has to be multiplied: at least one.
-
-        Args:
-            fits: What found the noise.
-            lead: How the rows' unknowns make up the parameters, (p, m).
-        """
-        return max(1.0, float(np.sqrt(np.mean(self.squares(fits, lead)))))
-
-    def squares(self, fits: Fits, lead: Array) -> Array:
-        """Squares of what the replicas make of parameters that are zero, over sigma's, (R, p).
-
-        Args:
-            fits: What found the noise.
-            lead: How the rows' unknowns make up the parameters, (p, m).
-        """
-        return np.array([_squares(found, lead) for found in fits(self.products, self._order)])
-
-
-def _alike(products: Array) -> Array:
-    """Half of what a lag's products are and of their transpose."""
-    return (products + products.T) / 2
-
-
-def _squares(found: NoiseFit, lead: Array) -> Array:
-    m = lead.shape[1]  # a fit may have unknowns of its own after these
-    variance = ((lead @ found.covariance[:m, :m]) * lead).sum(axis=1)
-    return np.asarray((lead @ found.values[:m]) ** 2 / np.maximum(variance, TINY))
-
 
 IMITATED = 1e-9
 """Share of a column's square that others leave of it if they imitate it."""
@@ -154,12 +44,12 @@ PRIOR = 24.0
 """Weight of the mean over all kinds in each one's calibration, in degrees of freedom."""
 
 
-class Alone(NamedTuple):
-    """One number of a fault, the others as they should be.
+class SingleEffect(NamedTuple):
+    """One coefficient of a fault, the others zero.
 
     Attributes:
-        square: Of the residuals' squares it explains so much, in units of the noise's variance.
-        place: Among the fault's numbers.
+        square: Part of the residuals' squares it explains, in units of the noise's variance.
+        place: Among the fault's coefficients.
         size: In its own unit.
         sigma: Of the size.
     """
@@ -171,16 +61,16 @@ class Alone(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Trace:
-    """What the residuals hold of one kind of fault.
+class ScoreTest:
+    """Score test of one kind of fault in the residuals.
 
     Attributes:
-        square: Of the residuals' squares it explains so much, in units of the noise's variance.
+        square: Part of the residuals' squares it explains, in units of the noise's variance.
         count: Independent columns k.
         free: Degrees of freedom of the noise.
-        size: The fault's numbers, (k',) in their own units.
-        shift: By how much the unknowns would change if they were estimated, (m,).
-        alone: The same of the one number that explains most, and how much that is.
+        size: Coefficients of the fault, (k',) in their own units.
+        shift: Change of the unknowns if the coefficients were estimated, (m,).
+        alone: The coefficient that explains most.
     """
 
     square: float
@@ -188,10 +78,10 @@ class Trace:
     free: int
     size: Array
     shift: Array
-    alone: Alone
+    alone: SingleEffect
 
     def chance(self, scale: float) -> float:
-        """Probability of a trace as clear as this in noise.
+        """Probability of a square as large in noise.
 
         Args:
             scale: Mean of square / count in noise.
@@ -202,8 +92,8 @@ class Trace:
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
-    """Which columns of the products are what.
+class TestedColumns:
+    """Order of the products' columns.
 
     Attributes:
         base: Number of columns that come first: unknowns and trends.
@@ -213,60 +103,55 @@ class Question:
     base: int
     kinds: tuple[int, ...]
 
-    @property
-    def columns(self) -> int:
-        """How many in all, constants aside."""
-        return self.base + sum(self.kinds)
-
-    def answerable(self, given: LaggedProducts) -> bool:
-        """Whether anything is asked, and there are rows enough."""
-        channels = given.products.shape[1]
-        least = FREE * (self.columns + channels)
-        return bool(self.kinds) and bool(given.rows * channels > least)
+    def testable(self, products: LaggedProducts) -> bool:
+        """Whether there are kinds to test, and rows enough."""
+        channels = products.products.shape[1]
+        least = FREE * (self.base + sum(self.kinds) + channels)
+        return bool(self.kinds) and bool(products.rows * channels > least)
 
 
-def traces(
-    given: LaggedProducts,
+def score_tests(
+    products: LaggedProducts,
     independent: Array,
-    question: Question,
+    columns: TestedColumns,
     order: int | None = None,
     *,
     quick: bool = False,
-) -> list[tuple[list[Trace], Autoregression]]:
-    """What each response holds of each kind of fault, and the noise beside all of them.
+) -> list[tuple[list[ScoreTest], Autoregression]]:
+    """Tests of each kind of fault in each response, and the noise beside all of them.
 
     Args:
-        given: Products of the question's columns, a constant of every channel, residuals and ones.
+        products: Of the tested columns, a constant of every channel, residuals and ones.
         independent: Independent combinations of columns and constants, (q, r).
-        question: Which columns are what.
+        columns: Their order.
         order: Of the noise; None for the best.
         quick: As for `whitened_fits`.
     """
-    channels = given.products.shape[1]
-    lead = linalg.block_diag(independent, np.eye(given.responses + 1))
-    noises = [fit.noise for fit in whitened_fits(given, order, quick=quick, lead=lead)]
-    white = Whitened(given, np.stack([noise.coefficients for noise in noises]))
+    channels, responses = products.products.shape[1], products.responses
+    basis = linalg.block_diag(independent, np.eye(responses + 1))
+    noises = [fit.noise for fit in whitened_fits(products, order, quick=quick, lead=basis)]
+    white = Whitened(products, np.stack([noise.coefficients for noise in noises]))
     squares = white.sums(np.stack([noise.sigma for noise in noises]) ** -2.0)
-    rows = given.after(noises[0].order) - noises[0].order
+    rows = products.after(noises[0].order) - noises[0].order
     free = max(rows * channels - independent.shape[1], 1)
-    answers = []
-    for response, (each, noise) in enumerate(zip(squares, noises, strict=True)):
-        which = [*np.roll(np.arange(given.unknowns), channels), given.unknowns + response]
-        part = each[which][:, which]  # constants first
-        answers.append((_tests(part, question, question.base + channels, free), noise))
-    return answers
+    first = np.roll(np.arange(products.unknowns), channels)  # constants first
+    parts = (
+        each[np.ix_(k, k)] for r, each in enumerate(squares) for k in [[*first, len(first) + r]]
+    )
+    tests = (_tests(part, columns, columns.base + channels, free) for part in parts)
+    return list(zip(tests, noises, strict=True))
 
 
-def independent_columns(given: LaggedProducts, question: Question) -> Array:
+def independent_columns(products: LaggedProducts, columns: TestedColumns) -> Array:
     """Combinations of columns and constants that none of the others make up, orthonormal, (q, r).
 
     Args:
-        given: Products of the question's columns, a constant of every channel, residuals and ones.
-        question: Which columns are what.
+        products: Of the tested columns, a constant of every channel, residuals and ones.
+        columns: Their order.
     """
-    q, channels = given.unknowns, given.products.shape[1]
-    base = channels + question.base  # constants come first
-    squares = np.roll(given.products[0, :, :q, :q].sum(axis=0), channels, axis=(0, 1))
+    q, channels = products.unknowns, products.products.shape[1]
+    base = channels + columns.base  # constants come first
+    squares = np.roll(products.products[0, :, :q, :q].sum(axis=0), channels, axis=(0, 1))
     scale = _scales(squares)
     first, across, left = _beside(squares * np.outer(scale, scale), base)
     rest = _orthonormal(left)
@@ -302,106 +187,100 @@ def _orthonormal(squares: Array) -> Array:
     return axes[:, identifiable] / np.sqrt(spread[identifiable])
 
 
-def _tests(squares: Array, question: Question, base: int, free: int) -> list[Trace]:
+def _tests(squares: Array, columns: TestedColumns, base: int, free: int) -> list[ScoreTest]:
     """All kinds', from products of the base's columns, the kinds' and the residuals."""
     scale = _scales(squares)
     scale[-1] = 1.0
-    first, across, left = _beside(squares * np.outer(scale, scale), base)
-    every = _orthonormal(left[:-1, :-1])
-    variance = (left[-1, -1] - float(np.sum((every.T @ left[:-1, -1]) ** 2))) / free
-    variance = max(variance, TINY)
-    found, end = [], 0
-    for kind in question.kinds:
-        own = slice(end, end := end + kind)
-        mine = _orthonormal(left[own, own])
-        part = mine.T @ left[own, -1]
-        size = mine @ part
-        shift = -first @ (across[:, own] @ size)
-        found.append(
-            Trace(
+    first, across, rest = _beside(squares * np.outer(scale, scale), base)
+    whole = _orthonormal(rest[:-1, :-1]).T @ rest[:-1, -1]
+    variance = max((rest[-1, -1] - float(whole @ whole)) / free, TINY)
+    tests, end = [], 0
+    for kind in columns.kinds:
+        own, size = slice(end, end + kind), scale[base + end : base + end + kind]
+        end += kind
+        basis = _orthonormal(rest[own, own])
+        part = basis.T @ rest[own, -1]
+        shift = -first @ (across[:, own] @ (basis @ part))
+        tests.append(
+            ScoreTest(
                 square=float(part @ part) / variance,
-                count=mine.shape[1],
+                count=basis.shape[1],
                 free=free,
-                size=size * scale[base:][own],
-                shift=(shift * scale[:base])[base - question.base :],
-                alone=_alone(left[own, own], left[own, -1], scale[base:][own], variance),
+                size=basis @ part * size,
+                shift=(shift * scale[:base])[base - columns.base :],
+                alone=_alone(rest[own, own], rest[own, -1], size, variance),
             )
         )
-    return found
+    return tests
 
 
-def _alone(squares: Array, across: Array, scale: Array, variance: float) -> Alone:
+def _alone(squares: Array, across: Array, scale: Array, variance: float) -> SingleEffect:
     """Of products of a kind's columns, (k, k), and with the residuals, (k,), beside the base."""
     length = np.diagonal(squares)
     known = length > IMITATED
     explained = np.divide(across**2, length, out=np.zeros(len(length)), where=known)
     k = int(explained.argmax())
     if not known[k]:
-        return Alone(0.0, k, 0.0, np.inf)
+        return SingleEffect(0.0, k, 0.0, np.inf)
     size, sigma = np.array([across[k], np.sqrt(variance * length[k])]) * scale[k] / length[k]
-    return Alone(float(explained[k]) / variance, k, float(size), float(sigma))
+    return SingleEffect(float(explained[k]) / variance, k, float(size), float(sigma))
 
 
-def calibrated(found: Sequence[Trace], made: Sequence[Sequence[Trace]]) -> tuple[float, ...]:
-    """Chances of traces, held against those in made noise.
+def calibrated(
+    tests: Sequence[ScoreTest], replicas: Sequence[Sequence[ScoreTest]]
+) -> tuple[float, ...]:
+    """Probabilities of tests, calibrated by those of made noise.
 
     Args:
-        found: In the residuals.
-        made: In replicas of their noise.
+        tests: Of the residuals.
+        replicas: Of made noise, replica by replica.
     """
-    squares = np.array([[trace.square for trace in replica] for replica in made])
-    counts = np.array([[trace.count for trace in replica] for replica in made], dtype=float)
+    each = [[(test.square, test.count) for test in replica] for replica in replicas]
+    squares, counts = np.moveaxis(np.array(each, dtype=float), 2, 0)
     pooled = squares.sum() / max(counts.sum(), 1.0)
     scales = (squares.sum(axis=0) + PRIOR * pooled) / (counts.sum(axis=0) + PRIOR)
-    return tuple(t.chance(max(1.0, s)) for t, s in zip(found, scales, strict=True))
+    return tuple(t.chance(max(1.0, s)) for t, s in zip(tests, scales, strict=True))
 
 
 class ScoreTests:
-    """Traces in the residuals beside those in replicas of their noise."""
+    """Score tests of the residuals, calibrated by replicas of their noise where one is clear."""
 
-    def __init__(self, given: LaggedProducts, question: Question) -> None:
-        """Look at the residuals, if they can answer.
+    def __init__(self, products: LaggedProducts, columns: TestedColumns, basis: Array) -> None:
+        """Test the residuals, if rows suffice.
 
         Args:
-            given: Products of the question's columns, residuals and ones.
-            question: Which columns are what.
+            products: Of the tested columns, residuals and ones.
+            columns: Their order.
+            basis: Parameters from the unknowns that come first, (p, m).
         """
-        self._question, self._replicas, self._traces = question, None, list[Trace]()
-        if question.answerable(given):
-            self._constants = np.eye(given.products.shape[1])
-            whole = given.with_constants(self._constants)
-            self._independent = independent_columns(whole, question)
-            ((self._traces, noise),) = traces(whole, self._independent, question)
+        self._columns, self._basis, self._replicas = columns, basis, None
+        self._tests = list[ScoreTest]()
+        if columns.testable(products):
+            self._constants = np.eye(products.products.shape[1])
+            whole = products.with_constants(self._constants)
+            self._independent = independent_columns(whole, columns)
+            ((self._tests, noise),) = score_tests(whole, self._independent, columns)
             self._order = noise.order
-            if any(trace.chance(1.0) < UNCLEAR for trace in self._traces):
-                self._replicas = Replicas(noise, given)
+            if any(test.chance(1.0) < UNCLEAR for test in self._tests):
+                self._replicas = Replicas(noise, products)
 
-    def add(self, columns: Array, ones: Array, looked_at: bool = True) -> None:
-        """Go on with consecutive rows.
-
-        Args:
-            columns: Of the question, (C, rows, q).
-            ones: Where a row counts, (C, rows).
-            looked_at: Whether the rows are.
-        """
-        if self._replicas is None:
-            return
-        if looked_at:
-            self._replicas.add(columns, ones)
-        else:
-            self._replicas.pause()
+    def add(self, rows: WhitenedRows) -> None:
+        """Go on with consecutive rows."""
+        if self._replicas is not None:
+            if rows.tested:
+                self._replicas.add(rows.columns, rows.ones)
+            else:
+                self._replicas.pause()
 
     @stage("tests for faults")
-    def found(self, lead: Array) -> tuple[tuple[Trace, float], ...]:
-        """Traces of each kind, shifts as those of the parameters, and their chances in noise.
-
-        Args:
-            lead: How the unknowns that come first make up the parameters, (p, p).
-        """
-        moved = [replace(t, shift=lead @ t.shift[: lead.shape[1]]) for t in self._traces]
-        if self._replicas is None:
-            return tuple((trace, trace.chance(1.0)) for trace in moved)
-        given = self._replicas.products.with_constants(self._constants)
-        asked = given, self._independent, self._question, self._order
-        made = [each for each, _ in traces(*asked, quick=True)]
-        return tuple(zip(moved, calibrated(self._traces, made), strict=True))
+    def result(self) -> tuple[tuple[ScoreTest, float], ...]:
+        """Tests of each kind, with shifts of the parameters, and their probabilities in noise."""
+        chances = tuple(test.chance(1.0) for test in self._tests)
+        if self._replicas is not None:
+            products = self._replicas.products.with_constants(self._constants)
+            asked = products, self._independent, self._columns, self._order
+            made = [tests for tests, _ in score_tests(*asked, quick=True)]
+            chances = calibrated(self._tests, made)
+        m = self._basis.shape[1]
+        moved = (replace(test, shift=self._basis @ test.shift[:m]) for test in self._tests)
+        return tuple(zip(moved, chances, strict=True))

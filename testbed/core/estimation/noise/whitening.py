@@ -56,22 +56,21 @@ class WhitenedRows(NamedTuple):
     """Block of regressor rows and residuals, whitened to unit noise, and as measured.
 
     Attributes:
-        columns: The robot's and those beside, (C, k, q); those for tests only where they are
-            looked at.
-        looked_at: Whether they are.
-        left: What the values leave, (C, k).
+        columns: The robot's and those beside, (C, k, q); tested ones in some windows only.
+        tested: Whether tested columns are among them.
+        white: Residuals of the values, (C, k).
         ones: Where a row counts, (C, k).
-        own: What the values leave, (C, k) [N, N m].
-        further: Those beside, (C, k, s) [N or N m per unit].
-        made: Columns that made noise of the encoders gives, (C, k, r).
+        measured: Residuals of the values as measured, (C, k) [N, N m].
+        sensors: Columns beside as measured, (C, k, s) [N or N m per unit].
+        made: Columns from made noise of the encoders, (C, k, r).
     """
 
     columns: Array
-    looked_at: bool
-    left: Array
+    tested: bool
+    white: Array
     ones: Array
-    own: Array
-    further: Array
+    measured: Array
+    sensors: Array
     made: Array
 
 
@@ -80,12 +79,12 @@ class Products(NamedTuple):
 
     Attributes:
         every: Of the unknowns' columns, residuals and ones, of all rows.
-        looked_at: Of all columns, residuals and ones, of the rows that are looked at.
+        tested: Of all columns, residuals and ones, of rows with tested columns.
         noise: Of made noise of the encoders in the places of `every`; None if none is made.
     """
 
     every: LaggedProducts
-    looked_at: LaggedProducts
+    tested: LaggedProducts
     noise: LaggedProducts | None
 
 
@@ -123,7 +122,7 @@ class Whitening:
         return np.asarray(linalg.block_diag(self.white, np.eye(self.beside.unknown)))
 
     @cached_property
-    def lead(self) -> Array:
+    def basis(self) -> Array:
         """All unknowns of the columns of what is free, (p + s, m)."""
         if self.free is None:
             return self.grown
@@ -166,18 +165,18 @@ class Whitening:
         combined = np.column_stack([self.white, values])
         shown, width = _together(made.columns, self.beside.columns), made.width
         for columns, others, measured in passes.rows_beside(combined, shown):
-            further, own = others[..., width:], measured - columns[..., -1]
+            sensors, residual = others[..., width:], measured - columns[..., -1]
             ones = counted(columns, measured)
-            stack = np.concatenate([columns[..., :-1], others, own[..., None]], axis=2)
+            stack = np.concatenate([columns[..., :-1], others, residual[..., None]], axis=2)
             units = self.root[:, None, None] * stack
             p = len(values)
             yield WhitenedRows(
                 columns=np.delete(units[..., :-1], slice(p, p + width), axis=2),
-                looked_at=further.shape[2] == self.beside.width,
-                left=units[..., -1],
+                tested=sensors.shape[2] == self.beside.width,
+                white=units[..., -1],
                 ones=ones,
-                own=own,
-                further=further,
+                measured=residual,
+                sensors=sensors,
                 made=units[..., p : p + width] * ones[..., None],
             )
 
@@ -194,26 +193,26 @@ class Whitening:
             encoders: Their noise; None where none is to be made.
         """
         plate = passes.plan.layout.model == "reaction"
-        every, seen = LaggedSums(lags), LaggedSums(lags)
+        every, tested = LaggedSums(lags), LaggedSums(lags)
         noise = LaggedSums(lags if plate else 0)  # rows of joints have gaps: none is whitened
         combined, made = np.column_stack([self.white, values]), Made()
         if encoders is not None:
             made = encoders.made(passes.plan, combined)
         whole, m = passes.plan.looked_at_all, len(self.grown)
         for rows in self.rows(passes, values, made):
-            last = np.stack([rows.left, rows.ones], axis=2)
-            if rows.looked_at:
-                seen.add(np.concatenate([rows.columns, last], axis=2))
+            last = np.stack([rows.white, rows.ones], axis=2)
+            if rows.tested:
+                tested.add(np.concatenate([rows.columns, last], axis=2))
             else:
-                seen.pause()
+                tested.pause()
             if not whole:
                 every.add(np.concatenate([rows.columns[..., :m], last], axis=2))
             if made.width:
                 noise.add(self._of_noise(rows.made))
-        tested = seen.finish()
+        sums = tested.finish()
         return Products(
-            every=tested.leading(m) if whole else every.finish(),
-            looked_at=tested,
+            every=sums.leading(m) if whole else every.finish(),
+            tested=sums,
             noise=noise.finish() if made.width else None,
         )
 

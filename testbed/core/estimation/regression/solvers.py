@@ -37,17 +37,21 @@ def noise_weights(equations: NormalEquations) -> Array:
     share = len(equations.unknowns) / len(rms)
     free, weights = np.maximum(equations.used - share, 1.0), np.ones(len(rms))
     for _ in range(REWEIGHTINGS):
-        squares = equations.residual(_rough(equations, weights))
+        values = minimum_norm(equations.matrix(weights), equations.vector(weights))
+        squares = equations.residual(values)
         weights = 1 / np.maximum(squares / free, floor**2)
     return weights
 
 
-def _rough(equations: NormalEquations, weights: Array) -> Array:
-    """A solution good enough for weights, whatever the condition."""
-    matrix, vector = equations.matrix(weights), equations.vector(weights)
+def minimum_norm(matrix: Array, vector: Array) -> Array:
+    """Solution of least norm of matrix x = vector, with unit diagonal, whatever the condition.
+
+    Args:
+        matrix: Symmetric, (p, p).
+        vector: (p,).
+    """
     unit, scale = unit_diagonal(matrix)
-    values: Array = np.linalg.lstsq(unit, vector / scale, rcond=1e-13)[0] / scale
-    return values
+    return np.asarray(np.linalg.lstsq(unit, vector / scale, rcond=1e-13)[0] / scale)
 
 
 Rows = Callable[[Array], Iterator[tuple[Array, Array]]]

@@ -16,6 +16,7 @@ from testbed.core.estimation.regression.normal_equations import TINY
 from testbed.core.estimation.regression.passes import SAMPLES
 from testbed.core.estimation.regression.windows import motion_taps
 from testbed.core.estimation.selection.term_choice import held_out
+from testbed.core.estimation.settings import FIT
 
 MOSTLY = 0.8
 """Part of accelerations' square beyond the slowest filter, from which they are mostly noise."""
@@ -34,25 +35,25 @@ def with_position_filter(problem: Problem) -> tuple[Problem, tuple[Diagnostic, .
     Args:
         problem: By either method, with all terms said.
     """
-    rows, none = problem.settings.row_low_pass, (problem, ())
-    if not problem.open_filter or rows is None:
-        return none
+    rows = problem.settings.row_low_pass
+    if problem.asked.position_cutoff != FIT or problem.source.senses_kinematics or rows is None:
+        return problem, ()
     noise = _noise(problem, SLOWER[0] * rows)
     cutoffs = [times * rows for times in SLOWER if times * rows < problem.source.rate / 2]
     if not np.median(noise) > MOSTLY or not cutoffs:
-        return none
-    tried = [problem.with_settings(position_cutoff=cutoff) for cutoff in cutoffs]
+        return problem, ()
+    slower = [problem.with_settings(position_cutoff=cutoff) for cutoff in cutoffs]
     try:
-        default, *left = (held_out(each).residual + TINY for each in (problem, *tried))
+        default, *others = (held_out(each).residual + TINY for each in (problem, *slower))
     except RecordingError:  # too short to be cut into parts
-        return none
-    parts = [float(np.exp(2 * np.mean(np.log(each / default)))) for each in left]
+        return problem, ()
+    parts = [float(np.exp(2 * np.mean(np.log(each / default)))) for each in others]
     best = int(np.argmin(parts))
     if parts[best] >= BETTER:
-        return none
-    noisy = [f"'{problem.tree.names[k]}'" for k in np.flatnonzero(noise > MOSTLY)]
-    said = diagnose("encoder.filter", few(noisy), cutoffs[best], share=parts[best] ** 0.5)
-    return tried[best], (said,)
+        return problem, ()
+    noisy = few([f"'{problem.tree.names[k]}'" for k in np.flatnonzero(noise > MOSTLY)])
+    share = parts[best] ** 0.5
+    return slower[best], (diagnose("encoder.filter", noisy, cutoffs[best], share=share),)
 
 
 def _noise(problem: Problem, cutoff: float) -> Array:

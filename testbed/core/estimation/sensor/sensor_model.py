@@ -194,9 +194,11 @@ class SensorModel:
             values: By which the recording was corrected, (s,).
             fit: The last fit, of what remains.
         """
-        sigma = standard_deviations(fit.further_covariance)
+        sigma = standard_deviations(fit.sensor_covariance)
         own = self.unknowns
-        numbers = zip(own.terms, own.names, own.units, values + fit.further, sigma, strict=True)
+        numbers = zip(
+            own.terms, own.names, own.units, values + fit.sensor_values, sigma, strict=True
+        )
         return tuple(
             NuisanceEstimate(kind, name, unit, float(value), float(spread))
             for kind, name, unit, value, spread in numbers
@@ -210,7 +212,7 @@ class SensorModel:
             fit: The last fit.
         """
         kept = [k for k, name in enumerate(self.unknowns.names) if name not in self.corrected]
-        return fit.further_covariance[np.ix_(kept, kept)]
+        return fit.sensor_covariance[np.ix_(kept, kept)]
 
     def diagnostics(self, result: GaussNewtonResult) -> Iterator[Diagnostic]:
         """Calibration parameters that were asked for and are not identifiable.
@@ -239,7 +241,7 @@ class SensorModel:
         """
         sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance), TINY))
         tests = []
-        for nuisance, (trace, chance) in zip(self.tested.nuisances, fit.traces, strict=False):
+        for nuisance, (trace, chance) in zip(self.tested.nuisances, fit.score_tests, strict=False):
             moved = np.abs(trace.shift) / sigma
             coefficients, one = nuisance.coefficients(problem.layout.tree), trace.alone
             first, clearness = coefficients[one.place], trace.square - 2 * trace.count
