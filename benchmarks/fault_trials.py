@@ -116,7 +116,7 @@ def _of_the_model(tree: tb.Tree) -> Iterator[tuple[str, str, Change, tb.Tree]]:
     longer = [replace(j, offset=j.offset * (0.45 / 0.4318)) for j in tree.joints[2:]]
     wrong = replace(tree, joints=(*tree.joints[:2], *longer))
     yield "model", "upper arm 0.45 m for 0.4318 m", _of_no_robot, wrong
-    for fault, gravity in (("Moon's gravity", [0, 0, -1.62]), ("gravity upwards", [0, 0, 9.81])):
+    for fault, gravity in (("Moon's gravity", (0, 0, -1.62)), ("gravity upwards", (0, 0, 9.81))):
         yield "gravity", fault, _under(gravity), tree
 
 
@@ -193,9 +193,8 @@ def _lossy(recording: Recording) -> Recording:
 
 def _of_no_robot(recording: Recording) -> Recording:
     """Without the geometry that would give another robot away."""
-    facts = {key: value for key, value in recording.facts.items() if key != "geometry"}
-    return replace(recording, facts=facts)
+    return replace(recording, metadata=replace(recording.metadata, geometry={}))
 
 
-def _under(gravity: list[float]) -> Change:
-    return lambda r: replace(r, facts=dict(r.facts) | {"gravity": gravity})
+def _under(gravity: tuple[float, float, float]) -> Change:
+    return lambda r: replace(r, metadata=replace(r.metadata, gravity=gravity))

@@ -19,6 +19,7 @@ from benchmarks.regressor import MODELS, Case, cases, stack
 from benchmarks.timing import forget_peak, least, peak_rss
 from testbed.core.estimation.estimate import Method
 from testbed.core.parameters.rules import Model
+from testbed.core.recordings.metadata import Metadata
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import DerivedSource
 
@@ -117,7 +118,7 @@ def stored(case: Case, gigabytes: float) -> dict[str, Any]:
 
 
 def _encoders(part: Recording) -> Recording:
-    return replace(part, velocity=None, acceleration=None, truth=None, facts={})
+    return replace(part, velocity=None, acceleration=None, truth=None, metadata=Metadata())
 
 
 def main(

@@ -18,6 +18,7 @@ from benchmarks.inverse_recordings import RATE
 from benchmarks.judged_mappings import MARKS
 from benchmarks.lines import print_lines
 from testbed.core.base.diagnostics import sentences
+from testbed.core.recordings.metadata import Metadata
 from testbed.importing.check.check import assess
 from testbed.importing.check.remedies import with_lines
 from testbed.importing.convert import pieces
@@ -92,7 +93,7 @@ def recorded(real: tb.Recording, mapping: dict[str, Any]) -> tb.Recording:
     for kind in ("position", "torque"):
         values = real.measured(kind)[:, [int(column) for column in mapping[kind]["columns"]]]
         signals[kind] = joint_signal(kind, SignalTable(**mapping[kind]), None, values)
-    return tb.Recording(real.names, time, **signals, facts={"mapping": mapping})
+    return tb.Recording(real.names, time, **signals, metadata=Metadata(mapping=mapping))
 
 
 def main() -> None:

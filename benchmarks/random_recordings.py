@@ -11,6 +11,7 @@ import numpy as np
 
 import testbed as tb
 from testbed.core.base.arrays import Array
+from testbed.core.recordings.metadata import NO_METADATA
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.lab.experiment.motions import motion_of
 from testbed.lab.instruments.chain import Instrument, measure
@@ -118,4 +119,6 @@ def recorded(
         faults: What is wrong with the instrument.
     """
     time, truth, tare = happened(tree, motion, seconds, seed)
-    return measure(instrument(noise, faults), tree.names, time, truth, tare, {}, seed).blind()
+    return measure(
+        instrument(noise, faults), tree.names, time, truth, tare, NO_METADATA, seed
+    ).blind()

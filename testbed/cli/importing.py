@@ -172,9 +172,9 @@ def import_(
     significance = {True: " (corrected)" if align else "", False: ", not significant"}
     clocks = [each.diagnostic().text + significance[each.matters] for each in report.offsets]
     paths = [str(path) for path in save_pieces(recordings, out, force=force)]
-    imports = [recording.facts["import"] for recording in recordings]
+    imports = [recording.metadata.report for recording in recordings]
     if as_json:
-        document = {"import": imports if cuts else imports[0], "clocks": clocks}
+        document: dict[str, object] = {"import": imports if cuts else imports[0], "clocks": clocks}
         document["diagnostics"] = [each.as_dict() for each in checked]
         if cuts:
             document |= {"recordings": paths, "cuts": [each.text for each in cuts]}

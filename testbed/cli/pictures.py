@@ -14,7 +14,7 @@ from testbed.cli.identifications import ConsistentBodies
 from testbed.cli.opening import corrected_source, opened
 from testbed.cli.options import Fields, Force, check_outputs, command, ending
 from testbed.cli.reading import Reading
-from testbed.core.base.diagnostics import Diagnostic, diagnose, of_recording, ordered
+from testbed.core.base.diagnostics import Diagnostic, diagnose, ordered
 from testbed.core.base.file_kinds import expecting
 
 if TYPE_CHECKING:
@@ -260,5 +260,5 @@ def _judged_on(run: Run, path: Path, reading: Reading) -> Run:
     assert run.model is not None
     held = replace(reading.with_lock(run.model), model=run.model.path)
     _, other, doubted = _loaded(path, held)
-    said = (*of_recording(other.facts), *doubted)
+    said = (*other.metadata.diagnostics, *doubted)
     return validated(run, other).with_diagnostics(replace(d, recording=path.name) for d in said)

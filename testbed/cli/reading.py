@@ -298,8 +298,8 @@ class Reading:
             source: The recording.
             alone: Only the one of --sensor: with all that it carries.
         """
-        places = source.facts.get("sensors")
-        if not isinstance(places, Mapping) or "sensors" not in source.signals:
+        places = source.metadata.sensors
+        if "sensors" not in source.signals:
             return self
         sensor = self.sensor
         if sensor is None and len(places) == 1 and not {"wrench", "torque"} & {*source.signals}:
@@ -341,7 +341,7 @@ class Reading:
         """
         from testbed.view.output import Progress
 
-        if "mapping" not in source.facts:
+        if source.metadata.mapping is None:
             return ()
         from testbed.importing.check.check import check_recording
 

@@ -151,7 +151,7 @@ def _recorded(files: list[Path], mapping: Path, reading: Reading, *, force: bool
     words = ["identify", taken, "--model", robot]
     if recordings[0].wrench is not None:  # the plate's frame and clock are known to a sigma only
         words += ["--set", 'identification.nuisances=["pose","skew"]']
-    imported = ImportReport.from_dict(recordings[0].facts["import"]).diagnostics
+    imported = ImportReport.from_dict(recordings[0].metadata.report).diagnostics
     said = [*cuts, *imported, *report.diagnostics]
     output.print_lines(
         [f"{listed}: testbed {shlex.join(map(str, words))}"],

@@ -105,7 +105,7 @@ def pieces(
 ) -> tuple[tuple[Recording, ...], list[Diagnostic]]:
     """Recordings that a mapping file makes, in the order of time, and where it was cut.
 
-    What was found on the way is in `facts["import"]`, what to doubt in `facts["diagnostics"]`.
+    What was found on the way is in `metadata.report`, what to doubt in `metadata.diagnostics`.
 
     Args:
         path: The mapping file, TOML; the files it names are relative to it.
@@ -387,7 +387,7 @@ def _mapped(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
 
 def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
     """What the recording's file keeps beside its columns."""
-    facts = {
+    metadata = {
         "import": encode(report),
         "mapping": mapping.model_dump(mode="json", exclude_none=True),
         "diagnostics": [each.as_dict() for each in report.diagnostics],
@@ -399,4 +399,4 @@ def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
     plates = [each for each in mapping.others.values() if isinstance(each, WrenchTable)]
     tares = [t for each in plates if (t := each.static(mapping.gravity)) is not None]
     tare = np.sum(tares, axis=0).tolist() if tares else None
-    return {"tare": tare, "facts": {name: fact for name, fact in facts.items() if fact}}
+    return {"tare": tare, "facts": {name: value for name, value in metadata.items() if value}}

@@ -191,7 +191,7 @@ def _settings(run: Run) -> dict[str, str]:
         "terms": "; ".join(choice_lines(run.estimates.values())),
         "identification": ", ".join(f"{name} {value}" for name, value in fitted.items() if value),
         "versions": ", ".join(f"{name} {number}" for name, number in versions().items()),
-        "model's SHA-256": str(recording.facts.get("model_sha256", "")),
+        "model's SHA-256": recording.metadata.model_sha256,
     }
     if run.model is not None:
         held = run.model.lock.items()

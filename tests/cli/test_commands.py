@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 import testbed as tb
 from testbed.cli.commands import app
+from testbed.core.recordings.metadata import Metadata
 from tests.helpers.command import command_line
 from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT
@@ -264,7 +265,7 @@ def test_drives_and_plate_are_calibrated_though_a_joint_rests(place: Path, tmp_p
 def test_the_verdict_is_first_and_what_it_is_about_is_validated(place: Path, out: Path) -> None:
     """Of the file as prior, or by least squares where a person asks for that."""
     tree = robot("puma")
-    slow = replace(measured(tree, 5, speed=0.1), wrench=None, facts={"mapping": {}})
+    slow = replace(measured(tree, 5, speed=0.1), wrench=None, metadata=Metadata(mapping={}))
     slow.save(out / "slow.parquet")
     for held, more in (("posterior", ""), ("plain", "--plain")):
         words = f"identify {out / 'slow.parquet'} {ROBOT} {more}"

@@ -22,6 +22,7 @@ from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.dynamics.newton_euler import base_wrench, joint_forces
 from testbed.core.estimation.estimate import METHODS, SIGNAL_OF
 from testbed.core.estimation.regression.windows import row_weights
+from testbed.core.recordings.metadata import Metadata
 from testbed.core.robot.inertia import NOTHING
 from testbed.lab.experiment import carry_out as module
 from testbed.lab.experiment.carry_out import unseen, validated
@@ -159,13 +160,13 @@ def test_one_signal_is_enough_for_one_method_and_its_metrics() -> None:
 
 def test_a_run_is_judged_under_the_gravity_of_its_recording_with_the_warnings_of_both() -> None:
     """Else a robot on a slope, or on the moon, is called wrong by its own truth."""
-    moon, tree = [0.3, 0.0, -1.6], robot("puma")
+    moon, tree = (0.3, 0.0, -1.6), robot("puma")
     there = ideal(tree.with_gravity(moon))
-    run = run_of(tree, replace(there, facts={"gravity": moon}), experiment())
+    run = run_of(tree, replace(there, metadata=Metadata(gravity=moon)), experiment())
     assert run.metrics["external_max_relative_error"] < 1e-9
     assert run.metrics["internal_max_relative_error"] < 1e-9
     hot = Diagnostic("note", "hot motor")
-    there = replace(noisy(ideal(tree)), facts={"diagnostics": [hot.as_dict()]})
+    there = replace(noisy(ideal(tree)), metadata=Metadata(diagnostics=(hot,)))
     odd = Diagnostic("note", "odd model")
     said = run_of(replace(tree, diagnostics=(odd,)), there).diagnostics
     assert {odd, hot} <= set(said)

@@ -22,6 +22,7 @@ from testbed.bodies.shapes.appearance import load_shapes
 from testbed.core.base.codec import json_text
 from testbed.core.base.errors import ExperimentError, InfeasibleMotion, TestbedError
 from testbed.core.estimation.estimate import METHODS, Estimate
+from testbed.core.recordings.metadata import Metadata
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.excite import excite, frequencies_of
 from testbed.lab.experiment.experiment_robot import model_of
@@ -261,7 +262,7 @@ def test_a_result_validates_to_the_same_bits(tmp_path: Path) -> None:
     gear = {"gear": {"matrix": [[40, 0, 0], [0, 20, 10], [0, -30, 0]]}}
     puma = ModelFile(MODELS["puma"])
     coupled = measured(puma.tree(), 1, duration=6)
-    coupled = replace(coupled, facts={"mapping": gear | {"joints": list(coupled.names)}})
+    coupled = replace(coupled, metadata=Metadata(mapping=gear | {"joints": list(coupled.names)}))
     geared = tb.identify(puma.tree(), coupled, "internal")
     document = identified_result([geared], puma, RecordingTables.of([])).document()
     path.write_bytes(json_text(document))
@@ -402,7 +403,7 @@ def test_a_run_from_rest_to_rest_is_recorded_whole_and_counts_in_its_middle() ->
     recording = tb.record(resting)
     step, lead = 1 / recording.rate, -recording.time[0]
     assert recording.time[-1] == pytest.approx(4.0 + lead - step)  # two periods come nearest
-    assert recording.facts["counted"] == [0.0, 4.0]
+    assert recording.metadata.counted == (0.0, 4.0)
     speed = np.abs(np.gradient(recording.position, step, axis=0)).max(axis=1)
     assert max(speed[:20].max(), speed[-20:].max()) < 5e-3 * speed.max()
     wanted = motion_of(resting, robot_of(resting)).at(recording.time + step / 2).q

@@ -6,6 +6,7 @@ import numpy as np
 
 import testbed as tb
 from testbed.core.base.arrays import Array
+from testbed.core.recordings.metadata import NO_METADATA
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.core.robot.drive_torque import drive_torque
 from testbed.lab.instruments.chain import Instrument, measure
@@ -72,7 +73,7 @@ def clean(tree: tb.Tree, seed: int, *, duration: float = 20.0, rate: float = 500
         rate=rate, encoder_resolution=1e-4, encoder_noise=1e-4, torque_noise=0.5, force_noise=0.5,
         moment_noise=0.1,
     )  # fmt: skip
-    return measure(usual, tree.names, states.t, truth, tare, {}, seed)
+    return measure(usual, tree.names, states.t, truth, tare, NO_METADATA, seed)
 
 
 def random_fourier(tree: tb.Tree, rng: np.random.Generator, speed: float) -> tb.Fourier:

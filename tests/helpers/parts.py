@@ -25,4 +25,4 @@ def write_parts(parts: Iterable[Recording], path: Path) -> None:
         for part in whole:
             yield part.columns() | part.true_columns()
 
-    write_table(path, first.units(), first.metadata, columns())
+    write_table(path, first.units(), first.header, columns())

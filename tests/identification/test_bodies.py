@@ -36,6 +36,7 @@ from testbed.core.estimation.estimate import METHODS, Estimate, Method
 from testbed.core.estimation.problem import Problem
 from testbed.core.parameters.pseudo_inertia import coordinates, matrices, parameters
 from testbed.core.parameters.symbols import to_barycentric
+from testbed.core.recordings.metadata import Metadata
 from testbed.core.robot.drive_torque import drive_torque
 from testbed.core.robot.rigid_matter import inertia_flaw
 from testbed.lab.experiment.evaluate import wrong_bodies
@@ -353,7 +354,7 @@ def test_a_simulated_recording_has_no_prior() -> None:
     """Its model file is the truth."""
     tree = robot("puma")
     recording = measured(tree, 5, duration=5.0)
-    real = replace(recording, facts={"mapping": {}})
+    real = replace(recording, metadata=Metadata(mapping={}))
     made = [analyse(tree, each, methods=["external"]).posterior for each in (recording, real)]
     assert [set(each) for each in made] == [set(), {"external"}]
 

@@ -32,6 +32,7 @@ from testbed.core.estimation.estimate import METHODS
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import drive_filter
 from testbed.core.estimation.selection.folds import Folds
+from testbed.core.recordings.metadata import Metadata
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.core.robot.friction import SLOPE, VARYING, WARM_VISCOUS, joint_law
 from testbed.importing.check.time_offset import delivered
@@ -415,7 +416,7 @@ def test_what_motors_give_moves_rotors(torque: str, kind: str, tmp_path: Path) -
         text = text.replace('unit = "rad"', 'unit = "rad"\nside = "motor"')
         text += "[gear]\nratio = [50, 50]\n"
     recording = imported(tmp_path, f"{text}\n{warm}")
-    assert recording.facts["effort"] == dict.fromkeys(recording.names, kind)
+    assert recording.metadata.effort == dict.fromkeys(recording.names, kind)
     np.testing.assert_allclose(recording.measured("temperature"), log.w[:, :2], atol=1e-12)
 
 
@@ -426,7 +427,7 @@ def test_rotors_are_the_cause_of_torques_that_lead_no_longer_beside_them() -> No
     found = tb.identify(tree, geared, "internal").diagnostics
     (told,) = (said for said in found if said.code == "torque.delay")
     assert told.causes[0] == "rotor"
-    motors = replace(geared, facts={"effort": dict.fromkeys(tree.names, "current")})
+    motors = replace(geared, metadata=Metadata(effort=dict.fromkeys(tree.names, "current")))
     right = tb.identify(tree, motors, "internal")
     assert "rotor/j6" in right.names
     assert not right.doubtful

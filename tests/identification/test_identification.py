@@ -28,6 +28,7 @@ from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Method
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import ROW_ATTENUATION, low_pass, motion_taps
 from testbed.core.estimation.selection.term_choice import choose_terms
+from testbed.core.recordings.metadata import Metadata
 from testbed.core.recordings.views import with_base_joints
 from testbed.core.robot.free_base import coordinates
 from testbed.core.robot.free_root import on_free_base
@@ -175,9 +176,9 @@ def test_a_recording_that_cannot_be_filtered_is_refused(puma: tb.Tree, tmp_path:
 
 def test_the_gravity_of_the_recording_counts(puma: tb.Tree) -> None:
     """Recorded on a leaning moon, identified with a model file that says earth."""
-    moon = [0.3, -0.2, -1.62]
+    moon = (0.3, -0.2, -1.62)
     there = ideal(puma.with_gravity(moon))
-    said, lies = (replace(there, facts={"gravity": g}) for g in (moon, [0.0, 0.0, -9.81]))
+    said, lies = (replace(there, metadata=Metadata(gravity=g)) for g in (moon, (0.0, 0.0, -9.81)))
     truth = true_values(puma.with_gravity(moon), "external")
     for recording, gravity in ((said, None), (there, moon), (lies, moon)):
         found = tb.identify(puma, recording, gravity=gravity, settings=EXACT)
@@ -297,9 +298,8 @@ def test_as_accurate_as_lstsq_up_to_a_condition_of_a_million(exponent: int) -> N
 def test_rotors_of_the_file_are_terms_and_bodies_come_out_right(geared: int, puma: tb.Tree) -> None:
     """Simulated or imported."""
     tree = puma.with_joints({name: {"rotor_inertia": 0.3} for name in puma.names[:geared]})
-    several: tuple[dict[str, Any], ...] = ({}, {"mapping": {}})
-    for facts in several:
-        recording = replace(ideal(tree), truth=None, facts=facts)
+    for metadata in (Metadata(), Metadata(mapping={})):
+        recording = replace(ideal(tree), truth=None, metadata=metadata)
         found = tb.identify(tree, recording, "internal", settings=EXACT)
         assert found.drives is not None
         rotors = [t.joint for t in found.drives.asked if t.law.kind == "rotor"]

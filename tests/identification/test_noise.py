@@ -41,6 +41,7 @@ from testbed.core.estimation.noise.noise_model import (
     period_of,
 )
 from testbed.core.estimation.noise.whitening import WhitenedRows
+from testbed.core.recordings.metadata import three
 from testbed.core.robot.rotations import from_vector
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured
@@ -414,8 +415,8 @@ def test_a_plate_that_is_not_level_is_named() -> None:
     leaning = tree.with_gravity(from_vector([0.02, 0, 0]) @ tree.gravity)
     for actual, said in ((leaning, True), (tree, False)):
         made = noisy(ideal(actual, duration=20.0), size=0.02)
-        facts = {**made.facts, "gravity": tree.gravity.tolist()}
-        found = tb.identify(tree, replace(made, facts=facts))
+        metadata = replace(made.metadata, gravity=three(tree.gravity))
+        found = tb.identify(tree, replace(made, metadata=metadata))
         assert any("level" in each.causes for each in found.diagnostics) == said
 
 

@@ -16,13 +16,14 @@ import pytest
 
 import testbed as tb
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, of_recording
+from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.estimation.estimate import METHODS, Method
 from testbed.core.estimation.problem import samples_of
 from testbed.core.estimation.regression.windows import make_plan
 from testbed.core.kernel import numba_engine
 from testbed.core.kernel.layout import layout
+from testbed.core.recordings.metadata import Metadata
 from testbed.core.recordings.source import Stretch
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.measured import measured
@@ -191,7 +192,7 @@ def test_what_does_not_count_changes_nothing(tmp_path: Path) -> None:
     wild = np.full((whole.samples, 6), 100.0)
     wild[inner] = 0.0
     upset = plus(whole, wrench=wild)
-    said = replace(upset, facts={**upset.facts, "counted": span})
+    said = replace(upset, metadata=replace(upset.metadata, counted=(1.5, 6.5)))
     said.save(tmp_path / "said.parquet")
     same(tb.identify(tree, upset, settings=tb.Settings(span=span)), wanted)
     for source in (said, tmp_path / "said.parquet"):
@@ -200,9 +201,8 @@ def test_what_does_not_count_changes_nothing(tmp_path: Path) -> None:
     assert (both.samples, both.part(0, 1).time[0]) == (round(4 * said.rate), pytest.approx(1.0))
     with refuses(RecordingError, "50", "60", "span"):
         samples_of(whole, tb.Settings(span=[50.0, 60.0]))
-    replace(whole, facts={**whole.facts, "counted": ["a", 2]}).save(tmp_path / "wrong.parquet")
-    with refuses(RecordingError, "counted"):
-        tb.Recording.load(tmp_path / "wrong.parquet")
+    with refuses(ValueError, "counted"):
+        Metadata.parse({"counted": ["a", 2]})
 
 
 def runs_of(tree: tb.Tree, *seeds: int, duration: float = 12.0) -> list[tb.Recording]:
@@ -232,8 +232,10 @@ def test_a_stretch_of_joined_recordings_has_their_gaps(puma: tb.Tree) -> None:
     words = ("a gap", "both"), ("both", "late")
     tables = [[Diagnostic("note", text).as_dict() for text in each] for each in words]
     parts = zip(runs_of(puma, 1, 2, duration=2.0), tables, strict=True)
-    both = tb.Joined([replace(part, facts={"diagnostics": table}) for part, table in parts])
-    assert [each.text for each in of_recording(both.facts)] == ["a gap", "both", "late"]
+    both = tb.Joined(
+        [replace(part, metadata=Metadata.parse({"diagnostics": table})) for part, table in parts]
+    )
+    assert [each.text for each in both.metadata.diagnostics] == ["a gap", "both", "late"]
     (_, end), (begin, last) = both.segments
     assert Stretch(both, 100, last - 50).segments == ((0, end - 100), (begin - 100, last - 150))
     assert Stretch(both, end, last).segments == ((begin - end, last - end),)
@@ -246,7 +248,7 @@ def test_recordings_that_do_not_belong_together_are_refused(puma: tb.Tree) -> No
     for other, culprit in (
         (measured(robot("ur5"), 1, duration=3.0), "robot"),
         (measured(puma, 1, duration=3.0, rate=100.0), "rate"),
-        (replace(one, facts={"gravity": [0.0, 0.0, -1.6]}), "gravity"),
+        (replace(one, metadata=Metadata(gravity=(0.0, 0.0, -1.6))), "gravity"),
         (replace(one, tare=None), "pedestal"),
     ):
         with refuses(RecordingError, culprit):

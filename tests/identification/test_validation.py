@@ -27,6 +27,7 @@ from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Estimate, Metho
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import ROWS_PER_CUTOFF, row_weights
 from testbed.core.kernel.records import REST_VARIANCE
+from testbed.core.recordings.metadata import Metadata, three
 from testbed.core.robot.friction import LAWS
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
@@ -163,7 +164,7 @@ def test_lasting_faults_are_taken_back_and_passing_ones_are_told(puma: tb.Tree) 
 def test_what_does_not_fit_together_is_refused(puma: tb.Tree) -> None:
     estimate, other = tb.identify(puma, ideal(puma), settings=EXACT), ideal(puma, seed=2)
     said = summary_of(estimate)
-    tilted = replace(other, facts={"gravity": [9.81, 0.0, 0.0]})
+    tilted = replace(other, metadata=Metadata(gravity=(9.81, 0.0, 0.0)))
     for kind, culprit, recording, said_so, settings in (
         (SettingsError, "K3xy", other, estimate, replace(EXACT, zeros=True)),
         (RecordingError, "wrench", without(other, "wrench"), estimate, EXACT),
@@ -187,7 +188,7 @@ CASES: tuple[dict[str, Any], ...] = (
     {"velocity": None},
     {"acceleration": None},
     {"velocity": None, "acceleration": None},
-    {"facts": {"gravity": MOON.tolist()}},
+    {"metadata": Metadata(gravity=three(MOON))},
 )
 
 
@@ -197,7 +198,7 @@ CASES: tuple[dict[str, Any], ...] = (
 def test_predictions_leave_residuals(case: dict[str, Any], rng: Rng, treated: tb.Settings) -> None:
     """Whatever was sensed, tared and under whose gravity; about the mean beside a constant."""
     tree = random_robot(rng, int(rng.integers(2, 6))).tree()
-    there = tree.with_gravity(MOON) if "facts" in case else tree
+    there = tree.with_gravity(MOON) if "metadata" in case else tree
     recording = replace(noisy(ideal(there, duration=20.0)), **case)
     treated = replace(treated, terms=EVERY[: int(rng.integers(8))])
     for method in METHODS:

@@ -17,6 +17,7 @@ import testbed as tb
 from docs.instruments import catalogue
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError, TestbedError
+from testbed.core.recordings.metadata import NO_METADATA
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.lab.instruments.chain import Instrument, measure, measured_again
 from testbed.lab.instruments.error_chain import apply_chain, stream
@@ -47,7 +48,7 @@ def truth(size: float = 1.0) -> Truth:
 
 def seen(*faults: SensorError, what: Truth | None = None, base: Instrument = NOISY) -> Recording:
     instrument = replace(base, fault=faults)
-    return measure(instrument, NAMES, TIME, what or truth(), TARE, {}, seed=SEED)
+    return measure(instrument, NAMES, TIME, what or truth(), TARE, NO_METADATA, seed=SEED)
 
 
 def wrench(recording: Recording) -> Array:

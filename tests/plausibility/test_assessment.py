@@ -23,6 +23,7 @@ import testbed as tb
 from benchmarks.inverse_recordings import RATE, truth
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
+from testbed.core.recordings.metadata import Metadata
 from testbed.core.recordings.views import with_base_joints
 from testbed.core.robot.free_base import FREE, coordinates, poses
 from testbed.core.robot.rotations import to_rpy
@@ -83,7 +84,7 @@ def plate(force: float = 1, moment: float = 1, order: tuple[int, ...] = (0, 1, 2
 
 def as_degrees(r: tb.Recording) -> tb.Recording:
     """Radians that the mapping takes for degrees; its offsets are in radians all the same."""
-    said = np.array(r.facts.get("mapping", {}).get("position", {}).get("offset", 0.0))
+    said = np.array((r.metadata.mapping or {}).get("position", {}).get("offset", 0.0))
     return replace(r, position=np.deg2rad(r.position - said) + said)
 
 
@@ -145,7 +146,7 @@ def test_a_wrong_mapping_is_refused_with_the_line_that_cures_it(mistake: str) ->
     assert [line[:2] for line in lines] == [line[:2] for line in wanted]
     for (_, _, value), (_, _, expected) in zip(lines, wanted, strict=True):
         if expected is None:  # a quarter turn less than the mapping of a real robot says
-            said = np.array(recording.facts["mapping"]["position"]["offset"], dtype=float)
+            said = np.array((recording.metadata.mapping or {})["position"]["offset"], dtype=float)
             said[2] -= QUARTER
             np.testing.assert_allclose(value, said, atol=1e-3)
         else:
@@ -336,8 +337,8 @@ def test_a_robot_on_a_base_that_moves_is_held_against_its_model_as_others_are() 
         (of_joint(1, position=-1), {}, [("position", "sign", [1, -1, 1])]),
     ]
     for spoil, mapping, wanted in cases:
-        told = {"mapping": {"joints": list(recording.names), **mapping}}
-        found = assess(free, with_base_joints(replace(spoil(recording), facts=told)))
+        told = Metadata(mapping={"joints": list(recording.names), **mapping})
+        found = assess(free, with_base_joints(replace(spoil(recording), metadata=told)))
         assert [line for each in found.remedies for line in each.lines] == wanted
         assert found.certain
     welded = tb.Tree(

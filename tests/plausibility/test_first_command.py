@@ -108,7 +108,7 @@ def test_an_ordinary_log_is_taken_without_a_line_by_hand(
     assert done.returncode == 0, (style, done.stderr)
     recording = tb.Recording.load(folder / "log.parquet")
     assert recording.names == NAMES
-    assert recording.facts["mapping"]["lock"] == {"finger_1": 0.0}
+    assert (recording.metadata.mapping or {})["lock"] == {"finger_1": 0.0}
     at = np.round(np.interp(recording.time, log["t"], np.arange(len(log["t"])))).astype(int)
     np.testing.assert_allclose(recording.position, log["position"][at], atol=1e-4)
     np.testing.assert_allclose(recording.measured("torque"), log["torque"][at], atol=1e-4)
@@ -141,9 +141,9 @@ def test_encoders_that_wrap_are_unwrapped_and_a_step_is_named(tmp_path: Path) ->
     recording = tb.Recording.load(tmp_path / "log.parquet")
     apart = recording.position[:, 5] - true[: recording.samples, 5]
     np.testing.assert_allclose(apart, apart[0], atol=1e-9)
-    said = {each["code"]: each for each in recording.facts["diagnostics"]}
-    assert said["position.step"]["subject"] == NAMES[4]
-    assert said["position.step"]["value"] == pytest.approx(np.deg2rad(3), rel=0.02)
+    said = {each.code: each for each in recording.metadata.diagnostics}
+    assert said["position.step"].subject == NAMES[4]
+    assert said["position.step"].value == pytest.approx(np.deg2rad(3), rel=0.02)
     assert "position.unwrapped" in said
     first = next(line for line in (done.stdout + done.stderr).splitlines() if "warning" in line)
     assert NAMES[4] in first

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import of_recording
 from testbed.core.base.errors import RecordingError
 from testbed.core.recordings.repeats import held_share, without_repeated_poses
 from testbed.core.recordings.source import open_source
@@ -69,7 +68,7 @@ def test_offsets_skews_and_delays_are_taken_back_on_a_common_grid(logs: Logs) ->
     """Of 500, 5000, 333 and 1000 Hz; a plate that is 2 ms ahead and 100 ppm slow, or 15 ms late."""
     logs.write(CLOCK, np.arange(0.01, 4, 1 / 5000))
     assert logs.off() < 2e-5
-    signals = logs.recording().facts["import"]["signals"]
+    signals = logs.recording().metadata.report["signals"]
     assert (signals["position"]["low_pass"], signals["wrench"]["low_pass"]) == (False, True)
     logs.write(CLOCK, np.arange(0, 4, 1 / 333))
     assert logs.off(rate="1000") < 1e-6
@@ -105,22 +104,22 @@ def test_stamps_that_jitter_and_samples_that_are_held_are_said_and_cured(logs: L
     true = np.arange(0, 8, 4e-3)
     stamps = true + 1e-3 * rng.uniform(-1, 1, len(true))
     logs.write(true, true, stamps)
-    (said,) = of_recording(logs.recording(rate="250").facts)
+    (said,) = logs.recording(rate="250").metadata.diagnostics
     assert said.code == "import.jitter"
     assert logs.off(rate="250", plate="steady = true") < logs.off(rate="250") / 10
     gone = np.delete(np.arange(len(true)), slice(900, 1000))
     logs.write(true, true[gone], stamps[gone])
     with refuses(RecordingError, "plate"):  # no steady device has gaps
         logs.recording(rate="250", plate="steady = true")
-    every = of_recording(logs.recording(rate="250", plate="max_gap = 1").facts)
+    every = logs.recording(rate="250", plate="max_gap = 1").metadata.diagnostics
     (jitter,) = (each for each in every if each.code == "import.jitter")
     assert "steady" not in jitter.remedy  # nor is it advised
     for times in (2, 3):
         logs.write(CLOCK, CLOCK, times=times)
-        facts = logs.recording().facts
-        share = facts["import"]["signals"]["wrench"]["held"]
+        metadata = logs.recording().metadata
+        share = metadata.report["signals"]["wrench"]["held"]
         assert share == pytest.approx(1 - 1 / times, abs=0.01)
-        assert of_recording(facts)[0].code == "import.held"
+        assert metadata.diagnostics[0].code == "import.held"
         assert logs.off(plate="drop_held = true") < logs.off() / 100
     moving = rng.normal(size=(500, 2))
     rests = np.concatenate([moving, np.repeat(moving[-1:], 200, axis=0), moving])
@@ -132,7 +131,7 @@ def test_gaps_are_bridged_or_cut_and_time_that_repeats_or_runs_back_is_named(log
     for shown, what in ((np.delete(CLOCK, slice(800, 820)), "gaps"),
                         (np.sort(np.append(CLOCK, CLOCK[100])), "repeated")):  # fmt: skip
         logs.write(CLOCK, shown)
-        assert logs.recording().facts["import"]["clocks"]["plate"][what] == 1
+        assert logs.recording().metadata.report["clocks"]["plate"][what] == 1
     back, twice = CLOCK.copy(), CLOCK.copy()
     back[[500, 501]], twice[501] = back[[501, 500]], twice[500]
     for shown in (back, twice):

@@ -114,5 +114,5 @@ def test_a_right_velocity_is_taken_and_a_robot_at_rest_says_nothing(tmp_path: Pa
         data = log(tmp_path, noise=noise)
         moved = {kind: share * data[kind] for kind in ("position", "velocity")}
         np.savez(tmp_path / "log.npz", **data | moved)
-        told = imported(tmp_path, mapping()).facts["import"]["signals"]["velocity"]
+        told = imported(tmp_path, mapping()).metadata.report["signals"]["velocity"]
         assert bool(told["diagnostics"]) == doubted

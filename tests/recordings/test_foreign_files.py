@@ -62,12 +62,12 @@ def test_a_format_is_read_back_guessed_and_refused_where_it_is_damaged(
         for signal, wanted in (("position", log.q), ("torque", log.tau), ("wrench", log.w)):
             exact = wanted.astype(np.float32) if name == "c3d" else wanted
             np.testing.assert_array_equal(found.measured(signal), exact)
-        assert found.facts.get("diagnostics") is None
+        assert found.metadata.diagnostics == ()
     data = file.read_bytes()
     file.write_bytes(data[: len(data) // 3])
     if name == "csv":  # a logger that was stopped
         short = tb.import_recording(tmp_path / "map.toml")
-        assert [d["code"] for d in short.facts["diagnostics"]] == ["import.incomplete"]
+        assert [d.code for d in short.metadata.diagnostics] == ["import.incomplete"]
         np.testing.assert_array_equal(short.position, log.q[: short.samples])
         file.write_bytes(data[: len(data) // 3] + b",\n" + data[len(data) // 3 :])
     with refuses(RecordingError, "log."):

@@ -76,7 +76,7 @@ def test_signs_gains_offsets_matrices_and_gears_are_applied(
     same(found.position, log.q / [30, -45])
     same(found.torque, log.tau)
     found = imported(tmp_path, text.replace(ANGLES, 'unit = ["deg", "mm"]'))
-    kinds = [each["kind"] for each in found.facts["geometry"].values()]
+    kinds = [each.kind for each in found.metadata.geometry.values()]
     assert (kinds, found.units()["position/j2"]) == (["revolute", "prismatic"], "m")
 
 
@@ -93,9 +93,9 @@ def test_a_wrench_is_taken_to_the_bedplate(text: str, tmp_path: Path, log: Log) 
         made = imported(tmp_path, said.replace(FORCES, '["kN", "N cm"]'))
         found = made.measured("wrench") @ np.concatenate([speed, spin])
         np.testing.assert_allclose(found, sign * power, rtol=1e-12)
-        assert made.facts["gravity"] == [0, 0, -9.8]
+        assert made.metadata.gravity == (0, 0, -9.8)
         assert np.asarray(made.tare).tolist() == [1, 2, 98, 0, 0, 4]
-        assert made.facts["mapping"]["wrench"]["sense"] == sense
+        assert (made.metadata.mapping or {})["wrench"]["sense"] == sense
 
 
 def test_what_the_file_says_of_units_is_held_against_the_mapping(tmp_path: Path, log: Log) -> None:

@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 import testbed as tb
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import of_recording
 from testbed.core.base.errors import RecordingError
 from testbed.importing.convert import pieces
 from testbed.importing.guess import guessed
@@ -138,7 +137,7 @@ def test_samples_without_numbers_are_bridged_and_counted_and_longer_ones_are_cut
         found = recorded(path)
         is_right(found, atol=2e-4)
         lost = np.isnan(values).any(axis=1).sum()
-        text = " ".join(each.text for each in of_recording(found.facts))
+        text = " ".join(each.text for each in found.metadata.diagnostics)
         assert (f"({lost} samples)" in text) == (values is whole)
         assert bool(text) == (values is not half)
     whole[300:340] = np.nan
@@ -156,7 +155,7 @@ def test_a_signal_that_begins_late_shortens_the_recording_and_an_empty_one_is_le
     late[:200, 2:] = np.nan
     found = recorded(written(tmp_path / "log.csv", stamps, late))
     is_right(found, 2.0)
-    assert [each.code for each in of_recording(found.facts)] == ["import.shorter"]
+    assert [each.code for each in found.metadata.diagnostics] == ["import.shorter"]
     path = written(tmp_path / "log.csv", stamps, table())
     lines = path.read_text().splitlines()
     rows = (f"{line},nan," for line in lines[1:])

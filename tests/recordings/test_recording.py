@@ -16,11 +16,12 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.core.base.errors import RecordingError
-from testbed.core.recordings.columns import check_times, checked_metadata
+from testbed.core.recordings.columns import check_times
 from testbed.core.recordings.formats import parquet
 from testbed.core.recordings.geometry import TOLERANCE, check_robot, geometry
 from testbed.core.recordings.held import without as held_without
 from testbed.core.recordings.joined import Joined
+from testbed.core.recordings.metadata import Metadata
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import gathered, open_source
 from testbed.core.recordings.views import (
@@ -53,8 +54,8 @@ def tree() -> tb.Tree:
 @pytest.fixture(scope="module")
 def whole(tree: tb.Tree) -> Recording:
     made = ideal(tree, duration=10.0, rate=100.0)
-    facts = {"robot": "r", "geometry": geometry(tree)}
-    return replace(made, tare=np.arange(6.0), facts=facts)
+    metadata = Metadata(robot="r", geometry=geometry(tree))
+    return replace(made, tare=np.arange(6.0), metadata=metadata)
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +73,7 @@ def cut(whole: Recording) -> list[Recording]:
 
 
 def same(one: Recording, other: Recording) -> None:
-    assert (one.names, one.facts, one.signals) == (other.names, other.facts, other.signals)
+    assert (one.names, one.metadata, one.signals) == (other.names, other.metadata, other.signals)
     assert one.columns().keys() == other.columns().keys()
     for name, values in one.columns().items():
         np.testing.assert_array_equal(values, other.columns()[name])
@@ -86,7 +87,7 @@ def test_a_recording_without_some_joints_senses_what_it_sensed(
     """Velocities without accelerations are no analytic motion: held joints made all speeds zero."""
     for lacking in {"velocity", "acceleration"} - {*signals}:
         whole = without(whole, lacking)
-    whole = replace(whole, facts={})
+    whole = replace(whole, metadata=Metadata())
     whole.save(tmp_path / "r.parquet")
     stored = open_source(tmp_path / "r.parquet")
     fewer = held_without(stored, whole.names[:1])
@@ -103,7 +104,9 @@ def test_a_recording_comes_back_bit_for_bit_with_units(
     saved = ideal(tree, duration=1.0, rate=50.0)
     if not senses:
         saved = replace(saved, velocity=None, acceleration=None)
-    saved = replace(without(saved, lacks) if lacks else saved, facts={"geometry": geometry(tree)})
+    saved = replace(
+        without(saved, lacks) if lacks else saved, metadata=Metadata(geometry=geometry(tree))
+    )
     path = tmp_path_factory.mktemp("r") / "r.parquet"
     saved.save(path)
     loaded = Recording.load(path)
@@ -174,17 +177,17 @@ def test_columns_are_found_by_name_and_another_robots_are_refused(
     first = tree.joints[0]
 
     def told(what: str, value: Any) -> Recording:
-        said = json.loads(json.dumps(geometry(tree)))
+        said = Metadata(geometry=geometry(tree)).table()["geometry"]
         said[first.name][what] = value
-        return replace(whole, facts={"geometry": said})
+        return replace(whole, metadata=Metadata.parse({"geometry": said}))
 
-    check_robot(replace(whole, facts={}), tree)
+    check_robot(replace(whole, metadata=Metadata()), tree)
     check_robot(told("offset", [x + 0.5 * TOLERANCE for x in first.offset.tolist()]), tree)
     for what, value, culprit in (
         ("offset", [9.0, 0.0, 0.0], "[9.0, 0.0, 0.0]"),
         ("kind", "prismatic" if first.revolute else "revolute", "kind"),
         ("parent", "elsewhere", "elsewhere"),
-        ("axis", [1.0, 0.0], "[1.0, 0.0]"),
+        ("axis", [1.0, 0.0, 0.5], "[1.0, 0.0, 0.5]"),
     ):
         with refuses(RecordingError, f"'{first.name}'", culprit):
             check_robot(told(what, value), tree)
@@ -266,9 +269,9 @@ def test_damaged_files_and_metadata_are_refused_in_one_line(path: Path, tmp_path
         ("rotation", [[1, 0, 0], [0, 1], 3]),
     ]  # fmt: skip
     for key, value in joint:
-        said = {"facts": {"geometry": {"fine": {"axis": [1, 0, 0]}, "elbow": {key: value}}}}
+        said = {"geometry": {"fine": {"axis": [1, 0, 0]}, "elbow": {key: value}}}
         with refuses(ValueError, "'elbow'", key):
-            checked_metadata(said)
+            Metadata.parse(said)
 
 
 def test_recordings_as_one_have_what_all_have_and_the_first_ones_tare() -> None:
@@ -293,7 +296,7 @@ def test_a_base_that_was_measured_is_six_joints_more_in_memory_and_in_a_file(
     source = on_its_base(open_source(tmp_path / "r.parquet"), free)
     assert source.names == whole.names == (*NAMES, *recording.names)
     for first, last in ((0, 100), (100, recording.samples)):
-        same(replace(source.part(first, last), facts={}), whole.part(first, last))
+        same(replace(source.part(first, last), metadata=Metadata()), whole.part(first, last))
     assert on_its_base(whole, free) is whole
     fixed = ideal(robot("puma"), duration=1.0)
     assert on_its_base(fixed, robot("puma")) is fixed
@@ -317,8 +320,8 @@ def test_shafts_of_coupled_gears_are_named_after_their_own_joint_and_nothing_is_
     ]  # fmt: skip
     tree, recording = robot("puma"), ideal(robot("puma"), duration=1.0)
     for matrix, names, wanted in cases:
-        facts = {"mapping": {"gear": {"matrix": matrix}, "joints": names}}
-        assert coupled_shafts(facts) == wanted
-        geared = with_gear(tree, replace(recording, facts=facts))
+        mapping = {"gear": {"matrix": matrix}, "joints": names}
+        assert coupled_shafts(mapping) == wanted
+        geared = with_gear(tree, replace(recording, metadata=Metadata(mapping=mapping)))
         assert [shaft.name for shaft in geared.shafts] == list(wanted)
-    assert [coupled_shafts(facts) for facts in ({}, {"mapping": 3})] == [{}, {}]
+    assert [coupled_shafts(mapping) for mapping in ({}, {"joints": 3})] == [{}, {}]

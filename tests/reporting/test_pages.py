@@ -18,6 +18,7 @@ from testbed.core.base.diagnostics import phrase
 from testbed.core.base.summary_table import number_with_sigma
 from testbed.core.estimation.estimate import METHODS, NAMES
 from testbed.core.estimation.influence import by_influence
+from testbed.core.recordings.metadata import Metadata
 from testbed.lab.experiment.evaluate import wrong_bodies
 from testbed.lab.experiment.summary import summary, verdict
 from testbed.view.estimates import CLEAR, instrument_tables
@@ -222,7 +223,7 @@ def test_a_page_of_torques_says_nothing_of_a_plate_and_has_one_prior(tmp_path: P
     """An imported recording: its verdict first, one width of the prior, no count that differs."""
     tree = robot("puma")
     wrong = wrong_bodies(tree, 0.3, np.random.default_rng(3))
-    slow = replace(measured(tree, 5, speed=0.1), wrench=None, facts={"mapping": {}})
+    slow = replace(measured(tree, 5, speed=0.1), wrench=None, metadata=Metadata(mapping={}))
     bodies = tb.prior_of(wrong), ConsistencyOptions()
     run = tb.assemble_run(wrong, slow, name="slow", prior_error=0.2, bodies=bodies)
     assert run.consistent is not None

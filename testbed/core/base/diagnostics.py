@@ -233,21 +233,6 @@ def from_json(content: Any) -> tuple[Diagnostic, ...]:
     return tuple(decode(list[Diagnostic], content, {}))
 
 
-def of_recording(facts: Mapping[str, Any]) -> tuple[Diagnostic, ...]:
-    """What a recording keeps about itself.
-
-    Args:
-        facts: The recording's.
-
-    Raises:
-        ValueError: Its diagnostics are something else.
-    """
-    try:
-        return from_json(facts.get("diagnostics", []))
-    except ValueError:
-        raise ValueError("its 'diagnostics' are not a list of tables with code and text") from None
-
-
 class Diagnosed:
     """What has diagnostics."""
 

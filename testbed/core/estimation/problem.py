@@ -245,7 +245,7 @@ def check_source(source: Source, tree: Tree, method: Method) -> None:
     others = [other for other in METHODS if SIGNAL_OF[other] in source.signals]
     advice = "".join(f"; its {SIGNAL_OF[other]} allows the {other} one" for other in others)
     if "sensors" in source.signals:
-        named = ", ".join(map(str, source.facts.get("sensors", ())))
+        named = ", ".join(source.metadata.sensors)
         advice += f"; it has force sensors: --sensor NAME ({named})"
     raise RecordingError(
         f"the recording has no {SIGNAL_OF[method]}, which the {method} method needs{advice}"

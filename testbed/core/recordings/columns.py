@@ -8,14 +8,10 @@ Columns   time, position/JOINT, velocity/JOINT, acceleration/JOINT, torque/JOINT
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.codec import decode
-from testbed.core.base.diagnostics import of_recording
 from testbed.core.base.errors import RecordingError, plural
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -101,9 +97,6 @@ LARGEST = 1e12
 
 UNIFORM = 0.01
 """Greatest deviation of a sampling time from the others, relative."""
-
-COUNTED = "counted"
-"""Fact of a recording: from when to when its samples are for an estimate [s]."""
 
 EARLIEST, LATEST = 1e-9, 1e6
 """Sampling times that are no mistake [s]."""
@@ -205,59 +198,3 @@ def check_sampling_time(step: float, source: str) -> None:
         raise RecordingError(
             f"{source}: {step:.3g} s from sample to sample is no sampling time; time is in seconds"
         )
-
-
-Three = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class JointGeometry:
-    """Kind of a joint, its parent, and its frame in that of the parent, as far as they are said."""
-
-    kind: Literal["revolute", "prismatic"] = "revolute"
-    parent: str = ""
-    axis: Three | None = None
-    offset: Three | None = None
-    rotation: tuple[Three, Three, Three] | None = None
-
-
-@dataclass(frozen=True)
-class Facts:
-    """Facts whose form is known; others are kept as they are."""
-
-    gravity: Three | None = None
-    counted: tuple[float, float] | None = None
-    sensors: dict[str, dict[str, Any]] = field(default_factory=dict)
-    geometry: dict[str, JointGeometry] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Metadata:
-    """What a file says of its recording."""
-
-    __pydantic_config__: ClassVar[Any] = {"allow_inf_nan": False}
-    tare: tuple[float, float, float, float, float, float] | None = None
-    facts: Facts | None = None
-
-
-def checked_metadata(found: Any) -> tuple[tuple[float, ...] | None, dict[str, Any]]:
-    """What a file says of its recording: the tare, if any, and facts.
-
-    Args:
-        found: As it was read; facts of other names than those known here are kept as they are.
-
-    Returns:
-        Six numbers [N, N m], bedplate axes, or None; and the facts.
-
-    Raises:
-        ValueError: Something is not what it should be; says what.
-    """
-    try:
-        tare: tuple[float, ...] | None = decode(Metadata, found, {}).tare
-    except ValueError as error:
-        first = error.errors()[0]  # type: ignore[attr-defined]
-        place = ".".join(f"'{each}'" for each in first["loc"])
-        raise ValueError(f"its {place or 'metadata'}: {first['msg']}") from None
-    facts = found.get("facts") or {}
-    of_recording(facts)
-    return tare, facts

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.core.base.errors import RecordingError
+from testbed.core.recordings.metadata import JointGeometry, Metadata, three
 from testbed.core.robot.tree import Tree
 
 TOLERANCE = 1e-9
@@ -24,21 +25,21 @@ class Described(Protocol):
         """Joint names."""
 
     @property
-    def facts(self) -> Mapping[str, Any]:
-        """What is known about the run."""
+    def metadata(self) -> Metadata:
+        """As `Recording.metadata`."""
 
 
-def geometry(tree: Tree) -> dict[str, Any]:
-    """What a recording keeps of its robot: joints by name, with kind, axis and place."""
+def geometry(tree: Tree) -> dict[str, JointGeometry]:
+    """Geometry of the joints, by name."""
     parents = ["bedplate" if p < 0 else tree.names[p] for p in tree.parents]
     return {
-        joint.name: {
-            "kind": joint.kind,
-            "parent": parent,
-            "axis": joint.axis.tolist(),
-            "offset": joint.offset.tolist(),
-            "rotation": joint.rotation.tolist(),
-        }
+        joint.name: JointGeometry(
+            joint.kind,
+            parent,
+            three(joint.axis),
+            three(joint.offset),
+            (three(joint.rotation[0]), three(joint.rotation[1]), three(joint.rotation[2])),
+        )
         for joint, parent in zip(tree.joints, parents, strict=True)
     }
 
@@ -54,11 +55,11 @@ def check_robot(recording: Described, tree: Tree) -> None:
             f"the recording is of another robot: it has the joints {', '.join(recording.names)}, "
             f"the model has {', '.join(tree.names)}"
         )
-    known: Mapping[str, Any] = recording.facts.get("geometry", {})
-    for name, here in geometry(tree).items():
-        for what, value in here.items():
-            there = known.get(name, {}).get(what, value)
-            if not _same(there, value):
+    for name, joint in geometry(tree).items():
+        known = asdict(recording.metadata.geometry.get(name, JointGeometry()))
+        for what, value in asdict(joint).items():
+            there = known[what]
+            if there is not None and not _same(there, value):
                 raise RecordingError(
                     f"the recording is of another robot: its joint '{name}' has {what} "
                     f"{json.dumps(there)}, the model has {json.dumps(value)}"
@@ -81,4 +82,4 @@ def in_its_gravity(tree: Tree, source: Described, gravity: ArrayLike | None = No
         source: A recording; it may say its gravity.
         gravity: (3,) [m/s^2], bedplate frame, or None.
     """
-    return tree.with_gravity(source.facts.get("gravity") if gravity is None else gravity)
+    return tree.with_gravity(source.metadata.gravity if gravity is None else gravity)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -99,8 +99,7 @@ def lock_unrecorded(file: ModelFile, source: Source) -> tuple[ModelFile, tuple[D
     lacking = [name for name in names if name not in source.names and name not in file.lock]
     if not lacking or len(lacking) == len(names):
         return file, ()
-    mapping = source.facts.get("mapping")
-    given = mapping.get("lock", {}) if isinstance(mapping, Mapping) else {}
+    given = (source.metadata.mapping or {}).get("lock", {})
     lock = {**{name: given.get(name) for name in lacking}, **file.lock}
     where = few([f"{n} at {'rest' if lock[n] is None else f'{lock[n]:.4g}'}" for n in lacking])
     return replace(file, lock=lock), (diagnose("robot.locked", where, len(lacking)),)

@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from testbed.core.base.diagnostics import of_recording
 from testbed.core.base.errors import RecordingError
-from testbed.core.recordings.columns import COUNTED
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import DerivedSource, Source, counted
 
@@ -47,9 +45,8 @@ class Joined(DerivedSource):
         self.segments = tuple(zip(begins.tolist(), (begins + lengths).tolist(), strict=True))
         self.signals = tuple(s for s in first.signals if all(s in p.signals for p in parts))
         self.senses_kinematics = all(part.senses_kinematics for part in parts)
-        said = dict.fromkeys(each for part in self._parts for each in of_recording(part.facts))
-        facts = {k: fact for k, fact in first.facts.items() if k != COUNTED}
-        self.facts: dict[str, Any] = {**facts, "diagnostics": [d.as_dict() for d in said]}
+        said = dict.fromkeys(d for part in self._parts for d in part.metadata.diagnostics)
+        self.metadata = replace(first.metadata, counted=None, diagnostics=tuple(said))
 
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1, all of one recording, without the truth."""
@@ -92,7 +89,7 @@ def _check_alike(parts: Sequence[Source]) -> None:
                 f"{first.rate:g}: import them at one rate"
             )
         for what in ("gravity", "geometry"):
-            if other.facts.get(what) != first.facts.get(what):
+            if getattr(other.metadata, what) != getattr(first.metadata, what):
                 raise RecordingError(f"recording {k} has another {what} than the first")
         if (other.tare is None) != (first.tare is None):
             raise RecordingError(

@@ -7,7 +7,7 @@ Times     of the first instant of each sample
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ from testbed.core.recordings.columns import (
     TRUE_SIGNALS,
     check_columns,
     check_sampling_time,
-    checked_metadata,
     joints_in,
     members_of,
     sensors_in,
@@ -33,6 +32,7 @@ from testbed.core.recordings.columns import (
     unit_of,
 )
 from testbed.core.recordings.geometry import check_robot
+from testbed.core.recordings.metadata import NO_METADATA, Metadata
 from testbed.core.robot.tree import Tree, require_tree
 
 READ = (*SIGNALS, *(f"truth/{signal}" for signal in TRUE_SIGNALS))
@@ -79,12 +79,12 @@ class Recording(Summarized):
             None if the recording does not say: the model's pedestal is then assumed.
         sensors: Wrenches of force sensors in the robot, one after the other, (M, 6 S) [N, N m]:
             what each exerts on the links beyond it, about its origin in its axes.
-        sensor_names: Their names; `facts["sensors"]` says where they are.
+        sensor_names: Their names; `metadata.sensors` says where they are.
         base: Position and quaternion (w, x, y, z) of a base that moves, on the ground, (M, 7)
             [m]; the wrench is then the ground's, about the ground's origin.
         temperature: Of the joints' drives, (M, n) [degC].
         truth: What really happened, where a simulation made the recording.
-        facts: What is known about the run: robot, model hash, seed, versions.
+        metadata: Robot, gravity, mapping, and what else is known.
     """
 
     names: tuple[str, ...]
@@ -100,7 +100,7 @@ class Recording(Summarized):
     base: Array | None = None
     temperature: Array | None = None
     truth: Truth | None = None
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    metadata: Metadata = NO_METADATA
 
     def __post_init__(self) -> None:
         samples, n = len(self.time), len(self.names)
@@ -210,26 +210,23 @@ class Recording(Summarized):
 
     def units(self) -> dict[str, str]:
         """Unit of every column, those of the truth too."""
-        geometry = self.facts.get("geometry", {})
-        kinds = {name: joint.get("kind", "revolute") for name, joint in geometry.items()}
+        kinds = {name: each.kind or "revolute" for name, each in self.metadata.geometry.items()}
         every = (*self.columns(), *self.true_columns())
         return {column: unit_of(column, kinds) for column in every}
 
     @property
-    def metadata(self) -> dict[str, Any]:
-        """What a file keeps beside the columns, as JSON takes it."""
+    def header(self) -> dict[str, Any]:
+        """Tare and metadata, as JSON of files takes them."""
         tare = None if self.tare is None else self.tare.tolist()
-        return {"tare": tare, "facts": dict(self.facts)}
+        return {"tare": tare, "facts": self.metadata.table()}
 
     @staticmethod
-    def from_columns(
-        columns: Mapping[str, Array], metadata: Mapping[str, Any], source: str
-    ) -> Recording:
+    def from_columns(columns: Mapping[str, Array], header: Any, source: str) -> Recording:
         """A recording of columns and metadata as a file yields them.
 
         Args:
             columns: By name, (M,) each; `time` and a position for every joint must be there.
-            metadata: `tare` and `facts`.
+            header: As of `Recording.header`, unchecked.
             source: What the recording is called.
 
         Raises:
@@ -241,7 +238,7 @@ class Recording(Summarized):
         if not names:
             raise RecordingError(f"{source}: there is no channel 'position/JOINT'")
         try:
-            tare, facts = checked_metadata(metadata)
+            tare, metadata = parse_header(header)
         except ValueError as error:
             raise RecordingError(f"{source}: not a recording: {error}") from None
         known = {signal_of(column) for column in columns}
@@ -251,10 +248,10 @@ class Recording(Summarized):
         true = {s: read.pop(f"truth/{s}") for s in TRUE_SIGNALS if f"truth/{s}" in read}
         return Recording(
             names=names,
-            tare=None if tare is None else np.array(tare),
+            tare=tare,
             truth=Truth(**true) if {*TRUE_SIGNALS} - {*true} <= {"sensors"} else None,
             sensor_names=sensors,
-            facts=facts,
+            metadata=metadata,
             **read,
         )
 
@@ -277,7 +274,7 @@ class Recording(Summarized):
         columns: dict[str, Array] = {}
         for name, values in columns_of(frame).items():
             columns |= {name: values} if values.ndim == 1 else _split(name, values, robot.names, ())
-        found = Recording.from_columns(columns, {"tare": None, "facts": {}}, "the frame")
+        found = Recording.from_columns(columns, {}, "the frame")
         check_columns(found.columns(), "the frame")
         return found.ordered(robot)
 
@@ -309,7 +306,7 @@ class Recording(Summarized):
             raise RecordingError(f"'{path}' is there and is no recording; choose another name")
         with replacing(Path(path)) as fresh:
             columns = self.columns() | self.true_columns()
-            write_table(fresh, self.units(), self.metadata, [columns])
+            write_table(fresh, self.units(), self.header, [columns])
 
     @staticmethod
     def load(path: str | Path) -> Recording:
@@ -327,6 +324,30 @@ class Recording(Summarized):
         recording = Recording.from_columns(columns, table.metadata, str(path))
         check_columns(recording.columns(), str(path))
         return recording
+
+
+def parse_header(header: Any) -> tuple[Array | None, Metadata]:
+    """Tare and metadata of a file.
+
+    Args:
+        header: As it was read.
+
+    Raises:
+        ValueError: It is no header.
+    """
+    if not isinstance(header, Mapping):
+        raise ValueError("its metadata are no table")
+    tare, content = header.get("tare"), header.get("facts") or {}
+    if tare is not None:
+        try:
+            tare = readonly(np.array(tare, dtype=np.float64), (6,), "tare")
+        except (TypeError, ValueError):
+            raise ValueError("its 'tare' is not six numbers") from None
+        if not np.isfinite(tare).all():
+            raise ValueError("its 'tare' is not six finite numbers")
+    if not isinstance(content, Mapping):
+        raise ValueError("its 'facts' are no table")
+    return tare, Metadata.parse(content)
 
 
 def _split(

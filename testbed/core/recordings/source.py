@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -15,13 +15,13 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.core.recordings.columns import (
-    COUNTED,
     SIGNALS,
     check_samples,
     check_sampling_time,
     check_values,
     signal_of,
 )
+from testbed.core.recordings.metadata import Metadata
 from testbed.core.recordings.recording import Recording
 
 
@@ -50,7 +50,7 @@ class DerivedSource:
         samples: Number of samples.
         rate: Samples a second [Hz].
         tare: As `Recording.tare`.
-        facts: As `Recording.facts`.
+        metadata: As `Recording.metadata`.
         signals: As `Recording.signals`.
         senses_kinematics: Whether velocities and accelerations were sensed, both.
         segments: As `Recording.segments`.
@@ -64,7 +64,7 @@ class DerivedSource:
             samples: Number of samples.
             rate: Samples a second [Hz].
         """
-        self.names, self.tare, self.facts = header.names, header.tare, header.facts
+        self.names, self.tare, self.metadata = header.names, header.tare, header.metadata
         self.signals, self.senses_kinematics = header.signals, header.senses_kinematics
         self.samples, self.rate = samples, rate
         self.segments: tuple[tuple[int, int], ...] = ((0, samples),)
@@ -128,8 +128,8 @@ class Source(Protocol):
         """As `Recording.tare`."""
 
     @property
-    def facts(self) -> Mapping[str, Any]:
-        """As `Recording.facts`."""
+    def metadata(self) -> Metadata:
+        """As `Recording.metadata`."""
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -233,7 +233,7 @@ def counted(source: Source, span: Sequence[float] | None = None) -> Source:
     Raises:
         RecordingError: None of its samples is in that time.
     """
-    span = span or source.facts.get(COUNTED)
+    span = span or source.metadata.counted
     if span is None or source.samples < 2:
         return source
     begin = float(source.part(0, 1).time[0])

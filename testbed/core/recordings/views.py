@@ -25,7 +25,7 @@ def is_imported(source: Source) -> bool:
     Args:
         source: The recording.
     """
-    return "mapping" in source.facts
+    return source.metadata.mapping is not None
 
 
 def is_of_motors(source: Source) -> bool:
@@ -34,8 +34,7 @@ def is_of_motors(source: Source) -> bool:
     Args:
         source: The recording.
     """
-    efforts = source.facts.get("effort")
-    return isinstance(efforts, Mapping) and any(kind != "torque" for kind in efforts.values())
+    return any(kind != "torque" for kind in source.metadata.effort.values())
 
 
 def pedestal_said(source: Source) -> bool:
@@ -44,8 +43,7 @@ def pedestal_said(source: Source) -> bool:
     Args:
         source: The recording.
     """
-    mapping = source.facts.get("mapping")
-    table = mapping.get("wrench") if isinstance(mapping, Mapping) else None
+    table = (source.metadata.mapping or {}).get("wrench")
     return isinstance(table, Mapping) and "pedestal" in table
 
 
@@ -56,22 +54,22 @@ def with_gear(tree: Tree, source: Source) -> Tree:
         tree: The robot.
         source: The recording.
     """
-    found = {} if tree.shafts else coupled_shafts(source.facts)
+    found = {} if tree.shafts else coupled_shafts(source.metadata.mapping or {})
     known = all(joint in tree.names for turns in found.values() for joint in turns)
     return with_shafts(tree, found) if found and known else tree
 
 
-def coupled_shafts(facts: Mapping[str, Any]) -> Shafts:
+def coupled_shafts(mapping: Mapping[str, Any]) -> Shafts:
     """Shafts of the gear's rows with several joints, called JOINT.motor; {} where there are none.
 
     The shaft's own joint counts as one, or else the joint with which it turns most.
 
     Args:
-        facts: Of a recording; nothing in it is trusted.
+        mapping: Of a recording; nothing in it is trusted.
     """
     try:
-        joints = [str(joint) for joint in facts["mapping"]["joints"]]
-        rows = np.array(facts["mapping"]["gear"]["matrix"], dtype=np.float64)
+        joints = [str(joint) for joint in mapping["joints"]]
+        rows = np.array(mapping["gear"]["matrix"], dtype=np.float64)
     except (LookupError, TypeError, ValueError, OverflowError):
         return {}
     if rows.shape != (len(joints), len(joints)) or not np.isfinite(rows).all():
@@ -136,7 +134,7 @@ def with_base_joints(recording: Recording) -> Recording:
         acceleration=None,
         temperature=None,
         truth=None,
-        facts=_without_geometry(recording),
+        metadata=replace(recording.metadata, geometry={}),
     )
 
 
@@ -147,15 +145,8 @@ def of_joints(recording: Recording, names: Sequence[str]) -> Recording:
         recording: With more.
         names: Of those that are kept, in the order of their columns.
     """
-    return replace(recording.of_joints(names), facts=_without_geometry(recording))
-
-
-def _without_geometry(recording: Recording) -> dict[str, Any]:
-    return {name: fact for name, fact in recording.facts.items() if name != "geometry"}
-
-
-SEGMENT = "segment"
-"""Fact of a recording: of which sensor its wrench is, and those beyond which nothing is in it."""
+    metadata = replace(recording.metadata, geometry={})
+    return replace(recording.of_joints(names), metadata=metadata)
 
 
 def of_segment(recording: Recording, tree: Tree) -> Recording:
@@ -178,7 +169,7 @@ def of_segment(recording: Recording, tree: Tree) -> Recording:
             f"it has {', '.join(recording.names)}"
         )
     found = of_joints(recording, tree.names)
-    own, gravity, truth = _segment_of(tree)[0], recording.facts.get("gravity"), found.truth
+    own, gravity, truth = _segment_of(tree)[0], recording.metadata.gravity, found.truth
     whole = tree.sensor is None and all(cut.body >= 0 for cut in tree.cuts)
     tare = recording.tare if whole or own not in recording.sensor_names else None
     if recording.tare is not None and tare is None:
@@ -196,23 +187,26 @@ def of_segment(recording: Recording, tree: Tree) -> Recording:
         temperature=None,
         sensors=None,
         sensor_names=(),
-        facts={**_facts_of(found, own), SEGMENT: _segment_of(tree)},
+        metadata=replace(
+            found.metadata,
+            mapping=_mapping_of(found.metadata.mapping, own),
+            segment=_segment_of(tree),
+        ),
     )
 
 
-def _facts_of(recording: Recording, sensor: str) -> dict[str, Any]:
-    """Facts whose mapping says of wrenches only what it says of one sensor's, if it names it."""
-    facts, mapping = dict(recording.facts), recording.facts.get("mapping")
-    own = mapping.get("sensors", {}).get(sensor) if isinstance(mapping, Mapping) else None
-    if isinstance(mapping, Mapping) and own is not None:
-        kept = {k: v for k, v in mapping.items() if k not in ("wrench", "plates")}
-        facts["mapping"] = {**kept, "sensors": {sensor: own}}
-    return facts
+def _mapping_of(mapping: Mapping[str, Any] | None, sensor: str) -> Mapping[str, Any] | None:
+    """Mapping with one sensor's wrench alone, if it names the sensor."""
+    own = (mapping or {}).get("sensors", {}).get(sensor)
+    if mapping is None or own is None:
+        return mapping
+    kept = {k: v for k, v in mapping.items() if k not in ("wrench", "plates")}
+    return {**kept, "sensors": {sensor: own}}
 
 
-def _segment_of(tree: Tree) -> list[str]:
-    """The sensor's name, "" for the plate, and those of the next."""
-    return [tree.sensor.name if tree.sensor else "", *(cut.name for cut in tree.cuts)]
+def _segment_of(tree: Tree) -> tuple[str, ...]:
+    """Name of the sensor, "" for the plate, and those of the next."""
+    return (tree.sensor.name if tree.sensor else "", *(cut.name for cut in tree.cuts))
 
 
 def _wrenches(recording: Recording, plate: Array | None, sensors: Array | None) -> dict[str, Array]:
@@ -259,7 +253,7 @@ def on_its_base(source: Source, tree: Tree) -> Source:
     """
     if tree.floating and NAMES[0] not in source.names:
         source = transformed(source, with_base_joints)
-    if tree.is_part and source.facts.get(SEGMENT) != _segment_of(tree):
+    if tree.is_part and source.metadata.segment != _segment_of(tree):
         source = transformed(source, partial(of_segment, tree=tree))
     return source
 

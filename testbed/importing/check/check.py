@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,8 @@ from testbed.core.base.diagnostics import (
     Diagnosed,
     Diagnostic,
     diagnose,
+    from_json,
     of_instrument,
-    of_recording,
     sentences,
 )
 from testbed.core.base.errors import RecordingError
@@ -79,9 +79,6 @@ is another one."""
 
 RESTS = 5e-3
 """By how much a base that is welded may seem to move [m]."""
-
-FACT = "verdict"
-"""Where a recording keeps it."""
 
 METHOD = 3
 """Of the check; another number and what was kept counts no more."""
@@ -181,7 +178,7 @@ def _judge(
     progress: Progress | None,
 ) -> Assessment:
     """What explanations say of a recording up to a cutoff; `beyond`: of positions out of range."""
-    mapping: dict[str, Any] = part.facts.get("mapping", {})
+    mapping = part.metadata.mapping or {}
     search = Search(tree, part, mapping, cutoff, progress)
     if search.first is None:
         return Assessment(tuple(beyond))
@@ -355,9 +352,9 @@ def check_recording(
     if unchecked:
         doubts.append(diagnose("recording.unchecked"))
     else:
-        verdict = source.facts.get(FACT) or {}
+        verdict = source.metadata.verdict
         if verdict.get("of") == digest(tree, source):
-            return CheckReport(diagnostics=of_recording(verdict))
+            return CheckReport(diagnostics=from_json(verdict.get("diagnostics", [])))
         assessment = known.assessment or assess(tree, source, progress)
         assessment.require(align=align)
         doubts += [each for each in assessment.diagnostics if each.level != "error"]
@@ -419,7 +416,7 @@ def import_and_check(
     )
     lines = _alignment(report.offsets, longest)
     if align and lines:
-        mapping = with_lines(longest.facts["mapping"], lines)
+        mapping = with_lines(longest.metadata.mapping or {}, lines)
         prepared = Prepared(*pieces(path, checked(Mapping, mapping, str(path))))
         longest = prepared.longest
         tree, own = robot_of(longest)
@@ -432,15 +429,15 @@ def import_and_check(
         "of": digest(tree, own),
         "diagnostics": [each.as_dict() for each in report.diagnostics],
     }
-    held = replace(longest, facts={**longest.facts, FACT: verdict})
+    held = replace(longest, metadata=replace(longest.metadata, verdict=verdict))
     recordings = tuple(held if each is longest else each for each in prepared.recordings)
     return recordings, prepared.cuts, report
 
 
 def _alignment(offsets: Sequence[TimeOffset], source: Source) -> list[Any]:
     """Lines of a mapping that take offsets back."""
-    mapping = source.facts.get("mapping", {})
-    return [line for each in offsets for line in alignment(each, mapping, source.facts)]
+    mapping, report = source.metadata.mapping or {}, source.metadata.report
+    return [line for each in offsets for line in alignment(each, mapping, report)]
 
 
 def digest(tree: Tree, source: Source) -> str:
@@ -455,9 +452,9 @@ def digest(tree: Tree, source: Source) -> str:
         source.names,
         source.rate,
         source.samples,
-        source.facts.get("mapping"),
-        source.facts.get("gravity"),
-        geometry(tree),
+        source.metadata.mapping,
+        source.metadata.gravity,
+        {name: asdict(each) for name, each in geometry(tree).items()},
         standard(tree),
         tree.gravity,
         [joint.position_range for joint in tree.joints],

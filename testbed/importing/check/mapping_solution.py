@@ -361,7 +361,7 @@ def _with_clocks(
     """Delays and drifts that are clear."""
     content = draft.content
     for each in offsets:
-        for table, key, value in alignment(each, content, source.facts):
+        for table, key, value in alignment(each, content, source.metadata.report):
             if key == "delay":
                 draft = _delayed(draft, table, value, each.sigma)
             else:

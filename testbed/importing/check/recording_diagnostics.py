@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, diagnose, of_recording
+from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import components, few, round_significant
 from testbed.core.recordings.columns import AXES
 from testbed.core.recordings.held import STILL
@@ -365,7 +365,7 @@ def encoder_steps(source: Source) -> list[Diagnostic]:
     Args:
         source: The recording.
     """
-    return [each for each in of_recording(source.facts) if each.code in STEPS]
+    return [each for each in source.metadata.diagnostics if each.code in STEPS]
 
 
 def unknown_gains(source: Source) -> Iterator[Diagnostic]:
@@ -374,6 +374,6 @@ def unknown_gains(source: Source) -> Iterator[Diagnostic]:
     Args:
         source: The recording.
     """
-    mapping = source.facts.get("mapping") or {}
+    mapping = source.metadata.mapping or {}
     if (mapping.get("torque") or {}).get("gain_from") == "model":
         yield diagnose("torque.gains", "the torque")

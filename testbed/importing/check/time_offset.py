@@ -186,7 +186,7 @@ def delivered(tree: Tree, source: Source, bodies: Estimate) -> tuple[Recording, 
 
 
 def alignment(
-    offset: TimeOffset, mapping: Mapping[str, Any], facts: Mapping[str, Any]
+    offset: TimeOffset, mapping: Mapping[str, Any], report: Mapping[str, Any]
 ) -> Iterator[Line]:
     """Lines by which a mapping takes an offset back; none of one that is noise.
 
@@ -195,11 +195,11 @@ def alignment(
     Args:
         offset: How late a signal is.
         mapping: What the mapping file says, as a recording keeps it.
-        facts: Of the recording that it made.
+        report: Of the import.
     """
     if not offset.matters:
         return
-    clocks = ImportReport.from_dict(facts["import"]).clocks if "import" in facts else {}
+    clocks = ImportReport.from_dict(report).clocks if report else {}
     for name, table in tables_of(mapping, offset.signal).items():
         source, delay = str(table.get("source")), float(table.get("delay", 0.0)) + offset.delay
         if offset.drifts and source != mapping["position"]["source"]:

@@ -162,7 +162,7 @@ def result_of(run: Run, source: Mapping[str, str] | None = None) -> Result:
     """
     asked, used = run.experiment, None
     if run.model is not None:
-        sha256 = str(run.recording.facts.get("model_sha256", ""))
+        sha256 = run.recording.metadata.model_sha256
         used = UsedModel(run.model.path.name, sha256, run.model.weld_root, run.model.lock)
     return Result(
         source=versions() if source is None else source,
@@ -411,7 +411,7 @@ def read_run(folder: Path) -> Run:
     model = Path(experiment.model)
     if not model.is_file():
         raise ExperimentError(f"the run's model file '{model}' is not there any more")
-    if fingerprint(model) != recording.facts.get("model_sha256"):
+    if fingerprint(model) != recording.metadata.model_sha256:
         raise ExperimentError(f"'{model}' is not the model that was simulated; run it again")
     bare = evaluate(experiment, recording, methods=())
     run = read_estimates(bare, folder / ESTIMATES, _source(folder))

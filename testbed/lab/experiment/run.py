@@ -20,7 +20,6 @@ from testbed.core.base.diagnostics import (
     Diagnostic,
     diagnose,
     of_instrument,
-    of_recording,
     ordered,
     sentences,
 )
@@ -110,7 +109,7 @@ def diagnostics_of_run(
         found += systematic_errors(estimates[method], errors[method])
     for estimate in estimates.values():
         found += correlated(estimate)
-    every = ordered([*missing, *tree.diagnostics, *of_recording(recording.facts), *found])
+    every = ordered([*missing, *tree.diagnostics, *recording.metadata.diagnostics, *found])
     return of_instrument(every, sensor_of(tree))
 
 

@@ -16,8 +16,8 @@ from testbed.core.base.diagnostics import diagnose
 from testbed.core.base.errors import ExperimentError, SettingsError
 from testbed.core.base.installation import versions
 from testbed.core.dynamics.newton_euler import Motion
-from testbed.core.recordings.columns import COUNTED
 from testbed.core.recordings.geometry import geometry
+from testbed.core.recordings.metadata import Metadata, three
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.rotations import to_rpy
 from testbed.core.robot.tree import Tree
@@ -134,10 +134,10 @@ def simulate(
         _forces(rig, tree, forces),
         gears,
     )
-    facts = _metadata(rig, tree, happened, seed)
+    metadata = _metadata(rig, tree, happened, seed)
     if isinstance(motion, FromRest):
-        facts[COUNTED] = [0.0, motion.end]
-    return _measured(rig, happened, plant.tare, facts, seed, installed)
+        metadata = replace(metadata, counted=(0.0, motion.end))
+    return _measured(rig, happened, plant.tare, metadata, seed, installed)
 
 
 def _course(rig: Rig, motion: Reference | Motion, seconds: float) -> tuple[Reference, float, float]:
@@ -186,13 +186,13 @@ def _measured(
     rig: Rig,
     happened: Rollout,
     tare: Array,
-    facts: dict[str, Any],
+    metadata: Metadata,
     seed: int,
     installed: int | None,
 ) -> Recording:
     """What the sensors show of what happened."""
     names, time = rig.robot.names, happened.time
-    found = measure(rig.instrument, names, time, happened.truth, tare, facts, seed, installed)
+    found = measure(rig.instrument, names, time, happened.truth, tare, metadata, seed, installed)
     for effect in rig.plant:
         warmth = effect.temperature(time)
         if warmth is not None:
@@ -206,13 +206,13 @@ def _measured(
     return found if ForcePlate in kinds else replace(found, wrench=None, tare=None)
 
 
-def _metadata(rig: Rig, tree: Tree, run: Rollout, seed: int) -> dict[str, Any]:
-    """What a recording keeps about how it was made."""
-    saturated = [
-        diagnose("motion.saturated", name, share).as_dict()
+def _metadata(rig: Rig, tree: Tree, run: Rollout, seed: int) -> Metadata:
+    """Metadata of a simulated recording."""
+    saturated = (
+        diagnose("motion.saturated", name, share)
         for name, share in zip(tree.names, run.saturated, strict=True)
         if share
-    ]
+    )
     places = {
         place.name: {
             "link": place.link,
@@ -221,14 +221,13 @@ def _metadata(rig: Rig, tree: Tree, run: Rollout, seed: int) -> dict[str, Any]:
         }
         for place in rig.mounted
     }
-    return {
-        "robot": tree.name,
-        "geometry": geometry(tree),
-        "gravity": tree.gravity.tolist(),
-        "model_sha256": fingerprint(rig.file.path),
-        "seed": seed,
-        "versions": versions(),
-        "tracking_rms": dict(zip(tree.names, run.tracking.tolist(), strict=True)),
-        "diagnostics": saturated,
-        **({"sensors": places} if places else {}),
-    }
+    tracking = dict(zip(tree.names, run.tracking.tolist(), strict=True))
+    return Metadata(
+        robot=tree.name,
+        gravity=three(tree.gravity),
+        geometry=geometry(tree),
+        sensors=places,
+        diagnostics=tuple(saturated),
+        model_sha256=fingerprint(rig.file.path),
+        others={"seed": seed, "versions": versions(), "tracking_rms": tracking},
+    )

@@ -10,6 +10,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
+from testbed.core.recordings.metadata import Metadata
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.lab.instruments.error_chain import apply_chain, number_kinds, stream
 from testbed.lab.instruments.plates import PLATES
@@ -148,7 +149,7 @@ def measure(
     time: Array,
     truth: Truth,
     tare: Array,
-    facts: Mapping[str, Any],
+    metadata: Metadata,
     seed: int,
     installed: int | None = None,
 ) -> Recording:
@@ -160,7 +161,7 @@ def measure(
         time: (M,) [s].
         truth: What happens.
         tare: Known static wrench of the pedestal, (6,) [N, N m].
-        facts: Kept with the recording.
+        metadata: Of the recording.
         seed: Of the noise.
         installed: Seed of what chance decides once; default `seed`.
     """
@@ -175,7 +176,7 @@ def measure(
         acceleration=truth.acceleration if senses else None,
         tare=tare,
         truth=truth,
-        facts=facts,
+        metadata=metadata,
     )
     once = seed if installed is None else installed
     chains = instrument.installed(names, once)
@@ -245,7 +246,7 @@ def measured_again(recording: Recording, instrument: Instrument, seed: int) -> R
         recording.time,
         recording.truth,
         recording.tare,
-        recording.facts,
+        recording.metadata,
         seed,
     )
     return replace(found, temperature=recording.temperature)

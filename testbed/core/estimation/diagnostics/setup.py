@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from testbed.core.base.diagnostics import Diagnostic, diagnose, of_recording
+from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import few
 from testbed.core.dynamics.newton_euler import pedestal_wrench
 from testbed.core.estimation.problem import Problem
@@ -25,7 +25,7 @@ def setup_diagnostics(problem: Problem) -> Iterator[Diagnostic]:
     """
     source, settings = problem.source, problem.settings
     plate = problem.method == "external"
-    yield from of_recording(source.facts)
+    yield from source.metadata.diagnostics
     yield from problem.diagnostics
     if plate and MASS not in settings.facts and "bias" not in settings.nuisances:
         yield from _of_pedestal(problem)
