@@ -211,10 +211,14 @@ class LaggedProducts:
         """
         if count == self.unknowns:
             return self
-        return self._of(np.r_[:count, self.unknowns : self.products.shape[2]])
+        return self.columns(np.r_[:count, self.unknowns : self.products.shape[2]])
 
-    def _of(self, which: Ints) -> LaggedProducts:
-        """Copy of some of the columns, in any order."""
+    def columns(self, which: Ints) -> LaggedProducts:
+        """Copy of some of the columns, in any order.
+
+        Args:
+            which: Their numbers.
+        """
         products = self.products[..., which[:, None], which]
         first, last = self.first[..., which], self.last[..., which]
         return replace(self, products=products, first=first, last=last)
@@ -284,7 +288,7 @@ class LaggedProducts:
         m, count, size = self.unknowns, directions.shape[1], self.products.shape[2]
         if not count:
             return self
-        extended, own = self._of(np.r_[:m, [size - 1] * count, m:size]), slice(m, m + count)
+        extended, own = self.columns(np.r_[:m, [size - 1] * count, m:size]), slice(m, m + count)
         extended.products[..., own, :] *= directions[:, :, None]
         for each in (extended.products, extended.first, extended.last):
             each[..., own] *= directions[:, None]
