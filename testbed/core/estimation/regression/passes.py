@@ -174,12 +174,8 @@ def _least_count(position: Array) -> float:
 
 def _without_noise(counts: Array, noise: Array) -> Array:
     """Least counts of all windows, (windows, n), where noise, (n,), does not blur them."""
-    found = np.zeros(len(noise))
-    for joint, own in enumerate(counts.T):
-        known = own[np.isfinite(own)]
-        if len(known):
-            found[joint] = np.median(known)
-    return np.where(noise < BETWEEN * found, found, 0.0)
+    least = np.nanmedian(np.where(np.isnan(counts).all(axis=0), 0.0, counts), axis=0)
+    return np.where(noise < BETWEEN * least, least, 0.0)
 
 
 Progress = Callable[[int, int], None]
