@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Lock
@@ -38,10 +39,10 @@ def workspace(layout: Layout, signals: Signals) -> Work:
     filtered = len(signals.weights) > 1
     reach = (CHUNK + len(signals.weights)) // signals.step + 12
     work = Work(
-        U=_aligned(3 * links * B),
+        U=_aligned(links, 3 * B),
         N=_aligned(B + signals.taps.shape[1]),
-        X=_aligned((int(layout.robot.place.max(initial=0)) + 1) * BODY),
-        V=_aligned((max(SEEDS, int(rows.target.max(initial=0)) + 1)) * SCREW),
+        X=_aligned(int(layout.robot.place.max(initial=0)) + 1, BODY),
+        V=_aligned(max(SEEDS, int(rows.target.max(initial=0)) + 1), SCREW),
         T=_aligned(11 * D),
         Y=_aligned(slots * D if filtered else 0),
         H=_aligned(reach * D if filtered else 0),
@@ -50,8 +51,8 @@ def workspace(layout: Layout, signals: Signals) -> Work:
         squares=_aligned(1),
     )
     # what never changes: the bedplate's motion, and screws
-    work.X[A : A + 3 * B].reshape(3, B)[:] = layout.robot.ground[:, None]
-    work.V[: SEEDS * SCREW].reshape(SEEDS, 6, B)[:] = layout.robot.seeds[:, :, None]
+    work.X[0, A : A + 3 * B] = np.repeat(layout.robot.ground, B)
+    work.V[:SEEDS] = np.repeat(layout.robot.seeds, B, axis=1)
     return work
 
 
@@ -101,11 +102,12 @@ def rows(layout: Layout, signals: Signals, work: Work) -> list[Block]:
     return found
 
 
-def _aligned(size: int) -> Array:
+def _aligned(*shape: int) -> Array:
     """Zeros that begin where a cache line does: vectors then never straddle two."""
+    size = math.prod(shape)
     room = np.zeros(size + 7)
     first = -(room.ctypes.data // 8) % 8
-    return room[first : first + size]
+    return room[first : first + size].reshape(shape)
 
 
 def _call(*arguments: object) -> None:

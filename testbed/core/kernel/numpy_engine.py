@@ -27,12 +27,17 @@ SAMPLES = 256
 """Samples taken at once: what a few bodies make of them fits into a cache."""
 
 
-def rows(layout: Layout, signals: Signals) -> list[Block]:
+def workspace(layout: Layout, signals: Signals) -> None:
+    """Room of this engine: none."""
+
+
+def rows(layout: Layout, signals: Signals, work: None = None) -> list[Block]:
     """A window's rows.
 
     Args:
         layout: The rows.
         signals: The window.
+        work: Room of this engine: none.
     """
     parts = blocks(signals, layout.rows.block)
     return [_block(layout, part, first) for first, part in parts]
@@ -135,7 +140,7 @@ def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) ->
     own = {term.law: term.law.columns(*turning) for term in layout.terms}
     by_load = len(signals.load) and any(term.law.by in BY_LOAD for term in layout.terms)
     load = phi @ signals.load if by_load else np.zeros(phi.shape[:2])
-    smooth = _smoothed(layout, signals, first, load) if by_load else load
+    smooth = _smoothed(layout, signals, first, motion.samples) if by_load else load
     y = np.zeros((layout.rows.slots, motion.samples))
     for c, columns in enumerate(layout.channels):
         at, bodies = layout.rows.start[c], columns[columns < phi.shape[2]]
@@ -149,25 +154,18 @@ def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) ->
     return y
 
 
-def _smoothed(layout: Layout, signals: Signals, first: int, load: Array) -> Array:
+def _smoothed(layout: Layout, signals: Signals, first: int, count: int) -> Array:
     """Means of the load around each sample, (M, n): as far as its noise hangs together."""
-    if len(signals.weights) == 1:
-        return load
-    reach = max(signals.taps.shape[1] // 2, len(signals.weights) // 4)
-    half, last = signals.taps.shape[1] // 2, first + len(load)
-    low, high = max(first - reach, half), min(last + reach, len(signals.position) - half)
-    ends = [
-        linear(layout.tree, motion_of(signals, a, b - a), layout.theta, layout.gravity)[0]
-        @ signals.load
-        for a, b in ((low, first), (last, high))
-        if b > a
-    ]
-    every, before = np.concatenate([*ends[: first > low], load, *ends[first > low :]]), first - low
+    half = signals.taps.shape[1] // 2
+    reach = max(half, len(signals.weights) // 4) if len(signals.weights) > 1 else 0
+    low = max(first - reach, half)
+    high = min(first + count + reach, len(signals.position) - half)
+    motion = motion_of(signals, low, high - low)
+    load = linear(layout.tree, motion, layout.theta, layout.gravity)[0] @ signals.load
     window = np.hanning(2 * reach + 3)[1:-1]
-    part = slice(reach + before, reach + before + len(load))
-    weight = np.convolve(np.ones(len(every)), window)[part]
-    sums = [np.convolve(column, window)[part] / weight for column in every.T]
-    return np.array(sums).T
+    part = slice(reach + first - low, reach + first - low + count)
+    weight = np.convolve(np.ones(len(load)), window)[part]
+    return np.array([np.convolve(column, window)[part] / weight for column in load.T]).T
 
 
 def _varying(

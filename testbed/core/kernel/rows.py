@@ -259,8 +259,7 @@ def smooth(source, first, count, column, taps, N, U):
 @part
 def read_link(i, robot, signals, first, count, work):
     """The coordinate of link i and its two derivatives."""
-    j = robot.coordinate[i]
-    U = work.U[i * 3 * B : (i + 1) * 3 * B]
+    j, U = robot.coordinate[i], work.U[i]
     if len(signals.velocity):
         load(signals.position, first, count, j, U[:B])
         load(signals.velocity, first, count, j, U[B : 2 * B])
@@ -274,19 +273,15 @@ def read_link(i, robot, signals, first, count, work):
 @part
 def move_link(i, robot, work):
     """The motion of link i."""
-    X = work.X[robot.place[i] * BODY : (robot.place[i] + 1) * BODY]
-    P = work.X[robot.carrier[i] * BODY : (robot.carrier[i] + 1) * BODY]
-    U = work.U[i * 3 * B : (i + 1) * 3 * B]
+    X, P = work.X[robot.place[i]], work.X[robot.carrier[i]]
+    U, J = work.U[i], robot.joint[i]
     q, qd, qdd = U[:B], U[B : 2 * B], U[2 * B :]
-    J = robot.joint[i]
     X[Z : Z + B] = 0.0
     if robot.slides[i]:
-        turns = 0.0
         X[C : C + B], X[S : S + B] = J[6], J[7]
     else:
-        turns = 1.0
         sine_cosine(q, J[5], X[S : S + B], X[C : C + B])
-    move(J, turns, P, X, qd, qdd)
+    move(J, 0.0 if robot.slides[i] else 1.0, P, X, qd, qdd)
     if robot.slides[i] and robot.coordinate[i] >= 0:
         slide(X, q, qd, qdd)
 
@@ -294,11 +289,9 @@ def move_link(i, robot, work):
 @part
 def fill_link(i, robot, rows, work, Y, at):
     """The entries of every row on link i, from column `at` of their slots on."""
-    X = work.X[robot.place[i] * BODY : (robot.place[i] + 1) * BODY]
-    J = robot.joint[i]
+    X, J = work.X[robot.place[i]], robot.joint[i]
     for e in range(rows.first[i], rows.first[i + 1]):
-        V = work.V[rows.target[e] * SCREW : (rows.target[e] + 1) * SCREW]
-        P = work.V[rows.source[e] * SCREW : (rows.source[e] + 1) * SCREW]
+        V, P = work.V[rows.target[e]], work.V[rows.source[e]]
         y = rows.slot[e] * D + at
         out = Y[y : y + 7 * D] if rows.direct[e] else work.T
         if rows.source[e] == rows.target[e]:
@@ -315,8 +308,7 @@ def fill_link(i, robot, rows, work, Y, at):
         if rows.rest[e]:
             rest(0.0 if rows.force[e] else 1.0, V, X, work.T[7 * D :])
         for t in range(rows.copies[e], rows.copies[e + 1]):
-            y = rows.copy_to[t] * D + at
-            T = work.T[rows.copy_from[t] * D :]
+            y, T = rows.copy_to[t] * D + at, work.T[rows.copy_from[t] * D :]
             for k in range(NB):
                 Y[y + k] = T[k]
 
@@ -350,17 +342,16 @@ for number, law in enumerate(LAWS):
 def fill_own(rows, signals, first, count, work, Y, at):
     """What rows hold besides bodies: own terms, the measurement, whether the joint rests."""
     for t in range(len(rows.term_slot)):
-        U = work.U[rows.term_link[t] * 3 * B : (rows.term_link[t] + 1) * 3 * B]
-        y = rows.term_slot[t] * D + at
+        U, y = work.U[rows.term_link[t]], rows.term_slot[t] * D + at
         term(rows.term_law[t], U[B : 2 * B], U[2 * B :], Y[y : y + NB])
     for c in range(len(rows.measured)):
         y = rows.measured[c] * D + at
-        load(signals.measured, first, count, c, Y[y : y + NB])
+        measured = Y[y : y + NB]
+        load(signals.measured, first, count, c, measured)
         if len(work.squares):
-            work.squares[0] += dot(Y[y : y + NB], Y[y : y + NB], NB)
+            work.squares[0] += dot(measured, measured, NB)
         if signals.deadband > 0.0:
-            qd = work.U[rows.link[c] * 3 * B + B : rows.link[c] * 3 * B + 2 * B]
-            y = (rows.slots + c) * D + at
+            qd, y = work.U[rows.link[c]][B:], (rows.slots + c) * D + at
             for k in range(NB):
                 Y[y + k] = 0.0 if abs(qd[k]) > signals.deadband else 1.0
 

@@ -7,13 +7,14 @@ file: data are compared with themselves, with limits, and with what rigid bodies
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
-from testbed.core.base.errors import ENOUGH, components, few
+from testbed.core.base.errors import ENOUGH, SettingsError, components, few
 from testbed.core.base.stages import stage
 from testbed.core.dynamics.newton_euler import pedestal_wrench
 from testbed.core.estimation.diagnostics.residuals import (
@@ -24,6 +25,7 @@ from testbed.core.estimation.diagnostics.residuals import (
 from testbed.core.estimation.diagnostics.rigid_bodies import SIGMAS, rigid_body_test
 from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.regression.constraints import total_mass
 from testbed.core.estimation.regression.passes import HELD, Repeats, Survey
 from testbed.core.estimation.regression.solvers import minimum_norm
 from testbed.core.recordings.views import pedestal_said
@@ -284,11 +286,11 @@ def _tare(tree: Tree, tare: Array) -> Iterator[Diagnostic]:
 
 def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterator[Diagnostic]:
     """A total mass that is negative, or not what the plate carries on average."""
-    trunks = np.zeros(10 * tree.n)
-    trunks[[10 * j for j in tree.children(-1)]] = 1.0
     base, gravity = estimate.base, float(np.linalg.norm(tree.gravity))
-    form = np.linalg.lstsq(base.matrix.T, trunks, rcond=None)[0]
-    if gravity == 0 or np.abs(base.matrix.T @ form - trunks).max() > 1e-9:
+    form = np.zeros(0)
+    with suppress(SettingsError):  # no minimal parameters say it
+        form = total_mass(tree, estimate.minimal)
+    if gravity == 0 or not len(form):
         return
     mass = float(form @ base.values)
     sigma = float(np.sqrt(form @ base.covariance @ form))

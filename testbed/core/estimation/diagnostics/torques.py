@@ -139,15 +139,15 @@ def torque_factor(
     predicted = np.zeros(len(right))
     predicted[:count] = known
     predicted[own] = 0.0  # a rotor may be part of it
-    size = float(predicted @ normal @ predicted)
-    among = normal[np.ix_(own, own)]
-    shared = np.linalg.lstsq(among, normal[own] @ predicted, rcond=1e-12)[0]
-    alone = size - float(predicted @ normal[own].T @ shared)  # what friction does not explain
+    size, both = float(predicted @ normal @ predicted), float(right @ predicted)
+    across = np.column_stack([normal[own] @ predicted, right[own]])
+    shared = np.linalg.lstsq(normal[np.ix_(own, own)], across, rcond=1e-12)[0]
+    # what friction does not explain, of the predicted and of the reported torque
+    (alone, both), (_, left) = np.array([[size, both], [both, square]]) - across.T @ shared
     if alone <= APART * size:
         return None
-    factor = (float(right @ predicted) - float(right[own] @ shared)) / alone
-    theirs = float(right[own] @ np.linalg.lstsq(among, right[own], rcond=1e-12)[0])
-    left = square - theirs - factor**2 * alone
+    factor = both / alone
+    left -= factor**2 * alone
     error = float(np.sum(normal[:count, :count] * spread))
     if factor**2 * alone <= CLEAR * left or error >= KNOWN**2 * alone:
         return None

@@ -259,7 +259,7 @@ class GlsSolution:
 
     def rows(self) -> Iterator[WhitenedRows]:
         """Rows with the columns of what is free, and residuals in place of measurements."""
-        made = self.encoders.again(self.passes.plan, self.values)
+        made = self.encoders.replicas(self.values)
         sensors = self.sensor_values
         for rows in self.units.rows(self.passes, self.values, made):
             of_sensors = rows.sensors[..., : len(sensors)] @ sensors
@@ -427,9 +427,9 @@ def _encoder_noise(passes: Passes) -> PositionNoise:
     plan, survey = passes.plan, passes.surveyor.survey()
     none = np.zeros(plan.layout.tree.n)
     if plan.source.senses_kinematics:
-        return PositionNoise(none, none)
+        return PositionNoise(plan, none, none)
     filtered = len(plan.weights) > 1
-    return PositionNoise(survey.encoder_noise, survey.encoder_count if filtered else none)
+    return PositionNoise(plan, survey.encoder_noise, survey.encoder_count if filtered else none)
 
 
 def _named(which: NDArray[np.bool_], names: tuple[str, ...]) -> tuple[str, ...]:

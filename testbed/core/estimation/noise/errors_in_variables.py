@@ -19,83 +19,15 @@ from testbed.core.kernel.numpy_engine import motion_of
 from testbed.core.kernel.records import Signals
 
 HELD = 1024
-"""Samples after which zeros that change do so."""
+"""Samples after which zeros of encoders that change do so."""
 
 COUNTS_SEED = 1948
 """Of the zeros: the same recording gives the same estimate."""
 
-
-class Quantization:
-    """Errors of encoders that show whole counts, at the rows of a window."""
-
-    def __init__(self, plan: Plan, count: Array) -> None:
-        """Ready for any window.
-
-        Args:
-            plan: The rows; they pass a low-pass.
-            count: Least counts, (n,) [rad or m]; zero for encoders without such errors.
-        """
-        self._plan, self._coarse = plan, np.flatnonzero(count)
-        self._joints, self._count = len(count), count[self._coarse]
-        self._kernels = np.stack([np.convolve(taps, plan.weights) for taps in plan.taps])
-
-    def changing(self, signals: Signals, first: int) -> Array:
-        """Of positions, velocities and accelerations, from ever other zeros, (3, rows, n).
-
-        Args:
-            signals: The window's.
-            first: Number of its first row.
-        """
-        smooth = self.smooth(signals)
-        begin = first * self._plan.step
-        blocks = np.arange(begin, begin + len(smooth)) // HELD
-        samples = [
-            self._drawn(COUNTS_SEED, int(block)) for block in range(blocks[0], blocks[-1] + 1)
-        ]
-        return self.error(smooth, np.array(samples)[blocks - blocks[0]])
-
-    def lasting(self, signals: Signals, replicas: int) -> list[Array]:
-        """From zeros that stay: what repeats in the motion repeats in them, (3, rows, n) each.
-
-        Args:
-            signals: The window's.
-            replicas: How many zeros.
-        """
-        smooth = self.smooth(signals)
-        return [self.error(smooth, self._drawn(COUNTS_SEED + 1, k)) for k in range(replicas)]
-
-    def smooth(self, signals: Signals) -> Array:
-        """Positions of coarse encoders around the rows, without counts, (samples, coarse)."""
-        last = signals.start + (signals.number - 1) * signals.step
-        half = self._kernels.shape[1] // 2
-        shown = signals.position[signals.start - half : last + half + 1, self._coarse]
-        around = len(signals.weights) // 2
-        ends = np.pad(shown, ((around, around), (0, 0)), "reflect", reflect_type="odd")
-        return np.stack([np.convolve(own, signals.weights, "valid") for own in ends.T], axis=1)
-
-    def error(self, smooth: Array, zeros: Array) -> Array:
-        """What counts from some zeros add, behind the filters, (3, rows, n).
-
-        Args:
-            smooth: Positions, (samples, coarse).
-            zeros: In counts, (samples, coarse) or (coarse,).
-        """
-        counts = smooth / self._count + zeros
-        off = (np.round(counts) - counts) * self._count
-        around = np.lib.stride_tricks.sliding_window_view(off, self._kernels.shape[1], axis=0)
-        found = around[:: self._plan.step] @ self._kernels.T
-        every = np.zeros((3, len(found), self._joints))
-        every[:, :, self._coarse] = np.moveaxis(found, 2, 0)
-        return every
-
-    def _drawn(self, *seed: int) -> Array:
-        return np.random.default_rng(seed).uniform(size=len(self._count))
-
-
 PER_ROW = 5
 """Samples of made noise from row to row, at least: slow noise, behind the filter on rows."""
 
-ZEROS = 24
+REPLICAS = 24
 """Replicas of errors of whole counts: the spread of what they do is found to 15 %."""
 
 BLOCK = 1024
@@ -106,7 +38,7 @@ SEED = 1997
 
 
 class Made(NamedTuple):
-    """Columns that made noise gives.
+    """Columns from made noise.
 
     Attributes:
         columns: Makes those of a window; None for none.
@@ -117,119 +49,115 @@ class Made(NamedTuple):
     width: int = 0
 
 
-@dataclass(frozen=True, eq=False)
 class PositionNoise:
-    """What is wrong with positions, beside what an instrument's faults do to them.
+    """Noise and whole counts of encoders at a plan's rows, the same for any order of windows."""
 
-    Attributes:
-        sigma: Standard deviations of white noise, (n,) [rad or m].
-        count: Least counts of encoders that have counts instead, zero for others, (n,) [rad or m].
-    """
-
-    sigma: Array
-    count: Array
-
-    @property
-    def least_counts(self) -> tuple[float, ...]:
-        """Joint by joint; nothing where none has any."""
-        return tuple(map(float, self.count)) if self.count.any() else ()
-
-    def made(self, plan: Plan, combined: Array) -> Made:
-        """What such noise does to combinations of the columns; nothing without noise.
-
-        Args:
-            plan: The rows.
-            combined: How the unknowns' columns are combined, (p, q).
-        """
-        if not self.sigma.any():
-            return Made()
-        return Made(NoisyColumns(plan, self, combined), combined.shape[1])
-
-    def again(self, plan: Plan, values: Array) -> Made:
-        """What counts from other zeros do to an estimate's rows; nothing without counts.
-
-        Args:
-            plan: The rows.
-            values: Of the unknowns, (p,).
-        """
-        if not self.count.any():
-            return Made()
-        return Made(QuantizationReplicas(plan, self.count, values), ZEROS)
-
-
-class NoisyColumns:
-    """Noise in columns of rows, window by window, the same for any order of them."""
-
-    def __init__(self, plan: Plan, encoders: PositionNoise, combined: Array) -> None:
+    def __init__(self, plan: Plan, sigma: Array, count: Array) -> None:
         """Ready for any window.
 
         Args:
             plan: The rows.
-            encoders: Their noise.
-            combined: How the unknowns' columns are combined, (p, q).
+            sigma: Standard deviations of white noise, (n,) [rad or m].
+            count: Least counts of encoders that have counts instead, zero for others, (n,)
+                [rad or m].
         """
-        self._plan, self._sigma = plan, np.where(encoders.count > 0, 0.0, encoders.sigma)
-        self._counts = Quantization(plan, encoders.count) if encoders.count.any() else None
-        self._lead = plan.layout.basis @ combined
-        divisors = [d for d in range(1, plan.step + 1) if plan.step % d == 0]
-        stride = max([d for d in divisors if d * PER_ROW <= plan.step], default=1)
-        kernels = np.stack([np.convolve(taps, plan.weights) for taps in plan.taps])
-        middle = kernels.shape[1] // 2
-        self._per_row = plan.step // stride
-        self._kernels = kernels[:, middle % stride :: stride].T * np.sqrt(stride)
+        self._plan, self._sigma, self._count = plan, sigma, count
+        self._coarse = np.flatnonzero(count)
+        self._kernels = np.stack([np.convolve(taps, plan.weights) for taps in plan.taps])
 
-    def __call__(self, signals: Signals, first: int) -> Array:
-        """Of a window's rows, (C, rows, q).
+    @property
+    def least_counts(self) -> tuple[float, ...]:
+        """Joint by joint; nothing where none has any."""
+        return tuple(self._count.tolist()) if len(self._coarse) else ()
+
+    def noisy_columns(self, combined: Array) -> Made:
+        """Effect of noise on combinations of the columns; nothing without noise.
 
         Args:
-            signals: The window's.
-            first: Number of its first row.
+            combined: How the unknowns' columns are combined, (p, q).
         """
-        noise = self.coordinates(first, signals.number)
-        if self._counts:
-            noise = noise + self._counts.changing(signals, first)
-        return changed(self._plan, at_rows(signals), noise, self._lead)
+        basis = self._plan.layout.basis @ combined
 
-    def coordinates(self, first: int, count: int) -> Array:
+        def columns(signals: Signals, first: int) -> Array:
+            noise = self.white(first, signals.number)
+            if len(self._coarse):
+                smooth, begin = self._smooth(signals), first * self._plan.step
+                blocks = np.arange(begin, begin + len(smooth)) // HELD
+                zeros = [self._zeros(COUNTS_SEED, k) for k in range(blocks[0], blocks[-1] + 1)]
+                noise = noise + self._rounded(smooth, np.array(zeros)[blocks - blocks[0]])
+            return changed(self._plan, at_rows(signals), noise, basis)
+
+        return Made(columns, combined.shape[1]) if self._sigma.any() else Made()
+
+    def replicas(self, values: Array) -> Made:
+        """Effect of counts from other zeros on an estimate's rows; nothing without counts.
+
+        Zeros stay: what repeats in the motion repeats in the errors.
+
+        Args:
+            values: Of the unknowns, (p,).
+        """
+        basis = self._plan.layout.basis @ values[:, None]
+
+        def columns(signals: Signals, first: int) -> Array:
+            del first
+            motion, smooth = at_rows(signals), self._smooth(signals)
+            zeros = (self._zeros(COUNTS_SEED + 1, k) for k in range(REPLICAS))
+            each = (self._rounded(smooth, zero) for zero in zeros)
+            return np.concatenate(
+                [changed(self._plan, motion, error, basis) for error in each], axis=2
+            )
+
+        return Made(columns, REPLICAS) if len(self._coarse) else Made()
+
+    def white(self, first: int, count: int) -> Array:
         """Made noise of positions, velocities and accelerations, filtered, (3, rows, n).
 
         Args:
             first: Number of the first row.
             count: How many rows.
         """
-        begin = first * self._per_row
-        end = (first + count - 1) * self._per_row + len(self._kernels)
+        step, middle = self._plan.step, self._kernels.shape[1] // 2
+        strides = range(1, step // PER_ROW + 1)
+        stride = max((d for d in strides if step % d == 0), default=1)
+        kernels = self._kernels[:, middle % stride :: stride].T * np.sqrt(stride)
+        begin, end = first * step // stride, (first + count - 1) * step // stride + len(kernels)
         white = np.concatenate(
             [
                 np.random.default_rng([SEED, block]).normal(size=(BLOCK, len(self._sigma)))
                 for block in range(begin // BLOCK, -(-end // BLOCK))
             ]
         )[begin % BLOCK :][: end - begin]
-        around = np.lib.stride_tricks.sliding_window_view(white, len(self._kernels), axis=0)
-        made = around[:: self._per_row] @ self._kernels
-        return np.asarray(np.moveaxis(made, 2, 0) * self._sigma)
+        around = np.lib.stride_tricks.sliding_window_view(white, len(kernels), axis=0)
+        made = around[:: step // stride] @ kernels
+        return np.asarray(np.moveaxis(made, 2, 0) * np.where(self._count > 0, 0.0, self._sigma))
 
+    def _smooth(self, signals: Signals) -> Array:
+        """Positions of coarse encoders around the rows, without counts, (samples, coarse)."""
+        last = signals.start + (signals.number - 1) * signals.step
+        half, around = self._kernels.shape[1] // 2, len(signals.weights) // 2
+        shown = signals.position[signals.start - half : last + half + 1, self._coarse]
+        ends = np.pad(shown, ((around, around), (0, 0)), "reflect", reflect_type="odd")
+        return np.stack([np.convolve(own, signals.weights, "valid") for own in ends.T], axis=1)
 
-class QuantizationReplicas:
-    """What counts from other zeros do to the rows of an estimate, window by window."""
-
-    def __init__(self, plan: Plan, count: Array, values: Array) -> None:
-        """Ready for any window.
+    def _rounded(self, smooth: Array, zeros: Array) -> Array:
+        """Errors of whole counts, behind the filters, (3, rows, n).
 
         Args:
-            plan: The rows.
-            count: Least counts, zero for encoders without, (n,) [rad or m].
-            values: Of the unknowns, (p,).
+            smooth: Positions, (samples, coarse).
+            zeros: In counts, (samples, coarse) or (coarse,).
         """
-        self._plan, self._counts = plan, Quantization(plan, count)
-        self._lead = plan.layout.basis @ values[:, None]
+        size = self._count[self._coarse]
+        counts = smooth / size + zeros
+        off = (np.round(counts) - counts) * size
+        around = np.lib.stride_tricks.sliding_window_view(off, self._kernels.shape[1], axis=0)
+        part = around[:: self._plan.step] @ self._kernels.T
+        every = np.zeros((3, len(part), len(self._count)))
+        every[:, :, self._coarse] = np.moveaxis(part, 2, 0)
+        return every
 
-    def __call__(self, signals: Signals, first: int) -> Array:
-        """Of a window's rows, replica by replica, (C, rows, ZEROS)."""
-        del first
-        motion = at_rows(signals)
-        each = self._counts.lasting(signals, ZEROS)
-        return np.concatenate([changed(self._plan, motion, e, self._lead) for e in each], axis=2)
+    def _zeros(self, *seed: int) -> Array:
+        return np.random.default_rng(seed).uniform(size=len(self._coarse))
 
 
 def at_rows(signals: Signals) -> Array:
@@ -238,18 +166,18 @@ def at_rows(signals: Signals) -> Array:
     return np.stack([motion.q, motion.qd, motion.qdd])
 
 
-def changed(plan: Plan, motion: Array, noise: Array, lead: Array) -> Array:
+def changed(plan: Plan, motion: Array, noise: Array, basis: Array) -> Array:
     """By how much noise changes combinations of the columns, to second order, (C, rows, q).
 
     Args:
         plan: The rows.
         motion: Positions, velocities, accelerations, (3, rows, n).
         noise: Of these, (3, rows, n).
-        lead: How the columns are combined, (P, q).
+        basis: How the columns are combined, (P, q).
     """
     moved = np.concatenate([motion + noise, motion - noise], axis=1)
     more, less = np.split(motion_rows(plan, *moved), 2, axis=1)
-    return plan.layout.combined((more - less) / 2, lead)
+    return plan.layout.combined((more - less) / 2, basis)
 
 
 MOST = 0.5

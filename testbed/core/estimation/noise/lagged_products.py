@@ -48,9 +48,8 @@ class Autoregression:
     @property
     def memory(self) -> Array:
         """Rows in which the slowest part of each channel's noise fades to 1/e, (C,)."""
-        kept = _largest_roots(self.coefficients)
-        some = (kept > 0) & (kept < 1)
-        return np.where(some, -1 / np.log(np.where(some, kept, 0.5)), 0.0)
+        with np.errstate(divide="ignore"):  # white noise has none
+            return np.asarray(-1 / np.log(_largest_roots(self.coefficients)))
 
 
 def fit(moments: Array, order: int) -> Array:
@@ -60,13 +59,11 @@ def fit(moments: Array, order: int) -> Array:
         moments: e_(t-i) e_(t-j) summed over the same t, (..., K + 1, K + 1), K >= P.
         order: P.
     """
-    found = np.zeros((*moments.shape[:-2], order))
-    matrix, right = moments[..., 1 : order + 1, 1 : order + 1], moments[..., 1 : order + 1, 0]
-    size = np.trace(matrix, axis1=-2, axis2=-1)
-    some = size > 0
-    ridge = RIDGE * size[some, None, None] / max(order, 1) * np.eye(order)
-    found[some] = np.linalg.solve(matrix[some] + ridge, right[some, :, None])[..., 0]
-    return _forgetting(found)
+    matrix, right = moments[..., 1 : order + 1, 1 : order + 1], moments[..., 1 : order + 1, :1]
+    size = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None] / max(order, 1)
+    return _forgetting(
+        np.linalg.solve(matrix + (RIDGE * size + TINY) * np.eye(order), right)[..., 0]
+    )
 
 
 def prediction_errors(coefficients: Array) -> Array:
@@ -211,10 +208,14 @@ class LaggedProducts:
         """
         if count == self.unknowns:
             return self
-        return self._of(np.r_[:count, self.unknowns : self.products.shape[2]])
+        return self.columns(np.r_[:count, self.unknowns : self.products.shape[2]])
 
-    def _of(self, which: Ints) -> LaggedProducts:
-        """Copy of some of the columns, in any order."""
+    def columns(self, which: Ints) -> LaggedProducts:
+        """Copy of some of the columns, in any order.
+
+        Args:
+            which: Their numbers.
+        """
         products = self.products[..., which[:, None], which]
         first, last = self.first[..., which], self.last[..., which]
         return replace(self, products=products, first=first, last=last)
@@ -284,7 +285,7 @@ class LaggedProducts:
         m, count, size = self.unknowns, directions.shape[1], self.products.shape[2]
         if not count:
             return self
-        extended, own = self._of(np.r_[:m, [size - 1] * count, m:size]), slice(m, m + count)
+        extended, own = self.columns(np.r_[:m, [size - 1] * count, m:size]), slice(m, m + count)
         extended.products[..., own, :] *= directions[:, :, None]
         for each in (extended.products, extended.first, extended.last):
             each[..., own] *= directions[:, None]

@@ -163,46 +163,50 @@ class TimeDelay:
 
 
 def lateness(
-    given: LaggedProducts, found: NoiseFit, start: Array, factor: float, rate: float
+    given: LaggedProducts, fit: NoiseFit, start: Array, factor: float, rate: float
 ) -> TimeDelay | None:
-    """What the residuals hold of a delay; None where there are too few rows to say.
+    """Delay of the residuals against the prediction; None where there are too few rows to say.
 
     Channels weigh by the residuals that they have, of which a model of the noise may explain any
     part. Sigma counts how residuals and slopes hang together over neighbouring rows.
 
     Args:
         given: Products of unknowns' columns, residuals of a first solution, and ones, two lags.
-        found: What is added to the first solution, (m,).
+        fit: Correction of the first solution, (m,).
         start: The first solution, (m,).
         factor: By which sigma is larger than a formula's.
         rate: Rows a second [Hz].
     """
     if given.lags < 2:
         return None
-    m = len(start)
-    ones = np.maximum(given.products[0, :, -1, -1], 1.0)
-    predicted = np.zeros((len(ones), m + 2))
-    predicted[:, :m] = start + found.values
-    predicted[:, -1] = (
-        -np.einsum("ci,ci->c", given.products[0, :, -1], predicted) / ones
-    )  # its mean
-    left = np.broadcast_to(np.concatenate([-found.values, [1.0, 0.0]]), predicted.shape)
-    slopes = _slopes(_slopes(_lagged(given, predicted, predicted), 1), -1) * rate**2
-    rests, across = _lagged(given, left, left), _slopes(_lagged(given, left, predicted), 1)
-    now, one = given.products[:2]
-    before, after = one @ predicted[..., None], one.swapaxes(1, 2) @ predicted[..., None]
-    slope = (after - before)[..., 0] * rate / 2  # with each column, (C, m + 2)
+    m, (now, one) = len(start), given.products[:2]
+    ones = np.maximum(now[:, -1, -1], 1.0)
+    maps = np.zeros((len(ones), m + 2, 2))  # to predictions about their mean, and to residuals
+    maps[:, :m] = np.column_stack([start + fit.values, -fit.values])
+    maps[:, m, 1] = 1.0
+    maps[:, -1, 0] = -(now[:, -1] * maps[..., 0]).sum(axis=1) / ones
+    both = given.combined(maps).products
+    apart = np.concatenate([both[:0:-1].swapaxes(2, 3), both])  # -K ... K rows apart, (., C, 2, 2)
+    slopes = -_half_differences(_half_differences(apart[..., 0, 0])) * rate**2
+    across = _half_differences(apart[..., 1, 0])[1:-1] * rate
+    slope = ((one.swapaxes(1, 2) - one) @ maps[..., :1])[..., 0] * rate / 2  # with each column
     squares = slopes[len(slopes) // 2]
     late = TimeDelay(0.0, 0.0)
-    for _ in range(ROUNDS):  # what is left without the delay is noise
-        noise = _without(rests, across * rate, slopes, late.delay) / ones
+    for _ in range(ROUNDS):  # residuals without the delay are noise
+        rest = apart[2:-2, :, 1, 1] + late.delay * (across + across[::-1]) + late.delay**2 * slopes
+        noise = rest / ones
         weights = 1 / np.maximum(noise[len(noise) // 2], LEAST**2)
-        late = _fitted(now[:, :m, :m], slope, squares, left[0], weights)
+        late = _fitted(now[:, :m, :m], slope, squares, maps[0, :, 1], weights)
         if not np.isfinite(late.sigma):
             return None
     alike = float(weights**2 @ (slopes * noise).sum(axis=0))
     alike /= float(weights @ squares)
     return TimeDelay(late.delay, factor * late.sigma * float(np.sqrt(max(alike, 1.0))))
+
+
+def _half_differences(sums: Array) -> Array:
+    """Sums with the derivative of the earlier signal, times the time between rows."""
+    return (sums[:-2] - sums[2:]) / 2
 
 
 def _fitted(columns: Array, slope: Array, squares: Array, left: Array, weights: Array) -> TimeDelay:
@@ -221,32 +225,6 @@ def _fitted(columns: Array, slope: Array, squares: Array, left: Array, weights: 
     if alone <= 0:
         return TimeDelay(0.0, np.inf)
     return TimeDelay(-float(weights @ slope @ left) / alone, 1 / float(np.sqrt(alone)))
-
-
-def _lagged(given: LaggedProducts, now: Array, before: Array) -> Array:
-    """Sums of one combination of columns times another, j = -K ... K rows before, (2K + 1, C).
-
-    Args:
-        given: The products.
-        now: (C, q).
-        before: (C, q).
-    """
-    forth, back = (
-        (one * (given.products @ other[..., None])[..., 0]).sum(axis=2)
-        for one, other in ((now, before), (before, now))
-    )
-    return np.concatenate([back[:0:-1], forth])
-
-
-def _slopes(sums: Array, way: int) -> Array:
-    """The same sums with the second of the two (1), or the first (-1), as half differences."""
-    return way * (sums[:-2] - sums[2:]) / 2
-
-
-def _without(rests: Array, across: Array, slopes: Array, delay: float) -> Array:
-    """Sums of residuals times residuals, j rows apart, a delay taken back, (2K - 3, C)."""
-    inner = rests[2:-2] + delay * (across[1:-1] + across[::-1][1:-1])
-    return inner + delay**2 * slopes
 
 
 COARSE = 0.05

@@ -47,7 +47,7 @@ class Replicas:
         self._noise = LaggedSums(noise.order)
         lags, channels = self._known.products.shape[:2]
         self._across = np.zeros((lags, channels, columns + 1, REPLICAS))
-        self._before: tuple[Array, Array] | None = None
+        self._before: Array | None = None
 
     def add(self, columns: Array, ones: Array) -> None:
         """Go on with consecutive rows.
@@ -58,18 +58,16 @@ class Replicas:
         """
         noise = self._maker.rows(columns.shape[1]) * ones[..., None]
         self._noise.add(noise)
-        now = np.concatenate([columns, ones[..., None]], axis=2), noise
+        now = np.concatenate([columns, ones[..., None], noise], axis=2)
         lags, rows = len(self._across) - 1, columns.shape[1]
-        before = self._before or tuple(np.zeros((len(ones), lags, z.shape[2])) for z in now)
-        columns, noise = (np.concatenate(each, axis=1) for each in zip(before, now, strict=True))
-        around = np.zeros((*noise.shape[:2], lags + 1, REPLICAS))
-        for lag in range(lags + 1):  # as a lag's products and their transpose come together only
+        if self._before is None:
+            self._before = np.zeros((len(ones), lags, now.shape[2]))
+        run = np.concatenate([self._before, now], axis=1)
+        known, made = run[..., :-REPLICAS].swapaxes(1, 2), run[..., -REPLICAS:]
+        for lag, across in enumerate(self._across):  # a lag's products with their transpose
             late, early = slice(lags, lags + rows), slice(lags - lag, lags - lag + rows)
-            around[:, late, lag] += noise[:, early] / 2
-            around[:, early, lag] += noise[:, late] / 2
-        found = columns.swapaxes(1, 2) @ around.reshape(*noise.shape[:2], -1)
-        self._across += np.moveaxis(found.reshape(*found.shape[:2], lags + 1, -1), 2, 0)
-        self._before = columns[:, rows:], noise[:, rows:]
+            across += (known[..., late] @ made[:, early] + known[..., early] @ made[:, late]) / 2
+        self._before = run[:, rows:]
 
     def pause(self) -> None:
         """What comes next does not follow what came last."""
@@ -79,22 +77,18 @@ class Replicas:
     @property
     def products(self) -> LaggedProducts:
         """Products with the replicas in the residuals' place, symmetric those of a lag, too."""
-        made, known = self._noise.finish(), self._known
-        m = known.unknowns
-        own, size = slice(m, m + REPLICAS), m + REPLICAS + 1
-        rest = [*range(m), size - 1]  # columns and ones
-        products = np.empty((*known.products.shape[:2], size, size))
-        for lag, channel in np.ndindex(products.shape[:2]):  # one by one: they fit into a cache
-            each, across = products[lag, channel], self._across[lag, channel]
-            before = np.delete(np.delete(known.products[lag, channel], m, 0), m, 1)
-            each[np.ix_(rest, rest)] = _alike(before)
-            each[rest, own], each[own, rest] = across, across.T
-            each[own, own] = _alike(made.products[lag, channel])
+        made, m, across = self._noise.finish(), self._known.unknowns, self._across
+        known = self._known.columns(np.r_[:m, m + 1])  # columns and ones
+        products = [
+            [_symmetric(known.products), across],
+            [across.swapaxes(2, 3), _symmetric(made.products)],
+        ]
         first, last = (
-            np.concatenate([old[..., :m], new, old[..., -1:]], axis=3)
-            for old, new in ((known.first, made.first), (known.last, made.last))
+            np.concatenate(ends, axis=3)
+            for ends in ((known.first, made.first), (known.last, made.last))
         )
-        return LaggedProducts(made.rows, products, first, last, REPLICAS, alike=True)
+        whole = LaggedProducts(made.rows, np.block(products), first, last, REPLICAS, alike=True)
+        return whole.columns(np.r_[:m, m + 1 : m + 1 + REPLICAS, m])
 
     def squares(self, fits: Fits, basis: Array, directions: Array | None = None) -> Array:
         """Squares of parameters that are zero, as replicas have them, over sigma's, (R, p).
@@ -110,9 +104,9 @@ class Replicas:
         return np.array([_squares(fit, basis) for fit in fits(products, self._order)])
 
 
-def _alike(products: Array) -> Array:
-    """Half of what a lag's products are and of their transpose."""
-    return (products + products.T) / 2
+def _symmetric(products: Array) -> Array:
+    """Half of a lag's products and of their transpose."""
+    return (products + products.swapaxes(2, 3)) / 2
 
 
 def _squares(fit: NoiseFit, basis: Array) -> Array:

@@ -197,7 +197,7 @@ class Whitening:
         noise = LaggedSums(lags if plate else 0)  # rows of joints have gaps: none is whitened
         combined, made = np.column_stack([self.white, values]), Made()
         if encoders is not None:
-            made = encoders.made(passes.plan, combined)
+            made = encoders.noisy_columns(combined)
         whole, m = passes.plan.looked_at_all, len(self.grown)
         for rows in self.rows(passes, values, made):
             last = np.stack([rows.white, rows.ones], axis=2)

@@ -123,10 +123,9 @@ def _clear_factor(matrix: Array) -> Array | None:
 
 def _inverse_root(matrix: Array) -> Array:
     """By eigenvalues of the matrix with a diagonal of ones, where no factor is clear."""
-    diagonal = np.diagonal(matrix)
-    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    size, axes = eigh(matrix * np.outer(scale, scale))
-    return scale[:, None] * axes / np.sqrt(np.maximum(size, ROUNDING))
+    unit, scale = unit_diagonal(matrix)
+    size, axes = eigh(unit)
+    return np.asarray(axes / scale[:, None] / np.sqrt(np.maximum(size, ROUNDING)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from math import comb
 from queue import Empty, SimpleQueue
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -52,8 +52,7 @@ BETWEEN = 0.4
 """Counts of noise that blur the counts: of rounding alone there are 0.29 at most."""
 
 
-@dataclass(frozen=True, eq=False)
-class Repeats:
+class Repeats(NamedTuple):
     """How often a sample is the same as the one before, while the encoders' are not.
 
     Attributes:
@@ -100,10 +99,8 @@ class Surveyor:
     def __init__(self, samples: int) -> None:
         """Nothing yet, of a recording of that many samples."""
         self.stride = max(1, samples // SAMPLES)
-        self._kept: dict[int, tuple[Array, Array]] = {}
-        self._repeats: dict[int, Repeats] = {}
-        self._rough: dict[int, Array] = {}
-        self._counts: dict[int, Array] = {}
+        self._looks: dict[int, tuple[Array, Array, Repeats]] = {}
+        self._closely: dict[int, tuple[Array, Array]] = {}
 
     def look(self, signals: Signals, first: int, count: int, closely: bool = True) -> None:
         """Keep some of a window's samples.
@@ -115,26 +112,23 @@ class Surveyor:
             closely: Whether its encoders' noise and counts are wanted: some windows show them.
         """
         own = slice(-first % self.stride, count, self.stride)
-        self._kept[first] = signals.position[own].copy(), signals.measured[own].copy()
-        self._repeats[first] = _repeats(
-            signals.position[: count + 1], signals.measured[: count + 1]
-        )
+        position, measured = signals.position, signals.measured
+        repeats = _repeats(position[: count + 1], measured[: count + 1])
+        self._looks[first] = position[own].copy(), measured[own].copy(), repeats
         if closely:
-            self._rough[first] = _each(_noise_square, signals.position[: count + ORDER])
-            self._counts[first] = _each(_least_count, signals.position[: count + 1])
+            noise = _each(_noise_square, position[: count + ORDER])
+            self._closely[first] = noise, _each(_least_count, position[: count + 1])
 
     def survey(self) -> Survey:
         """All that was kept, in the order of time."""
-        parts = [self._kept[first] for first in sorted(self._kept)]
-        position, measured = (np.concatenate(group) for group in zip(*parts, strict=True))
-        windows = [vars(each) for each in self._repeats.values()]
-        repeats = Repeats(**{name: sum(each[name] for each in windows) for name in windows[0]})
-        rough = np.stack([self._rough[first] for first in sorted(self._rough)])
+        looks = zip(*(self._looks[first] for first in sorted(self._looks)), strict=True)
+        positions, measured, each = looks
+        repeats = Repeats(*(sum(counts) for counts in zip(*each, strict=True)))
+        rough, least = zip(*(self._closely[k] for k in sorted(self._closely)), strict=True)
         # poses that were recorded again say nothing of it
-        known = repeats.held < HELD * repeats.pairs
-        noise = known * np.sqrt(np.median(rough, axis=0))
-        least = np.stack([self._counts[first] for first in sorted(self._counts)])
-        return Survey(position, measured, repeats, noise, _without_noise(least, noise))
+        noise = (repeats.held < HELD * repeats.pairs) * np.sqrt(np.median(rough, axis=0))
+        counts = _without_noise(np.stack(least), noise)
+        return Survey(np.concatenate(positions), np.concatenate(measured), repeats, noise, counts)
 
 
 def _repeats(position: Array, measured: Array) -> Repeats:
@@ -180,12 +174,8 @@ def _least_count(position: Array) -> float:
 
 def _without_noise(counts: Array, noise: Array) -> Array:
     """Least counts of all windows, (windows, n), where noise, (n,), does not blur them."""
-    found = np.zeros(len(noise))
-    for joint, own in enumerate(counts.T):
-        known = own[np.isfinite(own)]
-        if len(known):
-            found[joint] = np.median(known)
-    return np.where(noise < BETWEEN * found, found, 0.0)
+    least = np.nanmedian(np.where(np.isnan(counts).all(axis=0), 0.0, counts), axis=0)
+    return np.where(noise < BETWEEN * least, least, 0.0)
 
 
 Progress = Callable[[int, int], None]
@@ -214,6 +204,15 @@ def is_compiled(plan: Plan) -> bool:
     return wanted and plan.layout.compiles
 
 
+def _engine(plan: Plan) -> Any:
+    """Module that makes a plan's rows."""
+    if not is_compiled(plan):
+        return numpy_engine
+    from testbed.core.kernel import numba_engine  # loads Numba
+
+    return numba_engine
+
+
 def motion_rows(plan: Plan, q: Array, qd: Array, qdd: Array) -> Array:
     """Rows of a motion by what makes a plan's, unfiltered, zero where measurements are, (slots, M).
 
@@ -223,14 +222,8 @@ def motion_rows(plan: Plan, q: Array, qd: Array, qdd: Array) -> Array:
         qd: Velocities, (M, n).
         qdd: Accelerations, (M, n).
     """
-    signals = sensed(q, qd, qdd, plan.layout.width)
-    if is_compiled(plan):
-        from testbed.core.kernel import numba_engine
-
-        work = numba_engine.workspace(plan.layout, signals)
-        made = numba_engine.rows(plan.layout, signals, work)
-    else:
-        made = numpy_engine.rows(plan.layout, signals)
+    signals, engine = sensed(q, qd, qdd, plan.layout.width), _engine(plan)
+    made = engine.rows(plan.layout, signals, engine.workspace(plan.layout, signals))
     return np.concatenate([block.rows for block in made], axis=1)
 
 
@@ -248,7 +241,7 @@ class Passes:
         """
         self.number = number
         self.plan = plan
-        self.compiled = is_compiled(plan)
+        self.compiled, self._engine = is_compiled(plan), _engine(plan)
         self.threads = max(1, threads or os.cpu_count() or 1) if self.compiled else 1
         self.progress = progress
         self.done = 0
@@ -336,10 +329,9 @@ class Passes:
         layout = self.plan.layout
         if self._keeps(window) or not self.compiled:
             return numpy_engine.sweep(layout, signals, self._blocks(signals, window))
-        from testbed.core.kernel import numba_engine
-
         with self._workspace(signals) as work:
-            return numba_engine.sweep(layout, signals, work)
+            sums: Sums = self._engine.sweep(layout, signals, work)
+        return sums
 
     def _rows(
         self, beside: Columns | None, part: Recording, window: Window
@@ -352,31 +344,22 @@ class Passes:
     def _blocks(self, signals: Signals, window: Window) -> list[Block]:
         if window.row in self._kept:
             return self._kept[window.row]
-        found = self._made(signals)
+        with self._workspace(signals) as work:
+            made: list[Block] = self._engine.rows(self.plan.layout, signals, work)
         if self._keeps(window):
-            self._kept[window.row] = found
-        return found
+            self._kept[window.row] = made
+        return made
 
     def _keeps(self, window: Window) -> bool:
         return window.row + window.rows <= self._rows_kept
 
-    def _made(self, signals: Signals) -> list[Block]:
-        if not self.compiled:
-            return numpy_engine.rows(self.plan.layout, signals)
-        from testbed.core.kernel import numba_engine
-
-        with self._workspace(signals) as work:
-            return numba_engine.rows(self.plan.layout, signals, work)
-
     @contextmanager
     def _workspace(self, signals: Signals) -> Iterator[Any]:
         """A workspace that no other thread is using."""
-        from testbed.core.kernel import numba_engine
-
         try:
             work = self._workspaces.get_nowait()
         except Empty:
-            work = numba_engine.workspace(self.plan.layout, signals)
+            work = self._engine.workspace(self.plan.layout, signals)
         try:
             yield work
         finally:
