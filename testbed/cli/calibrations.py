@@ -278,7 +278,8 @@ def _replayed(reading: Reading, unseen: Path, written: Path) -> list[str]:
     from testbed.view.drives import replay_lines
 
     motion = Recording.load(unseen)
-    ends = [replay(each.file, motion) for each in (reading, replace(reading, model=written))]
+    files = reading.file, replace(reading.file, path=written)
+    ends = [replay(each, motion) for each in files]
     return replay_lines(reading.tree.names, *ends)
 
 

@@ -16,7 +16,7 @@ from testbed.core.base.errors import SettingsError
 from testbed.core.base.frames import frame_of
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
-from testbed.core.estimation.estimate import Estimate, Method
+from testbed.core.estimation.estimate import Estimate, Method, channel_units
 from testbed.core.estimation.information import Evidence, Information
 from testbed.core.estimation.regression.windows import row_weights
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
@@ -236,6 +236,6 @@ def predict(data: Recording | Run, *more: Estimate | Information | Recording | N
     if recording.wrench is not None:
         signals.append(Signal("wrench", AXES, PLATE_UNITS, recording.wrench[inner], wrench))
     if recording.torque is not None:
-        units = tuple("N m" if joint.revolute else "N" for joint in run.tree.joints)
+        units = channel_units(run.tree, "internal")
         signals.append(Signal("torque", run.tree.names, units, recording.torque[inner], torque))
     return Predictions(run, recording, motion, tuple(signals), bool(others))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import rerun as rr
 import rerun.blueprint as rrb
 
+from testbed.core.estimation.estimate import channel_units
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.predict import Channel
@@ -48,8 +49,8 @@ def live_blueprint(name: str, tree: Tree, size: float) -> rrb.Blueprint:
     """
     wrench = [_plot(f"/wrench/{c}", f"{c} [{u}]") for c, u in zip(AXES, PLATE_UNITS, strict=True)]
     torque = [
-        _plot(f"/torque/{safe(j.name)}", f"torque of {j.name} [{'N m' if j.revolute else 'N'}]")
-        for j in tree.joints
+        _plot(f"/torque/{safe(joint)}", f"torque of {joint} [{unit}]")
+        for joint, unit in zip(tree.names, channel_units(tree, "internal"), strict=True)
     ]
     tabs = rrb.Tabs(
         rrb.Grid(*wrench, grid_columns=2, name="wrench"), _joints("", torque), name=name
@@ -73,9 +74,9 @@ def motion_blueprint(
     left = [_plot(f"/left/{k}", f"margin to {kind}", seen, False) for k, kind in enumerate(kinds)]
     joints = [
         rrb.Horizontal(
-            *(_plot(f"/{s}/{safe(j.name)}", f"{s} of {j.name}", seen, False) for s in RATES)
+            *(_plot(f"/{s}/{safe(joint)}", f"{s} of {joint}", seen, False) for s in RATES)
         )
-        for j in tree.joints
+        for joint in tree.names
     ]
     tabs = rrb.Tabs(
         _stack(left, "limits"),
