@@ -92,12 +92,14 @@ class PayloadOutput:
         """
         from testbed.applications.payload.vendors import VENDORS, at_flange
         from testbed.core.base.codec import encode
-        from testbed.view import output, terminal
+        from testbed.view import estimates as shown
+        from testbed.view import output
 
         if self.as_json:
             output.print_json(encode(found))
         elif self.vendor is None:
-            terminal.print_payload(found, [*diagnostics], title)
+            lines = shown.payload_lines(found)
+            output.print_result([shown.payload_table(found, title)], lines, diagnostics)
         else:
             typer.echo(VENDORS[self.vendor](at_flange(found, tree, link)))
             for each in diagnostics:
@@ -164,7 +166,7 @@ def calibrate(
         if as_json:
             output.print_json(encode(scales))
         else:
-            output.print_tables(output.console(), [shown.scales_table(scales)])
+            output.print_result([shown.scales_table(scales)])
         return
     reading, source, held = reading.holding(source)
     with output.Progress("calibrating") as progress:
@@ -231,8 +233,8 @@ def drives(
     from testbed.core.base.files import together
     from testbed.core.recordings.views import with_gear
     from testbed.importing.check.time_offset import delivered
-    from testbed.view import output, terminal
-    from testbed.view.drives import delay_line
+    from testbed.view import output
+    from testbed.view.drives import delay_line, drive_lines, drive_table
 
     check_outputs(friction, force=writing.force, read=(recording, reading.model))
     writing.check(reading, [recording])
@@ -265,8 +267,8 @@ def drives(
     if as_json:
         output.print_json({**encode(found), "delay": delay})
     else:
-        terminal.print_drives(found, said)
-        output.print_lines(lines, ())
+        output.print_result([drive_table(found.estimates)], drive_lines(found), said)
+        output.print_result(lines=lines)
 
 
 def _replayed(reading: Reading, unseen: Path, written: Path) -> list[str]:
@@ -276,7 +278,8 @@ def _replayed(reading: Reading, unseen: Path, written: Path) -> list[str]:
     from testbed.view.drives import replay_lines
 
     motion = Recording.load(unseen)
-    ends = [replay(each.file, motion) for each in (reading, replace(reading, model=written))]
+    files = reading.file, replace(reading.file, path=written)
+    ends = [replay(each, motion) for each in files]
     return replay_lines(reading.tree.names, *ends)
 
 

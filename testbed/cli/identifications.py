@@ -237,7 +237,7 @@ def identify(
         everything=everything,
     )
     if writing.write is not None:
-        output.print_lines([f"model file: {writing.write}"], ())
+        output.print_result(lines=[f"model file: {writing.write}"])
 
 
 @command()
@@ -264,7 +264,8 @@ def validate(
     from testbed.core.base.errors import RecordingError
     from testbed.core.estimation.estimate import NAMES, SIGNAL_OF
     from testbed.lab.experiment.read_result import read_result
-    from testbed.view import output, terminal
+    from testbed.view import output
+    from testbed.view.posterior import validation_table
 
     kept = read_result(result, reading.model, reading.settings or ())
     source = corrected_source(kept.without_held(opened(recording)), kept.tree, reading.plate)
@@ -291,7 +292,8 @@ def validate(
     if as_json:
         output.print_json({method: encode(each) for method, each in found.items()})
     else:
-        terminal.print_validations(list(found.values()), said)
+        said += [each for validation in found.values() for each in validation.diagnostics]
+        output.print_result(map(validation_table, found.values()), (), said)
 
 
 @command()
@@ -326,8 +328,8 @@ def sample(
     from testbed.core.base.errors import SettingsError
     from testbed.core.base.installation import versions
     from testbed.lab.experiment.read_result import read_result
-    from testbed.view import bodies as shown
     from testbed.view import output
+    from testbed.view.bodies import draws_table
 
     check_outputs(out, force=True, folder=True, read=(result, reading.model))
     kept = read_result(result, reading.model, reading.settings or ())
@@ -352,5 +354,5 @@ def sample(
     if as_json:
         output.print_json(encode(found, exclude={"values"}))
     else:
-        output.print_tables(output.console(), [shown.draws_table(found)])
-        output.print_lines([f"{count} robots: {out}"], [*prior.diagnostics, *said])
+        written = [f"{count} robots: {out}"]
+        output.print_result([draws_table(found)], written, [*prior.diagnostics, *said])

@@ -52,7 +52,7 @@ def write_mapping(
     solution = _solution(files, written, reading)
     draft = solution.draft
     if out is not None and reading.model is not None:
-        output.print_tables(output.console(), [solved_table(draft)])
+        output.print_result([solved_table(draft)])
     with together():
         if page is not None:
             write_mapping_page(page, solution)
@@ -92,7 +92,7 @@ def _solution(files: Sequence[Path], written: Path, reading: Reading) -> Mapping
     said = [diagnose("robot.locked", locked)] if locked else []
     if file.weld_root and not reading.weld_root:
         said.append(diagnose("robot.welded", tree.name))
-    output.print_lines((), [*tree.diagnostics, *said, *solution.diagnostics])
+    output.print_result(diagnostics=[*tree.diagnostics, *said, *solution.diagnostics])
     return solution
 
 
@@ -184,7 +184,8 @@ def import_(
     doubts = ordered([*(each for report in reports for each in report.diagnostics), *checked])
     lines = [*(line for report in reports for line in report.lines()), *clocks]
     last = f"recordings: {', '.join(paths)}; identify takes them together"
-    output.print_lines([*lines, last if cuts else f"recording: {out}"], [*cuts, *doubts])
+    lines.append(last if cuts else f"recording: {out}")
+    output.print_result((), lines, [*cuts, *doubts])
 
 
 def checked_import(

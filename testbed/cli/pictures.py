@@ -258,7 +258,6 @@ def _judged_on(run: Run, path: Path, reading: Reading) -> Run:
     from testbed.lab.experiment.carry_out import validated
 
     assert run.model is not None
-    held = replace(reading.with_lock(run.model), model=run.model.path)
-    _, other, doubted = _loaded(path, held)
+    _, other, doubted = _loaded(path, replace(reading, resolved=run.model))
     said = (*other.metadata.diagnostics, *doubted)
     return validated(run, other).with_diagnostics(replace(d, recording=path.name) for d in said)

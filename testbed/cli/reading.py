@@ -120,6 +120,8 @@ class Reading:
     ] = None
     sensors: Mapping[str, Any] = field(default_factory=dict)
     """Force sensors of the recording, by name."""
+    resolved: Any = None
+    """The `ModelFile` with joints held for a recording; default as the options say."""
 
     @property
     def model_words(self) -> list[str]:
@@ -192,6 +194,8 @@ class Reading:
         from testbed.core.robot.locks import parse_lock
         from testbed.core.robot.model_file import ModelFile, joint_names, mimic_joints
 
+        if isinstance(self.resolved, ModelFile):
+            return self.resolved
         assert self.model is not None
         path = self.model
         held = parse_lock(self.lock or (), lambda: joint_names(path))
@@ -263,8 +267,7 @@ class Reading:
         from testbed.core.recordings.views import on_its_base
 
         file, fewer, _ = hold_still(self.file, source, lock_only=True)
-        reading = self if file.lock == self.file.lock else self.with_lock(file)
-        reading = reading.with_sensors(source).on_its_root(source)
+        reading = replace(self, resolved=file).with_sensors(source).on_its_root(source)
         return reading, on_its_base(fewer, reading.tree)
 
     def robot_of(self, source: Source) -> tuple[Tree, Source]:
@@ -286,7 +289,7 @@ class Reading:
         except FreeRootError:
             if "base" in source.signals:
                 raise
-            return replace(self, weld_root=True)
+            return replace(self, resolved=replace(self.file, weld_root=True))
         return self
 
     def with_sensors(self, source: Source, *, alone: bool = False) -> Reading:
@@ -321,17 +324,11 @@ class Reading:
         kept = [each for each in said if each.code != "position.held"]
         doubted = any(each.code == "position.still" for each in said)
         file, locked = lock_unrecorded(self.file, source)
-        reading = (self.with_lock(file) if locked else self).on_its_root(source)
+        reading = replace(self, resolved=file).on_its_root(source)
         if doubted or reading.tree.floating or reading.tree.is_part:
             return reading, source, [*kept, *locked]
-        file, fewer, held = hold_resting(replace(file, weld_root=reading.weld_root), source)
-        reading = reading if fewer is source else reading.with_lock(file)
-        return reading, fewer, [*kept, *locked, *held]
-
-    def with_lock(self, file: ModelFile) -> Reading:
-        """The same with the joints held that a model file's lock names."""
-        words = [name if q is None else f"{name}={float(q)!r}" for name, q in file.lock.items()]
-        return replace(self, lock=words)
+        file, fewer, held = hold_resting(reading.file, source)
+        return replace(reading, resolved=file), fewer, [*kept, *locked, *held]
 
     def accepted(self, source: Source) -> tuple[Diagnostic, ...]:
         """What to doubt of an imported recording; nothing is said of others.

@@ -153,9 +153,9 @@ def _recorded(files: list[Path], mapping: Path, reading: Reading, *, force: bool
         words += ["--set", 'identification.nuisances=["pose","skew"]']
     imported = ImportReport.from_dict(recordings[0].metadata.report).diagnostics
     said = [*cuts, *imported, *report.diagnostics]
-    output.print_lines(
-        [f"{listed}: testbed {shlex.join(map(str, words))}"],
-        [each for each in said if each not in solution.diagnostics],
+    output.print_result(
+        lines=[f"{listed}: testbed {shlex.join(map(str, words))}"],
+        diagnostics=[each for each in said if each not in solution.diagnostics],
     )
 
 

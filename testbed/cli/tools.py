@@ -93,8 +93,8 @@ def _print_at_rest(table: Path, reading: Reading, printed: PayloadOutput, *, deg
     if printed.as_json:
         output.print_json(encode(found))
     elif printed.vendor is None:
-        output.print_lines((), known)
-        output.print_lines(shown.tool_lines(found), ())
+        output.print_result(diagnostics=known)
+        output.print_result(lines=shown.tool_lines(found))
     elif found.payload is None or found.doubtful:
         first = printable(ordered(found.diagnostics)[0].text, 250)
         raise SettingsError(f"no controller should get this tool: {first}")

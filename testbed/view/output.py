@@ -189,14 +189,21 @@ def print_json(value: dict[str, Any]) -> None:
     sys.stdout.write(json_text(value).decode() + "\n")
 
 
-def print_lines(lines: Sequence[str], diagnostics: Iterable[Diagnostic]) -> None:
-    """Print sentences.
+def print_result(
+    tables: Iterable[Table] = (),
+    lines: Iterable[str] = (),
+    diagnostics: Iterable[Diagnostic] = (),
+) -> None:
+    """Print tables, then sentences, then what a careful reader should know.
 
     Args:
+        tables: One after the other.
         lines: One each.
-        diagnostics: What a careful reader should know.
+        diagnostics: In any order.
     """
     out = console()
+    for table in tables:
+        print_tables(out, [table])
     print_text(out, lines)
     print_diagnostics(out, diagnostics)
 

@@ -182,11 +182,10 @@ def plot(what: Recording | Run | Estimate, *estimates: Estimate | Information) -
 def _residuals(found: Predictions) -> Picture:
     """Measured less predicted over time, a plot a channel, a line an estimate."""
     plots = {
-        f"{channel} [{signal.units[k]}]": {
-            method: (found.time, signal.residual(method)[:, k]) for method in signal.predicted
+        f"{channel.name} [{channel.unit}]": {
+            method: (found.time, left) for method, left in channel.residuals.items()
         }
-        for signal in found.signals
-        for k, channel in enumerate(signal.channels)
+        for channel in found.channels
     }
     (title, curves), *below = plots.items()
     return draw(Panel(title, curves, "time [s]", below=dict(below)), WIDTH)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,16 @@ from testbed.view.plot import dots_section
 from testbed.view.posterior import errors_table, posterior_table
 from testbed.view.section import Table
 from testbed.view.signals import sections
+
+SIGNALS = {
+    "position": "joint positions",
+    "base": "pose of the base",
+    "wrench": "bedplate wrench",
+    "torque": "joint torques",
+    "velocity": "velocities",
+    "acceleration": "accelerations",
+}
+"""What was recorded, in words."""
 
 
 def write_report(run: Run, path: Path) -> Path:
@@ -123,13 +133,8 @@ def contents(run: Run) -> dict[str, Any]:
 
 def _values(estimate: Estimate) -> dict[str, Any]:
     """Value, standard deviation and unit of each identifiable parameter, by name."""
-    rows = zip(
-        estimate.names,
-        estimate.values.tolist(),
-        estimate.sigma.tolist(),
-        estimate.units,
-        strict=True,
-    )
+    numbers = estimate.values.tolist(), estimate.sigma.tolist()
+    rows = zip(estimate.names, *numbers, estimate.units, strict=True)
     return {
         name: {"value": value, "sigma": sigma, "unit": unit}
         for name, value, sigma, unit in rows
@@ -167,15 +172,19 @@ def _maps(run: Run) -> list[Table]:
     names = [*tree.names]
     if tree.floating:
         names[:FREE] = [joint.body for joint in tree.joints[:FREE]]
-    plate = run.recording.wrench is not None
-    maps = identifiability(tree, zeros=run.settings.zeros)[: 2 if plate or tree.floating else 1]
-    tables = []
-    for each in maps[1:] if tree.floating else maps:
-        links = list(zip(names, each.standard, strict=True))[tree.massless :]
-        rows = [[name, *(GLYPHS[code] for code in codes)] for name, codes in links]
-        title = f"{each.instrument}: {plural(each.count, 'combination')}"
-        tables.append(Table(["body", *STANDARD], rows, title))
-    return tables
+    last = 2 if tree.floating or run.recording.wrench is not None else 1
+    maps = identifiability(tree, zeros=run.settings.zeros)[1 if tree.floating else 0 : last]
+    return [
+        Table(
+            ["body", *STANDARD],
+            [
+                [name, *(GLYPHS[code] for code in codes)]
+                for name, codes in list(zip(names, each.standard, strict=True))[tree.massless :]
+            ],
+            f"{each.instrument}: {plural(each.count, 'combination')}",
+        )
+        for each in maps
+    ]
 
 
 def _settings(run: Run) -> dict[str, str]:
@@ -183,11 +192,12 @@ def _settings(run: Run) -> dict[str, str]:
     tree, recording = run.tree, run.recording
     joints = tree.names[FREE:] if tree.floating else tree.names
     fitted = vars(run.settings.fitted(recording.rate))
+    signals = {*recording.signals, "base"} if tree.floating else {*recording.signals} - {"base"}
     facts = {
         "robot": f"{tree.name}, {plural(len(joints), 'joint')}: {', '.join(joints)}",
         "gravity": f"{' '.join(f'{each:g}' for each in tree.gravity)} m/s^2",
         "recording": f"{np.ptp(recording.time):.4g} s, {recording.rate:.5g} samples a second",
-        "measured": ", ".join(_measured(run)),
+        "measured": ", ".join(label for key, label in SIGNALS.items() if key in signals),
         "terms": "; ".join(choice_lines(run.estimates.values())),
         "identification": ", ".join(f"{name} {value}" for name, value in fitted.items() if value),
         "versions": ", ".join(f"{name} {number}" for name, number in versions().items()),
@@ -198,21 +208,6 @@ def _settings(run: Run) -> dict[str, str]:
         facts["model file"] = run.model.path.name
         facts["held"] = ", ".join(joint if q is None else f"{joint} at {q:g}" for joint, q in held)
     return {name: text for name, text in facts.items() if text}
-
-
-def _measured(run: Run) -> Iterator[str]:
-    """Names of the recorded signals."""
-    yield "joint positions"
-    if run.tree.floating:
-        yield "pose of the base"
-    recording = run.recording
-    signals = {
-        "bedplate wrench": recording.wrench,
-        "joint torques": recording.torque,
-        "velocities": recording.velocity,
-        "accelerations": recording.acceleration,
-    }
-    yield from (name for name, signal in signals.items() if signal is not None)
 
 
 def _without_folders(experiment: Experiment) -> str:

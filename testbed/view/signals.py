@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from scipy.signal import welch
 
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import SIGNAL_OF, Method
-from testbed.lab.experiment.predict import Predictions, Signal
+from testbed.lab.experiment.predict import Channel, Predictions
 from testbed.lab.experiment.run import Run
 from testbed.lab.experiment.summary import percent
 from testbed.view.bodies import bodies_section
@@ -39,7 +37,7 @@ def sections(found: Predictions) -> list[Section]:
     """
     smooth = found.smoothed(CUTOFF)
     shown = [_measured(found, smooth)]
-    if any(_methods_of(signal) for signal in found.signals):
+    if any(_shown_residuals(each) for each in found.channels):
         shown.append(_spectra(found))
     if found.unexplained_torque is not None:
         shown.append(_friction(found, found.unexplained_torque))
@@ -50,15 +48,12 @@ def sections(found: Predictions) -> list[Section]:
     return shown
 
 
-def _methods_of(signal: Signal) -> list[Method]:
-    """The methods whose residual says something: joint torques of the external lack friction."""
-    lacking = "external" if signal.kind == "torque" and "internal" in signal.predicted else None
-    return [method for method in signal.predicted if method != lacking]
-
-
-def _channels(found: Predictions) -> list[tuple[Signal, int]]:
-    """Every channel: its signal and its place there."""
-    return [(signal, c) for signal in found.signals for c in range(len(signal.channels))]
+def _shown_residuals(channel: Channel) -> dict[Method, Array]:
+    """Residuals that say something: joint torques of the external estimate lack friction."""
+    residuals = channel.residuals
+    if channel.kind == "torque" and "internal" in residuals:
+        residuals.pop("external", None)
+    return residuals
 
 
 def _measured(found: Predictions, smooth: Predictions) -> Section:
@@ -82,26 +77,23 @@ def _measured(found: Predictions, smooth: Predictions) -> Section:
         title=f"Measured and predicted, on {motion}",
         says=" ".join(says),
         legend={"measured": "measured"} | names,
-        panels=[_signal_panel(smooth, signal, c) for signal, c in _channels(smooth)],
+        panels=[_signal_panel(smooth, each) for each in smooth.channels],
         shown=SHOWN_CHANNELS,
         caption=f"The first {min(SHOWN, duration):.3g} s, low-pass {CUTOFF:g} Hz.",
         table=_residual_table(found, smooth, names),
     )
 
 
-def _signal_panel(found: Predictions, signal: Signal, c: int) -> Panel:
+def _signal_panel(found: Predictions, channel: Channel) -> Panel:
     """One channel, measured and predicted, with its residuals below."""
     time = found.motion.t
     shown = time <= time[0] + SHOWN
-    signals: dict[Any, Array] = {"measured": signal.measured, **signal.predicted}
-    residuals = {method: signal.residual(method) for method in _methods_of(signal)}
     above, below = (
-        {kind: thinned(time[shown], values[shown, c]) for kind, values in each.items()}
-        for each in (signals, residuals)
+        {kind: thinned(time[shown], values[shown]) for kind, values in curves.items()}
+        for curves in (channel.curves, _shown_residuals(channel))
     )
-    unit = signal.units[c]
-    parts = {f"residual [{unit}]": below} if below else {}
-    return Panel(f"{signal.channels[c]} [{unit}]", above, "time [s]", below=parts)
+    parts = {f"residual [{channel.unit}]": below} if below else {}
+    return Panel(f"{channel.name} [{channel.unit}]", above, "time [s]", below=parts)
 
 
 def _residual_table(found: Predictions, smooth: Predictions, names: Mapping[Method, str]) -> Table:
@@ -111,23 +103,24 @@ def _residual_table(found: Predictions, smooth: Predictions, names: Mapping[Meth
     heads += [f"of spread, {name}" for name in names.values()]
     heads += [f"of expected residual, {names[method]}" for method in _validated(found)]
     rows = [
-        _residual_row(smooth, signal, c) + _ratio_cells(found, signal, c)
-        for signal, c in _channels(smooth)
+        _residual_row(found.run, channel) + _ratio_cells(found, channel)
+        for channel in smooth.channels
     ]
     return Table(heads, rows)
 
 
-def _residual_row(found: Predictions, signal: Signal, c: int) -> list[str]:
+def _residual_row(run: Run, channel: Channel) -> list[str]:
     """Spread of a channel, residuals, and these as part of the spread; "" for what there is not."""
-    spread = float(signal.measured[:, c].std())
-    sizes, shares = [], []
-    for method in found.run.estimates:
-        size = math.nan
-        if method in signal.predicted:
-            size = float(np.sqrt(np.mean(signal.residual(method)[:, c] ** 2)))
-        sizes.append("" if math.isnan(size) else f"{size:.3g}")
-        shares.append("" if math.isnan(size) or not spread else percent(size / spread))
-    return [signal.channels[c], signal.units[c], f"{spread:.3g}", *sizes, *shares]
+    spread = float(channel.measured.std())
+    sizes = {by: float(np.sqrt(np.mean(left**2))) for by, left in channel.residuals.items()}
+    shares = {by: percent(size / spread) for by, size in sizes.items() if spread}
+    return [
+        channel.name,
+        channel.unit,
+        f"{spread:.3g}",
+        *(f"{sizes[by]:.3g}" if by in sizes else "" for by in run.estimates),
+        *(shares.get(by, "") for by in run.estimates),
+    ]
 
 
 def _validated(found: Predictions) -> list[Method]:
@@ -135,12 +128,12 @@ def _validated(found: Predictions) -> list[Method]:
     return list(found.run.validation) if found.unseen else []
 
 
-def _ratio_cells(found: Predictions, signal: Signal, c: int) -> list[str]:
+def _ratio_cells(found: Predictions, channel: Channel) -> list[str]:
     """Residuals over what noise and sigma allow; "" for what there is not."""
     cells = []
     for method in _validated(found):
-        validation = found.run.validation[method]
-        own = SIGNAL_OF[method] == signal.kind
+        validation, c = found.run.validation[method], channel.index
+        own = SIGNAL_OF[method] == channel.kind
         cells.append(f"{validation.ratio[c]:.3g}" if own and validation.rows[c] else "")
     return cells
 
@@ -148,9 +141,9 @@ def _ratio_cells(found: Predictions, signal: Signal, c: int) -> list[str]:
 def _spectra(found: Predictions) -> Section:
     rate, names = found.recording.rate, found.run.instruments
     panels, rows = [], []
-    for signal, c in _channels(found):
-        name, unit = signal.channels[c], signal.units[c]
-        spectra = {m: spectrum(signal.residual(m)[:, c], rate) for m in _methods_of(signal)}
+    for channel in found.channels:
+        name, unit = channel.name, channel.unit
+        spectra = {by: spectrum(left, rate) for by, left in _shown_residuals(channel).items()}
         panels.append(Panel(f"{name} [{unit}/√Hz]", spectra, "frequency [Hz]", log=True))
         for method, each in spectra.items():
             slow, fast = rms_within(*each, 0.0, SLOW), rms_within(*each, SLOW, np.inf)

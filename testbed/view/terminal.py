@@ -26,20 +26,21 @@ from testbed.view.drives import drive_lines, drive_table
 from testbed.view.estimates import (
     choice_lines,
     parameter_tables,
-    payload_lines,
-    payload_table,
     plate_lines,
     plate_table,
     quality_lines,
 )
-from testbed.view.output import console, print_diagnostics, print_tables, print_text
-from testbed.view.posterior import errors_table, posterior_table, validation_table
+from testbed.view.output import (
+    console,
+    print_diagnostics,
+    print_result,
+    print_tables,
+    print_text,
+)
+from testbed.view.posterior import errors_table, posterior_table
 
 if TYPE_CHECKING:
     from testbed.applications.calibration import Calibration
-    from testbed.applications.drives.identify_drives import DriveFindings
-    from testbed.applications.payload.payload import PayloadEstimate
-    from testbed.applications.validate import Validation
     from testbed.bodies.consistency.consistent import Consistent
     from testbed.bodies.posterior import Posterior
     from testbed.core.estimation.estimate import Estimate
@@ -122,19 +123,6 @@ def _print_parameters(
     out.print(LEGEND, soft_wrap=True)
 
 
-def print_validations(validations: Sequence[Validation], diagnostics: Sequence[Diagnostic]) -> None:
-    """Print what estimates leave of another recording.
-
-    Args:
-        validations: Of one recording, one a method.
-        diagnostics: About the recording.
-    """
-    out = console()
-    for found in validations:
-        print_tables(out, [validation_table(found)])
-    print_diagnostics(out, [*diagnostics, *(d for v in validations for d in v.diagnostics)])
-
-
 def print_plate(plate: Calibration, diagnostics: Sequence[Diagnostic], path: Path) -> None:
     """Print the calibration of a plate.
 
@@ -144,46 +132,12 @@ def print_plate(plate: Calibration, diagnostics: Sequence[Diagnostic], path: Pat
         path: Where it is kept.
     """
     out = console()
-    print_tables(out, [plate_table(plate)])
-    print_text(out, plate_lines(plate))
+    print_result([plate_table(plate)], plate_lines(plate))
     estimates = [] if plate.estimate is None else [plate.estimate]
     if estimates:
         print_tables(out, *parameter_tables(estimates, {}))
     print_diagnostics(out, [*diagnostics, *(d for e in estimates for d in e.diagnostics)])
     out.print(f"plate: {path}", soft_wrap=True)
-
-
-def print_drives(drives: DriveFindings, diagnostics: Sequence[Diagnostic]) -> None:
-    """Print torque constants, friction and their agreement with the plate.
-
-    Args:
-        drives: All of it.
-        diagnostics: About robot, recording, bodies and drives.
-    """
-    out = console()
-    _print_drives(out, drives)
-    print_diagnostics(out, diagnostics)
-
-
-def _print_drives(out: Console, drives: DriveFindings) -> None:
-    print_tables(out, [drive_table(drives.estimates)])
-    print_text(out, drive_lines(drives))
-
-
-def print_payload(
-    found: PayloadEstimate, diagnostics: Sequence[Diagnostic], title: str = ""
-) -> None:
-    """Print what a link carries more.
-
-    Args:
-        found: The payload.
-        diagnostics: About robot, recordings and payload.
-        title: Of the table; default which link carries the payload.
-    """
-    out = console()
-    print_tables(out, [payload_table(found, title)])
-    print_text(out, payload_lines(found))
-    print_diagnostics(out, diagnostics)
 
 
 def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
@@ -206,7 +160,8 @@ def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
     if run.consistent is not None:
         print_text(out, map(printable, consistent_lines(run.consistent)))
     if run.drives is not None:
-        _print_drives(out, run.drives)
+        print_tables(out, [drive_table(run.drives.estimates)])
+        print_text(out, drive_lines(run.drives))
     if everything:
         expect = {} if run.experiment is None else run.experiment.expect
         _print_metrics(out, run, dict.fromkeys((*run.metrics, *expect)))

@@ -17,6 +17,7 @@ import pytest
 
 import testbed as tb
 from testbed.applications.validate import validate
+from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.estimate_summary import EstimateSummary
 from testbed.bodies.shapes.appearance import load_shapes
 from testbed.core.base.codec import json_text
@@ -359,7 +360,8 @@ def test_sigma_is_as_promised_and_an_earlier_estimate_is_a_prior(tmp_path: Path)
     down, nothing = np.array([0, 0, -9.81]), np.zeros(len(ratio))
     stated = EstimateSummary("external", tuple(names), nothing, covariance, down, np.ones(6), {})
     tree = found.tree
-    kept = KeptResult(tree, tb.Settings(), (stated,), model_of(asked()), tree)
+    options = ConsistencyOptions()
+    kept = KeptResult(tree, tb.Settings(), model_of(asked()), tree, options, (stated,))
     np.testing.assert_array_equal(prior_covariance(kept, asked()), estimate.covariance)
     with refuses(TestbedError, "internal"):
         prior_covariance(kept, asked("puma", "excitation.instrument=joints"))

@@ -93,23 +93,19 @@ def assumptions(tree: Tree) -> Assumptions:
     """
     states = _random_states(tree)
     torques, wrench = joint_forces(tree, states), base_wrench(tree, states)
-    friction, matrices = _friction(tree, _rms(torques)), mass_matrices(tree, states.q)
-    rubbing = tree.with_joints(friction)
+    matrices, settings = mass_matrices(tree, states.q), _friction(tree, _rms(torques))
+    rubbing = tree.with_joints(settings)
     rotors = _rotors(rubbing, matrices)
     whole = rubbing.with_joints(rotors)
-    found = (friction, rotors, _efforts(whole))
-    joints = {
-        name: {k: v for part in found for k, v in part.get(name, {}).items()} for name in tree.names
-    }
-    force, moment, torque = (
-        float(_rms(part.ravel())) for part in (wrench[:, :3], wrench[:, 3:], torques)
-    )
-    force_noise = PLATE_NOISE * force
+    for more in (rotors, _efforts(whole)):
+        settings = {name: settings.get(name, {}) | more.get(name, {}) for name in tree.names}
+    force_noise = PLATE_NOISE * float(_rms(wrench[:, :3].ravel()))
+    moment_noise = PLATE_NOISE * float(_rms(wrench[:, 3:].ravel()))
     return Assumptions(
-        joints={name: values for name, values in joints.items() if values},
+        joints={name: values for name, values in settings.items() if values},
         force_noise=round_significant(force_noise, 1),
-        moment_noise=round_significant(max(PLATE_NOISE * moment, LEAST_LEVER * force_noise), 1),
-        torque_noise=round_significant(TORQUE_NOISE * torque, 1),
+        moment_noise=round_significant(max(moment_noise, LEAST_LEVER * force_noise), 1),
+        torque_noise=round_significant(TORQUE_NOISE * float(_rms(torques.ravel())), 1),
         step=_step(whole, matrices),
         clearance=_clearance(tree),
     )
@@ -124,16 +120,12 @@ def calm_speeds(tree: Tree) -> Array:
 def _random_states(tree: Tree) -> Motion:
     """Random motion up to calm speeds."""
     limits, rng = limits_of(tree), np.random.default_rng(0)
-
-    def within(size: Array) -> Array:
-        return rng.uniform(-1, 1, (POSTURES, tree.n)) * size
-
-    return Motion(
-        np.arange(float(POSTURES)),
-        limits.middle + within(limits.half),
-        within(calm_speeds(tree)),
-        within(limits.acceleration),
+    position, velocity, acceleration = (
+        rng.uniform(-1, 1, (POSTURES, tree.n)) * size
+        for size in (limits.half, calm_speeds(tree), limits.acceleration)
     )
+    time = np.arange(float(POSTURES))
+    return Motion(time, limits.middle + position, velocity, acceleration)
 
 
 def _rms(values: Array) -> Array:
@@ -246,10 +238,8 @@ def tried_text(
     """
     done: list[str] = []
     while True:
-        written = text(needs)
-        experiment = Experiment.of_content(
-            tomllib.loads(written), folder / "new.toml", settings=SECOND
-        )
+        content = tomllib.loads(text(needs))
+        experiment = Experiment.of_content(content, folder / "new.toml", settings=SECOND)
         try:
             record(experiment)
             break
@@ -258,11 +248,11 @@ def tried_text(
             if more is None:
                 tried = f" (tried: {'; '.join(done)})" if done else ""
                 raise ExperimentError(f"no experiment is written: {error}{tried}") from None
-            needs, remedy = more
-            done.append(remedy)
+            needs = more[0]
+            done.append(more[1])
     for line in done:
         say(f"ASSUMED, since a second of it did not run: {line}")
-    return written
+    return text(needs)
 
 
 def _needs_after(
@@ -270,19 +260,18 @@ def _needs_after(
 ) -> tuple[Needs, str] | None:
     """What may help after a failure, and that in words; None where nothing is known to."""
     if isinstance(error, SimulationDiverged):
-        smaller = [step for step in STEPS if step < needs.step]
+        smaller = [step for step in STEPS if step < needs.step][:2]
         if smaller:
-            step = smaller[min(1, len(smaller) - 1)]
-            return replace(needs, step=step), f"simulation.step = {step:g} s"
+            return replace(needs, step=smaller[-1]), f"simulation.step = {smaller[-1]:g} s"
         if needs.pace == 1:
             return replace(needs, step=STEPS[2], pace=SLOWER), f"motion at {SLOWER:g} of its pace"
     if isinstance(error, InfeasibleMotion) and experiment.excitation.clearance != "off":
         pairs = () if needs.exclude else _touching(experiment)
-        if pairs:
-            shown = ", ".join(f"'{a}' to '{b}'" for a, b in pairs[:5])
-            more = f" and {len(pairs) - 5} more" if len(pairs) > 5 else ""
-            return replace(needs, exclude=pairs), f"clearance leaves out {shown}{more}"
-        return replace(needs, exclude=(), nothing_clear=True), "no clearance"
+        if not pairs:
+            return replace(needs, exclude=(), nothing_clear=True), "no clearance"
+        shown = ", ".join(f"'{a}' to '{b}'" for a, b in pairs[:5])
+        more = f" and {len(pairs) - 5} more" if len(pairs) > 5 else ""
+        return replace(needs, exclude=pairs), f"clearance leaves out {shown}{more}"
     return None
 
 

@@ -6,16 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from testbed.applications.calibration import Calibration
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ExperimentError
 from testbed.core.base.files import replacing
 from testbed.core.base.installation import version
-from testbed.core.base.toml_text import Finite, checked, read_toml
+from testbed.core.base.toml_text import KNOWN_KEYS, Finite, checked, read_toml
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.core.robot.tree import Tree
+from testbed.lab.experiment.robot_tables import StrictTable
 from testbed.sensors.catalogue import estimable_errors
 
 _HEAD = """\
@@ -26,15 +27,14 @@ _HEAD = """\
 """
 
 
-class _Number(BaseModel):
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+class _Number(StrictTable):
     value: Finite
     sigma: Finite = 0.0
     unit: str = ""
 
 
 class _Plate(BaseModel):
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+    model_config = KNOWN_KEYS
     robot: str = ""
     known: dict[str, tuple[Finite, Finite]] = {}
     numbers: dict[str, _Number]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -16,13 +16,44 @@ from testbed.core.base.errors import SettingsError
 from testbed.core.base.frames import frame_of
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
-from testbed.core.estimation.estimate import Estimate, Method
+from testbed.core.estimation.estimate import Estimate, Method, channel_units
 from testbed.core.estimation.information import Evidence, Information
 from testbed.core.estimation.regression.windows import row_weights
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.run import Run, shown_motion
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One channel of a measurement and what the estimates say of it.
+
+    Attributes:
+        kind: "wrench" or "torque".
+        index: Place among the channels of its kind.
+        name: "Fx", or of the joint.
+        unit: N or N m.
+        measured: (M,) [N, N m].
+        predicted: By method, (M,).
+    """
+
+    kind: Literal["wrench", "torque"]
+    index: int
+    name: str
+    unit: str
+    measured: Array
+    predicted: Mapping[Method, Array]
+
+    @property
+    def curves(self) -> dict[Any, Array]:
+        """Measured and predicted values, (M,) each."""
+        return {"measured": self.measured, **self.predicted}
+
+    @property
+    def residuals(self) -> dict[Method, Array]:
+        """Measured less predicted, (M,), by method."""
+        return {by: self.measured - each for by, each in self.predicted.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +79,13 @@ class Signal:
         """Measured less predicted, (M, k)."""
         return self.measured - self.predicted[method]
 
+    @property
+    def by_channel(self) -> Iterator[Channel]:
+        """Its channels one by one."""
+        for c, (name, unit) in enumerate(zip(self.channels, self.units, strict=True)):
+            predicted = {by: each[:, c] for by, each in self.predicted.items()}
+            yield Channel(self.kind, c, name, unit, self.measured[:, c], predicted)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Predictions(Summarized):
@@ -70,13 +108,17 @@ class Predictions(Summarized):
     @property
     def summary(self) -> SummaryTable:
         """Rms of each channel and of what every estimate leaves of it."""
-        rows: list[tuple[str, ...]] = []
-        for signal in self.signals:
-            for k, channel in enumerate(signal.channels):
-                left = [signal.residual(by)[:, k] for by in signal.predicted]
-                sizes = [f"{np.sqrt(np.mean(x**2)):.3g}" for x in (signal.measured[:, k], *left)]
-                rows.append((channel, sizes[0], signal.units[k], f"left: {', '.join(sizes[1:])}"))
+        rows = []
+        for each in self.channels:
+            values = each.measured, *each.residuals.values()
+            size, *left = (f"{np.sqrt(np.mean(x**2)):.3g}" for x in values)
+            rows.append((each.name, size, each.unit, f"left: {', '.join(left)}"))
         return SummaryTable(f"{self.motion.samples} samples, rms", tuple(rows))
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """All channels of the signals."""
+        return tuple(each for signal in self.signals for each in signal.by_channel)
 
     @property
     def time(self) -> Array:
@@ -86,11 +128,9 @@ class Predictions(Summarized):
     def to_frame(self) -> Any:
         """Measured and predicted signals over time, as a frame of pandas, polars or Arrow."""
         columns: dict[str, Array] = {"time": self.time}
-        for signal in self.signals:
-            for k, channel in enumerate(signal.channels):
-                name = f"{signal.kind}/{channel}"
-                columns[f"{name}/measured"] = signal.measured[:, k]
-                columns |= {f"{name}/{by}": each[:, k] for by, each in signal.predicted.items()}
+        for each in self.channels:
+            name = f"{each.kind}/{each.name}"
+            columns |= {f"{name}/{by}": values for by, values in each.curves.items()}
         return frame_of(columns)
 
     @cached_property
@@ -196,6 +236,6 @@ def predict(data: Recording | Run, *more: Estimate | Information | Recording | N
     if recording.wrench is not None:
         signals.append(Signal("wrench", AXES, PLATE_UNITS, recording.wrench[inner], wrench))
     if recording.torque is not None:
-        units = tuple("N m" if joint.revolute else "N" for joint in run.tree.joints)
+        units = channel_units(run.tree, "internal")
         signals.append(Signal("torque", run.tree.names, units, recording.torque[inner], torque))
     return Predictions(run, recording, motion, tuple(signals), bool(others))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,7 +18,7 @@ from testbed.core.base.codec import decode, from_json
 from testbed.core.base.contents import fingerprint, read_text
 from testbed.core.base.errors import ExperimentError, plural
 from testbed.core.base.file_kinds import expecting
-from testbed.core.base.toml_text import Finite, checked, complaints, override
+from testbed.core.base.toml_text import checked, complaints, override
 from testbed.core.estimation.estimate import METHODS, Estimate, channels_of
 from testbed.core.estimation.settings import Settings
 from testbed.core.parameters.minimal_set import minimal_set
@@ -30,7 +30,7 @@ from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.evaluate import wrong_prior
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_robot import model_of
-from testbed.lab.experiment.results import EXPERIMENT, RESULT
+from testbed.lab.experiment.results import EXPERIMENT, RESULT, UsedModel
 from testbed.lab.experiment.rig import robot_of
 from testbed.lab.experiment.robot_tables import RecordingTables, StrictTable
 
@@ -47,21 +47,21 @@ class KeptResult:
     Attributes:
         tree: The robot.
         settings: How the signals were treated.
-        estimates: By least squares, one a method.
         file: The robot's, with the joints that are held.
         prior: The robot with its bodies before the data: the file's; of a run, whose file is the
             truth, those that its experiment starts from.
-        answers: One a method.
         options: What is asked of consistent bodies, the prior error that which data chose.
+        estimates: By least squares, one a method.
+        answers: One a method.
     """
 
     tree: Tree
     settings: Settings
-    estimates: tuple[EstimateSummary, ...]
     file: ModelFile
     prior: Tree
+    options: ConsistencyOptions
+    estimates: tuple[EstimateSummary, ...] = ()
     answers: tuple[ReportedEstimate, ...] = ()
-    options: ConsistencyOptions = field(default_factory=ConsistencyOptions)
 
     @property
     def whole_estimates(self) -> list[Estimate]:
@@ -83,13 +83,6 @@ class KeptResult:
             RecordingError: It has one of them elsewhere.
         """
         return hold_still(self.file, source, lock_only=True)[1]
-
-
-class _Model(StrictTable):
-    path: str
-    sha256: str
-    weld_root: bool
-    lock: dict[str, Finite | None]
 
 
 def read_result(path: Path, model: Path | None = None, settings: Sequence[str] = ()) -> KeptResult:
@@ -116,15 +109,15 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
         content = _json(path)
     own, answers = _estimates(content, path)
     of = _of_run if content.get("settings") is None else _of_recording
-    tree, identification, file, prior, options = of(content, path, model, settings)
+    kept = of(content, path, model, settings)
     for each in (answer.estimate for answer in answers):
-        count = len(channels_of(tree, each.method))
+        count = len(channels_of(kept.tree, each.method))
         if len(each.residual) != count:
             raise ExperimentError(
                 f"{path}: {each.method}: residual has {len(each.residual)} numbers, the robot has "
                 f"{plural(count, 'channel')}"
             )
-    return KeptResult(tree, identification, own, file, prior, answers, options)
+    return replace(kept, estimates=own, answers=answers)
 
 
 def _estimates(
@@ -202,9 +195,9 @@ def _json(path: Path) -> dict[str, Any]:
 
 def _of_recording(
     content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
-) -> tuple[Tree, Settings, ModelFile, Tree, ConsistencyOptions]:
-    """Of a recording's estimates: robot, settings, file, prior, what is asked of bodies."""
-    kept = checked(_Model, content.get("model", {}), f"{path}: model")
+) -> KeptResult:
+    """What a recording's estimates are of."""
+    kept = checked(UsedModel, content.get("model", {}), f"{path}: model")
     said = content["settings"]
     if not isinstance(said, dict):
         raise ExperimentError(f"{path}: no result: it has no settings")
@@ -218,13 +211,13 @@ def _of_recording(
         parts = (content.get("posterior") or {}).values()
         chosen = [part["prior_error"] for part in parts if part.get("used")]
         options = replace(options, prior_error=min(chosen, default=options.prior_error))
-    return tree, tables.identification, file, tree, options
+    return KeptResult(tree, tables.identification, file, tree, options)
 
 
 def _of_run(
     content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
-) -> tuple[Tree, Settings, ModelFile, Tree, ConsistencyOptions]:
-    """The same of a run's estimates: they stand beside them."""
+) -> KeptResult:
+    """What a run's estimates are of, by the files beside them."""
     beside = path.parent / EXPERIMENT
     if not beside.is_file():
         raise ExperimentError(
@@ -239,7 +232,7 @@ def _of_run(
     options = experiment.consistent or ConsistencyOptions()
     tree = robot_of(experiment)
     prior = wrong_prior(tree, experiment)
-    return tree, experiment.identification, model_of(experiment), prior, options
+    return KeptResult(tree, experiment.identification, model_of(experiment), prior, options)
 
 
 def _checked_model(place: Path, sha256: object, path: Path) -> Path:

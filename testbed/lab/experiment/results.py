@@ -22,6 +22,7 @@ from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import ExperimentError
 from testbed.core.base.files import replacing
 from testbed.core.base.installation import versions
+from testbed.core.base.toml_text import Finite
 from testbed.core.dynamics.drive_set import drive_set
 from testbed.core.estimation.diagnostics.torques import diagnostics_of
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
@@ -37,7 +38,7 @@ from testbed.core.robot.model_file import ModelFile, copy_model, model_format
 from testbed.lab.experiment.evaluate import evaluate
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_tables import Bound
-from testbed.lab.experiment.robot_tables import RecordingTables
+from testbed.lab.experiment.robot_tables import RecordingTables, StrictTable
 from testbed.lab.experiment.run import Run
 from testbed.lab.experiment.score import Score
 
@@ -84,21 +85,29 @@ FOR_OURSELVES = {"estimates": {"__all__": {"normal_equations"}}}
 """Sums of products, which are most of an estimate."""
 
 
-@dataclass(frozen=True)
-class UsedModel:
-    """A model file, and how it was read.
-
-    Attributes:
-        path: Of the file.
-        sha256: Of its content.
-        weld_root: Whether a floating root was welded to the bedplate.
-        lock: Joints that were held, and where [rad or m]; None where they rest.
-    """
+class UsedModel(StrictTable):
+    """A model file, and how it was read."""
 
     path: str
+    """Of the file."""
     sha256: str
+    """Of its content."""
     weld_root: bool
-    lock: Mapping[str, float | None]
+    """Whether a floating root was welded to the bedplate."""
+    lock: dict[str, Finite | None]
+    """Joints that were held, and where [rad or m]; None where they rest."""
+
+    @staticmethod
+    def of(model: ModelFile, path: str, sha256: str) -> UsedModel:
+        """How a model file is read.
+
+        Args:
+            model: The file.
+            path: What it is called.
+            sha256: Of its content.
+        """
+        lock = dict(model.lock)
+        return UsedModel(path=path, sha256=sha256, weld_root=model.weld_root, lock=lock)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -163,7 +172,7 @@ def result_of(run: Run, source: Mapping[str, str] | None = None) -> Result:
     asked, used = run.experiment, None
     if run.model is not None:
         sha256 = run.recording.metadata.model_sha256
-        used = UsedModel(run.model.path.name, sha256, run.model.weld_root, run.model.lock)
+        used = UsedModel.of(run.model, run.model.path.name, sha256)
     return Result(
         source=versions() if source is None else source,
         name=run.name,
@@ -201,7 +210,7 @@ def identified(
     settings = _settled(tables, found.values()).model_dump(mode="json", exclude_none=True)
     for key in ("lock", "lock_mimic"):  # the model's lock is all that was held
         settings["robot"].pop(key)
-    used = UsedModel(str(model.path), fingerprint(model.path), model.weld_root, model.lock)
+    used = UsedModel.of(model, str(model.path), fingerprint(model.path))
     return Result(
         estimates=found,
         diagnostics=(*diagnostics, *diagnostics_of(found.values())),

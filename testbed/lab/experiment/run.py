@@ -23,7 +23,7 @@ from testbed.core.base.diagnostics import (
     ordered,
     sentences,
 )
-from testbed.core.base.errors import RecordingError, TestbedError, plural
+from testbed.core.base.errors import RecordingError, SettingsError, TestbedError, plural
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.diagnostics.torques import diagnostics_of
@@ -81,36 +81,6 @@ CAUSES: Mapping[Method, tuple[str, ...]] = {
 
 EXACT = 1e-6
 """Relative error that is of no matter, however small sigma is."""
-
-
-def diagnostics_of_run(
-    tree: Tree,
-    recording: Recording,
-    estimates: Mapping[Method, Estimate],
-    failures: Mapping[Method, str],
-    errors: Mapping[Method, Errors],
-) -> tuple[Diagnostic, ...]:
-    """What to know of the model, the recording and the estimates.
-
-    Args:
-        tree: The robot.
-        recording: What was measured.
-        estimates: By method.
-        failures: Why a method has no estimate.
-        errors: Of the estimates, where the truth is known.
-    """
-    missing = [
-        diagnose("estimate.missing", method, reason=reason, name=NAMES[method])
-        for method, reason in failures.items()
-        if not estimates or getattr(recording, SIGNAL_OF[method]) is not None
-    ]
-    found = [*diagnostics_of(estimates.values())]
-    for method in errors:
-        found += systematic_errors(estimates[method], errors[method])
-    for estimate in estimates.values():
-        found += correlated(estimate)
-    every = ordered([*missing, *tree.diagnostics, *recording.metadata.diagnostics, *found])
-    return of_instrument(every, sensor_of(tree))
 
 
 def correlated(estimate: Estimate) -> Iterator[Diagnostic]:
@@ -312,69 +282,86 @@ def assemble_run(
         threads=threads,
         progress=progress,
     )
-    estimates = found.estimates
-    failures = {method: str(error) for method, error in found.failures.items()}
-    judged = None
-    if experiment is not None:
-        motion, inner = shown_motion(recording, settings)
-        torque = None if recording.torque is None else recording.torque[inner]
-        friction = experiment.simulation.friction
-        judged = score(tree, estimates, settings.zeros, friction, motion, torque)
-    errors = {} if judged is None else judged.errors
-    known = diagnostics_of_run(tree, recording, estimates, failures, errors)
-    made = found.posterior
-    verdict = verdict_of(estimates.values(), made.values())
-    doubts = [each for each in verdict if each.code != WELL] if made else []
-    said = [*doubts, *known]
-    if found.bodies is not None:
-        said += found.bodies.diagnostics
-    if found.bodies_failure is not None:
-        said.append(diagnose("bodies.missing", reason=found.bodies_failure))
-    drives, more = _drives(tree, recording, estimates, settings, progress)
+    estimates, posteriors = found.estimates, found.posterior
     run = Run(
         name=name,
         tree=tree,
         recording=recording,
         estimates=estimates,
-        failures=failures,
+        failures={method: str(error) for method, error in found.failures.items()},
         settings=with_chosen_settings(settings, estimates.values()),
         experiment=experiment,
-        score=judged,
+        score=_score(tree, recording, estimates, settings, experiment),
         model=model,
-        diagnostics=tuple(dict.fromkeys([*said, *more])),
-        drives=drives,
         consistent=found.bodies,
-        posterior=made,
-        verdict=verdict,
+        posterior=posteriors,
+        verdict=verdict_of(estimates.values(), posteriors.values()),
     )
-    if experiment is None or drives is None:
-        return run
-    return run.with_metrics(drive_metrics(tree, experiment, recording, drives))
+    run = _with_unique(run, _diagnostics(run, found.bodies_failure))
+    return run if settings.drives == "off" else _with_drives(run, settings, progress)
 
 
-def _drives(
+def _score(
     tree: Tree,
     recording: Recording,
     estimates: Mapping[Method, Estimate],
     settings: Settings,
-    progress: Progress,
-) -> tuple[DriveFindings | None, tuple[Diagnostic, ...]]:
-    """What the plate says of the drives where that is asked, and what to know of it."""
-    if settings.drives == "off":
-        return None, ()
-    if recording.torque is None or "external" not in estimates:
-        reason = "that needs torques and the plate's estimate"
-        return None, (diagnose("drives.missing", "the drives", reason=reason),)
-    choose = settings.drives == "chosen"
+    experiment: Experiment | None,
+) -> Score | None:
+    """Score of estimates along the recording's motion; None where the truth is not known."""
+    if experiment is None:
+        return None
+    motion, inner = shown_motion(recording, settings)
+    torque = None if recording.torque is None else recording.torque[inner]
+    friction = experiment.simulation.friction
+    return score(tree, estimates, settings.zeros, friction, motion, torque)
+
+
+def _diagnostics(run: Run, bodies_failure: TestbedError | None) -> Iterator[Diagnostic]:
+    """What to know of the answer, the model, the recording, the estimates and the bodies."""
+    if run.posterior:
+        yield from (each for each in run.verdict if each.code != WELL)
+    missing = [
+        diagnose("estimate.missing", method, reason=reason, name=NAMES[method])
+        for method, reason in run.failures.items()
+        if not run.estimates or getattr(run.recording, SIGNAL_OF[method]) is not None
+    ]
+    found = [*diagnostics_of(run.estimates.values())]
+    for method, errors in ({} if run.score is None else run.score.errors).items():
+        found += systematic_errors(run.estimates[method], errors)
+    for estimate in run.estimates.values():
+        found += correlated(estimate)
+    known = run.recording.metadata.diagnostics
+    every = ordered([*missing, *run.tree.diagnostics, *known, *found])
+    yield from of_instrument(every, sensor_of(run.tree))
+    if run.consistent is not None:
+        yield from run.consistent.diagnostics
+    if bodies_failure is not None:
+        yield diagnose("bodies.missing", reason=bodies_failure)
+
+
+def _with_unique(run: Run, diagnostics: Iterable[Diagnostic]) -> Run:
+    """A run with more diagnostics behind its own, none twice."""
+    every = dict.fromkeys([*run.diagnostics, *diagnostics])
+    return replace(run, diagnostics=tuple(every))
+
+
+def _with_drives(run: Run, settings: Settings, progress: Progress) -> Run:
+    """A run with what the plate says of the drives, and what to know of it."""
     try:
-        found = identify_drives(
-            tree,
-            recording,
-            estimates["external"],
+        if run.recording.torque is None or "external" not in run.estimates:
+            raise SettingsError("that needs torques and the plate's estimate")
+        drives = identify_drives(
+            run.tree,
+            run.recording,
+            run.estimates["external"],
             settings=settings,
-            choose=choose,
+            choose=settings.drives == "chosen",
             progress=progress,
         )
     except TestbedError as error:
-        return None, (diagnose("drives.missing", "the drives", reason=error),)
-    return found, found.diagnostics
+        return _with_unique(run, [diagnose("drives.missing", "the drives", reason=error)])
+    run = _with_unique(replace(run, drives=drives), drives.diagnostics)
+    if run.experiment is None:
+        return run
+    return run.with_metrics(drive_metrics(run.tree, run.experiment, run.recording, drives))

@@ -12,7 +12,7 @@ from testbed.applications.drives.friction_curves import DriveEstimate, FrictionC
 from testbed.applications.drives.identify_drives import DriveFindings
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.newton_euler import Motion, regressor
-from testbed.core.estimation.estimate import Estimate, Method
+from testbed.core.estimation.estimate import Estimate, Method, channel_units
 from testbed.core.estimation.regression.normal_equations import TINY
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set, selection
 from testbed.core.parameters.symbols import barycentric
@@ -65,7 +65,7 @@ def accuracies(
     """
     some = motion[:: max(1, motion.samples // INSTANTS)]
     dynamic = minimal_set(tree, "dynamic", zeros=zeros)
-    units = ["N m" if joint.revolute else "N" for joint in tree.joints]
+    units = channel_units(tree, "internal")
     found: dict[Method, Accuracy] = {}
     for method, estimate in estimates.items():
         own, values = estimate.minimal, estimate.base.values

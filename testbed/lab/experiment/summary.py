@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from testbed.bodies.posterior import Posterior
-    from testbed.core.base.arrays import Array
     from testbed.lab.experiment.run import Run
 
 SIGNALS = {"wrench": "base wrench", "torque": "rigid-body torques"}
@@ -57,23 +55,21 @@ def headline(run: Run) -> str:
         shown = ([each for each in parts if each[:6] != "Remedy"] for parts in paragraphs(said))
         first = [f"{text[0].upper()}{text[1:]}." for text in map(". ".join, shown)]
         return " ".join([*first, *data_lines(made, well=said[0].code == WELL)])
-    phrases = []
-    for name in ("wrench", "torque"):
-        shares = {m: getattr(found, name) for m, found in run.score.accuracy.items()}
-        if run.tree.is_part and name == "torque":
-            continue  # of joints that carry more than what the sensor feels
+    part = run.tree.is_part  # whose joints carry more than what the sensor feels
+    signals = {"wrench": "sensor wrench"} if part else SIGNALS
+    errors = []
+    for name, signal in signals.items():
         by = [
-            f"{percent(x)} by the {run.estimates[m].instrument}"
-            for m, x in shares.items()
-            if x is not None
+            f"{percent(share)} by the {run.estimates[method].instrument}"
+            for method, accuracy in run.score.accuracy.items()
+            if (share := getattr(accuracy, name)) is not None
         ]
-        signal = "sensor wrench" if run.tree.is_part else SIGNALS[name]
-        phrases += [f"{signal} {', '.join(by)}"] if by else []
-    if not phrases:
+        errors += [f"{signal} {', '.join(by)}"] if by else []
+    if not errors:
         return f"From {_data(run)} nothing can be predicted: the robot makes no force."
     where = "a held-out motion" if run.validation else "the motion used for the fit"
-    errors = "; ".join(phrases)
-    return f"Prediction error on {where}, rms relative to the signal: {errors}{assumed(run)}."
+    listed = "; ".join(errors)
+    return f"Prediction error on {where}, rms relative to the signal: {listed}{assumed(run)}."
 
 
 def assumed(run: Run) -> str:
@@ -93,21 +89,18 @@ def _parameters(run: Run) -> list[str]:
         return []
     phrases = []
     for method, estimate in run.estimates.items():
-        errors = run.score.errors[method]
-        relative, z = (np.abs(x[: estimate.minimal.count]) for x in (errors.relative, errors.z))
-        middle, most = _of_numbers(np.median, relative), _of_numbers(np.max, z)
-        rest = " (without friction)" if estimate.joint_terms else ""
-        parts = [] if middle is None else [f"median error {percent(middle)}"]
-        parts += [] if most is None else [f"largest error {most:.3g} standard deviations{rest}"]
-        if parts:
-            by = f"{estimate.minimal.count} by the {estimate.instrument}"
-            phrases.append(f"{by}, {', '.join(parts)}")
+        errors, count = run.score.errors[method], estimate.minimal.count
+        relative, z = (
+            np.abs(x[:count][np.isfinite(x[:count])]) for x in (errors.relative, errors.z)
+        )
+        parts = [f"{count} by the {estimate.instrument}"]
+        if relative.size:
+            parts.append(f"median error {percent(float(np.median(relative)))}")
+        if z.size:
+            rest = " (without friction)" if estimate.joint_terms else ""
+            parts.append(f"largest error {z.max():.3g} standard deviations{rest}")
+        phrases += [", ".join(parts)] if len(parts) > 1 else []
     return [f"Base parameters: {'; '.join(phrases)}."] if phrases else []
-
-
-def _of_numbers(function: Callable[[Array], Any], values: Array) -> float | None:
-    there = values[np.isfinite(values)]
-    return float(function(there)) if there.size else None
 
 
 def data_lines(found: Iterable[Posterior], *, well: bool) -> Iterator[str]:
@@ -135,19 +128,19 @@ def _measured(run: Run) -> list[str]:
     """What is left of another motion's signals, noise among it, a sentence for all; or nothing."""
     phrases = []
     for method, found in run.validation.items():
-        rows = np.sqrt(np.array(found.rows, dtype=float))
-        signal, left, allowed = (
-            np.nan_to_num(rows * x) for x in (found.signal, found.error, found.allowed)
+        roots = np.sqrt(found.rows)
+        signal, *errors = (
+            np.nan_to_num(roots * x) for x in (found.signal, found.error, found.allowed)
         )
-        share, usual = (share_of_signal(x, signal, found.units) for x in (left, allowed))
-        if share is not None and usual is not None:
+        shares = [share_of_signal(error, signal, found.units) for error in errors]
+        known = [percent(share) for share in shares if share is not None]
+        if len(known) == len(shares):
             what = "base wrench" if method == "external" else "joint torques"
-            phrases.append(f"{what} {percent(share)}, expected {percent(usual)}")
-    return (
-        [f"Rms of measured minus predicted there, in percent of the signal: {'; '.join(phrases)}."]
-        if phrases
-        else []
-    )
+            phrases.append(f"{what} {known[0]}, expected {known[1]}")
+    said = "; ".join(phrases)
+    if not phrases:
+        return []
+    return [f"Rms of measured minus predicted there, in percent of the signal: {said}."]
 
 
 def _data(run: Run) -> str:
@@ -178,9 +171,8 @@ def verdict(run: Run) -> str:
 
 def _cautions(run: Run) -> list[str]:
     count = len(sentences(run.diagnostics))
-    if not count:
-        return []
-    return [f"There {'is' if count == 1 else 'are'} {plural(count, 'warning')}."]
+    verb = "is" if count == 1 else "are"
+    return [f"There {verb} {plural(count, 'warning')}."] if count else []
 
 
 def obtained(run: Run, metric: str) -> str:

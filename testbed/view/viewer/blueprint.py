@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import rerun as rr
 import rerun.blueprint as rrb
 
+from testbed.core.estimation.estimate import channel_units
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.robot.tree import Tree
-from testbed.lab.experiment.predict import Signal
+from testbed.lab.experiment.predict import Channel
 from testbed.view.viewer.robot_drawing import CLOCK
 from testbed.view.viewer.scene import Scene, root, safe
 
@@ -48,8 +49,8 @@ def live_blueprint(name: str, tree: Tree, size: float) -> rrb.Blueprint:
     """
     wrench = [_plot(f"/wrench/{c}", f"{c} [{u}]") for c, u in zip(AXES, PLATE_UNITS, strict=True)]
     torque = [
-        _plot(f"/torque/{safe(j.name)}", f"torque of {j.name} [{'N m' if j.revolute else 'N'}]")
-        for j in tree.joints
+        _plot(f"/torque/{safe(joint)}", f"torque of {joint} [{unit}]")
+        for joint, unit in zip(tree.names, channel_units(tree, "internal"), strict=True)
     ]
     tabs = rrb.Tabs(
         rrb.Grid(*wrench, grid_columns=2, name="wrench"), _joints("", torque), name=name
@@ -73,9 +74,9 @@ def motion_blueprint(
     left = [_plot(f"/left/{k}", f"margin to {kind}", seen, False) for k, kind in enumerate(kinds)]
     joints = [
         rrb.Horizontal(
-            *(_plot(f"/{s}/{safe(j.name)}", f"{s} of {j.name}", seen, False) for s in RATES)
+            *(_plot(f"/{s}/{safe(joint)}", f"{s} of {joint}", seen, False) for s in RATES)
         )
-        for j in tree.joints
+        for joint in tree.names
     ]
     tabs = rrb.Tabs(
         _stack(left, "limits"),
@@ -116,17 +117,16 @@ def _robot(name: str, size: float, at: str, shown: str = "robot and reaction") -
 
 
 def _tabs(scene: Scene, at: str) -> rrb.Tabs:
-    views: list[rrb.Container | rrb.View] = []
-    torque = []
-    for signal in scene.predictions.signals:
-        rows = _rows(scene, signal, at)
-        if signal.kind == "wrench":
-            views.append(_stack(rows, "wrench"))
-        else:
-            torque = rows
-    views.append(_joints(at, torque, scene.window))
-    views.append(rrb.TextDocumentView(origin=f"{at}/notes", name="notes"))
-    return rrb.Tabs(*views, name=scene.run.name, active_tab=0)
+    rows: dict[str, list[rrb.View | rrb.Container]] = {"wrench": [], "torque": []}
+    for channel in scene.predictions.channels:
+        rows[channel.kind].append(_row(scene, channel, at))
+    return rrb.Tabs(
+        *([_stack(rows["wrench"], "wrench")] if rows["wrench"] else []),
+        _joints(at, rows["torque"], scene.window),
+        rrb.TextDocumentView(origin=f"{at}/notes", name="notes"),
+        name=scene.run.name,
+        active_tab=0,
+    )
 
 
 def _joints(
@@ -145,17 +145,18 @@ def _stack(rows: Sequence[rrb.View | rrb.Container], name: str) -> rrb.Container
     return rrb.Grid(*rows, grid_columns=-(-len(rows) // MOST_ROWS), name=name)
 
 
-def _rows(scene: Scene, signal: Signal, at: str) -> list[rrb.Horizontal]:
-    """A channel a row: measured and predicted, and beside it what is left over."""
-    rows = []
-    for k, (channel, unit) in enumerate(zip(signal.channels, signal.units, strict=True)):
-        path = f"{at}/{signal.kind}/{safe(channel)}"
-        plots = [_plot(path, f"{channel} [{unit}]", scene.window, k == 0)]
-        if signal.predicted:
-            path, title = f"{at}/residual/{signal.kind}/{safe(channel)}", f"{channel}: residual"
-            plots.append(_plot(path, f"{title} [{unit}]", scene.window, k == 0))
-        rows.append(rrb.Horizontal(*plots))
-    return rows
+def _row(scene: Scene, channel: Channel, at: str) -> rrb.Horizontal:
+    """A channel measured and predicted, and beside it what is left over."""
+    plots = {f"{at}/{channel.kind}/{safe(channel.name)}": channel.name}
+    if channel.residuals:
+        plots[f"{at}/residual/{channel.kind}/{safe(channel.name)}"] = f"{channel.name}: residual"
+    legend = channel.index == 0
+    return rrb.Horizontal(
+        *(
+            _plot(path, f"{title} [{channel.unit}]", scene.window, legend)
+            for path, title in plots.items()
+        )
+    )
 
 
 def _plot(

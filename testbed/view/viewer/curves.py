@@ -30,24 +30,21 @@ def log_signals(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
     names = scene.run.tree.names
     positions = dict(zip(names, recording.position.T, strict=True))
     log_series(stream, f"{at}/position", recording.time, positions, palette(len(names)))
-    for signal in scene.predictions.signals:
-        every: dict[Any, Array] = {"measured": signal.measured, **signal.predicted}
-        for c, channel in enumerate(signal.channels):
-            path = f"{at}/{signal.kind}/{safe(channel)}"
-            log_series(stream, path, time, {kind: each[:, c] for kind, each in every.items()})
-            if signal.kind == "torque" and drives is not None:
-                friction = {"friction": drives.curves[c].at(scene.motion.qd[:, c])}
-                log_series(stream, f"{path}/friction", time, friction, [COLOURS["path"]])
+    for channel in scene.predictions.channels:
+        path = f"{at}/{channel.kind}/{safe(channel.name)}"
+        log_series(stream, path, time, channel.curves)
+        if channel.kind == "torque" and drives is not None:
+            curve, speed = drives.curves[channel.index], scene.motion.qd[:, channel.index]
+            friction = {"friction": curve.at(speed)}
+            log_series(stream, f"{path}/friction", time, friction, [COLOURS["path"]])
 
 
 def log_residuals(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
     """Residuals of torques and wrench, smoothed."""
-    for signal in scene.smooth.signals:
-        residuals = {method: signal.residual(method) for method in signal.predicted}
-        for c, channel in enumerate(signal.channels if residuals else ()):
-            path = f"{at}/residual/{signal.kind}/{safe(channel)}"
-            own = {method: each[:, c] for method, each in residuals.items()}
-            log_series(stream, path, scene.smooth.motion.t, own)
+    for channel in scene.smooth.channels:
+        if residuals := channel.residuals:
+            path = f"{at}/residual/{channel.kind}/{safe(channel.name)}"
+            log_series(stream, path, scene.smooth.motion.t, residuals)
 
 
 def log_series(
