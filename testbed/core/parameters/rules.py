@@ -220,20 +220,19 @@ def base_rule(functionals: Array) -> Row:
 
 
 def _echelon(rows: Array) -> dict[int, Array]:
-    """Rows of the same space, each 1 at a place of its own where the others are 0.
+    """Rows of the same space, each 1 at a column of its own where the others are 0, by column.
 
     Second moments lead before first ones, these before the mass.
+
+    Args:
+        rows: Orthonormal, (k, 10).
     """
-    rows, found = rows.copy(), dict[int, Array]()
+    leads: list[int] = []
     for column in (*range(4, 10), 1, 2, 3, 0):
-        if not len(rows) or np.abs(rows[:, column]).max() < TINY:
-            continue
-        first = int(np.argmax(np.abs(rows[:, column])))
-        pivot = rows[first] / rows[first, column]
-        rows = np.delete(rows, first, axis=0)
-        rows -= np.outer(rows[:, column], pivot)
-        found = {at: row - row[column] * pivot for at, row in found.items()} | {column: pivot}
-    return {at: np.where(np.abs(row) < TINY, 0.0, row) for at, row in found.items()}
+        if np.linalg.matrix_rank(rows[:, [*leads, column]], tol=TINY) > len(leads):
+            leads.append(column)
+    forms = np.linalg.solve(rows[:, leads], rows)
+    return dict(zip(leads, np.where(np.abs(forms) < TINY, 0.0, forms), strict=True))
 
 
 def rule(joint: Joint, mobility: Mobility, model: Model) -> Row:
