@@ -160,12 +160,7 @@ def _weld(
         mass: [kg].
         moments: Principal moments of inertia, (3,) [kg m^2].
     """
-    with no_mujoco_warnings():
-        model = spec.compile()
-    data = mujoco.MjData(model)
-    data.qpos[:] = 0.0
-    mujoco.mj_kinematics(model, data)
-    here = data.body(to.name)
+    here = _at_zero(spec)[1].body(to.name)
     X_WT = Transform(here.xmat.reshape(3, 3), here.xpos)
     X_TC = X_WT.inverse @ tree.zero_poses[link] @ X_LC
     to.add_body(
@@ -248,10 +243,17 @@ class Tilt(Effect):
 
 def _inertias(spec: mujoco.MjSpec) -> Array:
     """What each freedom of the plate moves, all joints at zero, (6,) [kg, kg m^2]."""
-    with no_mujoco_warnings():
-        model = spec.compile()
-    data, matrix = mujoco.MjData(model), np.zeros((model.nv, model.nv))
-    data.qpos[:] = 0.0
-    mujoco.mj_forward(model, data)
+    model, data = _at_zero(spec)
+    matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, matrix)
     return np.diagonal(matrix)[[int(model.joint(name).dofadr[0]) for name in _FREEDOMS]]
+
+
+def _at_zero(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The compiled model, and its state with all joints at zero."""
+    with no_mujoco_warnings():
+        model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.0
+    mujoco.mj_forward(model, data)
+    return model, data

@@ -329,7 +329,7 @@ def _plant_of(
         positions=addresses((_label("position", prefix + name) for name in tree.names), 1),
         velocities=addresses((_label("velocity", prefix + name) for name in tree.names), 1),
         plate=np.concatenate([model.sensor_adr[s] + np.arange(3) for s in plate]),
-        X_BS=Transform(data.site_xmat[site].reshape(3, 3).copy(), data.site_xpos[site].copy()),
+        X_BS=Transform(data.site_xmat[site].reshape(3, 3), data.site_xpos[site]),
         tare=_tare(model, data, int(model.site_bodyid[site])),
         sensors=addresses(wrists, 3),
     )
