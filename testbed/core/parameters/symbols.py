@@ -354,12 +354,13 @@ def _product(value: float, names: list[str], notation: Notation) -> str:
     sign = "-" if value < 0 else ""
     if notation == "text" and over == "1" and slash and names:
         return f"{sign}{'*'.join(names)}/{under}"
-    size = over + slash + under if notation == "text" else _latex_number(over, under)
+    size = over + slash + under if notation == "text" else latex_number(over, under)
     factors = names if size == "1" and names else [size, *names]
     return sign + _TIMES[notation].join(factors)
 
 
-def _latex_number(over: str, under: str) -> str:
+def latex_number(over: str, under: str = "") -> str:
+    """Number in LaTeX of its decimals, or of numerator and denominator."""
     if under:
         return rf"\tfrac{{{over}}}{{{under}}}"
     mantissa, power, exponent = over.partition("e")
