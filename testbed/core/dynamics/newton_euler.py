@@ -163,13 +163,13 @@ def poses(tree: Skeleton, q: Array) -> list[Transform]:
         tree: The robot's geometry.
         q: Joint positions, (M, n) [rad or m].
     """
-    still = np.zeros_like(q)
-    moving = kinematics(tree, q, still, still, np.zeros(3))
-    found: list[Transform] = []
-    for joint, body in zip(tree.joints, moving, strict=True):
-        X_PB = Transform(body.R_PB, joint.offset + apply(body.R_PB, body.z))
-        found.append(X_PB if joint.parent < 0 else found[joint.parent] @ X_PB)
-    return found
+    X_WB: list[Transform] = []
+    for joint, position in zip(tree.joints, q.T, strict=True):
+        R_PB = _rotation(joint, position)
+        z = _along(joint.axis, 0.0 * position if joint.revolute else position)
+        X_PB = Transform(R_PB, joint.offset + apply(R_PB, z))
+        X_WB.append(X_PB if joint.parent < 0 else X_WB[joint.parent] @ X_PB)
+    return X_WB
 
 
 def _step(

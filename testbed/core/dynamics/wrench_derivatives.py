@@ -172,16 +172,20 @@ class _Composite:
     def inertia(self, screw: Array) -> Array:
         """I times a screw."""
         turning, sliding = np.split(screw, 2)
-        trace = self.second[0, 0] + self.second[1, 1] + self.second[2, 2]
+        trace = np.einsum("aam->m", self.second)
         force = self.mass * sliding + _cross(turning, self.first)
-        moment = trace * turning - _apply(self.second, turning) + _cross(self.first, sliding)
+        moment = (
+            trace * turning
+            - np.einsum("abm,bm->am", self.second, turning)
+            + _cross(self.first, sliding)
+        )
         return np.concatenate([force, moment])
 
     def coriolis(self, screw: Array) -> Array:
         """B times a screw."""
         turning = screw[:3]
         force = 2 * _cross(turning, self.momentum)
-        return np.concatenate([force, _apply(self.coupling, turning)])
+        return np.concatenate([force, np.einsum("abm,bm->am", self.coupling, turning)])
 
     def add(self, other: _Composite) -> None:
         """Add what another body carries."""
@@ -231,10 +235,4 @@ def _cross(a: Array, b: Array) -> Array:
     for i, j, k in (0, 1, 2), (1, 2, 0), (2, 0, 1):
         np.multiply(a[j], b[k], out=found[i])
         found[i] -= a[k] * b[j]
-    return found
-
-
-def _apply(matrix: Array, vector: Array) -> Array:
-    """(3, 3, m) times (3, m)."""
-    found: Array = matrix[:, 0] * vector[0] + matrix[:, 1] * vector[1] + matrix[:, 2] * vector[2]
     return found
