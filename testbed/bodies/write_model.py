@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
@@ -32,6 +31,7 @@ from testbed.core.robot.model_file import (
 )
 from testbed.core.robot.parsing import read_xml
 from testbed.core.robot.repair import Edit, FileLink, total
+from testbed.core.robot.rotations import to_quaternion
 from testbed.core.robot.tree import Tree
 
 Fixed = Literal["lump", "share"]
@@ -174,7 +174,7 @@ def mujoco_fields(changes: Sequence[Edit], trees: Sequence[Tree]) -> dict[str, A
     central = np.array([[link.central for link in each] for each in links])
     moments, axes = np.linalg.eigh(central.reshape(len(links), len(bodies), 3, 3))
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
-    turns = Rotation.from_matrix(axes.reshape(-1, 3, 3)).as_quat(scalar_first=True)
+    quaternions = to_quaternion(axes.reshape(-1, 3, 3))
     losses = np.array([[[getattr(j, k) for k in LOSSES] for j in tree.joints] for tree in trees])
     fields = ("dof_frictionloss", "dof_damping", "dof_armature")
     return {
@@ -183,7 +183,7 @@ def mujoco_fields(changes: Sequence[Edit], trees: Sequence[Tree]) -> dict[str, A
         "body_mass": np.array([[link.mass for link in each] for each in links]),
         "body_ipos": np.array([[link.com for link in each] for each in links]),
         "body_inertia": np.maximum(moments, 0.0),
-        "body_iquat": turns.reshape(len(links), len(bodies), 4),
+        "body_iquat": quaternions.reshape(len(links), len(bodies), 4),
         **dict(zip(fields, np.moveaxis(losses, 2, 0), strict=True)),
     }
 

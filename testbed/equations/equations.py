@@ -126,36 +126,23 @@ class Recursion:
         return transmitted(self.robot, motion, self.theta, keep)
 
 
-def _forces(recursion: Recursion) -> Content:
-    forces, _ = recursion.run(recursion.robot.qd, recursion.robot.qdd)
-    return _of_joints("Q", forces)
-
-
-def _wrench(recursion: Recursion) -> Content:
-    _, wrench = recursion.run(recursion.robot.qd, recursion.robot.qdd)
-    for k, name in enumerate(WRENCH):
-        yield _name(name), ((k,), wrench[k, 0])
-
-
-def _dynamic_regressor(recursion: Recursion) -> Content:
-    forces, _ = recursion.run(recursion.robot.qd, recursion.robot.qdd)
-    return _by_column(forces, [f"Q{j + 1}" for j in range(recursion.robot.n)], recursion.columns)
-
-
-def _reaction_regressor(recursion: Recursion) -> Content:
-    _, wrench = recursion.run(recursion.robot.qd, recursion.robot.qdd)
-    return _by_column(wrench, WRENCH, recursion.columns)
-
-
-def _by_column(values: AnyArray, rows: Sequence[str], names: Sequence[str]) -> Content:
-    """Column by column, those of the first bodies first: what they need is soon done with."""
-    for k, name in reversed(list(enumerate(distinct(names)))):
+def _dynamics(recursion: Recursion, kind: EquationKind) -> Content:
+    """Joint forces or the wrench, of all parameters together or of a unit of each."""
+    forces, wrench = recursion.run(recursion.robot.qd, recursion.robot.qdd)
+    joints = _of_joints("Q", recursion)
+    values, rows = (wrench, WRENCH) if kind.model == "reaction" else (forces, joints)
+    if not kind.is_regressor:
+        yield from _vector(rows, values)
+        return
+    # column by column, those of the first bodies first: what they need is soon done with
+    for k, column in reversed(list(enumerate(distinct(recursion.columns)))):
         for i, row in enumerate(rows):
-            yield _name(f"phi_{row}_{name}"), ((i, k), values[i, k])
+            yield _name(f"phi_{row}_{column}"), ((i, k), values[i, k])
 
 
-def _mass_matrix(recursion: Recursion) -> Content:
+def _mass_matrix(recursion: Recursion, kind: EquationKind) -> Content:
     """Column by column: the joint forces of unit accelerations, on the chain to the base."""
+    del kind
     n = recursion.robot.n
     still = np.zeros(n, dtype=object)
     weightless = replace(recursion.robot, gravity=np.zeros(3, dtype=object))
@@ -169,16 +156,21 @@ def _mass_matrix(recursion: Recursion) -> Content:
                 yield _name(f"M{j + 1}{split}{i + 1}"), ((j, i), of(name))
 
 
-def _gravity_forces(recursion: Recursion) -> Content:
+def _gravity_forces(recursion: Recursion, kind: EquationKind) -> Content:
+    del kind
     still = np.zeros(recursion.robot.n, dtype=object)
-    forces, _ = recursion.run(still, still)
-    return _of_joints("G", forces)
+    return _vector(_of_joints("G", recursion), recursion.run(still, still)[0])
 
 
-def _of_joints(letter: str, forces: AnyArray) -> Content:
-    """Joint forces, (n, 1), by joint: Q1, Q2, ..."""
-    for j, force in enumerate(forces[:, 0]):
-        yield _name(f"{letter}{j + 1}"), ((j,), force)
+def _of_joints(letter: str, recursion: Recursion) -> tuple[str, ...]:
+    """Names by joint: Q1, Q2, ..."""
+    return tuple(f"{letter}{j + 1}" for j in range(recursion.robot.n))
+
+
+def _vector(names: Sequence[str], values: AnyArray) -> Content:
+    """Values in one column, (k, 1), by name."""
+    for k, name in enumerate(names):
+        yield _name(name), ((k,), values[k, 0])
 
 
 def _name(name: str) -> Factor:
@@ -206,7 +198,7 @@ class EquationKind:
     takes: tuple[str, ...]
     results: str
     says: str
-    content: Callable[[Recursion], Content]
+    content: Callable[[Recursion, EquationKind], Content]
     is_regressor: bool = False
 
 
@@ -221,7 +213,7 @@ KINDS = {
             _MOTION,
             r"Q\d+",
             "What the motors deliver at the joints, friction excluded [N m or N].",
-            _forces,
+            _dynamics,
         ),
         EquationKind(
             "base-wrench",
@@ -231,7 +223,7 @@ KINDS = {
             r"[FM][xyz]",
             "Wrench of the bedplate on the robot about the bedplate's origin, force first "
             "[N, N m].",
-            _wrench,
+            _dynamics,
         ),
         EquationKind(
             "dynamic-regressor",
@@ -240,7 +232,7 @@ KINDS = {
             _MOTION,
             r"phi_Q\d+_\w+",
             "phi_d: joint forces for a unit of each parameter.",
-            _dynamic_regressor,
+            _dynamics,
             is_regressor=True,
         ),
         EquationKind(
@@ -250,7 +242,7 @@ KINDS = {
             _MOTION,
             r"phi_[FM][xyz]_\w+",
             "phi_r: the bedplate's wrench for a unit of each parameter.",
-            _reaction_regressor,
+            _dynamics,
             is_regressor=True,
         ),
         EquationKind(
@@ -388,7 +380,7 @@ class _Builder:
         """The equations of one kind."""
         vector, own, theta = self._parameters(kind)
         recursion = Recursion(self.robot, theta, tuple(p.name for p in own), self.budget)
-        values = dict(kind.content(recursion))
+        values = dict(kind.content(recursion, kind))
         places = {name: place for name, (place, _) in values.items()}
         if self.form == "recursive":
             program = recursive({name: expression(value) for name, (_, value) in values.items()})

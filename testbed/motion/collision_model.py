@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from testbed.bodies.shapes.shapes import Shape
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.errors import UnknownName
+from testbed.core.robot.rotations import to_quaternion
 from testbed.core.robot.tree import Tree
 from testbed.motion.limits import Limits
 
@@ -117,7 +118,7 @@ def collision_model(
     spec = mujoco.MjSpec()
     bodies = [spec.worldbody]
     for j, joint in enumerate(tree.joints):
-        place = {"pos": joint.offset, "quat": _quaternion(joint.rotation)}
+        place = {"pos": joint.offset, "quat": to_quaternion(joint.rotation)}
         body = bodies[joint.parent + 1].add_body(**place)
         body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
         kind = mujoco.mjtJoint.mjJNT_HINGE if joint.revolute else mujoco.mjtJoint.mjJNT_SLIDE
@@ -153,15 +154,9 @@ def _pairs(tree: Tree, owners: Sequence[int]) -> dict[tuple[int, int], NDArray[n
     return {pair: np.array(found[pair]).T for pair in sorted(found)}
 
 
-def _quaternion(turn: Array) -> Array:
-    found = np.zeros(4)
-    mujoco.mju_mat2Quat(found, np.ascontiguousarray(turn).ravel())
-    return found
-
-
 def _add(spec: mujoco.MjSpec, body: mujoco.MjsBody, shape: Shape, name: str) -> None:
     """Put a shape on a body, but for flat meshes, which nothing can hit."""
-    place = {"name": name, "pos": shape.position, "quat": _quaternion(shape.rotation)}
+    place = {"name": name, "pos": shape.position, "quat": to_quaternion(shape.rotation)}
     size = np.concatenate([shape.size, np.zeros(3)])[:3]
     if shape.kind == "mesh":
         hull = _hull(shape.vertices)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from testbed.bodies.shapes.appearance import load_shapes
-from testbed.bodies.shapes.shapes import Shape, bounds, poses_at_zero
+from testbed.bodies.shapes.shapes import Shape, bounds
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ExperimentError, few
@@ -92,7 +92,7 @@ def _floor(tree: Tree, shapes: tuple[Shape, ...]) -> float | None:
     """
     standing = (float(bounds(shape)[0][2]) for shape in shapes if shape.body < 0)
     floor = min(standing, default=0.0)
-    origins = np.array([X_WB.p_AB_A for X_WB in poses_at_zero(tree)])
+    origins = np.array([X_WB.p_AB_A for X_WB in tree.zero_poses])
     reach = float(np.linalg.norm(origins, axis=1).max())
     return None if origins[:, 2].min() < floor - HANGS * reach else floor
 

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.bodies.shapes.shapes import poses_at_zero
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.newton_euler import blocks, parameter_regressor, poses
 from testbed.core.dynamics.wrench_derivatives import base_wrench_derivatives
@@ -49,7 +48,7 @@ def test_forces_wrench_and_poses_are_pinocchios(robot: Robot, rng: Rng) -> None:
     for k, X_WB in zip(order, poses(tree, states.q), strict=True):
         np.testing.assert_allclose(X_WB.R_AB[0], data.oMi[k].rotation, atol=1e-12)
         np.testing.assert_allclose(X_WB.p_AB_A[0], data.oMi[k].translation, atol=1e-12)
-    for here, there in zip(poses(tree, np.zeros((1, tree.n))), poses_at_zero(tree), strict=True):
+    for here, there in zip(poses(tree, np.zeros((1, tree.n))), tree.zero_poses, strict=True):
         np.testing.assert_allclose(here.R_AB[0], there.R_AB, atol=1e-12)
         np.testing.assert_allclose(here.p_AB_A[0], there.p_AB_A, atol=1e-12)
 

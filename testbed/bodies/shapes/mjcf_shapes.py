@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from testbed.bodies.shapes.shapes import DrawnShapes, Kind, Shape, poses_at_zero
+from testbed.bodies.shapes.shapes import DrawnShapes, Kind, Shape
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.transform import Transform
@@ -50,7 +50,7 @@ def _shapes(model: mujoco.MjModel, tree: Tree) -> Iterator[Shape]:
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)
-    poses = [*poses_at_zero(tree), Transform()]  # the last is the bedplate's
+    poses = [*tree.zero_poses, Transform()]  # the last is the bedplate's
     for g in range(model.ngeom):
         kind = _KINDS.get(int(model.geom_type[g]))
         if kind is None or model.geom_group[g] >= _SEEN_GROUPS:

@@ -10,7 +10,6 @@ import numpy as np
 
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import Diagnostic
-from testbed.core.base.transform import Transform
 from testbed.core.parameters.rules import across
 from testbed.core.robot.tree import Tree
 
@@ -58,14 +57,6 @@ class DrawnShapes:
 
     shapes: tuple[Shape, ...]
     diagnostics: tuple[Diagnostic, ...] = ()
-
-
-def poses_at_zero(tree: Tree) -> list[Transform]:
-    """Pose X_WB of every body in the bedplate frame W at q = 0."""
-    poses: list[Transform] = []
-    for joint in tree.joints:
-        poses.append(joint.X_PB if joint.parent < 0 else poses[joint.parent] @ joint.X_PB)
-    return poses
 
 
 def sticks(tree: Tree) -> Iterator[Shape]:

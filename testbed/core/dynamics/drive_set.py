@@ -73,11 +73,8 @@ def drive_set(tree: Tree, minimal: MinimalSet, laws: Sequence[str | JointLaw]) -
             own.append(term)
             sums = np.eye(1, every.shape[1], every.shape[1] - 1)[0]
         made.append(sums[:, None])
-    columns = np.zeros((every.shape[1], len(found.asked) + len(more)))
-    at = 0
-    for part in made:
-        columns[: len(part), at : at + part.shape[1]] = part
-        at += part.shape[1]
+    padded = (np.pad(part, ((0, every.shape[1] - len(part)), (0, 0))) for part in made)
+    columns = np.hstack([*padded])
     fixed = readonly(columns, columns.shape, "columns")
     return DriveSet(minimal, (*found.asked, *more), tuple(own), fixed, tree)
 

@@ -110,7 +110,7 @@ class BodyMotion:
     """The motion of body j in frame j; leading axes are samples.
 
     Attributes:
-        turn: From frame j to the carrying frame i, (..., 3, 3).
+        R_PB: Rotation from the body's frame B to its carrier's, the parent P, (..., 3, 3).
         z: Displacement of a prismatic joint, zero for a revolute one, (..., 3) [m].
         zdd: Absolute second derivative of z, (..., 3) [m/s^2].
         w: Angular velocity, (..., 3) [rad/s].
@@ -119,7 +119,7 @@ class BodyMotion:
         a: xdd^j - g, acceleration of O^j less gravity, (..., 3) [m/s^2].
     """
 
-    turn: AnyArray
+    R_PB: AnyArray
     z: AnyArray
     zdd: AnyArray
     w: AnyArray
@@ -163,13 +163,13 @@ def poses(tree: Skeleton, q: Array) -> list[Transform]:
         tree: The robot's geometry.
         q: Joint positions, (M, n) [rad or m].
     """
-    still = np.zeros_like(q)
-    moving = kinematics(tree, q, still, still, np.zeros(3))
-    found: list[Transform] = []
-    for joint, body in zip(tree.joints, moving, strict=True):
-        X_PB = Transform(body.turn, joint.offset + apply(body.turn, body.z))
-        found.append(X_PB if joint.parent < 0 else found[joint.parent] @ X_PB)
-    return found
+    X_WB: list[Transform] = []
+    for joint, position in zip(tree.joints, q.T, strict=True):
+        R_PB = _rotation(joint, position)
+        z = _along(joint.axis, 0.0 * position if joint.revolute else position)
+        X_PB = Transform(R_PB, joint.offset + apply(R_PB, z))
+        X_WB.append(X_PB if joint.parent < 0 else X_WB[joint.parent] @ X_PB)
+    return X_WB
 
 
 def _step(
@@ -183,10 +183,10 @@ def _step(
 ) -> BodyMotion:
     """From body i to body j."""
     e, label = joint.axis, str(j + 1)
-    turn = _turn(joint, q)
-    back = np.swapaxes(turn, -1, -2)
-    w, wd = apply(back, carrier.w), apply(back, carrier.wd)
-    point = apply(back, carrier.a + apply(carrier.W, joint.offset))  # xdd - g of O'^j
+    R_PB = _rotation(joint, q)
+    R_BP = np.swapaxes(R_PB, -1, -2)
+    w, wd = apply(R_BP, carrier.w), apply(R_BP, carrier.wd)
+    point = apply(R_BP, carrier.a + apply(carrier.W, joint.offset))  # xdd - g of O'^j
     speed, rate = _along(e, qd), _along(e, qdd)
     if joint.revolute:
         wd = keep("wd" + label, wd + apply(skew(w), speed) + rate)
@@ -198,7 +198,7 @@ def _step(
         whirl = skew(wd) + skew(w) @ skew(w)
         zdd = keep("zdd" + label, apply(whirl, z) + 2 * apply(skew(w), speed) + rate)
     W = keep("W" + label, skew(wd) + skew(w) @ skew(w))
-    return BodyMotion(turn, z, zdd, w, wd, W, keep("a" + label, point + zdd))
+    return BodyMotion(R_PB, z, zdd, w, wd, W, keep("a" + label, point + zdd))
 
 
 def _along(e: AnyArray, scalar: AnyArray) -> AnyArray:
@@ -206,16 +206,16 @@ def _along(e: AnyArray, scalar: AnyArray) -> AnyArray:
     return np.asarray(scalar)[..., None] * e
 
 
-def _turn(joint: Link, q: AnyArray) -> AnyArray:
-    """From frame j to frame i: A, times Rot(e, q) = e e' + c (1 - e e') + s e~ if revolute."""
+def _rotation(joint: Link, q: AnyArray) -> AnyArray:
+    """R_PB: A, times Rot(e, q) = e e' + c (1 - e e') + s e~ if revolute."""
     if not joint.revolute:
         fixed = np.broadcast_to(joint.rotation, (*np.shape(q), 3, 3))
         return fixed.astype(np.asarray(q).dtype)
     e = joint.axis
     c, s = (np.asarray(f(q))[..., None, None] for f in (np.cos, np.sin))
     axial = np.outer(e, e)
-    rotation: AnyArray = joint.rotation @ (axial + c * (np.eye(3) - axial) + s * skew(e))
-    return rotation
+    R_PB: AnyArray = joint.rotation @ (axial + c * (np.eye(3) - axial) + s * skew(e))
+    return R_PB
 
 
 def transmitted(
@@ -261,9 +261,9 @@ def transmitted(
         # the carrier's parameters hold the child's mass at O'^j already: pass on the rest
         passed = F - body.a[..., None] * theta[j, 0] + body.zdd[..., None] * theta[j, 0]
         i = joint.parent
-        passed = body.turn @ (passed if i >= 0 else F)
+        passed = body.R_PB @ (passed if i >= 0 else F)
         force[i] += passed
-        moment[i] += skew(joint.offset) @ passed + body.turn @ L
+        moment[i] += skew(joint.offset) @ passed + body.R_PB @ L
     if base < 0:
         whole = np.concatenate([force[-1], moment[-1]], axis=-2)
     if sensor is not None:

@@ -15,7 +15,7 @@ from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.regroup import (
     NEW,
     base_functionals,
-    composite_into,
+    moved_inertia,
     seen_wrenches,
     span,
 )
@@ -116,7 +116,7 @@ def _on_barycentric(tree: Tree, seen: list[Array], static: Array, base: int = -1
     rows: list[Array] = []
     for j in reversed(range(n)):
         composite[j] += to_ours[10 * j : 10 * j + 10]
-        composite[tree.parents[j]] += composite_into(tree.joints[j]) @ composite[j]
+        composite[tree.parents[j]] += moved_inertia(tree.joints[j].X_PB) @ composite[j]
         rows.insert(0, seen[j] @ composite[j])
     rows.append(static @ composite[base])
     return np.vstack(rows)

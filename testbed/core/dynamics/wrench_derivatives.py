@@ -79,7 +79,7 @@ def _sensor_pose(tree: Tree, states: list[_BodyState]) -> Transform:
     if not tree.lead:
         return tree.sensor.X_BS
     base = states[tree.sensor_body]
-    return Transform(np.moveaxis(base.turn, 2, 0), base.place.T) @ tree.sensor.X_BS
+    return Transform(np.moveaxis(base.R_WB, 2, 0), base.p_WB.T) @ tree.sensor.X_BS
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,15 +87,15 @@ class _BodyState:
     """A body at m instants.
 
     Attributes:
-        turn: To the bedplate's axes, (3, 3, m).
-        place: Of its origin, (3, m) [m].
+        R_WB: Rotation from the body's frame B to the bedplate's W, (3, 3, m).
+        p_WB: Origin in the bedplate frame, (3, m) [m].
         screw: Its joint's, (6, m).
         velocity: Its screw, (6, m).
         acceleration: The same, less gravity.
     """
 
-    turn: Array
-    place: Array
+    R_WB: Array
+    p_WB: Array
     screw: Array
     velocity: Array
     acceleration: Array
@@ -110,25 +110,25 @@ def _outward(tree: Tree, q: Array, qd: Array, qdd: Array, gravity: Array) -> lis
     found: list[_BodyState] = []
     for j, joint in enumerate(tree.joints):
         carrier = bedplate if joint.parent < 0 else found[joint.parent]
-        turn, place, axis = _pose(joint, carrier, q[j])
-        screw = np.concatenate([axis, _cross(place, axis)] if joint.revolute else [still, axis])
+        R_WB, p_WB, axis = _pose(joint, carrier, q[j])
+        screw = np.concatenate([axis, _cross(p_WB, axis)] if joint.revolute else [still, axis])
         velocity = carrier.velocity + screw * qd[j]
         acceleration = carrier.acceleration + screw * qdd[j]
         acceleration += _cross_motion(velocity, screw) * qd[j]
-        found.append(_BodyState(turn, place, screw, velocity, acceleration))
+        found.append(_BodyState(R_WB, p_WB, screw, velocity, acceleration))
     return found
 
 
 def _pose(joint: Joint, carrier: _BodyState, q: Array) -> tuple[Array, Array, Array]:
     """A body's axes and origin, and its joint's axis, in the bedplate's."""
-    turn = joint.rotation.T @ carrier.turn
-    place = carrier.place + joint.offset @ carrier.turn
-    axis = joint.axis @ turn
+    R_WB = joint.rotation.T @ carrier.R_WB
+    p_WB = carrier.p_WB + joint.offset @ carrier.R_WB
+    axis = joint.axis @ R_WB
     if not joint.revolute:
-        return turn, place + axis * q, axis
-    along = np.outer(joint.axis, joint.axis) @ turn
-    across = skew(joint.axis).T @ turn
-    return along + np.cos(q) * (turn - along) + np.sin(q) * across, place, axis
+        return R_WB, p_WB + axis * q, axis
+    along = np.outer(joint.axis, joint.axis) @ R_WB
+    across = skew(joint.axis).T @ R_WB
+    return along + np.cos(q) * (R_WB - along) + np.sin(q) * across, p_WB, axis
 
 
 @dataclass(eq=False)
@@ -155,12 +155,12 @@ class _Composite:
     def of(cls, body: Inertia, at: _BodyState) -> _Composite:
         """One body."""
         mass = body.mass
-        arm = body.first_moment @ at.turn
-        turned = body.pseudo[:3, :3] @ at.turn
-        about = np.einsum("abm,cbm->acm", turned, at.turn)
-        across = arm[:, None] * at.place
-        about += across + across.swapaxes(0, 1) + mass * at.place[:, None] * at.place
-        found = cls(mass, arm + mass * at.place, about, arm, about, at.velocity)
+        arm = body.first_moment @ at.R_WB
+        turned = body.pseudo[:3, :3] @ at.R_WB
+        about = np.einsum("abm,cbm->acm", turned, at.R_WB)
+        across = arm[:, None] * at.p_WB
+        about += across + across.swapaxes(0, 1) + mass * at.p_WB[:, None] * at.p_WB
+        found = cls(mass, arm + mass * at.p_WB, about, arm, about, at.velocity)
         turning, sliding = np.split(at.velocity, 2)
         momentum = found.inertia(at.velocity)
         found.wrench = found.inertia(at.acceleration) + _cross_force(at.velocity, momentum)
@@ -172,16 +172,20 @@ class _Composite:
     def inertia(self, screw: Array) -> Array:
         """I times a screw."""
         turning, sliding = np.split(screw, 2)
-        trace = self.second[0, 0] + self.second[1, 1] + self.second[2, 2]
+        trace = np.einsum("aam->m", self.second)
         force = self.mass * sliding + _cross(turning, self.first)
-        moment = trace * turning - _apply(self.second, turning) + _cross(self.first, sliding)
+        moment = (
+            trace * turning
+            - np.einsum("abm,bm->am", self.second, turning)
+            + _cross(self.first, sliding)
+        )
         return np.concatenate([force, moment])
 
     def coriolis(self, screw: Array) -> Array:
         """B times a screw."""
         turning = screw[:3]
         force = 2 * _cross(turning, self.momentum)
-        return np.concatenate([force, _apply(self.coupling, turning)])
+        return np.concatenate([force, np.einsum("abm,bm->am", self.coupling, turning)])
 
     def add(self, other: _Composite) -> None:
         """Add what another body carries."""
@@ -231,10 +235,4 @@ def _cross(a: Array, b: Array) -> Array:
     for i, j, k in (0, 1, 2), (1, 2, 0), (2, 0, 1):
         np.multiply(a[j], b[k], out=found[i])
         found[i] -= a[k] * b[j]
-    return found
-
-
-def _apply(matrix: Array, vector: Array) -> Array:
-    """(3, 3, m) times (3, m)."""
-    found: Array = matrix[:, 0] * vector[0] + matrix[:, 1] * vector[1] + matrix[:, 2] * vector[2]
     return found

@@ -242,15 +242,15 @@ def eliminate(
         known_zero: Barycentric parameters known to be zero, (n, 10).
     """
     whole = [not row.any() for row in known_zero]
-    members: dict[int, list[int]] = {body: [] for body in range(BEDPLATE, tree.n)}
+    entries_of: dict[int, dict[int, Entry]] = {body: {} for body in range(BEDPLATE, tree.n)}
     for k, entry in enumerate(entries):
-        members[entry.body].append(k)
-    free: dict[int, list[Direction]] = {body: [] for body in members}
-    bound: dict[int, _Bound] = {body: {} for body in members}
+        entries_of[entry.body][k] = entry
+    free: dict[int, list[Direction]] = {body: [] for body in entries_of}
+    bound: dict[int, _Bound] = {body: {} for body in entries_of}
     done: dict[int, Parts] = {}
     dependent: dict[int, dict[int, float]] = {}
     for body in reversed(range(tree.n)):
-        carrier, own = tree.parents[body], {k: entries[k] for k in members[body]}
+        carrier, own = tree.parents[body], entries_of[body]
         if whole[body] and carrier != BEDPLATE and whole[carrier]:
             done |= _undisturbed(body, own, bound[body])
             continue
@@ -266,8 +266,7 @@ def eliminate(
                 done[k] = passed.parts
             else:
                 bound[carrier][k] = passed
-    static = {k: entries[k] for k in members[BEDPLATE]}
-    _, taken, combined = _chosen(static, free[BEDPLATE], bound[BEDPLATE])
+    _, taken, combined = _chosen(entries_of[BEDPLATE], free[BEDPLATE], bound[BEDPLATE])
     done |= {k: each.parts for k, each in taken.items()}
     kept = tuple(sorted(done))
     return Elimination(kept, tuple(_clean(done[k]) for k in kept), dependent | combined)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array, skew
+from testbed.core.base.transform import Transform
 from testbed.core.parameters.pseudo_inertia import inertia_matrix, inertia_rate
 from testbed.core.parameters.rules import NOTHING_KEPT, Model, Row, base_rule, mobilities, rule
 from testbed.core.parameters.symbols import (
@@ -75,7 +76,7 @@ def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> It
         turning, momentum = _ad(screw).T, _momentum(screw)
         still = rest[joint.parent + 1] @ into
         ahead = _closed(np.vstack([free[joint.parent + 1] @ into, still @ turning]), turning)
-        closure = _closed(known[joint.parent + 1] @ composite_into(joint), rate)
+        closure = _closed(known[joint.parent + 1] @ moved_inertia(joint.X_PB), rate)
         aside = span(np.vstack([ahead @ momentum, closure @ rate]))
         here = SeenWrench(aside, screw @ momentum, still @ momentum)
         yield here
@@ -132,12 +133,15 @@ def _momentum(screw: Array) -> Array:
     return np.vstack([linear, angular])
 
 
-def composite_into(joint: Joint) -> Array:
-    """Matrix that moves inertial parameters (m, h, I) from body j to its carrier i, (10, 10).
+def moved_inertia(X_AB: Transform) -> Array:
+    """Matrix that moves inertial parameters (m, h, I) from frame B to A, (10, 10).
 
-    At q = 0; tensors in the order of UPPER [kg, kg m, kg m^2].
+    Tensors in the order of UPPER [kg, kg m, kg m^2].
+
+    Args:
+        X_AB: Pose of frame B in A.
     """
-    return _in_our_order(inertia_matrix(joint.X_PB))
+    return _in_our_order(inertia_matrix(X_AB))
 
 
 def _in_our_order(matrix: Array) -> Array:
@@ -227,32 +231,24 @@ def migration(joint: Joint, row: Row) -> Array:
     K*^i = K^i + (migrating part of K^j) - (l~ b~ + b~ l~), where
     l~ b~ + b~ l~ = b l' + l b' - 2 (l . b) 1.
     """
-    if row.tensor == "none":
-        return np.zeros((4, 10, 10))
-    turn = joint.rotation
-    b = turn @ row.passed  # (3, 3): b = this times mb^j
-    gains = np.zeros((4, 10, 10))
-    gains[0, 1:4, 1:4] = b
+    passed = np.zeros((10, 10))
+    passed[1:4, 1:4] = row.passed
     if row.tensor == "all":
-        tensor = np.einsum("ac,cdk,bd->abk", turn, TENSOR, turn)
-    else:
-        e = joint.carried_axis
-        mean = (
-            np.einsum("aak->k", TENSOR) - np.einsum("a,abk,b->k", joint.axis, TENSOR, joint.axis)
-        ) / 2
-        tensor = np.multiply.outer(np.eye(3) - np.outer(e, e), mean)
-    gains[0, 4:, 4:] = tensor[UPPER]
-    for x in range(3):  # offset along axis x
-        l = np.eye(3)[x]
-        moved = (
-            2 * np.multiply.outer(np.eye(3), b[x])
-            - np.einsum("ak,b->abk", b, l)
-            - np.einsum("a,bk->abk", l, b)
-        )
-        gains[1 + x, 4:, 1:4] = moved[UPPER]
-    gains[np.abs(gains) < 1e-15] = 0.0
+        passed[4:, 4:] = np.eye(6)
+    elif row.tensor == "mean":
+        across = np.eye(3) - np.outer(joint.axis, joint.axis)
+        passed[4:, 4:] = np.outer(across[UPPER], np.einsum("ab,abk->k", across, TENSOR) / 2)
+    turned, *moved = (
+        moved_inertia(Transform(joint.rotation, offset)) @ passed
+        for offset in (np.zeros(3), *np.eye(3))
+    )
+    gains = np.stack([turned, *(each - turned for each in moved)])
+    gains[np.abs(gains) < ROUNDING] = 0.0
     return gains
 
+
+ROUNDING = 1e-15
+"""Coefficients of the order of one below this are zero but for rounding."""
 
 NEGLIGIBLE = 1e-12
 """Coefficients below this are not printed: rounding of zero, an axis turned by a quarter."""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.parameters.symbols import PARTS, TENSOR_INDEX, UPPER
+from testbed.core.parameters.symbols import PARTS, TENSOR, UPPER
 from testbed.core.robot.tree import Joint, Tree
 
 ALIGNED = 1e-9
@@ -41,146 +41,69 @@ class Mobility:
     pivot: float | None
 
 
-@dataclass(frozen=True, eq=False)
-class _Line:
-    """A line in the bedplate frame at q = 0, or one direction of lines (no point)."""
-
-    direction: Array
-    point: Array | None
-
-
-@dataclass(frozen=True, eq=False)
-class _Body:
-    """What is known of a body from the joints up to its own.
-
-    Attributes:
-        turn: From its frame to the bedplate's, q = 0.
-        origin: O^j in the bedplate frame, q = 0.
-        spins: How it can turn: not at all (None), about one direction, or freely.
-        screw: The line along and about which all its joints move; None if there are
-            none, "no" if there is no such line.
-        pivot: The line or point which none of its joints moves, if all are revolute; None
-            if there are none, "no" if there is no such thing.
-    """
-
-    turn: Array
-    origin: Array
-    spins: Array | Literal["free"] | None
-    screw: _Line | Literal["no"] | None
-    pivot: _Line | Array | Literal["no"] | None
-
-
-def parallel(a: Array, b: Array) -> bool:
-    """Whether two vectors are parallel or one of them is zero."""
-    scale = float(np.sqrt((a @ a) * (b @ b)))
-    return _off(a, b) <= ALIGNED * scale
-
-
 def mobilities(tree: Tree, gravity: Array) -> tuple[Mobility, ...]:
-    """The mobility ahead of every joint.
+    """The mobility ahead of every joint, from the axes of all joints before it at q = 0.
 
     Args:
-        tree: The robot.
+        tree: The robot; only its geometry matters.
         gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2].
     """
-    bodies: list[_Body] = []
-    found: list[Mobility] = []
-    bedplate = _Body(np.eye(3), np.zeros(3), None, None, None)
-    weightless = not gravity.any()
-    for joint in tree.joints:
-        carrier = bodies[joint.parent] if joint.parent >= 0 else bedplate
-        origin = carrier.origin + carrier.turn @ joint.offset
-        body = replace(carrier, turn=carrier.turn @ joint.rotation, origin=origin)
-        axis = body.turn @ joint.axis
-        found.append(_mobility(carrier, body.origin, axis, gravity))
-        bodies.append(_moved(joint, carrier, body, axis, weightless))
-    return tuple(found)
+    poses = tree.zero_poses
+    axes = np.array([X_WB.R_AB @ j.axis for X_WB, j in zip(poses, tree.joints, strict=True)])
+    origins = np.array([X_WB.p_AB_A for X_WB in poses])
+    revolute = np.array([joint.revolute for joint in tree.joints])
+    mobilities = []
+    for joint, axis, origin in zip(tree.joints, axes, origins, strict=True):
+        ahead = list(tree.chain(joint.parent))
+        turning = axes[ahead][revolute[ahead]]
+        arms = origins[ahead] - origin
+        rotation, direction = _rotation(turning, axis)
+        if direction is not None:
+            direction = poses[joint.parent].R_AB.T @ direction
+        coaxial = _sines(arms, axis) <= ALIGNED
+        one_line = (_sines(axes[ahead], axis) <= ALIGNED) & (coaxial | ~revolute[ahead])
+        pulled = _sines(gravity, axis) > ALIGNED * np.linalg.norm(gravity)
+        pivot = None
+        if not gravity.any() and revolute[ahead].all():
+            pivot = _pivot(axes[ahead], arms, axis)
+        mobilities.append(Mobility(rotation, direction, bool(one_line.all() and not pulled), pivot))
+    return tuple(mobilities)
 
 
-def _mobility(carrier: _Body, origin: Array, axis: Array, gravity: Array) -> Mobility:
-    rotation: Rotation
-    direction = None
-    if carrier.spins is None:
-        rotation = "none"
-    elif isinstance(carrier.spins, str):
-        rotation = "free"
-    else:
-        rotation = "along" if parallel(carrier.spins, axis) else "across"
-        direction = carrier.turn.T @ carrier.spins
-    screw = carrier.screw
-    steady = screw is None or (
-        isinstance(screw, _Line)
-        and parallel(screw.direction, axis)
-        and (screw.point is None or _off(screw.point - origin, axis) <= ALIGNED)
-    )
-    pivot = None if gravity.any() else _pivot(carrier.pivot, origin, axis)
-    return Mobility(rotation, direction, steady and parallel(gravity, axis), pivot)
+def _rotation(turning: Array, axis: Array) -> tuple[Rotation, Array | None]:
+    """How the joints ahead turn a body, and about which direction if it is one.
+
+    Args:
+        turning: Axes of the revolute joints ahead, (k, 3).
+        axis: Of the joint, (3,).
+    """
+    if not len(turning):
+        return "none", None
+    if (_sines(turning, turning[0]) > ALIGNED).any():
+        return "free", None
+    return "along" if _sines(turning[0], axis) <= ALIGNED else "across", turning[0]
 
 
-def _moved(joint: Joint, carrier: _Body, body: _Body, axis: Array, weightless: bool) -> _Body:
-    """What is known of body j, from body i and joint j."""
-    spins, screw = carrier.spins, carrier.screw
-    if joint.revolute:
-        if spins is None:
-            spins = axis
-        elif not isinstance(spins, str) and not parallel(spins, axis):
-            spins = "free"
-    here = body.origin if joint.revolute else None
-    if screw is None:
-        screw = _Line(axis, here)
-    elif isinstance(screw, _Line):
-        screw = _common(screw, axis, here)
-    pivot = _fixed(joint, carrier.pivot, body.origin, axis) if weightless else "no"
-    return replace(body, spins=spins, screw=screw, pivot=pivot)
+def _pivot(axes: Array, arms: Array, axis: Array) -> float | None:
+    """Where all axes ahead meet the joint's: distance from O^j [m]; None if nowhere, or along it.
 
-
-def _common(screw: _Line, axis: Array, here: Array | None) -> _Line | Literal["no"]:
-    """The line of the joints ahead, if joint j keeps to it; a slide has no point (None)."""
-    if not parallel(screw.direction, axis):
-        return "no"
-    if here is None or screw.point is None:
-        return _Line(axis, screw.point if here is None else here)
-    return screw if _off(screw.point - here, axis) <= ALIGNED else "no"
-
-
-def _fixed(
-    joint: Joint, ahead: _Line | Array | Literal["no"] | None, origin: Array, axis: Array
-) -> _Line | Array | Literal["no"] | None:
-    """What neither the joints ahead nor joint j move."""
-    if not joint.revolute or isinstance(ahead, str):
-        return "no"
-    if ahead is None:
-        return _Line(axis, origin)
-    if isinstance(ahead, _Line) and parallel(ahead.direction, axis):
-        assert ahead.point is not None
-        return ahead if _off(ahead.point - origin, axis) <= ALIGNED else "no"
-    s = _pivot(ahead, origin, axis)
-    return "no" if s is None else origin + s * axis
-
-
-def _pivot(ahead: _Line | Array | Literal["no"] | None, origin: Array, axis: Array) -> float | None:
-    """Where axis j meets what the joints ahead leave fixed: distance from O^j [m]."""
-    if ahead is None or isinstance(ahead, str):
+    Args:
+        axes: Of the joints ahead, all revolute, (k, 3).
+        arms: From O^j to their origins, (k, 3) [m].
+        axis: Of the joint, (3,).
+    """
+    inclined = np.flatnonzero(_sines(axes, axis) > ALIGNED)
+    if not inclined.size:
         return None
-    if isinstance(ahead, _Line):
-        assert ahead.point is not None
-        normal = np.cross(ahead.direction, axis)
-        if float(np.sqrt(normal @ normal)) <= ALIGNED:
-            return None
-        gap = ahead.point - origin
-        s = float(np.cross(gap, ahead.direction) @ np.cross(axis, ahead.direction))
-        s /= float(normal @ normal)
-        return s if _off(gap - s * axis, ahead.direction) <= ALIGNED else None
-    gap = ahead - origin
-    return float(gap @ axis) if _off(gap, axis) <= ALIGNED else None
+    first = inclined[0]
+    normal = np.cross(axis, axes[first])
+    s = float(np.cross(arms[first], axes[first]) @ normal / (normal @ normal))
+    return s if (_sines(arms - s * axis, axes) <= ALIGNED).all() else None
 
 
-def _off(a: Array, b: Array) -> float:
-    """Length of a x b."""
-    x = a[1] * b[2] - a[2] * b[1]
-    y = a[2] * b[0] - a[0] * b[2]
-    z = a[0] * b[1] - a[1] * b[0]
-    return float(np.sqrt(x * x + y * y + z * z))
+def _sines(a: Array, b: Array) -> Array:
+    """Lengths of the cross products of vectors, (..., 3) both."""
+    return np.asarray(np.linalg.norm(np.cross(a, b), axis=-1))
 
 
 Model = Literal["dynamic", "reaction"]
@@ -297,20 +220,19 @@ def base_rule(functionals: Array) -> Row:
 
 
 def _echelon(rows: Array) -> dict[int, Array]:
-    """Rows of the same space, each 1 at a place of its own where the others are 0.
+    """Rows of the same space, each 1 at a column of its own where the others are 0, by column.
 
     Second moments lead before first ones, these before the mass.
+
+    Args:
+        rows: Orthonormal, (k, 10).
     """
-    rows, found = rows.copy(), dict[int, Array]()
+    leads: list[int] = []
     for column in (*range(4, 10), 1, 2, 3, 0):
-        if not len(rows) or np.abs(rows[:, column]).max() < TINY:
-            continue
-        first = int(np.argmax(np.abs(rows[:, column])))
-        pivot = rows[first] / rows[first, column]
-        rows = np.delete(rows, first, axis=0)
-        rows -= np.outer(rows[:, column], pivot)
-        found = {at: row - row[column] * pivot for at, row in found.items()} | {column: pivot}
-    return {at: np.where(np.abs(row) < TINY, 0.0, row) for at, row in found.items()}
+        if np.linalg.matrix_rank(rows[:, [*leads, column]], tol=TINY) > len(leads):
+            leads.append(column)
+    forms = np.linalg.solve(rows[:, leads], rows)
+    return dict(zip(leads, np.where(np.abs(forms) < TINY, 0.0, forms), strict=True))
 
 
 def rule(joint: Joint, mobility: Mobility, model: Model) -> Row:
@@ -419,11 +341,7 @@ NOTHING_KEPT = Row("none", (), np.zeros((3, 3)), "none", _OWN)
 
 def _tensor_form(a: Array, b: Array) -> Array:
     """The form a . K b on the ten parameters, (10,)."""
-    form = np.zeros(10)
-    for r in range(3):
-        for c in range(3):
-            form[4 + TENSOR_INDEX[r][c]] += a[r] * b[c]
-    return form
+    return np.concatenate([np.zeros(4), np.einsum("a,abk,b->k", a, TENSOR, b)])
 
 
 def _tensor_part(a: Array, b: Array) -> Array:

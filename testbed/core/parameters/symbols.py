@@ -40,10 +40,7 @@ UNITS = tuple(UNIT_OF[head] for head, _ in PARTS)
 UPPER = np.triu_indices(3)
 """Where the six numbers of a tensor stand in it, row by row."""
 
-TENSOR_INDEX = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
-"""Where the component (a, b) of a tensor stands among its six numbers, barycentric order."""
-
-TENSOR: Array = np.eye(6)[np.array(TENSOR_INDEX)]
+TENSOR: Array = np.eye(6)[np.array([(0, 1, 2), (1, 3, 4), (2, 4, 5)])]
 """The tensor of six numbers, (3, 3, 6): K[a, b] = sum over k of TENSOR[a, b, k] K6[k]."""
 
 STANDARD_ORDER = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)
@@ -357,12 +354,13 @@ def _product(value: float, names: list[str], notation: Notation) -> str:
     sign = "-" if value < 0 else ""
     if notation == "text" and over == "1" and slash and names:
         return f"{sign}{'*'.join(names)}/{under}"
-    size = over + slash + under if notation == "text" else _latex_number(over, under)
+    size = over + slash + under if notation == "text" else latex_number(over, under)
     factors = names if size == "1" and names else [size, *names]
     return sign + _TIMES[notation].join(factors)
 
 
-def _latex_number(over: str, under: str) -> str:
+def latex_number(over: str, under: str = "") -> str:
+    """Number in LaTeX of its decimals, or of numerator and denominator."""
     if under:
         return rf"\tfrac{{{over}}}{{{under}}}"
     mantissa, power, exponent = over.partition("e")

@@ -18,7 +18,7 @@ from testbed.core.base.errors import ModelError, UnknownName
 from testbed.core.base.summary_table import Value
 from testbed.core.base.transform import Transform
 from testbed.core.robot.free_base import FREE
-from testbed.core.robot.inertia import NOTHING, Inertia
+from testbed.core.robot.inertia import NOTHING
 from testbed.core.robot.repair import FileLink, total
 from testbed.core.robot.tree import Placement, Tree
 
@@ -43,6 +43,11 @@ class ForceSensor(Value):
 
     def __post_init__(self) -> None:
         freeze(self, position=(3,), rotation=(3, 3))
+
+    @property
+    def X_LS(self) -> Transform:
+        """Pose of the sensor S in the link's frame L."""
+        return Transform(self.rotation, self.position)
 
 
 def beyond_sensor(
@@ -90,55 +95,58 @@ def _segment(
 ) -> Tree:
     """What lies between a sensor, or the bedplate, and the next ones."""
     shift = FREE if tree.floating else 0  # the pedestal's links are the base's then
+    links = [replace(link, body=link.body + shift) for link in links]
+    ours, ends = _between(links, sensor, others)
+    base = None if sensor is None else _link(links, sensor).body
+    path = () if base is None else tree.chain(base)
+    whole, cut = {link.body for link in ours}, {end.body for _, end in ends}
+    kept = [*path, *sorted((whole | cut) - {*path, -1})]
+    if not kept:
+        first = f"force sensor '{sensor.name}'" if sensor else "the force plate"
+        raise ModelError(f"nothing that moves lies between {first} and the next force sensors")
+    index = {-1: -1} | {old: new for new, old in enumerate(kept)}
+    parts = {
+        body: total(link.in_body for link in ours if link.body == body)
+        for body in cut | {base} - {None}
+    }
+
+    def placed(each: ForceSensor, link: FileLink) -> Placement:
+        X_BS = link.X_BL @ each.X_LS
+        return Placement(X_BS.p_AB_A, X_BS.R_AB, each.name, index[link.body])
+
+    moving = [replace(tree.joints[k], parent=index[tree.parents[k]]) for k in kept]
+    inertias = [NOTHING if k in path[:-1] else parts.get(k, tree.inertias[k]) for k in kept]
+    return replace(
+        tree,
+        joints=tuple(moving),
+        inertias=tuple(inertias),
+        pedestal=NOTHING if path else parts.get(-1, tree.pedestal),
+        shafts=(),
+        lead=len(path),
+        sensor=placed(sensor, _link(links, sensor)) if sensor else None,
+        cuts=tuple(placed(*end) for end in ends),
+        bare=tuple(index[end.body] for _, end in ends if end.body not in whole),
+    )
+
+
+def _between(
+    links: Sequence[FileLink], sensor: ForceSensor | None, others: Iterable[ForceSensor]
+) -> tuple[list[FileLink], list[tuple[ForceSensor, FileLink]]]:
+    """Links between a sensor, or the bedplate, and the next ones; and these with their links."""
     beyond = _beyond(links, sensor)
     inside = [each for each in others if each.link in beyond]
     for a, b in combinations([*([sensor] if sensor else []), *inside], 2):
         if a.link == b.link:
             raise ModelError(f"force sensors '{a.name}' and '{b.name}' both carry '{a.link}'")
-    farther = {each.name: _beyond(links, each) for each in inside}
+    farther = {each.link: _beyond(links, each) for each in inside}
     following = [
         each
         for each in inside
-        if not any(each.link in farther[other.name] for other in inside if other is not each)
+        if not any(each.link in names for link, names in farther.items() if link != each.link)
     ]
-    left_out = set().union(*(farther[each.name] for each in following))
+    left_out = set().union(*(farther[each.link] for each in following))
     ours = [link for link in links if link.name in beyond - left_out]
-    ends = [(each, _link(links, each)) for each in following]
-    start = -1 if sensor is None else _link(links, sensor).body + shift
-    path = tree.chain(start)
-    carried = {link.body + shift for link in ours} | {end.body + shift for _, end in ends}
-    kept = [*path, *sorted(carried - {*path, -1})]
-    if not kept:
-        first = f"force sensor '{sensor.name}'" if sensor else "the force plate"
-        raise ModelError(f"nothing that moves lies between {first} and the next force sensors")
-    place = {-1: -1} | {old: new for new, old in enumerate(kept)}
-    divided = {*(end.body + shift for _, end in ends), *([start] if sensor else [])}
-    own = {
-        body: total(link.in_body for link in ours if link.body + shift == body) for body in divided
-    }
-    held = {link.body + shift for link in ours}
-
-    def placed(each: ForceSensor, link: FileLink) -> Placement:
-        body = place[link.body + shift]
-        X_BS = link.X_BL @ Transform(each.rotation, each.position)
-        return Placement(X_BS.p_AB_A, X_BS.R_AB, each.name, body)
-
-    def inertia(body: int) -> Inertia:
-        return NOTHING if body in path[:-1] else own.get(body, tree.inertias[body])
-
-    return replace(
-        tree,
-        joints=tuple(
-            replace(tree.joints[old], parent=place[tree.joints[old].parent]) for old in kept
-        ),
-        inertias=tuple(inertia(body) for body in kept),
-        pedestal=own.get(-1, tree.pedestal) if sensor is None or not path else NOTHING,
-        shafts=(),
-        lead=len(path),
-        sensor=placed(sensor, _link(links, sensor)) if sensor else None,
-        cuts=tuple(placed(each, end) for each, end in ends),
-        bare=tuple(place[end.body + shift] for _, end in ends if end.body + shift not in held),
-    )
+    return ours, [(each, _link(links, each)) for each in following]
 
 
 def _link(links: Sequence[FileLink], sensor: ForceSensor) -> FileLink:

@@ -140,44 +140,51 @@ def repaired(
         ModelError: A mass is negative or a number is none: no body is near.
         UnknownName: A body is given for a link that is fixed to another, or is not there.
     """
-    named = {link.name: link for link in links}
-    parts: dict[str, list[FileLink]] = {}
+    groups: dict[str, list[FileLink]] = {}  # the first of each carries the others
     for link in links:
-        parts.setdefault(link.carrier, []).append(link)
-    for name in given or ():
-        if name not in parts:
-            raise UnknownName("link to repair", name, parts)
-    bodies = {name: _lump(named[name], own) for name, own in parts.items()} | dict(given or {})
-    moving = {name: body for name, body in bodies.items() if named[name].body >= 0}
+        groups.setdefault(link.carrier, []).append(link)
+    given_bodies = dict(given or {})
+    for name in given_bodies:
+        if name not in groups:
+            raise UnknownName("link to repair", name, groups)
+    bodies = {name: _lump(*group) for name, group in groups.items()} | given_bodies
+    moving = {name: body for name, body in bodies.items() if groups[name][0].body >= 0}
     ball, odd = _out_of_scale(moving, reach)
     bodies |= dict.fromkeys(odd, ball)
-    judged = {name for name, own in parts.items() if any(part.name in suspects for part in own)}
-    touched = [name for name in parts if name in judged or name in (given or ())]
-    flaws = {name: line for name in touched if (line := _flaw(name, bodies[name]))}
+    doubts = {n: [suspects[x.name] for x in g if x.name in suspects] for n, g in groups.items()}
+    judged = [name for name in groups if doubts[name] or name in given_bodies]
+    flaws = {name: line for name in judged if (line := _flaw(name, bodies[name]))}
     for name, line in flaws.items():
         if not (bodies[name].mass >= 0 and bodies[name].within_limits):  # no body is near
-            own = [suspects[part.name] for part in parts[name] if part.name in suspects]
-            raise ModelError(f"{source}: {[*own, line][0]}; correct the file")
+            raise ModelError(f"{source}: {[*doubts[name], line][0]}; correct the file")
     flaws |= dict(_bare_ends(links, bodies, parents))
     robot = _Size.of(bodies.values())
     nearest = {name: robot.nearest(bodies[name]) for name in flaws}
-    grave = {n: line for n, line in flaws.items() if not robot.slight(bodies[n], nearest[n])}
-    said = [diagnose("model.scale", line) for line in odd.values()]
-    if slight := [name for name in flaws if name not in grave]:
-        said.append(diagnose("model.rounding", quoted(slight)))
-    if grave:
-        said.append(diagnose("model.inertia", quoted(grave)))
+    slight = [name for name in flaws if robot.slight(bodies[name], nearest[name])]
+    grave = {name: line for name, line in flaws.items() if name not in slight}
+    diagnostics = _diagnostics(odd.values(), slight, grave)
     nearest, grave = nearest | dict.fromkeys(odd, ball), grave | odd
     if grave and given is not None:
         raise InertiaError(source, list(grave.values()))
-    changed = {name: bodies[name] for name in touched} | nearest
-    emptied = (p.name for n in changed for p in parts[n] if p.name != n and p.inertia.pseudo.any())
+    changed = {name: bodies[name] for name in judged} | nearest
+    emptied = (x.name for n in changed for x in groups[n][1:] if x.inertia.pseudo.any())
     return Repair(
         links=dict.fromkeys(emptied, NOTHING) | changed,
         bodies={name: nearest[name] for name in grave},
         flaws=tuple(grave.values()),
-        diagnostics=tuple(said),
+        diagnostics=tuple(diagnostics),
     )
+
+
+def _diagnostics(
+    odd: Iterable[str], slight: Iterable[str], grave: Iterable[str]
+) -> Iterator[Diagnostic]:
+    """What to know of bodies out of proportion, off by rounding, and off by more."""
+    for line in odd:
+        yield diagnose("model.scale", line)
+    for code, names in {"model.rounding": slight, "model.inertia": grave}.items():
+        if names:
+            yield diagnose(code, quoted(names))
 
 
 @dataclass(frozen=True)
@@ -230,11 +237,11 @@ def _out_of_scale(bodies: Bodies, reach: float) -> tuple[Inertia, dict[str, str]
 _SIZE = "link '{}' has a mass of {:.4g} kg with a radius of gyration of {:.4g} m about its joint"
 
 
-def _lump(carrier: FileLink, parts: Sequence[FileLink]) -> Inertia:
+def _lump(carrier: FileLink, *others: FileLink) -> Inertia:
     """A link and all that is fixed to it, about and along its frame; alone to the last bit."""
     X_CB = carrier.X_BL.inverse
-    full = (part for part in parts if part is not carrier and part.inertia.pseudo.any())
-    return carrier.inertia + total(part.inertia.moved(X_CB @ part.X_BL) for part in full)
+    full = (link for link in others if link.inertia.pseudo.any())
+    return carrier.inertia + total(link.inertia.moved(X_CB @ link.X_BL) for link in full)
 
 
 def _flaw(name: str, body: Inertia) -> str | None:

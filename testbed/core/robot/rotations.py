@@ -1,4 +1,4 @@
-"""Rotation matrices of roll, pitch and yaw as URDF has them, and of rotation vectors."""
+"""Rotation matrices of roll, pitch and yaw as URDF has them, of rotation vectors; quaternions."""
 
 from __future__ import annotations
 
@@ -34,3 +34,10 @@ def from_vector(vector: ArrayLike) -> Array:
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(np.array(vector)).as_matrix())
+
+
+def to_quaternion(R: Array) -> Array:
+    """Quaternions (w, x, y, z) of rotation matrices, (..., 3, 3), (..., 4)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(R).as_quat(scalar_first=True))

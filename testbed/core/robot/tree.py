@@ -308,6 +308,15 @@ class Tree(Diagnosed, Value):
                 reach[:, j] += reach[:, parent]
         return readonly(reach, (self.n, self.n), "reach")
 
+    @cached_property
+    def zero_poses(self) -> tuple[Transform, ...]:
+        """Pose X_WB of every body in the bedplate frame W at q = 0."""
+        poses: list[Transform] = []
+        for joint in self.joints:
+            X_PB = joint.X_PB
+            poses.append(X_PB if joint.parent < 0 else poses[joint.parent] @ X_PB)
+        return tuple(poses)
+
     def gravity_or(self, gravity: ArrayLike | None) -> Array:
         """The given gravity, or the model file's if None, (3,) [m/s^2], bedplate frame.
 

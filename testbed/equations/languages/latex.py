@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from testbed.core.parameters.symbols import latex_number
 from testbed.equations.equations import Equations, Listing
 from testbed.equations.expression import Expression, Factor, Nature, Number
 from testbed.equations.languages.text import (
@@ -99,11 +100,7 @@ def _power(name: str, times: int) -> str:
 
 
 def _number(value: Number) -> str:
-    over, _, under = fraction(value).partition("/")
-    mantissa, _, exponent = over.partition("e")
-    if exponent:
-        return rf"{mantissa}\cdot 10^{{{int(exponent)}}}"
-    return rf"\tfrac{{{over}}}{{{under}}}" if under else over
+    return latex_number(*fraction(value).split("/"))
 
 
 def _factor(factor: Factor, joints: int) -> str:

@@ -12,11 +12,11 @@ from annotated_types import Ge, Gt, Le
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError, UnknownName
-from testbed.core.dynamics.newton_euler import poses
+from testbed.core.base.transform import Transform
 from testbed.core.parameters.rules import across
 from testbed.core.robot.formats.mjcf_compile import no_mujoco_warnings
 from testbed.core.robot.inertia import Inertia
-from testbed.core.robot.rotations import from_vector
+from testbed.core.robot.rotations import from_vector, to_quaternion
 from testbed.core.robot.tree import Tree
 from testbed.lab.simulation.effect import Effect
 from testbed.sensors.kind_table import PerAxis, PerJoint, each_joint
@@ -61,7 +61,8 @@ class Payload(Effect):
         link = self._link(tree)
         body = spec.joint(prefix + tree.names[link]).parent
         centre, moments = (np.broadcast_to(np.asarray(v), 3) for v in (self.centre, self.inertia))
-        _weld(spec, body, "testbed/payload", tree, link, np.eye(3), centre, self.mass, moments)
+        X_LC = Transform(p_AB_A=centre)
+        _weld(spec, body, "testbed/payload", tree, link, X_LC, self.mass, moments)
 
     def _link(self, tree: Tree) -> int:
         return tree.index(self.joint) if self.joint else tree.n - 1
@@ -106,7 +107,7 @@ class GearedRotor(Effect):
         for joint, inertia, _ in self._each(tree):
             known = tree.joints[joint]
             hinge, moments = spec.joint(prefix + known.name), inertia * np.array([0.5, 0.5, 1.0])
-            frame = tree, joint, across(known.axis).R_BT, np.zeros(3)
+            frame = tree, joint, Transform(across(known.axis).R_BT)
             _weld(spec, hinge.parent.parent, _rotor(known.name), *frame, MASSLESS, moments)
             hinge.armature = known.rotor_inertia
 
@@ -144,8 +145,7 @@ def _weld(
     name: str,
     tree: Tree,
     link: int,
-    axes: Array,
-    centre: Array,
+    X_LC: Transform,
     mass: float,
     moments: Array,
 ) -> None:
@@ -156,25 +156,18 @@ def _weld(
         to: Body of MuJoCo's.
         name: Of the new body.
         tree: The robot.
-        link: Joint in the frame of whose body axes and centre are given, all joints at zero.
-        axes: Principal axes, (3, 3).
-        centre: Centre of mass, (3,) [m].
+        link: Index of the joint whose body is frame L, all joints at zero.
+        X_LC: Pose of the principal axes about the centre of mass, C, in L.
         mass: [kg].
         moments: Principal moments of inertia, (3,) [kg m^2].
     """
-    with no_mujoco_warnings():
-        model = spec.compile()
-    data = mujoco.MjData(model)
-    data.qpos[:] = 0.0
-    mujoco.mj_kinematics(model, data)
-    here = data.body(to.name)
-    X_WL = poses(tree, np.zeros((1, tree.n)))[link]
-    back, quaternion = here.xmat.reshape(3, 3).T, np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, (back @ X_WL.R_AB[0] @ axes).ravel())
+    here = _at_zero(spec)[1].body(to.name)
+    X_WT = Transform(here.xmat.reshape(3, 3), here.xpos)
+    X_TC = X_WT.inverse @ tree.zero_poses[link] @ X_LC
     to.add_body(
         name=name,
-        pos=back @ (X_WL.point(centre)[0] - here.xpos),
-        quat=quaternion,
+        pos=X_TC.p_AB_A,
+        quat=to_quaternion(X_TC.R_AB),
         mass=mass,
         ipos=np.zeros(3),  # which is `pos` where it is left out
         iquat=[1.0, 0.0, 0.0, 0.0],
@@ -251,10 +244,17 @@ class Tilt(Effect):
 
 def _inertias(spec: mujoco.MjSpec) -> Array:
     """What each freedom of the plate moves, all joints at zero, (6,) [kg, kg m^2]."""
-    with no_mujoco_warnings():
-        model = spec.compile()
-    data, matrix = mujoco.MjData(model), np.zeros((model.nv, model.nv))
-    data.qpos[:] = 0.0
-    mujoco.mj_forward(model, data)
+    model, data = _at_zero(spec)
+    matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, matrix)
     return np.diagonal(matrix)[[int(model.joint(name).dofadr[0]) for name in _FREEDOMS]]
+
+
+def _at_zero(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The compiled model, and its state with all joints at zero."""
+    with no_mujoco_warnings():
+        model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.0
+    mujoco.mj_forward(model, data)
+    return model, data

@@ -26,6 +26,7 @@ from testbed.core.robot.formats.mjcf_compile import (
 )
 from testbed.core.robot.friction import ROTOR
 from testbed.core.robot.model_file import ModelFile
+from testbed.core.robot.rotations import to_quaternion
 from testbed.core.robot.tree import Tree
 from testbed.lab.simulation.effect import Effect
 from testbed.motion.limits import limits_of
@@ -280,9 +281,8 @@ def _add_sensor(spec: mujoco.MjSpec, sensor: ForceSensor, prefix: str) -> None:
     if sensor.link not in bodies:
         raise UnknownName("link", sensor.link, sorted(bodies))
     body = bodies[sensor.link]
-    turn = np.zeros(4)
-    mujoco.mju_mat2Quat(turn, sensor.rotation.ravel())
-    body.add_site(name=_SENSOR + sensor.name, pos=sensor.position, quat=turn)
+    quaternion = to_quaternion(sensor.rotation)
+    body.add_site(name=_SENSOR + sensor.name, pos=sensor.position, quat=quaternion)
     _add_sensors(spec, _SENSOR + sensor.name)
 
 
@@ -329,7 +329,7 @@ def _plant_of(
         positions=addresses((_label("position", prefix + name) for name in tree.names), 1),
         velocities=addresses((_label("velocity", prefix + name) for name in tree.names), 1),
         plate=np.concatenate([model.sensor_adr[s] + np.arange(3) for s in plate]),
-        X_BS=Transform(data.site_xmat[site].reshape(3, 3).copy(), data.site_xpos[site].copy()),
+        X_BS=Transform(data.site_xmat[site].reshape(3, 3), data.site_xpos[site]),
         tare=_tare(model, data, int(model.site_bodyid[site])),
         sensors=addresses(wrists, 3),
     )

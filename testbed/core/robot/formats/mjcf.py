@@ -11,7 +11,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import ModelError
 from testbed.core.base.transform import Transform
@@ -19,6 +18,7 @@ from testbed.core.robot.formats.mjcf_compile import (
     MASSLESS,
     StatedInertia,
     compile_spec,
+    rotation_matrix,
     set_inertia,
     stated_inertias,
 )
@@ -139,7 +139,7 @@ def _joints(
     poses = {0: (-1, Transform())}
     for b in range(1, model.nbody):
         owner, X_OP = poses[model.body_parentid[b]]
-        X_OB = X_OP @ Transform(_matrix(model.body_quat[b]), model.body_pos[b])
+        X_OB = X_OP @ Transform(rotation_matrix(model.body_quat[b]), model.body_pos[b])
         for j in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b]):
             joints.append(_joint_of(model, j, owner, X_OB))
             owner, X_OB = len(joints) - 1, Transform(p_AB_A=-model.jnt_pos[j])
@@ -201,12 +201,6 @@ def _inertia_of(model: mujoco.MjModel, b: int, stated: dict[str, StatedInertia])
         mass, moments = said.mass, said.moments
     elif mass <= MASSLESS:
         return NOTHING
-    axes = _matrix(model.body_iquat[b])
+    axes = rotation_matrix(model.body_iquat[b])
     central = axes @ np.diag(moments) @ axes.T if moments.ndim == 1 else moments
     return Inertia.about_centre(mass, model.body_ipos[b], central)
-
-
-def _matrix(quaternion: Array) -> Array:
-    flat = np.empty(9)
-    mujoco.mju_quat2Mat(flat, quaternion)
-    return flat.reshape(3, 3)

@@ -304,3 +304,10 @@ def resolve(spec: mujoco.MjSpec, path: Path) -> tuple[mujoco.MjModel, dict[str, 
 def one_line(error: Exception) -> str:
     """MuJoCo's message without its line breaks."""
     return " ".join(str(error).removeprefix("Error: ").split())[:LONGEST_MESSAGE]
+
+
+def rotation_matrix(quaternion: Array) -> Array:
+    """Rotation matrix of a quaternion (w, x, y, z), (3, 3)."""
+    flat = np.empty(9)
+    mujoco.mju_quat2Mat(flat, quaternion)
+    return flat.reshape(3, 3)

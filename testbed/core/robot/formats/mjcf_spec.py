@@ -17,14 +17,17 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ModelError, quoted
+from testbed.core.base.transform import Transform
 from testbed.core.robot.formats.mjcf_compile import (
     check_files,
     no_mujoco_warnings,
     one_line,
     resolve,
+    rotation_matrix,
 )
 from testbed.core.robot.locks import Coupling, Lock, Travel, lock_positions
 from testbed.core.robot.refusals import FreeRootError, LoopError, MimicError
+from testbed.core.robot.rotations import from_vector, to_quaternion
 from testbed.core.robot.tree import ModelSource
 
 VELOCITY_LIMIT = "velocity_limit/"
@@ -306,50 +309,29 @@ def _hold(
     Joints of one body move it one after the other; those before a held one are seen from
     where it takes the body.
     """
-    place, turn = model.body(body.name).pos.copy(), model.body(body.name).quat.copy()
-    before: list[tuple[mujoco.MjsJoint, Array, Array]] = []
-    posed = False
+    at_zero = model.body(body.name)
+    X_PB = X_PB_zero = Transform(rotation_matrix(at_zero.quat), at_zero.pos)
+    free: list[tuple[mujoco.MjsJoint, Array, Array]] = []
     for joint in list(body.joints):
-        known = model.joint(joint.name)
+        known, slides = model.joint(joint.name), joint.type == mujoco.mjtJoint.mjJNT_SLIDE
         anchor, axis = known.pos.copy(), known.axis.copy()
         if joint.name not in held:
-            before.append((joint, anchor, axis))
+            free.append((joint, anchor, axis))
             continue
-        way = held[joint.name] - float(known.qpos0[0])
-        slides = joint.type == mujoco.mjtJoint.mjJNT_SLIDE
         spec.delete(joint)
-        if way:
-            by = _turn(axis, 0.0 if slides else way)
-            shift = axis * way if slides else anchor - _turned(anchor, by)
-            place, turn = place + _turned(shift, turn), _product(turn, by)
-            back = by * [1, -1, -1, -1]
-            before = [(j, _turned(p - shift, back), _turned(e, back)) for j, p, e in before]
-            posed = True
-    if posed:
+        if q := held[known.name] - float(known.qpos0[0]):
+            R = np.eye(3) if slides else from_vector(q * axis)
+            X = Transform(R, q * axis if slides else anchor - R @ anchor)
+            back = X.inverse
+            free = [(each, back.point(p), back.R_AB @ e) for each, p, e in free]
+            X_PB = X_PB @ X
+    if X_PB is not X_PB_zero:
         body.set_frame(body.parent.add_frame())  # out of frames that would move it once more
-        body.pos, body.quat = place, turn
+        body.pos, body.quat = X_PB.p_AB_A, to_quaternion(X_PB.R_AB)
         body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        for joint, anchor, axis in before:
+        for joint, anchor, axis in free:
             joint.set_frame(body.add_frame())
             joint.pos, joint.axis = anchor, axis
-
-
-def _turn(axis: Array, angle: float) -> Array:
-    quaternion = np.empty(4)
-    mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
-    return quaternion
-
-
-def _turned(vector: Array, quaternion: Array) -> Array:
-    result = np.empty(3)
-    mujoco.mju_rotVecQuat(result, vector, quaternion)
-    return result
-
-
-def _product(first: Array, second: Array) -> Array:
-    result = np.empty(4)
-    mujoco.mju_mulQuat(result, first, second)
-    return result
 
 
 def drop_tendons(spec: mujoco.MjSpec) -> tuple[Diagnostic, ...]:
