@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array, skew
-from testbed.core.parameters.rules import NOTHING_KEPT, Model, Row, base_rule, mobilities, rule
+from testbed.core.parameters.rules import (
+    NOTHING_KEPT,
+    Model,
+    Row,
+    base_rule,
+    mobilities,
+    rule,
+    unit_twist,
+)
 from testbed.core.parameters.symbols import (
     TENSOR,
     UPPER,
@@ -68,7 +76,7 @@ def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> It
     rest: list[Array] = [-np.concatenate([gravity, np.zeros(3)])]
     known: list[Array] = [static]
     for j, joint in enumerate(tree.joints):
-        screw, into, rate = _screw(joint), joint.X_PB.wrench_matrix, _rate(joint)
+        screw, into, rate = unit_twist(joint), joint.X_PB.wrench_matrix, _rate(joint)
         turning, momentum = _ad(screw).T, _momentum(screw)
         still = rest[joint.parent + 1] @ into
         ahead = _closed(np.vstack([free[joint.parent + 1] @ into, still @ turning]), turning)
@@ -97,20 +105,13 @@ def base_functionals(tree: Tree, gravity: Array, *, tared: bool) -> Array:
     twists, changes = np.zeros((0, 6)), np.zeros((0, 6))
     weight = -np.concatenate([gravity, np.zeros(3)])
     for joint in tree.joints[: tree.lead]:
-        screw, into = _screw(joint), joint.X_PB.wrench_matrix
+        screw, into = unit_twist(joint), joint.X_PB.wrench_matrix
         turning = _ad(screw).T
         weight = weight @ into
         twists = span(np.vstack([_closed(twists @ into, turning), screw]))
         changes = _closed(np.vstack([changes @ into, weight @ turning]), turning)
     pulls = changes if tared else np.vstack([changes, weight])
     return span(np.vstack([_momentum(twist) for twist in (*twists, *span(pulls))]))
-
-
-def _screw(joint: Joint) -> Array:
-    """Unit twist of a joint in its own frame, linear part first, (6,)."""
-    nothing = np.zeros(3)
-    parts = (nothing, joint.axis) if joint.revolute else (joint.axis, nothing)
-    return np.concatenate(parts)
 
 
 def _ad(screw: Array) -> Array:
