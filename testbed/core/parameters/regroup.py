@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array, skew
+from testbed.core.parameters.pseudo_inertia import matrices, parameters
 from testbed.core.parameters.rules import (
     NOTHING_KEPT,
     Model,
@@ -21,8 +22,9 @@ from testbed.core.parameters.rules import (
     unit_twist,
 )
 from testbed.core.parameters.symbols import (
+    PARTS,
+    STANDARD,
     TENSOR,
-    UPPER,
     Formula,
     Label,
     Symbol,
@@ -41,6 +43,16 @@ def beyond(vector: Array, basis: Array) -> Array:
 
 NEW = 1e-8
 """Part of a unit functional that must be left after projection for it to be a new one."""
+
+
+_ORDER = [STANDARD.index(f"I{tail}") if head == "K" else k for k, (head, tail) in enumerate(PARTS)]
+_PSEUDO_INERTIAS = matrices(np.eye(10)[_ORDER])
+"""Of bodies that have one of (m, h, I) each, (10, 4, 4)."""
+
+
+def _parameters(pseudo: Array) -> Array:
+    """(m, h, I) of pseudo-inertia matrices, (..., 10, 4, 4), one a column, (..., 10, 10)."""
+    return np.swapaxes(parameters(pseudo)[..., _ORDER], -1, -2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,34 +147,21 @@ def composite_into(joint: Joint) -> Array:
 
     At q = 0; tensors in the order of UPPER [kg, kg m, kg m^2].
     """
-    turn, l = joint.rotation, joint.offset
-    moved = np.zeros((10, 10))
-    moved[0, 0] = 1.0
-    moved[1:4, 0], moved[1:4, 1:4] = l, turn
-    moved[4:, 0] = (-skew(l) @ skew(l))[UPPER]
-    for k in range(3):
-        lever = skew(turn[:, k])
-        moved[4:, 1 + k] = -(skew(l) @ lever + lever @ skew(l))[UPPER]
-    for k in range(6):
-        moved[4:, 4 + k] = (turn @ TENSOR[:, :, k] @ turn.T)[UPPER]
-    return moved
+    return _moved(joint.rotation, joint.offset)
+
+
+def _moved(R_AB: Array, p_AB: Array) -> Array:
+    """Matrix that moves (m, h, I) from frame B to frame A of any origin, (..., 10, 10)."""
+    X_AB = np.zeros((*p_AB.shape[:-1], 1, 4, 4))
+    X_AB[..., :3, :3], X_AB[..., 0, :3, 3], X_AB[..., 3, 3] = R_AB, p_AB, 1.0
+    return _parameters(X_AB @ _PSEUDO_INERTIAS @ np.swapaxes(X_AB, -1, -2))
 
 
 def _rate(joint: Joint) -> Array:
     """d/dq at q = 0 of (m, h, I) of composite j, about the frame it is moved from, (10, 10)."""
-    e = skew(joint.axis)
-    rate = np.zeros((10, 10))
-    if joint.revolute:
-        rate[1:4, 1:4] = e
-        for k in range(6):
-            unit = TENSOR[:, :, k]
-            rate[4:, 4 + k] = (e @ unit - unit @ e)[UPPER]
-        return rate
-    rate[1:4, 0] = joint.axis
-    for k in range(3):
-        lever = skew(np.eye(3)[k])
-        rate[4:, 1 + k] = -(e @ lever + lever @ e)[UPPER]
-    return rate
+    linear, angular = unit_twist(joint).reshape(2, 3)
+    rate = np.block([[skew(angular), linear[:, None]], [np.zeros(4)]]) @ _PSEUDO_INERTIAS
+    return _parameters(rate + np.swapaxes(rate, 1, 2))
 
 
 def _closed(rows: Array, operator: Array) -> Array:
@@ -247,29 +246,8 @@ def migration(joint: Joint, row: Row) -> Array:
     K*^i = K^i + (migrating part of K^j) - (l~ b~ + b~ l~), where
     l~ b~ + b~ l~ = b l' + l b' - 2 (l . b) 1.
     """
-    if row.tensor == "none":
-        return np.zeros((4, 10, 10))
-    turn = joint.rotation
-    b = turn @ row.passed  # (3, 3): b = this times mb^j
-    gains = np.zeros((4, 10, 10))
-    gains[0, 1:4, 1:4] = b
-    if row.tensor == "all":
-        tensor = np.einsum("ac,cdk,bd->abk", turn, TENSOR, turn)
-    else:
-        e = joint.carried_axis
-        mean = (
-            np.einsum("aak->k", TENSOR) - np.einsum("a,abk,b->k", joint.axis, TENSOR, joint.axis)
-        ) / 2
-        tensor = np.multiply.outer(np.eye(3) - np.outer(e, e), mean)
-    gains[0, 4:, 4:] = tensor[UPPER]
-    for x in range(3):  # offset along axis x
-        l = np.eye(3)[x]
-        moved = (
-            2 * np.multiply.outer(np.eye(3), b[x])
-            - np.einsum("ak,b->abk", b, l)
-            - np.einsum("a,bk->abk", l, b)
-        )
-        gains[1 + x, 4:, 1:4] = moved[UPPER]
+    gains = _moved(joint.rotation, np.eye(4)[:, 1:]) @ row.passed
+    gains[1:] -= gains[0]
     gains[np.abs(gains) < 1e-15] = 0.0
     return gains
 

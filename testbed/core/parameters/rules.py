@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from testbed.core.base.arrays import Array, skew
-from testbed.core.parameters.symbols import PARTS, TENSOR_INDEX, UPPER
+from testbed.core.parameters.symbols import PARTS, UPPER
 from testbed.core.robot.tree import Joint, Tree
 
 ALIGNED = 1e-9
@@ -40,7 +40,8 @@ class Mobility:
     def direction(self) -> Array:
         """Axis of the first rotation before joint j, (3,)."""
         angular = self.twists[:, 3:]
-        return angular[np.flatnonzero(angular.any(axis=1))[0]]
+        first: Array = angular[np.flatnonzero(angular.any(axis=1))[0]]
+        return first
 
     @property
     def rotation(self) -> Rotation:
@@ -59,7 +60,7 @@ class Mobility:
     @property
     def at_rest(self) -> bool:
         """Whether neither gravity nor, where body i turns along the axis, xdd^j is across it."""
-        return _distance(self.twists[:, :3], self.axis) <= ALIGNED
+        return bool(_distance(self.twists[:, :3], self.axis) <= ALIGNED)
 
     @property
     def pivot(self) -> float | None:
@@ -171,16 +172,13 @@ class Row:
     Attributes:
         number: Table and row, a key of REASONS.
         kept: The parameters kept for the joint, in printing order.
-        passed: Projector onto the part of mb^j that migrates, frame j, (3, 3).
-        tensor: How K^j migrates: "all" of it, or the "mean" of the two moments across
-            the axis, K_s of eq. (37); or "none".
+        passed: Projector of body j's ten redefined parameters onto what migrates, (10, 10).
         triad: What components are named after, frame j.
     """
 
     number: str
     kept: tuple[Kept, ...]
     passed: Array
-    tensor: Literal["all", "mean", "none"]
     triad: Triad
 
 
@@ -202,7 +200,7 @@ def base_rule(functionals: Array) -> Row:
         )
         for lead, form in sorted(forms.items())
     )
-    return Row("free", kept, np.zeros((3, 3)), "none", _OWN)
+    return Row("free", kept, np.zeros((10, 10)), _OWN)
 
 
 def _echelon(rows: Array) -> dict[int, Array]:
@@ -235,14 +233,13 @@ def _of_prismatic(joint: Joint, mobility: Mobility, model: Model) -> Row:
     row = {"free": 1, "across": 2}.get(mobility.rotation, 3)
     number = f"{2 if model == 'dynamic' else 3}.{row}"
     if number == "2.3":
-        return Row(number, (mass,), np.eye(3), "all", _OWN)
+        return Row(number, (mass,), np.diag([0.0] + [1.0] * 9), _OWN)
     if row == 1 or number == "3.2":
-        return Row(number, (mass, *_moments(_OWN, 3)), np.zeros((3, 3)), "all", _OWN)
-    direction = joint.axis
-    if number == "2.2":
-        direction = mobility.direction
-    triad, passed = across(direction), np.outer(direction, direction)
-    return Row(number, (mass, *_moments(triad, 2)), passed, "all", triad)
+        return Row(number, (mass, *_moments(_OWN, 3)), _TENSOR, _OWN)
+    direction = mobility.direction if number == "2.2" else joint.axis
+    triad = across(direction)
+    passed = _TENSOR + _moment(direction)
+    return Row(number, (mass, *_moments(triad, 2)), passed, triad)
 
 
 def _of_revolute(joint: Joint, mobility: Mobility, model: Model) -> Row:
@@ -261,7 +258,19 @@ def _of_revolute(joint: Joint, mobility: Mobility, model: Model) -> Row:
         pairs = zip(oblique, reversed(moments), strict=True)
         about_pivot = (_sum(k, pivot, mb) for k, mb in pairs)
         number, kept = "4.4", (axial, difference, *about_pivot, product)
-    return Row(number, kept, np.outer(joint.axis, joint.axis), "mean", triad)
+    return Row(number, kept, _mean_and_moment(triad), triad)
+
+
+def _mean_and_moment(triad: Triad) -> Array:
+    """Projector onto K_s = (K_uu + K_vv)/2, eq. (37), and mb_e of a triad (u, v, e)."""
+    u, v, e = triad.axes
+    across = _outer(u, u) + _outer(v, v)
+    return np.outer(across, _TIMES * across / 2) + _moment(e)
+
+
+def _moment(direction: Array) -> Array:
+    """Projector of the ten parameters onto a component of mb^j, (10, 10)."""
+    return np.pad(np.outer(direction, direction), (1, 6))
 
 
 def _moments(triad: Triad, count: int) -> tuple[Kept, ...]:
@@ -282,18 +291,17 @@ def _about_axis(
         (mb_u, mb_v), K_ee, 2 K_d = K_uu - K_vv, (K_ve, K_ue), K_uv.
     """
     (u, v, e), (p, q, r) = triad.axes, triad.letters
-    spread = _tensor_form(u, u) - _tensor_form(v, v)
-    half = (_tensor_part(u, u) - _tensor_part(v, v)) / 2
-    difference = Kept(((2.0, "K", "d"),), spread, half)
-    axial = Kept(((1.0, "K", r + r),), _tensor_form(e, e), _tensor_part(e, e), axial=True)
+    spread, along = _outer(u, u) - _outer(v, v), _outer(e, e)
+    difference = Kept(((2.0, "K", "d"),), _TIMES * spread, spread / 2)
+    axial = Kept(((1.0, "K", r + r),), _TIMES * along, along, axial=True)
     oblique = _product(v, e, q + r), _product(u, e, p + r)
     return _moments(triad, 2), axial, difference, oblique, _product(u, v, p + q)
 
 
 def _product(a: Array, b: Array, letters: str) -> Kept:
     """K_ab; its letters in the order of the alphabet."""
-    form, direction = _tensor_form(a, b), _tensor_part(a, b) + _tensor_part(b, a)
-    return Kept(((1.0, "K", "".join(sorted(letters))),), form, direction)
+    product = 2 * _outer(a, b)
+    return Kept(((1.0, "K", "".join(sorted(letters))),), _TIMES * product / 2, product)
 
 
 def _sum(k: Kept, s: float, mb: Kept) -> Kept:
@@ -321,20 +329,18 @@ def across(axis: Array) -> Triad:
 
 _OWN = Triad(np.eye(3), ("x", "y", "z"))
 
-NOTHING_KEPT = Row("none", (), np.zeros((3, 3)), "none", _OWN)
+_TENSOR = np.diag([0.0] * 4 + [1.0] * 6)
+"""Projector onto K^j."""
+
+NOTHING_KEPT = Row("none", (), np.zeros((10, 10)), _OWN)
 """Of what leads to a base and has no matter."""
 
 
-def _tensor_form(a: Array, b: Array) -> Array:
-    """The form a . K b on the ten parameters, (10,)."""
-    form = np.zeros(10)
-    for r in range(3):
-        for c in range(3):
-            form[4 + TENSOR_INDEX[r][c]] += a[r] * b[c]
-    return form
+def _outer(a: Array, b: Array) -> Array:
+    """Ten parameters whose tensor is the symmetric part of a b', (10,)."""
+    product = np.outer(a, b)
+    return np.concatenate([np.zeros(4), ((product + product.T) / 2)[UPPER]])
 
 
-def _tensor_part(a: Array, b: Array) -> Array:
-    """Ten parameters whose tensor is the symmetric part of a b', doubled if a is not b, (10,)."""
-    tensor = (np.outer(a, b) + np.outer(b, a)) / 2
-    return np.concatenate([np.zeros(4), tensor[UPPER]])
+_TIMES = np.array([0, 0, 0, 0, 1, 2, 2, 1, 2, 1])
+"""Times that each of the ten parameters stands in its tensor: _TIMES * _outer(a, b) is a . K b."""

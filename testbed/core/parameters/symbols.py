@@ -40,10 +40,7 @@ UNITS = tuple(UNIT_OF[head] for head, _ in PARTS)
 UPPER = np.triu_indices(3)
 """Where the six numbers of a tensor stand in it, row by row."""
 
-TENSOR_INDEX = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
-"""Where the component (a, b) of a tensor stands among its six numbers, barycentric order."""
-
-TENSOR: Array = np.eye(6)[np.array(TENSOR_INDEX)]
+TENSOR: Array = np.eye(6)[np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])]
 """The tensor of six numbers, (3, 3, 6): K[a, b] = sum over k of TENSOR[a, b, k] K6[k]."""
 
 _TO_STANDARD_ORDER = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)  # swaps Kxz and Kyy; its own inverse
