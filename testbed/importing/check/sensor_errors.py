@@ -37,15 +37,13 @@ class SensorErrorFit:
 
     Attributes:
         error: The sensor error.
-        coefficients: Those that are clear.
-        values: Their values.
+        coefficients: Those that are clear, and their values.
         unexplained: Part of each channel's variance with the error, (6,).
         gain: Log-likelihood ratio [nats].
     """
 
     error: type[SystematicError]
-    coefficients: tuple[Coefficient, ...]
-    values: tuple[float, ...]
+    coefficients: tuple[tuple[Coefficient, float], ...]
     unexplained: Array
     gain: float
 
@@ -79,8 +77,8 @@ def diagnostic(fit: SensorErrorFit, best: Explanation) -> Diagnostic:
     """
     shares, left = best.plate.unexplained, fit.unexplained
     channel = int(np.argmax(np.log((shares + TINY) / (left + TINY))))
-    pairs = [*zip(fit.coefficients, fit.values, strict=True)]
-    lines = [("errors", f'"{each.name}"', float(f"{value:.4g}")) for each, value in pairs]
+    lines = [("errors", f'"{c.name}"', float(f"{value:.4g}")) for c, value in fit.coefficients]
+    sizes = [f"{c.name} {value:.3g} {c.unit}".rstrip() for c, value in fit.coefficients]
     return diagnose(
         "plate.sensor-error",
         "the plate",
@@ -88,7 +86,7 @@ def diagnostic(fit: SensorErrorFit, best: Explanation) -> Diagnostic:
         channel=AXES[channel],
         causes=[fit.error.term],
         cause=phrase(fit.error.term),
-        size=few([f"{each.name} {value:.3g} {each.unit}".rstrip() for each, value in pairs]),
+        size=few(sizes),
         before=f"{100 * shares[channel]:.2g} %",
         after=f"{100 * left[channel]:.2g} %",
         lines=in_mapping(lines),
@@ -97,26 +95,32 @@ def diagnostic(fit: SensorErrorFit, best: Explanation) -> Diagnostic:
 
 def _fits(best: Explanation) -> Iterator[SensorErrorFit]:
     """Fits of all sensor errors that change in time."""
-    evidence, plate, tree = best.fit.plate, best.plate, best.fit.prior.tree
-    wrench, count = evidence.wrench(plate), len(best.fit.instants.wrench)
+    wrench = best.fit.plate.wrench(best.plate)
+    none = np.zeros((len(wrench), 6, 0))
     # of the explained wrench, not the measured one: noise on both sides would make them too small
-    explained = wrench - evidence.residual(plate, np.zeros((count, 6, 0)))[0]
-    gains = GAIN * PlateGain.derivative(explained, np.zeros(count), np.zeros(6))
-    before = _shares(evidence.residual(plate, gains)[0], wrench)
+    explained = wrench - best.fit.plate.residual(best.plate, none)[0]
+    gains = GAIN * PlateGain.derivative(explained, np.zeros(len(wrench)), np.zeros(6))
+    before, _, _ = _regression(best, gains)
     for error in candidate_errors():
         columns = _columns(error, best, explained)
         if columns is None:
             continue
-        both = np.concatenate([gains, columns], axis=2)
-        after = _shares(evidence.residual(plate, both)[0], wrench)
-        fitted = replace(plate, unexplained=after)  # the residual that the sigmas are of
-        residual, *estimate = evidence.residual(fitted, both)
-        values, sigma = (each[gains.shape[2] :] for each in estimate)
-        after = _shares(residual, wrench)
+        after, values, sigma = _regression(best, np.concatenate([columns, gains], axis=2))
         gain = WEIGHT * float(np.log((before + TINY) / (after + TINY)).sum())
-        clear = np.flatnonzero(np.abs(values) > CLEAR * sigma)
-        coefficients = tuple(error.coefficients(tree)[k] for k in clear)
-        yield SensorErrorFit(error, coefficients, tuple(values[clear].tolist()), after, gain)
+        coefficients = error.coefficients(best.fit.prior.tree)
+        pairs = zip(coefficients, values.tolist(), CLEAR * sigma, strict=False)
+        clear = [(each, value) for each, value, least in pairs if abs(value) > least]
+        yield SensorErrorFit(error, tuple(clear), after, gain)
+
+
+def _regression(best: Explanation, columns: Array) -> tuple[Array, Array, Array]:
+    """Unexplained parts of the channels, (6,), and values and sigmas of columns, (k,)."""
+    evidence, plate = best.fit.plate, best.plate
+    variance = np.maximum(evidence.wrench(plate).var(axis=0), 1e-12)
+    for _ in range(2):  # sigmas are of the residual with the columns
+        residual, values, sigma = evidence.residual(plate, columns)
+        plate = replace(plate, unexplained=residual.var(axis=0) / variance)
+    return plate.unexplained, values, sigma
 
 
 def _columns(error: type[SystematicError], best: Explanation, wrench: Array) -> Array | None:
@@ -130,8 +134,3 @@ def _columns(error: type[SystematicError], best: Explanation, wrench: Array) -> 
     if issubclass(error, PlateError) and error.term not in PlateMatrix.contains:
         return error.derivative(wrench, time, error.neutral(best.fit.prior.tree))
     return None
-
-
-def _shares(residual: Array, wrench: Array) -> Array:
-    """Part of each channel's variance, (6,)."""
-    return np.asarray(residual.var(axis=0) / np.maximum(wrench.var(axis=0), 1e-12))
