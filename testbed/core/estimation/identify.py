@@ -21,10 +21,7 @@ from testbed.core.estimation.estimate import Estimate, Method, channel_units, se
 from testbed.core.estimation.noise.coloured_noise import GlsFit, generalized_least_squares
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.constraints import MASS
-from testbed.core.estimation.regression.normal_equations import (
-    NormalEquations,
-    standard_deviations,
-)
+from testbed.core.estimation.regression.normal_equations import NormalEquations
 from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.regression.solvers import (
     Fit,
@@ -153,8 +150,8 @@ def _least_squares(problem: Problem, doubt: CalibrationCovariance | None) -> Est
     every = [*_of_problem(problem), *of_data, *model.diagnostics(sensor), *quality(estimate)]
     every += _rotors_within(problem)
     zero = {*zero_unknown(fit.noise), *model.with_unknown_zero}
-    unidentifiable = [name for name in estimate.names if name in zero]
-    return replace(estimate, diagnostics=ordered(every)).without(unidentifiable)
+    unidentifiable = tuple(name for name in estimate.names if name in zero)
+    return replace(estimate, diagnostics=ordered(every), unidentifiable=unidentifiable)
 
 
 def _cause_of_lead(given: Diagnostic, problem: Problem, estimate: Estimate) -> Diagnostic:
@@ -238,7 +235,6 @@ def _estimate(
         names=equations.unknowns,
         units=problem.units,
         values=fit.values,
-        sigma=standard_deviations(fit.covariance),  # but for rounding
         covariance=fit.covariance,
         gravity=problem.tree.gravity,
         channels=equations.channels,

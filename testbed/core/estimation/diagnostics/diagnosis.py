@@ -285,8 +285,9 @@ def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterato
     trunks = np.zeros(10 * tree.n)
     trunks[[10 * j for j in tree.children(-1)]] = 1.0
     base, gravity = estimate.base, float(np.linalg.norm(tree.gravity))
-    form = np.linalg.lstsq(base.matrix.T, trunks, rcond=None)[0]
-    if gravity == 0 or np.abs(base.matrix.T @ form - trunks).max() > 1e-9:
+    matrix = estimate.minimal.matrix.T
+    form = np.linalg.lstsq(matrix, trunks, rcond=None)[0]
+    if gravity == 0 or np.abs(matrix @ form - trunks).max() > 1e-9:
         return
     mass = float(form @ base.values)
     sigma = float(np.sqrt(form @ base.covariance @ form))
