@@ -13,12 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.bodies.estimate_summary import (
-    EstimateSummary,
-    check_parameters,
-    corrected_by,
-    summary_of,
-)
+from testbed.bodies.estimate_summary import check_parameters
 from testbed.bodies.prediction_errors import (
     PLAIN,
     REFITTED,
@@ -35,6 +30,7 @@ from testbed.core.dynamics.newton_euler import Motion, linear
 from testbed.core.estimation.estimate import (
     METHODS,
     Estimate,
+    EstimateSummary,
     Method,
     channel_label,
     channel_units,
@@ -50,6 +46,7 @@ from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.source import RecordingLike, Source
 from testbed.core.robot.friction import ROOM, SLOPE, term_torque
 from testbed.core.robot.tree import Tree
+from testbed.sensors.corrected import corrected
 
 
 def motion_in(recording: Recording, settings: Settings = DEFAULTS) -> tuple[Motion, slice]:
@@ -88,10 +85,10 @@ def parameters_of(estimate: Estimate, others: Array | None = None) -> Array:
         estimate: Of either method.
         others: What to keep of the parameters that the estimate cannot identify, (n, 10).
     """
-    base = estimate.base
-    start = np.zeros(base.matrix.shape[1]) if others is None else others.ravel()
-    gap = base.values - base.matrix @ start
-    theta: Array = start + np.linalg.lstsq(base.matrix, gap, rcond=None)[0]
+    matrix = estimate.minimal.matrix
+    start = np.zeros(matrix.shape[1]) if others is None else others.ravel()
+    gap = estimate.base.values - matrix @ start
+    theta: Array = start + np.linalg.lstsq(matrix, gap, rcond=None)[0]
     return estimate.minimal.carried(theta).reshape(-1, 10)
 
 
@@ -262,7 +259,7 @@ class Validation(Diagnosed, Summarized):
 def validate(
     tree: Tree,
     recording: RecordingLike,
-    estimate: Estimate | EstimateSummary,
+    estimate: EstimateSummary,
     *,
     gravity: ArrayLike | None = None,
     settings: Settings | None = None,
@@ -293,54 +290,53 @@ def validate(
         RecordingError: The recording cannot be used for the estimate's method.
         SettingsError: Robot and settings have other parameters than the estimate.
     """
-    said = estimate if isinstance(estimate, EstimateSummary) else summary_of(estimate)
     if settings is None:
-        settings = said.settings
+        settings = estimate.settings
     elif isinstance(estimate, Estimate):
         settings = with_chosen_settings(settings, [estimate])
     problem = Problem.of(
-        tree.with_gravity(said.gravity),
+        tree.with_gravity(estimate.gravity),
         recording,
-        said.method,
+        estimate.method,
         settings,
         gravity=gravity,
         threads=threads,
         progress=progress,
     )
-    check_parameters(problem, said)
-    source = corrected_by(problem.source, problem.tree, said)
+    check_parameters(problem, estimate)
+    source = corrected(problem.source, problem.tree, estimate.sensor_errors)
     with one_blas_thread():
-        found = _validation(problem, source, said)
+        found = _validation(problem, source, estimate)
         if models:
-            errors = errors_of_another(problem, source, {**models, held: said.values})
+            errors = errors_of_another(problem, source, {**models, held: estimate.values})
             found = replace(found, errors=errors, held=held)
     return found
 
 
-def _validation(problem: Problem, source: Source, said: EstimateSummary) -> Validation:
+def _validation(problem: Problem, source: Source, estimate: EstimateSummary) -> Validation:
     """Residuals of another recording's rows, faults of the instrument taken back."""
     passes = problem.passes(2, source, whole=True)
     equations = problem.equations(passes)
-    drifts = [name.startswith(SLOPE.kind + "/") for name in said.names]
-    values = np.where(drifts, 0.0, said.values)  # the drift of offsets is one recording's
+    drifts = [name.startswith(SLOPE.kind + "/") for name in estimate.names]
+    values = np.where(drifts, 0.0, estimate.values)  # the drift of offsets is one recording's
     total, squares = np.zeros((2, len(problem.channels)))
     for columns, measured in passes.rows(values[:, None]):
         left = measured - columns[..., 0]
         total += left.sum(axis=1)
         squares += (left**2).sum(axis=1)
     used = np.where(equations.used > 0, equations.used, np.nan)
-    added = np.maximum(np.einsum("cij,ij->c", equations.normal, said.covariance), 0.0)
+    added = np.maximum(np.einsum("cij,ij->c", equations.normal, estimate.covariance), 0.0)
     found = Validation(
-        method=said.method,
+        method=estimate.method,
         channels=equations.channels,
-        units=channel_units(problem.tree, said.method),
+        units=channel_units(problem.tree, estimate.method),
         rows=tuple(int(n) for n in equations.used),
         signal=np.sqrt(equations.squares / used),
         residual=np.sqrt(squares / used),
         mean=total / used,
-        noise=np.where(np.isnan(used), np.nan, said.residual),
+        noise=np.where(np.isnan(used), np.nan, estimate.residual),
         spread=np.sqrt(added / used),
-        zero_unknown=bool(said.unidentifiable),
+        zero_unknown=bool(estimate.unidentifiable),
     )
     numbers = [found.signal, found.residual, found.mean, found.spread]
     if not np.isfinite(numbers)[:, equations.used > 0].all():

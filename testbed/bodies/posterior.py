@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from testbed.bodies.estimate_summary import EstimateSummary, corrected_by, summary_of
 from testbed.bodies.linear_prior import (
     DETERMINED,
     PRIOR_ERROR,
@@ -40,76 +39,57 @@ from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
 from testbed.core.base.diagnostics import Diagnostic
-from testbed.core.estimation.estimate import Estimate, Method, instrument_of
+from testbed.core.estimation.estimate import Estimate, EstimateSummary, instrument_of
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import (
     TINY,
     scaled_solve,
-    standard_deviations,
 )
 from testbed.core.estimation.regression.solvers import noise_weights
+from testbed.sensors.corrected import corrected
 
 
-@dataclass(frozen=True, eq=False)
-class Posterior:
-    """The minimal parameters by a recording and its model file together.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Posterior(EstimateSummary):
+    """Estimate by a recording and its model file together; its sigma counts the prior's doubt.
 
     Attributes:
-        method: By plate or by torques.
         instrument: What a person calls it.
-        names: Of the minimal parameters and then of the joints' own terms, (p,).
-        units: One each.
-        count: How many are of bodies.
+        count: How many parameters are of bodies.
         file: By the model file, (p,).
         refitted: The same with the joints' own terms fitted to the data, (p,).
         prior_sigma: Standard deviations before the data, (p,).
-        values: (p,).
-        covariance: (p, p).
         share: Part of the prior's variance that the data remove, (p,).
         alone: Which of them the data alone determine: with nothing else known of any, their
             variance is at most a tenth of the prior's, (p,).
         prior_error: Of the model file's bodies, in parts of themselves.
         used: Whether the prior is needed; else the values are those of least squares.
-        residual: Rms of what it leaves of the recording itself, (C,) [N, N m].
-        gravity: That was assumed, (3,) [m/s^2], bedplate frame.
         by_part: Rms of what it leaves of consecutive parts of the recording, (parts, C) [N, N m].
         duration: Of the recording [s].
         errors: What it leaves of held-out parts, and what others do.
         consistent: Of consistent bodies, (p,); None where they were not asked for.
     """
 
-    method: Method
     instrument: str
-    names: tuple[str, ...]
-    units: tuple[str, ...]
     count: int
     file: Array
     refitted: Array
     prior_sigma: Array
-    values: Array
-    covariance: Array
     share: Array
     alone: tuple[bool, ...]
     prior_error: float
     used: bool
-    residual: Array
     by_part: Array
     duration: float
-    gravity: Array
     errors: tuple[PredictionErrors, ...]
     consistent: Array | None = None
 
     __get_pydantic_core_schema__ = with_properties("sigma", "determined")
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         p = len(self.names)
-        freeze(self, file=(p,), refitted=(p,), prior_sigma=(p,), values=(p,), share=(p,))
-        freeze(self, covariance=(p, p), residual=(None,), by_part=(None, None), gravity=(3,))
-
-    @property
-    def sigma(self) -> Array:
-        """Standard deviations, the prior's doubt among them, (p,)."""
-        return standard_deviations(self.covariance)
+        freeze(self, file=(p,), refitted=(p,), prior_sigma=(p,), share=(p,), by_part=(None, None))
 
     @property
     def models(self) -> dict[str, Array]:
@@ -165,24 +145,15 @@ def reported_estimate(
         if own is None:
             raise ValueError("there is no estimate")
         return ReportedEstimate(own, PLAIN, {})
-    said = EstimateSummary(
-        method=found.method,
-        names=found.names,
-        values=found.values,
-        covariance=found.covariance,
-        gravity=found.gravity,
-        residual=found.residual,
-        nuisances={},
-    )
     if own is None:
-        return ReportedEstimate(said, POSTERIOR, found.models)
+        return ReportedEstimate(found, POSTERIOR, found.models)
     if own.names != found.names:
         raise ValueError("least squares and the posterior are of other parameters")
     models = {**found.models, PLAIN: own.values}
     if plain or not found.used:
         return ReportedEstimate(own, PLAIN, models)
-    said = replace(said, nuisances=own.nuisances, unidentifiable=own.unidentifiable)
-    return ReportedEstimate(replace(said, settings=own.settings), POSTERIOR, models)
+    known = {name: getattr(own, name) for name in ("nuisances", "unidentifiable", "settings")}
+    return ReportedEstimate(replace(found, **known), POSTERIOR, models)
 
 
 def posterior(
@@ -255,7 +226,7 @@ def rows_of(problem: Problem, estimate: Estimate | None) -> RowParts:
     """
     source, free = problem.source, True
     if estimate is not None:
-        source = corrected_by(source, problem.tree, summary_of(estimate))
+        source = corrected(source, problem.tree, estimate.sensor_errors)
         free = "bias" in problem.settings.nuisances or bool(estimate.unidentifiable)
     return products_of(problem, source, free and problem.method == "external")
 

@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 
 import testbed as tb
 from docs import interface
+from testbed.core.estimation.information import combinations
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 
@@ -35,10 +36,13 @@ def test_independent_estimates_add_as_their_rows_stacked(count: int, signals: Si
     """A name is one parameter: least squares on both, each by its covariance; one may lack some."""
     _, _, plate, torque = signals
     shared = next(name for name in plate.names if name in torque.names)
-    plate = plate.without(["mbar1", shared][:count])  # the other tells only one of them
+    # the other tells only one of them
+    plate = plate.with_(unidentifiable=("mbar1", shared)[:count])
     both, known = plate + torque, [np.isfinite(each.sigma) for each in (plate, torque)]
     told = list(zip((plate, torque), known, strict=True))
-    rows = np.vstack([both.rows(each)[own] for each, own in told])
+    minimal = max(plate.minimal, torque.minimal, key=lambda own: own.count)
+    whole = [combinations(each, minimal, both.names) for each in (plate, torque)]
+    rows = np.vstack([every[own] for every, own in zip(whole, known, strict=True)])
     values = np.concatenate([each.values[own] for each, own in told])
     covariances = (each.covariance[np.ix_(own, own)] for each, own in told)
     root = np.linalg.cholesky(block_diag(*covariances))

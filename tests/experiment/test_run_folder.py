@@ -18,11 +18,10 @@ import pytest
 import testbed as tb
 from testbed.applications.validate import validate
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.bodies.estimate_summary import EstimateSummary
 from testbed.bodies.shapes.appearance import load_shapes
 from testbed.core.base.codec import json_text
 from testbed.core.base.errors import ExperimentError, InfeasibleMotion, TestbedError
-from testbed.core.estimation.estimate import METHODS, Estimate
+from testbed.core.estimation.estimate import METHODS, Estimate, EstimateSummary
 from testbed.core.recordings.metadata import Metadata
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.excite import excite, frequencies_of
@@ -358,7 +357,15 @@ def test_sigma_is_as_promised_and_an_earlier_estimate_is_a_prior(tmp_path: Path)
     order = np.random.default_rng(0).permutation(len(ratio))
     names, covariance = np.array(estimate.names)[order], estimate.covariance[np.ix_(order, order)]
     down, nothing = np.array([0, 0, -9.81]), np.zeros(len(ratio))
-    stated = EstimateSummary("external", tuple(names), nothing, covariance, down, np.ones(6), {})
+    stated = EstimateSummary(
+        names=tuple(names),
+        units=("",) * len(names),
+        values=nothing,
+        covariance=covariance,
+        method="external",
+        gravity=down,
+        residual=np.ones(6),
+    )
     tree = found.tree
     options = ConsistencyOptions()
     kept = KeptResult(tree, tb.Settings(), model_of(asked()), tree, options, (stated,))

@@ -21,7 +21,7 @@ from testbed.applications.analysis import analyse
 from testbed.bodies.consistency.consistent import consistent, robot_of
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.consistency.robots import BODY, _log_prior, elliptical_slices
-from testbed.bodies.estimate_summary import estimate_of_summary, summary_of
+from testbed.bodies.estimate_summary import estimate_of_summary
 from testbed.bodies.linear_prior import LinearPrior, alone_determined, with_prior
 from testbed.bodies.posterior import Posterior, posterior, rows_of
 from testbed.bodies.prediction_errors import PredictionErrors, errors_of_another
@@ -489,8 +489,7 @@ def having(estimate: Estimate, values: Array, relative: float) -> Estimate:
     sigma = relative * np.array([max(largest[unit], 1e-3) for unit in base.units])
     whole, covariance = np.array(estimate.values), np.array(estimate.covariance)
     whole[:count], covariance[:count, :count] = values, np.diag(sigma**2)
-    spread = np.sqrt(np.diagonal(covariance))
-    return replace(estimate, values=whole, covariance=covariance, sigma=spread)
+    return replace(estimate, values=whole, covariance=covariance)
 
 
 def random_bodies(tree: tb.Tree, rng: Rng, thin: bool) -> Array:
@@ -514,7 +513,7 @@ def test_robots_are_possible_and_mirrored_ones_not(rng: Rng, joints: int, method
     tree = random_robot(rng, joints).tree()
     settings = replace(EXACT, terms=("coulomb", "rotor"))
     estimate = tb.identify(tree, ideal(tree), method, settings=settings)
-    maps = estimate.base.matrix
+    maps = estimate.minimal.matrix
     for relative, thin in ((1e-9, True), (1e-3, False), (0.1, True)):
         there = having(estimate, maps @ random_bodies(tree, rng, thin), relative)
         sigma = there.sigma[: len(maps)]
@@ -617,7 +616,7 @@ def test_draws_obey_what_is_known_and_a_summary_draws_the_same() -> None:
     prior = prior_of(file)
     estimate = tb.identify(file, measured(file, 2, duration=10.0))
     weighed = ConsistencyOptions(known={"mass/link3": 6.0})
-    again = estimate_of_summary(file, summary_of(estimate))
+    again = estimate_of_summary(file, estimate)
     one, other = (
         tb.robots(file, [each], prior, 5, np.random.default_rng(4), weighed)
         for each in (estimate, again)
@@ -625,4 +624,4 @@ def test_draws_obey_what_is_known_and_a_summary_draws_the_same() -> None:
     np.testing.assert_allclose(one.values[:, 2, 0], 6.0, rtol=1e-9)
     np.testing.assert_array_equal(one.values, other.values)
     with refuses(SettingsError, "other parameters"):
-        estimate_of_summary(file, replace(summary_of(estimate), names=estimate.names[::-1]))
+        estimate_of_summary(file, replace(estimate, names=estimate.names[::-1]))

@@ -5,6 +5,7 @@ If one fails, a wrong model passes on a new motion, or a right one is refused.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -20,12 +21,12 @@ from testbed.applications.validate import (
     predictions,
     validate,
 )
-from testbed.bodies.estimate_summary import summary_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
 from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Estimate, Method
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.windows import ROWS_PER_CUTOFF, row_weights
+from testbed.core.estimation.sensor.estimates import NuisanceEstimate
 from testbed.core.kernel.records import REST_VARIANCE
 from testbed.core.recordings.metadata import Metadata, three
 from testbed.core.robot.friction import LAWS
@@ -94,7 +95,7 @@ def test_residuals_and_spread_are_those_of_dense_computation(name: str, method: 
     squares = np.zeros(len(found.channels))
     sizes, ways = np.linalg.eigh(estimate.covariance)
     for size, way in zip(sizes, ways.T, strict=True):
-        one = replace(summary_of(estimate), values=way)
+        one = replace(estimate, values=way)
         squares += size * validate(tree, silent, one, settings=SETTINGS).residual ** 2
     np.testing.assert_allclose(found.spread, np.sqrt(squares), rtol=1e-6)
 
@@ -132,6 +133,10 @@ def test_a_joint_that_rests_all_the_time_has_no_residual(puma: tb.Tree) -> None:
 
 
 @pytest.mark.slow
+def coefficients(values: Mapping[str, float]) -> tuple[NuisanceEstimate, ...]:
+    return tuple(NuisanceEstimate("", name, "", value, 0.0) for name, value in values.items())
+
+
 def test_lasting_faults_are_taken_back_and_passing_ones_are_told(puma: tb.Tree) -> None:
     """A late plate and encoders' zeros last; the plate's zero is another each time."""
     one, other = (measured(puma, seed) for seed in (1, 2))
@@ -149,13 +154,13 @@ def test_lasting_faults_are_taken_back_and_passing_ones_are_told(puma: tb.Tree) 
     shuffled = replace(moved, names=puma.names[::-1], **backwards)  # type: ignore[arg-type]
     passing = {"bias/Fx": 50.0, "slope/Fy": 5.0}
     for recording, numbers, error in ((other, passing, 0.0), (shuffled, zeros, 1e-6)):
-        again = validate(puma, recording, replace(summary_of(sound), nuisances=numbers))
+        again = validate(puma, recording, replace(sound, nuisances=coefficients(numbers)))
         np.testing.assert_allclose(again.residual, plain.residual, rtol=error)
     asked = tb.Settings(nuisances=("skew",))
     late = [replace(r.part(4, r.samples), wrench=r.measured("wrench")[:-4]) for r in (one, other)]
     estimate = tb.identify(puma, late[0], settings=asked)
     assert estimate.nuisances[0].value == pytest.approx(0.02, rel=0.1)
-    ignorant = replace(summary_of(estimate), nuisances={})
+    ignorant = replace(estimate, nuisances=())
     told, silent = (validate(puma, late[1], e, settings=asked) for e in (ignorant, estimate))
     assert told.diagnostics
     assert not silent.diagnostics
@@ -163,19 +168,21 @@ def test_lasting_faults_are_taken_back_and_passing_ones_are_told(puma: tb.Tree) 
 
 def test_what_does_not_fit_together_is_refused(puma: tb.Tree) -> None:
     estimate, other = tb.identify(puma, ideal(puma), settings=EXACT), ideal(puma, seed=2)
-    said = summary_of(estimate)
+    five: dict[str, Any] = dict.fromkeys(("residual", "relative_residual"), np.ones(5))
+    narrow = replace(estimate, channels=("",) * 5, **five)
+    elsewhere = replace(estimate, nuisances=coefficients({"pose/rw": 1.0}))
     tilted = replace(other, metadata=Metadata(gravity=(9.81, 0.0, 0.0)))
     for kind, culprit, recording, said_so, settings in (
         (SettingsError, "K3xy", other, estimate, replace(EXACT, zeros=True)),
         (RecordingError, "wrench", without(other, "wrench"), estimate, EXACT),
         (RecordingError, "robot", ideal(robot("ur5")), estimate, EXACT),
         (SettingsError, "gravity", tilted, estimate, EXACT),
-        (SettingsError, "5 channels", other, replace(said, residual=np.ones(5)), EXACT),
+        (SettingsError, "5 channels", other, narrow, EXACT),
     ):
         with refuses(kind, culprit):
             validate(puma, recording, said_so, settings=settings)
     with refuses(UnknownName, "pose/rw"):
-        validate(puma, other, replace(said, nuisances={"pose/rw": 1.0}), settings=EXACT)
+        validate(puma, other, elsewhere, settings=EXACT)
 
 
 FILTERED = tb.Settings(position_cutoff=20.0, cutoff=5.0, deadband=0.05)

@@ -66,8 +66,7 @@ def beside_consistent(
 
         def of_rows(some: RowProducts) -> Array:
             values, covariance = with_prior(some, before.times(WIDE))
-            sigma = np.sqrt(np.diagonal(covariance))
-            own = replace(estimate, values=values, sigma=sigma, covariance=covariance)
+            own = replace(estimate, values=values, covariance=covariance)
             try:
                 return unknowns_of(consistent(problem.tree, [own], prior, options), problem)
             except TestbedError:  # too few rows: those of the file

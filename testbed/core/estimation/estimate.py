@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.codec import TableSchema
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, sentences
-from testbed.core.base.errors import plural
-from testbed.core.base.frames import frame_of
-from testbed.core.base.summary_table import Summarized, SummaryTable, parameter_rows
-from testbed.core.estimation.information import Information
+from testbed.core.base.gaussian import Gaussian
+from testbed.core.base.summary_table import SummaryTable
+from testbed.core.estimation.information import Information, added
 from testbed.core.estimation.noise.noise_model import NoiseModel
 from testbed.core.estimation.regression.normal_equations import NormalEquations
 from testbed.core.estimation.selection.held_out import TermChoice
@@ -23,7 +22,7 @@ from testbed.core.estimation.sensor.estimates import NuisanceEstimate, TraceTest
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet
-from testbed.core.parameters.rules import Model, Signal
+from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.shafts import places
@@ -116,29 +115,6 @@ def channel_label(method: Method, name: str) -> str:
     return f"channel {name}" if method == "external" else f"the torque of '{name}'"
 
 
-@dataclass(frozen=True, eq=False)
-class BaseEstimate:
-    """The minimal parameters of an estimate.
-
-    Attributes:
-        model: "reaction" (delta_r) or "dynamic" (delta_d).
-        names: One a parameter; a joint's term that cannot be distinguished from it is named in it.
-        units: One each.
-        values: (N,).
-        sigma: Standard deviations, (N,).
-        covariance: (N, N).
-        matrix: Those on the 10 n barycentric parameters, (N, 10 n).
-    """
-
-    model: Model
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    values: Array
-    sigma: Array
-    covariance: Array
-    matrix: Array
-
-
 @dataclass(frozen=True)
 class TermEstimate:
     """One coefficient of a law of a joint's own torque.
@@ -165,23 +141,46 @@ class TermEstimate:
         return self.law.kind
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Estimate(Diagnosed, Summarized):
-    """What one method found.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class EstimateSummary(Gaussian):
+    """Estimate by one method, without the data that it was made from.
+
+    Its parameters are the minimal ones; then, for the internal method, the joints' own terms.
+    Those that no motion separates from the plate's zero, which is not known, are not identifiable:
+    values and covariance hold together with that zero only.
 
     Attributes:
         method: "external" (bedplate) or "internal" (joint torques).
-        names: The minimal parameters; then, for the internal method, the joints' own terms.
-        units: One each.
-        values: (p,).
-        sigma: Standard deviations, (p,), correlation of residuals counted; infinite for those
-            that are `unidentifiable`.
-        covariance: (p, p); of those that are `unidentifiable`, as if the plate's zero were right.
         gravity: That was assumed, (3,) [m/s^2], bedplate frame.
+        residual: Rms residual of every channel, (channels,) [N, N m]; about its mean where the
+            channel has a constant of its own.
+        nuisances: Coefficients of sensor errors that were estimated with the parameters.
+        settings: How its recording became equations, with all that data chose.
+    """
+
+    method: Method
+    gravity: Array
+    residual: Array
+    nuisances: tuple[NuisanceEstimate, ...] = ()
+    settings: Annotated[Settings, TableSchema()] = DEFAULTS
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        freeze(self, gravity=(3,), residual=(None,))
+
+    @property
+    def sensor_errors(self) -> dict[str, float]:
+        """Coefficients of sensor errors by name, such as "pose/rx"."""
+        return {each.name: each.value for each in self.nuisances}
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Estimate(Diagnosed, EstimateSummary):
+    """Estimate by one method, with residuals, tests and diagnostics.
+
+    Attributes:
         channels: The measured channels.
         channel_units: One each, N or N m.
-        residual: Rms of their residuals, (channels,) [N, N m]; about their mean where the
-            channel has a constant of its own.
         relative_residual: ||y - phi delta|| / ||y|| of each, (channels,).
         samples: Rows used of each, (channels,).
         condition: Of the equations with unit columns and weights.
@@ -191,25 +190,13 @@ class Estimate(Diagnosed, Summarized):
         drives: That set with the joints' own terms, for the internal method.
         joints: The joints' names.
         noise: What the residuals are like; None where they are taken as white.
-        nuisances: Numbers of the instrument that were estimated with the parameters.
         trace_tests: Faults of the instrument whose traces were looked for in the residuals.
-        nuisance_covariance: Of the instrument's numbers, (s, s).
+        nuisance_covariance: Of the coefficients of sensor errors, (s, s).
         choice: How held-out data chose the joints' terms, where they did.
-        unidentifiable: Names of parameters that no motion separates from the plate's zero, which is
-            not known here. Their values hold together with that zero only.
-        settings: How its recording became equations, with all that data chose.
     """
 
-    method: Method
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    values: Array
-    sigma: Array
-    covariance: Array
-    gravity: Array
     channels: tuple[str, ...]
     channel_units: tuple[str, ...]
-    residual: Array
     relative_residual: Array
     samples: tuple[int, ...]
     condition: float
@@ -219,28 +206,14 @@ class Estimate(Diagnosed, Summarized):
     drives: DriveSet | None
     joints: tuple[str, ...]
     noise: NoiseModel | None = None
-    nuisances: tuple[NuisanceEstimate, ...] = ()
     trace_tests: tuple[TraceTest, ...] = ()
     nuisance_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     choice: TermChoice | None = None
-    unidentifiable: tuple[str, ...] = ()
-    settings: Annotated[Settings, TableSchema()] = DEFAULTS
 
     def __post_init__(self) -> None:
-        p, c = len(self.names), len(self.channels)
-        s = len(self.nuisance_covariance)
-        freeze(self, values=(p,), sigma=(p,), covariance=(p, p), gravity=(3,))
+        super().__post_init__()
+        c, s = len(self.channels), len(self.nuisance_covariance)
         freeze(self, residual=(c,), relative_residual=(c,), nuisance_covariance=(s, s))
-
-    def without(self, unidentifiable: Sequence[str]) -> Estimate:
-        """The same, some of the parameters said to be not identifiable.
-
-        Args:
-            unidentifiable: Their names.
-        """
-        unknown = [name in unidentifiable for name in self.names]
-        sigma = np.where(unknown, np.inf, self.sigma)
-        return replace(self, sigma=sigma, unidentifiable=tuple(unidentifiable))
 
     @cached_property
     def matters(self) -> tuple[bool, ...]:
@@ -252,18 +225,9 @@ class Estimate(Diagnosed, Summarized):
         return channel_label(self.method, self.channels[c])
 
     @cached_property
-    def base(self) -> BaseEstimate:
-        """The minimal parameters alone."""
-        own = slice(0, self.minimal.count)
-        return BaseEstimate(
-            model=self.minimal.model,
-            names=self.names[own],
-            units=self.units[own],
-            values=self.values[own],
-            sigma=self.sigma[own],
-            covariance=self.covariance[own, own],
-            matrix=self.minimal.matrix,
-        )
+    def base(self) -> Gaussian:
+        """The minimal parameters alone; a joint's term that is part of one is named in it."""
+        return self.marginal(self.names[: self.minimal.count])
 
     @cached_property
     def joint_terms(self) -> tuple[TermEstimate, ...]:
@@ -290,7 +254,7 @@ class Estimate(Diagnosed, Summarized):
 
     def __add__(self, other: Information | Estimate) -> Information:
         """Sum of what both say; independent data of one robot (`Information`)."""
-        return Information((self,)).__add__(other)
+        return added((self,), other)
 
     @property
     def summary(self) -> SummaryTable:
@@ -300,17 +264,7 @@ class Estimate(Diagnosed, Summarized):
             if self.doubtful
             else ""
         )
-        head = f"{plural(len(self.names), 'parameter')} by the {self.instrument}{doubt}"
-        rows = parameter_rows(self.names, self.values, self.sigma, self.units)
+        table = super().summary
         warnings = (f"warning: {line}" for line in sentences(self.diagnostics))
-        return SummaryTable(head, rows, tuple(warnings))
-
-    def to_frame(self) -> Any:
-        """Names, values, sigmas and units as a frame of pandas, polars or Arrow."""
-        columns = {
-            "name": list(self.names),
-            "value": self.values.tolist(),
-            "sigma": self.sigma.tolist(),
-            "unit": list(self.units),
-        }
-        return frame_of(columns)
+        head = f"{table.head} by the {self.instrument}{doubt}"
+        return replace(table, head=head, notes=tuple(warnings))

@@ -25,7 +25,6 @@ from testbed.core.estimation.noise.coloured_noise import (
     generalized_least_squares,
 )
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.normal_equations import standard_deviations
 from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.regression.solvers import noise_weights, solve
 from testbed.core.estimation.selection.held_out import TermChoice
@@ -175,8 +174,8 @@ def _estimate_of(problem: Problem, doubt: CalibrationCovariance | None) -> Estim
     every = [*setup_diagnostics(problem), *tests, *model.diagnostics(sensors), *quality(estimate)]
     every += regrouped_rotors(problem)
     zero = {*zero_unknown(fit.noise), *model.with_unknown_zero}
-    unidentifiable = [name for name in estimate.names if name in zero]
-    return replace(estimate, diagnostics=ordered(every)).without(unidentifiable)
+    unidentifiable = tuple(name for name in estimate.names if name in zero)
+    return replace(estimate, diagnostics=ordered(every), unidentifiable=unidentifiable)
 
 
 def _estimate(
@@ -189,7 +188,6 @@ def _estimate(
         names=equations.unknowns,
         units=problem.units,
         values=fit.values,
-        sigma=standard_deviations(fit.covariance),  # but for rounding
         covariance=fit.covariance,
         gravity=problem.tree.gravity,
         channels=equations.channels,

@@ -7,18 +7,21 @@ Its information is A' C^-1 A, and that of several estimates is the sum.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Protocol, runtime_checkable
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError
-from testbed.core.base.summary_table import Summarized, SummaryTable, parameter_rows
-from testbed.core.parameters.joint_terms import DriveSet
+from testbed.core.base.gaussian import Gaussian
+from testbed.core.base.summary_table import SummaryTable
 from testbed.core.parameters.minimal_set import MinimalSet
-from testbed.core.robot.tree import Tree
+
+if TYPE_CHECKING:
+    from testbed.core.estimation.estimate import Estimate
 
 SINGULAR = 1e-12
 """Eigenvalue of the scaled information matrix below which a direction is not determined."""
@@ -27,163 +30,103 @@ UNDETERMINED = 1e-4
 """Part of an unknown in such directions from which it is not determined itself."""
 
 
-@runtime_checkable
-class Evidence(Protocol):
-    """An estimate, as a sum takes it."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of its parameters, (q,)."""
-
-    @property
-    def values(self) -> Array:
-        """(q,)."""
-
-    @property
-    def sigma(self) -> Array:
-        """Standard deviations, (q,); infinite where the data leave a parameter open."""
-
-    @property
-    def covariance(self) -> Array:
-        """(q, q)."""
-
-    @property
-    def minimal(self) -> MinimalSet:
-        """The minimal set that comes first."""
-
-    @property
-    def drives(self) -> DriveSet | None:
-        """That set with the joints' own terms."""
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the robot's joints."""
-
-    @property
-    def instrument(self) -> str:
-        """What it was measured by."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Information(Summarized):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Information(Gaussian):
     """Several estimates of one robot as one: `plate + torque`.
 
     Attributes:
         estimates: Of independent data, at least one.
+        matrix: Sum of their information matrices, (p, p).
     """
 
-    estimates: tuple[Evidence, ...]
+    estimates: tuple[Estimate, ...]
+    matrix: Array
 
-    def __post_init__(self) -> None:
-        sizes = {each.minimal.matrix.shape[1] for each in self.estimates}
-        if len({each.joints for each in self.estimates}) > 1 or len(sizes) > 1:
-            raise SettingsError("estimates of different robots have no sum")
-
-    def __add__(self, other: Information | Evidence) -> Information:
-        if isinstance(other, Information):
-            return Information((*self.estimates, *other.estimates))
-        if isinstance(other, Evidence):
-            return Information((*self.estimates, other))
-        return NotImplemented
-
-    @property
-    def robot(self) -> Tree:
-        """The robot."""
-        return self._largest.minimal.robot
-
-    @cached_property
-    def _largest(self) -> Evidence:
-        return max(self.estimates, key=lambda each: each.minimal.count)
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of the unknowns, (p,)."""
-        return tuple(self._units)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """One an unknown."""
-        return tuple(self._units.values())
-
-    @cached_property
-    def _units(self) -> dict[str, str]:
-        minimal = self._largest.minimal
-        found = dict(zip(minimal.names, minimal.units, strict=True))
-        for each in self.estimates:
-            drives = each.drives
-            for term in () if drives is None else drives.asked:
-                found[term.name(each.minimal.robot)] = term.unit(each.minimal.robot)
-        return found
-
-    def rows(self, estimate: Evidence) -> Array:
-        """Parameters of an estimate as combinations of the unknowns, (q, p).
-
-        Args:
-            estimate: One of the sum.
-        """
-        lift, drives = self._largest.minimal.lift, estimate.drives
-        found = np.zeros((len(estimate.names), len(self.names)))
-        count = self._largest.minimal.count
-        if drives is None:
-            found[:, :count] = estimate.minimal.matrix @ lift
-            return found
-        bodies = estimate.minimal.matrix.shape[1]
-        found[:, :count] = drives.matrix[:, :bodies] @ lift
-        places = [self.names.index(term.name(estimate.minimal.robot)) for term in drives.asked]
-        found[:, places] = drives.matrix[:, bodies:]
-        return found
-
-    @cached_property
-    def _sums(self) -> tuple[Array, Array]:
-        """Information matrix, (p, p), and that times the estimate, (p,)."""
-        matrix, vector = np.zeros((len(self.names),) * 2), np.zeros(len(self.names))
-        for each in self.estimates:
-            known = np.isfinite(each.sigma)  # others are free, and are left out with no loss
-            rows = self.rows(each)[known]
-            weighted = np.linalg.solve(each.covariance[np.ix_(known, known)], rows)
-            matrix += rows.T @ weighted
-            vector += weighted.T @ each.values[known]
-        return matrix, vector
-
-    @property
-    def matrix(self) -> Array:
-        """Information matrix, the inverse of a covariance, (p, p)."""
-        return self._sums[0]
-
-    @cached_property
-    def _solution(self) -> tuple[Array, Array, Array]:
-        """Estimate, covariance, and whether each unknown is determined."""
-        matrix, vector = self._sums
-        scale = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
-        powers, basis = np.linalg.eigh(matrix / np.outer(scale, scale))
-        sure = powers > SINGULAR * powers[-1]
-        inverse = (basis[:, sure] / powers[sure]) @ basis[:, sure].T
-        determined = (np.abs(basis[:, ~sure]) < UNDETERMINED).all(axis=1)
-        values = np.where(determined, inverse @ (vector / scale) / scale, np.nan)
-        return values, inverse / np.outer(scale, scale), determined
-
-    @property
-    def values(self) -> Array:
-        """Estimate of the unknowns, (p,)."""
-        return self._solution[0]
-
-    @property
-    def covariance(self) -> Array:
-        """Of the unknowns that are determined, (p, p)."""
-        return self._solution[1]
-
-    @property
-    def sigma(self) -> Array:
-        """Standard deviations, (p,); infinite where the data do not determine an unknown."""
-        _, covariance, determined = self._solution
-        spread = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-        return np.where(determined, spread, np.inf)
+    def __add__(self, other: Information | Estimate) -> Information:
+        return added(self.estimates, other)
 
     @property
     def summary(self) -> SummaryTable:
         """Names, values with sigmas, units."""
+        table = super().summary
         sources = " + ".join(each.instrument for each in self.estimates)
-        return SummaryTable(
-            f"{len(self.names)} parameters by {sources}",
-            parameter_rows(self.names, self.values, self.sigma, self.units),
-        )
+        return replace(table, head=f"{table.head} by {sources}")
+
+
+def added(estimates: Sequence[Estimate], other: Information | Estimate) -> Information:
+    """Sum of information; for `__add__`, `NotImplemented` where the other is no estimate.
+
+    Args:
+        estimates: Of independent data.
+        other: An estimate of other data, or several.
+    """
+    if not isinstance(other, Gaussian):
+        return NotImplemented
+    more = other.estimates if isinstance(other, Information) else (other,)
+    return information_of((*estimates, *more))
+
+
+def information_of(estimates: Sequence[Estimate]) -> Information:
+    """Sum of what independent estimates of one robot say.
+
+    Args:
+        estimates: At least one.
+
+    Raises:
+        SettingsError: They are of different robots.
+    """
+    robots = {(each.joints, each.minimal.matrix.shape[1]) for each in estimates}
+    if len(robots) > 1:
+        raise SettingsError("estimates of different robots have no sum")
+    minimal = max((each.minimal for each in estimates), key=lambda own: own.count)
+    units = dict(zip(minimal.names, minimal.units, strict=True))
+    for each in estimates:
+        for term in () if each.drives is None else each.drives.asked:
+            units[term.name(minimal.robot)] = term.unit(minimal.robot)
+    names = tuple(units)
+    matrix, vector = np.zeros((len(names),) * 2), np.zeros(len(names))
+    for each in estimates:
+        known = each.identifiable  # others are free, and are left out with no loss
+        rows = combinations(each, minimal, names)[known]
+        weighted = np.linalg.solve(each.covariance[np.ix_(known, known)], rows)
+        matrix += rows.T @ weighted
+        vector += weighted.T @ each.values[known]
+    values, covariance, determined = _solution(matrix, vector)
+    return Information(
+        names=names,
+        units=tuple(units.values()),
+        values=values,
+        covariance=covariance,
+        unidentifiable=tuple(n for n, known in zip(names, determined, strict=True) if not known),
+        estimates=tuple(estimates),
+        matrix=matrix,
+    )
+
+
+def _solution(matrix: Array, vector: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Estimate, (p,), covariance, (p, p), and whether each unknown is determined, (p,)."""
+    scale = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+    powers, basis = np.linalg.eigh(matrix / np.outer(scale, scale))
+    sure = powers > SINGULAR * powers[-1]
+    inverse = (basis[:, sure] / powers[sure]) @ basis[:, sure].T
+    determined = (np.abs(basis[:, ~sure]) < UNDETERMINED).all(axis=1)
+    values = np.where(determined, inverse @ (vector / scale) / scale, np.nan)
+    return values, inverse / np.outer(scale, scale), determined
+
+
+def combinations(estimate: Estimate, minimal: MinimalSet, names: Sequence[str]) -> Array:
+    """Parameters of an estimate as combinations of a sum's unknowns, (q, p).
+
+    Args:
+        estimate: One of the sum.
+        minimal: The largest minimal set of the sum.
+        names: Of the unknowns, those of that set first, (p,).
+    """
+    found, drives = np.zeros((len(estimate.names), len(names))), estimate.drives
+    whole = estimate.minimal.matrix if drives is None else drives.matrix
+    bodies = estimate.minimal.matrix.shape[1]
+    found[:, : minimal.count] = whole[:, :bodies] @ minimal.lift
+    if drives is not None:
+        places = [names.index(term.name(minimal.robot)) for term in drives.asked]
+        found[:, places] = whole[:, bodies:]
+    return found

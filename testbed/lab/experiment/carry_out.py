@@ -11,7 +11,6 @@ import numpy as np
 
 from testbed.applications.payload.payload import payload
 from testbed.applications.validate import validate
-from testbed.bodies.estimate_summary import summary_of
 from testbed.bodies.posterior import reported_estimate
 from testbed.core.base.diagnostics import diagnose
 from testbed.core.base.errors import RecordingError, TestbedError
@@ -88,7 +87,7 @@ def validated(run: Run, recording: Recording) -> Run:
     recording = on_its_base(recording, run.tree)
     run = replace(run, unseen=recording)
     answers = {
-        method: reported_estimate(summary_of(estimate), run.posterior.get(method))
+        method: reported_estimate(estimate, run.posterior.get(method))
         for method, estimate in run.estimates.items()
     }
     try:

@@ -10,19 +10,19 @@ from typing import Any, Literal
 import numpy as np
 
 from testbed.applications.validate import friction, predictions
-from testbed.bodies.estimate_summary import corrected_by, summary_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import SettingsError
 from testbed.core.base.frames import frame_of
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.estimate import Estimate, Method, channel_units
-from testbed.core.estimation.information import Evidence, Information
+from testbed.core.estimation.information import Information
 from testbed.core.estimation.regression.windows import row_weights
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.run import Run, shown_motion
+from testbed.sensors.corrected import corrected
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,8 +184,8 @@ def _without_faults(run: Run, recording: Recording) -> Recording:
     external = run.estimates.get("external")
     if external is None or not external.nuisances:
         return recording
-    corrected = corrected_by(recording, run.tree, summary_of(external))
-    return corrected.part(0, corrected.samples)
+    source = corrected(recording, run.tree, external.sensor_errors)
+    return source.part(0, source.samples)
 
 
 def run_of(data: Recording, *estimates: Estimate | Information) -> Run:
@@ -198,7 +198,7 @@ def run_of(data: Recording, *estimates: Estimate | Information) -> Run:
     Raises:
         SettingsError: There is none.
     """
-    listed: list[Evidence] = []
+    listed: list[object] = []
     for each in estimates:
         listed += each.estimates if isinstance(each, Information) else [each]
     found = [each for each in listed if isinstance(each, Estimate)]

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.bodies.estimate_summary import EstimateSummary, estimate_of_summary
+from testbed.bodies.estimate_summary import estimate_of_summary
 from testbed.bodies.posterior import Posterior, ReportedEstimate, reported_estimate
 from testbed.core.base.arrays import Array
 from testbed.core.base.codec import decode, from_json
@@ -19,7 +19,7 @@ from testbed.core.base.contents import fingerprint, read_text
 from testbed.core.base.errors import ExperimentError, plural
 from testbed.core.base.file_kinds import expecting
 from testbed.core.base.toml_text import checked, complaints, override
-from testbed.core.estimation.estimate import METHODS, Estimate, channels_of
+from testbed.core.estimation.estimate import METHODS, Estimate, EstimateSummary, channels_of
 from testbed.core.estimation.settings import Settings
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.rules import Model
@@ -130,7 +130,7 @@ def _estimates(
     """
     said = content.get("posterior"), content.get("estimates")
     added, every = (x if isinstance(x, dict) else {} for x in said)
-    own = {m: _summary(every[m], f"{path}: {m}") for m in METHODS if m in every}
+    own = {m: _decoded(EstimateSummary, every[m], f"{path}: {m}") for m in METHODS if m in every}
     with_file = {
         m: _decoded(Posterior, added[m], f"{path}: {m}: posterior") for m in METHODS if m in added
     }
@@ -152,9 +152,11 @@ def _decoded(kind: type[Part], content: Any, source: str) -> Part:
         ExperimentError: A part is missing, or is not what it should be.
     """
     try:
-        found: Part = decode(kind, content, {})
+        found: Part = decode(kind, {**content, "settings": Settings()}, {})
     except ValidationError as error:
         raise ExperimentError(f"{source}: {complaints(error, StrictTable)}") from None
+    except TypeError as error:
+        raise ExperimentError(f"{source}: no estimate: {error}") from None
     numbers = [each for each in vars(found).values() if isinstance(each, np.ndarray)]
     if not all(np.isfinite(each).all() for each in numbers) or (found.residual < 0).any():
         raise ExperimentError(
@@ -162,20 +164,6 @@ def _decoded(kind: type[Part], content: Any, source: str) -> Part:
             "residual's none below zero"
         )
     return found
-
-
-def _summary(content: Any, source: str) -> EstimateSummary:
-    """Read one method's estimate by least squares.
-
-    Raises:
-        ExperimentError: A part is missing, or is not what it should be.
-    """
-    try:
-        numbers = {each["name"]: each["value"] for each in content["nuisances"]}
-        settings = {"settings": Settings(), "nuisances": numbers}
-        return _decoded(EstimateSummary, {**content, **settings}, source)
-    except (TypeError, KeyError) as error:
-        raise ExperimentError(f"{source}: no estimate: {error} is missing or wrong") from None
 
 
 def _json(path: Path) -> dict[str, Any]:
@@ -265,8 +253,7 @@ def prior_covariance(kept: KeptResult, experiment: Experiment) -> Array:
     names = minimal_set(robot_of(experiment), model, zeros=zeros).names
     for estimate in kept.estimates:
         if estimate.method == wanted and set(names) <= set(estimate.names):
-            order = [estimate.names.index(name) for name in names]
-            return np.array(estimate.covariance)[np.ix_(order, order)]
+            return estimate.marginal(names).covariance
     raise ExperimentError(
         f"the earlier result has no {wanted} estimate of {', '.join(names)}: it must be of the "
         "same robot, with the same identification.zeros"
