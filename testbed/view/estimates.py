@@ -187,7 +187,7 @@ def scales_table(found: TorqueScales) -> Table:
     Args:
         found: By a known payload.
     """
-    rows = list(zip(found.joints, numbers_with_sigma(found.values, found.sigma), strict=True))
+    rows = list(zip(found.names, numbers_with_sigma(found.values, found.sigma), strict=True))
     return Table(["joint", "reported over true torque"], rows, "divide torques, or gains, by")
 
 

@@ -20,13 +20,14 @@ from hypothesis import given
 from scipy.spatial.transform import Rotation
 
 import testbed as tb
-from testbed.applications.payload.payload import PayloadEstimate
+from testbed.applications.payload.payload import UNITS, PayloadEstimate
 from testbed.applications.payload.static_fit import StaticPoses
 from testbed.applications.payload.tool import tool_at_rest, tool_of
 from testbed.applications.payload.vendors import VENDORS, at_flange
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
 from testbed.core.base.transform import Transform
+from testbed.core.parameters.symbols import STANDARD
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.core.robot.inertia import NOTHING, Inertia
 from testbed.core.robot.repair import FileLink
@@ -347,8 +348,10 @@ def estimate() -> PayloadEstimate:
     values = pin.Inertia(mass, centre, inertia).toDynamicParameters()
     root = 1e-4 * np.random.default_rng(2).normal(size=(10, 10))
     covariance = root @ root.T
-    sigma = np.sqrt(np.diagonal(covariance))
-    return PayloadEstimate("elbow", (True,) * 10, values, sigma, covariance, 10, 0.5)
+    return PayloadEstimate(
+        names=STANDARD, units=UNITS, values=values, covariance=covariance, joint="elbow", rank=10,
+        chance=0.5,
+    )  # fmt: skip
 
 
 def read_back(vendor: str, text: str) -> tuple[float, Array, Array]:
@@ -406,7 +409,7 @@ def test_sigma_is_the_spread_of_what_is_written() -> None:
 def test_what_no_controller_should_get_is_refused() -> None:
     found, tree = estimate(), robot("puma")
     flat = replace(found, values=found.values - np.eye(10)[4] * 1.0)
-    partial = replace(found, identifiable=(*[True] * 8, False, True))
+    partial = replace(found, unidentifiable=("Iyz",))
     for each, link, culprit in (
         (flat, None, "payload"),
         (partial, None, "Iyz"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +30,7 @@ from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import eigh
 from testbed.core.base.codec import with_properties
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
+from testbed.core.base.gaussian import Gaussian
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import (
@@ -92,29 +94,17 @@ class Disagreement(Diagnosed):
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Combined:
-    """The bodies by plate and joint torques.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Combined(Gaussian):
+    """Minimal parameters of the plate by plate and joint torques.
 
     Attributes:
-        names: Of the plate's minimal parameters, (N_r,).
-        values: (N_r,).
-        sigma: (N_r,); infinite where neither separates a parameter from the plate's zero.
         constants: Torque constants as reported over what they are, one an estimate of a joint.
-        constant_sigma: Likewise.
         disagreement: Where plate and torques differ.
     """
 
-    names: tuple[str, ...]
-    values: Array
-    sigma: Array
-    constants: Array
-    constant_sigma: Array
+    constants: Gaussian
     disagreement: Disagreement
-
-    def __post_init__(self) -> None:
-        p, n = len(self.names), len(self.constants)
-        freeze(self, values=(p,), sigma=(p,), constants=(n,), constant_sigma=(n,))
 
 
 def combined(
@@ -139,13 +129,20 @@ def combined(
     places = count + np.cumsum([0, *widths])
     values = bodies.values + root @ state[:count]
     spread = root @ covariance[:count, :count] @ root.T
-    sigma = standard_deviations(spread)
+    still = unknown & (standard_deviations(spread) > size / OPEN)
+    names = tuple(bodies.joints[each.joint] for each in regressions)
     return Combined(
         names=bodies.names,
+        units=bodies.units,
         values=values,
-        sigma=np.where(unknown & (sigma > size / OPEN), np.inf, sigma),
-        constants=state[places],
-        constant_sigma=standard_deviations(covariance)[places],
+        covariance=spread,
+        unidentifiable=tuple(compress(bodies.names, still)),
+        constants=Gaussian(
+            names=names,
+            units=("",) * len(names),
+            values=state[places],
+            covariance=covariance[np.ix_(places, places)],
+        ),
         disagreement=_disagreement(bodies, before, values, spread),
     )
 

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 from scipy.linalg import orth
 
-from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.arrays import Array
 from testbed.core.base.codec import with_properties
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.core.base.errors import SettingsError
+from testbed.core.base.gaussian import Gaussian
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.regression.normal_equations import (
     scaled_inverse,
-    standard_deviations,
     unit_diagonal,
 )
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
@@ -37,38 +38,23 @@ IMPOSSIBLE = 1e-6
 """Chance below which the rest of the difference is no noise."""
 
 
-@dataclass(frozen=True, eq=False)
-class PayloadEstimate(Diagnosed):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class PayloadEstimate(Diagnosed, Gaussian):
     """Ten inertial parameters of what a link carries more, about and along the link's frame.
 
     Attributes:
         joint: The link is the one that this joint moves.
-        identifiable: Which of them are identifiable alone, (10,).
-        values: (10,); nothing but a choice where not identifiable.
-        sigma: Standard deviations, (10,); infinite where not identifiable.
-        covariance: (10, 10), of what is identifiable.
         rank: How many combinations are identifiable.
         chance: That noise alone leaves so much of the difference as no payload explains.
-        names: Of the ten: m, mx, ..., Izz.
-        units: (10,).
         diagnostics: What a careful reader should know.
     """
 
     joint: str
-    identifiable: tuple[bool, ...]
-    values: Array
-    sigma: Array
-    covariance: Array
     rank: int
     chance: float
-    names: tuple[str, ...] = STANDARD
-    units: tuple[str, ...] = UNITS
     diagnostics: tuple[Diagnostic, ...] = ()
 
-    __get_pydantic_core_schema__ = with_properties("centre")
-
-    def __post_init__(self) -> None:
-        freeze(self, values=(10,), sigma=(10,), covariance=(10, 10))
+    __get_pydantic_core_schema__ = with_properties("sigma", "identifiable", "centre")
 
     @property
     def centre(self) -> tuple[Array, Array] | None:
@@ -167,18 +153,18 @@ def payload_from(
     chance = float(special.chdtrc(freedom, rest @ rest))
     covariance = seen @ inverse @ seen.T
     identifiable = np.abs(np.linalg.norm(seen, axis=1) - 1) < SEEN
-    sigma = np.where(identifiable, standard_deviations(covariance), np.inf)
-    values = seen @ found
-    return PayloadEstimate(
-        joint=joint,
-        identifiable=tuple(identifiable.tolist()),
-        values=values,
-        sigma=sigma,
+    payload = PayloadEstimate(
+        names=STANDARD,
+        units=UNITS,
+        values=seen @ found,
         covariance=covariance,
+        unidentifiable=tuple(compress(STANDARD, ~identifiable)),
+        joint=joint,
         rank=len(found),
         chance=chance,
-        diagnostics=tuple(_diagnostics(joint, chance, values[0], sigma[0], what)),
     )
+    mass, sigma = float(payload.values[0]), float(payload.sigma[0])
+    return replace(payload, diagnostics=tuple(_diagnostics(joint, chance, mass, sigma, what)))
 
 
 def _diagnostics(

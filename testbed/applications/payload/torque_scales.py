@@ -16,9 +16,10 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from testbed.applications.payload.payload import SEEN, SMALLEST, seen_of_payload
-from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.arrays import Array
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.errors import SettingsError, UnknownName
+from testbed.core.base.gaussian import Gaussian
 from testbed.core.estimation.noise.score_squares import bin_size, hidden, score_squares
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import (
@@ -26,7 +27,6 @@ from testbed.core.estimation.regression.normal_equations import (
     NormalEquations,
     inverse_and_solution,
     scaled_inverse,
-    standard_deviations,
 )
 from testbed.core.estimation.regression.passes import Passes, Progress
 from testbed.core.estimation.regression.windows import DENSE
@@ -41,27 +41,15 @@ STEPS = 10
 MASS = "payload/mass"
 
 
-@dataclass(frozen=True, eq=False)
-class TorqueScales:
-    """What torques are of the true ones, joint by joint.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class TorqueScales(Gaussian):
+    """Reported over true torque, joint by joint: divide torques, or gains, by these.
 
     Attributes:
-        joints: Their names, (n,).
         known: Value and sigma of what was known of the payload, by name.
-        values: Reported over true torque, (n,): what to divide torques, or gains, by.
-        sigma: Standard deviations, (n,).
-        covariance: (n, n).
     """
 
-    joints: tuple[str, ...]
     known: Mapping[str, tuple[float, float]]
-    values: Array
-    sigma: Array
-    covariance: Array
-
-    def __post_init__(self) -> None:
-        n = len(self.joints)
-        freeze(self, values=(n,), sigma=(n,), covariance=(n, n))
 
 
 class _Half(NamedTuple):
@@ -140,8 +128,13 @@ def torque_scales(
         values, v = _solved(halves)
         covariance = _covariance(halves, values, v)
     covariance += (doubt / mass) ** 2 * np.outer(values, values)  # all else scales with the mass
-    sigma = standard_deviations(covariance)
-    return TorqueScales(tree.names, facts, values, sigma, covariance)
+    return TorqueScales(
+        names=tree.names,
+        units=("",) * tree.n,
+        values=values,
+        covariance=covariance,
+        known=facts,
+    )
 
 
 def _half(problem: Problem, joint: str, mass: float, number: int) -> _Half:
