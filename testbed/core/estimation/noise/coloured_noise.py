@@ -398,7 +398,7 @@ def sensor_step(
 def _lateness(solution: GlsSolution, factor: float, plan: Plan) -> TimeDelay | None:
     """Of joint torques; of the plate, there are tests that are more sensitive."""
     units = solution.units
-    if plan.layout.model == "reaction" or units.facts is not None or len(plan.weights) == 1:
+    if plan.layout.model == "reaction" or units.free is not None or len(plan.weights) == 1:
         return None
     start = np.asarray(np.linalg.solve(units.white, solution.start), dtype=np.float64)
     return lateness(solution.products.every, solution.average.fit, start, factor, plan.rate)
@@ -409,7 +409,8 @@ def _covariance(solution: GlsSolution, factor: float, by_counts: Array) -> Array
     units, average, m = solution.units, solution.average, solution.count
     spread = factor**2 * average.fit.covariance[:m, :m] + by_counts
     covariance = np.asarray(units.basis @ spread @ units.basis.T)
-    if units.facts is None or units.free is None:
+    facts = units.beside.facts
+    if facts is None or units.free is None:
         return covariance
     size, biases = len(units.fixed), average.directions.shape[1]
     products = solution.products.every.with_constants(average.directions)
@@ -418,7 +419,7 @@ def _covariance(solution: GlsSolution, factor: float, by_counts: Array) -> Array
     fixed = np.pad(units.free.fixed, ((0, biases), (0, 0)))
     across = lead.T @ normal
     moved = fixed - lead @ scaled_solve(across @ lead, across @ fixed)
-    root = units.grown @ moved[:size] @ units.facts.doubt(solution.step)
+    root = units.grown @ moved[:size] @ facts.doubt(solution.step)
     return np.asarray(covariance + root @ root.T)
 
 

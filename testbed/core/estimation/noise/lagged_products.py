@@ -357,10 +357,12 @@ class Whitened:
 def _edges(given: LaggedProducts, alpha: Array) -> Array:
     """e_t before t = P and after the last row, zeros there, (R, 2 S, C, P, q)."""
     order = alpha.shape[2] - 1
-    ends = (given.first, (order, 0)), (given.last, (0, order))
-    rows = np.concatenate([np.pad(each, ((0, 0), (0, 0), pad, (0, 0))) for each, pad in ends])
-    parts = (rows[:, :, order - i : 2 * order - i] for i in range(order + 1))
-    return np.asarray(sum(alpha[:, None, :, i, None, None] * part for i, part in enumerate(parts)))
+    before, after = np.zeros((2, len(alpha), *given.first.shape))
+    for i in range(order + 1):
+        share = alpha[:, None, :, i, None, None]
+        before[..., i:, :] += share * given.first[:, :, : order - i]
+        after[..., :i, :] += share * given.last[:, :, order - i :]
+    return np.concatenate([before, after], axis=1)
 
 
 def _times(rows: Array, matrices: Array) -> Array:

@@ -56,15 +56,8 @@ def inverse_and_solution(matrix: Array, right: Array) -> tuple[Array, Array]:
         matrix: Symmetric and positive definite, (m, m).
         right: (m,).
     """
-    factor = _clear_factor(matrix)
-    if factor is None:
-        root = _inverse_root(matrix)
-        return root @ root.T, root @ (root.T @ right)
-    solution, _ = linalg.lapack.dpotrs(factor, right, lower=True)
-    lower, _ = linalg.lapack.dpotri(factor, lower=True)
-    inverse = lower + lower.T
-    np.einsum("ii->i", inverse)[:] = lower.diagonal()
-    return inverse, solution
+    root = inverse_root(matrix)
+    return root @ root.T, root @ (root.T @ right)
 
 
 def standard_deviations(covariance: Array) -> Array:

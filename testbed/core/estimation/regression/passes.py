@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -261,32 +261,28 @@ class Passes:
         Args:
             combined: How the unknowns' columns are combined, (p, q).
         """
-        return ((columns, y) for columns, _, y in self.rows_beside(combined, None))
+        return ((columns, measured) for columns, measured in self.rows_beside(combined))
 
-    def rows_beside(
-        self, combined: Array, beside: Columns | None
-    ) -> Iterator[tuple[Array, Array, Array]]:
-        """The same with further columns between the two, (C, k, s).
+    def rows_beside(self, combined: Array, *beside: Columns | None) -> Iterator[tuple[Array, ...]]:
+        """The same with further columns between the two, (C, k, s) by each that makes some.
 
         Args:
             combined: How the unknowns' columns are combined, (p, q).
-            beside: Makes the further columns of a window, (C, rows, s).
+            beside: Make the further columns of a window, (C, rows, s); None makes none.
         """
         layout, done = self.plan.layout, 0
-        lead = layout.basis @ combined
+        basis = layout.basis @ combined
         answers = self._pass(partial(self._rows, beside))
         for window, (blocks, further) in zip(self.plan.windows(), answers, strict=True):
             if window.row > done:  # what a gap leaves out counts for nothing, but takes its time
-                none = np.zeros((layout.width, window.row - done, lead.shape[1]))
-                yield none, np.zeros((*none.shape[:2], further.shape[2])), none[..., :0].sum(axis=2)
+                widths = basis.shape[1], *(each.shape[2] for each in further)
+                gap = layout.width, window.row - done
+                yield *(np.zeros((*gap, width)) for width in widths), np.zeros(gap)
             done, first = window.row + window.rows, 0
             for block in blocks:
                 last = first + block.shape[1]
-                yield (
-                    layout.combined(block, lead),
-                    further[:, first:last],
-                    block[layout.rows.measured],
-                )
+                parts = (each[:, first:last] for each in further)
+                yield layout.combined(block, basis), *parts, block[layout.rows.measured]
                 first = last
 
     def _pass(self, ask: Callable[[Recording, Window], Answer]) -> Iterator[Answer]:
@@ -334,11 +330,11 @@ class Passes:
         return sums
 
     def _rows(
-        self, beside: Columns | None, part: Recording, window: Window
-    ) -> tuple[list[Array], Array]:
+        self, beside: Sequence[Columns | None], part: Recording, window: Window
+    ) -> tuple[list[Array], list[Array]]:
         signals = self.plan.signals(part, window)
         none = np.zeros((self.plan.layout.width, window.rows, 0))
-        further = none if beside is None else beside(signals, window.row)
+        further = [none if make is None else make(signals, window.row) for make in beside]
         return [block.rows for block in self._blocks(signals, window)], further
 
     def _blocks(self, signals: Signals, window: Window) -> list[Block]:
