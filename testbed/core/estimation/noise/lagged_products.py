@@ -314,11 +314,7 @@ class Whitened:
         share[..., 1:] *= 2  # a lag's products, and their transpose
         self._given, self._share, self._edges = given, share, _edges(given, alpha)
         if len(alpha) == 1:  # then once and for all
-            whole = np.zeros(given.products.shape[1:])
-            for lag, products in enumerate(given.products):
-                whole += share[0, :, lag, None, None] * products
-            whole = (whole + whole.swapaxes(1, 2)) / 2
-            whole -= np.matmul(self._edges[0].swapaxes(-1, -2), self._edges[0]).sum(axis=0)
+            whole = self.sums(np.eye(alpha.shape[1]))
             self._given = replace(given.up_to(0), products=whole[None], alike=True)
             self._share, self._edges = np.ones((1, len(whole), 1)), self._edges[..., :0, :]
 

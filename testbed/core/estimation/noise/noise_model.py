@@ -116,11 +116,10 @@ class PeriodicSums:
         alpha, count = prediction_errors(self._noise.coefficients), run.shape[1] - order
         if count <= 0 or not self._rows:
             return
-        fresh = np.zeros((len(run), count))
-        for i in range(order + 1):
-            fresh += alpha[:, i, None] * run[:, order - i : order - i + count]
+        parts = (run[:, order - i : order - i + count] for i in range(order + 1))
+        fresh = sum(alpha[:, i, None] * part for i, part in enumerate(parts))
         white = np.concatenate([self._before, fresh], axis=1)
-        self._before = white[:, max(0, white.shape[1] - self._rows) :]
+        self._before = white[:, -self._rows :]
         now, then = white[:, self._rows :], white[:, : -self._rows]
         self._sums += [(now * then).sum(axis=1), (now**2).sum(axis=1), (then**2).sum(axis=1)]
         self._pairs += now.shape[1]

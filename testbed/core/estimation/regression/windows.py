@@ -302,17 +302,18 @@ class Plan:
         if part.names != self.layout.tree.names:
             part = part.ordered(self.layout.tree)
         dynamic = self.layout.model == "dynamic"
-        nothing = np.empty((0, len(part.names)))
-        sensed = part.senses_kinematics
-        velocity = part.velocity if sensed and part.velocity is not None else nothing
-        acceleration = part.acceleration if sensed and part.acceleration is not None else nothing
-        varying = {term.law.by for term in self.layout.terms} - {""}
+        velocity = acceleration = np.empty((0, len(part.names)))
+        if part.senses_kinematics and part.velocity is not None and part.acceleration is not None:
+            velocity, acceleration = part.velocity, part.acceleration
+        varying = {term.law.by for term in self.layout.terms} - {"", *BY_LOAD}
         measured = part.measured("torque") if dynamic else part.measured("wrench") - self.tare
+        arrays = part.position, velocity, acceleration, measured
+        q, qd, qdd, y = map(np.ascontiguousarray, arrays)
         return Signals(
-            position=np.ascontiguousarray(part.position),
-            velocity=np.ascontiguousarray(velocity),
-            acceleration=np.ascontiguousarray(acceleration),
-            measured=np.ascontiguousarray(measured),
+            position=q,
+            velocity=qd,
+            acceleration=qdd,
+            measured=y,
             taps=self.taps,
             weights=self.weights,
             deadband=self.deadband,
@@ -320,7 +321,7 @@ class Plan:
             start=self.reach,
             step=self.step,
             number=window.rows,
-            varying=self._varying(part, window) if varying - {*BY_LOAD} else NONE,
+            varying=self._varying(part, window) if varying else NONE,
             load=NO_LOAD if self.load is None else self.load,
         )
 
