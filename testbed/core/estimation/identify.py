@@ -119,7 +119,7 @@ def estimate_of(
     return problem, replace(estimate, choice=choice, diagnostics=diagnostics)
 
 
-class Prepared(NamedTuple):
+class PreparedProblem(NamedTuple):
     """Problem with the terms and the filter on positions that data chose.
 
     Attributes:
@@ -133,7 +133,7 @@ class Prepared(NamedTuple):
     diagnostics: tuple[Diagnostic, ...]
 
 
-def prepare(problem: Problem) -> Prepared:
+def prepare(problem: Problem) -> PreparedProblem:
     """Choose terms and the filter on positions by held-out data, where nobody stated them.
 
     Args:
@@ -141,7 +141,7 @@ def prepare(problem: Problem) -> Prepared:
     """
     problem, choice = with_all_terms(problem)
     problem, chosen = with_position_filter(problem)
-    return Prepared(problem, choice, chosen)
+    return PreparedProblem(problem, choice, chosen)
 
 
 @stage("rows and their products")

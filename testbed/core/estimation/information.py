@@ -108,12 +108,12 @@ class Information(Summarized):
     @cached_property
     def _units(self) -> dict[str, str]:
         minimal = self._largest.minimal
-        found = dict(zip(minimal.names, minimal.units, strict=True))
+        units = dict(zip(minimal.names, minimal.units, strict=True))
         for each in self.estimates:
             drives = each.drives
             for term in () if drives is None else drives.asked:
-                found[term.name(each.minimal.robot)] = term.unit(each.minimal.robot)
-        return found
+                units[term.name(each.minimal.robot)] = term.unit(each.minimal.robot)
+        return units
 
     def rows(self, estimate: Evidence) -> Array:
         """Parameters of an estimate as combinations of the unknowns, (q, p).
@@ -122,16 +122,16 @@ class Information(Summarized):
             estimate: One of the sum.
         """
         lift, drives = self._largest.minimal.lift, estimate.drives
-        found = np.zeros((len(estimate.names), len(self.names)))
+        matrix = np.zeros((len(estimate.names), len(self.names)))
         count = self._largest.minimal.count
         if drives is None:
-            found[:, :count] = estimate.minimal.matrix @ lift
-            return found
+            matrix[:, :count] = estimate.minimal.matrix @ lift
+            return matrix
         bodies = estimate.minimal.matrix.shape[1]
-        found[:, :count] = drives.matrix[:, :bodies] @ lift
+        matrix[:, :count] = drives.matrix[:, :bodies] @ lift
         places = [self.names.index(term.name(estimate.minimal.robot)) for term in drives.asked]
-        found[:, places] = drives.matrix[:, bodies:]
-        return found
+        matrix[:, places] = drives.matrix[:, bodies:]
+        return matrix
 
     @cached_property
     def _sums(self) -> tuple[Array, Array]:

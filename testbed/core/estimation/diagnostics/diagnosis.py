@@ -422,19 +422,19 @@ def _residual(estimate: Estimate, c: int, share: float) -> Diagnostic:
 
 def _impossible(estimate: Estimate) -> Iterator[Diagnostic]:
     """Minimal parameters that no rigid bodies have."""
-    found = rigid_body_test(estimate)
-    if not found.impossible:
+    test = rigid_body_test(estimate)
+    if not test.impossible:
         return
     base = estimate.base
-    worst = np.argsort(found.gap)[::-1][:3]
+    worst = np.argsort(test.gap)[::-1][:3]
     yield diagnose(
         "estimate.impossible",
         f"the {estimate.method} estimate",
-        found.distance,
+        test.distance,
         method=estimate.method,
         causes=("sign", *OTHER_CAUSES[estimate.method]),
         worst=", ".join(
-            f"{base.names[k]} = {base.values[k]:.3g} where {found.nearest[k]:.3g} is possible"
+            f"{base.names[k]} = {base.values[k]:.3g} where {test.nearest[k]:.3g} is possible"
             for k in worst
         ),
     )

@@ -415,10 +415,10 @@ def _covariance(solution: GlsSolution, factor: float, by_counts: Array) -> Array
     size, biases = len(units.fixed), average.directions.shape[1]
     products = solution.products.every.with_constants(average.directions)
     normal = average.fit.normal(products)[: size + biases, : size + biases]
-    lead = linalg.block_diag(units.free.lead, np.eye(biases))
+    basis = linalg.block_diag(units.free.lead, np.eye(biases))
     fixed = np.pad(units.free.fixed, ((0, biases), (0, 0)))
-    across = lead.T @ normal
-    moved = fixed - lead @ scaled_solve(across @ lead, across @ fixed)
+    across = basis.T @ normal
+    moved = fixed - basis @ scaled_solve(across @ basis, across @ fixed)
     root = units.grown @ moved[:size] @ facts.doubt(solution.step)
     return np.asarray(covariance + root @ root.T)
 

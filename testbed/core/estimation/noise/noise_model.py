@@ -46,10 +46,10 @@ def period_of(position: Array) -> int | None:
         return None
     unit = (moving - moving.mean(axis=0)) / moving.std(axis=0)
     apart = _differences(unit)
-    left = np.flatnonzero(apart > UNLIKE)
-    if not len(left):
+    departed = np.flatnonzero(apart > UNLIKE)
+    if not len(departed):
         return None
-    near = np.flatnonzero(apart[left[0] :] < ALIKE) + left[0]
+    near = np.flatnonzero(apart[departed[0] :] < ALIKE) + departed[0]
     if not len(near):
         return None
     first = int(near[0])
@@ -208,14 +208,16 @@ def _half_differences(sums: Array) -> Array:
     return (sums[:-2] - sums[2:]) / 2
 
 
-def _fitted(columns: Array, slope: Array, squares: Array, left: Array, weights: Array) -> TimeDelay:
+def _fitted(
+    columns: Array, slope: Array, squares: Array, residual: Array, weights: Array
+) -> TimeDelay:
     """The delay beside the unknowns by weighted least squares; sigma is infinite for none.
 
     Args:
         columns: Products of the unknowns' columns, (C, m, m).
         slope: Of slopes with every column, (C, m + 2).
         squares: Of slopes with themselves, (C,).
-        left: What of the columns the residuals are, (m + 2,).
+        residual: What of the columns the residuals are, (m + 2,).
         weights: (C,).
     """
     shared = weights @ slope[:, : columns.shape[1]]
@@ -223,7 +225,7 @@ def _fitted(columns: Array, slope: Array, squares: Array, left: Array, weights: 
     alone = float(weights @ squares - shared @ scaled_solve(normal, shared))
     if alone <= 0:
         return TimeDelay(0.0, np.inf)
-    return TimeDelay(-float(weights @ slope @ left) / alone, 1 / float(np.sqrt(alone)))
+    return TimeDelay(-float(weights @ slope @ residual) / alone, 1 / float(np.sqrt(alone)))
 
 
 COARSE = 0.05

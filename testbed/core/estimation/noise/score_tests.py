@@ -129,7 +129,7 @@ def score_tests(
     """
     channels, responses = products.products.shape[1], products.responses
     basis = linalg.block_diag(independent, np.eye(responses + 1))
-    noises = [fit.noise for fit in whitened_fits(products, order, quick=quick, lead=basis)]
+    noises = [fit.noise for fit in whitened_fits(products, order, quick=quick, basis=basis)]
     white = Whitened(products, np.stack([noise.coefficients for noise in noises]))
     squares = white.sums(np.stack([noise.sigma for noise in noises]) ** -2.0)
     rows = products.after(noises[0].order) - noises[0].order
@@ -153,13 +153,13 @@ def independent_columns(products: LaggedProducts, columns: TestedColumns) -> Arr
     base = channels + columns.base  # constants come first
     squares = np.roll(products.products[0, :, :q, :q].sum(axis=0), channels, axis=(0, 1))
     scale = _scales(squares)
-    first, across, left = _beside(squares * np.outer(scale, scale), base)
-    rest = _orthonormal(left)
-    found = np.zeros((q, first.shape[1] + rest.shape[1]))
-    found[:base, : first.shape[1]] = first
-    found[base:, first.shape[1] :] = rest
-    found[:base, first.shape[1] :] = -first @ across @ rest
-    return np.roll(scale[:, None] * found, -channels, axis=0)
+    first, across, rest_squares = _beside(squares * np.outer(scale, scale), base)
+    rest = _orthonormal(rest_squares)
+    combinations = np.zeros((q, first.shape[1] + rest.shape[1]))
+    combinations[:base, : first.shape[1]] = first
+    combinations[base:, first.shape[1] :] = rest
+    combinations[:base, first.shape[1] :] = -first @ across @ rest
+    return np.roll(scale[:, None] * combinations, -channels, axis=0)
 
 
 def _beside(squares: Array, base: int) -> tuple[Array, Array, Array]:

@@ -126,9 +126,9 @@ class Whitening:
         """All unknowns of the columns of what is free, (p + s, m)."""
         if self.free is None:
             return self.grown
-        found = self.grown @ self.free.lead
+        expanded = self.grown @ self.free.lead
         size = np.abs(self.grown).max(axis=1, keepdims=True)
-        return np.where(np.abs(found) > ROUNDING * size, found, 0.0)
+        return np.where(np.abs(expanded) > ROUNDING * size, expanded, 0.0)
 
     @property
     def fixed(self) -> Array:
@@ -190,7 +190,7 @@ class Whitening:
         noise = LaggedSums(lags if plate else 0)  # rows of joints have gaps: none is whitened
         combined = np.column_stack([self.white, values])
         made = None if encoders is None else encoders.noisy_columns(combined)
-        whole, m = passes.plan.looked_at_all, len(self.grown)
+        whole, m = passes.plan.tests_all_windows, len(self.grown)
         for rows in self.rows(passes, values, made):
             last = np.stack([rows.white, rows.ones], axis=2)
             if rows.tested:
@@ -226,8 +226,8 @@ def whitening_of(start: solvers.Fit, beside: NuisanceColumns, layout: Layout) ->
         beside: Columns beside the robot's.
         layout: Of the rows.
     """
-    seen = np.stack([layout.basis[own].any(axis=0) for own in layout.channels])
-    inward = np.argsort(np.argmax(seen[::-1], axis=0), kind="stable")
+    involved = np.stack([layout.basis[own].any(axis=0) for own in layout.channels])
+    inward = np.argsort(np.argmax(involved[::-1], axis=0), kind="stable")
     white = np.empty_like(start.inverse)
     white[inward] = square_root(start.inverse[np.ix_(inward, inward)])[:, ::-1]
     units = Whitening(np.sqrt(start.weights), white, beside, np.zeros(len(white) + beside.unknown))

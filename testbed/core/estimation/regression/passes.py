@@ -245,7 +245,7 @@ class Passes:
         self.threads = max(1, threads or os.cpu_count() or 1) if self.compiled else 1
         self.progress = progress
         self.done = 0
-        self.surveyor, self._looked_at = Surveyor(plan.source.samples), plan.looked_at
+        self.surveyor, self._tested_windows = Surveyor(plan.source.samples), plan.tested_windows
         self._workspaces: SimpleQueue[Any] = SimpleQueue()
         self._kept: dict[int, list[Block]] = {}
         thinned = not self.compiled or len(plan.weights) > 1  # else made again as fast as read
@@ -306,20 +306,20 @@ class Passes:
 
     def _next(self, pending: deque[tuple[Window, Future[Answer]]]) -> Answer:
         window, answer = pending.popleft()
-        found = answer.result()
+        result = answer.result()
         self.done += window.rows * self.plan.step
         self.progress(self.done, self.number * self.plan.rows * self.plan.step)
-        return found
+        return result
 
     def _sums(self, part: Recording, window: Window) -> Sums:
         check_times(part.time, "the recording", 1 / self.plan.source.rate, window.first)
         signals = self.plan.signals(part, window)
-        found = self._products(signals, window)
-        closely = window.row in self._looked_at
+        sums = self._products(signals, window)
+        closely = window.row in self._tested_windows
         self.surveyor.look(signals, window.first, self.plan.own(window), closely)
-        if not found.squares[0] < LARGEST**2:  # what is no number is not
+        if not sums.squares[0] < LARGEST**2:  # what is no number is not
             check_values(part.columns(), "the recording", window.first)
-        return found
+        return sums
 
     def _products(self, signals: Signals, window: Window) -> Sums:
         layout = self.plan.layout
