@@ -7,7 +7,6 @@ file: data are compared with themselves, with limits, and with what rigid bodies
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -286,10 +285,11 @@ def _tare(tree: Tree, tare: Array) -> Iterator[Diagnostic]:
 def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterator[Diagnostic]:
     """A total mass that is negative, or not what the plate carries on average."""
     base, gravity = estimate.base, float(np.linalg.norm(tree.gravity))
-    form = np.zeros(0)
-    with suppress(SettingsError):  # no minimal parameters say it
+    try:
         form = total_mass(tree, estimate.minimal)
-    if gravity == 0 or not len(form):
+    except SettingsError:  # no minimal parameters say it
+        return
+    if gravity == 0:
         return
     mass = float(form @ base.values)
     sigma = float(np.sqrt(form @ base.covariance @ form))

@@ -134,11 +134,10 @@ def score_tests(
     squares = white.sums(np.stack([noise.sigma for noise in noises]) ** -2.0)
     rows = products.after(noises[0].order) - noises[0].order
     free = max(rows * channels - independent.shape[1], 1)
-    first = np.roll(np.arange(products.unknowns), channels)  # constants first
-    parts = (
-        each[np.ix_(k, k)] for r, each in enumerate(squares) for k in [[*first, len(first) + r]]
-    )
-    tests = (_tests(part, columns, columns.base + channels, free) for part in parts)
+    tests = []
+    for response, each in enumerate(squares, start=products.unknowns):
+        at = [*np.roll(np.arange(products.unknowns), channels), response]  # constants first
+        tests.append(_tests(each[np.ix_(at, at)], columns, columns.base + channels, free))
     return list(zip(tests, noises, strict=True))
 
 
