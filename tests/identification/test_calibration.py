@@ -415,7 +415,7 @@ def test_a_long_recording_is_looked_at_evenly(monkeypatch: pytest.MonkeyPatch) -
     plan = make_plan(measured(tree, 1, duration=260.0, rate=100.0), rows, TARE, tb.Settings())
     every = [window.row for window in plan.windows()]
     for most in (10_000, 4, 3):
-        monkeypatch.setattr(windows, "LOOKED_AT", most)
-        at = [every.index(row) for row in sorted(replace(plan).looked_at)]
+        monkeypatch.setattr(windows, "TESTED_WINDOWS", most)
+        at = [every.index(row) for row in sorted(replace(plan).tested_windows)]
         assert (len(at), at[0], at[-1]) == (min(most, len(every)), 0, len(every) - 1)
         assert np.ptp(np.diff(at)) <= 1

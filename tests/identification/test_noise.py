@@ -139,7 +139,7 @@ def test_the_whitened_fit_is_least_squares_of_whitened_rows() -> None:
     normal = rows[:, :3].T @ rows[:, :3]
     np.testing.assert_allclose(found.covariance, np.linalg.inv(normal), rtol=1e-9)
     turn = np.random.default_rng(6).normal(size=(3, 3))
-    (turned,) = whitened_fits(products(block), lead=linalg.block_diag(turn, np.eye(2)))
+    (turned,) = whitened_fits(products(block), basis=linalg.block_diag(turn, np.eye(2)))
     np.testing.assert_allclose(turn @ turned.values, found.values, rtol=1e-9)
 
 

@@ -16,18 +16,18 @@ def parse_known(words: Iterable[str]) -> dict[str, tuple[float, float]]:
     Raises:
         SettingsError: A word is not of that form, two say something of one name, or a mass is none.
     """
-    found: dict[str, tuple[float, float]] = {}
+    known: dict[str, tuple[float, float]] = {}
     for word in words:
         name, equals, numbers = word.rpartition("=")
         value, _, sigma = numbers.partition("+-")
-        if name in found:
+        if name in known:
             raise SettingsError(f"--known says {name} twice")
         try:
-            found[name] = float(value), float(sigma or 0.0)
+            known[name] = float(value), float(sigma or 0.0)
         except ValueError:
             equals = ""
         if not equals or not name:
             raise SettingsError(f"--known '{word}': write it as mass=20 or mass=20+-0.01")
-        if name == "mass" and not found[name][0] > 0:
+        if name == "mass" and not known[name][0] > 0:
             raise SettingsError(f"--known '{word}': a mass is positive")
-    return found
+    return known

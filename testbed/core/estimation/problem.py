@@ -110,8 +110,8 @@ class Problem:
         lacking = {law.by for law in complete.laws} - {"", *source.signals, *by_load}
         if lacking:
             raise RecordingError(f"the recording has no {lacking.pop()}, which the terms need")
-        told = (diagnose("encoder.interpolated", "the poses", repeated),) if repeated else ()
-        return cls(tree, source, method, complete, settings, threads, progress, told)
+        diagnostics = (diagnose("encoder.interpolated", "the poses", repeated),) if repeated else ()
+        return cls(tree, source, method, complete, settings, threads, progress, diagnostics)
 
     def with_settings(self, **changes: Any) -> Problem:
         """The same with some settings changed.
@@ -119,10 +119,10 @@ class Problem:
         Args:
             **changes: Of `Settings`, by name.
         """
-        found = replace(self, settings=replace(self.settings, **changes))
+        changed = replace(self, settings=replace(self.settings, **changes))
         if not {"zeros", "tare"} & changes.keys():  # all that the minimal set depends on
-            vars(found)["minimal"] = self.minimal
-        return found
+            vars(changed)["minimal"] = self.minimal
+        return changed
 
     @cached_property
     def tare(self) -> Array:

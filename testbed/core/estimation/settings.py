@@ -33,11 +33,11 @@ def with_sigmas(stated: Mapping[str, float | Sequence[float]]) -> dict[str, tupl
     Args:
         stated: A table that has been checked.
     """
-    found = {}
+    values = {}
     for name, given in stated.items():
         numbers = list(given) if isinstance(given, Sequence) else [given]
-        found[name] = (float(numbers[0]), float(numbers[1]) if len(numbers) > 1 else 0.0)
-    return found
+        values[name] = (float(numbers[0]), float(numbers[1]) if len(numbers) > 1 else 0.0)
+    return values
 
 
 USUAL = ("coulomb", "viscous")

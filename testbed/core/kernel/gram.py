@@ -141,10 +141,10 @@ def whiten_rests(X, G, U, size, count):
     for r in range(count):
         rest = G[r] / size
         for j in range(max(0, r - len(G) // D + 1), r + 1):
-            left = REST_VARIANCE / size * G[(r - j) * D + r]
+            covariance = REST_VARIANCE / size * G[(r - j) * D + r]
             for i in range(max(0, r - len(G) // D + 1), j):
-                left -= G[(r - i) * D + r] * G[(j - i) * D + j]
-            G[(r - j) * D + r] = left / G[j] if j < r else (1.0 + left) ** 0.5
+                covariance -= G[(r - i) * D + r] * G[(j - i) * D + j]
+            G[(r - j) * D + r] = covariance / G[j] if j < r else (1.0 + covariance) ** 0.5
         U[r] = 1.0 if rest < LARGEST_REST and G[r] ** 2 < 1 + LARGEST_VARIANCE else 0.0
     for s in range(0, len(X), D):
         for r in range(count):
@@ -185,9 +185,9 @@ def gram(rows, work, count, sums):
             for b in range(0, a, 4):
                 here, there = X[a * D : (a + 4) * D], X[b * D : (b + 4) * D]
                 if p - a == 1:
-                    found = dots(here, there, n)
+                    added = dots(here, there, n)
                     for i in range(4):
-                        G[at + b + i] += found[i]
+                        G[at + b + i] += added[i]
                 elif p - a == 2:
                     half_tile(here, there, n, G, at + b, ld)
                 else:

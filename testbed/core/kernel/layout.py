@@ -336,18 +336,18 @@ class Layout:
         """Number of measured channels."""
         return len(self.channels)
 
-    def combined(self, rows: Array, lead: Array) -> Array:
+    def combined(self, rows: Array, basis: Array) -> Array:
         """Combinations of the columns, (C, k, q).
 
         Args:
             rows: All slots, (slots, k).
-            lead: How the columns are combined, (P, q).
+            basis: How the columns are combined, (P, q).
         """
-        found = np.empty((self.width, rows.shape[1], lead.shape[1]))
+        result = np.empty((self.width, rows.shape[1], basis.shape[1]))
         for c, own in enumerate(self.channels):
             at = self.rows.start[c]
-            found[c] = rows[at : at + len(own)].T @ lead[own]
-        return found
+            result[c] = rows[at : at + len(own)].T @ basis[own]
+        return result
 
     @property
     def compiles(self) -> bool:
@@ -367,10 +367,10 @@ def layout(tree: Tree, minimal: MinimalSet, terms: Sequence[JointTerm] = ()) -> 
     """
     frames = canonical(tree)
     turns = frames.to_canonical()
-    picked, lead = _columns(turns, minimal, whole=tree.floating)
+    picked, weights = _columns(turns, minimal, whole=tree.floating)
     own = len(terms)
     basis = np.zeros((len(picked) + own, minimal.count + own))
-    basis[: len(picked), : minimal.count] = lead
+    basis[: len(picked), : minimal.count] = weights
     basis[len(picked) :, minimal.count :] = np.eye(own)
     places: list[list[tuple[int, int]]] = [[] for _ in frames.links]
     for column, parameter in enumerate(picked):
@@ -456,12 +456,12 @@ def _columns(turn: Array, minimal: MinimalSet, *, whole: bool) -> tuple[list[int
     if len(needed) > minimal.count and not whole:
         back = np.linalg.inv(turn)
         allowed = ~(np.abs(back) * minimal.known_zero[:, :, None] > TINY).any(axis=1).ravel()
-        seen = np.einsum("njb,jbc->njc", minimal.matrix.reshape(-1, len(turn), 10), back)
-        seen = seen.reshape(minimal.count, -1) * allowed
+        projected = np.einsum("njb,jbc->njc", minimal.matrix.reshape(-1, len(turn), 10), back)
+        projected = projected.reshape(minimal.count, -1) * allowed
         order = [10 * j + c for c in ORDER for j in range(len(turn))]
-        picked = sorted(independent_columns(seen, order))
+        picked = sorted(independent_columns(projected, order))
         if len(picked) == minimal.count:
-            return picked, np.linalg.inv(seen[:, picked])
+            return picked, np.linalg.inv(projected[:, picked])
     return needed.tolist(), lift[needed]
 
 
@@ -472,8 +472,8 @@ def independent_columns(matrix: Array, order: Sequence[int]) -> list[int]:
     for threshold in (0.3, 0.03, 1e-3, 1e-6):
         for k in order if len(picked) < len(matrix) else ():
             rest = beyond(matrix[:, k], basis)
-            left = np.linalg.norm(rest)
-            if left > threshold:
+            length = np.linalg.norm(rest)
+            if length > threshold:
                 picked.append(k)
-                basis = np.vstack([basis, rest / left])
+                basis = np.vstack([basis, rest / length])
     return picked

@@ -94,12 +94,12 @@ def rows(layout: Layout, signals: Signals, work: Work) -> list[Block]:
         signals: The window.
         work: Room to work in.
     """
-    found = []
+    made = []
     for first, block in blocks(signals, layout.rows.block):
         used = fill_only(layout, block, work)
         z = work.Z.reshape(-1, D)[: layout.rows.slots, : block.number].copy()
-        found.append(Block(first, z, used))
-    return found
+        made.append(Block(first, z, used))
+    return made
 
 
 def _aligned(*shape: int) -> Array:

@@ -121,8 +121,8 @@ def motion_of(
     time, last = np.arange(count) * stride / rate, first + (count - 1) * stride + 1
     if len(signals.velocity):
         part = slice(first, last, stride)
-        found = (signals.position[part], signals.velocity[part], signals.acceleration[part])
-        return Motion(time, *found)
+        motion = (signals.position[part], signals.velocity[part], signals.acceleration[part])
+        return Motion(time, *motion)
     half = signals.taps.shape[1] // 2
     around = signals.position[first - half : last + half]
     windows = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1, axis=0)[::stride]

@@ -7,7 +7,6 @@ file: data are compared with themselves, with limits, and with what rigid bodies
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -287,10 +286,11 @@ def _tare(tree: Tree, tare: Array) -> Iterator[Diagnostic]:
 def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterator[Diagnostic]:
     """A total mass that is negative, or not what the plate carries on average."""
     base, gravity = estimate.base, float(np.linalg.norm(tree.gravity))
-    form = np.zeros(0)
-    with suppress(SettingsError):  # no minimal parameters say it
+    try:
         form = total_mass(tree, estimate.minimal)
-    if gravity == 0 or not len(form):
+    except SettingsError:  # no minimal parameters say it
+        return
+    if gravity == 0:
         return
     mass = float(form @ base.values)
     sigma = float(np.sqrt(form @ base.covariance @ form))
@@ -423,19 +423,19 @@ def _residual(estimate: Estimate, c: int, share: float) -> Diagnostic:
 
 def _impossible(estimate: Estimate) -> Iterator[Diagnostic]:
     """Minimal parameters that no rigid bodies have."""
-    found = rigid_body_test(estimate)
-    if not found.impossible:
+    test = rigid_body_test(estimate)
+    if not test.impossible:
         return
     base = estimate.base
-    worst = np.argsort(found.gap)[::-1][:3]
+    worst = np.argsort(test.gap)[::-1][:3]
     yield diagnose(
         "estimate.impossible",
         f"the {estimate.method} estimate",
-        found.distance,
+        test.distance,
         method=estimate.method,
         causes=("sign", *OTHER_CAUSES[estimate.method]),
         worst=", ".join(
-            f"{base.names[k]} = {base.values[k]:.3g} where {found.nearest[k]:.3g} is possible"
+            f"{base.names[k]} = {base.values[k]:.3g} where {test.nearest[k]:.3g} is possible"
             for k in worst
         ),
     )

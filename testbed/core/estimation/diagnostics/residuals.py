@@ -154,10 +154,10 @@ def _slow(noise: NoiseModel) -> list[bool]:
 def _repetition(estimate: Estimate) -> Iterator[Diagnostic]:
     """Residuals that repeat with the motion, for a cause that was not tested for."""
     noise = estimate.noise
-    found = None if noise is None else noise.repetition
-    if noise is None or found is None or found.chance > FALSE_ALARMS:
+    repetition = None if noise is None else noise.repetition
+    if noise is None or repetition is None or repetition.chance > FALSE_ALARMS:
         return
-    share, channel = max(zip(found.share, estimate.channels, strict=True))
+    share, channel = max(zip(repetition.share, estimate.channels, strict=True))
     first = ["encoder-steps"] * noise.steps_matter
     yield diagnose(
         "estimate.repetition",
@@ -165,7 +165,7 @@ def _repetition(estimate: Estimate) -> Iterator[Diagnostic]:
         share,
         method="external",
         causes=[*first, "elastic", "hoses", "encoder-errors", "unmodelled-load"],
-        period=found.period,
-        chance=chance_text(found.chance),
+        period=repetition.period,
+        chance=chance_text(repetition.chance),
         channel=channel,
     )

@@ -109,10 +109,10 @@ def diagnostics_of(estimates: Iterable[Estimate]) -> tuple[Diagnostic, ...]:
         estimates: By both methods or by one.
     """
     by_method = {estimate.method: estimate for estimate in estimates}
-    found = [each for estimate in by_method.values() for each in estimate.diagnostics]
+    diagnostics = [each for estimate in by_method.values() for each in estimate.diagnostics]
     if len(by_method) == len(METHODS):
-        found += cross_check(by_method["external"], by_method["internal"])
-    return ordered(found)
+        diagnostics += cross_check(by_method["external"], by_method["internal"])
+    return ordered(diagnostics)
 
 
 def torque_factor(
@@ -143,13 +143,13 @@ def torque_factor(
     across = np.column_stack([normal[own] @ predicted, right[own]])
     shared = np.linalg.lstsq(normal[np.ix_(own, own)], across, rcond=1e-12)[0]
     # what friction does not explain, of the predicted and of the reported torque
-    (alone, both), (_, left) = np.array([[size, both], [both, square]]) - across.T @ shared
+    (alone, both), (_, residual) = np.array([[size, both], [both, square]]) - across.T @ shared
     if alone <= APART * size:
         return None
     factor = both / alone
-    left -= factor**2 * alone
+    residual -= factor**2 * alone
     error = float(np.sum(normal[:count, :count] * spread))
-    if factor**2 * alone <= CLEAR * left or error >= KNOWN**2 * alone:
+    if factor**2 * alone <= CLEAR * residual or error >= KNOWN**2 * alone:
         return None
     rows = max(float(internal.normal_equations.used[joint]), 1.0)
-    return TorqueFactor(factor, float(np.sqrt((max(left, 0.0) / rows + error) / alone)))
+    return TorqueFactor(factor, float(np.sqrt((max(residual, 0.0) / rows + error) / alone)))

@@ -7,7 +7,7 @@ instrument, and tested columns, stand beside the robot's.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -31,6 +31,7 @@ from testbed.core.estimation.noise.lagged_products import (
 )
 from testbed.core.estimation.noise.noise_model import (
     NoiseModel,
+    PeriodicResidual,
     PeriodicSums,
     TimeDelay,
     lateness,
@@ -326,46 +327,56 @@ def bootstrap(solution: GlsSolution, names: tuple[str, ...]) -> GlsFit:
         solution: By generalised least squares.
         names: Of the robot's unknowns.
     """
-    units, average, plan = solution.units, solution.average, solution.passes.plan
-    noise, robot, beside = average.fit.noise, units.basis[: len(names)], units.beside
-    free = units.as_free(solution.products.every)
-    columns = TestedColumns(solution.count + beside.trends, beside.tested)
+    units, average, p = solution.units, solution.average, len(names)
+    columns = TestedColumns(solution.count + units.beside.trends, units.beside.tested)
+    free, robot = units.as_free(solution.products.every), units.basis[:p]
     residuals = ResidualSums(np.any(solution.constants, axis=1))
-    replicas = Bootstrap(noise, free, average.directions, robot[robot.any(axis=1)])
+    replicas = Bootstrap(average.fit.noise, free, average.directions, robot[robot.any(axis=1)])
     quantization = QuantizationSums(average.fit, solution.count)
     tests = ScoreTests(units.as_free(solution.products.tested), columns, robot)
-    repetition = _repetition_sums(solution.passes, noise)
+    repetition = _repetition_sums(solution.passes, average.fit.noise)
     for rows in solution.rows():
         for sums in (residuals, replicas, quantization, tests, repetition):
             sums.add(rows)
     factor, (by_counts, share) = replicas.result(average.fits), quantization.result()
     covariance = _covariance(solution, factor, by_counts)
-    own, sensors = slice(0, len(names)), slice(len(names), None)
     return GlsFit(
         values=solution.values,
-        covariance=covariance[own, own],
+        covariance=covariance[:p, :p],
         squares=residuals.result(),
-        noise=NoiseModel(
-            order=noise.order,
-            memory=tuple(float(rows) / plan.rate for rows in noise.memory),
-            factor=factor,
-            bias=solution.bias,
-            bias_sigma=factor * solution.bias_sigma,
-            bias_chance=average.chance(factor),
-            bias_weight=average.weight,
-            span=plan.source.samples / plan.source.rate,
-            hidden=_named(_large(average.imitating @ units.basis.T), names),
-            noise_limited=_named(average.correction.noise_limited(robot), names)
-            if average.correction
-            else (),
-            least_counts=solution.encoders.least_counts,
-            by_counts=share,
-            repetition=repetition.result(),
-            lateness=_lateness(solution, factor, plan),
-        ),
+        noise=_noise_model(solution, names, factor, share, repetition.result()),
         sensor_values=solution.sensor_values,
-        sensor_covariance=covariance[sensors, sensors],
+        sensor_covariance=covariance[p:, p:],
         score_tests=tests.result(),
+    )
+
+
+def _noise_model(
+    solution: GlsSolution,
+    names: tuple[str, ...],
+    factor: float,
+    share: float,
+    repetition: PeriodicResidual | None,
+) -> NoiseModel:
+    """Noise of the residuals, and the parameters that it hides or limits."""
+    average, plan, robot = solution.average, solution.passes.plan, solution.units.basis
+    correction, noise = average.correction, average.fit.noise
+    limited = () if correction is None else correction.noise_limited(robot)
+    return NoiseModel(
+        order=noise.order,
+        memory=tuple(float(rows) / plan.rate for rows in noise.memory),
+        factor=factor,
+        bias=solution.bias,
+        bias_sigma=factor * solution.bias_sigma,
+        bias_chance=average.chance(factor),
+        bias_weight=average.weight,
+        span=plan.source.samples / plan.source.rate,
+        hidden=_named(_large(average.imitating @ robot.T), names),
+        noise_limited=_named(limited, names),
+        least_counts=solution.encoders.least_counts,
+        by_counts=share,
+        repetition=repetition,
+        lateness=_lateness(solution, factor, plan),
     )
 
 
@@ -398,7 +409,7 @@ def sensor_step(
 def _lateness(solution: GlsSolution, factor: float, plan: Plan) -> TimeDelay | None:
     """Of joint torques; of the plate, there are tests that are more sensitive."""
     units = solution.units
-    if plan.layout.model == "reaction" or units.facts is not None or len(plan.weights) == 1:
+    if plan.layout.model == "reaction" or units.free is not None or len(plan.weights) == 1:
         return None
     start = np.asarray(np.linalg.solve(units.white, solution.start), dtype=np.float64)
     return lateness(solution.products.every, solution.average.fit, start, factor, plan.rate)
@@ -409,30 +420,29 @@ def _covariance(solution: GlsSolution, factor: float, by_counts: Array) -> Array
     units, average, m = solution.units, solution.average, solution.count
     spread = factor**2 * average.fit.covariance[:m, :m] + by_counts
     covariance = np.asarray(units.basis @ spread @ units.basis.T)
-    if units.facts is None or units.free is None:
+    facts = units.beside.facts
+    if facts is None or units.free is None:
         return covariance
     size, biases = len(units.fixed), average.directions.shape[1]
     products = solution.products.every.with_constants(average.directions)
     normal = average.fit.normal(products)[: size + biases, : size + biases]
-    lead = linalg.block_diag(units.free.lead, np.eye(biases))
+    basis = linalg.block_diag(units.free.lead, np.eye(biases))
     fixed = np.pad(units.free.fixed, ((0, biases), (0, 0)))
-    across = lead.T @ normal
-    moved = fixed - lead @ scaled_solve(across @ lead, across @ fixed)
-    root = units.grown @ moved[:size] @ units.facts.doubt(solution.step)
+    across = basis.T @ normal
+    moved = fixed - basis @ scaled_solve(across @ basis, across @ fixed)
+    root = units.grown @ moved[:size] @ facts.doubt(solution.step)
     return np.asarray(covariance + root @ root.T)
 
 
 def _encoder_noise(passes: Passes) -> PositionNoise:
     """Noise of the encoders that is in the columns; zero where it is none, or unknown."""
     plan, survey = passes.plan, passes.surveyor.survey()
-    none = np.zeros(plan.layout.tree.n)
-    if plan.source.senses_kinematics:
-        return PositionNoise(plan, none, none)
-    filtered = len(plan.weights) > 1
-    return PositionNoise(plan, survey.encoder_noise, survey.encoder_count if filtered else none)
+    inferred = not plan.source.senses_kinematics
+    filtered = inferred and len(plan.weights) > 1
+    return PositionNoise(plan, survey.encoder_noise * inferred, survey.encoder_count * filtered)
 
 
-def _named(which: NDArray[np.bool_], names: tuple[str, ...]) -> tuple[str, ...]:
+def _named(which: Iterable[bool], names: tuple[str, ...]) -> tuple[str, ...]:
     """The first unknowns of those that are named, (p,) or more."""
     return tuple(name for name, named in zip(names, which, strict=False) if named)
 

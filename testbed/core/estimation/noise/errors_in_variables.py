@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,18 +36,6 @@ SEED = 1997
 """Of the made noise: the same recording gives the same estimate."""
 
 
-class Made(NamedTuple):
-    """Columns from made noise.
-
-    Attributes:
-        columns: Makes those of a window; None for none.
-        width: How many they are.
-    """
-
-    columns: Columns | None = None
-    width: int = 0
-
-
 class PositionNoise:
     """Noise and whole counts of encoders at a plan's rows, the same for any order of windows."""
 
@@ -70,7 +57,7 @@ class PositionNoise:
         """Joint by joint; nothing where none has any."""
         return tuple(self._count.tolist()) if len(self._coarse) else ()
 
-    def noisy_columns(self, combined: Array) -> Made:
+    def noisy_columns(self, combined: Array) -> Columns | None:
         """Effect of noise on combinations of the columns; nothing without noise.
 
         Args:
@@ -87,9 +74,9 @@ class PositionNoise:
                 noise = noise + self._rounded(smooth, np.array(zeros)[blocks - blocks[0]])
             return changed(self._plan, at_rows(signals), noise, basis)
 
-        return Made(columns, combined.shape[1]) if self._sigma.any() else Made()
+        return columns if self._sigma.any() else None
 
-    def replicas(self, values: Array) -> Made:
+    def replicas(self, values: Array) -> Columns | None:
         """Effect of counts from other zeros on an estimate's rows; nothing without counts.
 
         Zeros stay: what repeats in the motion repeats in the errors.
@@ -108,7 +95,7 @@ class PositionNoise:
                 [changed(self._plan, motion, error, basis) for error in each], axis=2
             )
 
-        return Made(columns, REPLICAS) if len(self._coarse) else Made()
+        return columns if len(self._coarse) else None
 
     def white(self, first: int, count: int) -> Array:
         """Made noise of positions, velocities and accelerations, filtered, (3, rows, n).

@@ -93,7 +93,7 @@ def whitened_fits(
     order: int | None = None,
     *,
     quick: bool = False,
-    lead: Array | None = None,
+    basis: Array | None = None,
 ) -> list[NoiseFit]:
     """Generalised least squares: rows without gaps.
 
@@ -102,25 +102,27 @@ def whitened_fits(
         order: Of the noise; None for what is best for the first residuals.
         quick: Whether a turn's weights go on from those of the turn before, with one step: chances
             of tests differ by a thousandth.
-        lead: How the columns make up those that are fitted, (q, r); None for the columns as they
+        basis: How the columns make up those that are fitted, (q, r); None for the columns as they
             are. Only products of lags that are needed are combined.
     """
 
     def up_to(lag: int) -> LaggedProducts:
-        return given.up_to(lag) if lead is None else given.up_to(lag).combined(lead)
+        return given.up_to(lag) if basis is None else given.up_to(lag).combined(basis)
 
     now = up_to(0)
-    found = _weighted(now, given.rows)
+    weighted = _weighted(now, given.rows)
     if order is None:  # by residuals as they are: of coloured noise weights alone take less
-        highest, left = _highest(given, now.unknowns), _of_residuals(now, found.values)
-        left = given.moments(_squares(left if lead is None else left @ lead.T), highest)[0]
-        order = highest and best_order(left, given.after(highest), highest)
+        highest, residuals = _highest(given, now.unknowns), _of_residuals(now, weighted.values)
+        residuals = given.moments(
+            _squares(residuals if basis is None else residuals @ basis.T), highest
+        )[0]
+        order = highest and best_order(residuals, given.after(highest), highest)
     given = up_to(order)
     for _ in range(ROUNDS if order else 1):
-        coefficients = fit(_moments(given, found, order), order)
-        found = _weighted(given, given.after(order), coefficients, found if quick else None)
-    noises = map(Autoregression, coefficients, found.spread)
-    each = zip(found.values, found.inverse, noises, strict=True)
+        coefficients = fit(_moments(given, weighted, order), order)
+        weighted = _weighted(given, given.after(order), coefficients, weighted if quick else None)
+    noises = map(Autoregression, coefficients, weighted.spread)
+    each = zip(weighted.values, weighted.inverse, noises, strict=True)
     return [NoiseFit(values, inverse, noise, noise, inverse) for values, inverse, noise in each]
 
 
@@ -133,20 +135,22 @@ def weighted_fits(given: LaggedProducts, order: int | None = None) -> list[Noise
     """
     m, now = given.unknowns, given.up_to(0)
     counts = given.products[:, :, -1, -1].T  # (C, K + 1)
-    found = _weighted(now, np.maximum(counts[:, 0], 1.0))
-    left = given.squares(_of_residuals(given, found.values))
-    covariances = left / np.maximum(counts - found.taken[..., None], 1.0)  # (R, C, K + 1)
-    covariances[..., 0] = found.spread**2  # which is not zero
-    weights = found.spread[..., None] ** -4.0 * covariances
+    weighted = _weighted(now, np.maximum(counts[:, 0], 1.0))
+    squares = given.squares(_of_residuals(given, weighted.values))
+    covariances = squares / np.maximum(counts - weighted.taken[..., None], 1.0)  # (R, C, K + 1)
+    covariances[..., 0] = weighted.spread**2  # which is not zero
+    weights = weighted.spread[..., None] ** -4.0 * covariances
     least = now.sums(weights[..., :1])
     weights[..., 1:] *= 2  # a lag's products, and their transpose
     middle = given.sums(weights)
     fits = []
-    for r, inverse in enumerate(found.inverse):
+    for r, inverse in enumerate(weighted.inverse):
         inner = _at_least(LEAST_SHARE, least[r, :m, :m], middle[r, :m, :m])
         noise = _from_covariances(covariances[r], given.lags if order is None else order)
-        weighting = Autoregression(np.zeros((len(counts), 0)), found.spread[r])
-        fits.append(NoiseFit(found.values[r], inverse @ inner @ inverse, noise, weighting, inverse))
+        weighting = Autoregression(np.zeros((len(counts), 0)), weighted.spread[r])
+        fits.append(
+            NoiseFit(weighted.values[r], inverse @ inner @ inverse, noise, weighting, inverse)
+        )
     return fits
 
 
@@ -219,18 +223,18 @@ def _solutions(sums: Array, m: int) -> tuple[Array, Array]:
     return np.stack(inverses), np.stack(values)
 
 
-def _spread(left: Array, free: Array) -> Array:
+def _spread(squares: Array, free: Array) -> Array:
     """Noise of every channel, of squares of residuals and degrees of freedom."""
-    return np.maximum(np.sqrt(np.maximum(left, 0.0) / np.maximum(free, 1.0)), LEAST)
+    return np.maximum(np.sqrt(np.maximum(squares, 0.0) / np.maximum(free, 1.0)), LEAST)
 
 
-def _moments(given: LaggedProducts, found: _Weighted, order: int) -> Array:
+def _moments(given: LaggedProducts, weighted: _Weighted, order: int) -> Array:
     """e_(t-i) e_(t-j) summed over t >= order, of the noise e, (R, C, order + 1, order + 1).
 
     Those of the residuals, what the unknowns have taken of the noise, and the least noise.
     """
-    m, inner = given.unknowns, _squares(_of_residuals(given, found.values))
-    inner[:, :m, :m] += found.inverse
+    m, inner = given.unknowns, _squares(_of_residuals(given, weighted.values))
+    inner[:, :m, :m] += weighted.inverse
     least = LEAST**2 * given.after(order) * np.eye(order + 1)
     return given.moments(inner, order) + least
 
@@ -238,9 +242,9 @@ def _moments(given: LaggedProducts, found: _Weighted, order: int) -> Array:
 def _of_residuals(given: LaggedProducts, values: Array) -> Array:
     """B with b' z what a response's values leave of a row z, (R, q)."""
     trials, m = values.shape
-    found = np.zeros((trials, given.products.shape[2]))
-    found[:, :m], found[range(trials), range(m, m + trials)] = -values, 1.0
-    return found
+    combinations = np.zeros((trials, given.products.shape[2]))
+    combinations[:, :m], combinations[range(trials), range(m, m + trials)] = -values, 1.0
+    return combinations
 
 
 def _squares(combinations: Array) -> Array:
@@ -253,5 +257,5 @@ def _from_covariances(covariances: Array, order: int) -> Autoregression:
     lag = np.abs(np.subtract.outer(np.arange(order + 1), np.arange(order + 1)))
     moments = covariances[:, lag]
     coefficients = fit(moments, order)
-    left = innovation_variance(moments, coefficients)
-    return Autoregression(coefficients, np.sqrt(np.maximum(left, 0.0)))
+    variance = innovation_variance(moments, coefficients)
+    return Autoregression(coefficients, np.sqrt(np.maximum(variance, 0.0)))

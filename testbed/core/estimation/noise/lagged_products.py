@@ -93,8 +93,8 @@ def best_order(moments: Array, rows: int, highest: int = HIGHEST) -> int:
     """
     scores = []
     for order in range(1, highest + 1):
-        left = np.maximum(innovation_variance(moments, fit(moments, order)), TINY)
-        scores.append(rows * np.log(left).sum() + 2 * order * len(moments))
+        variance = np.maximum(innovation_variance(moments, fit(moments, order)), TINY)
+        scores.append(rows * np.log(variance).sum() + 2 * order * len(moments))
     return 1 + int(np.argmin(scores))
 
 
@@ -236,9 +236,9 @@ class LaggedProducts:
         Args:
             weights: Of channels and lags, (R, C, K + 1).
         """
-        found = weights.swapaxes(1, 2).reshape(len(weights), -1) @ self.flat
-        found = found.reshape(-1, *self.products.shape[2:])
-        return found if self.alike else (found + found.swapaxes(1, 2)) / 2
+        total = weights.swapaxes(1, 2).reshape(len(weights), -1) @ self.flat
+        total = total.reshape(-1, *self.products.shape[2:])
+        return total if self.alike else (total + total.swapaxes(1, 2)) / 2
 
     def traces(self, inner: Array) -> Array:
         """Traces of each lag's times a matrix, (R, C, K + 1).
@@ -246,8 +246,8 @@ class LaggedProducts:
         Args:
             inner: The matrices, symmetric, (R, q, q).
         """
-        found = inner.reshape(len(inner), -1) @ self.flat.T
-        return found.reshape(len(inner), *self.products.shape[:2]).swapaxes(1, 2)
+        traces = inner.reshape(len(inner), -1) @ self.flat.T
+        return traces.reshape(len(inner), *self.products.shape[:2]).swapaxes(1, 2)
 
     def squares(self, combinations: Array) -> Array:
         """B' of each lag's products b, (R, C, K + 1).
@@ -255,8 +255,8 @@ class LaggedProducts:
         Args:
             combinations: Each b, (R, q).
         """
-        found = (self.products @ combinations.T) * combinations.T
-        return np.asarray(found.sum(axis=2).transpose(2, 1, 0))
+        squares = (self.products @ combinations.T) * combinations.T
+        return np.asarray(squares.sum(axis=2).transpose(2, 1, 0))
 
     def moments(self, inner: Array, order: int) -> Array:
         """z_(t-i)' B z_(t-j) summed over t >= P, (R, C, P + 1, P + 1).
@@ -270,11 +270,11 @@ class LaggedProducts:
             (_times(each[None], inner) @ each.swapaxes(2, 3)).sum(axis=1)
             for each in (self.first, last)
         )
-        found = self.traces(inner)[..., np.abs(np.subtract.outer(lag, lag))]
+        moments = self.traces(inner)[..., np.abs(np.subtract.outer(lag, lag))]
         for t in range(order):  # rows before t = P, and zeros after the last, do not count
-            found[..., : t + 1, : t + 1] -= head[..., t::-1, t::-1]
-            found[..., t + 1 :, t + 1 :] -= tail[..., t:, t:][..., ::-1, ::-1]
-        return found
+            moments[..., : t + 1, : t + 1] -= head[..., t::-1, t::-1]
+            moments[..., t + 1 :, t + 1 :] -= tail[..., t:, t:][..., ::-1, ::-1]
+        return moments
 
     def with_constants(self, directions: Array) -> LaggedProducts:
         """With constants after the unknowns' columns.
@@ -314,11 +314,7 @@ class Whitened:
         share[..., 1:] *= 2  # a lag's products, and their transpose
         self._given, self._share, self._edges = given, share, _edges(given, alpha)
         if len(alpha) == 1:  # then once and for all
-            whole = np.zeros(given.products.shape[1:])
-            for lag, products in enumerate(given.products):
-                whole += share[0, :, lag, None, None] * products
-            whole = (whole + whole.swapaxes(1, 2)) / 2
-            whole -= np.matmul(self._edges[0].swapaxes(-1, -2), self._edges[0]).sum(axis=0)
+            whole = self.sums(np.eye(alpha.shape[1]))
             self._given = replace(given.up_to(0), products=whole[None], alike=True)
             self._share, self._edges = np.ones((1, len(whole), 1)), self._edges[..., :0, :]
 
@@ -357,10 +353,12 @@ class Whitened:
 def _edges(given: LaggedProducts, alpha: Array) -> Array:
     """e_t before t = P and after the last row, zeros there, (R, 2 S, C, P, q)."""
     order = alpha.shape[2] - 1
-    ends = (given.first, (order, 0)), (given.last, (0, order))
-    rows = np.concatenate([np.pad(each, ((0, 0), (0, 0), pad, (0, 0))) for each, pad in ends])
-    parts = (rows[:, :, order - i : 2 * order - i] for i in range(order + 1))
-    return np.asarray(sum(alpha[:, None, :, i, None, None] * part for i, part in enumerate(parts)))
+    before, after = np.zeros((2, len(alpha), *given.first.shape))
+    for i in range(order + 1):
+        share = alpha[:, None, :, i, None, None]
+        before[..., i:, :] += share * given.first[:, :, : order - i]
+        after[..., :i, :] += share * given.last[:, :, order - i :]
+    return np.concatenate([before, after], axis=1)
 
 
 def _times(rows: Array, matrices: Array) -> Array:
@@ -370,8 +368,8 @@ def _times(rows: Array, matrices: Array) -> Array:
         rows: (R, S, C, k, q), or (1, S, C, k, q) where they are the same.
         matrices: (R, q, r).
     """
-    found = rows.reshape(len(rows), -1, rows.shape[-1]) @ matrices
-    return found.reshape(len(matrices), *rows.shape[1:-1], matrices.shape[-1])
+    products = rows.reshape(len(rows), -1, rows.shape[-1]) @ matrices
+    return products.reshape(len(matrices), *rows.shape[1:-1], matrices.shape[-1])
 
 
 class LaggedSums:

@@ -46,10 +46,10 @@ def period_of(position: Array) -> int | None:
         return None
     unit = (moving - moving.mean(axis=0)) / moving.std(axis=0)
     apart = _differences(unit)
-    left = np.flatnonzero(apart > UNLIKE)
-    if not len(left):
+    departed = np.flatnonzero(apart > UNLIKE)
+    if not len(departed):
         return None
-    near = np.flatnonzero(apart[left[0] :] < ALIKE) + left[0]
+    near = np.flatnonzero(apart[departed[0] :] < ALIKE) + departed[0]
     if not len(near):
         return None
     first = int(near[0])
@@ -116,11 +116,10 @@ class PeriodicSums:
         alpha, count = prediction_errors(self._noise.coefficients), run.shape[1] - order
         if count <= 0 or not self._rows:
             return
-        fresh = np.zeros((len(run), count))
-        for i in range(order + 1):
-            fresh += alpha[:, i, None] * run[:, order - i : order - i + count]
+        parts = (run[:, order - i : order - i + count] for i in range(order + 1))
+        fresh = sum(alpha[:, i, None] * part for i, part in enumerate(parts))
         white = np.concatenate([self._before, fresh], axis=1)
-        self._before = white[:, max(0, white.shape[1] - self._rows) :]
+        self._before = white[:, -self._rows :]
         now, then = white[:, self._rows :], white[:, : -self._rows]
         self._sums += [(now * then).sum(axis=1), (now**2).sum(axis=1), (then**2).sum(axis=1)]
         self._pairs += now.shape[1]
@@ -209,14 +208,16 @@ def _half_differences(sums: Array) -> Array:
     return (sums[:-2] - sums[2:]) / 2
 
 
-def _fitted(columns: Array, slope: Array, squares: Array, left: Array, weights: Array) -> TimeDelay:
+def _fitted(
+    columns: Array, slope: Array, squares: Array, residual: Array, weights: Array
+) -> TimeDelay:
     """The delay beside the unknowns by weighted least squares; sigma is infinite for none.
 
     Args:
         columns: Products of the unknowns' columns, (C, m, m).
         slope: Of slopes with every column, (C, m + 2).
         squares: Of slopes with themselves, (C,).
-        left: What of the columns the residuals are, (m + 2,).
+        residual: What of the columns the residuals are, (m + 2,).
         weights: (C,).
     """
     shared = weights @ slope[:, : columns.shape[1]]
@@ -224,7 +225,7 @@ def _fitted(columns: Array, slope: Array, squares: Array, left: Array, weights: 
     alone = float(weights @ squares - shared @ scaled_solve(normal, shared))
     if alone <= 0:
         return TimeDelay(0.0, np.inf)
-    return TimeDelay(-float(weights @ slope @ left) / alone, 1 / float(np.sqrt(alone)))
+    return TimeDelay(-float(weights @ slope @ residual) / alone, 1 / float(np.sqrt(alone)))
 
 
 COARSE = 0.05

@@ -129,16 +129,15 @@ def score_tests(
     """
     channels, responses = products.products.shape[1], products.responses
     basis = linalg.block_diag(independent, np.eye(responses + 1))
-    noises = [fit.noise for fit in whitened_fits(products, order, quick=quick, lead=basis)]
+    noises = [fit.noise for fit in whitened_fits(products, order, quick=quick, basis=basis)]
     white = Whitened(products, np.stack([noise.coefficients for noise in noises]))
     squares = white.sums(np.stack([noise.sigma for noise in noises]) ** -2.0)
     rows = products.after(noises[0].order) - noises[0].order
     free = max(rows * channels - independent.shape[1], 1)
-    first = np.roll(np.arange(products.unknowns), channels)  # constants first
-    parts = (
-        each[np.ix_(k, k)] for r, each in enumerate(squares) for k in [[*first, len(first) + r]]
-    )
-    tests = (_tests(part, columns, columns.base + channels, free) for part in parts)
+    tests = []
+    for response, each in enumerate(squares, start=products.unknowns):
+        at = [*np.roll(np.arange(products.unknowns), channels), response]  # constants first
+        tests.append(_tests(each[np.ix_(at, at)], columns, columns.base + channels, free))
     return list(zip(tests, noises, strict=True))
 
 
@@ -153,13 +152,13 @@ def independent_columns(products: LaggedProducts, columns: TestedColumns) -> Arr
     base = channels + columns.base  # constants come first
     squares = np.roll(products.products[0, :, :q, :q].sum(axis=0), channels, axis=(0, 1))
     scale = _scales(squares)
-    first, across, left = _beside(squares * np.outer(scale, scale), base)
-    rest = _orthonormal(left)
-    found = np.zeros((q, first.shape[1] + rest.shape[1]))
-    found[:base, : first.shape[1]] = first
-    found[base:, first.shape[1] :] = rest
-    found[:base, first.shape[1] :] = -first @ across @ rest
-    return np.roll(scale[:, None] * found, -channels, axis=0)
+    first, across, rest_squares = _beside(squares * np.outer(scale, scale), base)
+    rest = _orthonormal(rest_squares)
+    combinations = np.zeros((q, first.shape[1] + rest.shape[1]))
+    combinations[:base, : first.shape[1]] = first
+    combinations[base:, first.shape[1] :] = rest
+    combinations[:base, first.shape[1] :] = -first @ across @ rest
+    return np.roll(scale[:, None] * combinations, -channels, axis=0)
 
 
 def _beside(squares: Array, base: int) -> tuple[Array, Array, Array]:

@@ -16,7 +16,7 @@ from scipy import linalg
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.stages import stage
-from testbed.core.estimation.noise.errors_in_variables import Made, PositionNoise
+from testbed.core.estimation.noise.errors_in_variables import PositionNoise
 from testbed.core.estimation.noise.lagged_products import LaggedProducts, LaggedSums
 from testbed.core.estimation.regression import solvers
 from testbed.core.estimation.regression.constraints import LinearConstraints, NullSpace, free
@@ -106,15 +106,15 @@ class Whitening:
         root: Of the channels' weights, (C,).
         white: The robot's unknowns of its columns, (p, p).
         beside: Columns beside.
-        facts: What is known of the unknowns; None for nothing.
-        free: What that leaves free of the columns' unknowns.
+        offset: The columns' unknowns where what is free is zero, (p + s,).
+        free: What facts leave free of the columns' unknowns; None for all.
     """
 
     root: Array
     white: Array
     beside: NuisanceColumns
-    facts: LinearConstraints | None
-    free: NullSpace | None
+    offset: Array
+    free: NullSpace | None = None
 
     @cached_property
     def grown(self) -> Array:
@@ -126,16 +126,14 @@ class Whitening:
         """All unknowns of the columns of what is free, (p + s, m)."""
         if self.free is None:
             return self.grown
-        found = self.grown @ self.free.lead
+        expanded = self.grown @ self.free.lead
         size = np.abs(self.grown).max(axis=1, keepdims=True)
-        return np.where(np.abs(found) > ROUNDING * size, found, 0.0)
+        return np.where(np.abs(expanded) > ROUNDING * size, expanded, 0.0)
 
-    @cached_property
+    @property
     def fixed(self) -> Array:
         """All unknowns where what is free is zero, (p + s,)."""
-        if self.free is None or self.facts is None:
-            return np.zeros(len(self.grown))
-        return self.grown @ self.free.fixed @ self.facts.values
+        return self.grown @ self.offset
 
     def of_free(self, columns: Array) -> Array:
         """Columns of what is free, and those after the unknowns', of all columns, (C, k, q)."""
@@ -146,38 +144,33 @@ class Whitening:
 
     def as_free(self, every: LaggedProducts) -> LaggedProducts:
         """The same for products; what the facts account for is taken off the residuals."""
-        if self.free is None or self.facts is None:
+        if self.free is None:
             return every
         m = len(self.grown)
-        rest = np.eye(every.products.shape[2] - m)
-        whole = linalg.block_diag(self.free.lead, rest)
-        whole[:m, -2] = -self.free.fixed @ self.facts.values
+        whole = linalg.block_diag(self.free.lead, np.eye(every.products.shape[2] - m))
+        whole[:m, -2] = -self.offset
         return every.combined(whole)
 
-    def rows(self, passes: Passes, values: Array, made: Made) -> Iterator[WhitenedRows]:
+    def rows(self, passes: Passes, values: Array, made: Columns | None) -> Iterator[WhitenedRows]:
         """Rows, block by block.
 
         Args:
             passes: Over all rows.
             values: Of the robot's unknowns.
-            made: What made noise of the encoders gives.
+            made: Columns from made noise of the encoders.
         """
-        combined = np.column_stack([self.white, values])
-        shown, width = _together(made.columns, self.beside.columns), made.width
-        for columns, others, measured in passes.rows_beside(combined, shown):
-            sensors, residual = others[..., width:], measured - columns[..., -1]
-            ones = counted(columns, measured)
-            stack = np.concatenate([columns[..., :-1], others, residual[..., None]], axis=2)
-            units = self.root[:, None, None] * stack
-            p = len(values)
+        combined, root = np.column_stack([self.white, values]), self.root[:, None]
+        blocks = passes.rows_beside(combined, made, self.beside.columns)
+        for columns, noise, sensors, measured in blocks:
+            residual, ones = measured - columns[..., -1], counted(columns, measured)
             yield WhitenedRows(
-                columns=np.delete(units[..., :-1], slice(p, p + width), axis=2),
+                columns=np.concatenate([columns[..., :-1], sensors], axis=2) * root[..., None],
                 tested=sensors.shape[2] == self.beside.width,
-                white=units[..., -1],
+                white=root * residual,
                 ones=ones,
                 measured=residual,
                 sensors=sensors,
-                made=units[..., p : p + width] * ones[..., None],
+                made=noise * (root * ones)[..., None],
             )
 
     @stage("columns of the instrument")
@@ -195,10 +188,9 @@ class Whitening:
         plate = passes.plan.layout.model == "reaction"
         every, tested = LaggedSums(lags), LaggedSums(lags)
         noise = LaggedSums(lags if plate else 0)  # rows of joints have gaps: none is whitened
-        combined, made = np.column_stack([self.white, values]), Made()
-        if encoders is not None:
-            made = encoders.noisy_columns(combined)
-        whole, m = passes.plan.looked_at_all, len(self.grown)
+        combined = np.column_stack([self.white, values])
+        made = None if encoders is None else encoders.noisy_columns(combined)
+        whole, m = passes.plan.tests_all_windows, len(self.grown)
         for rows in self.rows(passes, values, made):
             last = np.stack([rows.white, rows.ones], axis=2)
             if rows.tested:
@@ -207,13 +199,13 @@ class Whitening:
                 tested.pause()
             if not whole:
                 every.add(np.concatenate([rows.columns[..., :m], last], axis=2))
-            if made.width:
+            if made is not None:
                 noise.add(self._of_noise(rows.made))
         sums = tested.finish()
         return Products(
             every=sums.leading(m) if whole else every.finish(),
             tested=sums,
-            noise=noise.finish() if made.width else None,
+            noise=None if made is None else noise.finish(),
         )
 
     def _of_noise(self, noise: Array) -> Array:
@@ -221,13 +213,6 @@ class Whitening:
         columns, predicted = noise[..., :-1], noise[..., -1:]
         exact = np.zeros((*noise.shape[:2], self.beside.unknown))
         return np.concatenate([columns, exact, -predicted, np.zeros_like(predicted)], axis=2)
-
-
-def _together(first: Columns | None, second: Columns | None) -> Columns | None:
-    """Columns of both."""
-    if first is None or second is None:
-        return first or second
-    return lambda signals, row: np.concatenate([first(signals, row), second(signals, row)], axis=2)
 
 
 def whitening_of(start: solvers.Fit, beside: NuisanceColumns, layout: Layout) -> Whitening:
@@ -241,13 +226,13 @@ def whitening_of(start: solvers.Fit, beside: NuisanceColumns, layout: Layout) ->
         beside: Columns beside the robot's.
         layout: Of the rows.
     """
-    seen = np.stack([layout.basis[own].any(axis=0) for own in layout.channels])
-    inward = np.argsort(np.argmax(seen[::-1], axis=0), kind="stable")
+    involved = np.stack([layout.basis[own].any(axis=0) for own in layout.channels])
+    inward = np.argsort(np.argmax(involved[::-1], axis=0), kind="stable")
     white = np.empty_like(start.inverse)
     white[inward] = square_root(start.inverse[np.ix_(inward, inward)])[:, ::-1]
-    given = beside.facts
-    if given is None or not len(given):
-        return Whitening(np.sqrt(start.weights), white, beside, None, None)
-    grown = linalg.block_diag(white, np.eye(beside.unknown))
-    left = free(replace(given, rows=given.rows @ grown))
-    return Whitening(np.sqrt(start.weights), white, beside, given, left)
+    units = Whitening(np.sqrt(start.weights), white, beside, np.zeros(len(white) + beside.unknown))
+    facts = beside.facts
+    if facts is None or not len(facts):
+        return units
+    space = free(replace(facts, rows=facts.rows @ units.grown))
+    return replace(units, offset=space.fixed @ facts.values, free=space)

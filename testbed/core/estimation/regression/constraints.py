@@ -87,8 +87,8 @@ def _wrench(tree: Tree, q: Array, pulled: int) -> Array:
 def _combination(minimal: MinimalSet, wanted: Array, name: str) -> Array:
     """A functional on the barycentric parameters as one on the minimal ones, (N,)."""
     wanted = np.where(minimal.known_zero.ravel(), 0.0, wanted)
-    found = wanted @ minimal.lift
-    if np.abs(found @ minimal.matrix - wanted).max() > IN_SPACE * np.abs(wanted).max(initial=1.0):
+    form = wanted @ minimal.lift
+    if np.abs(form @ minimal.matrix - wanted).max() > IN_SPACE * np.abs(wanted).max(initial=1.0):
         raise SettingsError(
             f"'{name}' is not identifiable from this recording: "
             + (
@@ -98,7 +98,7 @@ def _combination(minimal: MinimalSet, wanted: Array, name: str) -> Array:
                 "another posture"
             )
         )
-    return found
+    return form
 
 
 INDEPENDENT = 1e-9
@@ -137,14 +137,14 @@ class LinearConstraints:
         """
         return replace(self, rows=self.rows[:, unknowns], scale=self.scale[:, unknowns])
 
-    def around(self, found: Array) -> LinearConstraints:
+    def around(self, unknowns: Array) -> LinearConstraints:
         """About what is still to be added to unknowns.
 
         Args:
-            found: The unknowns, (m,).
+            unknowns: The unknowns, (m,).
         """
-        reached = self.reached + self.scale @ found
-        return replace(self, values=self.values - self.rows @ found, reached=reached)
+        reached = self.reached + self.scale @ unknowns
+        return replace(self, values=self.values - self.rows @ unknowns, reached=reached)
 
     def doubt(self, added: Array) -> Array:
         """`root`, as large as the unknowns make it.
@@ -234,8 +234,8 @@ def free(given: LinearConstraints) -> NullSpace:
         rows[others] -= np.outer(rows[others, at], rows[k])
         pivots.append(at)
     kept = [m for m in range(size) if m not in pivots]
-    lead, fixed = np.zeros((size, len(kept))), np.zeros((size, count))
-    lead[kept, range(len(kept))] = 1.0
-    lead[pivots] = -rows[:, kept]
+    basis, fixed = np.zeros((size, len(kept))), np.zeros((size, count))
+    basis[kept, range(len(kept))] = 1.0
+    basis[pivots] = -rows[:, kept]
     fixed[pivots] = right
-    return NullSpace(lead, fixed)
+    return NullSpace(basis, fixed)

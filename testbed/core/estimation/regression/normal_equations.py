@@ -56,15 +56,8 @@ def inverse_and_solution(matrix: Array, right: Array) -> tuple[Array, Array]:
         matrix: Symmetric and positive definite, (m, m).
         right: (m,).
     """
-    factor = _clear_factor(matrix)
-    if factor is None:
-        root = _inverse_root(matrix)
-        return root @ root.T, root @ (root.T @ right)
-    solution, _ = linalg.lapack.dpotrs(factor, right, lower=True)
-    lower, _ = linalg.lapack.dpotri(factor, lower=True)
-    inverse = lower + lower.T
-    np.einsum("ii->i", inverse)[:] = lower.diagonal()
-    return inverse, solution
+    root = inverse_root(matrix)
+    return root @ root.T, root @ (root.T @ right)
 
 
 def standard_deviations(covariance: Array) -> Array:
@@ -190,12 +183,12 @@ class NormalEquations:
         Args:
             values: Of the unknowns, (p,).
         """
-        found = self.squares - 2 * self.right @ values + self.normal @ values @ values
-        return np.maximum(found, 0.0)
+        squares = self.squares - 2 * self.right @ values + self.normal @ values @ values
+        return np.maximum(squares, 0.0)
 
 
 def gather(
-    layout: Layout, unknowns: tuple[str, ...], channels: tuple[str, ...], found: Iterable[Sums]
+    layout: Layout, unknowns: tuple[str, ...], channels: tuple[str, ...], windows: Iterable[Sums]
 ) -> NormalEquations:
     """Those of all rows from sums over windows, in their order.
 
@@ -203,10 +196,10 @@ def gather(
         layout: The rows.
         unknowns: Names of the columns of `layout.basis`.
         channels: Names.
-        found: Windows' answers.
+        windows: Windows' answers.
     """
     used, raw = np.zeros(len(channels)), np.zeros(0)
-    for sums in found:
+    for sums in windows:
         used += sums.used
         raw = sums.products if raw.size == 0 else raw + sums.products
     rows, p = layout.rows, len(unknowns)
@@ -214,9 +207,9 @@ def gather(
     for c, columns in enumerate(layout.channels):
         width, at = rows.width[c], rows.group_gram[c]
         lower = np.tril(raw[at : at + width**2].reshape(width, width))
-        lead = np.zeros((width, p + 1))
-        lead[: len(columns), :-1] = layout.basis[columns]
-        lead[rows.measured[c] - rows.start[c], -1] = 1.0
-        products[c] = lead.T @ (lower + np.tril(lower, -1).T) @ lead
+        basis = np.zeros((width, p + 1))
+        basis[: len(columns), :-1] = layout.basis[columns]
+        basis[rows.measured[c] - rows.start[c], -1] = 1.0
+        products[c] = basis.T @ (lower + np.tril(lower, -1).T) @ basis
     normal, right, squares = products[:, :-1, :-1], products[:, :-1, -1], products[:, -1, -1]
     return NormalEquations(unknowns, channels, used, normal, right, squares)

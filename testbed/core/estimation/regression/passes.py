@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -245,7 +245,7 @@ class Passes:
         self.threads = max(1, threads or os.cpu_count() or 1) if self.compiled else 1
         self.progress = progress
         self.done = 0
-        self.surveyor, self._looked_at = Surveyor(plan.source.samples), plan.looked_at
+        self.surveyor, self._tested_windows = Surveyor(plan.source.samples), plan.tested_windows
         self._workspaces: SimpleQueue[Any] = SimpleQueue()
         self._kept: dict[int, list[Block]] = {}
         thinned = not self.compiled or len(plan.weights) > 1  # else made again as fast as read
@@ -261,32 +261,28 @@ class Passes:
         Args:
             combined: How the unknowns' columns are combined, (p, q).
         """
-        return ((columns, y) for columns, _, y in self.rows_beside(combined, None))
+        return ((columns, measured) for columns, measured in self.rows_beside(combined))
 
-    def rows_beside(
-        self, combined: Array, beside: Columns | None
-    ) -> Iterator[tuple[Array, Array, Array]]:
-        """The same with further columns between the two, (C, k, s).
+    def rows_beside(self, combined: Array, *beside: Columns | None) -> Iterator[tuple[Array, ...]]:
+        """The same with further columns between the two, (C, k, s) by each that makes some.
 
         Args:
             combined: How the unknowns' columns are combined, (p, q).
-            beside: Makes the further columns of a window, (C, rows, s).
+            beside: Make the further columns of a window, (C, rows, s); None makes none.
         """
         layout, done = self.plan.layout, 0
-        lead = layout.basis @ combined
+        basis = layout.basis @ combined
         answers = self._pass(partial(self._rows, beside))
         for window, (blocks, further) in zip(self.plan.windows(), answers, strict=True):
             if window.row > done:  # what a gap leaves out counts for nothing, but takes its time
-                none = np.zeros((layout.width, window.row - done, lead.shape[1]))
-                yield none, np.zeros((*none.shape[:2], further.shape[2])), none[..., :0].sum(axis=2)
+                widths = basis.shape[1], *(each.shape[2] for each in further)
+                gap = layout.width, window.row - done
+                yield *(np.zeros((*gap, width)) for width in widths), np.zeros(gap)
             done, first = window.row + window.rows, 0
             for block in blocks:
                 last = first + block.shape[1]
-                yield (
-                    layout.combined(block, lead),
-                    further[:, first:last],
-                    block[layout.rows.measured],
-                )
+                parts = (each[:, first:last] for each in further)
+                yield layout.combined(block, basis), *parts, block[layout.rows.measured]
                 first = last
 
     def _pass(self, ask: Callable[[Recording, Window], Answer]) -> Iterator[Answer]:
@@ -310,20 +306,20 @@ class Passes:
 
     def _next(self, pending: deque[tuple[Window, Future[Answer]]]) -> Answer:
         window, answer = pending.popleft()
-        found = answer.result()
+        result = answer.result()
         self.done += window.rows * self.plan.step
         self.progress(self.done, self.number * self.plan.rows * self.plan.step)
-        return found
+        return result
 
     def _sums(self, part: Recording, window: Window) -> Sums:
         check_times(part.time, "the recording", 1 / self.plan.source.rate, window.first)
         signals = self.plan.signals(part, window)
-        found = self._products(signals, window)
-        closely = window.row in self._looked_at
+        sums = self._products(signals, window)
+        closely = window.row in self._tested_windows
         self.surveyor.look(signals, window.first, self.plan.own(window), closely)
-        if not found.squares[0] < LARGEST**2:  # what is no number is not
+        if not sums.squares[0] < LARGEST**2:  # what is no number is not
             check_values(part.columns(), "the recording", window.first)
-        return found
+        return sums
 
     def _products(self, signals: Signals, window: Window) -> Sums:
         layout = self.plan.layout
@@ -334,11 +330,11 @@ class Passes:
         return sums
 
     def _rows(
-        self, beside: Columns | None, part: Recording, window: Window
-    ) -> tuple[list[Array], Array]:
+        self, beside: Sequence[Columns | None], part: Recording, window: Window
+    ) -> tuple[list[Array], list[Array]]:
         signals = self.plan.signals(part, window)
         none = np.zeros((self.plan.layout.width, window.rows, 0))
-        further = none if beside is None else beside(signals, window.row)
+        further = [none if make is None else make(signals, window.row) for make in beside]
         return [block.rows for block in self._blocks(signals, window)], further
 
     def _blocks(self, signals: Signals, window: Window) -> list[Block]:

@@ -97,16 +97,16 @@ def by_normal_equations(equations: NormalEquations, weights: Array) -> Fit:
         UnseenParameters: The equations do not determine all they see; names them.
     """
     matrix, vector, rows = equations.matrix(weights), equations.vector(weights), equations.rows
-    seen = np.flatnonzero(np.diagonal(matrix))
-    if not len(seen):
+    present = np.flatnonzero(np.diagonal(matrix))
+    if not len(present):
         raise UnseenParameters(equations.unknowns, 0, len(equations.unknowns), rows)
-    part = matrix[np.ix_(seen, seen)]
+    part = matrix[np.ix_(present, present)]
     spread, directions = eigh(unit_diagonal(part)[0])
     lost = spread <= len(spread) * np.finfo(float).eps * spread[-1]
     if lost.any():
-        refuse([equations.unknowns[k] for k in seen], directions[:, lost].T, rows)
+        refuse([equations.unknowns[k] for k in present], directions[:, lost].T, rows)
     values, inverse = np.full(len(matrix), np.nan), np.full(matrix.shape, np.nan)
-    inverse[np.ix_(seen, seen)], values[seen] = inverse_and_solution(part, vector[seen])
+    inverse[np.ix_(present, present)], values[present] = inverse_and_solution(part, vector[present])
     return Fit(values, inverse, weights, float(np.sqrt(spread[-1] / spread[0])))
 
 
@@ -136,8 +136,8 @@ def by_orthogonal_columns(equations: NormalEquations, weights: Array, rows: Rows
     lost = spread <= RANK_TOLERANCE * spread[0]
     if lost.any():
         refuse(equations.unknowns, directions[lost], equations.rows)
-    lead = linalg.inv(triangle[:p, :p]) / scale[:, None]
-    return Fit(lead @ triangle[:p, p], lead @ lead.T, weights, float(spread[0] / spread[-1]))
+    root = linalg.inv(triangle[:p, :p]) / scale[:, None]
+    return Fit(root @ triangle[:p, p], root @ root.T, weights, float(spread[0] / spread[-1]))
 
 
 SQUARED = 1e4
@@ -156,9 +156,9 @@ def solve(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
         UnseenParameters: The equations do not determine all unknowns; names them.
     """
     with suppress(UnseenParameters):  # to the precision of sums; the rows may know better
-        found = by_normal_equations(equations, weights)
-        if found.condition <= SQUARED and not np.isnan(found.values).any():
-            return found
+        solution = by_normal_equations(equations, weights)
+        if solution.condition <= SQUARED and not np.isnan(solution.values).any():
+            return solution
     return by_orthogonal_columns(equations, weights, rows)
 
 

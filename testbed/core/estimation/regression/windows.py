@@ -117,10 +117,10 @@ def slope_weights(weights: Array, places: NDArray[np.int64], rate: float) -> Arr
     if len(places) == 1:
         return np.zeros(1)
     at = places + len(weights) // 2
-    found = -float(places[1] - places[0]) * _slopes(weights)[at]
-    found[[0, -1]] /= 2
-    found[[0, -1]] += np.array([-1.0, 1.0]) * weights[at[-1]]
-    return found * rate / (found @ places)
+    derivative = -float(places[1] - places[0]) * _slopes(weights)[at]
+    derivative[[0, -1]] /= 2
+    derivative[[0, -1]] += np.array([-1.0, 1.0]) * weights[at[-1]]
+    return derivative * rate / (derivative @ places)
 
 
 def _slopes(values: Array) -> Array:
@@ -194,7 +194,7 @@ the filter leaves independent, or their spectrum would have an empty part; and t
 WINDOW = 32_768
 """Samples of a window, about."""
 
-LOOKED_AT = 16
+TESTED_WINDOWS = 16
 """Windows, evenly spread, in which traces of faults are looked for: nine minutes at 1 kHz."""
 
 
@@ -276,17 +276,19 @@ class Plan:
                 yield Window(row, rows, first, min(last + 1, end))
 
     @property
-    def looked_at(self) -> frozenset[int]:
+    def tested_windows(self) -> frozenset[int]:
         """First rows of the windows in which traces of faults are looked for: all, if few."""
         rows = [window.row for window in self.windows()]
-        if len(rows) > LOOKED_AT:
-            rows = [rows[k] for k in np.linspace(0, len(rows) - 1, LOOKED_AT).round().astype(int)]
+        if len(rows) > TESTED_WINDOWS:
+            rows = [
+                rows[k] for k in np.linspace(0, len(rows) - 1, TESTED_WINDOWS).round().astype(int)
+            ]
         return frozenset(rows)
 
     @property
-    def looked_at_all(self) -> bool:
+    def tests_all_windows(self) -> bool:
         """Whether they are looked for in all windows."""
-        return len(self.looked_at) == sum(1 for _ in self.windows())
+        return len(self.tested_windows) == sum(1 for _ in self.windows())
 
     def own(self, window: Window) -> int:
         """How many of a window's samples come before the next window's first."""
@@ -302,17 +304,18 @@ class Plan:
         if part.names != self.layout.tree.names:
             part = part.ordered(self.layout.tree)
         dynamic = self.layout.model == "dynamic"
-        nothing = np.empty((0, len(part.names)))
-        sensed = part.senses_kinematics
-        velocity = part.velocity if sensed and part.velocity is not None else nothing
-        acceleration = part.acceleration if sensed and part.acceleration is not None else nothing
-        varying = {term.law.by for term in self.layout.terms} - {""}
+        velocity = acceleration = np.empty((0, len(part.names)))
+        if part.senses_kinematics and part.velocity is not None and part.acceleration is not None:
+            velocity, acceleration = part.velocity, part.acceleration
+        varying = {term.law.by for term in self.layout.terms} - {"", *BY_LOAD}
         measured = part.measured("torque") if dynamic else part.measured("wrench") - self.tare
+        arrays = part.position, velocity, acceleration, measured
+        q, qd, qdd, y = map(np.ascontiguousarray, arrays)
         return Signals(
-            position=np.ascontiguousarray(part.position),
-            velocity=np.ascontiguousarray(velocity),
-            acceleration=np.ascontiguousarray(acceleration),
-            measured=np.ascontiguousarray(measured),
+            position=q,
+            velocity=qd,
+            acceleration=qdd,
+            measured=y,
             taps=self.taps,
             weights=self.weights,
             deadband=self.deadband,
@@ -320,7 +323,7 @@ class Plan:
             start=self.reach,
             step=self.step,
             number=window.rows,
-            varying=self._varying(part, window) if varying - {*BY_LOAD} else NONE,
+            varying=self._varying(part, window) if varying else NONE,
             load=NO_LOAD if self.load is None else self.load,
         )
 

@@ -44,15 +44,16 @@ def with_position_filter(problem: Problem) -> tuple[Problem, tuple[Diagnostic, .
         return problem, ()
     slower = [problem.with_settings(position_cutoff=cutoff) for cutoff in cutoffs]
     try:
-        default, *others = (held_out(each).residual + TINY for each in (problem, *slower))
+        rms = [held_out(each).residual + TINY for each in (problem, *slower)]
     except RecordingError:  # too short to be cut into parts
         return problem, ()
-    parts = [float(np.exp(2 * np.mean(np.log(each / default)))) for each in others]
-    best = int(np.argmin(parts))
-    if parts[best] >= BETTER:
+    default, *others = np.log(rms).mean(axis=1)
+    shares = np.exp(2 * (np.array(others) - default))
+    best = int(shares.argmin())
+    if shares[best] >= BETTER:
         return problem, ()
     noisy = few([f"'{problem.tree.names[k]}'" for k in np.flatnonzero(noise > MOSTLY)])
-    share = parts[best] ** 0.5
+    share = float(shares[best] ** 0.5)
     return slower[best], (diagnose("encoder.filter", noisy, cutoffs[best], share=share),)
 
 

@@ -123,13 +123,13 @@ class Columns:
             unfolded: At more instants, for nuisances that need them; default the same filter.
         """
         self._unfolded = unfolded or filtered
-        self._always, self._looked_at = always, plan.looked_at
+        self._always, self._tested_windows = always, plan.tested_windows
         self._unmixing = unmixing
         self._estimated = estimated
         self._plan, self._filtered, self._unknowns = plan, filtered, tuple(unknowns)
         layout = plan.layout
         self._theta = np.asarray(layout.theta @ (layout.basis @ values))
-        part = len(self._looked_at) / len(list(plan.windows()))
+        part = len(self._tested_windows) / len(list(plan.windows()))
         counts = [len(each.kept) for each in unknowns]
         numbers = sum(counts[:always]) + part * sum(counts[len(counts[:always]) :])
         self._kept: dict[int, Array] = {}
@@ -150,7 +150,7 @@ class Columns:
         return made
 
     def _made(self, signals: Signals, first: int) -> Array:
-        shown = self._unknowns[: None if first in self._looked_at else self._always]
+        shown = self._unknowns[: None if first in self._tested_windows else self._always]
         if not shown:
             return np.zeros((6, signals.number, 0))
         nuisances = [n for unknowns in shown for n in unknowns.nuisances]
