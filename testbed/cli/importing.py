@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -143,7 +144,6 @@ def import_(
 
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
-    from testbed.importing.import_report import ImportReport
     from testbed.importing.mapping import sources
     from testbed.view import output
 
@@ -153,8 +153,8 @@ def import_(
     model = reading.model
     if page is not None and not (guess and model):
         raise typer.BadParameter("--page is of a mapping: --guess and --model go with it")
-    logs = () if guess or out is None else sources(files[0])
-    check_outputs(out, page, force=force, read=(*files, model, *logs))
+    read = [*files, model, *(() if guess or out is None else sources(files[0]))]
+    check_outputs(out, page, force=force, read=read)
     if guess:
         write_mapping(files, out, reading, page)
         return
@@ -166,26 +166,38 @@ def import_(
     if model is None and align:
         raise typer.BadParameter("--align needs --model: delays are found by the robot's motion")
     recordings, cuts, report = checked_import(mapping, reading, align=align)
-    checked = report.diagnostics
     if model is not None:
-        checked = (*reading.robot_of(recordings[0])[0].diagnostics, *checked)
-    significance = {True: " (corrected)" if align else "", False: ", not significant"}
-    clocks = [each.diagnostic().text + significance[each.matters] for each in report.offsets]
+        tree, _ = reading.robot_of(recordings[0])
+        report = replace(report, diagnostics=(*tree.diagnostics, *report.diagnostics))
     paths = [str(path) for path in save_pieces(recordings, out, force=force)]
     imports = [recording.facts["import"] for recording in recordings]
+    clocks = [*_clock_lines(report, " (corrected)" if align else "")]
     if as_json:
         document = {"import": imports if cuts else imports[0], "clocks": clocks}
-        document["diagnostics"] = [each.as_dict() for each in checked]
+        document["diagnostics"] = [each.as_dict() for each in report.diagnostics]
         if cuts:
             document |= {"recordings": paths, "cuts": [each.text for each in cuts]}
         output.print_json(document)
         return
-    reports = [ImportReport.from_dict(each) for each in imports]
-    doubts = ordered([*(each for report in reports for each in report.diagnostics), *checked])
-    lines = [*(line for report in reports for line in report.lines()), *clocks]
     last = f"recordings: {', '.join(paths)}; identify takes them together"
-    lines.append(last if cuts else f"recording: {out}")
-    output.print_result((), lines, [*cuts, *doubts])
+    lines, doubts = _reported(imports)
+    lines += [*clocks, last if cuts else f"recording: {out}"]
+    output.print_result((), lines, [*cuts, *ordered([*doubts, *report.diagnostics])])
+
+
+def _clock_lines(report: CheckReport, correction: str) -> Iterator[str]:
+    """How late signals are, and what was done about it."""
+    for each in report.offsets:
+        yield each.diagnostic().text + (correction if each.matters else ", not significant")
+
+
+def _reported(imports: Iterable[dict[str, Any]]) -> tuple[list[str], list[Diagnostic]]:
+    """What imports did, line by line, and what to doubt of them."""
+    from testbed.importing.import_report import ImportReport
+
+    reports = [ImportReport.from_dict(each) for each in imports]
+    doubts = [each for report in reports for each in report.diagnostics]
+    return [line for report in reports for line in report.lines()], doubts
 
 
 def checked_import(
