@@ -150,10 +150,9 @@ def import_(
     for each in files:
         if not guess and each.suffix.lower() != ".toml":
             raise typer.BadParameter(misplaced(each, kind_of(each) or LOG, "mapping"))
-    model = reading.model
-    if page is not None and not (guess and model):
+    if page is not None and not (guess and reading.model):
         raise typer.BadParameter("--page is of a mapping: --guess and --model go with it")
-    read = [*files, model, *(() if guess or out is None else sources(files[0]))]
+    read = [*files, reading.model, *(() if guess or out is None else sources(files[0]))]
     check_outputs(out, page, force=force, read=read)
     if guess:
         write_mapping(files, out, reading, page)
@@ -163,15 +162,15 @@ def import_(
     (mapping,) = files
     if out is None:
         raise typer.BadParameter("--out is missing, e.g. --out recording.parquet")
-    if model is None and align:
+    if reading.model is None and align:
         raise typer.BadParameter("--align needs --model: delays are found by the robot's motion")
     recordings, cuts, report = checked_import(mapping, reading, align=align)
-    if model is not None:
-        tree, _ = reading.robot_of(recordings[0])
-        report = replace(report, diagnostics=(*tree.diagnostics, *report.diagnostics))
+    if reading.model is not None:
+        known = reading.robot_of(recordings[0])[0].diagnostics
+        report = replace(report, diagnostics=(*known, *report.diagnostics))
+    clocks = list(_clock_lines(report, " (corrected)" if align else ""))
     paths = [str(path) for path in save_pieces(recordings, out, force=force)]
     imports = [recording.facts["import"] for recording in recordings]
-    clocks = [*_clock_lines(report, " (corrected)" if align else "")]
     if as_json:
         document = {"import": imports if cuts else imports[0], "clocks": clocks}
         document["diagnostics"] = [each.as_dict() for each in report.diagnostics]
@@ -179,25 +178,31 @@ def import_(
             document |= {"recordings": paths, "cuts": [each.text for each in cuts]}
         output.print_json(document)
         return
-    last = f"recordings: {', '.join(paths)}; identify takes them together"
-    lines, doubts = _reported(imports)
-    lines += [*clocks, last if cuts else f"recording: {out}"]
-    output.print_result((), lines, [*cuts, *ordered([*doubts, *report.diagnostics])])
+    several = f"recordings: {', '.join(paths)}; identify takes them together"
+    lines = [*clocks, several if cuts else f"recording: {out}"]
+    _print_imports(imports, lines, cuts, report)
+
+
+def _print_imports(
+    imports: Iterable[dict[str, Any]],
+    lines: Iterable[str],
+    cuts: Iterable[Diagnostic],
+    report: CheckReport,
+) -> None:
+    """Print what imports did, then further lines, cuts and doubts."""
+    from testbed.importing.import_report import ImportReport
+    from testbed.view import output
+
+    reports = [ImportReport.from_dict(each) for each in imports]
+    doubts = [each for report in reports for each in report.diagnostics]
+    every = [*(line for report in reports for line in report.lines()), *lines]
+    output.print_result((), every, [*cuts, *ordered([*doubts, *report.diagnostics])])
 
 
 def _clock_lines(report: CheckReport, correction: str) -> Iterator[str]:
     """How late signals are, and what was done about it."""
     for each in report.offsets:
         yield each.diagnostic().text + (correction if each.matters else ", not significant")
-
-
-def _reported(imports: Iterable[dict[str, Any]]) -> tuple[list[str], list[Diagnostic]]:
-    """What imports did, line by line, and what to doubt of them."""
-    from testbed.importing.import_report import ImportReport
-
-    reports = [ImportReport.from_dict(each) for each in imports]
-    doubts = [each for report in reports for each in report.diagnostics]
-    return [line for report in reports for line in report.lines()], doubts
 
 
 def checked_import(
