@@ -122,7 +122,9 @@ def import_(
         bool, typer.Option("--guess", help="Write a draft mapping of the file.")
     ] = False,
     *,
-    reading: Annotated[Reading, Fields("model settings weld_root lock lock_mimic unchecked")],
+    reading: Annotated[
+        Reading, Fields("model", "settings", "weld_root", "lock", "lock_mimic", "unchecked")
+    ],
     align: Annotated[
         bool, typer.Option("--align", help="Correct delays of torques and plate (needs --model).")
     ] = False,
