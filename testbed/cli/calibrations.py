@@ -112,7 +112,16 @@ def calibrate(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Parquet file.")],
     reading: Annotated[
         Reading,
-        Fields("settings zeros gravity weld_root lock lock_mimic threads", model=RobotModel),
+        Fields(
+            "settings",
+            "zeros",
+            "gravity",
+            "weld_root",
+            "lock",
+            "lock_mimic",
+            "threads",
+            model=RobotModel,
+        ),
     ],
     known: Annotated[
         list[str],
@@ -185,7 +194,15 @@ def drives(
     reading: Annotated[
         Reading,
         Fields(
-            "settings zeros gravity weld_root lock lock_mimic plate sensor threads",
+            "settings",
+            "zeros",
+            "gravity",
+            "weld_root",
+            "lock",
+            "lock_mimic",
+            "plate",
+            "sensor",
+            "threads",
             model=RobotModel,
         ),
     ],
@@ -193,7 +210,7 @@ def drives(
         bool,
         typer.Option("--choose-terms", help="Choose the terms of each joint by cross-validation."),
     ] = False,
-    writing: Annotated[Writing, Fields("write force")],
+    writing: Annotated[Writing, Fields("write", "force")],
     unseen: Annotated[
         Path | None,
         typer.Option(help="With --write: another motion, whose torques drive the file in MuJoCo."),
@@ -291,14 +308,23 @@ def payload(
     loaded: Annotated[Path, typer.Argument(metavar="WITH", help="Recording with the payload.")],
     reading: Annotated[
         Reading,
-        Fields("settings gravity weld_root lock lock_mimic plate threads", model=RobotModel),
+        Fields(
+            "settings",
+            "gravity",
+            "weld_root",
+            "lock",
+            "lock_mimic",
+            "plate",
+            "threads",
+            model=RobotModel,
+        ),
     ],
     *,
     joint: Annotated[
         str | None,
         typer.Option(help="Joint that moves the link with the payload; default the last."),
     ] = None,
-    printed: Annotated[PayloadOutput, Fields("vendor flange as_json")],
+    printed: Annotated[PayloadOutput, Fields("vendor", "flange", "as_json")],
 ) -> None:
     """Find a payload's mass, centre and inertia by two recordings, without it and with it.
 

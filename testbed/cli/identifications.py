@@ -144,11 +144,21 @@ def identify(
     reading: Annotated[
         Reading,
         Fields(
-            "settings zeros gravity sensor weld_root lock lock_mimic plate terms unchecked threads",
+            "settings",
+            "zeros",
+            "gravity",
+            "sensor",
+            "weld_root",
+            "lock",
+            "lock_mimic",
+            "plate",
+            "terms",
+            "unchecked",
+            "threads",
             model=RobotModel,
         ),
     ],
-    writing: Annotated[Writing, Fields("consistent write fixed in_place force")],
+    writing: Annotated[Writing, Fields("consistent", "write", "fixed", "in_place", "force")],
     method: Annotated[
         Literal["external", "internal", "both"],
         typer.Option(help="external: force plate, internal: joint torques."),
@@ -249,7 +259,7 @@ def validate(
         Path,
         typer.Argument(metavar="RESULT.json", help="Output of identify --json, or a run folder."),
     ],
-    reading: Annotated[Reading, Fields("model gravity settings plate threads")],
+    reading: Annotated[Reading, Fields("model", "gravity", "settings", "plate", "threads")],
     as_json: Json = False,
 ) -> None:
     """Hold estimates against a recording of a motion that they have not seen.
@@ -306,7 +316,7 @@ def sample(
     *,
     count: Annotated[int, typer.Option("-n", min=1, max=100_000, help="How many robots.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Of the draws.")] = 0,
-    reading: Annotated[Reading, Fields("model settings")],
+    reading: Annotated[Reading, Fields("model", "settings")],
     fixed: FixedLinks = "lump",
     force: Force = False,
     as_json: Json = False,

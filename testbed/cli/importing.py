@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -121,7 +122,9 @@ def import_(
         bool, typer.Option("--guess", help="Write a draft mapping of the file.")
     ] = False,
     *,
-    reading: Annotated[Reading, Fields("model settings weld_root lock lock_mimic unchecked")],
+    reading: Annotated[
+        Reading, Fields("model", "settings", "weld_root", "lock", "lock_mimic", "unchecked")
+    ],
     align: Annotated[
         bool, typer.Option("--align", help="Correct delays of torques and plate (needs --model).")
     ] = False,
@@ -143,18 +146,16 @@ def import_(
 
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
-    from testbed.importing.import_report import ImportReport
     from testbed.importing.mapping import sources
     from testbed.view import output
 
     for each in files:
         if not guess and each.suffix.lower() != ".toml":
             raise typer.BadParameter(misplaced(each, kind_of(each) or LOG, "mapping"))
-    model = reading.model
-    if page is not None and not (guess and model):
+    if page is not None and not (guess and reading.model):
         raise typer.BadParameter("--page is of a mapping: --guess and --model go with it")
-    logs = () if guess or out is None else sources(files[0])
-    check_outputs(out, page, force=force, read=(*files, model, *logs))
+    read = [*files, reading.model, *(() if guess or out is None else sources(files[0]))]
+    check_outputs(out, page, force=force, read=read)
     if guess:
         write_mapping(files, out, reading, page)
         return
@@ -163,29 +164,47 @@ def import_(
     (mapping,) = files
     if out is None:
         raise typer.BadParameter("--out is missing, e.g. --out recording.parquet")
-    if model is None and align:
+    if reading.model is None and align:
         raise typer.BadParameter("--align needs --model: delays are found by the robot's motion")
     recordings, cuts, report = checked_import(mapping, reading, align=align)
-    checked = report.diagnostics
-    if model is not None:
-        checked = (*reading.robot_of(recordings[0])[0].diagnostics, *checked)
-    significance = {True: " (corrected)" if align else "", False: ", not significant"}
-    clocks = [each.diagnostic().text + significance[each.matters] for each in report.offsets]
+    if reading.model is not None:
+        known = reading.robot_of(recordings[0])[0].diagnostics
+        report = replace(report, diagnostics=(*known, *report.diagnostics))
+    clocks = list(_clock_lines(report, " (corrected)" if align else ""))
     paths = [str(path) for path in save_pieces(recordings, out, force=force)]
     imports = [recording.metadata.report for recording in recordings]
     if as_json:
         document: dict[str, object] = {"import": imports if cuts else imports[0], "clocks": clocks}
-        document["diagnostics"] = [each.as_dict() for each in checked]
+        document["diagnostics"] = [each.as_dict() for each in report.diagnostics]
         if cuts:
             document |= {"recordings": paths, "cuts": [each.text for each in cuts]}
         output.print_json(document)
         return
+    several = f"recordings: {', '.join(paths)}; identify takes them together"
+    lines = [*clocks, several if cuts else f"recording: {out}"]
+    _print_imports(imports, lines, cuts, report)
+
+
+def _print_imports(
+    imports: Iterable[dict[str, Any]],
+    lines: Iterable[str],
+    cuts: Iterable[Diagnostic],
+    report: CheckReport,
+) -> None:
+    """Print what imports did, then further lines, cuts and doubts."""
+    from testbed.importing.import_report import ImportReport
+    from testbed.view import output
+
     reports = [ImportReport.from_dict(each) for each in imports]
-    doubts = ordered([*(each for report in reports for each in report.diagnostics), *checked])
-    lines = [*(line for report in reports for line in report.lines()), *clocks]
-    last = f"recordings: {', '.join(paths)}; identify takes them together"
-    lines.append(last if cuts else f"recording: {out}")
-    output.print_result((), lines, [*cuts, *doubts])
+    doubts = [each for report in reports for each in report.diagnostics]
+    every = [*(line for report in reports for line in report.lines()), *lines]
+    output.print_result((), every, [*cuts, *ordered([*doubts, *report.diagnostics])])
+
+
+def _clock_lines(report: CheckReport, correction: str) -> Iterator[str]:
+    """How late signals are, and what was done about it."""
+    for each in report.offsets:
+        yield each.diagnostic().text + (correction if each.matters else ", not significant")
 
 
 def checked_import(

@@ -46,7 +46,10 @@ Form = Literal["full", "reduced", "recursive"]
 @command()
 def minimal(
     reading: Annotated[
-        Reading, Fields("zeros zero gravity sensor weld_root lock lock_mimic", model=Model)
+        Reading,
+        Fields(
+            "zeros", "zero", "gravity", "sensor", "weld_root", "lock", "lock_mimic", model=Model
+        ),
     ],
     tared: Annotated[
         bool, typer.Option("--tared", help="The static wrench is subtracted (tared force plate).")
@@ -116,7 +119,7 @@ def equations(
     ] = "paper",
     *,
     reading: Annotated[
-        Reading, Fields("zeros zero gravity weld_root lock lock_mimic", model=Model)
+        Reading, Fields("zeros", "zero", "gravity", "weld_root", "lock", "lock_mimic", model=Model)
     ],
     square: Annotated[
         bool,

@@ -107,8 +107,8 @@ class Fields:
         required: Types of options that a command requires, by name; they come first.
     """
 
-    def __init__(self, names: str, **required: Any) -> None:
-        self.names, self.required = (*required, *names.split()), required
+    def __init__(self, *names: str, **required: Any) -> None:
+        self.names, self.required = (*required, *names), required
 
     def parameters(self, group: Any) -> list[Parameter]:
         """The options as parameters of a function.

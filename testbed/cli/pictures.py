@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from testbed.lab.experiment.run import Run
 
 
-RECORDED = Fields("model settings zeros weld_root lock lock_mimic plate terms unchecked")
+RECORDED = Fields(
+    "model", "settings", "zeros", "weld_root", "lock", "lock_mimic", "plate", "terms", "unchecked"
+)
 """Options of a recording that is identified to be shown."""
 
 
@@ -238,10 +240,7 @@ def _alike(path: Path) -> str:
 
 def _loaded(path: Path, reading: Reading) -> tuple[Reading, Recording, Sequence[Diagnostic]]:
     """A recording in memory, the plate's faults taken back, and what to doubt of it."""
-    from testbed.core.recordings.recording import Recording
-
-    whole = opened(path) if path.suffix == ".toml" else Recording.load(path)
-    reading, source = reading.of_recording(whole)
+    reading, source = reading.of_recording(opened(path))
     accepted = reading.accepted(source)
     return reading, _in_memory(corrected_source(source, reading.tree, reading.plate)), accepted
 

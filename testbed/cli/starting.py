@@ -90,7 +90,7 @@ def new(
         bool,
         typer.Option("--strict", help="Refuse impossible bodies instead of repairing them."),
     ] = False,
-    reading: Annotated[Reading, Fields("lock lock_mimic")],
+    reading: Annotated[Reading, Fields("lock", "lock_mimic")],
     force: Force = False,
 ) -> None:
     """Write an experiment file for a robot, commented and ready to run.

@@ -22,7 +22,12 @@ def tool(
     reading: Annotated[
         Reading,
         Fields(
-            "settings gravity weld_root lock lock_mimic threads",
+            "settings",
+            "gravity",
+            "weld_root",
+            "lock",
+            "lock_mimic",
+            "threads",
             model=RobotModel,
             sensor=Annotated[
                 str,
@@ -45,7 +50,7 @@ def tool(
         bool,
         typer.Option("--degrees", help="With --at-rest: angles without a unit are in degrees."),
     ] = False,
-    printed: Annotated[PayloadOutput, Fields("vendor flange as_json")],
+    printed: Annotated[PayloadOutput, Fields("vendor", "flange", "as_json")],
 ) -> None:
     """Find mass, centre and inertia of the tool that a force sensor carries.
 

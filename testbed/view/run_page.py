@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -192,12 +192,11 @@ def _settings(run: Run) -> dict[str, str]:
     tree, recording = run.tree, run.recording
     joints = tree.names[FREE:] if tree.floating else tree.names
     fitted = vars(run.settings.fitted(recording.rate))
-    signals = {*recording.signals, "base"} if tree.floating else {*recording.signals} - {"base"}
     facts = {
         "robot": f"{tree.name}, {plural(len(joints), 'joint')}: {', '.join(joints)}",
         "gravity": f"{' '.join(f'{each:g}' for each in tree.gravity)} m/s^2",
         "recording": f"{np.ptp(recording.time):.4g} s, {recording.rate:.5g} samples a second",
-        "measured": ", ".join(label for key, label in SIGNALS.items() if key in signals),
+        "measured": ", ".join(_measured(run)),
         "terms": "; ".join(choice_lines(run.estimates.values())),
         "identification": ", ".join(f"{name} {value}" for name, value in fitted.items() if value),
         "versions": ", ".join(f"{name} {number}" for name, number in versions().items()),
@@ -208,6 +207,13 @@ def _settings(run: Run) -> dict[str, str]:
         facts["model file"] = run.model.path.name
         facts["held"] = ", ".join(joint if q is None else f"{joint} at {q:g}" for joint, q in held)
     return {name: text for name, text in facts.items() if text}
+
+
+def _measured(run: Run) -> Iterator[str]:
+    """Names of the recorded signals."""
+    for key, label in SIGNALS.items():
+        if run.tree.floating if key == "base" else key in run.recording.signals:
+            yield label
 
 
 def _without_folders(experiment: Experiment) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 from testbed.core.base.errors import SettingsError
-from testbed.core.estimation.settings import KNOWN, Checked, Share, Valid, with_sigmas
+from testbed.core.estimation.settings import KNOWN, Checked, Share, with_sigmas
 
 MASS = "mass"
 """Of all moving bodies together; `mass/LINK` is that of one with all that is fixed to it."""
@@ -20,10 +20,10 @@ class ConsistencyOptions(Checked):
     Plain values only: an experiment file's table [consistent] holds the same keys.
     """
 
-    prior_error: Annotated[float, Valid(Share, "a positive part of one")] = 0.5
+    prior_error: Annotated[float, Share, "a positive part of one"] = 0.5
     """How wrong the model file's bodies are taken to be, in parts of themselves."""
 
-    known: Annotated[Mapping[str, float | Sequence[float]], KNOWN] = field(
+    known: Annotated[Mapping[str, float | Sequence[float]], *KNOWN] = field(
         default_factory=dict, hash=False
     )
     """Masses, or mass and sigma, by name: "mass" is that of all moving bodies, "mass/LINK" of one

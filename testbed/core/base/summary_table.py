@@ -157,4 +157,6 @@ def parameter_rows(
         sigma: Standard deviations, (p,).
         units: (p,).
     """
-    return tuple(zip(names, numbers_with_sigma(values, sigma), units, strict=True))
+    pairs = zip(values.tolist(), sigma.tolist(), strict=True)
+    numbers = [number_with_sigma(*pair) for pair in pairs]
+    return tuple(zip(names, numbers, units, strict=True))

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Annotated, Any, ClassVar, Final, Literal, get_args, get_type_hints
+from typing import Annotated, Any, ClassVar, Final, Literal, get_type_hints
 
 import numpy as np
 from pydantic import (
@@ -91,50 +90,34 @@ Filter = Annotated[
 Share = Annotated[Number, Field(gt=0)]
 
 
-@dataclass(frozen=True)
-class Valid:
-    """Values of a field, beside its type.
+class Checked(Value):
+    """A frozen dataclass whose fields are checked, whoever makes the value.
 
-    Attributes:
-        kind: What they are, as pydantic takes it.
-        meaning: The same in words.
+    Beside the type of a field stands what pydantic checks, and that in words.
     """
 
-    kind: Any
-    meaning: str
-
-    @cached_property
-    def adapter(self) -> TypeAdapter[Any]:
-        """Validator of the kind."""
-        return TypeAdapter(self.kind)
-
-
-class Checked(Value):
-    """A frozen dataclass whose fields with `Valid` are checked, whoever makes the value."""
-
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
-    _valid: ClassVar[Mapping[str, Valid]]
+    _valid: ClassVar[Mapping[str, tuple[TypeAdapter[Any], str]]]
 
     def __init_subclass__(cls) -> None:
         hints = get_type_hints(cls, include_extras=True).items()
-        metadata = ((name, each) for name, hint in hints for each in get_args(hint))
-        cls._valid = {name: each for name, each in metadata if isinstance(each, Valid)}
+        metadata = {name: getattr(hint, "__metadata__", ()) for name, hint in hints}
+        cls._valid = {k: (TypeAdapter(each[0]), each[1]) for k, each in metadata.items() if each}
 
     def __post_init__(self) -> None:
-        for name, valid in self._valid.items():
+        for name, (adapter, meaning) in self._valid.items():
             given = getattr(self, name)
             try:
-                checked = valid.adapter.validate_python(given)
+                checked = adapter.validate_python(given)
             except ValidationError:
-                raise SettingsError(f"{name} is {valid.meaning}, found {given!r}") from None
+                raise SettingsError(f"{name} is {meaning}, found {given!r}") from None
             object.__setattr__(self, name, checked)
 
 
-KNOWN = Valid(
+KNOWN = (
     dict[Name, Number | tuple[Number] | tuple[Number, Annotated[Number, Field(ge=0)]]],
     "a table of values, or of values and their sigmas, by name",
 )
-FREQUENCY = Valid(Filter, 'a positive frequency [Hz] or "off"')
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,48 +129,42 @@ class Settings(Checked):
 
     zeros: Annotated[
         bool | Sequence[str],
-        Valid(
-            Annotated[bool, Field(strict=True)] | tuple[Name, ...],
-            "true, false or a list of parameters' names",
-        ),
+        Annotated[bool, Field(strict=True)] | tuple[Name, ...],
+        "true, false or a list of parameters' names",
     ] = False
     """Barycentric parameters that are known to be zero: true for all that are zero in the
     model file, or their names, such as "mb1x" or "K2xy"."""
 
-    position_cutoff: Annotated[Cutoff | None, FREQUENCY] = "fit"
+    position_cutoff: Annotated[Cutoff | None, Filter, 'a positive frequency [Hz] or "off"'] = "fit"
     """Low-pass on encoder positions before they are differentiated [Hz], or "off". At least
     twice `cutoff`: what it takes from the motion would bias the estimate. By default 40 Hz, or
     none where the sampling is too slow for that."""
 
-    cutoff: Annotated[Cutoff | None, FREQUENCY] = "fit"
+    cutoff: Annotated[Cutoff | None, Filter, 'a positive frequency [Hz] or "off"'] = "fit"
     """Low-pass on the regressor's columns and the measurement alike [Hz], or "off". By default
     5 Hz, or a tenth of the sampling rate or half of `position_cutoff` where that is less."""
 
-    deadband: Annotated[float, Valid(Amount, f"a speed [rad/s or m/s], from 0 to {LARGEST:g}")] = (
-        0.02
-    )
+    deadband: Annotated[float, Amount, f"a speed [rad/s or m/s], from 0 to {LARGEST:g}"] = 0.02
     """Joints that are slower rest: dry friction there has no sign, and is unknown
     [rad/s or m/s]."""
 
-    reversal_reach: Annotated[
-        float | None, Valid(Amount | None, f"a time [s], from 0 to {LARGEST:g}")
-    ] = None
+    reversal_reach: Annotated[float | None, Amount | None, f"a time [s], from 0 to {LARGEST:g}"] = (
+        None
+    )
     """Rows of a joint that rests within this time do not count, since the filter on rows spreads
     what friction does there [s]. Default: in an estimate they do, whitened of it; where single
     rows are looked at, all but 3 % of the filter's weight has to move, 0.15 s at 5 Hz."""
 
     terms: Annotated[
         Sequence[str | JointLaw] | Literal["auto"] | None,
-        Valid(
-            Annotated[
-                tuple[Name | InstanceOf[JointLaw], ...],
-                AfterValidator(_known_terms),
-                AfterValidator(_distinct),
-            ]
-            | Literal["auto"]
-            | None,
-            'a list of names, none twice, or "auto"',
-        ),
+        Annotated[
+            tuple[Name | InstanceOf[JointLaw], ...],
+            AfterValidator(_known_terms),
+            AfterValidator(_distinct),
+        ]
+        | Literal["auto"]
+        | None,
+        'a list of names, none twice, or "auto"',
     ] = None
     """What a joint's torque holds besides the forces that move the bodies: "coulomb", "viscous",
     "offset", "rotor", "asymmetric", "quadratic", "square_root", "slope", "warm_coulomb",
@@ -198,25 +175,22 @@ class Settings(Checked):
 
     nuisances: Annotated[
         Sequence[str],
-        Valid(
-            Annotated[
-                tuple[Annotated[Name, AfterValidator(term_of)], ...], AfterValidator(_distinct)
-            ],
-            "a list of names, none twice",
-        ),
+        Annotated[tuple[Annotated[Name, AfterValidator(term_of)], ...], AfterValidator(_distinct)],
+        "a list of names, none twice",
     ] = ()
     """What of the instrument is unknown beside the parameters, for the external method: "bias",
     "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare" (docs/uncertainty.md)."""
 
     tare: Annotated[
         Literal["known", "unknown"],
-        Valid(Literal["known", "unknown"], '"known" or "unknown"'),
+        Literal["known", "unknown"],
+        '"known" or "unknown"',
     ] = "known"
     """Whether it is known what of the wrench is the pedestal's. If not, the plate shows only how
     its wrench changes: the parameters are those of the tared set, and "bias" is among the
     nuisances."""
 
-    known: Annotated[Mapping[str, float | Sequence[float]], KNOWN] = field(
+    known: Annotated[Mapping[str, float | Sequence[float]], *KNOWN] = field(
         default_factory=dict, hash=False
     )
     """What is known exactly, or with a sigma: a value, or value and sigma, by name. "mass" is that
@@ -225,17 +199,16 @@ class Settings(Checked):
 
     span: Annotated[
         Sequence[float] | None,
-        Valid(
-            Annotated[tuple[Number, Number], AfterValidator(_rising)] | None,
-            "two times [s], the earlier one first",
-        ),
+        Annotated[tuple[Number, Number], AfterValidator(_rising)] | None,
+        "two times [s], the earlier one first",
     ] = None
     """Samples from the first to before the second time count [s]. Default: those that the recording
     says are for an estimate, as one from rest to rest does; else all."""
 
     drives: Annotated[
         Literal["off", "given", "chosen"],
-        Valid(Literal["off", "given", "chosen"], '"off", "given" or "chosen"'),
+        Literal["off", "given", "chosen"],
+        '"off", "given" or "chosen"',
     ] = "off"
     """Whether joint torques are held against the plate's estimate: torque constants, friction
     curves, both methods combined; with the given terms, or with those that held-out data choose
@@ -243,7 +216,8 @@ class Settings(Checked):
 
     engine: Annotated[
         Literal["by size", "compiled", "numpy"],
-        Valid(Literal["by size", "compiled", "numpy"], '"by size", "compiled" or "numpy"'),
+        Literal["by size", "compiled", "numpy"],
+        '"by size", "compiled" or "numpy"',
     ] = "by size"
     """What makes the rows: the compiled kernel, NumPy, or whichever is faster for the size of the
     job. They differ in rounding only."""

@@ -205,10 +205,11 @@ def score(
             relative = shared_errors(tree, estimate.base.values, zeros)
         metrics[f"{method}_rms_relative_error"] = root_mean_square(relative)
     if "internal" in errors:
-        own = estimates["internal"]
-        resisting = [False] * own.minimal.count + [term.law.resists for term in own.joint_terms]
-        metrics["friction_max_relative_error"] = _largest(errors["internal"].relative[resisting])
-    ours, theirs = (metrics.get(f"{m}_rms_relative_error") for m in ("internal", "external"))
+        own, relative = estimates["internal"], errors["internal"].relative
+        resisting = [term.law.resists for term in own.joint_terms]
+        metrics["friction_max_relative_error"] = _largest(relative[own.minimal.count :][resisting])
+    ours = metrics.get("internal_rms_relative_error")
+    theirs = metrics.get("external_rms_relative_error")
     if ours is not None and theirs is not None:
         metrics["internal_to_external"] = ours / max(theirs, TINY)
     known = {name: value for name, value in metrics.items() if value is not None}
@@ -321,35 +322,41 @@ def drive_metrics(
         found: What the plate says of the drives.
     """
     constants, load = true_constants(experiment, recording), np.zeros(tree.n)
-    estimates = found.estimates
     for effect in experiment.simulation.effect:
         gears = effect.on(tree.names).gears(tree)
         if gears is not None:  # as one loss in both directions and a constant: no torque shows more
             constants = constants * (1 + (gears.driving - gears.driven) / 2)
             load = (gears.driving + gears.driven) / (2 + gears.driving - gears.driven)
-    errors = np.array([each.constant for each in estimates]) / constants - 1
-    sigmas = np.array([each.sigma for each in estimates]) / constants
+    errors = np.array([each.constant for each in found.estimates]) / constants - 1
+    sigmas = np.array([each.sigma for each in found.estimates]) / constants
     metrics = {
         "torque_constant_max_error": float(np.abs(errors).max()),
         "torque_constant_max_z": float(np.abs(errors / np.maximum(sigmas, 1e-300)).max()),
         **_bodies(tree, experiment, found),
+        **dict(_law_errors(tree, found.estimates, load)),
     }
-    for name, law, truth, missing in (
-        ("load", LOAD, load, 0.0),
-        ("coulomb", COULOMB, COULOMB.coefficients(tree), np.nan),
-        ("rotor", ROTOR, ROTOR.coefficients(tree), np.nan),
-    ):
-        values = np.array([_coefficient(each, law, missing) for each in estimates])
-        there = (truth != 0) & ~np.isnan(values)
-        if there.any():
-            off = np.abs(values[there] / truth[there] - 1)
-            metrics[f"{name}_max_relative_error"] = float(off.max())
     if recording.truth is not None:
         least = experiment.identification.deadband
         errors = np.concatenate([*_curve_errors(found.curves, recording.truth, least)])
         curves = root_mean_square(errors)
         metrics["friction_curve_rms"] = np.nan if curves is None else curves
     return metrics
+
+
+def _law_errors(
+    tree: Tree, drives: Sequence[DriveEstimate], load: Array
+) -> Iterator[tuple[str, float]]:
+    """Largest relative errors of coefficients that the robot has, by metric."""
+    for name, law, truth, missing in (
+        ("load", LOAD, load, 0.0),
+        ("coulomb", COULOMB, COULOMB.coefficients(tree), np.nan),
+        ("rotor", ROTOR, ROTOR.coefficients(tree), np.nan),
+    ):
+        values = np.array([_coefficient(each, law, missing) for each in drives])
+        there = (truth != 0) & ~np.isnan(values)
+        if there.any():
+            off = np.abs(values[there] / truth[there] - 1)
+            yield f"{name}_max_relative_error", float(off.max())
 
 
 def true_constants(experiment: Experiment, recording: Recording) -> Array:

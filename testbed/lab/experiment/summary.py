@@ -55,21 +55,25 @@ def headline(run: Run) -> str:
         shown = ([each for each in parts if each[:6] != "Remedy"] for parts in paragraphs(said))
         first = [f"{text[0].upper()}{text[1:]}." for text in map(". ".join, shown)]
         return " ".join([*first, *data_lines(made, well=said[0].code == WELL)])
-    part = run.tree.is_part  # whose joints carry more than what the sensor feels
-    signals = {"wrench": "sensor wrench"} if part else SIGNALS
-    errors = []
-    for name, signal in signals.items():
-        by = [
-            f"{percent(share)} by the {run.estimates[method].instrument}"
-            for method, accuracy in run.score.accuracy.items()
-            if (share := getattr(accuracy, name)) is not None
-        ]
-        errors += [f"{signal} {', '.join(by)}"] if by else []
+    errors = _prediction_errors(run)
     if not errors:
         return f"From {_data(run)} nothing can be predicted: the robot makes no force."
     where = "a held-out motion" if run.validation else "the motion used for the fit"
     listed = "; ".join(errors)
     return f"Prediction error on {where}, rms relative to the signal: {listed}{assumed(run)}."
+
+
+def _prediction_errors(run: Run) -> list[str]:
+    """Errors of the signals that a sensor or the robot shows, a phrase a signal."""
+    part = run.tree.is_part  # whose joints carry more than what the sensor feels
+    errors: dict[str, list[str]] = {}
+    for name, signal in ({"wrench": "sensor wrench"} if part else SIGNALS).items():
+        for method, accuracy in ({} if run.score is None else run.score.accuracy).items():
+            share = getattr(accuracy, name)
+            if share is not None:
+                phrase = f"{percent(share)} by the {run.estimates[method].instrument}"
+                errors.setdefault(signal, []).append(phrase)
+    return [f"{signal} {', '.join(phrases)}" for signal, phrases in errors.items()]
 
 
 def assumed(run: Run) -> str:
