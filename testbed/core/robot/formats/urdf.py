@@ -117,9 +117,10 @@ def _link_inertia(link: ET.Element) -> Inertia:
     if inertial is None:
         return NOTHING
     origin = inertial.find("origin")
-    turn = pin.rpy.rpyToMatrix(*numbers_of(origin, "rpy", "0 0 0"))
+    R_LC = pin.rpy.rpyToMatrix(*numbers_of(origin, "rpy", "0 0 0"))
+    X_LC = Transform(R_LC, np.array(numbers_of(origin, "xyz", "0 0 0")))
     mass, central = _stated(inertial)
-    return Inertia.about_centre(mass, numbers_of(origin, "xyz", "0 0 0"), turn @ central @ turn.T)
+    return Inertia(mass, np.zeros(3), central).moved(X_LC)
 
 
 def _built(root: ET.Element, path: Path) -> pin.Model:

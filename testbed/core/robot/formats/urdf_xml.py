@@ -19,11 +19,12 @@ import numpy as np
 
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ModelError, few, quoted
+from testbed.core.base.transform import Transform
 from testbed.core.robot.inertia import HEAVIEST
 from testbed.core.robot.locks import Coupling, Lock, Travel, lock_positions
 from testbed.core.robot.parsing import decimals, errors_of, plain, read_xml
 from testbed.core.robot.refusals import FreeRootError
-from testbed.core.robot.rotations import from_rpy, from_vector, to_rpy
+from testbed.core.robot.rotations import displacement, from_rpy, to_rpy
 from testbed.core.robot.tree import FARTHEST, UNIT, ModelSource
 
 DEEPEST_LINKS = 1_500
@@ -225,12 +226,12 @@ def _move_origin(joint: ET.Element, position: float) -> None:
         origin = ET.SubElement(joint, "origin")
     axis = np.array(numbers_of(joint.find("axis"), "xyz", "1 0 0"))
     axis /= np.linalg.norm(axis)
-    R_PJ = from_rpy(numbers_of(origin, "rpy", "0 0 0"))
-    if joint.get("type") == "prismatic":
-        p_PJ = np.array(numbers_of(origin, "xyz", "0 0 0")) + R_PJ @ axis * position
-        origin.set("xyz", plain(p_PJ))
-    else:
-        origin.set("rpy", plain(to_rpy(R_PJ @ from_vector(position * axis))))
+    rpy, xyz = (np.array(numbers_of(origin, key, "0 0 0")) for key in ("rpy", "xyz"))
+    X_PB = Transform(from_rpy(rpy), xyz) @ displacement(
+        axis, position, revolute=joint.get("type") != "prismatic"
+    )
+    origin.set("xyz", plain(X_PB.p_AB_A))
+    origin.set("rpy", plain(to_rpy(X_PB.R_AB)))
 
 
 def _keep(element: ET.Element, owner: str, also: tuple[str, ...]) -> Iterator[tuple[str, str]]:
