@@ -168,7 +168,7 @@ def mimic_joints(path: str | Path) -> tuple[str, ...]:
         ModelError: The file cannot be read.
     """
     found = _travels(Path(path))
-    return tuple(name for name, each in found.items() if each.coupling and each.coupling.master)
+    return tuple(name for name, each in found.items() if each.master)
 
 
 def expressible(file: ModelFile) -> tuple[ModelFile, Tree, frozenset[str]]:
