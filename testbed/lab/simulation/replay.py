@@ -53,10 +53,9 @@ def replay(model: ModelFile, recording: Recording, seconds: float = 2.0) -> Arra
         before = plant.opt.timestep * np.arange(-plant.actuator_history[late, 0], 0.0)
         known = np.interp(time[first] + before, time, torque[:, late])
         mujoco.mj_initCtrlHistory(plant, data, late, before[:, None], known[:, None])
-    joints = [plant.joint(name) for name in tree.names]
-    order = [joint.qposadr[0] for joint in joints]
+    order = [plant.joint(name).dofadr[0] for name in tree.names]  # each has one position
     fit = np.polynomial.polynomial.polyfit(time[:fitted] - time[first], recorded[:fitted], 3)
-    data.qpos[order], data.qvel[[joint.dofadr[0] for joint in joints]] = fit[0], fit[1]
+    data.qpos[order], data.qvel[order] = fit[:2]
     found = np.empty((last - first, tree.n))
     for k in range(first, last):
         found[k - first] = data.qpos[order]
