@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
 from testbed.core.parameters.symbols import PARTS, TENSOR, UPPER
@@ -52,22 +53,37 @@ def mobilities(tree: Tree, gravity: Array) -> tuple[Mobility, ...]:
     axes = np.array([X_WB.R_AB @ j.axis for X_WB, j in zip(poses, tree.joints, strict=True)])
     origins = np.array([X_WB.p_AB_A for X_WB in poses])
     revolute = np.array([joint.revolute for joint in tree.joints])
-    mobilities = []
-    for joint, axis, origin in zip(tree.joints, axes, origins, strict=True):
-        ahead = list(tree.chain(joint.parent))
-        turning = axes[ahead][revolute[ahead]]
-        arms = origins[ahead] - origin
-        rotation, direction = _rotation(turning, axis)
-        if direction is not None:
-            direction = poses[joint.parent].R_AB.T @ direction
-        coaxial = _sines(arms, axis) <= ALIGNED
-        one_line = (_sines(axes[ahead], axis) <= ALIGNED) & (coaxial | ~revolute[ahead])
-        pulled = _sines(gravity, axis) > ALIGNED * np.linalg.norm(gravity)
-        pivot = None
-        if not gravity.any() and revolute[ahead].all():
-            pivot = _pivot(axes[ahead], arms, axis)
-        mobilities.append(Mobility(rotation, direction, bool(one_line.all() and not pulled), pivot))
-    return tuple(mobilities)
+    found = []
+    for j, parent in enumerate(tree.parents):
+        ahead = list(tree.chain(parent))
+        R_PW = poses[parent].R_AB.T if ahead else np.eye(3)
+        arms = origins[ahead] - origins[j]
+        found.append(_mobility(axes[j], axes[ahead], arms, revolute[ahead], gravity, R_PW))
+    return tuple(found)
+
+
+def _mobility(
+    axis: Array, axes: Array, arms: Array, revolute: NDArray[np.bool_], gravity: Array, R_PW: Array
+) -> Mobility:
+    """The mobility ahead of a joint.
+
+    Args:
+        axis: Of the joint, (3,), bedplate frame W.
+        axes: Of the joints ahead, (k, 3).
+        arms: From O^j to their origins, (k, 3) [m].
+        revolute: Which of them turn, (k,).
+        gravity: (3,) [m/s^2].
+        R_PW: Rotation from the bedplate's frame to the carrying body's.
+    """
+    rotation, direction = _rotation(axes[revolute], axis)
+    one_line = (_sines(axes, axis) <= ALIGNED) & ((_sines(arms, axis) <= ALIGNED) | ~revolute)
+    pulled = _sines(gravity, axis) > ALIGNED * np.linalg.norm(gravity)
+    return Mobility(
+        rotation,
+        None if direction is None else R_PW @ direction,
+        bool(one_line.all() and not pulled),
+        None if gravity.any() or not revolute.all() else _pivot(axes, arms, axis),
+    )
 
 
 def _rotation(turning: Array, axis: Array) -> tuple[Rotation, Array | None]:

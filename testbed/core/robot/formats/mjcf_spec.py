@@ -264,9 +264,8 @@ def _along(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> tuple[str, ...]
         return tuple(names)
     if equality.type == mujoco.mjtEq.mjEQ_TENDON:
         wraps = [wrap for name in names for wrap in spec.tendon(name).path]
-        ends = [wrap.target for wrap in wraps]
-        joints = [e.name for e, w in zip(ends, wraps, strict=True) if w.type == _JOINT]
-        bodies = [e.parent for e, w in zip(ends, wraps, strict=True) if w.type == _SITE]
+        joints = [wrap.target.name for wrap in wraps if wrap.type == _JOINT]
+        bodies = [wrap.target.parent for wrap in wraps if wrap.type == _SITE]
     else:
         on_sites = equality.objtype == mujoco.mjtObj.mjOBJ_SITE
         joints, bodies = [], [spec.site(n).parent if on_sites else spec.body(n) for n in names]

@@ -131,33 +131,38 @@ def _checked(
     shown = root.findall("material") if keep_visuals else []
     with errors_of(path):
         said = [each for part in root.iter() for each in _accepted(part)]
-        unknown = [*_keep(root, "", ("visual",) if keep_visuals else ())]
-        if unknown:
-            first = [f"{what} of {owner}" for what, owner in dict(unknown[::-1]).items()]
-            said.append(diagnose("model.ignored", few(first[::-1]), file=path.name))
+        ignored = dict([*_keep(root, "", ("visual",) if keep_visuals else ())][::-1])
+        if ignored:
+            owners = [f"{name} of {owner}" for name, owner in ignored.items()]
+            said.append(diagnose("model.ignored", few(owners[::-1]), file=path.name))
         root[:] = [*shown, *links, *joints]
         carriers = _carriers(links, joints)
         for joint in joints:
-            name, kind = f"joint '{joint.get('name')}'", joint.get("type", "?")
-            if kind == "floating" and link_at(joint, "parent") not in carriers:
+            if joint.get("type") == "floating" and link_at(joint, "parent") not in carriers:
                 if not weld_root:
                     raise FreeRootError(path.name, joint.get("name", "?"))
                 joint.set("type", "fixed")
-            elif kind not in _SUPPORTED:
-                raise ModelError(
-                    f"{name} is of type '{kind:.40}', which is not supported (supported: "
-                    f"{', '.join(_SUPPORTED)})"
-                )
-            rewrite_numbers(joint, name)
-            axis = numbers_of(joint.find("axis"), "xyz", "1 0 0")
-            if joint.get("type") != "fixed" and max(np.abs(axis)) < UNIT:
-                raise ModelError(f"{name} has no direction: its <axis> xyz is {axis}")
-            if not all(mimic.get("joint") for mimic in joint.findall("mimic")):
-                raise ModelError(f"{name}: <mimic> names no joint")
+            _check_joint(joint)
         for link in links:
             for inertial in link.findall("inertial"):
                 rewrite_numbers(inertial, f"link '{link.get('name')}'", allow_nan=True)
     return root, said
+
+
+def _check_joint(joint: ET.Element) -> None:
+    """Whether a joint is supported, its numbers made plain."""
+    name, kind = f"joint '{joint.get('name')}'", joint.get("type", "?")
+    if kind not in _SUPPORTED:
+        raise ModelError(
+            f"{name} is of type '{kind:.40}', which is not supported (supported: "
+            f"{', '.join(_SUPPORTED)})"
+        )
+    rewrite_numbers(joint, name)
+    axis = numbers_of(joint.find("axis"), "xyz", "1 0 0")
+    if kind != "fixed" and max(np.abs(axis)) < UNIT:
+        raise ModelError(f"{name} has no direction: its <axis> xyz is {axis}")
+    if not all(mimic.get("joint") for mimic in joint.findall("mimic")):
+        raise ModelError(f"{name}: <mimic> names no joint")
 
 
 def _accepted(element: ET.Element) -> Iterator[Diagnostic]:
