@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
-from testbed.core.parameters.symbols import PARTS, TENSOR, UPPER
+from testbed.core.parameters.symbols import PARTS, TENSOR
 from testbed.core.robot.tree import Joint, Tree
 
 ALIGNED = 1e-9
@@ -260,7 +260,7 @@ def rule(joint: Joint, mobility: Mobility, model: Model) -> Row:
 def _of_prismatic(joint: Joint, mobility: Mobility, model: Model) -> Row:
     """Tables 2, joint torques, and 3, bedplate reaction."""
     unit = np.eye(10)[0]
-    mass = Kept(((1.0, "mbar", ""),), unit, unit, axial=True)
+    mass = _kept(((1.0, "mbar", ""),), unit, axial=True)
     row = {"free": 1, "across": 2}.get(mobility.rotation, 3)
     number = f"{2 if model == 'dynamic' else 3}.{row}"
     if number == "2.3":
@@ -294,11 +294,22 @@ def _of_revolute(joint: Joint, mobility: Mobility, model: Model) -> Row:
     return Row(number, kept, np.outer(joint.axis, joint.axis), "mean", triad)
 
 
+ENTRIES = np.array([1, 1, 1, 1, 2, 1, 1, 2, 1, 2])
+"""Factors from a form's coefficients to a multiple of the parameters dual to it: of a tensor's
+numbers, those on the diagonal count twice."""
+
+
+def _kept(terms: tuple[tuple[float, str, str], ...], form: Array, *, axial: bool = False) -> Kept:
+    """A form of a triad's components, and the parameters for which it alone is 1."""
+    direction = ENTRIES * form
+    return Kept(terms, form, direction / (direction @ form), axial)
+
+
 def _moments(triad: Triad, count: int) -> tuple[Kept, ...]:
     """Components of mb^j along the first directions of a triad."""
     forms = np.pad(triad.axes[:count], ((0, 0), (1, 6)))
     return tuple(
-        Kept(((1.0, "mb", letter),), form, form)
+        _kept(((1.0, "mb", letter),), form)
         for letter, form in zip(triad.letters[:count], forms, strict=True)
     )
 
@@ -313,17 +324,15 @@ def _about_axis(
     """
     (u, v, e), (p, q, r) = triad.axes, triad.letters
     spread = _tensor_form(u, u) - _tensor_form(v, v)
-    half = (_tensor_part(u, u) - _tensor_part(v, v)) / 2
-    difference = Kept(((2.0, "K", "d"),), spread, half)
-    axial = Kept(((1.0, "K", r + r),), _tensor_form(e, e), _tensor_part(e, e), axial=True)
+    difference = _kept(((2.0, "K", "d"),), spread)
+    axial = _kept(((1.0, "K", r + r),), _tensor_form(e, e), axial=True)
     oblique = _product(v, e, q + r), _product(u, e, p + r)
     return _moments(triad, 2), axial, difference, oblique, _product(u, v, p + q)
 
 
 def _product(a: Array, b: Array, letters: str) -> Kept:
     """K_ab; its letters in the order of the alphabet."""
-    form, direction = _tensor_form(a, b), _tensor_part(a, b) + _tensor_part(b, a)
-    return Kept(((1.0, "K", "".join(sorted(letters))),), form, direction)
+    return _kept(((1.0, "K", "".join(sorted(letters))),), _tensor_form(a, b))
 
 
 def _sum(k: Kept, s: float, mb: Kept) -> Kept:
@@ -358,9 +367,3 @@ NOTHING_KEPT = Row("none", (), np.zeros((3, 3)), "none", _OWN)
 def _tensor_form(a: Array, b: Array) -> Array:
     """The form a . K b on the ten parameters, (10,)."""
     return np.concatenate([np.zeros(4), np.einsum("a,abk,b->k", a, TENSOR, b)])
-
-
-def _tensor_part(a: Array, b: Array) -> Array:
-    """Ten parameters whose tensor is the symmetric part of a b', doubled if a is not b, (10,)."""
-    tensor = (np.outer(a, b) + np.outer(b, a)) / 2
-    return np.concatenate([np.zeros(4), tensor[UPPER]])
