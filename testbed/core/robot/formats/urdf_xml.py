@@ -188,7 +188,8 @@ def travels(path: Path) -> dict[str, Travel]:
 def _travels(joints: list[ET.Element]) -> dict[str, Travel]:
     """How the joints of a checked file move, by name; fixed ones do not."""
     moving = {joint.get("name", ""): joint for joint in joints if joint.get("type") in _MOVING}
-    found = {}
+    fixed = {joint.get("name", "") for joint in joints} - moving.keys()
+    travels = {}
     for name, joint in moving.items():
         low, high = -np.inf, np.inf
         limit, mimic = joint.find("limit"), joint.find("mimic")
@@ -199,10 +200,11 @@ def _travels(joints: list[ET.Element]) -> dict[str, Travel]:
         if mimic is not None:
             master = mimic.get("joint", "")
             offset, slope = *numbers_of(mimic, "offset"), *numbers_of(mimic, "multiplier", "1")
-            still = any(j.get("name") == master and j not in moving.values() for j in joints)
-            coupling = Coupling(None if still else master, (offset,) if still else (offset, slope))
-        found[name] = Travel(low, high, coupling)
-    return found
+            coupling = Coupling(master, (offset, slope))
+            if master in fixed:
+                coupling = Coupling(None, (offset,))
+        travels[name] = Travel(low, high, coupling)
+    return travels
 
 
 def _hold(joints: list[ET.Element], lock: Lock, path: Path) -> tuple[Diagnostic, ...]:
