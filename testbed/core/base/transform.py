@@ -46,10 +46,8 @@ class Transform:
 
     @property
     def matrix(self) -> AnyArray:
-        """Homogeneous matrix [[R_AB, p_AB_A], [0, 1]], (..., 4, 4)."""
-        top = np.concatenate([self.R_AB, self.p_AB_A[..., None]], axis=-1)
-        bottom = np.broadcast_to(np.eye(4)[3:], (*top.shape[:-2], 1, 4))
-        return np.concatenate([top, bottom], axis=-2)
+        """Homogeneous matrix [[R_AB, p_AB_A], [0, 1]] of a single pose, (4, 4)."""
+        return np.block([[self.R_AB, self.p_AB_A[:, None]], [np.eye(4)[3:]]])
 
     def point(self, p_B: AnyArray) -> AnyArray:
         """Points given in B, in A, (..., 3) [m]."""

@@ -204,7 +204,6 @@ def sampled_regressor(
     gravity: ArrayLike | None = None,
     *,
     tared: bool = False,
-    seed: int = 0,
 ) -> Array:
     """Regressor rows on the barycentric parameters at random states, (rows, 10 n).
 
@@ -213,9 +212,8 @@ def sampled_regressor(
         model: "dynamic" for joint torques, "reaction" for the bedplate's wrench.
         gravity: (3,) [m/s^2], bedplate frame; default the model file's.
         tared: Take off the rows of the robot at rest at q = 0.
-        seed: Of the states.
     """
-    rows = parameter_regressor(tree, random_states(tree, seed), model, gravity)
+    rows = parameter_regressor(tree, random_states(tree), model, gravity)
     return (rows - rows[:1] if tared else rows).reshape(-1, 10 * tree.n)
 
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.base.arrays import Array
+from testbed.core.base.transform import Transform
 from testbed.core.kernel.records import (
     CACHE,
     KS,
@@ -34,9 +35,8 @@ from testbed.core.kernel.records import (
     law_number,
 )
 from testbed.core.parameters.minimal_set import MinimalSet
-from testbed.core.parameters.regroup import beyond
+from testbed.core.parameters.regroup import beyond, moved_inertia
 from testbed.core.parameters.rules import Model, across
-from testbed.core.parameters.symbols import TENSOR, UPPER
 from testbed.core.robot.friction import JointTerm
 from testbed.core.robot.shafts import shares
 from testbed.core.robot.tree import Tree
@@ -84,7 +84,8 @@ class Canonical:
 
     def to_canonical(self) -> Array:
         """Barycentric parameters about canonical axes from those about the bodies', (n, 10, 10)."""
-        return np.stack([_turned(frame) for frame in self.frames])
+        turned = np.stack([moved_inertia(Transform(R_BC.T)) for R_BC in self.frames])
+        return np.where(np.abs(turned) < STRAIGHT, 0.0, turned)
 
 
 def canonical(tree: Tree) -> Canonical:
@@ -141,18 +142,6 @@ def _about_z(angle: float) -> Array:
 
 def _about_x(c: float, s: float) -> Array:
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-
-
-def _turned(frame: Array) -> Array:
-    """What barycentric parameters become in a frame of this orientation, (10, 10)."""
-    matrix = np.zeros((10, 10))
-    matrix[0, 0] = 1.0
-    matrix[1:4, 1:4] = frame.T
-    for k in range(6):
-        tensor = frame.T @ TENSOR[:, :, k] @ frame
-        matrix[4:, 4 + k] = tensor[UPPER]
-    matrix[np.abs(matrix) < STRAIGHT] = 0.0
-    return matrix
 
 
 class Pair(NamedTuple):

@@ -82,8 +82,10 @@ def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> It
         yield here
         free.append(span(np.vstack([ahead, screw])))
         rest.append(still)
-        is_base = tree.sensor is not None and j < tree.lead
-        known.append(static if is_base else span(np.vstack([closure, here.whole])))
+        if tree.sensor is None or j >= tree.lead:
+            known.append(span(np.vstack([closure, here.whole])))
+        else:
+            known.append(static)
 
 
 def base_functionals(tree: Tree, gravity: Array, *, tared: bool) -> Array:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
-from testbed.core.parameters.symbols import PARTS, TENSOR, UPPER
+from testbed.core.parameters.symbols import PARTS, TENSOR
 from testbed.core.robot.tree import Joint, Tree
 
 ALIGNED = 1e-9
@@ -52,22 +53,37 @@ def mobilities(tree: Tree, gravity: Array) -> tuple[Mobility, ...]:
     axes = np.array([X_WB.R_AB @ j.axis for X_WB, j in zip(poses, tree.joints, strict=True)])
     origins = np.array([X_WB.p_AB_A for X_WB in poses])
     revolute = np.array([joint.revolute for joint in tree.joints])
-    mobilities = []
-    for joint, axis, origin in zip(tree.joints, axes, origins, strict=True):
-        ahead = list(tree.chain(joint.parent))
-        turning = axes[ahead][revolute[ahead]]
-        arms = origins[ahead] - origin
-        rotation, direction = _rotation(turning, axis)
-        if direction is not None:
-            direction = poses[joint.parent].R_AB.T @ direction
-        coaxial = _sines(arms, axis) <= ALIGNED
-        one_line = (_sines(axes[ahead], axis) <= ALIGNED) & (coaxial | ~revolute[ahead])
-        pulled = _sines(gravity, axis) > ALIGNED * np.linalg.norm(gravity)
-        pivot = None
-        if not gravity.any() and revolute[ahead].all():
-            pivot = _pivot(axes[ahead], arms, axis)
-        mobilities.append(Mobility(rotation, direction, bool(one_line.all() and not pulled), pivot))
-    return tuple(mobilities)
+    found = []
+    for j, parent in enumerate(tree.parents):
+        ahead = list(tree.chain(parent))
+        R_PW = poses[parent].R_AB.T if ahead else np.eye(3)
+        arms = origins[ahead] - origins[j]
+        found.append(_mobility(axes[j], axes[ahead], arms, revolute[ahead], gravity, R_PW))
+    return tuple(found)
+
+
+def _mobility(
+    axis: Array, axes: Array, arms: Array, revolute: NDArray[np.bool_], gravity: Array, R_PW: Array
+) -> Mobility:
+    """The mobility ahead of a joint.
+
+    Args:
+        axis: Of the joint, (3,), bedplate frame W.
+        axes: Of the joints ahead, (k, 3).
+        arms: From O^j to their origins, (k, 3) [m].
+        revolute: Which of them turn, (k,).
+        gravity: (3,) [m/s^2].
+        R_PW: Rotation from the bedplate's frame to the carrying body's.
+    """
+    rotation, direction = _rotation(axes[revolute], axis)
+    one_line = (_sines(axes, axis) <= ALIGNED) & ((_sines(arms, axis) <= ALIGNED) | ~revolute)
+    pulled = _sines(gravity, axis) > ALIGNED * np.linalg.norm(gravity)
+    return Mobility(
+        rotation,
+        None if direction is None else R_PW @ direction,
+        bool(one_line.all() and not pulled),
+        None if gravity.any() or not revolute.all() else _pivot(axes, arms, axis),
+    )
 
 
 def _rotation(turning: Array, axis: Array) -> tuple[Rotation, Array | None]:
@@ -244,7 +260,7 @@ def rule(joint: Joint, mobility: Mobility, model: Model) -> Row:
 def _of_prismatic(joint: Joint, mobility: Mobility, model: Model) -> Row:
     """Tables 2, joint torques, and 3, bedplate reaction."""
     unit = np.eye(10)[0]
-    mass = Kept(((1.0, "mbar", ""),), unit, unit, axial=True)
+    mass = _kept(((1.0, "mbar", ""),), unit, axial=True)
     row = {"free": 1, "across": 2}.get(mobility.rotation, 3)
     number = f"{2 if model == 'dynamic' else 3}.{row}"
     if number == "2.3":
@@ -278,11 +294,22 @@ def _of_revolute(joint: Joint, mobility: Mobility, model: Model) -> Row:
     return Row(number, kept, np.outer(joint.axis, joint.axis), "mean", triad)
 
 
+ENTRIES = np.array([1, 1, 1, 1, 2, 1, 1, 2, 1, 2])
+"""Factors from a form's coefficients to a multiple of the parameters dual to it: of a tensor's
+numbers, those on the diagonal count twice."""
+
+
+def _kept(terms: tuple[tuple[float, str, str], ...], form: Array, *, axial: bool = False) -> Kept:
+    """A form of a triad's components, and the parameters for which it alone is 1."""
+    direction = ENTRIES * form
+    return Kept(terms, form, direction / (direction @ form), axial)
+
+
 def _moments(triad: Triad, count: int) -> tuple[Kept, ...]:
     """Components of mb^j along the first directions of a triad."""
     forms = np.pad(triad.axes[:count], ((0, 0), (1, 6)))
     return tuple(
-        Kept(((1.0, "mb", letter),), form, form)
+        _kept(((1.0, "mb", letter),), form)
         for letter, form in zip(triad.letters[:count], forms, strict=True)
     )
 
@@ -297,17 +324,15 @@ def _about_axis(
     """
     (u, v, e), (p, q, r) = triad.axes, triad.letters
     spread = _tensor_form(u, u) - _tensor_form(v, v)
-    half = (_tensor_part(u, u) - _tensor_part(v, v)) / 2
-    difference = Kept(((2.0, "K", "d"),), spread, half)
-    axial = Kept(((1.0, "K", r + r),), _tensor_form(e, e), _tensor_part(e, e), axial=True)
+    difference = _kept(((2.0, "K", "d"),), spread)
+    axial = _kept(((1.0, "K", r + r),), _tensor_form(e, e), axial=True)
     oblique = _product(v, e, q + r), _product(u, e, p + r)
     return _moments(triad, 2), axial, difference, oblique, _product(u, v, p + q)
 
 
 def _product(a: Array, b: Array, letters: str) -> Kept:
     """K_ab; its letters in the order of the alphabet."""
-    form, direction = _tensor_form(a, b), _tensor_part(a, b) + _tensor_part(b, a)
-    return Kept(((1.0, "K", "".join(sorted(letters))),), form, direction)
+    return _kept(((1.0, "K", "".join(sorted(letters))),), _tensor_form(a, b))
 
 
 def _sum(k: Kept, s: float, mb: Kept) -> Kept:
@@ -342,9 +367,3 @@ NOTHING_KEPT = Row("none", (), np.zeros((3, 3)), "none", _OWN)
 def _tensor_form(a: Array, b: Array) -> Array:
     """The form a . K b on the ten parameters, (10,)."""
     return np.concatenate([np.zeros(4), np.einsum("a,abk,b->k", a, TENSOR, b)])
-
-
-def _tensor_part(a: Array, b: Array) -> Array:
-    """Ten parameters whose tensor is the symmetric part of a b', doubled if a is not b, (10,)."""
-    tensor = (np.outer(a, b) + np.outer(b, a)) / 2
-    return np.concatenate([np.zeros(4), tensor[UPPER]])

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.robot.friction import LAWS
+from testbed.core.robot.friction import LAWS, JointLaw
 from testbed.core.robot.tree import Tree
 
 
@@ -17,9 +19,7 @@ def friction_torque(tree: Tree, qd: Array, smooth: float = 0.0) -> Array:
         qd: Velocities, (..., n) [rad/s or m/s].
         smooth: Speed over which the sign of dry friction is smoothed [rad/s or m/s].
     """
-    laws = [law for law in LAWS if law.resists]
-    still = np.zeros_like(qd)
-    return _sum([law.coefficients(tree) * law.columns(qd, still, smooth) for law in laws])
+    return _torque(tree, (law for law in LAWS if law.resists), qd, np.zeros_like(qd), smooth)
 
 
 def drive_torque(tree: Tree, qd: Array, qdd: Array, smooth: float = 0.0) -> Array:
@@ -31,10 +31,9 @@ def drive_torque(tree: Tree, qd: Array, qdd: Array, smooth: float = 0.0) -> Arra
         qdd: Accelerations, (..., n) [rad/s^2 or m/s^2].
         smooth: Speed over which the sign of dry friction is smoothed [rad/s or m/s].
     """
-    laws = [law for law in LAWS if law.parameter is not None]
-    return _sum([law.coefficients(tree) * law.columns(qd, qdd, smooth) for law in laws])
+    return _torque(tree, (law for law in LAWS if law.parameter is not None), qd, qdd, smooth)
 
 
-def _sum(torques: list[Array]) -> Array:
-    total: Array = sum(torques[1:], torques[0])
-    return total
+def _torque(tree: Tree, laws: Iterable[JointLaw], qd: Array, qdd: Array, smooth: float) -> Array:
+    torques = [law.coefficients(tree) * law.columns(qd, qdd, smooth) for law in laws]
+    return np.asarray(np.sum(torques, axis=0))

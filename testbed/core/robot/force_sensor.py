@@ -7,7 +7,7 @@ without matter; what hangs elsewhere is left out.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
@@ -94,39 +94,38 @@ def _segment(
     tree: Tree, links: Sequence[FileLink], sensor: ForceSensor | None, others: Iterable[ForceSensor]
 ) -> Tree:
     """What lies between a sensor, or the bedplate, and the next ones."""
-    shift = FREE if tree.floating else 0  # the pedestal's links are the base's then
-    links = [replace(link, body=link.body + shift) for link in links]
+    if tree.floating:  # the pedestal's links are the base's then
+        links = [replace(link, body=link.body + FREE) for link in links]
     ours, ends = _between(links, sensor, others)
-    base = None if sensor is None else _link(links, sensor).body
-    path = () if base is None else tree.chain(base)
-    whole, cut = {link.body for link in ours}, {end.body for _, end in ends}
-    kept = [*path, *sorted((whole | cut) - {*path, -1})]
+    base = [] if sensor is None else [(sensor, _link(links, sensor))]
+    path = tree.chain(base[0][1].body) if base else ()
+    whole, cut = {link.body for link in ours}, [link.body for _, link in ends]
+    kept = [*path, *sorted({*whole, *cut} - {*path, -1})]
     if not kept:
         first = f"force sensor '{sensor.name}'" if sensor else "the force plate"
         raise ModelError(f"nothing that moves lies between {first} and the next force sensors")
-    index = {-1: -1} | {old: new for new, old in enumerate(kept)}
+    index = dict(zip((-1, *kept), range(-1, len(kept)), strict=True))
     parts = {
-        body: total(link.in_body for link in ours if link.body == body)
-        for body in cut | {base} - {None}
+        k: total(link.in_body for link in ours if link.body == k)
+        for k in (*cut, *(link.body for _, link in base))
     }
-
-    def placed(each: ForceSensor, link: FileLink) -> Placement:
-        X_BS = link.X_BL @ each.X_LS
-        return Placement(X_BS.p_AB_A, X_BS.R_AB, each.name, index[link.body])
-
-    moving = [replace(tree.joints[k], parent=index[tree.parents[k]]) for k in kept]
-    inertias = [NOTHING if k in path[:-1] else parts.get(k, tree.inertias[k]) for k in kept]
     return replace(
         tree,
-        joints=tuple(moving),
-        inertias=tuple(inertias),
+        joints=tuple(replace(tree.joints[k], parent=index[tree.parents[k]]) for k in kept),
+        inertias=tuple(NOTHING if k in path[:-1] else parts.get(k, tree.inertias[k]) for k in kept),
         pedestal=NOTHING if path else parts.get(-1, tree.pedestal),
         shafts=(),
         lead=len(path),
-        sensor=placed(sensor, _link(links, sensor)) if sensor else None,
-        cuts=tuple(placed(*end) for end in ends),
-        bare=tuple(index[end.body] for _, end in ends if end.body not in whole),
+        sensor=next((_placed(*each, index) for each in base), None),
+        cuts=tuple(_placed(*each, index) for each in ends),
+        bare=tuple(index[k] for k in cut if k not in whole),
     )
+
+
+def _placed(sensor: ForceSensor, link: FileLink, index: Mapping[int, int]) -> Placement:
+    """Where a sensor is in a tree whose bodies have other numbers."""
+    X_BS = link.X_BL @ sensor.X_LS
+    return Placement(X_BS.p_AB_A, X_BS.R_AB, sensor.name, index[link.body])
 
 
 def _between(

@@ -59,6 +59,11 @@ class Travel:
     coupling: Coupling | None = None
 
     @property
+    def master(self) -> str | None:
+        """The joint that is followed, if any."""
+        return self.coupling.master if self.coupling else None
+
+    @property
     def rest(self) -> float:
         """Zero, or the middle of the range where that leaves zero out [rad or m]."""
         if self.low <= 0 <= self.high:
@@ -122,29 +127,25 @@ def lock_positions(
     for name in lock:
         if name not in joints:
             raise UnknownName("joint to lock", name, joints)
-    graph: dict[str, list[str]] = {name: [] for name in joints}
-    for name, joint in joints.items():
-        if joint.coupling and joint.coupling.master and joint.coupling.master in joints:
-            graph[name] = [joint.coupling.master]
+    graph = {name: joints.keys() & {joint.master} for name, joint in joints.items()}
     try:
         order = tuple(TopologicalSorter(graph).static_order())
     except CycleError as error:
         raise ModelError(f"{source}: joint '{error.args[1][0]}' follows itself") from None
     held: dict[str, float] = {}
-    places: dict[str, float] = {}
+    positions: dict[str, float] = {}
     free: dict[str, str] = {}
     for name in order:
-        coupling, wanted = joints[name].coupling, lock.get(name)
-        master = coupling.master if coupling else None
+        joint, wanted = joints[name], lock.get(name)
+        coupling, master = joint.coupling, joint.master
         if wanted is not None:
-            places[name] = _within(name, wanted, joints[name], source)
+            positions[name] = _within(name, wanted, joint, source)
         elif coupling is not None:
-            places[name] = coupling.position(0.0 if master is None else places.get(master, 0.0))
+            positions[name] = coupling.position(positions.get(master or "", 0.0))
         else:
-            places[name] = joints[name].rest
-        taken_along = coupling is not None and (master is None or master in held)
-        if name in lock or taken_along:
-            held[name] = places[name]
+            positions[name] = joint.rest
+        if name in lock or (coupling is not None and (master is None or master in held)):
+            held[name] = positions[name]
         elif master is not None:
             free[name] = master
     if free:
@@ -155,10 +156,9 @@ def lock_positions(
 def _departures(joints: Mapping[str, Travel], held: Mapping[str, float]) -> Iterator[Diagnostic]:
     """Followers that are held where their masters would not take them."""
     for name, position in held.items():
-        coupling = joints[name].coupling
-        if coupling is None or coupling.master is None:
+        coupling, master = joints[name].coupling, joints[name].master
+        if coupling is None or master is None:
             continue
-        master = coupling.master
         if master not in held:
             yield diagnose("model.follower-held", name, position, master=master)
         elif abs(taken := coupling.position(held[master]) - position) > _SLACK:

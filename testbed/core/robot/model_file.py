@@ -142,11 +142,7 @@ def load_tree(
 
 
 def nearest_bodies(
-    path: str | Path,
-    *,
-    weld_root: bool = False,
-    lock: Lock | None = None,
-    repair: Bodies | None = None,
+    path: str | Path, *, weld_root: bool = False, lock: Lock | None = None
 ) -> Repair:
     """The bodies of a model file that no matter can make, and the nearest that can be.
 
@@ -155,7 +151,7 @@ def nearest_bodies(
 
     Arguments and errors are those of `load_tree`.
     """
-    return ModelFile(Path(path), weld_root, repair, lock or {}).read().repair
+    return ModelFile(Path(path), weld_root, lock=lock or {}).read().repair
 
 
 def mimic_joints(path: str | Path) -> tuple[str, ...]:
@@ -168,7 +164,7 @@ def mimic_joints(path: str | Path) -> tuple[str, ...]:
         ModelError: The file cannot be read.
     """
     found = _travels(Path(path))
-    return tuple(name for name, each in found.items() if each.coupling and each.coupling.master)
+    return tuple(name for name, each in found.items() if each.master)
 
 
 def expressible(file: ModelFile) -> tuple[ModelFile, Tree, frozenset[str]]:

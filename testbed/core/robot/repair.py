@@ -151,12 +151,9 @@ def repaired(
     moving = {name: body for name, body in bodies.items() if groups[name][0].body >= 0}
     ball, odd = _out_of_scale(moving, reach)
     bodies |= dict.fromkeys(odd, ball)
-    doubts = {n: [suspects[x.name] for x in g if x.name in suspects] for n, g in groups.items()}
-    judged = [name for name in groups if doubts[name] or name in given_bodies]
-    flaws = {name: line for name in judged if (line := _flaw(name, bodies[name]))}
-    for name, line in flaws.items():
-        if not (bodies[name].mass >= 0 and bodies[name].within_limits):  # no body is near
-            raise ModelError(f"{source}: {[*doubts[name], line][0]}; correct the file")
+    doubted = {link.carrier: suspects[link.name] for link in links[::-1] if link.name in suspects}
+    judged = [name for name in groups if name in doubted or name in given_bodies]
+    flaws = _flaws({name: bodies[name] for name in judged}, doubted, source)
     flaws |= dict(_bare_ends(links, bodies, parents))
     robot = _Size.of(bodies.values())
     nearest = {name: robot.nearest(bodies[name]) for name in flaws}
@@ -174,6 +171,19 @@ def repaired(
         flaws=tuple(grave.values()),
         diagnostics=tuple(diagnostics),
     )
+
+
+def _flaws(bodies: Bodies, doubted: Mapping[str, str], source: str) -> dict[str, str]:
+    """What is wrong with bodies, by name; `doubted` is what is wrong with the first link of each.
+
+    Raises:
+        ModelError: No body is near one of them.
+    """
+    flaws = {name: line for name, body in bodies.items() if (line := _flaw(name, body))}
+    for name, line in flaws.items():
+        if not (bodies[name].mass >= 0 and bodies[name].within_limits):
+            raise ModelError(f"{source}: {doubted.get(name, line)}; correct the file")
+    return flaws
 
 
 def _diagnostics(

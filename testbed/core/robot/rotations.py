@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.core.base.arrays import Array
+from testbed.core.base.transform import Transform
 
 
 def from_rpy(rpy: ArrayLike) -> Array:
@@ -41,3 +42,16 @@ def to_quaternion(R: Array) -> Array:
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(R).as_quat(scalar_first=True))
+
+
+def displacement(axis: Array, q: float, *, revolute: bool) -> Transform:
+    """Pose of a body displaced by its joint in the joint's frame.
+
+    Args:
+        axis: Unit vector, (3,).
+        q: Position [rad or m].
+        revolute: Whether the joint turns (else it slides).
+    """
+    if not q:
+        return Transform()
+    return Transform(from_vector(q * axis)) if revolute else Transform(p_AB_A=q * axis)

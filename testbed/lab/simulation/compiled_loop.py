@@ -74,14 +74,14 @@ class Log(NamedTuple):
 def mujoco_functions() -> dict[str, int]:
     """Addresses of what the loop calls, by the names of `Engine`."""
     library = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco.*"))))
-    names = {
-        "runge_kutta": "mj_RungeKutta",
-        "forward": "mj_forward",
-        "forward_skip": "mj_forwardSkip",
+    functions = {
+        "runge_kutta": library.mj_RungeKutta,
+        "forward": library.mj_forward,
+        "forward_skip": library.mj_forwardSkip,
     }
     return {
-        ours: ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
-        for ours, name in names.items()
+        name: ctypes.cast(function, ctypes.c_void_p).value or 0
+        for name, function in functions.items()
     }
 
 

@@ -49,21 +49,25 @@ def replay(model: ModelFile, recording: Recording, seconds: float = 2.0) -> Arra
     steps = int(np.ceil(period / STEP))
     plant = _plant(model, tree.names, period / steps)
     data = mujoco.MjData(plant)
-    for late in np.flatnonzero(plant.actuator_delay).tolist():
-        before = plant.opt.timestep * np.arange(-plant.actuator_history[late, 0], 0.0)
-        known = np.interp(time[first] + before, time, torque[:, late])
-        mujoco.mj_initCtrlHistory(plant, data, late, before[:, None], known[:, None])
-    joints = [plant.joint(name) for name in tree.names]
-    order = [joint.qposadr[0] for joint in joints]
+    _recall(plant, data, time - time[first], torque)
+    order = [plant.joint(name).dofadr[0] for name in tree.names]  # each has one position
     fit = np.polynomial.polynomial.polyfit(time[:fitted] - time[first], recorded[:fitted], 3)
-    data.qpos[order], data.qvel[[joint.dofadr[0] for joint in joints]] = fit[0], fit[1]
-    found = np.empty((last - first, tree.n))
+    data.qpos[order], data.qvel[order] = fit[:2]
+    simulated = []
     for k in range(first, last):
-        found[k - first] = data.qpos[order]
+        simulated.append(data.qpos[order])
         for share in (np.arange(steps) + 0.5) / steps:
             data.ctrl[:] = torque[k] + share * (torque[k + 1] - torque[k])
             mujoco.mj_step(plant, data)
-    return found - recorded[first:last]
+    return np.array(simulated) - recorded[first:last]
+
+
+def _recall(plant: mujoco.MjModel, data: mujoco.MjData, time: Array, torque: Array) -> None:
+    """Give delayed motors the commands from before the start, t = 0."""
+    for late in np.flatnonzero(plant.actuator_delay).tolist():
+        before = plant.opt.timestep * np.arange(-plant.actuator_history[late, 0], 0.0)
+        known = np.interp(before, time, torque[:, late])
+        mujoco.mj_initCtrlHistory(plant, data, late, before[:, None], known[:, None])
 
 
 def _plant(model: ModelFile, names: Sequence[str], step: float) -> mujoco.MjModel:

@@ -25,7 +25,7 @@ from testbed.core.robot.formats.mjcf_compile import (
 from testbed.core.robot.formats.mjcf_spec import VELOCITY_LIMIT, open_spec, parse
 from testbed.core.robot.inertia import NOTHING, Inertia
 from testbed.core.robot.repair import FileLink, Repair, repaired
-from testbed.core.robot.rotations import from_vector
+from testbed.core.robot.rotations import displacement
 from testbed.core.robot.tree import FARTHEST, Joint, Kind, ModelSource, Tree
 
 _KINDS: dict[int, Kind] = {
@@ -157,12 +157,9 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, X_OB: Transform) -> Joi
     body = model.body(model.jnt_bodyid[j]).name
     name = model.joint(j).name
     axis, zero = model.jnt_axis[j], model.qpos0[model.jnt_qposadr[j]]
-    rotation, attachment = X_OB.R_AB, X_OB.point(model.jnt_pos[j])
     kind = _KINDS[int(model.jnt_type[j])]
-    if kind == "revolute":
-        rotation = rotation @ from_vector(-zero * axis)
-    else:
-        attachment = attachment - rotation @ axis * zero
+    X_OJ = X_OB @ Transform(p_AB_A=model.jnt_pos[j])
+    X_OJ = X_OJ @ displacement(axis, -zero, revolute=kind == "revolute")
     dof = model.jnt_dofadr[j]
     bounded, capped = model.jnt_limited[j], model.jnt_actfrclimited[j]
     limit = VELOCITY_LIMIT + name
@@ -174,8 +171,8 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, X_OB: Transform) -> Joi
         kind=kind,
         parent=owner,
         axis=axis,
-        offset=attachment,
-        rotation=rotation,
+        offset=X_OJ.p_AB_A,
+        rotation=X_OJ.R_AB,
         position_range=model.jnt_range[j] if bounded else np.array([-np.inf, np.inf]),
         max_velocity=float(model.numeric(limit).data[0]) if stated else np.inf,
         max_effort=float(np.abs(model.jnt_actfrcrange[j]).min()) if capped else np.inf,

@@ -27,7 +27,7 @@ from testbed.core.robot.formats.mjcf_compile import (
 )
 from testbed.core.robot.locks import Coupling, Lock, Travel, lock_positions
 from testbed.core.robot.refusals import FreeRootError, LoopError, MimicError
-from testbed.core.robot.rotations import from_vector, to_quaternion
+from testbed.core.robot.rotations import displacement, to_quaternion
 from testbed.core.robot.tree import ModelSource
 
 VELOCITY_LIMIT = "velocity_limit/"
@@ -85,10 +85,9 @@ def travels(path: Path) -> dict[str, Travel]:
     """Coupling of every hinge and slide of an MJCF file, by name; ranges are left open."""
     spec = parse(path)
     couplings, _ = _couplings(spec)
-    moving = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    names = [joint.name for joint in spec.joints if joint.type in moving]
-    masters = {name: Coupling(couplings[name][0], ()) for name in names if name in couplings}
-    return {name: Travel(coupling=masters.get(name)) for name in names}
+    followers = {name: Coupling(master, ()) for name, (master, _) in couplings.items()}
+    names = [joint.name for joint in spec.joints if joint.type in _SUPPORTED]
+    return {name: Travel(coupling=followers.get(name)) for name in names}
 
 
 def parse(path: Path) -> mujoco.MjSpec:
@@ -134,7 +133,7 @@ def _release_mocap(spec: mujoco.MjSpec) -> None:
         if equality.objtype == mujoco.mjtObj.mjOBJ_BODY and moved & ends:
             spec.delete(equality)
     for body in spec.bodies:
-        body.mocap = False
+        body.mocap = False  # it stands still
 
 
 def _name_everything(spec: mujoco.MjSpec) -> None:
@@ -169,8 +168,6 @@ def _strip(spec: mujoco.MjSpec) -> None:
             spec.delete(asset)
     spec.memory = spec.njmax = spec.nconmax = -1
     spec.nuserdata = spec.nkey = 0
-    for body in spec.bodies:
-        body.mocap = False  # nobody moves it: it stands still
 
 
 def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[Diagnostic, ...]:
@@ -267,9 +264,8 @@ def _along(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> tuple[str, ...]
         return tuple(names)
     if equality.type == mujoco.mjtEq.mjEQ_TENDON:
         wraps = [wrap for name in names for wrap in spec.tendon(name).path]
-        ends = [wrap.target for wrap in wraps]
-        joints = [e.name for e, w in zip(ends, wraps, strict=True) if w.type == _JOINT]
-        bodies = [e.parent for e, w in zip(ends, wraps, strict=True) if w.type == _SITE]
+        joints = [wrap.target.name for wrap in wraps if wrap.type == _JOINT]
+        bodies = [wrap.target.parent for wrap in wraps if wrap.type == _SITE]
     else:
         on_sites = equality.objtype == mujoco.mjtObj.mjOBJ_SITE
         joints, bodies = [], [spec.site(n).parent if on_sites else spec.body(n) for n in names]
@@ -320,8 +316,8 @@ def _hold(
             continue
         spec.delete(joint)
         if q := held[known.name] - float(known.qpos0[0]):
-            R = np.eye(3) if slides else from_vector(q * axis)
-            X = Transform(R, q * axis if slides else anchor - R @ anchor)
+            X = Transform(p_AB_A=anchor) @ displacement(axis, q, revolute=not slides)
+            X = X @ Transform(p_AB_A=-anchor)
             back = X.inverse
             free = [(each, back.point(p), back.R_AB @ e) for each, p, e in free]
             X_PB = X_PB @ X

@@ -77,12 +77,16 @@ def read(file: ModelSource) -> UrdfModel:
     with errors_of(path):
         suspects = {name: line for name, link in elements.items() if (line := _link_flaw(link))}
     links, parents = _links(root, path)
-    origins = (joint.find("origin") for joint in root.findall("joint"))
-    reach = sum(math.hypot(*numbers_of(origin, "xyz", "0 0 0")) for origin in origins)
-    repair = repaired(links, suspects, parents, file.repair, path.name, reach)
+    repair = repaired(links, suspects, parents, file.repair, path.name, _reach(root))
     for name, inertia in repair.links.items():
         _set_inertia(elements[name], inertia)
     return UrdfModel(path, root, links, repair, said)
+
+
+def _reach(root: ET.Element) -> float:
+    """Sum of the distances from joint to joint [m]."""
+    origins = (joint.find("origin") for joint in root.findall("joint"))
+    return sum(math.hypot(*numbers_of(origin, "xyz", "0 0 0")) for origin in origins)
 
 
 def _links(root: ET.Element, path: Path) -> tuple[tuple[FileLink, ...], tuple[int, ...]]:
@@ -117,9 +121,10 @@ def _link_inertia(link: ET.Element) -> Inertia:
     if inertial is None:
         return NOTHING
     origin = inertial.find("origin")
-    turn = pin.rpy.rpyToMatrix(*numbers_of(origin, "rpy", "0 0 0"))
+    R_LC = pin.rpy.rpyToMatrix(*numbers_of(origin, "rpy", "0 0 0"))
+    X_LC = Transform(R_LC, np.array(numbers_of(origin, "xyz", "0 0 0")))
     mass, central = _stated(inertial)
-    return Inertia.about_centre(mass, numbers_of(origin, "xyz", "0 0 0"), turn @ central @ turn.T)
+    return Inertia(mass, np.zeros(3), central).moved(X_LC)
 
 
 def _built(root: ET.Element, path: Path) -> pin.Model:

@@ -19,11 +19,12 @@ import numpy as np
 
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ModelError, few, quoted
+from testbed.core.base.transform import Transform
 from testbed.core.robot.inertia import HEAVIEST
 from testbed.core.robot.locks import Coupling, Lock, Travel, lock_positions
 from testbed.core.robot.parsing import decimals, errors_of, plain, read_xml
 from testbed.core.robot.refusals import FreeRootError
-from testbed.core.robot.rotations import from_rpy, from_vector, to_rpy
+from testbed.core.robot.rotations import displacement, from_rpy, to_rpy
 from testbed.core.robot.tree import FARTHEST, UNIT, ModelSource
 
 DEEPEST_LINKS = 1_500
@@ -130,33 +131,38 @@ def _checked(
     shown = root.findall("material") if keep_visuals else []
     with errors_of(path):
         said = [each for part in root.iter() for each in _accepted(part)]
-        unknown = [*_keep(root, "", ("visual",) if keep_visuals else ())]
-        if unknown:
-            first = [f"{what} of {owner}" for what, owner in dict(unknown[::-1]).items()]
-            said.append(diagnose("model.ignored", few(first[::-1]), file=path.name))
+        ignored = dict([*_keep(root, "", ("visual",) if keep_visuals else ())][::-1])
+        if ignored:
+            owners = [f"{name} of {owner}" for name, owner in ignored.items()]
+            said.append(diagnose("model.ignored", few(owners[::-1]), file=path.name))
         root[:] = [*shown, *links, *joints]
         carriers = _carriers(links, joints)
         for joint in joints:
-            name, kind = f"joint '{joint.get('name')}'", joint.get("type", "?")
-            if kind == "floating" and link_at(joint, "parent") not in carriers:
+            if joint.get("type") == "floating" and link_at(joint, "parent") not in carriers:
                 if not weld_root:
                     raise FreeRootError(path.name, joint.get("name", "?"))
                 joint.set("type", "fixed")
-            elif kind not in _SUPPORTED:
-                raise ModelError(
-                    f"{name} is of type '{kind:.40}', which is not supported (supported: "
-                    f"{', '.join(_SUPPORTED)})"
-                )
-            rewrite_numbers(joint, name)
-            axis = numbers_of(joint.find("axis"), "xyz", "1 0 0")
-            if joint.get("type") != "fixed" and max(np.abs(axis)) < UNIT:
-                raise ModelError(f"{name} has no direction: its <axis> xyz is {axis}")
-            if not all(mimic.get("joint") for mimic in joint.findall("mimic")):
-                raise ModelError(f"{name}: <mimic> names no joint")
+            _check_joint(joint)
         for link in links:
             for inertial in link.findall("inertial"):
                 rewrite_numbers(inertial, f"link '{link.get('name')}'", allow_nan=True)
     return root, said
+
+
+def _check_joint(joint: ET.Element) -> None:
+    """Whether a joint is supported, its numbers made plain."""
+    name, kind = f"joint '{joint.get('name')}'", joint.get("type", "?")
+    if kind not in _SUPPORTED:
+        raise ModelError(
+            f"{name} is of type '{kind:.40}', which is not supported (supported: "
+            f"{', '.join(_SUPPORTED)})"
+        )
+    rewrite_numbers(joint, name)
+    axis = numbers_of(joint.find("axis"), "xyz", "1 0 0")
+    if kind != "fixed" and max(np.abs(axis)) < UNIT:
+        raise ModelError(f"{name} has no direction: its <axis> xyz is {axis}")
+    if not all(mimic.get("joint") for mimic in joint.findall("mimic")):
+        raise ModelError(f"{name}: <mimic> names no joint")
 
 
 def _accepted(element: ET.Element) -> Iterator[Diagnostic]:
@@ -182,7 +188,8 @@ def travels(path: Path) -> dict[str, Travel]:
 def _travels(joints: list[ET.Element]) -> dict[str, Travel]:
     """How the joints of a checked file move, by name; fixed ones do not."""
     moving = {joint.get("name", ""): joint for joint in joints if joint.get("type") in _MOVING}
-    found = {}
+    fixed = {joint.get("name", "") for joint in joints} - moving.keys()
+    travels = {}
     for name, joint in moving.items():
         low, high = -np.inf, np.inf
         limit, mimic = joint.find("limit"), joint.find("mimic")
@@ -193,10 +200,11 @@ def _travels(joints: list[ET.Element]) -> dict[str, Travel]:
         if mimic is not None:
             master = mimic.get("joint", "")
             offset, slope = *numbers_of(mimic, "offset"), *numbers_of(mimic, "multiplier", "1")
-            still = any(j.get("name") == master and j not in moving.values() for j in joints)
-            coupling = Coupling(None if still else master, (offset,) if still else (offset, slope))
-        found[name] = Travel(low, high, coupling)
-    return found
+            coupling = Coupling(master, (offset, slope))
+            if master in fixed:
+                coupling = Coupling(None, (offset,))
+        travels[name] = Travel(low, high, coupling)
+    return travels
 
 
 def _hold(joints: list[ET.Element], lock: Lock, path: Path) -> tuple[Diagnostic, ...]:
@@ -225,12 +233,12 @@ def _move_origin(joint: ET.Element, position: float) -> None:
         origin = ET.SubElement(joint, "origin")
     axis = np.array(numbers_of(joint.find("axis"), "xyz", "1 0 0"))
     axis /= np.linalg.norm(axis)
-    R_PJ = from_rpy(numbers_of(origin, "rpy", "0 0 0"))
-    if joint.get("type") == "prismatic":
-        p_PJ = np.array(numbers_of(origin, "xyz", "0 0 0")) + R_PJ @ axis * position
-        origin.set("xyz", plain(p_PJ))
-    else:
-        origin.set("rpy", plain(to_rpy(R_PJ @ from_vector(position * axis))))
+    rpy, xyz = (np.array(numbers_of(origin, key, "0 0 0")) for key in ("rpy", "xyz"))
+    X_PB = Transform(from_rpy(rpy), xyz) @ displacement(
+        axis, position, revolute=joint.get("type") != "prismatic"
+    )
+    origin.set("xyz", plain(X_PB.p_AB_A))
+    origin.set("rpy", plain(to_rpy(X_PB.R_AB)))
 
 
 def _keep(element: ET.Element, owner: str, also: tuple[str, ...]) -> Iterator[tuple[str, str]]:
