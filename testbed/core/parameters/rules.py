@@ -238,7 +238,7 @@ def _of_prismatic(joint: Joint, mobility: Mobility, model: Model) -> Row:
         return Row(number, (mass, *_moments(_OWN, 3)), _TENSOR, _OWN)
     direction = mobility.direction if number == "2.2" else joint.axis
     triad = across(direction)
-    passed = _TENSOR + _moment(direction)
+    passed = _TENSOR + np.outer(_moment(direction), _moment(direction))
     return Row(number, (mass, *_moments(triad, 2)), passed, triad)
 
 
@@ -264,22 +264,19 @@ def _of_revolute(joint: Joint, mobility: Mobility, model: Model) -> Row:
 def _mean_and_moment(triad: Triad) -> Array:
     """Projector onto K_s = (K_uu + K_vv)/2, eq. (37), and mb_e of a triad (u, v, e)."""
     u, v, e = triad.axes
-    across = _outer(u, u) + _outer(v, v)
-    return np.outer(across, _TIMES * across / 2) + _moment(e)
+    across, moment = _outer(u, u) + _outer(v, v), _moment(e)
+    return np.outer(across, _TIMES * across / 2) + np.outer(moment, moment)
 
 
 def _moment(direction: Array) -> Array:
-    """Projector of the ten parameters onto a component of mb^j, (10, 10)."""
-    return np.pad(np.outer(direction, direction), (1, 6))
+    """Ten parameters whose mb is a direction, and the form of mb along it, (10,)."""
+    return np.concatenate([[0.0], direction, np.zeros(6)])
 
 
 def _moments(triad: Triad, count: int) -> tuple[Kept, ...]:
     """Components of mb^j along the first directions of a triad."""
-    forms = np.pad(triad.axes[:count], ((0, 0), (1, 6)))
-    return tuple(
-        Kept(((1.0, "mb", letter),), form, form)
-        for letter, form in zip(triad.letters[:count], forms, strict=True)
-    )
+    pairs = list(zip(triad.letters, map(_moment, triad.axes), strict=True))
+    return tuple(Kept(((1.0, "mb", letter),), form, form) for letter, form in pairs[:count])
 
 
 def _about_axis(
