@@ -188,36 +188,19 @@ def base_rule(functionals: Array) -> Row:
     Args:
         functionals: What the wrench identifies of the base's ten parameters, (k, 10).
     """
-    forms = _echelon(functionals)
-    kept = tuple(
-        Kept(
-            tuple(
-                (round(float(form[c]), 4), *PARTS[c])
-                for c in sorted(np.flatnonzero(form).tolist(), key=lambda c: c != lead)
-            ),
-            form,
-            np.eye(10)[lead],
-        )
-        for lead, form in sorted(forms.items())
-    )
-    return Row("free", kept, np.zeros((10, 10)), _OWN)
-
-
-def _echelon(rows: Array) -> dict[int, Array]:
-    """Rows of the same space, each 1 at a place of its own where the others are 0.
-
-    Second moments lead before first ones, these before the mass.
-    """
-    rows, found = rows.copy(), dict[int, Array]()
-    for column in (*range(4, 10), 1, 2, 3, 0):
-        if not len(rows) or np.abs(rows[:, column]).max() < TINY:
-            continue
-        first = int(np.argmax(np.abs(rows[:, column])))
-        pivot = rows[first] / rows[first, column]
-        rows = np.delete(rows, first, axis=0)
-        rows -= np.outer(rows[:, column], pivot)
-        found = {at: row - row[column] * pivot for at, row in found.items()} | {column: pivot}
-    return {at: np.where(np.abs(row) < TINY, 0.0, row) for at, row in found.items()}
+    leads: list[int] = []
+    for column in (*range(4, 10), 1, 2, 3, 0):  # second moments before first ones and the mass
+        if np.linalg.matrix_rank(functionals[:, [*leads, column]], TINY) > len(leads):
+            leads.append(column)
+    forms = np.linalg.solve(functionals[:, leads], functionals)
+    forms[np.abs(forms) < TINY] = 0.0
+    forms[:, leads] = np.eye(len(leads))
+    kept = []
+    for lead, form in sorted(zip(leads, forms, strict=True), key=lambda pair: pair[0]):
+        others = [c for c in np.flatnonzero(form).tolist() if c != lead]
+        terms = tuple((round(float(form[c]), 4), *PARTS[c]) for c in (lead, *others))
+        kept.append(Kept(terms, form, np.eye(10)[lead]))
+    return Row("free", tuple(kept), np.zeros((10, 10)), _OWN)
 
 
 def rule(joint: Joint, mobility: Mobility, model: Model) -> Row:
