@@ -54,7 +54,7 @@ FORMS: tuple[Form, ...] = ("full", "reduced", "recursive")
 SHORTER = "--form recursive (form='recursive') is far shorter, "
 ROUNDING = 1e-14
 """Numbers of the geometry are of the order of one; this is their rounding."""
-WRENCH = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+WRENCH: tuple[str, ...] = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 Content: TypeAlias = Iterator[tuple[Factor, tuple[tuple[int, ...], Any]]]
 """Name, place in the result, and value of each equation."""
 
@@ -126,34 +126,6 @@ class Recursion:
         return transmitted(self.robot, motion, self.theta, keep)
 
 
-def _forces(recursion: Recursion) -> Content:
-    forces, _ = recursion.run(recursion.robot.qd, recursion.robot.qdd)
-    return _of_joints("Q", forces)
-
-
-def _wrench(recursion: Recursion) -> Content:
-    _, wrench = recursion.run(recursion.robot.qd, recursion.robot.qdd)
-    for k, name in enumerate(WRENCH):
-        yield _name(name), ((k,), wrench[k, 0])
-
-
-def _dynamic_regressor(recursion: Recursion) -> Content:
-    forces, _ = recursion.run(recursion.robot.qd, recursion.robot.qdd)
-    return _by_column(forces, [f"Q{j + 1}" for j in range(recursion.robot.n)], recursion.columns)
-
-
-def _reaction_regressor(recursion: Recursion) -> Content:
-    _, wrench = recursion.run(recursion.robot.qd, recursion.robot.qdd)
-    return _by_column(wrench, WRENCH, recursion.columns)
-
-
-def _by_column(values: AnyArray, rows: Sequence[str], names: Sequence[str]) -> Content:
-    """Column by column, those of the first bodies first: what they need is soon done with."""
-    for k, name in reversed(list(enumerate(distinct(names)))):
-        for i, row in enumerate(rows):
-            yield _name(f"phi_{row}_{name}"), ((i, k), values[i, k])
-
-
 def _mass_matrix(recursion: Recursion) -> Content:
     """Column by column: the joint forces of unit accelerations, on the chain to the base."""
     n = recursion.robot.n
@@ -167,18 +139,6 @@ def _mass_matrix(recursion: Recursion) -> Content:
             yield name, ((i, j), forces[i, 0])
             if i < j:
                 yield _name(f"M{j + 1}{split}{i + 1}"), ((j, i), of(name))
-
-
-def _gravity_forces(recursion: Recursion) -> Content:
-    still = np.zeros(recursion.robot.n, dtype=object)
-    forces, _ = recursion.run(still, still)
-    return _of_joints("G", forces)
-
-
-def _of_joints(letter: str, forces: AnyArray) -> Content:
-    """Joint forces, (n, 1), by joint: Q1, Q2, ..."""
-    for j, force in enumerate(forces[:, 0]):
-        yield _name(f"{letter}{j + 1}"), ((j,), force)
 
 
 def _name(name: str) -> Factor:
@@ -196,7 +156,7 @@ class EquationKind:
         takes: Coordinates they depend on.
         results: What they are called, as a regular expression.
         says: What they are, with units and shape.
-        content: What they are.
+        letter: Of names of joint forces; M for the mass matrix.
         is_regressor: Whether there is a column a parameter, and no parameter in them.
     """
 
@@ -206,8 +166,28 @@ class EquationKind:
     takes: tuple[str, ...]
     results: str
     says: str
-    content: Callable[[Recursion], Content]
+    letter: str = "Q"
     is_regressor: bool = False
+
+    def content(self, recursion: Recursion) -> Content:
+        """Name, place and value of each equation."""
+        if self.letter == "M":
+            yield from _mass_matrix(recursion)
+            return
+        robot, still = recursion.robot, np.zeros(recursion.robot.n, dtype=object)
+        moves = "qp" in self.takes
+        forces, wrench = recursion.run(*((robot.qd, robot.qdd) if moves else (still, still)))
+        values, names = wrench, WRENCH
+        if self.model == "dynamic":
+            values, names = forces, tuple(f"{self.letter}{j + 1}" for j in range(robot.n))
+        if not self.is_regressor:
+            for i, name in enumerate(names):
+                yield _name(name), ((i,), values[i, 0])
+            return
+        # columns of the first bodies first: what they need is soon done with
+        for k, column in reversed(list(enumerate(distinct(recursion.columns)))):
+            for i, name in enumerate(names):
+                yield _name(f"phi_{name}_{column}"), ((i, k), values[i, k])
 
 
 _MOTION = ("q", "qp", "qpp")
@@ -221,7 +201,6 @@ KINDS = {
             _MOTION,
             r"Q\d+",
             "What the motors deliver at the joints, friction excluded [N m or N].",
-            _forces,
         ),
         EquationKind(
             "base-wrench",
@@ -231,7 +210,6 @@ KINDS = {
             r"[FM][xyz]",
             "Wrench of the bedplate on the robot about the bedplate's origin, force first "
             "[N, N m].",
-            _wrench,
         ),
         EquationKind(
             "dynamic-regressor",
@@ -240,7 +218,6 @@ KINDS = {
             _MOTION,
             r"phi_Q\d+_\w+",
             "phi_d: joint forces for a unit of each parameter.",
-            _dynamic_regressor,
             is_regressor=True,
         ),
         EquationKind(
@@ -250,7 +227,6 @@ KINDS = {
             _MOTION,
             r"phi_[FM][xyz]_\w+",
             "phi_r: the bedplate's wrench for a unit of each parameter.",
-            _reaction_regressor,
             is_regressor=True,
         ),
         EquationKind(
@@ -260,7 +236,7 @@ KINDS = {
             ("q",),
             r"M\d+(_\d+)?",
             "M(q): joint forces for unit accelerations.",
-            _mass_matrix,
+            "M",
         ),
         EquationKind(
             "gravity-forces",
@@ -269,7 +245,7 @@ KINDS = {
             ("q",),
             r"G\d+",
             "What holds the robot still [N m or N].",
-            _gravity_forces,
+            "G",
         ),
     )
 }
