@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -186,7 +186,7 @@ def import_(
 
 
 def _print_imports(
-    imports: Iterable[dict[str, Any]],
+    imports: Iterable[Mapping[str, Any]],
     lines: Iterable[str],
     cuts: Iterable[Diagnostic],
     report: CheckReport,

@@ -54,7 +54,7 @@ FORMS: tuple[Form, ...] = ("full", "reduced", "recursive")
 SHORTER = "--form recursive (form='recursive') is far shorter, "
 ROUNDING = 1e-14
 """Numbers of the geometry are of the order of one; this is their rounding."""
-WRENCH = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+WRENCH: tuple[str, ...] = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 Content: TypeAlias = Iterator[tuple[Factor, tuple[tuple[int, ...], Any]]]
 """Name, place in the result, and value of each equation."""
 
@@ -126,23 +126,8 @@ class Recursion:
         return transmitted(self.robot, motion, self.theta, keep)
 
 
-def _dynamics(recursion: Recursion, kind: EquationKind) -> Content:
-    """Joint forces or the wrench, of all parameters together or of a unit of each."""
-    forces, wrench = recursion.run(recursion.robot.qd, recursion.robot.qdd)
-    joints = _of_joints("Q", recursion)
-    values, rows = (wrench, WRENCH) if kind.model == "reaction" else (forces, joints)
-    if not kind.is_regressor:
-        yield from _vector(rows, values)
-        return
-    # column by column, those of the first bodies first: what they need is soon done with
-    for k, column in reversed(list(enumerate(distinct(recursion.columns)))):
-        for i, row in enumerate(rows):
-            yield _name(f"phi_{row}_{column}"), ((i, k), values[i, k])
-
-
-def _mass_matrix(recursion: Recursion, kind: EquationKind) -> Content:
+def _mass_matrix(recursion: Recursion) -> Content:
     """Column by column: the joint forces of unit accelerations, on the chain to the base."""
-    del kind
     n = recursion.robot.n
     still = np.zeros(n, dtype=object)
     weightless = replace(recursion.robot, gravity=np.zeros(3, dtype=object))
@@ -154,23 +139,6 @@ def _mass_matrix(recursion: Recursion, kind: EquationKind) -> Content:
             yield name, ((i, j), forces[i, 0])
             if i < j:
                 yield _name(f"M{j + 1}{split}{i + 1}"), ((j, i), of(name))
-
-
-def _gravity_forces(recursion: Recursion, kind: EquationKind) -> Content:
-    del kind
-    still = np.zeros(recursion.robot.n, dtype=object)
-    return _vector(_of_joints("G", recursion), recursion.run(still, still)[0])
-
-
-def _of_joints(letter: str, recursion: Recursion) -> tuple[str, ...]:
-    """Names by joint: Q1, Q2, ..."""
-    return tuple(f"{letter}{j + 1}" for j in range(recursion.robot.n))
-
-
-def _vector(names: Sequence[str], values: AnyArray) -> Content:
-    """Values in one column, (k, 1), by name."""
-    for k, name in enumerate(names):
-        yield _name(name), ((k,), values[k, 0])
 
 
 def _name(name: str) -> Factor:
@@ -188,7 +156,7 @@ class EquationKind:
         takes: Coordinates they depend on.
         results: What they are called, as a regular expression.
         says: What they are, with units and shape.
-        content: What they are.
+        letter: Of names of joint forces; M for the mass matrix.
         is_regressor: Whether there is a column a parameter, and no parameter in them.
     """
 
@@ -198,8 +166,28 @@ class EquationKind:
     takes: tuple[str, ...]
     results: str
     says: str
-    content: Callable[[Recursion, EquationKind], Content]
+    letter: str = "Q"
     is_regressor: bool = False
+
+    def content(self, recursion: Recursion) -> Content:
+        """Name, place and value of each equation."""
+        if self.letter == "M":
+            yield from _mass_matrix(recursion)
+            return
+        robot, still = recursion.robot, np.zeros(recursion.robot.n, dtype=object)
+        moves = "qp" in self.takes
+        forces, wrench = recursion.run(*((robot.qd, robot.qdd) if moves else (still, still)))
+        values, names = wrench, WRENCH
+        if self.model == "dynamic":
+            values, names = forces, tuple(f"{self.letter}{j + 1}" for j in range(robot.n))
+        if not self.is_regressor:
+            for i, name in enumerate(names):
+                yield _name(name), ((i,), values[i, 0])
+            return
+        # columns of the first bodies first: what they need is soon done with
+        for k, column in reversed(list(enumerate(distinct(recursion.columns)))):
+            for i, name in enumerate(names):
+                yield _name(f"phi_{name}_{column}"), ((i, k), values[i, k])
 
 
 _MOTION = ("q", "qp", "qpp")
@@ -213,7 +201,6 @@ KINDS = {
             _MOTION,
             r"Q\d+",
             "What the motors deliver at the joints, friction excluded [N m or N].",
-            _dynamics,
         ),
         EquationKind(
             "base-wrench",
@@ -223,7 +210,6 @@ KINDS = {
             r"[FM][xyz]",
             "Wrench of the bedplate on the robot about the bedplate's origin, force first "
             "[N, N m].",
-            _dynamics,
         ),
         EquationKind(
             "dynamic-regressor",
@@ -232,7 +218,6 @@ KINDS = {
             _MOTION,
             r"phi_Q\d+_\w+",
             "phi_d: joint forces for a unit of each parameter.",
-            _dynamics,
             is_regressor=True,
         ),
         EquationKind(
@@ -242,7 +227,6 @@ KINDS = {
             _MOTION,
             r"phi_[FM][xyz]_\w+",
             "phi_r: the bedplate's wrench for a unit of each parameter.",
-            _dynamics,
             is_regressor=True,
         ),
         EquationKind(
@@ -252,7 +236,7 @@ KINDS = {
             ("q",),
             r"M\d+(_\d+)?",
             "M(q): joint forces for unit accelerations.",
-            _mass_matrix,
+            "M",
         ),
         EquationKind(
             "gravity-forces",
@@ -261,7 +245,7 @@ KINDS = {
             ("q",),
             r"G\d+",
             "What holds the robot still [N m or N].",
-            _gravity_forces,
+            "G",
         ),
     )
 }
@@ -380,7 +364,7 @@ class _Builder:
         """The equations of one kind."""
         vector, own, theta = self._parameters(kind)
         recursion = Recursion(self.robot, theta, tuple(p.name for p in own), self.budget)
-        values = dict(kind.content(recursion, kind))
+        values = dict(kind.content(recursion))
         places = {name: place for name, (place, _) in values.items()}
         if self.form == "recursive":
             program = recursive({name: expression(value) for name, (_, value) in values.items()})

@@ -176,6 +176,12 @@ def of(factor: Factor) -> Expression:
     return Expression((((factor,), 1),))
 
 
+def factor(symbol: Expression) -> Factor:
+    """Factor that an expression consists of; the inverse of `of`."""
+    ((factors, _),) = symbol.terms
+    return factors[0]
+
+
 def number(value: Number) -> Expression:
     """A number as an expression."""
     return Expression((((), exact(value)),)) if value else ZERO

@@ -24,11 +24,13 @@ from testbed.core.parameters.regroup import length_symbol
 from testbed.core.parameters.symbols import UPPER, Label, component_symbol, point_mass
 from testbed.core.robot.tree import Tree
 from testbed.equations.expression import (
+    ZERO,
     Budget,
     Expression,
     Factor,
     Nature,
     expression,
+    factor,
     of,
     symbol,
 )
@@ -121,7 +123,7 @@ def draw(tree: Tree, gravity: Array) -> SymbolicRobot:
 
     def constant(name: str, value: float) -> Expression:
         made = symbol(Nature.CONSTANT, name)
-        values[made.terms[0][0][0]] = float(value)
+        values[factor(made)] = float(value)
         return made
 
     joints = []
@@ -150,7 +152,7 @@ def _parallel(tree: Tree, q: AnyArray) -> tuple[tuple[Group, ...], tuple[Followe
     """Groups of parallel axes, and where they follow each other directly; see `SymbolicRobot`."""
     groups: list[Group] = []
     followers: list[list[tuple[int, int]]] = [[] for _ in tree.joints]
-    bodies: dict[int, tuple[int, int, tuple[Expression, ...]]] = {}  # group, sense, angles
+    bodies: dict[int, tuple[Group, int, list[Expression]]] = {}  # group, sense, angles
     for j, joint in enumerate(tree.joints):
         if not joint.revolute:
             continue
@@ -158,19 +160,17 @@ def _parallel(tree: Tree, q: AnyArray) -> tuple[tuple[Group, ...], tuple[Followe
         while i >= 0 and not tree.joints[i].revolute:  # a sliding joint turns nothing
             i, axis = tree.parents[i], tree.joints[i].rotation @ axis
         cosine = float(axis @ tree.joints[i].axis) if i >= 0 else 0.0
-        if abs(cosine) > 1.0 - EXACT:
-            sign = 1 if cosine > 0 else -1
-            group, sense, angles = bodies[i]
-            bodies[j] = (group, sense * sign, (*angles, angles[-1] + q[j] * (sense * sign)))
-            if joint.parent == i:
-                followers[i].append((j, sign))
-        else:
-            groups.append(([], []))
-            bodies[j] = (len(groups) - 1, 1, (q[j],))
-        group, _, angles = bodies[j]
-        groups[group][0].append(q[j].terms[0][0][0])
-        groups[group][1].extend([angles[-1], *(angles[-1] - each for each in angles[:-1])])
-    return tuple(groups), tuple(tuple(each) for each in followers)
+        sign = 1 if cosine >= 0 else -1
+        group, sense, angles = bodies[i] if abs(cosine) > 1.0 - EXACT else (([], []), 1, [ZERO])
+        if len(angles) == 1:
+            groups.append(group)
+        elif joint.parent == i:
+            followers[i].append((j, sign))
+        angle = angles[-1] + q[j] * (sense * sign)
+        group[0].append(factor(q[j]))
+        group[1].extend(angle - each for each in angles)
+        bodies[j] = group, sense * sign, [*angles, angle]
+    return tuple(groups), tuple(map(tuple, followers))
 
 
 Constant = Callable[[str, float], Expression]
@@ -178,14 +178,12 @@ Constant = Callable[[str, float], Expression]
 
 def _gravity(gravity: Array, constant: Constant) -> AnyArray:
     """(0, 0, -g), or gx gy gz for a direction that is no axis."""
-    there = np.flatnonzero(gravity)
     vector = np.zeros(3, dtype=object)
-    for axis in there:
-        if len(there) == 1:
-            size = abs(gravity[axis])
-            vector[axis] = constant("g", size) * (1 if gravity[axis] > 0 else -1)
-        else:
-            vector[axis] = constant("g" + "xyz"[axis], gravity[axis])
+    if np.count_nonzero(gravity) == 1:
+        vector += np.sign(gravity).astype(int) * constant("g", np.abs(gravity).max())
+        return vector
+    for axis in np.flatnonzero(gravity):
+        vector[axis] = constant("g" + "xyz"[axis], gravity[axis])
     return vector
 
 
@@ -241,7 +239,7 @@ def parameters(
     """
     names = distinct([label.stem.text for label in labels])
     symbols = (
-        parameter_symbol(name, body).terms[0][0][0] if column.any() else None
+        factor(parameter_symbol(name, body)) if column.any() else None
         for name, body, column in zip(names, bodies, lift.T, strict=True)
     )
     return tuple(map(Parameter, labels, units, symbols))
@@ -255,13 +253,11 @@ def barycentric(parameters: Sequence[Parameter], lift: Array, *, by_column: bool
         lift: (10 n, N).
         by_column: Whether on unit columns.
     """
-    values = np.eye(len(parameters), dtype=int).astype(object)
+    theta = lift.astype(object)
     if not by_column:
-        values = _objects([of(p.symbol) * p.times if p.symbol else 0 for p in parameters])[:, None]
-    theta = np.zeros((len(lift), values.shape[1]), dtype=object)
-    for row, column in zip(*np.nonzero(lift), strict=True):
-        theta[row] += float(lift[row, column]) * values[column]
-    return theta.reshape(-1, 10, values.shape[1])
+        symbols = [of(each.symbol) * each.times if each.symbol else 0 for each in parameters]
+        theta = (theta @ _objects(symbols))[:, None]
+    return theta.reshape(-1, 10, theta.shape[1])
 
 
 def distinct(names: Sequence[str]) -> list[str]:

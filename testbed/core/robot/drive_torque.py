@@ -7,7 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from testbed.core.base.arrays import Array
-from testbed.core.robot.friction import LAWS, JointLaw
+from testbed.core.robot.friction import LAWS
+from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.tree import Tree
 
 
