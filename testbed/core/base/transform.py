@@ -46,8 +46,10 @@ class Transform:
 
     @property
     def matrix(self) -> AnyArray:
-        """Homogeneous matrix [[R_AB, p_AB_A], [0, 1]] of a single pose, (4, 4)."""
-        return np.block([[self.R_AB, self.p_AB_A[:, None]], [np.eye(4)[3:]]])
+        """Homogeneous matrix [[R_AB, p_AB_A], [0, 1]], (..., 4, 4)."""
+        matrix = np.zeros((*self.p_AB_A.shape[:-1], 4, 4))
+        matrix[..., :3, :3], matrix[..., :3, 3], matrix[..., 3, 3] = self.R_AB, self.p_AB_A, 1.0
+        return matrix
 
     def point(self, p_B: AnyArray) -> AnyArray:
         """Points given in B, in A, (..., 3) [m]."""

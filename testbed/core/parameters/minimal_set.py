@@ -172,7 +172,10 @@ class MinimalSet(Value):
         S lift = 1, what is known to be zero is zero, and the model does not change by
         theta -> lift S theta.
         """
-        lift = self._elimination.lift
+        lift = np.zeros((10 * self._tree.n, self.count))
+        for k, parts in enumerate(self._elimination.directions):
+            for body, numbers in parts.items():
+                lift[10 * body : 10 * body + 10, k] = numbers
         return readonly(self.carried(lift), lift.shape, "lift")
 
     def carried(self, theta: Array) -> Array:

@@ -51,13 +51,13 @@ def parameters(pseudo: Array) -> Array:
 
 
 def inertia_matrix(X_AB: Transform) -> Array:
-    """Standard parameters about and along frame A from those about and along B, (10, 10).
+    """Standard parameters about and along frame A from those about and along B, (..., 10, 10).
 
     Args:
         X_AB: Pose of frame B in A.
     """
-    X = X_AB.matrix
-    return parameters(X @ matrices(np.eye(10)) @ X.T).T
+    X = X_AB.matrix[..., None, :, :]
+    return np.swapaxes(parameters(X @ OF_STANDARD @ np.swapaxes(X, -1, -2)), -1, -2)
 
 
 def inertia_rate(twist: Array) -> Array:
@@ -66,15 +66,19 @@ def inertia_rate(twist: Array) -> Array:
     Args:
         twist: Of the body, linear part first, (6,).
     """
-    units, S = matrices(np.eye(10)), np.zeros((4, 4))
+    S = np.zeros((4, 4))
     S[:3, :3], S[:3, 3] = skew(twist[3:]), twist[:3]
-    return parameters(S @ units + units @ S.T).T
+    return parameters(S @ OF_STANDARD + OF_STANDARD @ S.T).T
 
 
 def _complement(tensors: Array, share: float) -> Array:
     """Share of the trace times one, less the tensors, (..., 3, 3): second moments, and back."""
     trace = np.trace(tensors, axis1=-2, axis2=-1)
     return np.asarray(share * trace[..., None, None] * np.eye(3) - tensors)
+
+
+OF_STANDARD = matrices(np.eye(10))
+"""J of a unit of each standard parameter, (10, 4, 4)."""
 
 
 def coordinates(matrices: Array) -> Array:

@@ -136,7 +136,7 @@ def _momentum(screw: Array) -> Array:
 
 
 def moved_inertia(X_AB: Transform) -> Array:
-    """Matrix that moves inertial parameters (m, h, I) from frame B to A, (10, 10).
+    """Matrix that moves inertial parameters (m, h, I) from frame B to A, (..., 10, 10).
 
     Tensors in the order of UPPER [kg, kg m, kg m^2].
 
@@ -147,8 +147,8 @@ def moved_inertia(X_AB: Transform) -> Array:
 
 
 def _in_our_order(matrix: Array) -> Array:
-    """Matrix on (m, h, I) of one on standard parameters, (10, 10)."""
-    return matrix[np.ix_(STANDARD_ORDER, STANDARD_ORDER)]
+    """Matrix on (m, h, I) of one on standard parameters, (..., 10, 10)."""
+    return matrix[..., STANDARD_ORDER, :][..., STANDARD_ORDER]
 
 
 def _closed(rows: Array, operator: Array) -> Array:
@@ -240,11 +240,10 @@ def migration(joint: Joint, row: Row) -> Array:
     elif row.tensor == "mean":
         across = np.eye(3) - np.outer(joint.axis, joint.axis)
         passed[4:, 4:] = np.outer(across[UPPER], np.einsum("ab,abk->k", across, TENSOR) / 2)
-    turned, *moved = (
-        moved_inertia(Transform(joint.rotation, offset)) @ passed
-        for offset in (np.zeros(3), *np.eye(3))
-    )
-    gains = np.stack([turned, *(each - turned for each in moved)])
+    # affine in the offset: at none, and along each axis
+    X_AB = Transform(np.broadcast_to(joint.rotation, (4, 3, 3)), np.eye(4)[:, 1:])
+    gains = moved_inertia(X_AB) @ passed
+    gains[1:] -= gains[0]
     gains[np.abs(gains) < ROUNDING] = 0.0
     return gains
 
