@@ -90,7 +90,7 @@ def test_a_run_folder_can_be_moved_and_its_model_may_go(text: str, tmp_path: Pat
     """And carried out again from it, to the bit."""
     asked = experiment(tmp_path / "here", text)
     run = tb.carry_out(asked)
-    looks = load_shapes(ModelFile(asked.model), run.tree)
+    looks = load_shapes(ModelFile(Path(asked.model)), run.tree)
     write_run(run, tmp_path / "run")
     shutil.rmtree(tmp_path / "here")
     (tmp_path / "run").rename(tmp_path / "there")
@@ -98,7 +98,7 @@ def test_a_run_folder_can_be_moved_and_its_model_may_go(text: str, tmp_path: Pat
     assert again.experiment is not None
     for method, estimate in run.estimates.items():
         np.testing.assert_array_equal(again.estimates[method].values, estimate.values)
-    found = load_shapes(ModelFile(again.experiment.model), again.tree)
+    found = load_shapes(ModelFile(Path(again.experiment.model)), again.tree)
     assert any(shape.kind == "mesh" for shape in found.shapes)
     for one, other in zip(found.shapes, looks.shapes, strict=True):
         np.testing.assert_array_equal(one.vertices, other.vertices)
