@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.base.arrays import Array
+from testbed.core.base.arrays import Array, apply, skew
 from testbed.core.parameters.symbols import PARTS, TENSOR
 from testbed.core.robot.tree import Joint, Tree
 
@@ -119,7 +119,7 @@ def _pivot(axes: Array, arms: Array, axis: Array) -> float | None:
 
 def _sines(a: Array, b: Array) -> Array:
     """Lengths of the cross products of vectors, (..., 3) both."""
-    return np.asarray(np.linalg.norm(np.cross(a, b), axis=-1))
+    return np.asarray(np.linalg.norm(apply(skew(b), a), axis=-1))
 
 
 Model = Literal["dynamic", "reaction"]
