@@ -34,8 +34,8 @@ def with_sigmas(stated: Mapping[str, float | Sequence[float]]) -> dict[str, tupl
     """
     values = {}
     for name, given in stated.items():
-        numbers = list(given) if isinstance(given, Sequence) else [given]
-        values[name] = (float(numbers[0]), float(numbers[1]) if len(numbers) > 1 else 0.0)
+        value, sigma, *_ = (*given, 0.0) if isinstance(given, Sequence) else (given, 0.0)
+        values[name] = float(value), float(sigma)
     return values
 
 

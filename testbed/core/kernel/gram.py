@@ -202,17 +202,18 @@ def sweep(robot, rows, signals, work, sums):
     The last block stays in work.Z.
     """
     half = len(signals.weights) // 2
+    filtered = half > 0
     for first in range(0, signals.number, rows.block):
         count = min(rows.block, signals.number - first)
         centre = signals.start + first * signals.step
         begin, end = centre - half, centre + (count - 1) * signals.step + half + 1
-        if half > 0:
+        if filtered:
             work.Z[:] = 0.0
             work.G[:] = 0.0
-        for at in range(begin, end, CHUNK if half > 0 else rows.block):
-            n = min(CHUNK, end - at) if half > 0 else count
-            fill(robot, rows, signals, at, n, work, work.Y if half > 0 else work.Z)
-            if half > 0:
+        for at in range(begin, end, CHUNK if filtered else rows.block):
+            n = min(CHUNK, end - at) if filtered else count
+            fill(robot, rows, signals, at, n, work, work.Y if filtered else work.Z)
+            if filtered:
                 apply_filter(rows, signals, work, centre, count, at, n)
         if signals.deadband > 0.0:
             rest_joints(rows, signals, work, count, sums)

@@ -7,6 +7,7 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import numpy as np
 
@@ -130,17 +131,11 @@ def _call(*arguments: object) -> None:
 def _fixed(signals: Signals) -> Signals:
     """The same arrays, contiguous and read-only: one type, compiled once."""
 
-    def fixed(value: Array) -> Array:
+    def fixed(value: Any) -> Any:
+        if not isinstance(value, np.ndarray):
+            return value
         array = np.ascontiguousarray(value, dtype=np.float64).view()
         array.flags.writeable = False
         return array
 
-    return signals._replace(
-        position=fixed(signals.position),
-        velocity=fixed(signals.velocity),
-        acceleration=fixed(signals.acceleration),
-        measured=fixed(signals.measured),
-        taps=fixed(signals.taps),
-        weights=fixed(signals.weights),
-        varying=fixed(signals.varying),
-    )
+    return Signals(*map(fixed, signals))

@@ -143,7 +143,8 @@ def torque_factor(
     across = np.column_stack([normal[own] @ predicted, right[own]])
     shared = np.linalg.lstsq(normal[np.ix_(own, own)], across, rcond=1e-12)[0]
     # what friction does not explain, of the predicted and of the reported torque
-    (alone, both), (_, residual) = np.array([[size, both], [both, square]]) - across.T @ shared
+    beside = np.array([[size, both], [both, square]]) - across.T @ shared
+    (alone, both), (_, residual) = beside.tolist()
     if alone <= APART * size:
         return None
     factor = both / alone
