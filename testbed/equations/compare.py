@@ -22,16 +22,19 @@ from testbed.equations.expression import (
     ZERO,
     Budget,
     Expression,
+    Factor,
     Number,
     Term,
     collect,
     cosine,
     expression,
+    factor,
     number,
     of,
     sine,
     substitute,
 )
+from testbed.equations.program import leaves
 from testbed.equations.robot import SymbolicRobot, draw
 
 _SUMMAND_END = re.compile(
@@ -108,11 +111,11 @@ def _kinds(names: Sequence[str]) -> list[str]:
 
 def _own_equations(listing: Listing) -> dict[str, Expression]:
     """The robot's equations by name, those that refer to others written out."""
-    steps = [step for each in listing.equations for step in each.program.steps]
-    meanings = dict(steps)
-    ours = {}
-    for name, value in steps:
-        meanings[name] = ours[name.name] = substitute(value, meanings.get)
+    meanings: dict[Factor, Expression] = {}
+    for each in listing.equations:
+        for name, value in each.program.steps:
+            meanings[name] = substitute(value, meanings.get)
+    ours = {name.name: value for name, value in meanings.items()}
     for label, value in listing.definitions:
         ours[label] = ours[label.replace("mbar", "mm")] = value
     return ours
@@ -120,12 +123,12 @@ def _own_equations(listing: Listing) -> dict[str, Expression]:
 
 def _names(listing: Listing, robot: SymbolicRobot) -> dict[str, Expression]:
     """What the names of a listing may stand for."""
-    symbols = [*robot.q, *robot.qd, *robot.qdd, *map(of, robot.values)]
+    symbols = [*map(factor, [*robot.q, *robot.qd, *robot.qdd]), *robot.values]
     for each in listing.equations:
-        symbols += [of(parameter.symbol) for parameter in each.parameters if parameter.symbol]
+        symbols += [parameter.symbol for parameter in each.parameters if parameter.symbol]
     for _, value in listing.definitions:
-        symbols += [of(factor) for factors, _ in value.terms for factor in factors]
-    names = {repr(value): value for value in symbols}
+        symbols += leaves(value)
+    names = {symbol.name: of(symbol) for symbol in symbols}
     return names | {name.replace("mbar", "mm"): value for name, value in names.items()}
 
 

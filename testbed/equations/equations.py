@@ -11,7 +11,7 @@ Names     w3x, W3xy, F3x of body 3; of many columns F3x_7
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, TypeAlias
@@ -342,21 +342,19 @@ def equations(
     kinds = [KINDS[name] for name in dict.fromkeys(what)]
     models = dict.fromkeys(kind.model for kind in kinds if form != "full")
     minimal = {model: minimal_set(tree, model, weight, zeros) for model in models}
-    builder = _Builder(tree, robot, form, minimal, known_zero, budget, expander(robot, budget))
-    results = tuple(builder.build(kind) for kind in kinds)
+    listing = Listing(tree, form, weight, robot.values, minimal, known_zero, (), ())
+    builder = _Builder(listing, robot, budget, expander(robot, budget))
+    results = tuple(map(builder.build, kinds))
     meanings = barycentric_definitions(tree, robot, known_zero, budget) if form == "full" else ()
-    return Listing(tree, form, weight, robot.values, minimal, known_zero, tuple(meanings), results)
+    return replace(listing, definitions=tuple(meanings), equations=results)
 
 
 @dataclass(frozen=True, eq=False)
 class _Builder:
     """Derives the equations of one robot."""
 
-    tree: Tree
+    listing: Listing
     robot: SymbolicRobot
-    form: Form
-    minimal: Mapping[Model, MinimalSet]
-    known_zero: AnyArray
     budget: Budget
     expand: Callable[[Any], Expression]
 
@@ -366,14 +364,14 @@ class _Builder:
         recursion = Recursion(self.robot, theta, tuple(p.name for p in own), self.budget)
         values = dict(kind.content(recursion))
         places = {name: place for name, (place, _) in values.items()}
-        if self.form == "recursive":
+        if self.listing.form == "recursive":
             program = recursive({name: expression(value) for name, (_, value) in values.items()})
         else:
             results = {name: self.expand(value) for name, (_, value) in values.items()}
             if kind.name == "joint-forces":
                 results = self._by_reference(results)
             program = literal(results)
-        rows = 6 if kind.model == "reaction" else self.tree.n
+        rows = 6 if kind.model == "reaction" else self.robot.n
         shape: tuple[int, ...] = (rows,)
         if kind.is_regressor or kind.name == "mass-matrix":
             shape = (rows, len(own) if kind.is_regressor else rows)
@@ -381,22 +379,23 @@ class _Builder:
 
     def _parameters(self, kind: EquationKind) -> tuple[str, tuple[Parameter, ...], AnyArray]:
         """Name and entries of the vector, and what each barycentric parameter is, (n, 10, p)."""
-        labels: Sequence[Label] = [Label((Term(each),)) for each in parameter_symbols(self.tree)]
-        units: Sequence[str] = UNITS * self.tree.n
-        bodies: Sequence[int] = [body for body in range(self.tree.n) for _ in range(10)]
-        vector, lift = "theta", np.diag(1.0 - self.known_zero.ravel())
-        if self.form != "full":
-            minimal = self.minimal[kind.model]
-            labels, units, bodies = minimal.labels, minimal.units, minimal.bodies
+        minimal = self.listing.minimal.get(kind.model)
+        if minimal is not None:
             vector, lift = f"delta_{kind.model[0]}", minimal.lift
-        own = parameters(labels, units, bodies, lift)
+            own = parameters(minimal.labels, minimal.units, minimal.bodies, lift)
+        else:
+            vector, lift = "theta", np.diag(1.0 - self.listing.known_zero.ravel())
+            symbols = parameter_symbols(self.listing.tree)
+            labels = [Label((Term(symbol),)) for symbol in symbols]
+            bodies = [symbol.bodies[0] - 1 for symbol in symbols]
+            own = parameters(labels, UNITS * self.robot.n, bodies, lift)
         return vector, own, barycentric(own, lift, by_column=kind.is_regressor)
 
     def _by_reference(self, results: dict[Factor, Expression]) -> dict[Factor, Expression]:
         """Joint forces, tips first; Q2 = Q3 + ... where that is shorter."""
         shorter = {}
         names = list(results)
-        for j in reversed(range(self.tree.n)):
+        for j in reversed(range(self.robot.n)):
             value = results[names[j]]
             for child, sign in self.robot.continued[j]:
                 rest = self.expand(value - results[names[child]] * sign)

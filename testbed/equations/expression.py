@@ -208,13 +208,24 @@ def cosine(angle: Expression) -> Expression:
 
 def _trig(letter: str, angle: Expression) -> str:
     """S223 of 2*q2 + q3; S_2_m3 of q2 - q3, S_12 of q12."""
-    labels = []
-    for factors, size in angle.terms:
-        label = "".join(factor.name for factor in factors).removeprefix("q")
-        labels += ["m" * (size < 0) + label] * int(abs(size))
+    labels = angle_labels(angle, "m")
     if all(len(label) == 1 for label in labels):
         return letter + "".join(labels)
     return f"{letter}_{'_'.join(labels)}"
+
+
+def angle_labels(angle: Expression, minus: str) -> list[str]:
+    """Labels of the coordinates that an angle adds up: 2, 2, m3 of 2*q2 - q3.
+
+    Args:
+        angle: A sum of coordinates.
+        minus: Before labels of those that are subtracted.
+    """
+    labels = []
+    for factors, size in angle.terms:
+        label = "".join(factor.name for factor in factors).removeprefix("q")
+        labels += [minus * (size < 0) + label] * int(abs(size))
+    return labels
 
 
 def collect(terms: Iterable[Term]) -> Expression:

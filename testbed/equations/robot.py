@@ -56,12 +56,15 @@ def right_angles(tree: Tree) -> Tree:
 
 def almost_right(tree: Tree) -> dict[str, float]:
     """Joints with a rotation or axis that `right_angles` would change, and by how much [rad]."""
-    found = {}
-    for joint, squared in zip(tree.joints, right_angles(tree).joints, strict=True):
-        changes = np.vstack((squared.rotation - joint.rotation, squared.axis - joint.axis))
-        if np.abs(changes).max() > EXACT:
-            found[joint.name] = float(np.abs(changes).max())
-    return found
+    changes = {
+        joint.name: max(_change(joint.rotation), _change(joint.axis)) for joint in tree.joints
+    }
+    return {name: change for name, change in changes.items() if change > EXACT}
+
+
+def _change(values: Array) -> float:
+    """Largest change by `_squared`."""
+    return float(np.abs(_squared(values) - values).max())
 
 
 def _squared(values: Array) -> Array:
@@ -128,13 +131,11 @@ def draw(tree: Tree, gravity: Array) -> SymbolicRobot:
 
     joints = []
     for j, joint in enumerate(tree.joints):
-        offset = [
-            constant(length_symbol(joint.parent, j, axis).text, length)
-            if abs(length) > EXACT
-            else 0
-            for axis, length in zip("xyz", joint.offset, strict=True)
-        ]
-        axes = _exact(joint.axis), _objects(offset), _exact(joint.rotation)
+        offset = np.zeros(3, dtype=object)
+        for k in np.flatnonzero(np.abs(joint.offset) > EXACT):
+            name = length_symbol(joint.parent, j, "xyz"[k]).text
+            offset[k] = constant(name, joint.offset[k])
+        axes = _exact(joint.axis), offset, _exact(joint.rotation)
         joints.append(PaperJoint(joint.parent, joint.revolute, *axes))
     q, qd, qdd = (
         _objects([symbol(nature, f"{letter}{j + 1}", j) for j in range(tree.n)])

@@ -28,7 +28,7 @@ class Entry:
         body: The body it belongs to, or BEDPLATE.
         form: On that body's ten redefined parameters, (10,).
         alone: The body's own ten for which it is 1, the body's others 0, and nothing
-            migrates, (10,); None for the bedplate's.
+            migrates, (10,); the bedplate has none.
         axial: Whether it is the inertia that the body's own joint moves: K_ee, or mbar.
     """
 
@@ -36,7 +36,7 @@ class Entry:
     unit: str
     body: int
     form: Array
-    alone: Array | None
+    alone: Array
     axial: bool
 
     @property
@@ -105,7 +105,7 @@ def static_entries(tree: Tree, gravity: Array) -> list[Entry]:
 
 
 def _static(symbol: Symbol, form: Array) -> Entry:
-    return Entry(Label((Term(symbol),)), UNIT_OF[symbol.head], BEDPLATE, form, None, False)
+    return Entry(Label((Term(symbol),)), UNIT_OF[symbol.head], BEDPLATE, form, np.zeros(10), False)
 
 
 def dynamic_first(
@@ -119,24 +119,21 @@ def dynamic_first(
         bodies: Regrouped for the reaction.
         torques: Regrouped for the joint torques.
     """
-    same = [True] * tree.n  # whether all that a body carries is regrouped alike
+    differing = set()  # bodies that carry something which is regrouped in another way
     for j in reversed(range(tree.n)):
-        alike = same[j] and np.array_equal(bodies[j].passing, torques[j].passing)
-        if tree.parents[j] >= 0 and not alike:
-            same[tree.parents[j]] = False
-    place = {
-        kept_label(tree, j, kept): (k, kept.form)
+        if j in differing or not np.array_equal(bodies[j].passing, torques[j].passing):
+            differing.add(tree.parents[j])
+    shared = {
+        (kept_label(tree, j, kept), *kept.form): k
         for j in range(tree.n)
         for k, kept in enumerate(torques[j].row.kept)
-        if same[j]
+        if j not in differing
     }
-    rank = {"kg m^2": 0, "kg m": 1, "kg": 2}
+    units = ("kg m^2", "kg m", "kg")
 
-    def key(entry: Entry) -> tuple[int, int, int]:
-        k, form = place.get(entry.label, (0, None))
-        if entry.body >= 0 and form is not None and np.array_equal(form, entry.form):
-            return (0, -entry.body, k)
-        return (1, -entry.body, rank[entry.unit])
+    def key(entry: Entry) -> tuple[bool, int, int]:
+        k = shared.get((entry.label, *entry.form)) if entry.body >= 0 else None
+        return (k is None, -entry.body, units.index(entry.unit) if k is None else k)
 
     return sorted(entries, key=key)
 
@@ -161,10 +158,8 @@ def dense_rows(tree: Tree, bodies: Sequence[Body], entries: Sequence[Entry]) -> 
         trunks = tree.children(BEDPLATE)
         bedplate = sum(passed_on(tree, bodies, j) @ redefined[j] for j in trunks)
         redefined = np.concatenate([redefined, bedplate[None]])
-    rows = np.zeros((len(entries), 10 * tree.n))
-    for k, entry in enumerate(entries):
-        rows[k] = entry.form @ redefined[entry.body]
-    return rows
+    rows = [entry.form @ redefined[entry.body] for entry in entries]
+    return np.reshape(rows, (-1, 10 * tree.n))
 
 
 INDEPENDENT = 1e-9
@@ -177,54 +172,54 @@ COMPARABLE = 0.1
 """Of directions that change an entry, the first with this share of the greatest change is
 taken: the body's own come first."""
 
-Parts = dict[int, Array]  # body -> ten numbers
-
 
 @dataclass(frozen=True, eq=False)
 class Elimination:
-    """What came of it.
+    """Independent entries, and how the others depend on them.
 
     Attributes:
         kept: Indices of the independent entries, ascending.
-        directions: For each of these, barycentric parameters by body for which it is 1
-            and all others kept are 0.
+        lift: By column for each of these, barycentric parameters for which it is 1 and all
+            others kept are 0, (10 n, kept).
         dependent: By index, the other entries as combinations of kept ones; empty for
             entries that vanish.
     """
 
     kept: tuple[int, ...]
-    directions: tuple[Parts, ...]
+    lift: Array
     dependent: dict[int, dict[int, float]]
 
 
-@dataclass(frozen=True, eq=False)
-class Direction:
-    """Parameters of a body and of those it carries, and the body's redefined ten, (10,)."""
+FREE = -1
+"""Index of the entry of a direction that changes none."""
 
-    value: Array
-    parts: Parts
+
+@dataclass(frozen=True, eq=False)
+class _Directions:
+    """Directions in which a body and those that it carries can change.
+
+    Attributes:
+        rows: The body's ten redefined parameters, then the barycentric parameters of all bodies
+            that have these, (k, 10 + 10 n).
+        entries: Index of the only entry that each changes, by one, or FREE, (k,).
+    """
+
+    rows: Array
+    entries: NDArray[np.int_]
 
     @property
-    def size(self) -> float:
-        """Largest magnitude of its parameters."""
-        return max(float(np.abs(numbers).max()) for numbers in self.parts.values())
+    def sizes(self) -> Array:
+        """Largest magnitudes of the barycentric parameters, (k,)."""
+        return np.asarray(np.abs(self.rows[:, 10:]).max(axis=1))
 
-    def plus(self, factor: float, other: Direction) -> Direction:
-        """Sum with a multiple of another."""
-        if factor == 0.0:
-            return self
-        parts = dict(self.parts)
-        for body, numbers in other.parts.items():
-            parts[body] = parts.get(body, 0.0) + factor * numbers
-        return Direction(self.value + factor * other.value, parts)
+    def of(self, which: NDArray[np.bool_ | np.intp]) -> _Directions:
+        """Some of them, by mask or index."""
+        return _Directions(self.rows[which], self.entries[which])
 
-    def times(self, factor: float) -> Direction:
-        """Multiple."""
-        parts = {body: factor * numbers for body, numbers in self.parts.items()}
-        return Direction(factor * self.value, parts)
-
-
-_Bound = dict[int, Direction]  # entry -> its direction
+    def beside(self, other: _Directions) -> _Directions:
+        """These, then others."""
+        entries = np.concatenate([self.entries, other.entries])
+        return _Directions(np.vstack([self.rows, other.rows]), entries)
 
 
 def eliminate(
@@ -242,121 +237,118 @@ def eliminate(
         known_zero: Barycentric parameters known to be zero, (n, 10).
     """
     whole = [not row.any() for row in known_zero]
-    entries_of: dict[int, dict[int, Entry]] = {body: {} for body in range(BEDPLATE, tree.n)}
+    members: dict[int, dict[int, Entry]] = {body: {} for body in range(BEDPLATE, tree.n)}
     for k, entry in enumerate(entries):
-        entries_of[entry.body][k] = entry
-    free: dict[int, list[Direction]] = {body: [] for body in entries_of}
-    bound: dict[int, _Bound] = {body: {} for body in entries_of}
-    done: dict[int, Parts] = {}
+        members[entry.body][k] = entry
+    settled = _of_a_body(tree.n, 0, [], FREE)
+    carried = dict.fromkeys(members, settled)
     dependent: dict[int, dict[int, float]] = {}
     for body in reversed(range(tree.n)):
-        carrier, own = tree.parents[body], entries_of[body]
-        if whole[body] and carrier != BEDPLATE and whole[carrier]:
-            done |= _undisturbed(body, own, bound[body])
-            continue
-        spare = [*_of_the_body(body, own, known_zero[body]), *free[body]]
-        left, taken, combined = _chosen(own, spare, bound[body])
-        dependent |= combined
-        gain = passed_on(tree, bodies, body)
-        leading = echelon([Direction(gain @ each.value, each.parts) for each in left])
-        free[carrier] += list(leading.values())
-        for k, each in taken.items():
-            passed = _settled(Direction(gain @ each.value, each.parts), leading)
-            if np.abs(passed.value).max() <= ROUNDING * passed.size:
-                done[k] = passed.parts
-            else:
-                bound[carrier][k] = passed
-    _, taken, combined = _chosen(entries_of[BEDPLATE], free[BEDPLATE], bound[BEDPLATE])
-    done |= {k: each.parts for k, each in taken.items()}
-    kept = tuple(sorted(done))
-    return Elimination(kept, tuple(_clean(done[k]) for k in kept), dependent | combined)
+        carrier, directions = tree.parents[body], carried[body]
+        if carrier != BEDPLATE and whole[body] and whole[carrier]:
+            done = _undisturbed(tree.n, body, members[body], directions)
+        else:
+            directions = _free(tree.n, body, members[body], known_zero[body]).beside(directions)
+            directions, combined = _chosen(members[body], directions)
+            dependent |= combined
+            done, passed = _passed(directions, passed_on(tree, bodies, body))
+            carried[carrier] = carried[carrier].beside(passed)
+        settled = settled.beside(done)
+    directions, combined = _chosen(members[BEDPLATE], carried[BEDPLATE])
+    settled = settled.beside(directions.of(directions.entries != FREE))
+    settled = settled.of(np.argsort(settled.entries))
+    lift = np.where(np.abs(settled.rows) > ROUNDING * settled.sizes[:, None], settled.rows, 0.0)
+    return Elimination(tuple(settled.entries.tolist()), lift[:, 10:].T, dependent | combined)
 
 
-def _undisturbed(body: int, own: dict[int, Entry], bound: _Bound) -> dict[int, Parts]:
+def _of_a_body(
+    n: int, body: int, values: Sequence[Array], entries: int | Sequence[int]
+) -> _Directions:
+    """Directions of a body's own parameters, (k, 10)."""
+    rows = np.zeros((len(values), n + 1, 10))
+    rows[:, 0] = rows[:, body + 1] = np.reshape(values, (-1, 10))
+    return _Directions(rows.reshape(-1, 10 * n + 10), np.full(len(values), entries, dtype=int))
+
+
+def _undisturbed(n: int, body: int, own: dict[int, Entry], directions: _Directions) -> _Directions:
     """Where nothing is known of a body and its carrier: all entries, nothing passed on."""
-    found: dict[int, Parts] = {k: {body: each.parts[body]} for k, each in _alone(body, own).items()}
-    for k, each in bound.items():  # the body's own parameters make up for what it was passed
-        found[k] = each.parts | {body: -each.value}
-    return found
+    bound = directions.of(directions.entries != FREE)
+    # the body's own parameters make up for what it was passed
+    rows = bound.rows - _of_a_body(n, body, [*bound.rows[:, :10]], FREE).rows
+    alone = _of_a_body(n, body, [entry.alone for entry in own.values()], [*own])
+    return alone.beside(_Directions(rows, bound.entries))
 
 
-def _of_the_body(
-    body: int, own: dict[int, Entry], known_zero: NDArray[np.bool_]
-) -> list[Direction]:
+def _free(n: int, body: int, own: dict[int, Entry], known_zero: NDArray[np.bool_]) -> _Directions:
     """Directions of a body's own parameters: its entries' alone, and single parameters."""
-    alone = [each for each in _alone(body, own).values() if not each.value[known_zero].any()]
-    units = (np.eye(10)[c] for c in np.flatnonzero(~known_zero))
-    return alone + [Direction(unit, {body: unit}) for unit in units]
-
-
-def _alone(body: int, own: dict[int, Entry]) -> _Bound:
-    return {
-        k: Direction(entry.alone, {body: entry.alone})
-        for k, entry in own.items()
-        if entry.alone is not None
-    }
+    alone = (entry.alone for entry in own.values())
+    values = [*(each for each in alone if not each[known_zero].any()), *np.eye(10)[~known_zero]]
+    return _of_a_body(n, body, values, FREE)
 
 
 def _chosen(
-    own: dict[int, Entry], spare: list[Direction], bound: _Bound
-) -> tuple[list[Direction], _Bound, dict[int, dict[int, float]]]:
-    """Directions for a body's entries, out of spare ones.
+    own: dict[int, Entry], directions: _Directions
+) -> tuple[_Directions, dict[int, dict[int, float]]]:
+    """Directions for a body's entries, out of free ones.
 
     Returns:
-        What is left free; directions of this body's entries and of those before, each
-        without effect on the others; and the entries that are combinations of others.
+        Directions of this body's entries and of those before, each without effect on the
+        others, and those left free; and the entries that are combinations of others.
     """
-    taken, combined = dict(bound), {}
+    combined = {}
     for k, entry in own.items():
-        weights = np.array([entry.form @ each.value / each.size for each in spare])
-        great = np.abs(weights).max(initial=0.0)
+        rows, entries, sizes = directions.rows, directions.entries, directions.sizes
+        change = rows[:, :10] @ entry.form
+        weights = np.where(entries == FREE, np.abs(change) / sizes, 0.0)
+        great = weights.max(initial=0.0)
         if great <= INDEPENDENT:
-            shares = {i: float(entry.form @ each.value) for i, each in taken.items()}
-            combined[k] = {i: share for i, share in shares.items() if abs(share) > INDEPENDENT}
+            shares = np.flatnonzero((entries != FREE) & (np.abs(change) > INDEPENDENT))
+            combined[k] = {int(entries[i]): float(change[i]) for i in shares}
             continue
-        first = int(np.argmax(np.abs(weights) >= COMPARABLE * great))
-        pivot = spare.pop(first)
-        pivot = pivot.times(1.0 / float(entry.form @ pivot.value))
-        spare = [rest for each in spare if (rest := _without(entry, each, pivot)) is not None]
-        taken = {i: each.plus(-float(entry.form @ each.value), pivot) for i, each in taken.items()}
-        taken[k] = pivot
-    return spare, taken, combined
+        first = int(np.argmax(weights >= COMPARABLE * great))
+        pivot = rows[first] * (1.0 / change[first])
+        rest = _Directions(rows - np.outer(change, pivot), entries.copy())
+        rest.rows[first], rest.entries[first] = pivot, k
+        directions = rest.of((rest.entries != FREE) | (rest.sizes > ROUNDING * sizes))
+    return directions, combined
 
 
-def _without(entry: Entry, direction: Direction, pivot: Direction) -> Direction | None:
-    """What is left of a direction that no longer changes an entry; None if nothing is."""
-    rest = direction.plus(-float(entry.form @ direction.value), pivot)
-    return rest if rest.size > ROUNDING * direction.size else None
+def _passed(directions: _Directions, gain: Array) -> tuple[_Directions, _Directions]:
+    """Directions as they change the carrier.
+
+    Args:
+        directions: Of a body.
+        gain: What its ten redefined parameters add to its carrier's, (10, 10).
+
+    Returns:
+        Those that change an entry and nothing of the carrier; and the others.
+    """
+    rows = np.hstack([directions.rows[:, :10] @ gain.T, directions.rows[:, 10:]])
+    free = directions.entries == FREE
+    places, basis = echelon(rows[free], 10)
+    bound = _Directions(rows - rows[:, places] @ basis, directions.entries).of(~free)
+    done = np.abs(bound.rows[:, :10]).max(axis=1) <= ROUNDING * bound.sizes
+    spare = _Directions(basis, np.full(len(basis), FREE))
+    return bound.of(done), spare.beside(bound.of(~done))
 
 
-def echelon(directions: list[Direction]) -> dict[int, Direction]:
+def echelon(rows: Array, width: int) -> tuple[list[int], Array]:
     """Independent directions for the same space: each alone has 1 at its own place.
 
+    Args:
+        rows: (k, N); places are among the first `width` columns, the others give the size.
+        width: See there.
+
     Returns:
-        By place among a body's ten redefined parameters.
+        The places, and the directions, (places, N).
     """
-    found: dict[int, Direction] = {}
-    for each in directions:
-        rest = _settled(each, found)
-        place = int(np.argmax(np.abs(rest.value)))
-        if abs(rest.value[place]) <= INDEPENDENT * each.size:
-            continue
-        rest = rest.times(1.0 / float(rest.value[place]))
-        found = {
-            at: other.plus(-float(other.value[place]), rest) for at, other in found.items()
-        } | {place: rest}
-    return found
-
-
-def _settled(direction: Direction, echelon: dict[int, Direction]) -> Direction:
-    """The direction with zeros at the places of an echelon."""
-    for place, each in echelon.items():
-        direction = direction.plus(-float(direction.value[place]), each)
-    return direction
-
-
-def _clean(parts: Parts) -> Parts:
-    """Without the rounding of zero."""
-    least = ROUNDING * max(np.abs(numbers).max() for numbers in parts.values())
-    tidy = {body: np.where(np.abs(n) > least, n, 0.0) for body, n in parts.items()}
-    return {body: numbers for body, numbers in sorted(tidy.items()) if numbers.any()}
+    places: list[int] = []
+    basis = rows[:0]
+    for row in rows:
+        rest = row - row[places] @ basis
+        place = int(np.argmax(np.abs(rest[:width])))
+        if abs(rest[place]) > INDEPENDENT * np.abs(row[width:]).max():
+            rest = rest * (1.0 / rest[place])
+            basis = np.vstack([basis - np.outer(basis[:, place], rest), rest])
+            places.append(place)
+    return places, basis

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from testbed.core.base.arrays import Array, readonly
 from testbed.core.base.codec import named
 from testbed.core.base.summary_table import Value
-from testbed.core.parameters.elimination import INDEPENDENT, Direction, echelon
+from testbed.core.parameters.elimination import INDEPENDENT, echelon
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.regroup import NEW, Lengths, beyond, seen_wrenches
 from testbed.core.parameters.symbols import DriveSymbol, Formula, Label, Term
@@ -159,81 +159,49 @@ def with_joint_terms(tree: Tree, minimal: MinimalSet, laws: Sequence[str | Joint
     offsets = {term.joint: term for term in asked if term.law in CONSTANTS}
     lone = _lone(tree, minimal.gravity, offsets) if rotors else {}
     lone = {joint: force for joint, force in lone.items() if joint in rotors}
-    merged = _merged(minimal, tuple(lone))
-    terms = tuple(t for t in asked if t.law != ROTOR or t.joint not in merged.regrouped)
+    shares = _rotor_shares(minimal, list(lone))
+    regrouped = {joint: k for k, joint in enumerate(lone) if shares[k, k]}
+    terms = tuple(term for term in asked if term.law != ROTOR or term.joint not in regrouped)
     place = {term: minimal.count + k for k, term in enumerate(terms)}
     columns = np.zeros((minimal.count + len(terms), len(asked)))
-    for k, term in enumerate(asked):
+    for column, term in zip(columns.T, asked, strict=True):
         if term in place:
-            columns[place[term], k] = 1.0
-        else:
-            columns[:, k] = _holders(term.joint, merged, lone, offsets, place, len(columns))
+            column[place[term]] = 1.0
+            continue
+        share = dict(zip(lone, shares[:, regrouped[term.joint]], strict=True))
+        column[: minimal.count] = [share.get(joint, 0.0) for joint in minimal.axial]
+        for joint, force in lone.items():
+            if joint not in regrouped:
+                column[place[JointTerm(ROTOR, joint)]] = -share[joint]
+            if force:
+                column[place[offsets[joint]]] = -force * share[joint]
     return DriveSet(minimal, asked, terms, readonly(columns, columns.shape, "columns"), tree)
 
 
-def _holders(
-    joint: int,
-    merged: _Merged,
-    lone: dict[int, float],
-    offsets: dict[int, JointTerm],
-    place: dict[JointTerm, int],
-    count: int,
-) -> Array:
-    """What a regrouped rotor adds to the unknowns, (count,)."""
-    column = np.zeros(count)
-    for unknown, moving in merged.inertias.items():
-        column[unknown] = merged.share(moving, joint)
-    for moving, force in lone.items():
-        share = merged.share(moving, joint)
-        own = place.get(JointTerm(ROTOR, moving))
-        if own is not None:
-            column[own] = -share
-        if force:
-            column[place[offsets[moving]]] = -force * share
-    return column
-
-
-@dataclass(frozen=True, eq=False)
-class _Merged:
-    """Rotors against the minimal parameters that hold what they add to.
-
-    Attributes:
-        inertias: By index of a minimal parameter, the joint whose rotor it holds.
-        regrouped: Joints whose rotor has no column of its own.
-        shares: By joint, how much of each regrouped joint's rotor is identifiable with its own.
-    """
-
-    inertias: dict[int, int]
-    regrouped: tuple[int, ...]
-    shares: dict[int, dict[int, float]]
-
-    def share(self, joint: int, of: int) -> float:
-        """How much of joint `of`'s rotor the inertia that `joint` moves holds."""
-        return self.shares[joint].get(of, 0.0)
-
-
-def _merged(minimal: MinimalSet, lone: tuple[int, ...]) -> _Merged:
-    """Which of the lone joints' rotors are regrouped.
+def _rotor_shares(minimal: MinimalSet, lone: list[int]) -> Array:
+    """Share of each lone joint's rotor that the inertia which another one moves holds.
 
     A rotor adds to the minimal parameter that is its joint's inertia. Where known zeros make
     this a combination of others, or others a combination of such, its rotors are identifiable.
+
+    Returns:
+        By joint that moves the inertia and joint of the rotor, (lone, lone); zero columns for
+        rotors with a column of their own.
     """
-    inertias = {k: j for k, j in enumerate(minimal.axial) if j in lone}
-    told_rotors = np.zeros((len(minimal.dependent), len(lone)))
-    for row, (joint, shares) in zip(told_rotors, minimal.dependent, strict=True):
-        if joint in lone:
-            row[lone.index(joint)] = 1.0
-        for k, share in shares.items():
-            if k in inertias:
-                row[lone.index(inertias[k])] -= share
-    rows = [Direction(row, {0: row}) for row in told_rotors[told_rotors.any(axis=1)]]
-    own = {column: each.value for column, each in echelon(rows).items()}
-    regrouped = tuple(j for column, j in enumerate(lone) if column not in own)
-    held = {j: {j: 1.0} for j in regrouped}
-    for column, row in own.items():
-        with_it = {j: -float(row[lone.index(j)]) for j in regrouped}
-        held[lone[column]] = {j: share for j, share in with_it.items() if abs(share) > INDEPENDENT}
-    return _Merged(inertias, regrouped, held)
+    position = {joint: k for k, joint in enumerate(lone)}
+    identifiable = np.zeros((len(minimal.dependent), len(lone)))
+    for row, (joint, combination) in zip(identifiable, minimal.dependent, strict=True):
+        if joint in position:
+            row[position[joint]] = 1.0
+        for k, share in combination.items():
+            if minimal.axial[k] in position:
+                row[position[minimal.axial[k]]] -= share
+    rows = identifiable[identifiable.any(axis=1)]
+    own, basis = echelon(np.hstack([rows, rows]), len(lone))
+    shares = np.eye(len(lone))
+    shares[own] = np.where(np.abs(basis) > INDEPENDENT, -basis, 0.0)[:, : len(lone)]
+    shares[:, own] = 0.0
+    return shares
 
 
 def _lone(tree: Tree, gravity: Array, offsets: Collection[int]) -> dict[int, float]:

@@ -172,10 +172,7 @@ class MinimalSet(Value):
         S lift = 1, what is known to be zero is zero, and the model does not change by
         theta -> lift S theta.
         """
-        lift = np.zeros((10 * self._tree.n, self.count))
-        for k, parts in enumerate(self._elimination.directions):
-            for body, numbers in parts.items():
-                lift[10 * body : 10 * body + 10, k] = numbers
+        lift = self._elimination.lift
         return readonly(self.carried(lift), lift.shape, "lift")
 
     def carried(self, theta: Array) -> Array:
@@ -337,5 +334,5 @@ def _zeros_of_the_file(tree: Tree) -> NDArray[np.bool_]:
     tensor = tensors.max(axis=1, keepdims=True)
     # moments may all be rounding: a mass at a distance of the size of the body shows
     moment = np.maximum(moments.max(axis=1, keepdims=True), np.sqrt(mass * tensor))
-    scale = np.hstack([mass, np.repeat(moment, 3, axis=1), np.repeat(tensor, 6, axis=1)])
+    scale = np.repeat(np.hstack([mass, moment, tensor]), (1, 3, 6), axis=1)
     return theta <= NO_MATTER * scale

@@ -13,11 +13,18 @@ from numpy.typing import NDArray
 from testbed.core.base.arrays import Array, skew
 from testbed.core.base.transform import Transform
 from testbed.core.parameters.pseudo_inertia import inertia_matrix, inertia_rate
-from testbed.core.parameters.rules import NOTHING_KEPT, Model, Row, base_rule, mobilities, rule
+from testbed.core.parameters.rules import (
+    NOTHING_KEPT,
+    Model,
+    Row,
+    base_rule,
+    mobilities,
+    rule,
+    unit_twist,
+)
 from testbed.core.parameters.symbols import (
     STANDARD_ORDER,
     TENSOR,
-    UPPER,
     Formula,
     Label,
     Symbol,
@@ -71,7 +78,7 @@ def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> It
     rest: list[Array] = [-np.concatenate([gravity, np.zeros(3)])]
     known: list[Array] = [static]
     for j, joint in enumerate(tree.joints):
-        screw, into = _screw(joint), joint.X_PB.wrench_matrix
+        screw, into = unit_twist(joint), joint.X_PB.wrench_matrix
         rate = _in_our_order(inertia_rate(screw))
         turning, momentum = _ad(screw).T, _momentum(screw)
         still = rest[joint.parent + 1] @ into
@@ -103,20 +110,13 @@ def base_functionals(tree: Tree, gravity: Array, *, tared: bool) -> Array:
     twists, changes = np.zeros((0, 6)), np.zeros((0, 6))
     weight = -np.concatenate([gravity, np.zeros(3)])
     for joint in tree.joints[: tree.lead]:
-        screw, into = _screw(joint), joint.X_PB.wrench_matrix
+        screw, into = unit_twist(joint), joint.X_PB.wrench_matrix
         turning = _ad(screw).T
         weight = weight @ into
         twists = span(np.vstack([_closed(twists @ into, turning), screw]))
         changes = _closed(np.vstack([changes @ into, weight @ turning]), turning)
     pulls = changes if tared else np.vstack([changes, weight])
     return span(np.vstack([_momentum(twist) for twist in (*twists, *span(pulls))]))
-
-
-def _screw(joint: Joint) -> Array:
-    """Unit twist of a joint in its own frame, linear part first, (6,)."""
-    nothing = np.zeros(3)
-    parts = (nothing, joint.axis) if joint.revolute else (joint.axis, nothing)
-    return np.concatenate(parts)
 
 
 def _ad(screw: Array) -> Array:
@@ -233,23 +233,13 @@ def migration(joint: Joint, row: Row) -> Array:
     K*^i = K^i + (migrating part of K^j) - (l~ b~ + b~ l~), where
     l~ b~ + b~ l~ = b l' + l b' - 2 (l . b) 1.
     """
-    passed = np.zeros((10, 10))
-    passed[1:4, 1:4] = row.passed
-    if row.tensor == "all":
-        passed[4:, 4:] = np.eye(6)
-    elif row.tensor == "mean":
-        across = np.eye(3) - np.outer(joint.axis, joint.axis)
-        passed[4:, 4:] = np.outer(across[UPPER], np.einsum("ab,abk->k", across, TENSOR) / 2)
     # affine in the offset: at none, and along each axis
     X_AB = Transform(np.broadcast_to(joint.rotation, (4, 3, 3)), np.eye(4)[:, 1:])
-    gains = moved_inertia(X_AB) @ passed
+    gains = moved_inertia(X_AB) @ row.passed
     gains[1:] -= gains[0]
-    gains[np.abs(gains) < ROUNDING] = 0.0
+    gains[np.abs(gains) < 1e-15] = 0.0
     return gains
 
-
-ROUNDING = 1e-15
-"""Coefficients of the order of one below this are zero but for rounding."""
 
 NEGLIGIBLE = 1e-12
 """Coefficients below this are not printed: rounding of zero, an axis turned by a quarter."""

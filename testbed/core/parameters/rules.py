@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from testbed.core.base.arrays import Array, apply, skew
-from testbed.core.parameters.symbols import PARTS, TENSOR
+from testbed.core.base.arrays import Array, skew
+from testbed.core.parameters.symbols import PARTS, UPPER
 from testbed.core.robot.tree import Joint, Tree
 
 ALIGNED = 1e-9
@@ -24,102 +23,80 @@ Rotation = Literal["none", "along", "across", "free"]
 
 @dataclass(frozen=True, eq=False)
 class Mobility:
-    """What joint j's carrying body i can do, seen from the joint.
+    """Motion of the body i that carries joint j, seen from the joint's frame j at q = 0.
+
+    Gravity is an acceleration of the bedplate: it counts as a slide before all joints.
 
     Attributes:
-        rotation: "none": body i never turns; "along": it turns only about directions
-            parallel to the joint axis; "across": only about one direction, not parallel
-            to the axis; "free": about more than one direction.
-        direction: The one direction w, frame i, (3,); None unless "along" or "across".
-        at_rest: xdd^j stays parallel to the joint axis in every motion, and so does gravity.
-        pivot: Without gravity, the distance s along the axis from O^j to a point that
-            never moves; None if there is no such point [m].
+        twists: Of frame j by a unit of gravity and of every joint before j, linear part first,
+            (k, 6).
+        axis: Of joint j, (3,).
     """
 
-    rotation: Rotation
-    direction: Array | None
-    at_rest: bool
-    pivot: float | None
+    twists: Array
+    axis: Array
+
+    @property
+    def direction(self) -> Array:
+        """Axis of the first rotation before joint j, (3,)."""
+        angular = self.twists[:, 3:]
+        first: Array = angular[np.flatnonzero(angular.any(axis=1))[0]]
+        return first
+
+    @property
+    def rotation(self) -> Rotation:
+        """Directions about which body i turns.
+
+        "none"; "along": parallel to the joint axis; "across": one, not parallel to the axis;
+        "free": several.
+        """
+        angular = self.twists[:, 3:]
+        if not angular.any():
+            return "none"
+        if _distance(angular, self.direction) > ALIGNED:
+            return "free"
+        return "along" if _distance(angular, self.axis) <= ALIGNED else "across"
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether neither gravity nor, where body i turns along the axis, xdd^j is across it."""
+        return bool(_distance(self.twists[:, :3], self.axis) <= ALIGNED)
+
+    @property
+    def pivot(self) -> float | None:
+        """Distance from O^j along the axis of a point that never accelerates [m].
+
+        None where there is none; body i turns across the axis.
+        """
+        linear, lever = self.twists[:, :3], self.twists[:, 3:] @ skew(self.axis)
+        s = -float(np.sum(lever * linear) / np.sum(lever * lever))
+        return s if np.linalg.norm(linear + s * lever, axis=1).max() <= ALIGNED else None
 
 
-def mobilities(tree: Tree, gravity: Array) -> tuple[Mobility, ...]:
-    """The mobility ahead of every joint, from the axes of all joints before it at q = 0.
+def _distance(vectors: Array, axis: Array) -> float:
+    """Largest component of vectors, (k, 3), across a unit axis."""
+    return float(np.linalg.norm(vectors @ skew(axis), axis=1).max())
+
+
+def mobilities(tree: Tree, gravity: Array) -> Iterator[Mobility]:
+    """The mobility ahead of every joint.
 
     Args:
-        tree: The robot; only its geometry matters.
+        tree: The robot.
         gravity: Gravity acceleration in the bedplate frame, (3,) [m/s^2].
     """
-    poses = tree.zero_poses
-    axes = np.array([X_WB.R_AB @ j.axis for X_WB, j in zip(poses, tree.joints, strict=True)])
-    origins = np.array([X_WB.p_AB_A for X_WB in poses])
-    revolute = np.array([joint.revolute for joint in tree.joints])
-    found = []
-    for j, parent in enumerate(tree.parents):
-        ahead = list(tree.chain(parent))
-        R_PW = poses[parent].R_AB.T if ahead else np.eye(3)
-        arms = origins[ahead] - origins[j]
-        found.append(_mobility(axes[j], axes[ahead], arms, revolute[ahead], gravity, R_PW))
-    return tuple(found)
+    slide = gravity / (np.linalg.norm(gravity) or 1.0)
+    twists = [np.concatenate([slide, np.zeros(3)])[None]]  # index j + 1
+    for joint in tree.joints:
+        ahead = twists[joint.parent + 1] @ joint.X_PB.wrench_matrix
+        yield Mobility(ahead, joint.axis)
+        twists.append(np.vstack([ahead, unit_twist(joint)]))
 
 
-def _mobility(
-    axis: Array, axes: Array, arms: Array, revolute: NDArray[np.bool_], gravity: Array, R_PW: Array
-) -> Mobility:
-    """The mobility ahead of a joint.
-
-    Args:
-        axis: Of the joint, (3,), bedplate frame W.
-        axes: Of the joints ahead, (k, 3).
-        arms: From O^j to their origins, (k, 3) [m].
-        revolute: Which of them turn, (k,).
-        gravity: (3,) [m/s^2].
-        R_PW: Rotation from the bedplate's frame to the carrying body's.
-    """
-    rotation, direction = _rotation(axes[revolute], axis)
-    one_line = (_sines(axes, axis) <= ALIGNED) & ((_sines(arms, axis) <= ALIGNED) | ~revolute)
-    pulled = _sines(gravity, axis) > ALIGNED * np.linalg.norm(gravity)
-    return Mobility(
-        rotation,
-        None if direction is None else R_PW @ direction,
-        bool(one_line.all() and not pulled),
-        None if gravity.any() or not revolute.all() else _pivot(axes, arms, axis),
-    )
-
-
-def _rotation(turning: Array, axis: Array) -> tuple[Rotation, Array | None]:
-    """How the joints ahead turn a body, and about which direction if it is one.
-
-    Args:
-        turning: Axes of the revolute joints ahead, (k, 3).
-        axis: Of the joint, (3,).
-    """
-    if not len(turning):
-        return "none", None
-    if (_sines(turning, turning[0]) > ALIGNED).any():
-        return "free", None
-    return "along" if _sines(turning[0], axis) <= ALIGNED else "across", turning[0]
-
-
-def _pivot(axes: Array, arms: Array, axis: Array) -> float | None:
-    """Where all axes ahead meet the joint's: distance from O^j [m]; None if nowhere, or along it.
-
-    Args:
-        axes: Of the joints ahead, all revolute, (k, 3).
-        arms: From O^j to their origins, (k, 3) [m].
-        axis: Of the joint, (3,).
-    """
-    inclined = np.flatnonzero(_sines(axes, axis) > ALIGNED)
-    if not inclined.size:
-        return None
-    first = inclined[0]
-    normal = np.cross(axis, axes[first])
-    s = float(np.cross(arms[first], axes[first]) @ normal / (normal @ normal))
-    return s if (_sines(arms - s * axis, axes) <= ALIGNED).all() else None
-
-
-def _sines(a: Array, b: Array) -> Array:
-    """Lengths of the cross products of vectors, (..., 3) both."""
-    return np.asarray(np.linalg.norm(apply(skew(b), a), axis=-1))
+def unit_twist(joint: Joint) -> Array:
+    """Twist of a joint at unit velocity in its own frame, linear part first, (6,)."""
+    nothing = np.zeros(3)
+    return np.concatenate([nothing, joint.axis] if joint.revolute else [joint.axis, nothing])
 
 
 Model = Literal["dynamic", "reaction"]
@@ -201,16 +178,13 @@ class Row:
     Attributes:
         number: Table and row, a key of REASONS.
         kept: The parameters kept for the joint, in printing order.
-        passed: Projector onto the part of mb^j that migrates, frame j, (3, 3).
-        tensor: How K^j migrates: "all" of it, or the "mean" of the two moments across
-            the axis, K_s of eq. (37); or "none".
+        passed: Projector of body j's ten redefined parameters onto what migrates, (10, 10).
         triad: What components are named after, frame j.
     """
 
     number: str
     kept: tuple[Kept, ...]
     passed: Array
-    tensor: Literal["all", "mean", "none"]
     triad: Triad
 
 
@@ -220,35 +194,19 @@ def base_rule(functionals: Array) -> Row:
     Args:
         functionals: What the wrench identifies of the base's ten parameters, (k, 10).
     """
-    forms = _echelon(functionals)
-    kept = tuple(
-        Kept(
-            tuple(
-                (round(float(form[c]), 4), *PARTS[c])
-                for c in sorted(np.flatnonzero(form).tolist(), key=lambda c: c != lead)
-            ),
-            form,
-            np.eye(10)[lead],
-        )
-        for lead, form in sorted(forms.items())
-    )
-    return Row("free", kept, np.zeros((3, 3)), "none", _OWN)
-
-
-def _echelon(rows: Array) -> dict[int, Array]:
-    """Rows of the same space, each 1 at a column of its own where the others are 0, by column.
-
-    Second moments lead before first ones, these before the mass.
-
-    Args:
-        rows: Orthonormal, (k, 10).
-    """
     leads: list[int] = []
-    for column in (*range(4, 10), 1, 2, 3, 0):
-        if np.linalg.matrix_rank(rows[:, [*leads, column]], tol=TINY) > len(leads):
+    for column in (*range(4, 10), 1, 2, 3, 0):  # second moments before first ones and the mass
+        if np.linalg.matrix_rank(functionals[:, [*leads, column]], TINY) > len(leads):
             leads.append(column)
-    forms = np.linalg.solve(rows[:, leads], rows)
-    return dict(zip(leads, np.where(np.abs(forms) < TINY, 0.0, forms), strict=True))
+    forms = np.linalg.solve(functionals[:, leads], functionals)
+    forms[np.abs(forms) < TINY] = 0.0
+    forms[:, leads] = np.eye(len(leads))
+    kept = []
+    for lead, form in sorted(zip(leads, forms, strict=True), key=lambda pair: pair[0]):
+        others = [c for c in np.flatnonzero(form).tolist() if c != lead]
+        terms = tuple((round(float(form[c]), 4), *PARTS[c]) for c in (lead, *others))
+        kept.append(Kept(terms, form, np.eye(10)[lead]))
+    return Row("free", tuple(kept), np.zeros((10, 10)), _OWN)
 
 
 def rule(joint: Joint, mobility: Mobility, model: Model) -> Row:
@@ -260,19 +218,17 @@ def rule(joint: Joint, mobility: Mobility, model: Model) -> Row:
 def _of_prismatic(joint: Joint, mobility: Mobility, model: Model) -> Row:
     """Tables 2, joint torques, and 3, bedplate reaction."""
     unit = np.eye(10)[0]
-    mass = _kept(((1.0, "mbar", ""),), unit, axial=True)
+    mass = Kept(((1.0, "mbar", ""),), unit, unit, axial=True)
     row = {"free": 1, "across": 2}.get(mobility.rotation, 3)
     number = f"{2 if model == 'dynamic' else 3}.{row}"
     if number == "2.3":
-        return Row(number, (mass,), np.eye(3), "all", _OWN)
+        return Row(number, (mass,), np.diag([0.0] + [1.0] * 9), _OWN)
     if row == 1 or number == "3.2":
-        return Row(number, (mass, *_moments(_OWN, 3)), np.zeros((3, 3)), "all", _OWN)
-    direction = joint.axis
-    if number == "2.2":
-        assert mobility.direction is not None
-        direction = joint.rotation.T @ mobility.direction
-    triad, passed = across(direction), np.outer(direction, direction)
-    return Row(number, (mass, *_moments(triad, 2)), passed, "all", triad)
+        return Row(number, (mass, *_moments(_OWN, 3)), _TENSOR, _OWN)
+    direction = mobility.direction if number == "2.2" else joint.axis
+    triad = across(direction)
+    passed = _TENSOR + np.outer(_moment(direction), _moment(direction))
+    return Row(number, (mass, *_moments(triad, 2)), passed, triad)
 
 
 def _of_revolute(joint: Joint, mobility: Mobility, model: Model) -> Row:
@@ -287,31 +243,29 @@ def _of_revolute(joint: Joint, mobility: Mobility, model: Model) -> Row:
             number, kept = "5.2", (*kept, *oblique)
         elif mobility.at_rest:
             number, kept = "4.3", (axial,)
-    elif model == "dynamic" and mobility.pivot is not None:
+    elif model == "dynamic" and (pivot := mobility.pivot) is not None:
         pairs = zip(oblique, reversed(moments), strict=True)
-        about_pivot = (_sum(k, mobility.pivot, mb) for k, mb in pairs)
+        about_pivot = (_sum(k, pivot, mb) for k, mb in pairs)
         number, kept = "4.4", (axial, difference, *about_pivot, product)
-    return Row(number, kept, np.outer(joint.axis, joint.axis), "mean", triad)
+    return Row(number, kept, _mean_and_moment(triad), triad)
 
 
-ENTRIES = np.array([1, 1, 1, 1, 2, 1, 1, 2, 1, 2])
-"""Factors from a form's coefficients to a multiple of the parameters dual to it: of a tensor's
-numbers, those on the diagonal count twice."""
+def _mean_and_moment(triad: Triad) -> Array:
+    """Projector onto K_s = (K_uu + K_vv)/2, eq. (37), and mb_e of a triad (u, v, e)."""
+    u, v, e = triad.axes
+    across, moment = _outer(u, u) + _outer(v, v), _moment(e)
+    return np.outer(across, _TIMES * across / 2) + np.outer(moment, moment)
 
 
-def _kept(terms: tuple[tuple[float, str, str], ...], form: Array, *, axial: bool = False) -> Kept:
-    """A form of a triad's components, and the parameters for which it alone is 1."""
-    direction = ENTRIES * form
-    return Kept(terms, form, direction / (direction @ form), axial)
+def _moment(direction: Array) -> Array:
+    """Ten parameters whose mb is a direction, and the form of mb along it, (10,)."""
+    return np.concatenate([[0.0], direction, np.zeros(6)])
 
 
 def _moments(triad: Triad, count: int) -> tuple[Kept, ...]:
     """Components of mb^j along the first directions of a triad."""
-    forms = np.pad(triad.axes[:count], ((0, 0), (1, 6)))
-    return tuple(
-        _kept(((1.0, "mb", letter),), form)
-        for letter, form in zip(triad.letters[:count], forms, strict=True)
-    )
+    pairs = list(zip(triad.letters, map(_moment, triad.axes), strict=True))
+    return tuple(Kept(((1.0, "mb", letter),), form, form) for letter, form in pairs[:count])
 
 
 def _about_axis(
@@ -323,16 +277,17 @@ def _about_axis(
         (mb_u, mb_v), K_ee, 2 K_d = K_uu - K_vv, (K_ve, K_ue), K_uv.
     """
     (u, v, e), (p, q, r) = triad.axes, triad.letters
-    spread = _tensor_form(u, u) - _tensor_form(v, v)
-    difference = _kept(((2.0, "K", "d"),), spread)
-    axial = _kept(((1.0, "K", r + r),), _tensor_form(e, e), axial=True)
+    spread, along = _outer(u, u) - _outer(v, v), _outer(e, e)
+    difference = Kept(((2.0, "K", "d"),), _TIMES * spread, spread / 2)
+    axial = Kept(((1.0, "K", r + r),), _TIMES * along, along, axial=True)
     oblique = _product(v, e, q + r), _product(u, e, p + r)
     return _moments(triad, 2), axial, difference, oblique, _product(u, v, p + q)
 
 
 def _product(a: Array, b: Array, letters: str) -> Kept:
     """K_ab; its letters in the order of the alphabet."""
-    return _kept(((1.0, "K", "".join(sorted(letters))),), _tensor_form(a, b))
+    product = 2 * _outer(a, b)
+    return Kept(((1.0, "K", "".join(sorted(letters))),), _TIMES * product / 2, product)
 
 
 def _sum(k: Kept, s: float, mb: Kept) -> Kept:
@@ -360,10 +315,18 @@ def across(axis: Array) -> Triad:
 
 _OWN = Triad(np.eye(3), ("x", "y", "z"))
 
-NOTHING_KEPT = Row("none", (), np.zeros((3, 3)), "none", _OWN)
+_TENSOR = np.diag([0.0] * 4 + [1.0] * 6)
+"""Projector onto K^j."""
+
+NOTHING_KEPT = Row("none", (), np.zeros((10, 10)), _OWN)
 """Of what leads to a base and has no matter."""
 
 
-def _tensor_form(a: Array, b: Array) -> Array:
-    """The form a . K b on the ten parameters, (10,)."""
-    return np.concatenate([np.zeros(4), np.einsum("a,abk,b->k", a, TENSOR, b)])
+def _outer(a: Array, b: Array) -> Array:
+    """Ten parameters whose tensor is the symmetric part of a b', (10,)."""
+    product = np.outer(a, b)
+    return np.concatenate([np.zeros(4), ((product + product.T) / 2)[UPPER]])
+
+
+_TIMES = np.array([0, 0, 0, 0, 1, 2, 2, 1, 2, 1])
+"""Times that each of the ten parameters stands in its tensor: _TIMES * _outer(a, b) is a . K b."""

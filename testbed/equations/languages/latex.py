@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 
-from testbed.core.parameters.symbols import latex_number
 from testbed.equations.equations import Equations, Listing
-from testbed.equations.expression import Expression, Factor, Nature, Number
+from testbed.equations.expression import Expression, Factor, Nature, Number, angle_labels
 from testbed.equations.languages.text import (
     Style,
     definitions,
@@ -100,7 +99,11 @@ def _power(name: str, times: int) -> str:
 
 
 def _number(value: Number) -> str:
-    return latex_number(*fraction(value).split("/"))
+    over, _, under = fraction(value).partition("/")
+    mantissa, _, exponent = over.partition("e")
+    if exponent:
+        return rf"{mantissa}\cdot 10^{{{int(exponent)}}}"
+    return rf"\tfrac{{{over}}}{{{under}}}" if under else over
 
 
 def _factor(factor: Factor, joints: int) -> str:
@@ -109,9 +112,7 @@ def _factor(factor: Factor, joints: int) -> str:
         return rf"{_COORDINATES[factor.nature]}_{{{factor.rank + 1}}}"
     if factor.nature not in (Nature.COSINE, Nature.SINE) or factor.content is None:
         return _name(factor.name)
-    labels: list[str] = []
-    for (coordinate,), times in factor.content.terms:
-        labels += ["-" * (times < 0) + str(coordinate.rank + 1)] * int(abs(times))
+    labels = angle_labels(factor.content, "-")
     between = "," if joints > 9 or max(map(len, labels)) > 1 else ""
     letter = "c" if factor.nature is Nature.COSINE else "s"
     return rf"{letter}_{{{between.join(labels)}}}"
