@@ -346,8 +346,7 @@ def estimate() -> PayloadEstimate:
     values = pin.Inertia(mass, centre, inertia).toDynamicParameters()
     root = 1e-4 * np.random.default_rng(2).normal(size=(10, 10))
     covariance = root @ root.T
-    sigma = np.sqrt(np.diagonal(covariance))
-    return PayloadEstimate("elbow", (True,) * 10, values, sigma, covariance, 10, 0.5)
+    return PayloadEstimate(joint="elbow", values=values, covariance=covariance, rank=10, chance=0.5)
 
 
 def read_back(vendor: str, text: str) -> tuple[float, Array, Array]:
@@ -405,7 +404,7 @@ def test_sigma_is_the_spread_of_what_is_written() -> None:
 def test_what_no_controller_should_get_is_refused() -> None:
     found, tree = estimate(), robot("puma")
     flat = replace(found, values=found.values - np.eye(10)[4] * 1.0)
-    partial = replace(found, identifiable=(*[True] * 8, False, True))
+    partial = replace(found, unidentifiable=(found.names[8],))
     for each, link, culprit in (
         (flat, None, "payload"),
         (partial, None, "Iyz"),

@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike
 from scipy import special
 from scipy.linalg import orth
 
-from testbed.core.base.arrays import Array, freeze
+from testbed.core.base.arrays import Array
 from testbed.core.base.codec import with_properties
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.core.base.errors import SettingsError
+from testbed.core.base.gaussian import Gaussian
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.regression.normal_equations import (
     scaled_inverse,
-    standard_deviations,
     unit_diagonal,
 )
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
@@ -37,38 +37,25 @@ IMPOSSIBLE = 1e-6
 """Chance below which the rest of the difference is no noise."""
 
 
-@dataclass(frozen=True, eq=False)
-class PayloadEstimate(Diagnosed):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class PayloadEstimate(Diagnosed, Gaussian):
     """Ten inertial parameters of what a link carries more, about and along the link's frame.
 
     Attributes:
         joint: The link is the one that this joint moves.
-        identifiable: Which of them are identifiable alone, (10,).
-        values: (10,); nothing but a choice where not identifiable.
-        sigma: Standard deviations, (10,); infinite where not identifiable.
-        covariance: (10, 10), of what is identifiable.
         rank: How many combinations are identifiable.
         chance: That noise alone leaves so much of the difference as no payload explains.
-        names: Of the ten: m, mx, ..., Izz.
-        units: (10,).
         diagnostics: What a careful reader should know.
     """
 
     joint: str
-    identifiable: tuple[bool, ...]
-    values: Array
-    sigma: Array
-    covariance: Array
     rank: int
     chance: float
     names: tuple[str, ...] = STANDARD
     units: tuple[str, ...] = UNITS
     diagnostics: tuple[Diagnostic, ...] = ()
 
-    __get_pydantic_core_schema__ = with_properties("centre")
-
-    def __post_init__(self) -> None:
-        freeze(self, values=(10,), sigma=(10,), covariance=(10, 10))
+    __get_pydantic_core_schema__ = with_properties("sigma", "identifiable", "centre")
 
     @property
     def centre(self) -> tuple[Array, Array] | None:
@@ -166,19 +153,17 @@ def payload_from(
     freedom = max(len(adds) - len(found), 1)
     chance = float(special.chdtrc(freedom, rest @ rest))
     covariance = seen @ inverse @ seen.T
-    identifiable = np.abs(np.linalg.norm(seen, axis=1) - 1) < SEEN
-    sigma = np.where(identifiable, standard_deviations(covariance), np.inf)
-    values = seen @ found
-    return PayloadEstimate(
+    alone = np.abs(np.linalg.norm(seen, axis=1) - 1) < SEEN
+    estimate = PayloadEstimate(
         joint=joint,
-        identifiable=tuple(identifiable.tolist()),
-        values=values,
-        sigma=sigma,
+        unidentifiable=tuple(name for name, one in zip(STANDARD, alone, strict=True) if not one),
+        values=seen @ found,
         covariance=covariance,
         rank=len(found),
         chance=chance,
-        diagnostics=tuple(_diagnostics(joint, chance, values[0], sigma[0], what)),
     )
+    diagnostics = _diagnostics(joint, chance, estimate.values[0], estimate.sigma[0], what)
+    return replace(estimate, diagnostics=tuple(diagnostics))
 
 
 def _diagnostics(
