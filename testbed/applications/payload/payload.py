@@ -156,7 +156,7 @@ def payload_from(
     alone = np.abs(np.linalg.norm(seen, axis=1) - 1) < SEEN
     estimate = PayloadEstimate(
         joint=joint,
-        unidentifiable=tuple(name for name, one in zip(STANDARD, alone, strict=True) if not one),
+        unidentifiable=tuple(np.array(STANDARD)[~alone].tolist()),
         values=seen @ found,
         covariance=covariance,
         rank=len(found),
