@@ -213,6 +213,7 @@ def posterior(
             by_part=np.array([part.residual(values, constants) for part in rows.each]),
             duration=problem.source.samples / problem.source.rate,
             gravity=problem.tree.gravity,
+            settings=problem.settings,
             errors=held_out_errors(rows, fits, before.mean),
         )
 

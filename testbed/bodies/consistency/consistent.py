@@ -24,6 +24,7 @@ from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.core.base.errors import RecordingError, few
+from testbed.core.base.gaussian import Gaussian
 from testbed.core.estimation.diagnostics.rigid_bodies import rigid_body_test
 from testbed.core.estimation.estimate import Estimate, Method
 from testbed.core.estimation.regression.normal_equations import TINY, standard_deviations
@@ -49,49 +50,37 @@ THIN = 1e-2
 """Parts of the prior's body below which a body is at the edge of what can be."""
 
 
-@dataclass(frozen=True, eq=False)
-class Reconciliation:
-    """How far one estimate had to give way.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Reconciliation(Gaussian):
+    """Parameters of one estimate by the consistent bodies; sigma counts the prior's doubt.
 
     Attributes:
         method: Of the estimate.
-        names: Of its parameters, (p,).
-        units: One each.
         plain: As estimated, (p,).
         plain_sigma: (p,), widened where another estimate contradicts it.
-        values: Of the consistent bodies, (p,).
-        covariance: Theirs, the prior's doubt among it, (p, p).
         widened: By how much.
         distance: Between both, in sigmas of all parameters together: about the root of p
             where only noise is between them.
     """
 
     method: Method
-    names: tuple[str, ...]
-    units: tuple[str, ...]
     plain: Array
     plain_sigma: Array
-    values: Array
-    covariance: Array
     widened: float
     distance: float
 
     __get_pydantic_core_schema__ = with_properties("sigma", "sigmas")
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         p = len(self.names)
-        freeze(self, plain=(p,), plain_sigma=(p,), values=(p,), covariance=(p, p))
+        freeze(self, plain=(p,), plain_sigma=(p,))
 
     @property
     def sigmas(self) -> Array:
         """By how many of its own sigmas each parameter was moved, (p,)."""
         gap = self.values - self.plain
         return gap / np.maximum(self.plain_sigma, TINY)
-
-    @property
-    def sigma(self) -> Array:
-        """Standard deviations of the consistent values, (p,)."""
-        return standard_deviations(self.covariance)
 
 
 @dataclass(frozen=True, eq=False)

@@ -185,18 +185,16 @@ def _log_prior(bodies: Array, error: float) -> Array:
         bodies: Y, (N, bodies, 4, 4).
         error: Of the file's bodies.
     """
-    entry = np.ascontiguousarray(bodies.transpose(2, 3, 1, 0))
-    found, own = np.zeros(len(bodies)), [[np.zeros(0)] * 4 for _ in range(4)]
+    density, rest = np.zeros(len(bodies)), bodies
     with np.errstate(invalid="ignore", divide="ignore"):
         for b in reversed(range(4)):
-            after = range(b + 1, 4)
-            size = np.sqrt(entry[b, b] - sum(own[b][c] ** 2 for c in after))
+            size = np.sqrt(rest[..., b, b])
             logs = np.log(size)  # to the power b + 1 in |dY / dL|, once more in dL / dlog L
-            found -= (0.5 * (2 * logs / error) ** 2 + (b + 2) * logs).sum(axis=0)
-            for a in range(b):
-                own[a][b] = (entry[a, b] - sum(own[a][c] * own[b][c] for c in after)) / size
-                found -= (own[a][b] ** 2).sum(axis=0) / error**2
-    return np.where(np.isfinite(found), found, -np.inf)
+            density -= (0.5 * (2 * logs / error) ** 2 + (b + 2) * logs).sum(axis=1)
+            column = rest[..., :b, b] / size[..., None]
+            density -= (column**2).sum(axis=(1, 2)) / error**2
+            rest = rest[..., :b, :b] - column[..., None] * column[..., None, :]
+    return np.where(np.isfinite(density), density, -np.inf)
 
 
 def _draws(

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.codec import with_properties
@@ -66,43 +66,6 @@ class Gaussian(Summarized):
             self.covariance[np.ix_(at, at)],
             tuple(name for name in names if name in self.unidentifiable),
         )
-
-    def transform(self, matrix: Array, names: Sequence[str], units: Sequence[str]) -> Gaussian:
-        """Distribution of linear combinations of the parameters.
-
-        Args:
-            matrix: The combinations, (k, p).
-            names: (k,).
-            units: (k,).
-        """
-        covariance = matrix @ self.covariance @ matrix.T
-        return Gaussian(tuple(names), tuple(units), matrix @ self.values, covariance)
-
-    def condition_on(self, matrix: Array, values: Array, covariance: ArrayLike = 0.0) -> Gaussian:
-        """Distribution given matrix @ parameters = values + e; in Joseph's form.
-
-        Args:
-            matrix: (k, p).
-            values: (k,).
-            covariance: Of e, (k, k); zero for what holds exactly.
-        """
-        noise = np.broadcast_to(covariance, (len(matrix),) * 2)
-        across = matrix @ self.covariance
-        gain = np.linalg.solve(across @ matrix.T + noise, across).T
-        rest = np.eye(len(self.names)) - gain @ matrix
-        mean = self.values + gain @ (values - matrix @ self.values)
-        spread = rest @ self.covariance @ rest.T + gain @ noise @ gain.T
-        return Gaussian(self.names, self.units, mean, spread)
-
-    def sample(self, count: int, seed: int = 0) -> Array:
-        """Random draws, (count, p).
-
-        Args:
-            count: How many.
-            seed: Of the random numbers.
-        """
-        rng = np.random.default_rng(seed)
-        return rng.multivariate_normal(self.values, self.covariance, count, method="eigh")
 
     @property
     def summary(self) -> SummaryTable:

@@ -75,8 +75,7 @@ def information_of(estimates: Sequence[Estimate]) -> Information:
     Raises:
         SettingsError: They are of different robots.
     """
-    robots = {(each.joints, each.minimal.matrix.shape[1]) for each in estimates}
-    if len(robots) > 1:
+    if len({(each.joints, each.minimal.matrix.shape[1]) for each in estimates}) > 1:
         raise SettingsError("estimates of different robots have no sum")
     minimal = max((each.minimal for each in estimates), key=lambda own: own.count)
     units = dict(zip(minimal.names, minimal.units, strict=True))
@@ -97,7 +96,7 @@ def information_of(estimates: Sequence[Estimate]) -> Information:
         units=tuple(units.values()),
         values=values,
         covariance=covariance,
-        unidentifiable=tuple(n for n, known in zip(names, determined, strict=True) if not known),
+        unidentifiable=tuple(np.array(names)[~determined].tolist()),
         estimates=tuple(estimates),
         matrix=matrix,
     )
