@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.codec import with_properties
@@ -66,6 +67,52 @@ class Gaussian(Summarized):
             self.covariance[np.ix_(at, at)],
             tuple(name for name in names if name in self.unidentifiable),
         )
+
+    def transform(self, matrix: Array, names: Sequence[str], units: Sequence[str]) -> Gaussian:
+        """Distribution of linear combinations of the parameters.
+
+        Args:
+            matrix: The combinations, (k, p).
+            names: (k,).
+            units: (k,).
+        """
+        open_ones = (np.asarray(matrix)[:, ~self.identifiable] != 0).any(axis=1)
+        return Gaussian(
+            tuple(names),
+            tuple(units),
+            matrix @ self.values,
+            matrix @ self.covariance @ matrix.T,
+            tuple(compress(names, open_ones)),
+        )
+
+    def condition(self, matrix: Array, values: Array, covariance: ArrayLike = 0.0) -> Gaussian:
+        """Distribution given matrix @ parameters = values + e, in Joseph's form.
+
+        Args:
+            matrix: Combinations of identifiable parameters, (k, p).
+            values: (k,).
+            covariance: Of e, (k, k); zero for what holds exactly.
+        """
+        noise = np.broadcast_to(covariance, (len(matrix),) * 2)
+        across = matrix @ self.covariance
+        gain = np.linalg.solve(across @ matrix.T + noise, across).T
+        rest = np.eye(len(self.names)) - gain @ matrix
+        return replace(
+            self,
+            values=self.values + gain @ (values - matrix @ self.values),
+            covariance=rest @ self.covariance @ rest.T + gain @ noise @ gain.T,
+        )
+
+    def sample(self, count: int, seed: int = 0) -> Array:
+        """Random draws, (count, p); not a number for parameters that are not identifiable.
+
+        Args:
+            count: How many.
+            seed: Of the random numbers.
+        """
+        rng = np.random.default_rng(seed)
+        draws = rng.multivariate_normal(self.values, self.covariance, count, method="eigh")
+        return np.where(self.identifiable, draws, np.nan)
 
     @property
     def summary(self) -> SummaryTable:
