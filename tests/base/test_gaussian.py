@@ -14,7 +14,7 @@ from tests.helpers.strategies import Rng, rngs
 
 def regression(rows: Array, measured: Array) -> Gaussian:
     """Least squares with noise of variance one."""
-    covariance = np.linalg.inv(rows.T @ rows)
+    covariance = np.asarray(np.linalg.inv(rows.T @ rows), dtype=float)
     names = tuple(f"x{k}" for k in range(rows.shape[1]))
     return Gaussian(names, ("",) * len(names), covariance @ rows.T @ measured, covariance)
 
@@ -24,11 +24,11 @@ def test_conditions_are_rows_and_marginals_are_combinations(rng: Rng, p: int, k:
     rows, more = rng.normal(size=(p + 5, p)), rng.normal(size=(k, p))
     measured, added = rng.normal(size=p + 5), rng.normal(size=k)
     before = regression(rows, measured)
-    after = before.condition(more, added, np.eye(k))
+    after = before.conditional(more, added, np.eye(k))
     both = regression(np.vstack([rows, more]), np.append(measured, added))
     np.testing.assert_allclose(after.values, both.values, rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(after.covariance, both.covariance, rtol=1e-7, atol=1e-9)
-    exact = before.condition(more[:1], added[:1])
+    exact = before.conditional(more[:1], added[:1])
     assert more[0] @ exact.values == pytest.approx(added[0])
     assert more[0] @ exact.covariance @ more[0] == pytest.approx(0, abs=1e-9)
     names = before.names[1::-1]

@@ -85,7 +85,7 @@ class Gaussian(Summarized):
             tuple(compress(names, open_ones)),
         )
 
-    def condition(self, matrix: Array, values: Array, covariance: ArrayLike = 0.0) -> Gaussian:
+    def conditional(self, matrix: Array, values: Array, covariance: ArrayLike = 0.0) -> Gaussian:
         """Distribution given matrix @ parameters = values + e, in Joseph's form.
 
         Args:
