@@ -17,12 +17,6 @@ from benchmarks.lines import print_lines
 from benchmarks.random_recordings import MOTIONS, ROBOTS, recorded
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.estimate import Estimate
-from testbed.sensors.errors.encoder_zero_error import EncoderZeroError
-from testbed.sensors.errors.plate_anti_alias_filter import PlateAntiAliasFilter
-from testbed.sensors.errors.plate_bias import PlateBias
-from testbed.sensors.errors.plate_delay import PlateDelay
-from testbed.sensors.errors.plate_drift import PlateDrift
-from testbed.sensors.errors.plate_pose import PlatePose
 from testbed.sensors.sensor_error import SensorError
 
 REDRAWN = 4000
@@ -32,18 +26,18 @@ UNDECIDED = 0.5
 """Weight of the answer with constants below which they count as not estimated."""
 
 REMEDIES: Mapping[str, tuple[tuple[SensorError, ...], tuple[str, ...]]] = {
-    "bias": ((PlateBias(),), ("bias",)),
-    "drift": ((PlateDrift(),), ("bias", "slope")),
-    "pose": ((PlatePose(rotation=3.5e-3, translation=1e-3),), ("pose",)),
-    "height": ((PlatePose(rotation=0.0, translation=(0.0, 0.0, 5e-3)),), ("height",)),
-    "skew 1 ms": ((PlateDelay(delay=1e-3),), ("skew",)),
-    "filter 100 Hz": ((PlateAntiAliasFilter(cutoff=100.0),), ("skew",)),
-    "joint zeros": ((EncoderZeroError(),), ("joint_zeros",)),
+    "bias": ((tb.PlateBias(),), ("bias",)),
+    "drift": ((tb.PlateDrift(),), ("bias", "slope")),
+    "pose": ((tb.PlatePose(rotation=3.5e-3, translation=1e-3),), ("pose",)),
+    "height": ((tb.PlatePose(rotation=0.0, translation=(0.0, 0.0, 5e-3)),), ("height",)),
+    "skew 1 ms": ((tb.PlateDelay(delay=1e-3),), ("skew",)),
+    "filter 100 Hz": ((tb.PlateAntiAliasFilter(cutoff=100.0),), ("skew",)),
+    "joint zeros": ((tb.EncoderZeroError(),), ("joint_zeros",)),
     "pose, skew and bias": (
         (
-            PlateBias(),
-            PlatePose(rotation=3.5e-3, translation=1e-3),
-            PlateDelay(delay=1e-3),
+            tb.PlateBias(),
+            tb.PlatePose(rotation=3.5e-3, translation=1e-3),
+            tb.PlateDelay(delay=1e-3),
         ),
         ("pose", "skew", "bias"),
     ),

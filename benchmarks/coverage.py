@@ -31,13 +31,6 @@ from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.force_sensor import ForceSensor, beyond_sensor
 from testbed.core.robot.free_root import on_free_base
 from testbed.core.robot.model_file import ModelFile
-from testbed.sensors.errors.encoder_gain import EncoderGain
-from testbed.sensors.errors.encoder_resolution import EncoderResolution
-from testbed.sensors.errors.plate_anti_alias_filter import PlateAntiAliasFilter
-from testbed.sensors.errors.plate_crosstalk import PlateCrosstalk
-from testbed.sensors.errors.plate_delay import PlateDelay
-from testbed.sensors.errors.plate_gain import PlateGain
-from testbed.sensors.errors.plate_pose import PlatePose
 from testbed.sensors.sensor_error import SensorError
 from tests.helpers.humanoid import G1, humanoid
 from tests.helpers.paths import ROOT
@@ -59,7 +52,7 @@ Of one kind 20 runs tell no share of 1 %: it fails where its interval of 95 % le
 POWER = 0.99
 """Least share of faulty recordings about which something is said, judged likewise."""
 
-COARSE = (EncoderResolution(count=1e-3),)
+COARSE = (tb.EncoderResolution(count=1e-3),)
 """Encoders that stand still from sample to sample in slow motions."""
 
 HIP = "left_hip_pitch_joint"
@@ -142,14 +135,14 @@ def studies() -> Iterator[Study]:
     for robot in SHOWN:
         second = tb.load_tree(ROBOTS[robot]).names[1]
         for fault, what, right, goal in (
-            ("skew 1 ms", PlateDelay(delay=1e-3), "skew", POWER),
-            ("skew .2 ms", PlateDelay(delay=2e-4), "skew", 0.95),
-            ("crosstalk 1 %", PlateCrosstalk(size=0.01), "crosstalk", POWER),
-            ("pose .2 deg, 1 mm", PlatePose(rotation=3.5e-3, translation=1e-3), "pose", POWER),
-            ("Fz x 1.05", PlateGain(error=(0.0, 0.0, 0.05, 0.0, 0.0, 0.0)), "gains", POWER),
-            ("encoder 2 x 1.01", EncoderGain(error={second: 0.01}), "encoder_gains", POWER),
-            ("lag 5 ms", PlateDelay(delay=5e-3), "skew", POWER),
-            ("filter 45 Hz, 5 ms", PlateAntiAliasFilter(cutoff=45.0), "skew", POWER),
+            ("skew 1 ms", tb.PlateDelay(delay=1e-3), "skew", POWER),
+            ("skew .2 ms", tb.PlateDelay(delay=2e-4), "skew", 0.95),
+            ("crosstalk 1 %", tb.PlateCrosstalk(size=0.01), "crosstalk", POWER),
+            ("pose .2 deg, 1 mm", tb.PlatePose(rotation=3.5e-3, translation=1e-3), "pose", POWER),
+            ("Fz x 1.05", tb.PlateGain(error=(0.0, 0.0, 0.05, 0.0, 0.0, 0.0)), "gains", POWER),
+            ("encoder 2 x 1.01", tb.EncoderGain(error={second: 0.01}), "encoder_gains", POWER),
+            ("lag 5 ms", tb.PlateDelay(delay=5e-3), "skew", POWER),
+            ("filter 45 Hz, 5 ms", tb.PlateAntiAliasFilter(cutoff=45.0), "skew", POWER),
         ):
             yield Study(fault, robot, faults=(what,), right=right, goal=goal)
 

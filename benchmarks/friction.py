@@ -32,7 +32,6 @@ from testbed.core.robot.friction import COULOMB, LOADED, VISCOUS, stribeck
 from testbed.core.robot.joint_law import JointLaw
 from testbed.lab.experiment.rig import robot_of
 from testbed.lab.instruments.chain import measured_again
-from testbed.sensors.errors.torque_noise import TorqueNoise
 from tests.helpers.paths import ROOT
 
 LOSSES = (0.0, 0.05, 0.1, 0.2)
@@ -71,7 +70,7 @@ def trial(loss: float, seconds: float, seed: int) -> dict[str, Any]:
         asked.measurement,
         torque_noise=0.0,
         torque_constant_error=dict(zip(tree.names, (constants - 1).tolist(), strict=True)),
-        fault=(TorqueNoise(sigma=tuple(noise.tolist())),),
+        fault=(tb.TorqueNoise(sigma=tuple(noise.tolist())),),
     )
     seen = measured_again(recording, instrument, seed)
     plain = replace(asked.identification, terms=("coulomb", "viscous"))

@@ -18,8 +18,6 @@ from testbed.lab.instruments.chain import Instrument, measure
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import limits_of
 from testbed.motion.random_motion import random_motion
-from testbed.sensors.errors.plate_coloured_noise import PlateColouredNoise
-from testbed.sensors.errors.plate_pink_noise import PlatePinkNoise
 from testbed.sensors.sensor_error import SensorError
 from tests.helpers.paths import GOLDEN, ROOT
 
@@ -34,11 +32,7 @@ MOTIONS = (*SPEEDS, "chosen")
 """Besides, the best of forty random ones, as experiments/table6.toml runs it: of the PUMA."""
 
 PLATE = Instrument(
-    encoder_resolution=1e-4,
-    encoder_noise=1e-4,
-    force_noise=0.5,
-    moment_noise=0.1,
-    torque_noise=0.5,
+    encoder_resolution=1e-4, encoder_noise=1e-4, force_noise=0.5, moment_noise=0.1, torque_noise=0.5
 )
 """The instrument of table6, its torque constants exact."""
 
@@ -47,9 +41,9 @@ QUIET = 0.1
 
 NOISES: Mapping[str, tuple[SensorError, ...]] = {
     "white": (),
-    "ar .3 s": (PlateColouredNoise(time_constant=0.3),),
-    "ar 3 s": (PlateColouredNoise(time_constant=3.0),),
-    "pink": (PlatePinkNoise(lowest=0.02),),
+    "ar .3 s": (tb.PlateColouredNoise(time_constant=0.3),),
+    "ar 3 s": (tb.PlateColouredNoise(time_constant=3.0),),
+    "pink": (tb.PlatePinkNoise(lowest=0.02),),
 }
 """Of the plate; joints' torques have white noise always."""
 

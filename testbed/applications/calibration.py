@@ -16,10 +16,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.codec import with_properties
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.identify import identify
-from testbed.core.estimation.regression.normal_equations import (
-    square_root,
-    unit_diagonal,
-)
+from testbed.core.estimation.regression.normal_equations import square_root, unit_diagonal
 from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate

@@ -14,12 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.bodies.estimate_summary import check_parameters
-from testbed.bodies.prediction_errors import (
-    PLAIN,
-    REFITTED,
-    PredictionErrors,
-    errors_of_another,
-)
+from testbed.bodies.prediction_errors import PLAIN, REFITTED, PredictionErrors, errors_of_another
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties

@@ -8,16 +8,9 @@ import numpy as np
 
 from testbed.core.base.errors import SettingsError, components, few, plural
 from testbed.core.dynamics.drive_set import drive_set
-from testbed.core.estimation.estimate import (
-    Estimate,
-    EstimateSummary,
-    channel_units,
-    channels_of,
-)
+from testbed.core.estimation.estimate import Estimate, EstimateSummary, channel_units, channels_of
 from testbed.core.estimation.problem import Problem, set_of
-from testbed.core.estimation.regression.normal_equations import (
-    NormalEquations,
-)
+from testbed.core.estimation.regression.normal_equations import NormalEquations
 from testbed.core.robot.tree import Tree
 
 

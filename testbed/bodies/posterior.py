@@ -41,10 +41,7 @@ from testbed.core.base.codec import with_properties
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.estimation.estimate import Estimate, EstimateSummary, instrument_of
 from testbed.core.estimation.problem import Problem
-from testbed.core.estimation.regression.normal_equations import (
-    TINY,
-    scaled_solve,
-)
+from testbed.core.estimation.regression.normal_equations import TINY, scaled_solve
 from testbed.core.estimation.regression.solvers import noise_weights
 from testbed.sensors.corrected import corrected
 

@@ -11,11 +11,7 @@ from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.core.base.errors import quoted
 from testbed.core.base.summary_table import Value
-from testbed.core.parameters.pseudo_inertia import (
-    matrices,
-    parameters,
-    standard_of_coordinates,
-)
+from testbed.core.parameters.pseudo_inertia import matrices, parameters, standard_of_coordinates
 from testbed.core.parameters.symbols import standard
 from testbed.core.robot.inertia import Inertia, upper_root
 from testbed.core.robot.rigid_matter import ROUNDING, SMALL, nearest_body

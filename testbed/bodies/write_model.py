@@ -23,12 +23,7 @@ from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ModelError
 from testbed.core.base.files import check_writable, replacing
 from testbed.core.robot.inertia import NOTHING, Inertia, upper_root
-from testbed.core.robot.model_file import (
-    ModelFile,
-    copy_model,
-    model_format,
-    references,
-)
+from testbed.core.robot.model_file import ModelFile, copy_model, model_format, references
 from testbed.core.robot.parsing import read_xml
 from testbed.core.robot.repair import Edit, FileLink, total
 from testbed.core.robot.rotations import to_quaternion

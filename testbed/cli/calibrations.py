@@ -11,15 +11,7 @@ import typer
 
 from testbed.cli.identifications import Writing
 from testbed.cli.opening import opened
-from testbed.cli.options import (
-    Fields,
-    Force,
-    Json,
-    RobotModel,
-    check_outputs,
-    command,
-    ending,
-)
+from testbed.cli.options import Fields, Force, Json, RobotModel, check_outputs, command, ending
 from testbed.cli.reading import Reading
 from testbed.core.base.errors import SettingsError, UnknownName, printable
 

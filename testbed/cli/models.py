@@ -10,15 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
-from testbed.cli.options import (
-    Fields,
-    Force,
-    Json,
-    Model,
-    Vector,
-    check_outputs,
-    command,
-)
+from testbed.cli.options import Fields, Force, Json, Model, Vector, check_outputs, command
 from testbed.cli.reading import Reading
 from testbed.core.base.errors import UnknownName
 

@@ -6,15 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from testbed.importing.foreign_table import (
-    FORCES,
-    KINDS,
-    KNOWN,
-    MOMENTS,
-    RAW,
-    UNITS,
-    plain,
-)
+from testbed.importing.foreign_table import FORCES, KINDS, KNOWN, MOMENTS, RAW, UNITS, plain
 
 PARTS = {
     "wrench": ("force", "wrench", "moment", "kraft"),

@@ -33,13 +33,7 @@ from testbed.importing.mapping import (
     read_mapping,
 )
 from testbed.importing.readers import open_foreign
-from testbed.importing.resampling import (
-    FEWEST,
-    SAME,
-    low_pass_reach,
-    on_common_rows,
-    onto_grid,
-)
+from testbed.importing.resampling import FEWEST, SAME, low_pass_reach, on_common_rows, onto_grid
 from testbed.importing.signal_maps import (
     base_pose,
     check_units,

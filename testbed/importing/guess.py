@@ -13,12 +13,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, few, plural, printable
-from testbed.importing.column_names import (
-    WARMTH,
-    ColumnName,
-    at_the_hand,
-    grouped,
-)
+from testbed.importing.column_names import WARMTH, ColumnName, at_the_hand, grouped
 from testbed.importing.foreign_table import RAW, UNITS, ForeignTable, Kind, StatedPlate, plain
 from testbed.importing.import_report import MappingDraft
 from testbed.importing.likely_signals import (

@@ -22,12 +22,7 @@ from testbed.importing.column_names import (
     says_signal,
 )
 from testbed.importing.derivative import SURE, Slopes, slopes, unit_of
-from testbed.importing.foreign_table import (
-    KINDS,
-    UNITS,
-    ForeignTable,
-    Kind,
-)
+from testbed.importing.foreign_table import KINDS, UNITS, ForeignTable, Kind
 from testbed.importing.known_layouts import layout_of
 from testbed.importing.likely_clock import LikelyClock, clock_of
 from testbed.importing.readers import tables

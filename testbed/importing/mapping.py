@@ -23,11 +23,7 @@ from testbed.core.base.toml_text import (
     checked,
     read_toml,
 )
-from testbed.importing.foreign_table import (
-    KINDS,
-    check_unit,
-    slides,
-)
+from testbed.importing.foreign_table import KINDS, check_unit, slides
 
 
 def _printable(name: str) -> str:

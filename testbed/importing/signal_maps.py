@@ -11,14 +11,7 @@ from testbed.core.base.errors import RecordingError
 from testbed.core.base.transform import Transform
 from testbed.core.robot.free_base import UNIT
 from testbed.core.robot.rotations import from_rpy
-from testbed.importing.foreign_table import (
-    RAW,
-    UNITS,
-    ForeignTable,
-    factor,
-    plain,
-    slides,
-)
+from testbed.importing.foreign_table import RAW, UNITS, ForeignTable, factor, plain, slides
 from testbed.importing.mapping import (
     AnyTable,
     BaseTable,

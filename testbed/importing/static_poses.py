@@ -14,13 +14,7 @@ from testbed.core.base.errors import RecordingError, UnknownName, few
 from testbed.core.recordings.columns import AXES
 from testbed.core.robot.tree import Tree
 from testbed.importing.column_names import read_name
-from testbed.importing.foreign_table import (
-    ANGLES,
-    FORCES,
-    LENGTHS,
-    MOMENTS,
-    ForeignTable,
-)
+from testbed.importing.foreign_table import ANGLES, FORCES, LENGTHS, MOMENTS, ForeignTable
 from testbed.importing.likely_clock import clock_of
 from testbed.importing.likely_signals import (
     BY_SIZE,

@@ -15,11 +15,7 @@ from testbed.core.parameters.joint_terms import DriveSet
 from testbed.core.parameters.minimal_set import MinimalSet, selection
 from testbed.core.parameters.regroup import Lengths
 from testbed.core.parameters.rules import REASONS
-from testbed.core.parameters.symbols import (
-    STANDARD,
-    Formula,
-    parameter_names,
-)
+from testbed.core.parameters.symbols import STANDARD, Formula, parameter_names
 from testbed.core.robot.shafts import places
 from testbed.core.robot.tree import Tree
 

@@ -24,11 +24,7 @@ from testbed.lab.experiment.predict import predict
 from testbed.lab.experiment.results import read_run
 from testbed.lab.experiment.run import Run
 from testbed.lab.experiment.summary import obtained, summary, verdict
-from testbed.view.estimates import (
-    choice_lines,
-    instrument_tables,
-    parameter_tables,
-)
+from testbed.view.estimates import choice_lines, instrument_tables, parameter_tables
 from testbed.view.figures import Panel
 from testbed.view.minimal_sets import GLYPHS
 from testbed.view.output import rendered

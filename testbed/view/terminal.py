@@ -16,11 +16,7 @@ from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import printable
 from testbed.core.base.summary_table import OPEN_ZERO
 from testbed.core.estimation.diagnostics.torques import diagnostics_of
-from testbed.lab.experiment.summary import (
-    accuracy_lines,
-    data_lines,
-    headline,
-)
+from testbed.lab.experiment.summary import accuracy_lines, data_lines, headline
 from testbed.view.bodies import consistent_lines, consistent_tables
 from testbed.view.drives import drive_lines, drive_table
 from testbed.view.estimates import (
@@ -30,13 +26,7 @@ from testbed.view.estimates import (
     plate_table,
     quality_lines,
 )
-from testbed.view.output import (
-    console,
-    print_diagnostics,
-    print_result,
-    print_tables,
-    print_text,
-)
+from testbed.view.output import console, print_diagnostics, print_result, print_tables, print_text
 from testbed.view.posterior import errors_table, posterior_table
 
 if TYPE_CHECKING:

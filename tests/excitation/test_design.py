@@ -70,11 +70,7 @@ def arm(name: str) -> tuple[tb.Tree, dict[Model, SampledRows]]:
     return tree, {model: SampledRows(tree, tb.minimal_set(tree, model)) for model in MODELS}
 
 
-def asked_of(
-    name: str,
-    instrument: Instrument = "plate",
-    of: CriterionName = "a",
-) -> DesignProblem:
+def asked_of(name: str, instrument: Instrument = "plate", of: CriterionName = "a") -> DesignProblem:
     tree, rows = arm(name)
     limits, pedestal = limits_of(tree), tb.pedestal_wrench(tree)
     plate = PlateRange(FAR, np.array([1.0, 1.5]) if name == "gantry" else None)

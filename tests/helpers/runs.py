@@ -54,9 +54,7 @@ def experiment(expect: dict[str, Bound] | None = None) -> tb.Experiment:
 
 
 def run_of(
-    tree: tb.Tree,
-    recording: tb.Recording | None = None,
-    asked: tb.Experiment | None = None,
+    tree: tb.Tree, recording: tb.Recording | None = None, asked: tb.Experiment | None = None
 ) -> tb.Run:
     """What can be identified from a recording with sensed kinematics; judged if asked for."""
     recording = noisy(ideal(tree)) if recording is None else recording

@@ -41,10 +41,7 @@ def test_whatever_a_file_may_say_is_documented() -> None:
     needed = [*project["dependencies"], *chain(*project["optional-dependencies"].values())]
     packages = [re.split(r"[<>=\[ ]", requirement)[0] for requirement in needed]
     files = [path.name for path in (ROOT / "experiments").glob("*.toml")]
-    for page, names in (
-        ("docs/experiments.md", METRICS),
-        ("docs/dependencies.md", packages),
-    ):
+    for page, names in (("docs/experiments.md", METRICS), ("docs/dependencies.md", packages)):
         assert [name for name in names if f"`{name}`" not in said(page)] == [], page
     assert [name for name in files if name not in said("experiments/README.md")] == []
 

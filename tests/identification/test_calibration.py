@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -28,8 +27,6 @@ from testbed.core.estimation.sensor.unknowns import Columns, unknowns_of
 from testbed.core.kernel.layout import layout
 from testbed.lab.experiment.plate_file import read_plate, write_plate
 from testbed.sensors.catalogue import estimable_errors, systematic_errors
-from testbed.sensors.kind_reader import error_of
-from testbed.sensors.sensor_error import SensorError
 from testbed.sensors.shifted_signals import shifted
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
@@ -250,23 +247,8 @@ FULL = np.array([500.0, 500.0, 1000.0, 200.0, 200.0, 100.0])
 
 def shown(recording: tb.Recording, kind: str, v: Array) -> tb.Recording:
     """With a fault of the plate, of the nuisance's numbers."""
-    matrix = np.zeros((6, 6))
-    if kind in ("crosstalk", "matrix"):
-        matrix[~np.eye(6, dtype=bool) if kind == "crosstalk" else np.ones((6, 6), dtype=bool)] = v
-    tables: dict[str, dict[str, Any]] = {
-        "bias": {"kind": "plate_bias", "force": v[:3], "moment": v[3:]},
-        "slope": {"kind": "plate_drift", "force": v[:3], "moment": v[3:]},
-        "pose": {"kind": "plate_pose", "rotation": v[:3], "translation": v[3:]},
-        "height": {"kind": "plate_pose", "rotation": 0.0, "translation": [0.0, 0.0, v[0]]},
-        "skew": {"kind": "plate_delay", "delay": v[0]},
-        "gains": {"kind": "plate_gain", "error": v},
-        "matrix": {"kind": "plate_crosstalk", "size": 0.0, "matrix": matrix * FULL / FULL[:, None]},
-    }
-    table = tables[{"tare": "bias", "crosstalk": "matrix"}.get(kind, kind)]
-    listed = {k: x.tolist() if isinstance(x, np.ndarray) else x for k, x in table.items()}
-    fault: SensorError = error_of(listed)
-    rng = np.random.default_rng(0)
-    wrench = fault.apply(recording.measured("wrench"), recording.time, rng)
+    neutral = ALL[kind].neutral(robot("puma")) if kind == "matrix" else 0.0
+    wrench = ALL[kind].effect(recording.measured("wrench"), recording.time, neutral + v)
     return replace(recording, wrench=wrench)
 
 

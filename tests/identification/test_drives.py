@@ -355,8 +355,7 @@ def warming(whole: tb.Recording, slope: float, warm: float) -> tb.Recording:
     temperature = 45.0 - 20.0 * np.exp(-time / time[-1]) * np.ones_like(speed)
     drift = slope * (time - whole.samples / whole.rate / 2)
     return plus(
-        replace(whole, temperature=temperature),
-        torque=drift + warm * (temperature - 25.0) * speed,
+        replace(whole, temperature=temperature), torque=drift + warm * (temperature - 25.0) * speed
     )
 
 

@@ -129,10 +129,7 @@ def test_the_published_parameters_are_reproduced() -> None:
 @pytest.mark.slow
 def test_unseen_sixths_are_foretold_better_with_the_coupled_wrist() -> None:
     """And with terms that are chosen by data that a fit has not seen."""
-    tree, recording = (
-        tb.load_tree(TX40 / "tx40.urdf"),
-        tb.import_recording(TX40 / "tx40.toml"),
-    )
+    tree, recording = (tb.load_tree(TX40 / "tx40.urdf"), tb.import_recording(TX40 / "tx40.toml"))
     geared = Problem.of(tree, recording, "internal")
     alone, coupled = (held_out(each) for each in (replace(geared, tree=tree), geared))
     assert alone.residual[4] > 4 * coupled.residual[4]

@@ -15,12 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.applications.validate import (
-    LIMIT,
-    motion_in,
-    predictions,
-    validate,
-)
+from testbed.applications.validate import LIMIT, motion_in, predictions, validate
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, SettingsError, UnknownName
 from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Estimate, Method

@@ -135,10 +135,7 @@ def test_places_decide_on_the_order_and_then_the_file() -> None:
         tb.PlateCrosstalk(),
     )
     assert len({wrench(seen(*order)).tobytes() for order in permutations(faults)}) == 1
-    gain, pose = (
-        tb.PlateGain((0.5, 0.0, 0.0, 0.0, 0.0, 0.0)),
-        tb.PlatePose((0.0, 0.0, 1.0), 0.0),
-    )
+    gain, pose = (tb.PlateGain((0.5, 0.0, 0.0, 0.0, 0.0, 0.0)), tb.PlatePose((0.0, 0.0, 1.0), 0.0))
     for order in ((gain, pose), (pose, gain)):
         expected = apply_chain(order, truth().wrench, TIME, 0)
         np.testing.assert_allclose(wrench(seen(*order, base=Instrument())), expected, atol=1e-12)

@@ -51,7 +51,6 @@ class PlateGainDrift(PlateError):
 
     @classmethod
     def effect(cls, signal, time, values):
-        """Wrench of drifting sensitivities, (M, 6) [N, N m]."""
         return signal * (1 + time[:, None] * values)
 '''
 

@@ -283,9 +283,7 @@ def test_plates_that_a_c3d_file_describes_act_where_it_says(
     np.testing.assert_allclose(found, wanted[: len(found)], atol=2e-3)
 
 
-def test_joints_of_two_nodes_are_one_signal_and_rows_without_times_are_none(
-    tmp_path: Path,
-) -> None:
+def test_joints_of_two_nodes_are_one_signal_and_rows_without_times_are_none(tmp_path: Path) -> None:
     """Each node's rows hold its own joints only; where one was silent nothing is made up."""
     late = TIME + 0.004
     rows = np.full((2 * len(TIME), 4), np.nan)

@@ -17,10 +17,7 @@ from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.core.base.errors import SettingsError
 from testbed.core.base.gaussian import Gaussian
 from testbed.core.estimation.estimate import Estimate
-from testbed.core.estimation.regression.normal_equations import (
-    scaled_inverse,
-    unit_diagonal,
-)
+from testbed.core.estimation.regression.normal_equations import scaled_inverse, unit_diagonal
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.core.parameters.symbols import STANDARD, to_barycentric
 from testbed.core.robot.tree import Tree

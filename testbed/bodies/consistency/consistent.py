@@ -9,13 +9,7 @@ import numpy as np
 from scipy import special
 
 from testbed.bodies.consistency.known_masses import known_masses
-from testbed.bodies.consistency.likelihood import (
-    Likelihood,
-    agreeing,
-    evidence,
-    precise,
-    terms_of,
-)
+from testbed.bodies.consistency.likelihood import Likelihood, agreeing, evidence, precise, terms_of
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.consistency.program import NonlinearProgram, program_of, solve
 from testbed.bodies.prior import Prior

@@ -9,12 +9,7 @@ import numpy as np
 
 from testbed.bodies.consistency.consistent import Consistent, consistent
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.bodies.linear_prior import (
-    WIDE,
-    linear_prior,
-    refitted,
-    with_prior,
-)
+from testbed.bodies.linear_prior import WIDE, linear_prior, refitted, with_prior
 from testbed.bodies.posterior import Posterior, held_out_errors
 from testbed.bodies.prediction_errors import CONSISTENT, REFITTED
 from testbed.bodies.prior import Prior

@@ -16,10 +16,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.dynamics.drive_set import drive_set
 from testbed.core.estimation.diagnostics.rigid_bodies import SMALL
 from testbed.core.estimation.estimate import METHODS, Estimate
-from testbed.core.estimation.regression.normal_equations import (
-    inverse_root,
-    unit_diagonal,
-)
+from testbed.core.estimation.regression.normal_equations import inverse_root, unit_diagonal
 from testbed.core.parameters.minimal_set import minimal_set, selection
 from testbed.core.parameters.symbols import on_standard, parameter_scale
 from testbed.core.robot.friction import JointTerm

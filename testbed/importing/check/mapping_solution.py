@@ -31,19 +31,8 @@ from testbed.core.robot.tree import Tree
 from testbed.importing.check.check import Assessment, Prepared, assess, zero_hypothesis
 from testbed.importing.check.explanation import Explanation
 from testbed.importing.check.plate import FAR, WrenchFit, frame_of, unit_ratio
-from testbed.importing.check.plate_map import (
-    LATE,
-    RATIO,
-    SHIFT,
-    TURN,
-    rotation_vector,
-)
-from testbed.importing.check.recording_diagnostics import (
-    encoder_steps,
-    removed,
-    share,
-    weights,
-)
+from testbed.importing.check.plate_map import LATE, RATIO, SHIFT, TURN, rotation_vector
+from testbed.importing.check.recording_diagnostics import encoder_steps, removed, share, weights
 from testbed.importing.check.search import Progress
 from testbed.importing.check.time_offset import TimeOffset, alignment, time_offsets
 from testbed.importing.convert import clock_ranges, pieces

@@ -9,12 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from testbed.core.base.errors import WIDTH, RecordingError, UnknownName, few, no_file
-from testbed.importing.foreign_table import (
-    ForeignTable,
-    Tables,
-    check_count,
-    readable,
-)
+from testbed.importing.foreign_table import ForeignTable, Tables, check_count, readable
 from testbed.importing.readers.isolated import read_isolated, tables_of
 
 READERS = {

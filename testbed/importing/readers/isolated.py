@@ -13,12 +13,7 @@ from numpy.typing import NDArray
 
 from testbed.core.base.child_process import Returned, call_in_child
 from testbed.core.base.errors import RecordingError
-from testbed.importing.foreign_table import (
-    ForeignTable,
-    StatedPlate,
-    Tables,
-    readable,
-)
+from testbed.importing.foreign_table import ForeignTable, StatedPlate, Tables, readable
 
 SENT = 20_000_000
 """Numbers that come with the names of a file's columns; arrays beyond are read when asked for."""

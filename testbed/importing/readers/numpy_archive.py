@@ -9,11 +9,7 @@ from typing import IO, Any
 import numpy as np
 
 from testbed.core.base.errors import RecordingError
-from testbed.importing.foreign_table import (
-    ForeignTable,
-    is_column,
-    readable,
-)
+from testbed.importing.foreign_table import ForeignTable, is_column, readable
 
 LONGEST_HEADER = 10_000
 """Bytes of the words before an array's numbers."""

@@ -11,12 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from testbed.importing.foreign_table import (
-    MOST_COLUMNS,
-    MOST_NUMBERS,
-    ForeignTable,
-    readable,
-)
+from testbed.importing.foreign_table import MOST_COLUMNS, MOST_NUMBERS, ForeignTable, readable
 
 
 def read_file(path: Path) -> ForeignTable:

@@ -8,11 +8,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ExperimentError, TestbedError
-from testbed.core.estimation.regression.windows import (
-    motion_taps,
-    reversal_samples,
-    row_weights,
-)
+from testbed.core.estimation.regression.windows import motion_taps, reversal_samples, row_weights
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.rules import Model

@@ -15,11 +15,7 @@ import numpy as np
 import tomli_w
 
 from testbed.core.base.diagnostics import sentences
-from testbed.core.base.errors import (
-    ModelError,
-    plural,
-    round_significant,
-)
+from testbed.core.base.errors import ModelError, plural, round_significant
 from testbed.core.estimation.settings import Settings
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.robot.friction import VISCOUS

@@ -27,14 +27,7 @@ from testbed.core.base.errors import RecordingError, SettingsError, TestbedError
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.diagnostics.torques import diagnostics_of
-from testbed.core.estimation.estimate import (
-    METHODS,
-    NAMES,
-    SIGNAL_OF,
-    Estimate,
-    Method,
-    sensor_of,
-)
+from testbed.core.estimation.estimate import METHODS, NAMES, SIGNAL_OF, Estimate, Method, sensor_of
 from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.selection.chosen import with_chosen_settings
 from testbed.core.estimation.sensor.correction import CalibrationCovariance

@@ -19,11 +19,7 @@ from testbed.core.dynamics.newton_euler import Motion, base_wrench, joint_forces
 from testbed.core.robot.drive_torque import friction_torque
 from testbed.core.robot.force_sensor import ForceSensor
 from testbed.core.robot.formats.mjcf import MjcfModel
-from testbed.core.robot.formats.mjcf_compile import (
-    MASSLESS,
-    compile_spec,
-    no_mujoco_warnings,
-)
+from testbed.core.robot.formats.mjcf_compile import MASSLESS, compile_spec, no_mujoco_warnings
 from testbed.core.robot.friction import ROTOR
 from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.rotations import to_quaternion

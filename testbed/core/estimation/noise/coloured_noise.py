@@ -24,11 +24,7 @@ from testbed.core.estimation.noise.errors_in_variables import (
     correct_attenuation,
 )
 from testbed.core.estimation.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
-from testbed.core.estimation.noise.lagged_products import (
-    HIGHEST,
-    Autoregression,
-    LaggedProducts,
-)
+from testbed.core.estimation.noise.lagged_products import HIGHEST, Autoregression, LaggedProducts
 from testbed.core.estimation.noise.noise_model import (
     NoiseModel,
     PeriodicResidual,

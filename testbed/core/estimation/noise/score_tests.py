@@ -22,11 +22,7 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
 from testbed.core.base.stages import stage
 from testbed.core.estimation.noise.fits import whitened_fits
-from testbed.core.estimation.noise.lagged_products import (
-    Autoregression,
-    LaggedProducts,
-    Whitened,
-)
+from testbed.core.estimation.noise.lagged_products import Autoregression, LaggedProducts, Whitened
 from testbed.core.estimation.noise.replicas import Replicas
 from testbed.core.estimation.noise.whitening import WhitenedRows
 from testbed.core.estimation.regression.normal_equations import TINY

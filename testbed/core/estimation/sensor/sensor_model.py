@@ -29,12 +29,7 @@ from testbed.core.estimation.regression.passes import Passes
 from testbed.core.estimation.regression.solvers import Fit
 from testbed.core.estimation.regression.windows import Plan
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
-from testbed.core.estimation.sensor.estimates import (
-    NEARLY,
-    NuisanceEstimate,
-    TraceTest,
-    in_order,
-)
+from testbed.core.estimation.sensor.estimates import NEARLY, NuisanceEstimate, TraceTest, in_order
 from testbed.core.estimation.sensor.predicted_wrench import row_filter
 from testbed.core.estimation.sensor.unknowns import (
     Columns,
