@@ -62,11 +62,11 @@ COMMANDS = {
                "joints links mean names prior_error share sigma"),
     "sample, run": ("sample run -n 3 --out OUT/drawn", ""),
     "payload": (f"payload one.parquet other.parquet {ROBOT} --json",
-                "centre chance covariance diagnostics identifiable joint names rank sigma units "
-                "values"),
+                "centre chance covariance diagnostics identifiable joint names rank sigma "
+                "unidentifiable units values"),
     "tool": (f"tool one.parquet {ROBOT} --sensor link3 --json",
-             "centre chance covariance diagnostics identifiable joint names rank sigma units "
-             "values"),
+             "centre chance covariance diagnostics identifiable joint names rank sigma "
+             "unidentifiable units values"),
     "report": ("report OUT/run --out OUT/run.html", ""),
     "view": (f"view OUT/run no_torque.parquet {ROBOT} --save OUT/run.rrd", ""),
     "campaign": ("campaign quick.toml --workers 0 --out OUT/many", ""),

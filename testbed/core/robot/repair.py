@@ -192,9 +192,10 @@ def _diagnostics(
     """What to know of bodies out of proportion, off by rounding, and off by more."""
     for line in odd:
         yield diagnose("model.scale", line)
-    for code, names in {"model.rounding": slight, "model.inertia": grave}.items():
-        if names:
-            yield diagnose(code, quoted(names))
+    if slight:
+        yield diagnose("model.rounding", quoted(slight))
+    if grave:
+        yield diagnose("model.inertia", quoted(grave))
 
 
 @dataclass(frozen=True)
