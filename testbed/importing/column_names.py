@@ -7,178 +7,35 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from testbed.importing.foreign_table import FORCES, KINDS, KNOWN, MOMENTS, RAW, UNITS, plain
+from testbed.importing.vocabulary import TABLES, by_word
 
-PARTS = {
-    "wrench": ("force", "wrench", "moment", "kraft"),
-    "torque": (
-        "torque",
-        "tau",
-        "effort",
-        "cur",
-        "trq",
-        "torq",
-        "drehmoment",
-        "couple",
-        "coppia",
-        "load",
-        "strom",
-    ),
-    "acceleration": ("acc", "qdd", "ddq", "beschl"),
-    "velocity": (
-        "vel",
-        "speed",
-        "qd",
-        "dq",
-        "geschw",
-        "vitesse",
-        "drehzahl",
-        "omega",
-        "rate",
-    ),
-    "position": ("pos", "position", "angle", "enc", "winkel", "angul", "joint", "state"),
-}
+PARTS = {kind: tuple(words) for kind, words in TABLES["parts"].items()}
 """Beginnings or ends of words by which columns are distinguished, in the order of precedence."""
 
-SYMBOLS = {
-    "q": "position",
-    "theta": "position",
-    "qpos": "position",
-    "th": "position",
-    "phi": "position",
-    "jp": "position",
-    "qd": "velocity",
-    "dq": "velocity",
-    "qvel": "velocity",
-    "qdot": "velocity",
-    "qp": "velocity",
-    "dphi": "velocity",
-    "dtheta": "velocity",
-    "jv": "velocity",
-    "qdd": "acceleration",
-    "ddq": "acceleration",
-    "qacc": "acceleration",
-    "qddot": "acceleration",
-    "i": "torque",
-    "tau": "torque",
-    "tq": "torque",
-    "eff": "torque",
-    "par": "torque",
-    "jt": "torque",
-    "qfrc": "torque",
-    "ft": "wrench",
-    "w": "wrench",
-    "quat": "base",
-    "quaternion": "base",
-    "orientation": "base",
-    "pose": "base",
-    "base": "base",
-}
+SYMBOLS = by_word("symbols")
 """Words of names, whole, that say more than their parts."""
 
-DERIVATIVES = {"dot": "velocity", "ddot": "acceleration"}
+DERIVATIVES: dict[str, str] = TABLES["derivatives"]
 """Words beside that of a position by which it is a derivative, as theta_dot."""
 
-COMMANDS = {
-    "target",
-    "cmd",
-    "cmds",
-    "command",
-    "commands",
-    "commanded",
-    "cmptd",
-    "computed",
-    "des",
-    "desired",
-    "ref",
-    "reference",
-    "goal",
-    "setpoint",
-    "sp",
-    "action",
-    "demand",
-    "planned",
-    "sollposition",
-    "sollwinkel",
-    "soll",
-    "sollwert",
-    "consigne",
-}
-"""Words of what was wanted, and not measured."""
-
-WARMTH = {"temp", "temperature", "temperatures"}
-"""Words of drives' temperatures."""
-
-BESIDE = (
-    COMMANDS
-    | WARMTH
-    | {
-        "err",
-        "error",
-        "limit",
-        "std",
-        "cov",
-        "covariance",
-        "voltage",
-        "status",
-    }
+WARMTH, COMMANDS, MEASURED, JOINT_WORDS, HAND, UNIT_WORDS = (
+    frozenset(TABLES["words"][key])
+    for key in ("warmth", "commands", "measured", "joints", "hand", "units")
 )
-"""Words of columns that are no signal of the joints or of the plate, whatever else they say."""
+"""Words of drives' temperatures, of what was wanted, of what was measured, of joints, of a wrench
+that is not the plate's, and of units wherever they stand in a name."""
 
-MEASURED = {"actual", "act", "measured", "meas", "msr", "fbk", "fb", "feedback", "present", "ist"}
-"""Words of what was measured, where there is a command beside it."""
+BESIDE = COMMANDS | WARMTH | {*TABLES["words"]["beside"]}
+"""Words of columns that are no signal of the joints or of the plate, whatever else they say."""
 
 SAYING = {*SYMBOLS, *DERIVATIVES, *MEASURED, "motor", "log", "data"}
 """Words of signals, whole."""
-
-JOINT_WORDS = {
-    "joint",
-    "j",
-    "axis",
-    "a",
-    "link",
-    "achse",
-    "achs",
-    "gelenk",
-    "axe",
-    "eje",
-    "giunto",
-    "dof",
-    "actuator",
-    "drive",
-}
-"""Words of joints."""
 
 LONG_JOINT_WORDS = tuple(word for word in JOINT_WORDS if len(word) > 2)
 """Those with which words of joints may begin, as in Achsmoment."""
 
 WORD = r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+"
 """A word of a name, or a number."""
-
-HAND = {"tcp", "ee", "eef", "tool", "wrist", "flange", "gripper", "hand"}
-"""Words of a wrench that is not the plate's."""
-
-UNIT_WORDS = {
-    "deg",
-    "degrees",
-    "rad",
-    "radians",
-    "mrad",
-    "rpm",
-    "Nm",
-    "Nmm",
-    "lbf",
-    "kgf",
-    "mm",
-    "ms",
-    "us",
-    "ns",
-    "mA",
-    "sec",
-    "msec",
-    "usec",
-    "nsec",
-}
-"""Words of names that are a unit wherever they stand; others need brackets."""
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, UnknownName
+from testbed.importing.vocabulary import by_word
 
 Kind = Literal["position", "velocity", "acceleration", "torque", "temperature"]
 KINDS: tuple[Kind, ...] = ("position", "velocity", "acceleration", "torque")
@@ -65,42 +66,8 @@ UNITS = {kind: TURNING[kind] | SLIDING[kind] for kind in KINDS} | {
 
 KNOWN = {name for units in UNITS.values() for name in units} | RAW.keys() | TIMES.keys()
 
-WORDS = {
-    "Nm": "N m",
-    "Nmm": "N mm",
-    "Ncm": "N cm",
-    "kNm": "kN m",
-    "degree": "deg",
-    "degrees": "deg",
-    "Grad": "deg",
-    "radian": "rad",
-    "radians": "rad",
-    "rev": "turn",
-    "revs": "turn",
-    "turns": "turn",
-    "lb": "lbf",
-    "lbs": "lbf",
-    "kp": "kgf",
-    "inch": "in",
-    "inches": "in",
-    "foot": "ft",
-    "sec": "s",
-    "second": "s",
-    "seconds": "s",
-    "msec": "ms",
-    "usec": "us",
-    "nsec": "ns",
-    "days": "day",
-    "s2": "s^2",
-    "s²": "s^2",
-    "amp": "A",
-    "amps": "A",
-    "newton": "N",
-}
-"""Other ways to write words of units."""
-
-WHOLE = {"in": "inch", "turn/min": "rpm", "dps": "deg/s", "rps": "turn/s", "inlbf": "lbf in"}
-"""Other ways to write whole units."""
+WORDS, WHOLE = by_word("units"), by_word("whole_units")
+"""Other ways to write words of units, and whole units."""
 
 
 def plain(unit: str) -> str:

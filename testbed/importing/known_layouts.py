@@ -1,6 +1,6 @@
 """Columns of loggers that many people have, by name: what names alone leave open is known of them.
 
-A table; to add a logger, add a line.
+To add a logger, add a table to `loggers.toml`.
 """
 
 from __future__ import annotations
@@ -8,9 +8,11 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from testbed.importing.column_names import ColumnName
-from testbed.importing.foreign_table import KINDS, Kind
+from testbed.importing.foreign_table import KINDS
+from testbed.importing.vocabulary import read_table
 
 K = r"[\[_.]?\d+\]?"
 """What stands for the joint, at the end of a name."""
@@ -31,10 +33,10 @@ class LoggerLayout:
     """
 
     logger: str
-    signals: Mapping[Kind, tuple[str, str]]
+    signals: Mapping[str, tuple[str, str]]
     mark: str = ".*"
     beside: str = ""
-    time: tuple[str, ...] = ()
+    time: Sequence[str] = ()
     unit: str | None = None
     rate: float = 0.0
 
@@ -66,66 +68,14 @@ class LoggerLayout:
         return replace(column, kind=None, role=None) if other else column
 
 
-DROID = r"observation/robot_state/"
-FRANKA = r"(?:(?:robot_)?state[._])?"
-IIWA = r"_LBR_iiwa_\w+"
-UR: Mapping[Kind, tuple[str, str]] = {
-    "position": (f"actual_q{K}", "rad"),
-    "velocity": (f"actual_qd{K}", "rad/s"),
-}
+def _layout(table: dict[str, Any]) -> LoggerLayout:
+    """Layout of a table of `loggers.toml`, in whose patterns {K} stands for the joint."""
+    signals = {kind: (each.replace("{K}", K), u) for kind, (each, u) in table["signals"].items()}
+    beside = table.get("beside", "").replace("{K}", K)
+    return LoggerLayout(**{**table, "signals": signals, "beside": beside})
 
-LAYOUTS: tuple[LoggerLayout, ...] = (
-    LoggerLayout(
-        "libfranka",
-        {
-            "position": (f"{FRANKA}q{K}", "rad"),
-            "velocity": (f"{FRANKA}dq{K}", "rad/s"),
-            "torque": (f"{FRANKA}tau_J{K}", "N m"),
-        },
-        beside=f".*_F_ext_hat_K{K}",
-        time=("time|duration",),
-    ),
-    *(
-        LoggerLayout(
-            "UR's RTDE", {**UR, "torque": torque}, beside=f"(?:actual_TCP_|ft_raw_|tcp_).*{K}"
-        )
-        for torque in ((f"actual_current_as_torque{K}", "N m"), (f"actual_current{K}", "A"))
-    ),
-    LoggerLayout(
-        "DROID",
-        {
-            "position": (f"{DROID}joint_positions{K}", "rad"),
-            "velocity": (f"{DROID}joint_velocities{K}", "rad/s"),
-            "torque": (f"{DROID}motor_torques_measured{K}", "N m"),
-        },
-        beside=r"observation/camera_.*",
-        time=("observation/timestamp/robot_state/read_start",),
-        unit="ms",
-    ),
-    LoggerLayout(
-        "ALOHA",
-        {
-            "position": (f"observations/qpos{K}", "rad"),
-            "velocity": (f"observations/qvel{K}", "rad/s"),
-            "torque": (f"observations/effort{K}", "mA"),
-        },
-        rate=50.0,
-    ),
-    LoggerLayout(
-        "KUKA's iiwa",
-        {"position": (f"axisQMsr{IIWA}{K}", "rad"), "torque": (f"axisTauMsr{IIWA}{K}", "N m")},
-        time=("ZeitInSec", "ZeitInNanoSec"),
-    ),
-    LoggerLayout(
-        "Kinova's Gen3",
-        {
-            "position": (r"Position\d", "rad"),
-            "velocity": (r"Velocity\d", "rad/s"),
-            "torque": (r"Torque\d", "N m"),
-        },
-        mark=r"TorqueSm\d",
-    ),
-)
+
+LAYOUTS = tuple(map(_layout, read_table("loggers")["loggers"]))
 """In the order of trying."""
 
 
