@@ -104,7 +104,7 @@ def recorded() -> bytes:
     """A second of the PUMA on its plate, as Parquet."""
     recording = tb.record(tb.Experiment.from_toml(ROOT / "experiments/table6.toml", SHORT))
     sink, columns = io.BytesIO(), recording.columns() | recording.true_columns()
-    write_table(sink, recording.units(), recording.metadata, [columns])  # type: ignore[arg-type]
+    write_table(sink, recording.units(), recording.metadata.table(), [columns])  # type: ignore[arg-type]
     return sink.getvalue()
 
 
