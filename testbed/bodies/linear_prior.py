@@ -6,26 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from testbed.bodies.prior import Prior
 from testbed.bodies.row_products import RowProducts
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.constraints import CENTRE, MASS, facts
-from testbed.core.estimation.regression.normal_equations import TINY
-
-PRIOR_ERROR = 0.5
-"""Of the model file's bodies, in parts of themselves: before the data, as one coordinate counts."""
-
-MOST_ERROR = 10.0
-"""Error of a file that says nothing: evidence for a larger one is evidence against file or data."""
-
-ITERATIONS = 50
-"""Of the prior's error at most."""
-
-SETTLED = 1e-3
-"""Relative change of the prior's error that is none."""
+from testbed.core.estimation.regression.normal_equations import TINY, NormalEquations
+from testbed.core.parameters.pseudo_inertia import matrices, parameters
+from testbed.core.robot.inertia import Inertia
+from testbed.core.robot.rigid_matter import SMALL, nearest_body
 
 DETERMINED = 0.9
 """Share of the prior's variance that the data remove of a parameter that they determine."""
@@ -36,11 +26,18 @@ WIDE = 1e3
 ROUNDS = 6
 """Times that the noise of the channels is estimated anew."""
 
+REPEATED = 2.0
+"""Rows that say as much as one: the filter on rows leaves half of them independent."""
+
 FEWEST = 0.1
 """Part of a channel's rows that parameters leave at least to estimate its noise."""
 
 LEAST = 0.1
 """Part of what the model file with its friction fitted leaves that noise is at least."""
+
+ROUNDEST = 0.05
+"""Share of a body's greatest second moment that the others have at least, of the body by whose size
+uncertainty is measured: the centre of a slender link may lie beside its axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,46 +61,68 @@ class LinearPrior:
 
     @property
     def variance(self) -> Array:
-        """(p,)."""
+        """Variances of the unknowns, (p,)."""
         return np.asarray((self.root**2).sum(axis=1))
 
-    def times(self, factor: float) -> LinearPrior:
-        """The same with another error of the bodies.
+    def scale(self, error: float) -> Array:
+        """Standard deviations of z, (r,), where the bodies have another error than one.
 
         Args:
-            factor: Over the one that it has.
+            error: Relative error of the bodies.
         """
-        of_bodies = np.arange(self.root.shape[1]) < self.bodies
-        return replace(self, root=np.where(of_bodies, factor, 1.0) * self.root)
+        return np.where(np.arange(self.root.shape[1]) < self.bodies, error, 1.0)
+
+    def times(self, error: float) -> LinearPrior:
+        """The same prior with another error of the bodies.
+
+        Args:
+            error: Over the one that it has.
+        """
+        return replace(self, root=self.scale(error) * self.root)
 
 
-def linear_prior(problem: Problem, prior: Prior, error: float, rows: RowProducts) -> LinearPrior:
+def linear_prior(problem: Problem, prior: Prior, rows: RowProducts) -> LinearPrior:
     """Gaussian prior of the unknowns by the model file; joint terms are nearly free.
+
+    Bodies have a relative error of one. Friction is about zero and as wide as the torques: files
+    state it by guess. The file's friction stands, uncertain by itself, where rows are too few.
 
     Args:
         problem: Says which unknowns.
         prior: The file's bodies.
-        error: Of these, in parts of themselves.
         rows: Products of all rows.
     """
     count, drives = problem.minimal.count, problem.drives
     bodies = problem.minimal.standard_matrix
     mean, root = np.zeros(len(problem.names)), np.zeros((len(problem.names), 10 * problem.tree.n))
-    mean[:count], root[:count] = bodies @ prior.standard.ravel(), error * bodies @ prior.root
+    mean[:count] = bodies @ prior.standard.ravel()
+    root[:count] = bodies @ _thickened(prior).root
     if drives is not None:
         equations = rows.equations(drives.columns, np.zeros(len(mean)))
-        size = np.einsum("cii->ci", equations.normal)
+        size = np.where(rows.enough[:, None], np.einsum("cii->ci", equations.normal), 0.0)
         most = size.argmax(axis=0), np.arange(size.shape[1])  # the channel where each shows most
-        scale = np.sqrt(equations.squares[most[0]] / np.where(size[most] > 0, size[most], np.inf))
-        own = drives.values(np.zeros((problem.tree.n, 10)), problem.tree)
-        mean += own
-        root = np.hstack([root, drives.columns * np.hypot(scale, drives.columns.T @ own)])
-    tiny = np.full(len(rows.channels), TINY)
-    before = LinearPrior(mean, root, bodies.shape[1], tiny, _bounds(problem, mean, root))
+        seen = size[most] > 0
+        scale = np.sqrt(equations.squares[most[0]] / np.where(seen, size[most], np.inf))
+        stated = drives.values(np.zeros((problem.tree.n, 10)), problem.tree)
+        unseen = drives.columns[:, ~seen].any(axis=1)
+        mean += np.where(unseen, stated, 0.0)
+        size_of_terms = np.where(seen, scale, np.abs(drives.columns.T @ stated))
+        root = np.hstack([root, drives.columns * size_of_terms])
+    floor = np.full(len(rows.channels), TINY)
+    before = LinearPrior(mean, root, bodies.shape[1], floor, _bounds(problem, mean, root))
     before = _with_facts(problem, before)
     left = refitted(rows, before)
     noise = LEAST**2 * rows.squares(left, rows.constants(left)) / np.maximum(rows.rows, 1.0)
-    return replace(before, noise=np.where(rows.enough, np.maximum(noise, tiny), np.inf))
+    return replace(before, noise=np.where(rows.enough, np.maximum(noise, floor), np.inf))
+
+
+def _thickened(prior: Prior) -> Prior:
+    """Prior whose bodies are not slender."""
+    bodies = np.array(prior.standard)
+    for k in prior.massive:
+        body = Inertia.of_pseudo(matrices(bodies[k]))
+        bodies[k] = parameters(nearest_body(body, ROUNDEST, body.mass, SMALL).pseudo)
+    return replace(prior, standard=bodies)
 
 
 def _with_facts(problem: Problem, prior: LinearPrior) -> LinearPrior:
@@ -141,8 +160,7 @@ def _bounds(problem: Problem, mean: Array, root: Array) -> Array:
 def with_prior(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
     """Least squares with a prior, under noise that its own residuals show.
 
-    A channel's noise is as strong as what is left, and (1 + r) / (1 - r) rows of a correlation r
-    from one to the next say as much as one alone. Friction that would drive the motion is zero.
+    Friction that would drive the motion is zero.
 
     Args:
         rows: Products of the rows that are used.
@@ -151,32 +169,80 @@ def with_prior(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
     Returns:
         Values, (p,), and their covariance, (p, p): that without the bounds of friction.
     """
-    z, after = _linear(rows, prior)
-    return prior.mean + prior.root @ z, prior.root @ after @ prior.root.T
+    fit = fit_of_noise(rows.equations(prior.root, prior.mean), prior, rows.enough)
+    return prior.mean + prior.root @ fit.z, prior.root @ fit.covariance @ prior.root.T
 
 
-def _linear(rows: RowProducts, prior: LinearPrior) -> tuple[Array, Array]:
-    """The same: z, (r,), and its covariance, (r, r)."""
-    equations = rows.equations(prior.root, prior.mean)
+@dataclass(frozen=True, eq=False)
+class PriorFit:
+    """Least squares with a prior in the coordinates z of the prior.
+
+    Attributes:
+        z: Estimate, (r,).
+        covariance: Covariance of z without the bounds of friction, (r, r).
+        noise: Variance of each channel's noise, (C,) [N^2, N^2 m^2].
+    """
+
+    z: Array
+    covariance: Array
+    noise: Array
+
+
+def fit_of_noise(
+    equations: NormalEquations, prior: LinearPrior, enough: NDArray[np.bool_]
+) -> PriorFit:
+    """Fit under the noise that its own residuals show, channel by channel.
+
+    Args:
+        equations: Normal equations in z.
+        prior: Prior of z, with the least noise and the bounds.
+        enough: Whether the rows of a channel show its noise, (C,).
+    """
     used = np.maximum(equations.used, 1.0)
-    variance = np.maximum(equations.squares / used, prior.noise)
-    floor = np.where(rows.enough, prior.noise, variance)  # few rows show no noise
-    repeated, z = np.ones(len(used)), np.zeros(prior.root.shape[1])
-    after: Array = np.eye(len(z))
-    for _ in range(ROUNDS):
-        weights = np.where(equations.used > 0, 1 / (variance * repeated), 0.0)
-        normal = equations.matrix(weights) + np.eye(len(z))
-        after = np.asarray(np.linalg.inv(normal))
-        z = after @ equations.vector(weights)
-        if (z < prior.least).any():
-            root = np.linalg.cholesky(normal).T
-            z = lsq_linear(root, root @ z, (prior.least, np.inf), method="bvls").x
-        correlation = rows.correlation(prior.mean + prior.root @ z, prior.noise * used)
-        repeated = (1 + correlation) / (1 - correlation)
-        lost = np.einsum("cij,ji->c", equations.normal, after) / variance
-        left = equations.residual(z) / np.maximum(used - lost, FEWEST * used)
-        variance = np.maximum(left, floor)
-    return z, after
+    noise = np.maximum(equations.squares / used, prior.noise)
+    floor = np.where(enough, prior.noise, noise)  # few rows show no noise
+    fit = fit_with_noise(equations, noise, prior.least)
+    for _ in range(ROUNDS - 1):
+        lost = np.einsum("cij,ji->c", equations.normal, fit.covariance) / noise
+        left = equations.residual(fit.z) / np.maximum(used - lost, FEWEST * used)
+        noise = np.maximum(left, floor)
+        fit = fit_with_noise(equations, noise, prior.least)
+    return fit
+
+
+def fit_with_noise(equations: NormalEquations, noise: Array, least: Array) -> PriorFit:
+    """Fit under given noise.
+
+    Args:
+        equations: Normal equations in z.
+        noise: Variance of each channel's noise, (C,); infinite for rows that count for nothing.
+        least: Least values of z, (r,).
+    """
+    weights = np.where(equations.used > 0, 1 / (REPEATED * noise), 0.0)
+    normal: Array = equations.matrix(weights) + np.eye(len(least))
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    z = _bounded(covariance @ equations.vector(weights), covariance, least)
+    return PriorFit(z, covariance, noise)
+
+
+def _bounded(free: Array, covariance: Array, least: Array) -> Array:
+    """Likeliest z above its bounds, by a primal-dual active set.
+
+    Source    [HIK02]
+    """
+    z, active = free, free < least
+    for _ in range(len(z)):
+        bound = np.flatnonzero(active)
+        if not bound.size:
+            break
+        pull = np.linalg.solve(covariance[np.ix_(bound, bound)], (least - free)[bound])
+        z = free + covariance[:, bound] @ pull
+        z[bound] = least[bound]
+        before, active = active, z < least
+        active[bound] = pull > 0
+        if (active == before).all():
+            break
+    return z
 
 
 def alone_determined(rows: RowProducts, prior: LinearPrior) -> NDArray[np.bool_]:
@@ -201,25 +267,3 @@ def refitted(rows: RowProducts, prior: LinearPrior) -> Array:
         prior: Of the unknowns.
     """
     return with_prior(rows, prior.times(0.0))[0]
-
-
-def likeliest(rows: RowProducts, prior: LinearPrior) -> float:
-    """The error of the bodies that makes data likeliest: the evidence's fixed point.
-
-    Coordinates that the data determine have this error on average; `PRIOR_ERROR` counts as one.
-
-    Source    [Mac92]
-
-    Args:
-        rows: Products of the rows that are used.
-        prior: Of their unknowns, with `PRIOR_ERROR`.
-    """
-    error = PRIOR_ERROR
-    for _ in range(ITERATIONS):
-        z, after = (x[: prior.bodies] for x in _linear(rows, prior.times(error / PRIOR_ERROR)))
-        square = PRIOR_ERROR**2 + error**2 * z @ z
-        likely = float(np.sqrt(square / (1 + (1 - np.diagonal(after)).sum())))
-        before, error = error, min(likely, MOST_ERROR)
-        if abs(error - before) < SETTLED * before:
-            break
-    return error

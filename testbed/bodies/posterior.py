@@ -2,8 +2,9 @@
 
 Every body's pseudo-inertia is J = U Y U' with that of the file U U'; the coordinates of Y are
 those of one with the same standard deviation each: the linear form of the prior of consistent
-bodies. The joints' own terms are free, but friction is not negative. Where the data alone determine
-all parameters the prior is left out, and the estimate is that of least squares.
+bodies. How wrong the file is, held-out parts say. The joints' own terms are free, but friction is
+not negative. Where the data alone determine all parameters the prior is left out, and the estimate
+is that of least squares.
 """
 
 from __future__ import annotations
@@ -13,15 +14,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from testbed.bodies.averaged_fit import PRIOR_ERRORS, REFERENCE, averaged_fit
 from testbed.bodies.linear_prior import (
     DETERMINED,
-    PRIOR_ERROR,
     LinearPrior,
     alone_determined,
-    likeliest,
     linear_prior,
     refitted,
-    with_prior,
 )
 from testbed.bodies.prediction_errors import (
     CONSISTENT,
@@ -59,7 +58,7 @@ class Posterior(EstimateSummary):
         share: Part of the prior's variance that the data remove, (p,).
         alone: Which of them the data alone determine: with nothing else known of any, their
             variance is at most a tenth of the prior's, (p,).
-        prior_error: Of the model file's bodies, in parts of themselves.
+        prior_error: Relative error of the model file's bodies, by held-out parts.
         used: Whether the prior is needed; else the values are those of least squares.
         by_part: Rms of what it leaves of consecutive parts of the recording, (parts, C) [N, N m].
         duration: Of the recording [s].
@@ -166,29 +165,29 @@ def posterior(
         rows: Of the recording; friction that the joints of its robot state is the file's.
         prior: The bodies of the model file (`prior_of`).
         estimate: By least squares, of the same rows; None where the data determine none.
-        prior_error: Of the file's bodies, in parts of themselves; None for the likeliest.
+        prior_error: Relative error of the file's bodies; None for what held-out parts say.
     """
     made = [] if estimate is None else [estimate]
     problem, method, whole = rows.problem, rows.problem.method, rows.whole
     with one_blas_thread():
-        error = prior_error or PRIOR_ERROR
-        before = linear_prior(problem, prior, error, whole)
-        used = not whole.enough.all() or not any(determines(x, before) for x in made)
-        if used and prior_error is None:
-            error = likeliest(whole, before)
-            before = before.times(error / PRIOR_ERROR)
-        values, covariance = with_prior(whole, before)
-        if used:
-            alone = tuple(alone_determined(whole, before).tolist())
-        else:
+        before = linear_prior(problem, prior, whole)
+        reference = before.times(REFERENCE)
+        used = not whole.enough.all() or not any(determines(x, reference) for x in made)
+        errors = PRIOR_ERRORS if prior_error is None else (prior_error,)
+        fit = averaged_fit(rows, before, errors)
+        values, covariance = fit.values, fit.covariance
+        alone = tuple(alone_determined(whole, reference).tolist())
+        if not used:
             values, covariance = made[0].values, np.array(made[0].covariance)
             alone = (True,) * len(values)
+        file = file_values(problem, prior)
         fits: dict[str, Callable[[RowProducts], Array]] = {
             REFITTED: lambda rows: refitted(rows, before),
-            POSTERIOR: (lambda rows: with_prior(rows, before)[0]) if used else _plain,
+            POSTERIOR: fit.values_of if used else _plain,
         }
         if made:
             fits[PLAIN] = _plain
+        before = before.times(fit.prior_error)
         count, constants = problem.minimal.count, whole.constants(values)
         variance = np.maximum(before.variance, TINY)
         return Posterior(
@@ -197,21 +196,21 @@ def posterior(
             names=problem.names,
             units=problem.units,
             count=count,
-            file=before.mean,
+            file=file,
             refitted=refitted(whole, before),
             prior_sigma=np.sqrt(before.variance),
             values=values,
             covariance=covariance,
             share=np.clip(1 - np.diagonal(covariance) / variance, 0.0, 1.0),
             alone=alone,
-            prior_error=error,
+            prior_error=fit.prior_error,
             used=used,
             residual=whole.residual(values),
             by_part=np.array([part.residual(values, constants) for part in rows.each]),
             duration=problem.source.samples / problem.source.rate,
             gravity=problem.tree.gravity,
             settings=problem.settings,
-            errors=held_out_errors(rows, fits, before.mean),
+            errors=held_out_errors(rows, fits, file),
         )
 
 
@@ -227,6 +226,20 @@ def rows_of(problem: Problem, estimate: Estimate | None) -> RowParts:
         source = corrected(source, problem.tree, estimate.sensor_errors)
         free = "bias" in problem.settings.nuisances or bool(estimate.unidentifiable)
     return products_of(problem, source, free and problem.method == "external")
+
+
+def file_values(problem: Problem, prior: Prior) -> Array:
+    """Values of the unknowns as the model file states them, (p,).
+
+    Args:
+        problem: Says which unknowns.
+        prior: The file's bodies.
+    """
+    minimal, drives = problem.minimal, problem.drives
+    none = np.zeros((problem.tree.n, 10))
+    values = np.zeros(len(problem.names)) if drives is None else drives.values(none, problem.tree)
+    values[: minimal.count] += minimal.standard_matrix @ prior.standard.ravel()
+    return values
 
 
 def determines(estimate: Estimate, prior: LinearPrior) -> bool:

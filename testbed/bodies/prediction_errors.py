@@ -14,6 +14,7 @@ from testbed.core.base.diagnostics import Diagnostic, diagnose, phrase
 from testbed.core.estimation.estimate import Method, channel_label, channel_units
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import TINY
+from testbed.core.estimation.regression.windows import ROWS_PER_CUTOFF
 from testbed.core.recordings.source import Source
 
 FILE, REFITTED, PLAIN = "file", "refitted", "plain"
@@ -208,6 +209,7 @@ def errors_of_another(
         source: The same, faults of the instrument taken back.
         models: Values of the unknowns by what says them.
     """
-    parts = products_of(problem, source, problem.method == "external", whole=True)
+    offset = problem.method == "external"
+    parts = products_of(problem, source, offset, whole=True, per_cutoff=ROWS_PER_CUTOFF)
     models_of_rows = predictions_of(parts.whole, models)
     return prediction_errors(problem, "another", [(models_of_rows, parts.each)])

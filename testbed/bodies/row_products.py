@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,18 +13,19 @@ from testbed.core.base.arrays import Array
 from testbed.core.estimation.problem import Problem
 from testbed.core.estimation.regression.normal_equations import TINY, NormalEquations
 from testbed.core.estimation.regression.passes import Columns
-from testbed.core.estimation.selection.folds import Folds
+from testbed.core.estimation.regression.windows import DENSE
+from testbed.core.estimation.selection.folds import CrossProducts, Folds
 from testbed.core.kernel.records import Signals
 from testbed.core.recordings.source import Source
 
 PARTS = 8
 """Of a recording, one after the other."""
 
+GAP = 0.3
+"""Time between a part and the rows that predict it [s]: noise and filters remember."""
+
 FASTER = 1.5
 """Rms speed of the faster half over that of the slower one that makes it another motion."""
-
-LONGEST = 0.95
-"""Correlation of residuals with those of the next row that is counted at most."""
 
 ROUNDING = 1e-13
 """Part of a column's square beside its mean that is none but for rounding."""
@@ -40,14 +42,12 @@ class RowProducts:
         unknowns: Names of the columns, (p,).
         channels: Names, (C,).
         products: Of a row with itself, (C, p + 2, p + 2).
-        lagged: Of a row with the next one, (C, p + 2, p + 2).
         offset: Whether each channel has a constant of its own that is not known.
     """
 
     unknowns: tuple[str, ...]
     channels: tuple[str, ...]
     products: Array
-    lagged: Array
     offset: bool
 
     @property
@@ -103,17 +103,6 @@ class RowProducts:
         known = self.constants(values) if constants is None else constants
         return np.sqrt(self.squares(values, known) / np.maximum(self.rows, 1.0))
 
-    def correlation(self, values: Array, least: Array) -> Array:
-        """Of residuals with those of the next row, (C,); none below zero.
-
-        Args:
-            values: Of the unknowns, (p,).
-            least: Sum of squares below which residuals are rounding, (C,).
-        """
-        ends = _ends(values, self.constants(values))
-        square = np.maximum(_inner(self.products, ends), least)
-        return np.clip(_inner(self.lagged, ends) / square, 0.0, LONGEST)
-
 
 def _ends(values: Array, constants: Array) -> Array:
     """Residuals as combinations of columns, one and measurement, (C, p + 2)."""
@@ -128,32 +117,34 @@ def _inner(products: Array, ends: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RowParts:
-    """Products of consecutive parts.
+    """Products of consecutive parts of a recording's rows.
 
     Attributes:
-        problem: Whose rows.
-        sums: Products and lagged products of every part, (2, parts, C, p + 2, p + 2).
-        offset: As of `RowProducts`.
+        problem: Problem whose rows they are.
+        cross: Products of each part, and of all rows apart from it.
+        offset: Whether each channel has a constant that is not known.
         speed: Mean square of each joint's speed in every part, (parts, n).
     """
 
     problem: Problem
-    sums: Array
+    cross: CrossProducts
     offset: bool
     speed: Array
 
     @property
     def each(self) -> list[RowProducts]:
-        """One by one."""
-        return [
-            RowProducts(self.problem.names, self.problem.channels, products, lagged, self.offset)
-            for products, lagged in zip(*self.sums, strict=True)
-        ]
+        """Products part by part."""
+        return self._of(self.cross.unseen)
 
     @property
     def whole(self) -> RowProducts:
-        """Of all of them."""
+        """Products of all parts."""
         return sum_of(self.each)
+
+    @cached_property
+    def folds(self) -> list[tuple[RowProducts, RowProducts]]:
+        """Rows seen and the part to be predicted from them, for each part."""
+        return [*zip(self._of(self.cross.seen), self.each, strict=True)]
 
     @property
     def splits(self) -> dict[str, list[tuple[RowProducts, list[RowProducts]]]]:
@@ -162,31 +153,35 @@ class RowParts:
         "like": each part by all others; "faster": the faster half of the parts by the slower one.
         """
         parts = self.each
-        found = {
-            "like": [(sum_of([*parts[:k], *parts[k + 1 :]]), [own]) for k, own in enumerate(parts)]
-        }
+        splits = {"like": [(seen, [part]) for seen, part in self.folds]}
         size = np.maximum(self.speed.mean(axis=0), TINY)
         pace = (self.speed / size).mean(axis=1)
         slow, fast = np.split(np.argsort(pace, kind="stable"), 2)
         if pace[fast].mean() > FASTER**2 * pace[slow].mean():
-            found["faster"] = [(sum_of([parts[k] for k in slow]), [parts[k] for k in fast])]
-        return found
+            splits["faster"] = [(sum_of([parts[k] for k in slow]), [parts[k] for k in fast])]
+        return splits
+
+    def _of(self, products: Array) -> list[RowProducts]:
+        names, channels = self.problem.names, self.problem.channels
+        return [RowProducts(names, channels, each, self.offset) for each in products]
 
 
 def sum_of(parts: Sequence[RowProducts]) -> RowProducts:
-    """Of several parts of a recording together.
+    """Products of several parts of a recording together.
 
     Args:
         parts: One or more.
     """
-    return replace(
-        parts[0],
-        products=np.sum([part.products for part in parts], axis=0),
-        lagged=np.sum([part.lagged for part in parts], axis=0),
-    )
+    return replace(parts[0], products=np.sum([part.products for part in parts], axis=0))
 
 
-def products_of(problem: Problem, source: Source, offset: bool, whole: bool = False) -> RowParts:
+def products_of(
+    problem: Problem,
+    source: Source,
+    offset: bool,
+    whole: bool = False,
+    per_cutoff: float = DENSE,
+) -> RowParts:
     """Products of a recording's rows, by one pass.
 
     Args:
@@ -194,24 +189,26 @@ def products_of(problem: Problem, source: Source, offset: bool, whole: bool = Fa
         source: The recording, faults of the instrument taken back.
         offset: Whether each channel has a constant that is not known.
         whole: As for `Problem.passes`.
+        per_cutoff: As for `Problem.passes`.
     """
-    p, width = len(problem.names), len(problem.channels)
-    passes = problem.passes(1, source, whole)
-    folds = Folds.even(passes.plan.rows, PARTS)
-    sums = np.zeros((2, PARTS, width, p + 2, p + 2))
-    speed, last = np.zeros((PARTS, problem.tree.n)), np.zeros((width, 1, p + 2))
-    count, first = np.zeros((PARTS, 1)), 0
-    for columns, moving, measured in passes.rows_beside(np.eye(p), _speeds(source.rate, width)):
-        there = columns.any(axis=2, keepdims=True)  # rows near a reversal are zero
-        block = np.concatenate([columns, there, measured[..., None]], axis=2)
-        before = np.concatenate([last, block], axis=1)
-        for k, own in folds.cut(first, block.shape[1]):
-            rows = block[:, own].swapaxes(1, 2)
-            sums[:, k] += rows @ block[:, own], rows @ before[:, own]
-            speed[k] += (moving[0, own] ** 2).sum(axis=0)
-            count[k] += rows.shape[2]
-        last, first = block[:, -1:], first + block.shape[1]
-    return RowParts(problem, sums, offset, speed / np.maximum(count, 1))
+    width = len(problem.channels)
+    passes = problem.passes(1, source, whole, per_cutoff)
+    folds = Folds.even(passes.plan.rows, PARTS, round(GAP * source.rate / passes.plan.step))
+    speed, count = np.zeros((PARTS, problem.tree.n)), np.zeros((PARTS, 1))
+
+    def blocks() -> Iterator[Array]:
+        first = 0
+        every = np.eye(len(problem.names))
+        for columns, moving, measured in passes.rows_beside(every, _speeds(source.rate, width)):
+            used = columns.any(axis=2, keepdims=True)  # rows near a reversal are zero
+            yield np.concatenate([columns, used, measured[..., None]], axis=2)
+            for fold, rows in folds.cut(first, moving.shape[1]):
+                speed[fold] += (moving[0, rows] ** 2).sum(axis=0)
+                count[fold] += len(moving[0, rows])
+            first += moving.shape[1]
+
+    cross = folds.products(blocks())
+    return RowParts(problem, cross, offset, speed / np.maximum(count, 1))
 
 
 def _speeds(rate: float, channels: int) -> Columns:

@@ -34,6 +34,7 @@ from testbed.core.base.errors import SettingsError
 from testbed.core.estimation.diagnostics.rigid_bodies import rigid_body_test
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
 from testbed.core.estimation.problem import Problem
+from testbed.core.estimation.regression.windows import DENSE
 from testbed.core.parameters.pseudo_inertia import coordinates, matrices, parameters
 from testbed.core.parameters.symbols import to_barycentric
 from testbed.core.recordings.metadata import Metadata
@@ -54,8 +55,7 @@ def products(columns: Array, measured: Array, offset: bool = False) -> RowProduc
     every = np.concatenate([columns, ones, measured[..., None]], axis=2)
     names = tuple(f"x{k}" for k in range(columns.shape[2]))
     channels = tuple(f"c{k}" for k in range(len(measured)))
-    own, lagged = every.swapaxes(1, 2) @ every, every[:, 1:].swapaxes(1, 2) @ every[:, :-1]
-    return RowProducts(names, channels, own, lagged, offset)
+    return RowProducts(names, channels, every.swapaxes(1, 2) @ every, offset)
 
 
 def prior_like(rng: Rng, p: int, noise: float, width: float = 1.0) -> LinearPrior:
@@ -77,12 +77,12 @@ def test_data_that_say_nothing_leave_the_file(rng: Rng) -> None:
         np.testing.assert_allclose(covariance, prior.root @ prior.root.T, atol=1e-9)
 
 
-@pytest.mark.parametrize("memory", [0.0, 0.8])
-def test_the_variance_is_that_of_many_robots(memory: float) -> None:
+def test_the_variance_is_that_of_many_robots() -> None:
     """Robots drawn from the prior: errors are as large as is said.
 
-    Under coloured noise they are no larger; columns as fast as the noise average more of it.
+    Noise and columns as the filter on rows leaves them: two rows say as much as one.
     """
+    memory = 1 / 3
     rng = np.random.default_rng(7)
     prior, scale = prior_like(rng, 4, 1e-6), np.array([1, 0.3, 0.05, 0.01])
     z = []
@@ -95,7 +95,7 @@ def test_the_variance_is_that_of_many_robots(memory: float) -> None:
         values, covariance = with_prior(products(columns, columns @ truth + noise), prior)
         z.append(np.linalg.solve(np.linalg.cholesky(covariance), values - truth))
     size = np.sqrt(np.mean(np.square(z), axis=0))
-    assert ((size > (0.7 if memory else 0.85)) & (size < 1.15)).all(), size
+    assert ((size > 0.75) & (size < 1.15)).all(), size
 
 
 @given(rngs)
@@ -132,22 +132,19 @@ def test_a_prior_without_end_is_least_squares_in_which_friction_never_drives(
 @given(rngs, st.sampled_from(["external", "internal"]))
 @few(4)
 def test_products_are_those_of_the_rows(rng: Rng, method: Method) -> None:
-    """Whatever the blocks: residuals of any values, with those of the next row."""
+    """Whatever the blocks: residuals of any values."""
     tree = random_robot(rng, 2).tree()
     recording = ideal(tree, duration=20.0, seed=int(rng.integers(99)))
     problem = Problem.of(tree, recording, method, tb.Settings(cutoff=3.0))
     whole = products_of(problem, problem.source, method == "external").whole
-    made = list(problem.passes(1).rows(np.eye(len(problem.names))))
+    made = list(problem.passes(1, per_cutoff=DENSE).rows(np.eye(len(problem.names))))
     columns, y = (np.concatenate([each[k] for each in made], axis=1) for k in range(2))
     values, there = rng.normal(size=len(problem.names)), columns.any(axis=2)
     left = y - columns @ values
     if method == "external":
         left = left - there * (left.sum(axis=1) / np.maximum(there.sum(axis=1), 1))[:, None]
-    square, least = (left**2).sum(axis=1), np.full(len(left), 1e-12)
+    square = (left**2).sum(axis=1)
     np.testing.assert_allclose(whole.squares(values, whole.constants(values)), square, 1e-7, 1e-12)
-    correlation = (left[:, 1:] * left[:, :-1]).sum(axis=1) / np.maximum(square, least)
-    expected = np.clip(correlation, 0, 0.95)
-    np.testing.assert_allclose(whole.correlation(values, least), expected, atol=1e-6)
 
 
 def with_file(
@@ -333,7 +330,7 @@ def test_clean_data_are_well_and_data_of_another_scale_are_not() -> None:
     scaled = replace(clean, torque=clean.measured("torque") * [1.5, 1.0, 1.0])
     well, other = ({each.code for each in verdict_on(data)} for data in (clean, scaled))
     assert well == {WELL}
-    assert "estimate.worse-than-plain" in other
+    assert other == {"verdict.file"}
 
 
 @pytest.mark.parametrize(("push", "noise"), [(0.0, 1.0), (0.0, 4.0), (25.0, 1.0)])

@@ -57,7 +57,7 @@ def beside_consistent(
     def beside(found: Posterior, estimate: Estimate) -> Posterior:
         parts = rows[found.method]
         problem = parts.problem
-        before = linear_prior(problem, prior, found.prior_error, parts.whole)
+        before = linear_prior(problem, prior, parts.whole)
 
         def of_rows(some: RowProducts) -> Array:
             values, covariance = with_prior(some, before.times(WIDE))

@@ -169,6 +169,11 @@ class NormalEquations:
             right=self.right[..., at],
         )
 
+    def scaled(self, scale: Array) -> NormalEquations:
+        """Normal equations of columns times factors, (p,)."""
+        normal = self.normal * np.outer(scale, scale)
+        return replace(self, normal=normal, right=self.right * scale)
+
     def matrix(self, weights: Array) -> Array:
         """X' X of all channels, (p, p), by weights (C,)."""
         return np.tensordot(weights, self.normal, 1)

@@ -61,15 +61,16 @@ class Folds:
             blocks: All rows in order.
         """
         sums: dict[tuple[int, int], Any] = defaultdict(float)
-        first = 0
+        first, shape = 0, (0, 0, 0)
         for block in blocks:
             for reach in {0, self.reach}:
                 for fold, span in self.cut(first, block.shape[1], reach):
                     rows = block[:, span]
                     sums[reach, fold] += rows.swapaxes(1, 2) @ rows
+            shape = len(block), block.shape[2], block.shape[2]
             first += block.shape[1]
         unseen, near = (
-            np.array([sums[reach, fold] for fold in range(len(self.ends) - 1)])
+            np.array([sums[reach, fold] + np.zeros(shape) for fold in range(len(self.ends) - 1)])
             for reach in (0, self.reach)
         )
         return CrossProducts(unseen, unseen.sum(axis=0) - near)

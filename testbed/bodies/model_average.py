@@ -1,0 +1,152 @@
+"""Average of fits whose priors have several strengths, weighted by held-out parts.
+
+How wrong a model file is cannot be told from a short recording, and each single guess is a bad one
+somewhere. Strengths that held-out parts cannot tell apart are averaged: torques and wrenches are
+linear in the unknowns, so that the average is an estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from testbed.bodies.linear_prior import LinearPrior, PriorFit, fit_of_noise, fit_with_noise
+from testbed.bodies.row_products import RowParts, RowProducts
+from testbed.core.base.arrays import Array
+from testbed.core.estimation.regression.normal_equations import TINY, NormalEquations
+
+PRIOR_ERRORS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+"""Relative errors of the bodies: from a file that is right to one that says next to nothing."""
+
+PRIOR_ERROR = 0.3
+"""The one that is taken where there are too few parts to weigh them."""
+
+REFERENCE = 0.5
+"""Error of a file of which nothing is known; data determine what they narrow to a tenth of its
+variance."""
+
+FEWEST_PARTS = 3
+
+SURE, UNSURE = 0.01, 0.2
+"""Least and greatest standard error of a difference of losses, in logarithms."""
+
+SIZE = 0.15
+"""Power of a prior's error by which its weight falls: the file counts a little."""
+
+
+@dataclass(frozen=True, eq=False)
+class AveragedFit:
+    """Average of fits with priors of several strengths.
+
+    Attributes:
+        prior: Prior with an error of one.
+        errors: Relative error of the bodies, by fit, (k,).
+        weights: Weights of the fits, (k,).
+        noise: Variance of each channel's noise by fit, (k, C).
+        values: Values of the unknowns, (p,).
+        covariance: Covariance of the mixture, within the fits and between them, (p, p).
+        prior_error: Relative error of the file's bodies: rms deviation of what data determine.
+        by_rows: Values by rows of the parts.
+    """
+
+    prior: LinearPrior
+    errors: Array
+    weights: Array
+    noise: Array
+    values: Array
+    covariance: Array
+    prior_error: float
+    by_rows: Mapping[RowProducts, Array] = field(default_factory=dict)
+
+    def values_of(self, rows: RowProducts) -> Array:
+        """Values of the unknowns by other rows, with the same weights and noise, (p,).
+
+        Args:
+            rows: Products of the rows.
+        """
+        if rows not in self.by_rows:
+            return self.weights @ _values(rows, self.prior, self.errors, self.noise)
+        return self.weights @ self.by_rows[rows]
+
+
+def averaged_fit(parts: RowParts, prior: LinearPrior, errors: Sequence[float]) -> AveragedFit:
+    """Fit with priors of several strengths and average them by what they leave of held-out parts.
+
+    The loss of a part is the logarithm of its squares, in units of the noise that the weakest prior
+    leaves; weights fall with the difference from the best in standard errors over the parts.
+
+    Args:
+        parts: Rows of the recording.
+        prior: Prior with an error of one.
+        errors: Relative errors of the bodies.
+    """
+    whole, sizes = parts.whole, np.array(errors)
+    equations = whole.equations(prior.root, prior.mean)
+    fits = [fit_of_noise(_scaled(equations, prior, e), prior, whole.enough) for e in errors]
+    noise = np.array([fit.noise for fit in fits])
+    leads = [prior.times(e).root for e in errors]
+    values = np.array([prior.mean + lead @ fit.z for lead, fit in zip(leads, fits, strict=True)])
+    by_rows, weights = dict[RowProducts, Array](), (sizes == PRIOR_ERROR) / 1.0
+    folds = [(seen, part) for seen, part in parts.folds if part.rows.any()]
+    if len(sizes) == 1:
+        weights = np.ones(1)
+    elif len(folds) >= FEWEST_PARTS:
+        by_rows = {seen: _values(seen, prior, sizes, noise) for seen, _ in folds}
+        losses = [_losses(part, by_rows[seen], noise[-1]) for seen, part in folds]
+        weights = _weights(np.array(losses), sizes)
+    mean = weights @ values
+    spread = [
+        lead @ fit.covariance @ lead.T + np.outer(own - mean, own - mean)
+        for lead, fit, own in zip(leads, fits, values, strict=True)
+    ]
+    covariance = np.einsum("k,kij->ij", weights, spread)
+    error = float(sizes[0]) if len(sizes) == 1 else _file_error(fits, sizes, weights, prior)
+    return AveragedFit(prior, sizes, weights, noise, mean, covariance, error, by_rows)
+
+
+def _file_error(
+    fits: Sequence[PriorFit], errors: Array, weights: Array, prior: LinearPrior
+) -> float:
+    """Rms deviation from the file of the bodies' coordinates that data determine.
+
+    REFERENCE counts as one coordinate.
+
+    Source    [Mac92]
+    """
+    z = np.array([fit.z[: prior.bodies] for fit in fits])
+    left = np.array([np.diagonal(fit.covariance)[: prior.bodies] for fit in fits])
+    square = weights @ (errors[:, None] * z) ** 2
+    determined = weights @ (1 - left)
+    return float(np.sqrt((REFERENCE**2 + square.sum()) / (1 + determined.sum())))
+
+
+def _scaled(equations: NormalEquations, prior: LinearPrior, error: float) -> NormalEquations:
+    """Normal equations in z of the prior with another error of the bodies."""
+    return equations.scaled(prior.scale(error))
+
+
+def _values(rows: RowProducts, prior: LinearPrior, errors: Array, noise: Array) -> Array:
+    """Values of the unknowns by some rows under the noise of all, by fit, (k, p)."""
+    equations, values = rows.equations(prior.root, prior.mean), []
+    for error, own in zip(errors.tolist(), noise, strict=True):
+        z = fit_with_noise(_scaled(equations, prior, error), own, prior.least).z
+        values.append(prior.mean + prior.times(error).root @ z)
+    return np.array(values)
+
+
+def _losses(part: RowProducts, values: Array, noise: Array) -> Array:
+    """Logarithms of a part's mean squares in units of the noise, by fit, (k,)."""
+    squares = np.array([part.squares(each, part.constants(each)) for each in values])
+    loss: Array = np.log(np.maximum((squares / noise).sum(axis=1) / part.rows.sum(), TINY))
+    return loss
+
+
+def _weights(losses: Array, errors: Array) -> Array:
+    """Weights of fits by their losses on parts, (parts, k)."""
+    excess = losses - losses[:, [losses.mean(axis=0).argmin()]]
+    error = excess.std(axis=0, ddof=1) / np.sqrt(len(excess))
+    apart = excess.mean(axis=0) / np.clip(error, SURE, UNSURE)
+    weights = np.exp(-0.5 * apart**2) * np.maximum(errors, PRIOR_ERRORS[1]) ** -SIZE
+    return np.asarray(weights / weights.sum())
