@@ -18,7 +18,9 @@ from .core.dynamics.newton_euler import regressor as regressor
 from .core.estimation.estimate import Estimate as Estimate
 from .core.estimation.identify import identify as identify
 from .core.estimation.information import Information as Information
-from .core.estimation.regression.normal_equations import NormalEquations as NormalEquations
+from .core.estimation.regression.normal_equations import (
+    NormalEquations as NormalEquations,
+)
 from .core.estimation.regression.solvers import fit as fit
 from .core.estimation.settings import Settings as Settings
 from .core.parameters.joint_terms import DriveSet as DriveSet
@@ -72,7 +74,9 @@ from .motion.fourier import Fourier as Fourier
 from .motion.random_motion import random_motion as random_motion
 from .motion.rest_to_rest import RestToRest as RestToRest
 from .sensors.errors.encoder_delay import EncoderDelay as EncoderDelay
-from .sensors.errors.encoder_eccentricity import EncoderEccentricity as EncoderEccentricity
+from .sensors.errors.encoder_eccentricity import (
+    EncoderEccentricity as EncoderEccentricity,
+)
 from .sensors.errors.encoder_gain import EncoderGain as EncoderGain
 from .sensors.errors.encoder_instant_sampling import (
     EncoderInstantSampling as EncoderInstantSampling,
@@ -81,15 +85,21 @@ from .sensors.errors.encoder_noise import EncoderNoise as EncoderNoise
 from .sensors.errors.encoder_resolution import EncoderResolution as EncoderResolution
 from .sensors.errors.encoder_zero_error import EncoderZeroError as EncoderZeroError
 from .sensors.errors.measured_tare import MeasuredTare as MeasuredTare
-from .sensors.errors.plate_anti_alias_filter import PlateAntiAliasFilter as PlateAntiAliasFilter
+from .sensors.errors.plate_anti_alias_filter import (
+    PlateAntiAliasFilter as PlateAntiAliasFilter,
+)
 from .sensors.errors.plate_bias import PlateBias as PlateBias
 from .sensors.errors.plate_clock_rate import PlateClockRate as PlateClockRate
-from .sensors.errors.plate_coloured_noise import PlateColouredNoise as PlateColouredNoise
+from .sensors.errors.plate_coloured_noise import (
+    PlateColouredNoise as PlateColouredNoise,
+)
 from .sensors.errors.plate_converter import PlateConverter as PlateConverter
 from .sensors.errors.plate_crosstalk import PlateCrosstalk as PlateCrosstalk
 from .sensors.errors.plate_delay import PlateDelay as PlateDelay
 from .sensors.errors.plate_drift import PlateDrift as PlateDrift
-from .sensors.errors.plate_dropped_samples import PlateDroppedSamples as PlateDroppedSamples
+from .sensors.errors.plate_dropped_samples import (
+    PlateDroppedSamples as PlateDroppedSamples,
+)
 from .sensors.errors.plate_gain import PlateGain as PlateGain
 from .sensors.errors.plate_hum import PlateHum as PlateHum
 from .sensors.errors.plate_matrix import PlateMatrix as PlateMatrix
@@ -100,7 +110,9 @@ from .sensors.errors.plate_pose import PlatePose as PlatePose
 from .sensors.errors.plate_random_walk import PlateRandomWalk as PlateRandomWalk
 from .sensors.errors.plate_saturation import PlateSaturation as PlateSaturation
 from .sensors.errors.plate_tare import PlateTare as PlateTare
-from .sensors.errors.torque_constant_error import TorqueConstantError as TorqueConstantError
+from .sensors.errors.torque_constant_error import (
+    TorqueConstantError as TorqueConstantError,
+)
 from .sensors.errors.torque_noise import TorqueNoise as TorqueNoise
 from .sensors.errors.torque_offset import TorqueOffset as TorqueOffset
 from .view.plot import plot as plot

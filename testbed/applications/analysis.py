@@ -98,7 +98,9 @@ def analyse(
             own = estimates.get(method)
             rows[method] = rows_of(problem, own)
             file = prior_of(problem.tree)
-            posteriors[method] = posterior(rows[method], file, own, prior_error=prior_error)
+            posteriors[method] = posterior(
+                rows[method], file, own, prior_error=prior_error
+            )
     if bodies is None or not (estimates or posteriors):
         return Analysis(estimates, failures, posteriors)
     prior, options = bodies

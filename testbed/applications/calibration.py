@@ -16,7 +16,10 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.codec import with_properties
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.identify import identify
-from testbed.core.estimation.regression.normal_equations import square_root, unit_diagonal
+from testbed.core.estimation.regression.normal_equations import (
+    square_root,
+    unit_diagonal,
+)
 from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
@@ -56,7 +59,9 @@ class Calibration:
         """What is left open of the numbers that hold for other recordings, too."""
         passing = {error.term for error in estimable_errors() if error.of_one_recording}
         kept = [k for k, each in enumerate(self.numbers) if each.kind not in passing]
-        correlation = np.eye(len(self.numbers)) if self.correlation is None else self.correlation
+        correlation = (
+            np.eye(len(self.numbers)) if self.correlation is None else self.correlation
+        )
         sigma = np.array([self.numbers[k].sigma for k in kept])
         root = sigma[:, None] * square_root(correlation[np.ix_(kept, kept)])
         return CalibrationCovariance(tuple(self.numbers[k].name for k in kept), root)
@@ -72,7 +77,9 @@ class Calibration:
     def matrix_sigma(self) -> Array:
         """Standard deviations of its elements, (6, 6)."""
         sigma = {each.name: each.sigma for each in self.numbers}
-        return np.array([sigma.get(name, 0.0) for name, _, _ in SENSITIVITIES]).reshape(6, 6)
+        return np.array([sigma.get(name, 0.0) for name, _, _ in SENSITIVITIES]).reshape(
+            6, 6
+        )
 
 
 def calibrate(
@@ -133,4 +140,6 @@ def corrected(source: Source, tree: Tree, plate: Calibration) -> Source:
         tree: The robot.
         plate: The plate that it was made with.
     """
-    return without_errors(source, tree, {each.name: each.value for each in plate.numbers})
+    return without_errors(
+        source, tree, {each.name: each.value for each in plate.numbers}
+    )

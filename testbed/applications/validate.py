@@ -14,7 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.bodies.estimate_summary import check_parameters
-from testbed.bodies.prediction_errors import PLAIN, REFITTED, PredictionErrors, errors_of_another
+from testbed.bodies.prediction_errors import (
+    PLAIN,
+    REFITTED,
+    PredictionErrors,
+    errors_of_another,
+)
 from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
@@ -44,7 +49,9 @@ from testbed.core.robot.tree import Tree
 from testbed.sensors.corrected import corrected
 
 
-def motion_in(recording: Recording, settings: Settings = DEFAULTS) -> tuple[Motion, slice]:
+def motion_in(
+    recording: Recording, settings: Settings = DEFAULTS
+) -> tuple[Motion, slice]:
     """The motion that a recording shows, and which of its samples that is.
 
     Args:
@@ -65,7 +72,9 @@ def motion_in(recording: Recording, settings: Settings = DEFAULTS) -> tuple[Moti
     if recording.samples <= 2 * reach:
         raise RecordingError("the recording is too short for the filter on positions")
     signals = [
-        np.column_stack([np.convolve(q, tap[::-1], "valid") for q in recording.position.T])
+        np.column_stack(
+            [np.convolve(q, tap[::-1], "valid") for q in recording.position.T]
+        )
         for tap in taps
     ]
     return Motion(recording.time[inner], *signals), inner
@@ -121,13 +130,16 @@ def predictions(
     warmth = recording.temperature
     warmth = None if warmth is None else warmth[first : first + motion.samples] - ROOM
     torque = {
-        m: joints[..., k] + own_torque(motion, estimates[m], warmth) for k, m in enumerate(methods)
+        m: joints[..., k] + own_torque(motion, estimates[m], warmth)
+        for k, m in enumerate(methods)
     }
     whole = methods if "external" in methods else []
     return {m: plate[..., k] + tare for k, m in enumerate(whole)}, torque
 
 
-def own_torque(motion: Motion, estimate: Estimate, warmth: Array | None = None) -> Array:
+def own_torque(
+    motion: Motion, estimate: Estimate, warmth: Array | None = None
+) -> Array:
     """What an estimate's joint terms add to the torques, (M, n) [N m or N].
 
     Without the drift of offsets, which is one recording's.
@@ -155,7 +167,9 @@ def friction(speed: Array, estimate: Estimate) -> Array:
         speed: Joint velocities, (M, n) [rad/s or m/s], in the order of `estimate.joints`.
         estimate: Of the internal method.
     """
-    steady = Motion(np.arange(len(speed), dtype=float), speed, speed, np.zeros_like(speed))
+    steady = Motion(
+        np.arange(len(speed), dtype=float), speed, speed, np.zeros_like(speed)
+    )
     return own_torque(steady, estimate)
 
 
@@ -196,7 +210,9 @@ class Validation(Diagnosed, Summarized):
     errors: PredictionErrors | None = None
     held: str = PLAIN
 
-    __get_pydantic_core_schema__ = with_properties("relative_residual", "ratio", "diagnostics")
+    __get_pydantic_core_schema__ = with_properties(
+        "relative_residual", "ratio", "diagnostics"
+    )
 
     def __post_init__(self) -> None:
         c = len(self.channels)
@@ -205,8 +221,13 @@ class Validation(Diagnosed, Summarized):
     @property
     def summary(self) -> SummaryTable:
         """Residual of each channel, as a part of the signal, over what noise and sigma allow."""
-        parts = zip(self.residual, self.units, self.relative_residual, self.ratio, strict=True)
-        cells = [(f"{r:.3g}", unit, f"{s:.2%}", f"{ratio:.2g}") for r, unit, s, ratio in parts]
+        parts = zip(
+            self.residual, self.units, self.relative_residual, self.ratio, strict=True
+        )
+        cells = [
+            (f"{r:.3g}", unit, f"{s:.2%}", f"{ratio:.2g}")
+            for r, unit, s, ratio in parts
+        ]
         rows = [(name, *cell) for name, cell in zip(self.channels, cells, strict=True)]
         heads = ("channel", "rms residual", "unit", "of the signal", "over allowed")
         warnings = tuple(f"warning: {line}" for line in sentences(self.diagnostics))
@@ -247,7 +268,11 @@ class Validation(Diagnosed, Summarized):
         """Channels that are predicted worse than by the model file, or than sigma says."""
         worse: list[Diagnostic] = []
         if self.errors is not None:
-            worse = [d for than in (PLAIN, REFITTED) for d in self.errors.worse(self.held, than)]
+            worse = [
+                d
+                for than in (PLAIN, REFITTED)
+                for d in self.errors.worse(self.held, than)
+            ]
         return (*worse, *_diagnostics(self))
 
 
@@ -303,24 +328,31 @@ def validate(
     with one_blas_thread():
         found = _validation(problem, source, estimate)
         if models:
-            errors = errors_of_another(problem, source, {**models, held: estimate.values})
+            errors = errors_of_another(
+                problem, source, {**models, held: estimate.values}
+            )
             found = replace(found, errors=errors, held=held)
     return found
 
 
-def _validation(problem: Problem, source: Source, estimate: EstimateSummary) -> Validation:
+def _validation(
+    problem: Problem, source: Source, estimate: EstimateSummary
+) -> Validation:
     """Residuals of another recording's rows, faults of the instrument taken back."""
     passes = problem.passes(2, source, whole=True)
     equations = problem.equations(passes)
     drifts = [name.startswith(SLOPE.kind + "/") for name in estimate.names]
-    values = np.where(drifts, 0.0, estimate.values)  # the drift of offsets is one recording's
+    # the drift of offsets is one recording's
+    values = np.where(drifts, 0.0, estimate.values)
     total, squares = np.zeros((2, len(problem.channels)))
     for columns, measured in passes.rows(values[:, None]):
         left = measured - columns[..., 0]
         total += left.sum(axis=1)
         squares += (left**2).sum(axis=1)
     used = np.where(equations.used > 0, equations.used, np.nan)
-    added = np.maximum(np.einsum("cij,ij->c", equations.normal, estimate.covariance), 0.0)
+    added = np.maximum(
+        np.einsum("cij,ij->c", equations.normal, estimate.covariance), 0.0
+    )
     found = Validation(
         method=estimate.method,
         channels=equations.channels,
@@ -335,13 +367,16 @@ def _validation(problem: Problem, source: Source, estimate: EstimateSummary) -> 
     )
     numbers = [found.signal, found.residual, found.mean, found.spread]
     if not np.isfinite(numbers)[:, equations.used > 0].all():
-        raise RecordingError("the recording or the estimate holds numbers too large for sums")
+        raise RecordingError(
+            "the recording or the estimate holds numbers too large for sums"
+        )
     return found
 
 
 def _diagnostics(found: Validation) -> Iterator[Diagnostic]:
     """Channels that are predicted worse than sigma says."""
-    steady = _over(found.scatter, found.allowed) <= LIMIT  # never, if the zero is unknown
+    # never, if the zero is unknown
+    steady = _over(found.scatter, found.allowed) <= LIMIT
     for c, (name, ratio) in enumerate(zip(found.channels, found.ratio, strict=True)):
         if ratio > LIMIT and found.matters[c]:
             yield diagnose(

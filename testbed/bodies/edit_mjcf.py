@@ -41,7 +41,10 @@ def edit_mjcf(
             inertials say, or bodies stand in other files or are copies.
     """
     spec = parse(path)
-    if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
+    if (
+        spec.compiler.inertiafromgeom
+        == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    ):
         raise ModelError(
             f'{path}: compiler inertiafromgeom="true" makes MuJoCo pass over all inertials; set it '
             'to "auto" and write again'
@@ -61,7 +64,11 @@ def edit_mjcf(
         for _, own in places.values():
             for joint, element in own:
                 values = change.joints.get(joint, {})
-                said = {k: plain([values[what]]) for k, what in _LOSSES.items() if what in values}
+                said = {
+                    k: plain([values[what]])
+                    for k, what in _LOSSES.items()
+                    if what in values
+                }
                 document.set(element, **said)
         kept = _set_motors(document, spec, change.gears, change.delay)
         yield document.edit(), (*_changed_by_compiler(spec, change.links), *kept)
@@ -72,12 +79,18 @@ def _set_motors(
 ) -> tuple[Diagnostic, ...]:
     """Scale and delay joints' motors, add one where a joint has none; other actuators stay."""
     kept = str(commands_kept(delay, spec.option.timestep))
-    late = {"delay": plain([delay]), "nsample": kept, "interp": "linear"} if delay else {}
+    late = (
+        {"delay": plain([delay]), "nsample": kept, "interp": "linear"} if delay else {}
+    )
     elements = [e for part in document.root.named("actuator") for e in part.children]
     driven, others = set(), []
     if gears and len(spec.actuators) != len(elements):
-        raise ModelError("the actuators do not stand in this file, one by one; write without gears")
-    for actuator, element in zip(spec.actuators, elements, strict=True) if gears else ():
+        raise ModelError(
+            "the actuators do not stand in this file, one by one; write without gears"
+        )
+    for actuator, element in (
+        zip(spec.actuators, elements, strict=True) if gears else ()
+    ):
         joint = actuator.target
         if actuator.trntype != mujoco.mjtTrn.mjTRN_JOINT or joint not in gears:
             continue
@@ -88,7 +101,10 @@ def _set_motors(
         else:
             others.append(joint)
     motors = [
-        as_tag("motor", {"name": f"drive/{joint}", "joint": joint, "gear": plain([gear]), **late})
+        as_tag(
+            "motor",
+            {"name": f"drive/{joint}", "joint": joint, "gear": plain([gear]), **late},
+        )
         for joint, gear in gears.items()
         if joint not in driven
     ]
@@ -105,8 +121,14 @@ def _bodies(
 ) -> Iterator[tuple[str, tuple[Element, _Joints]]]:
     """By body below one, its element, and the elements of its joints."""
     inside = [each for element in elements for each in _within(element)]
-    for own, element in zip_longest(body.bodies, [e for e in inside if e.tag == "body"]):
-        if own is None or element is None or element.attributes.get("name", own.name) != own.name:
+    for own, element in zip_longest(
+        body.bodies, [e for e in inside if e.tag == "body"]
+    ):
+        if (
+            own is None
+            or element is None
+            or element.attributes.get("name", own.name) != own.name
+        ):
             raise ModelError(
                 f"{path}: the bodies in '{body.name}' are not those that stand in this file, one "
                 "by one: <include>, <attach>, <replicate> or the like makes them; write into a "
@@ -114,8 +136,13 @@ def _bodies(
             )
         joints = [e for e in _within(element) if e.tag in ("joint", "freejoint")]
         if len(joints) != len(own.joints):
-            raise ModelError(f"{path}: the joints of body '{own.name}' do not stand in this file")
-        yield own.name, (element, list(zip((j.name for j in own.joints), joints, strict=True)))
+            raise ModelError(
+                f"{path}: the joints of body '{own.name}' do not stand in this file"
+            )
+        yield (
+            own.name,
+            (element, list(zip((j.name for j in own.joints), joints, strict=True))),
+        )
         yield from _bodies(own, [element], path)
 
 
@@ -137,7 +164,9 @@ def _inertial(inertia: Inertia) -> dict[str, str | None]:
     return said | {"diaginertia": "0 0 0"}  # MuJoCo takes no full inertia that is zero
 
 
-def _changed_by_compiler(spec: mujoco.MjSpec, links: Mapping[str, Inertia]) -> Iterator[Diagnostic]:
+def _changed_by_compiler(
+    spec: mujoco.MjSpec, links: Mapping[str, Inertia]
+) -> Iterator[Diagnostic]:
     """Settings of the file's compiler that make other bodies of those that are written."""
     compiler = spec.compiler
     masses = {name: own.mass for name, own in links.items()}

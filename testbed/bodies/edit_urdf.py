@@ -37,7 +37,11 @@ def edit_urdf(
         for link, inertia in change.links.items():
             _set_inertial(document, elements[link], inertia, path)
         for joint, values in change.joints.items():
-            said = {k: plain([values[what]]) for k, what in _LOSSES.items() if what in values}
+            said = {
+                k: plain([values[what]])
+                for k, what in _LOSSES.items()
+                if what in values
+            }
             if said:
                 document.put(jointed[joint], "dynamics", **said)
         rotors = [
@@ -47,14 +51,18 @@ def edit_urdf(
         ]
         lost = [diagnose("model.rotors", ", ".join(rotors))] if rotors else []
         if change.gears:
-            gears = ", ".join(f"{joint} {gear:.6g}" for joint, gear in change.gears.items())
+            gears = ", ".join(
+                f"{joint} {gear:.6g}" for joint, gear in change.gears.items()
+            )
             lost.append(diagnose("model.gears", gears))
         if change.delay:
             lost.append(diagnose("model.delay", f"{change.delay:.4g} s"))
         yield document.edit(), tuple(lost)
 
 
-def _set_inertial(document: XmlBytes, link: Element, inertia: Inertia, path: Path) -> None:
+def _set_inertial(
+    document: XmlBytes, link: Element, inertia: Inertia, path: Path
+) -> None:
     """The mass centre, the mass, and the inertia about it, along the link's axes."""
     central = inertia.central
     parts = {
@@ -64,7 +72,9 @@ def _set_inertial(document: XmlBytes, link: Element, inertia: Inertia, path: Pat
     }
     there = link.named("inertial")
     if len(there) > 1:
-        raise ModelError(f"{path}: link '{link.attributes.get('name')}' has two inertials")
+        raise ModelError(
+            f"{path}: link '{link.attributes.get('name')}' has two inertials"
+        )
     if there:
         for part, values in parts.items():
             document.put(there[0], part, **values)

@@ -8,7 +8,12 @@ import numpy as np
 
 from testbed.core.base.errors import SettingsError, components, few, plural
 from testbed.core.dynamics.drive_set import drive_set
-from testbed.core.estimation.estimate import Estimate, EstimateSummary, channel_units, channels_of
+from testbed.core.estimation.estimate import (
+    Estimate,
+    EstimateSummary,
+    channel_units,
+    channels_of,
+)
 from testbed.core.estimation.problem import Problem, set_of
 from testbed.core.estimation.regression.normal_equations import NormalEquations
 from testbed.core.robot.tree import Tree
@@ -26,14 +31,25 @@ def estimate_of_summary(tree: Tree, said: EstimateSummary) -> Estimate:
     """
     tree, p = tree.with_gravity(said.gravity), len(said.names)
     minimal = set_of(tree, said.method, said.settings)
-    drives = drive_set(tree, minimal, said.settings.words) if said.method == "internal" else None
+    drives = (
+        drive_set(tree, minimal, said.settings.words)
+        if said.method == "internal"
+        else None
+    )
     known = minimal if drives is None else drives
     if known.names != said.names:
-        raise SettingsError(f"the {said.method} estimate is of other parameters than this robot's")
+        raise SettingsError(
+            f"the {said.method} estimate is of other parameters than this robot's"
+        )
     channels = channels_of(tree, said.method)
     c = len(channels)
     none = NormalEquations(
-        said.names, channels, np.zeros(c), np.zeros((c, p, p)), np.zeros((c, p)), np.zeros(c)
+        said.names,
+        channels,
+        np.zeros(c),
+        np.zeros((c, p, p)),
+        np.zeros((c, p)),
+        np.zeros(c),
     )
     stated = {each.name: getattr(said, each.name) for each in fields(EstimateSummary)}
     return Estimate(

@@ -94,13 +94,22 @@ def linear_prior(problem: Problem, prior: Prior, rows: RowProducts) -> LinearPri
     """
     count, drives = problem.minimal.count, problem.drives
     bodies = problem.minimal.standard_matrix
-    mean, root = np.zeros(len(problem.names)), np.zeros((len(problem.names), 10 * problem.tree.n))
+    mean, root = (
+        np.zeros(len(problem.names)),
+        np.zeros((len(problem.names), 10 * problem.tree.n)),
+    )
     mean[:count] = bodies @ prior.standard.ravel()
     root[:count] = bodies @ _thickened(prior).root
     if drives is not None:
         equations = rows.equations(drives.columns, np.zeros(len(mean)))
-        size = np.where(rows.enough[:, None], np.einsum("cii->ci", equations.normal), 0.0)
-        most = size.argmax(axis=0), np.arange(size.shape[1])  # the channel where each shows most
+        size = np.where(
+            rows.enough[:, None], np.einsum("cii->ci", equations.normal), 0.0
+        )
+        # the channel where each shows most
+        most = (
+            size.argmax(axis=0),
+            np.arange(size.shape[1]),
+        )
         seen = size[most] > 0
         scale = np.sqrt(equations.squares[most[0]] / np.where(seen, size[most], np.inf))
         stated = drives.values(np.zeros((problem.tree.n, 10)), problem.tree)
@@ -109,11 +118,17 @@ def linear_prior(problem: Problem, prior: Prior, rows: RowProducts) -> LinearPri
         size_of_terms = np.where(seen, scale, np.abs(drives.columns.T @ stated))
         root = np.hstack([root, drives.columns * size_of_terms])
     floor = np.full(len(rows.channels), TINY)
-    before = LinearPrior(mean, root, bodies.shape[1], floor, _bounds(problem, mean, root))
+    before = LinearPrior(
+        mean, root, bodies.shape[1], floor, _bounds(problem, mean, root)
+    )
     before = _with_facts(problem, before)
     left = refitted(rows, before)
-    noise = LEAST**2 * rows.squares(left, rows.constants(left)) / np.maximum(rows.rows, 1.0)
-    return replace(before, noise=np.where(rows.enough, np.maximum(noise, floor), np.inf))
+    noise = (
+        LEAST**2 * rows.squares(left, rows.constants(left)) / np.maximum(rows.rows, 1.0)
+    )
+    return replace(
+        before, noise=np.where(rows.enough, np.maximum(noise, floor), np.inf)
+    )
 
 
 def _thickened(prior: Prior) -> Prior:
@@ -131,17 +146,25 @@ def _with_facts(problem: Problem, prior: LinearPrior) -> LinearPrior:
     It is as uncertain as it is said to be, whatever the error of the bodies.
     """
     names = {MASS, *problem.names}
-    given = {k: v for k, v in problem.settings.facts.items() if k in names or k.startswith(CENTRE)}
+    given = {
+        k: v
+        for k, v in problem.settings.facts.items()
+        if k in names or k.startswith(CENTRE)
+    }
     if problem.method != "external" or not given:
         return prior
-    known = facts(problem.tree, problem.minimal, problem.names, (), given).around(prior.mean)
+    known = facts(problem.tree, problem.minimal, problem.names, (), given).around(
+        prior.mean
+    )
     rows = known.rows @ prior.root
     gain = np.linalg.solve(rows @ rows.T, rows).T
     added = prior.root @ gain
     return replace(
         prior,
         mean=prior.mean + added @ known.values,
-        root=np.hstack([prior.root - added @ rows, added @ known.doubt(np.zeros(len(added)))]),
+        root=np.hstack(
+            [prior.root - added @ rows, added @ known.doubt(np.zeros(len(added)))]
+        ),
         least=np.append(prior.least, np.full(len(given), -np.inf)),
     )
 
@@ -152,7 +175,8 @@ def _bounds(problem: Problem, mean: Array, root: Array) -> Array:
     terms = () if problem.drives is None else problem.drives.terms
     for k, term in enumerate(terms, start=problem.minimal.count):
         (own,) = np.nonzero(root[k])
-        if term.law.resists and len(own) == 1:  # else it is a sum with terms of other shafts
+        # else it is a sum with terms of other shafts
+        if term.law.resists and len(own) == 1:
             least[own] = -mean[k] / root[k, own]
     return least
 

@@ -1,4 +1,4 @@
-"""Average of fits whose priors have several strengths, weighted by held-out parts.
+"""Model average: fits whose priors have several strengths, weighted by held-out parts.
 
 How wrong a model file is cannot be told from a short recording, and each single guess is a bad one
 somewhere. Strengths that held-out parts cannot tell apart are averaged: torques and wrenches are
@@ -8,11 +8,16 @@ linear in the unknowns, so that the average is an estimate.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from testbed.bodies.linear_prior import LinearPrior, PriorFit, fit_of_noise, fit_with_noise
+from testbed.bodies.linear_prior import (
+    LinearPrior,
+    PriorFit,
+    fit_of_noise,
+    fit_with_noise,
+)
 from testbed.bodies.row_products import RowParts, RowProducts
 from testbed.core.base.arrays import Array
 from testbed.core.estimation.regression.normal_equations import TINY, NormalEquations
@@ -37,7 +42,7 @@ SIZE = 0.15
 
 
 @dataclass(frozen=True, eq=False)
-class AveragedFit:
+class ModelAverage:
     """Average of fits with priors of several strengths.
 
     Attributes:
@@ -71,7 +76,9 @@ class AveragedFit:
         return self.weights @ self.by_rows[rows]
 
 
-def averaged_fit(parts: RowParts, prior: LinearPrior, errors: Sequence[float]) -> AveragedFit:
+def model_average(
+    parts: RowParts, prior: LinearPrior, errors: Sequence[float]
+) -> ModelAverage:
     """Fit with priors of several strengths and average them by what they leave of held-out parts.
 
     The loss of a part is the logarithm of its squares, in units of the noise that the weakest prior
@@ -84,26 +91,38 @@ def averaged_fit(parts: RowParts, prior: LinearPrior, errors: Sequence[float]) -
     """
     whole, sizes = parts.whole, np.array(errors)
     equations = whole.equations(prior.root, prior.mean)
-    fits = [fit_of_noise(_scaled(equations, prior, e), prior, whole.enough) for e in errors]
+    fits = [
+        fit_of_noise(_scaled(equations, prior, e), prior, whole.enough) for e in errors
+    ]
     noise = np.array([fit.noise for fit in fits])
-    leads = [prior.times(e).root for e in errors]
-    values = np.array([prior.mean + lead @ fit.z for lead, fit in zip(leads, fits, strict=True)])
-    by_rows, weights = dict[RowProducts, Array](), (sizes == PRIOR_ERROR) / 1.0
     folds = [(seen, part) for seen, part in parts.folds if part.rows.any()]
+    by_rows, weights = dict[RowProducts, Array](), (sizes == PRIOR_ERROR) / 1.0
     if len(sizes) == 1:
         weights = np.ones(1)
     elif len(folds) >= FEWEST_PARTS:
         by_rows = {seen: _values(seen, prior, sizes, noise) for seen, _ in folds}
         losses = [_losses(part, by_rows[seen], noise[-1]) for seen, part in folds]
         weights = _weights(np.array(losses), sizes)
-    mean = weights @ values
-    spread = [
-        lead @ fit.covariance @ lead.T + np.outer(own - mean, own - mean)
-        for lead, fit, own in zip(leads, fits, values, strict=True)
+    error = (
+        float(sizes[0]) if len(sizes) == 1 else _file_error(fits, sizes, weights, prior)
+    )
+    z, covariance = _mixture(fits, sizes, weights, prior)
+    values, spread = prior.mean + prior.root @ z, prior.root @ covariance @ prior.root.T
+    return ModelAverage(prior, sizes, weights, noise, values, spread, error, by_rows)
+
+
+def _mixture(
+    fits: Sequence[PriorFit], errors: Array, weights: Array, prior: LinearPrior
+) -> tuple[Array, Array]:
+    """Mean, (r,), and covariance, (r, r), of the mixture of fits, in z of the prior."""
+    scale = np.array([prior.scale(error) for error in errors])
+    z = scale * [fit.z for fit in fits]
+    within = [
+        np.outer(s, s) * fit.covariance for s, fit in zip(scale, fits, strict=True)
     ]
-    covariance = np.einsum("k,kij->ij", weights, spread)
-    error = float(sizes[0]) if len(sizes) == 1 else _file_error(fits, sizes, weights, prior)
-    return AveragedFit(prior, sizes, weights, noise, mean, covariance, error, by_rows)
+    mean = weights @ z
+    apart = z - mean
+    return mean, np.einsum("k,kij->ij", weights, within) + (weights * apart.T) @ apart
 
 
 def _file_error(
@@ -122,12 +141,18 @@ def _file_error(
     return float(np.sqrt((REFERENCE**2 + square.sum()) / (1 + determined.sum())))
 
 
-def _scaled(equations: NormalEquations, prior: LinearPrior, error: float) -> NormalEquations:
+def _scaled(
+    equations: NormalEquations, prior: LinearPrior, error: float
+) -> NormalEquations:
     """Normal equations in z of the prior with another error of the bodies."""
-    return equations.scaled(prior.scale(error))
+    scale = prior.scale(error)
+    normal = equations.normal * np.outer(scale, scale)
+    return replace(equations, normal=normal, right=equations.right * scale)
 
 
-def _values(rows: RowProducts, prior: LinearPrior, errors: Array, noise: Array) -> Array:
+def _values(
+    rows: RowProducts, prior: LinearPrior, errors: Array, noise: Array
+) -> Array:
     """Values of the unknowns by some rows under the noise of all, by fit, (k, p)."""
     equations, values = rows.equations(prior.root, prior.mean), []
     for error, own in zip(errors.tolist(), noise, strict=True):
@@ -139,7 +164,9 @@ def _values(rows: RowProducts, prior: LinearPrior, errors: Array, noise: Array) 
 def _losses(part: RowProducts, values: Array, noise: Array) -> Array:
     """Logarithms of a part's mean squares in units of the noise, by fit, (k,)."""
     squares = np.array([part.squares(each, part.constants(each)) for each in values])
-    loss: Array = np.log(np.maximum((squares / noise).sum(axis=1) / part.rows.sum(), TINY))
+    loss: Array = np.log(
+        np.maximum((squares / noise).sum(axis=1) / part.rows.sum(), TINY)
+    )
     return loss
 
 

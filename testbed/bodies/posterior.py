@@ -4,23 +4,29 @@ Every body's pseudo-inertia is J = U Y U' with that of the file U U'; the coordi
 those of one with the same standard deviation each: the linear form of the prior of consistent
 bodies. How wrong the file is, held-out parts say. The joints' own terms are free, but friction is
 not negative. Where the data alone determine all parameters the prior is left out, and the estimate
-is that of least squares.
+is that of least squares, which weighs correlated noise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import TypeGuard
 
 import numpy as np
 
-from testbed.bodies.averaged_fit import PRIOR_ERRORS, REFERENCE, averaged_fit
 from testbed.bodies.linear_prior import (
     DETERMINED,
     LinearPrior,
     alone_determined,
     linear_prior,
     refitted,
+)
+from testbed.bodies.model_average import (
+    PRIOR_ERRORS,
+    REFERENCE,
+    ModelAverage,
+    model_average,
 )
 from testbed.bodies.prediction_errors import (
     CONSISTENT,
@@ -85,13 +91,22 @@ class Posterior(EstimateSummary):
     def __post_init__(self) -> None:
         super().__post_init__()
         p = len(self.names)
-        freeze(self, file=(p,), refitted=(p,), prior_sigma=(p,), share=(p,), by_part=(None, None))
+        freeze(
+            self,
+            file=(p,),
+            refitted=(p,),
+            prior_sigma=(p,),
+            share=(p,),
+            by_part=(None, None),
+        )
 
     @property
     def models(self) -> dict[str, Array]:
         """Values of the unknowns by what says them, for predictions."""
         found = {FILE: self.file, REFITTED: self.refitted, POSTERIOR: self.values}
-        return found if self.consistent is None else {**found, CONSISTENT: self.consistent}
+        return (
+            found if self.consistent is None else {**found, CONSISTENT: self.consistent}
+        )
 
     @property
     def determined(self) -> tuple[str, ...]:
@@ -106,7 +121,9 @@ class Posterior(EstimateSummary):
             shown: The estimate that counts: "posterior" or "plain".
         """
         pairs = ((shown, PLAIN), (shown, REFITTED), (CONSISTENT, REFITTED))
-        return tuple(d for name, than in pairs for e in self.errors for d in e.worse(name, than))
+        return tuple(
+            d for name, than in pairs for e in self.errors for d in e.worse(name, than)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +165,9 @@ def reported_estimate(
     models = {**found.models, PLAIN: own.values}
     if plain or not found.used:
         return ReportedEstimate(own, PLAIN, models)
-    known = {name: getattr(own, name) for name in ("nuisances", "unidentifiable", "settings")}
+    known = {
+        name: getattr(own, name) for name in ("nuisances", "unidentifiable", "settings")
+    }
     return ReportedEstimate(replace(found, **known), POSTERIOR, models)
 
 
@@ -167,46 +186,45 @@ def posterior(
         estimate: By least squares, of the same rows; None where the data determine none.
         prior_error: Relative error of the file's bodies; None for what held-out parts say.
     """
-    made = [] if estimate is None else [estimate]
     problem, method, whole = rows.problem, rows.problem.method, rows.whole
     with one_blas_thread():
         before = linear_prior(problem, prior, whole)
         reference = before.times(REFERENCE)
-        used = not whole.enough.all() or not any(determines(x, reference) for x in made)
         errors = PRIOR_ERRORS if prior_error is None else (prior_error,)
-        fit = averaged_fit(rows, before, errors)
-        values, covariance = fit.values, fit.covariance
+        fit = model_average(rows, before, errors)
         alone = tuple(alone_determined(whole, reference).tolist())
-        if not used:
-            values, covariance = made[0].values, np.array(made[0].covariance)
-            alone = (True,) * len(values)
+        answer: ModelAverage | Estimate = fit
+        if determines(estimate, reference) and whole.enough.all():
+            answer, alone = estimate, (True,) * len(alone)
         file = file_values(problem, prior)
         fits: dict[str, Callable[[RowProducts], Array]] = {
             REFITTED: lambda rows: refitted(rows, before),
-            POSTERIOR: fit.values_of if used else _plain,
+            POSTERIOR: fit.values_of if answer is fit else _plain,
         }
-        if made:
+        if estimate is not None:
             fits[PLAIN] = _plain
         before = before.times(fit.prior_error)
-        count, constants = problem.minimal.count, whole.constants(values)
+        constants = whole.constants(answer.values)
         variance = np.maximum(before.variance, TINY)
         return Posterior(
             method=method,
             instrument=instrument_of(problem.minimal, method),
             names=problem.names,
             units=problem.units,
-            count=count,
+            count=problem.minimal.count,
             file=file,
             refitted=refitted(whole, before),
             prior_sigma=np.sqrt(before.variance),
-            values=values,
-            covariance=covariance,
-            share=np.clip(1 - np.diagonal(covariance) / variance, 0.0, 1.0),
+            values=answer.values,
+            covariance=np.array(answer.covariance),
+            share=np.clip(1 - np.diagonal(answer.covariance) / variance, 0.0, 1.0),
             alone=alone,
             prior_error=fit.prior_error,
-            used=used,
-            residual=whole.residual(values),
-            by_part=np.array([part.residual(values, constants) for part in rows.each]),
+            used=answer is fit,
+            residual=whole.residual(answer.values),
+            by_part=np.array(
+                [part.residual(answer.values, constants) for part in rows.each]
+            ),
             duration=problem.source.samples / problem.source.rate,
             gravity=problem.tree.gravity,
             settings=problem.settings,
@@ -237,18 +255,24 @@ def file_values(problem: Problem, prior: Prior) -> Array:
     """
     minimal, drives = problem.minimal, problem.drives
     none = np.zeros((problem.tree.n, 10))
-    values = np.zeros(len(problem.names)) if drives is None else drives.values(none, problem.tree)
+    values = (
+        np.zeros(len(problem.names))
+        if drives is None
+        else drives.values(none, problem.tree)
+    )
     values[: minimal.count] += minimal.standard_matrix @ prior.standard.ravel()
     return values
 
 
-def determines(estimate: Estimate, prior: LinearPrior) -> bool:
+def determines(estimate: Estimate | None, prior: LinearPrior) -> TypeGuard[Estimate]:
     """Whether the data alone determine every parameter: then no prior is needed.
 
     Args:
-        estimate: By least squares.
+        estimate: By least squares; None where the data determine none.
         prior: Of its unknowns.
     """
+    if estimate is None:
+        return False
     most = (1 / DETERMINED - 1) * prior.variance
     return bool((estimate.sigma**2 < most).all())
 

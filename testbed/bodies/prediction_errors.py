@@ -75,7 +75,10 @@ class PredictionErrors:
             other: By them.
         """
         residual = {**other.residual, **self.residual}
-        chance = {than: {**other.chance.get(than, {}), **own} for than, own in self.chance.items()}
+        chance = {
+            than: {**other.chance.get(than, {}), **own}
+            for than, own in self.chance.items()
+        }
         return replace(self, residual=residual, chance=chance)
 
     def share(self, which: str) -> Array:
@@ -111,7 +114,9 @@ class PredictionErrors:
         worse = (own > WORSE[than] * rival) & matters & (chance < CHANCE)
         for c in np.flatnonzero(worse).tolist():
             yield diagnose(
-                "estimate.worse-than-file" if than == REFITTED else "estimate.worse-than-plain",
+                "estimate.worse-than-file"
+                if than == REFITTED
+                else "estimate.worse-than-plain",
                 channel_label(self.method, self.channels[c]),
                 float(own[c] / max(rival[c], TINY)),
                 method=self.method,
@@ -147,7 +152,9 @@ def prediction_errors(
     unseen: list[RowProducts] = []
     for predictions, parts in pairs:
         for name, (values, constants) in predictions.items():
-            squares.setdefault(name, []).extend(part.squares(values, constants) for part in parts)
+            squares.setdefault(name, []).extend(
+                part.squares(values, constants) for part in parts
+            )
         zero = sum_of(parts).constants(none)
         signal += [part.squares(none, zero) for part in parts]
         unseen += parts
@@ -160,9 +167,13 @@ def prediction_errors(
         units=channel_units(problem.tree, problem.method),
         rows=rows.rows,
         signal=np.sqrt(np.sum(signal, axis=0) / used),
-        residual={name: np.sqrt(np.sum(each, axis=0) / used) for name, each in squares.items()},
+        residual={
+            name: np.sqrt(np.sum(each, axis=0) / used) for name, each in squares.items()
+        },
         chance={
-            rival: {name: _chance(each, squares[rival]) for name, each in squares.items()}
+            rival: {
+                name: _chance(each, squares[rival]) for name, each in squares.items()
+            }
             for rival in (REFITTED, PLAIN)
             if rival in squares
         },
@@ -187,7 +198,9 @@ def _chance(squares: Sequence[Array], rival: Sequence[Array]) -> Array:
     return np.asarray(np.minimum(alone * ratio.shape[1], 1.0))
 
 
-def predictions_of(rows: RowProducts, models: Mapping[str, Array]) -> dict[str, Prediction]:
+def predictions_of(
+    rows: RowProducts, models: Mapping[str, Array]
+) -> dict[str, Prediction]:
     """Values and constants that suit the rows by what predicts; the file alone has none."""
     none = np.zeros(len(rows.channels))
     return {

@@ -11,7 +11,11 @@ from testbed.core.base.arrays import Array, freeze
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.core.base.errors import quoted
 from testbed.core.base.summary_table import Value
-from testbed.core.parameters.pseudo_inertia import matrices, parameters, standard_of_coordinates
+from testbed.core.parameters.pseudo_inertia import (
+    matrices,
+    parameters,
+    standard_of_coordinates,
+)
 from testbed.core.parameters.symbols import standard
 from testbed.core.robot.inertia import Inertia, upper_root
 from testbed.core.robot.rigid_matter import ROUNDING, SMALL, nearest_body
@@ -52,7 +56,9 @@ class Prior(Diagnosed, Value):
         J = U U' is the file's; zero for bodies without matter.
         """
         n, massive = len(self.rotors), list(self.massive)
-        roots = np.array([upper_root(each) for each in matrices(self.standard[massive])])
+        roots = np.array(
+            [upper_root(each) for each in matrices(self.standard[massive])]
+        )
         found = np.zeros((n, 10, n, 10))
         found[massive, :, massive] = standard_of_coordinates(roots.reshape(-1, 4, 4))
         return found.reshape(10 * n, 10 * n)

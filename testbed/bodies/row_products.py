@@ -75,7 +75,11 @@ class RowProducts:
         if self.offset:
             ones = self.products[:, -2] @ ends
             size = np.einsum("cii->ci", inner)
-            inner = inner - ones[:, :, None] * (ones / np.maximum(self.rows, 1.0)[:, None])[:, None]
+            inner = (
+                inner
+                - ones[:, :, None]
+                * (ones / np.maximum(self.rows, 1.0)[:, None])[:, None]
+            )
             moving = np.einsum("cii->ci", inner) > ROUNDING * size
             inner = np.where(moving[:, :, None] & moving[:, None], inner, 0.0)
         names = tuple(map(str, range(lead.shape[1])))
@@ -158,7 +162,9 @@ class RowParts:
         pace = (self.speed / size).mean(axis=1)
         slow, fast = np.split(np.argsort(pace, kind="stable"), 2)
         if pace[fast].mean() > FASTER**2 * pace[slow].mean():
-            splits["faster"] = [(sum_of([parts[k] for k in slow]), [parts[k] for k in fast])]
+            splits["faster"] = [
+                (sum_of([parts[k] for k in slow]), [parts[k] for k in fast])
+            ]
         return splits
 
     def _of(self, products: Array) -> list[RowProducts]:
@@ -193,13 +199,17 @@ def products_of(
     """
     width = len(problem.channels)
     passes = problem.passes(1, source, whole, per_cutoff)
-    folds = Folds.even(passes.plan.rows, PARTS, round(GAP * source.rate / passes.plan.step))
+    folds = Folds.even(
+        passes.plan.rows, PARTS, round(GAP * source.rate / passes.plan.step)
+    )
     speed, count = np.zeros((PARTS, problem.tree.n)), np.zeros((PARTS, 1))
 
     def blocks() -> Iterator[Array]:
         first = 0
         every = np.eye(len(problem.names))
-        for columns, moving, measured in passes.rows_beside(every, _speeds(source.rate, width)):
+        for columns, moving, measured in passes.rows_beside(
+            every, _speeds(source.rate, width)
+        ):
             used = columns.any(axis=2, keepdims=True)  # rows near a reversal are zero
             yield np.concatenate([columns, used, measured[..., None]], axis=2)
             for fold, rows in folds.cut(first, moving.shape[1]):
@@ -217,7 +227,10 @@ def _speeds(rate: float, channels: int) -> Columns:
     def speeds(signals: Signals, row: int) -> Array:
         at = signals.start + signals.step * np.arange(signals.number)
         q, most = signals.position, len(signals.position) - 1
-        ahead, back = np.clip(at + signals.step, 0, most), np.clip(at - signals.step, 0, most)
+        ahead, back = (
+            np.clip(at + signals.step, 0, most),
+            np.clip(at - signals.step, 0, most),
+        )
         qd = (q[ahead] - q[back]) * rate / (2 * signals.step)
         return np.broadcast_to(qd, (channels, *qd.shape))
 

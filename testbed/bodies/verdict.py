@@ -13,7 +13,13 @@ import numpy as np
 from testbed.bodies.posterior import Posterior
 from testbed.bodies.prediction_errors import POSTERIOR
 from testbed.core.base.arrays import Array
-from testbed.core.base.diagnostics import Diagnostic, diagnose, messages, ordered, phrase
+from testbed.core.base.diagnostics import (
+    Diagnostic,
+    diagnose,
+    messages,
+    ordered,
+    phrase,
+)
 from testbed.core.estimation.diagnostics.diagnosis import THRESHOLDS
 from testbed.core.estimation.diagnostics.torques import diagnostics_of
 from testbed.core.estimation.estimate import Estimate, channel_label, matters
@@ -55,19 +61,24 @@ def verdict_of(
         doubts: About the robot and the recording.
     """
     made = list(estimates)
-    first = [replace(each, level="error") for each in doubts if each.code in OF_RECORDING]
+    first = [
+        replace(each, level="error") for each in doubts if each.code in OF_RECORDING
+    ]
     found = [said for each in posteriors for said in _reservations(each, shown)]
     other = {each.method for each in posteriors if each.used and shown == POSTERIOR}
     found += [
         said
         for said in diagnostics_of(made)
         if said.level == "error"
-        and not (said.method in other and messages()[said.code].symptom)  # of least squares
+        # of least squares
+        and not (said.method in other and messages()[said.code].symptom)
     ]
     if first or found:
         return ordered([*first, *found])
     if not posteriors:
-        return tuple(_well(each.instrument, each.relative_residual, "fitted") for each in made)
+        return tuple(
+            _well(each.instrument, each.relative_residual, "fitted") for each in made
+        )
     held_out = [(each.instrument, each.errors[0]) for each in posteriors]
     return tuple(_well(name, each.share(shown), each.of) for name, each in held_out)
 
@@ -102,7 +113,9 @@ def _reservations(found: Posterior, shown: str) -> Iterator[Diagnostic]:
             )
     yield from _episodes(found)
     if shown == POSTERIOR and found.used and found.prior_error > NOTHING:
-        yield diagnose("verdict.file", "the model file", found.prior_error, method=method)
+        yield diagnose(
+            "verdict.file", "the model file", found.prior_error, method=method
+        )
 
 
 def _episodes(found: Posterior) -> Iterator[Diagnostic]:
@@ -110,10 +123,15 @@ def _episodes(found: Posterior) -> Iterator[Diagnostic]:
     usual = np.median(found.by_part, axis=0)
     apart = (found.by_part > EPISODE * usual) & (usual > 0)
     ends = np.linspace(0.0, found.duration, len(found.by_part) + 1)
-    for c in np.flatnonzero((apart.sum(axis=0) > 0) & (apart.sum(axis=0) <= LONGEST)).tolist():
+    for c in np.flatnonzero(
+        (apart.sum(axis=0) > 0) & (apart.sum(axis=0) <= LONGEST)
+    ).tolist():
         parts = np.flatnonzero(apart[:, c])
         most = float(found.by_part[parts, c].max())
-        if parts[-1] - parts[0] >= LONGEST or not most > FAINT * found.errors[0].signal[c]:
+        if (
+            parts[-1] - parts[0] >= LONGEST
+            or not most > FAINT * found.errors[0].signal[c]
+        ):
             continue
         yield diagnose(
             "verdict.episode",

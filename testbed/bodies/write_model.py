@@ -23,7 +23,12 @@ from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ModelError
 from testbed.core.base.files import check_writable, replacing
 from testbed.core.robot.inertia import NOTHING, Inertia, upper_root
-from testbed.core.robot.model_file import ModelFile, copy_model, model_format, references
+from testbed.core.robot.model_file import (
+    ModelFile,
+    copy_model,
+    model_format,
+    references,
+)
 from testbed.core.robot.parsing import read_xml
 from testbed.core.robot.repair import Edit, FileLink, total
 from testbed.core.robot.rotations import to_quaternion
@@ -145,12 +150,16 @@ def changes_of(model: ModelFile, trees: Sequence[Tree], fixed: Fixed) -> list[Ed
     for tree in trees:
         bodies = {
             k: new
-            for k, (old, new) in enumerate(zip(file.inertias, tree.inertias, strict=True))
+            for k, (old, new) in enumerate(
+                zip(file.inertias, tree.inertias, strict=True)
+            )
             if not np.array_equal(old.pseudo, new.pseudo)
         }
         inertias, said = share_out(links, bodies, fixed)
         joints = {
-            old.name: {k: getattr(new, k) for k in LOSSES if getattr(new, k) != getattr(old, k)}
+            old.name: {
+                k: getattr(new, k) for k in LOSSES if getattr(new, k) != getattr(old, k)
+            }
             for old, new in zip(file.joints, tree.joints, strict=True)
         }
         found.append(Edit({**repair, **inertias}, joints, diagnostics=said))
@@ -170,7 +179,9 @@ def mujoco_fields(changes: Sequence[Edit], trees: Sequence[Tree]) -> dict[str, A
     moments, axes = np.linalg.eigh(central.reshape(len(links), len(bodies), 3, 3))
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
     quaternions = to_quaternion(axes.reshape(-1, 3, 3))
-    losses = np.array([[[getattr(j, k) for k in LOSSES] for j in tree.joints] for tree in trees])
+    losses = np.array(
+        [[[getattr(j, k) for k in LOSSES] for j in tree.joints] for tree in trees]
+    )
     fields = ("dof_frictionloss", "dof_damping", "dof_armature")
     return {
         "bodies": np.array(bodies),
@@ -239,7 +250,9 @@ def share_out(
         own = [link for link in links if link.body == body]
         groups: dict[str, list[FileLink]] = {}  # by the link that gets what is theirs
         for link in own:
-            groups.setdefault(link.name if fixed == "share" else link.carrier, []).append(link)
+            groups.setdefault(
+                link.name if fixed == "share" else link.carrier, []
+            ).append(link)
         parts = _in_proportion(own, whole) if len(groups) > 1 else None
         if len(groups) > 1 and parts is None:
             said.append(diagnose("model.shared", own[0].name))
@@ -253,7 +266,9 @@ def share_out(
     return kept, tuple(said)
 
 
-def _in_proportion(own: Sequence[FileLink], whole: Inertia) -> dict[str, Inertia] | None:
+def _in_proportion(
+    own: Sequence[FileLink], whole: Inertia
+) -> dict[str, Inertia] | None:
     """Parts that make up a body, by link, about the body's frame; None where there is no measure.
 
     One affine map and one factor take the file's matter to the new one: all parts go along, and
@@ -298,6 +313,7 @@ def _lost_files(source: Path, path: Path) -> tuple[Diagnostic, ...]:
     if path.resolve().parent == source.resolve().parent or not references(source):
         return ()
     names = [mesh.get("filename", "") for mesh in read_xml(source).iter("mesh")]
-    if names and all("://" in name for name in names):  # addresses of packages, whatever the place
+    # addresses of packages, whatever the place
+    if names and all("://" in name for name in names):
         return ()
     return (diagnose("model.lost-files", str(source), folder=path.parent),)

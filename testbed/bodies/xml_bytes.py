@@ -58,7 +58,9 @@ class XmlBytes:
             ModelError: It is no XML, declares entities, or is in an encoding of wide letters.
         """
         if data.startswith(_WIDE):
-            raise ModelError(f"{name}: only files in UTF-8 or another encoding of bytes are edited")
+            raise ModelError(
+                f"{name}: only files in UTF-8 or another encoding of bytes are edited"
+            )
         self.data = data
         self._line = b"\r\n" if b"\r\n" in data else b"\n"
         self._changes: list[tuple[int, int, bytes]] = []
@@ -75,7 +77,9 @@ class XmlBytes:
         (self.root,) = self._open[0][1]
 
     def _doctype(self, *_: object) -> None:
-        raise ModelError(f"{self._name}: a file with a DOCTYPE is not edited; take it out")
+        raise ModelError(
+            f"{self._name}: a file with a DOCTYPE is not edited; take it out"
+        )
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._open.append((attributes, [], self._parser.CurrentByteIndex))
@@ -84,8 +88,12 @@ class XmlBytes:
         attributes, children, start = self._open.pop()
         found = _TAG.match(self.data, start)
         if found is None:
-            raise ModelError(f"{self._name}: <{tag:.40}> cannot be found in the file's bytes")
-        element = Element(tag, attributes, tuple(children), start, found.end(), bool(found[2]))
+            raise ModelError(
+                f"{self._name}: <{tag:.40}> cannot be found in the file's bytes"
+            )
+        element = Element(
+            tag, attributes, tuple(children), start, found.end(), bool(found[2])
+        )
         self._open[-1][1].append(element)
 
     def set(self, element: Element, **values: str | None) -> None:
@@ -107,7 +115,9 @@ class XmlBytes:
             if place is not None and value is None:
                 self._changes.append((place[0], place[2], b""))
             elif place is not None and value is not None:
-                self._changes.append((place[1] + 1, place[2] - 1, value.encode("ascii")))
+                self._changes.append(
+                    (place[1] + 1, place[2] - 1, value.encode("ascii"))
+                )
             elif value is not None:
                 missing += f' {name}="{value}"'.encode("ascii")
         if missing:
@@ -161,13 +171,17 @@ class XmlBytes:
 
 def as_tag(tag: str, values: Mapping[str, str | None]) -> str:
     """An element without content."""
-    listed = "".join(f' {key}="{value}"' for key, value in values.items() if value is not None)
+    listed = "".join(
+        f' {key}="{value}"' for key, value in values.items() if value is not None
+    )
     return f"<{tag}{listed}/>"
 
 
 def comment(lines: list[str]) -> str:
     """A comment of some lines: ASCII, and no two dashes in a row."""
-    plain = " ".join(" ".join(lines).split()).encode("ascii", "backslashreplace").decode()
+    plain = (
+        " ".join(" ".join(lines).split()).encode("ascii", "backslashreplace").decode()
+    )
     while "--" in plain:
         plain = plain.replace("--", "- -")
     return f"<!-- {plain} -->"

@@ -60,7 +60,9 @@ class FactorTable(StrictTable):
         if not self.level and not (self.values and self.set):
             raise ValueError(f"factor '{self.name}' needs levels, or values with a set")
         if self.level and (self.values or self.set):
-            raise ValueError(f"factor '{self.name}' has levels: no values and no set beside them")
+            raise ValueError(
+                f"factor '{self.name}' has levels: no values and no set beside them"
+            )
         return self
 
     def levels(self) -> list[tuple[Level, tuple[str, ...]]]:
@@ -72,7 +74,8 @@ class FactorTable(StrictTable):
         if self.level:
             return [(each.name, each.set) for each in self.level]
         return [
-            (value, tuple(self._filled(word, value) for word in self.set)) for value in self.values
+            (value, tuple(self._filled(word, value) for word in self.set))
+            for value in self.values
         ]
 
     def _filled(self, setting: str, level: Level) -> str:
@@ -153,15 +156,21 @@ class Campaign:
         tables = tables.model_copy(update={"set": (*tables.set, *settings)})
         names = [factor.name for factor in tables.factor]
         if len(set(names)) < len(names):
-            raise ExperimentError(f"{path}: two factors have one name: {', '.join(names)}")
+            raise ExperimentError(
+                f"{path}: two factors have one name: {', '.join(names)}"
+            )
         factors = [factor.levels() for factor in tables.factor]
         if prod(map(len, factors)) * tables.replicates > MAX_RUNS:
             raise ExperimentError(f"{path}: more than {MAX_RUNS:.0e} runs")
         cells = []
         for combination in product(*factors):
             levels = tuple(level for level, _ in combination)
-            cells.append(Cell(levels, tuple(word for _, words in combination for word in words)))
-        campaign = Campaign(tables, (path.parent / tables.experiment).resolve(), tuple(cells))
+            cells.append(
+                Cell(levels, tuple(word for _, words in combination for word in words))
+            )
+        campaign = Campaign(
+            tables, (path.parent / tables.experiment).resolve(), tuple(cells)
+        )
         for cell in range(len(cells)):
             campaign.experiment(cell, 0)
         return campaign
@@ -183,7 +192,9 @@ class Campaign:
 
     def command(self, cell: int, replicate: int) -> str:
         """Command line that carries out a run by itself; arguments as for `settings`."""
-        words = (f"--set {shlex.quote(word)}" for word in self.settings(cell, replicate))
+        words = (
+            f"--set {shlex.quote(word)}" for word in self.settings(cell, replicate)
+        )
         return f"testbed run {shlex.quote(str(self.base))} {' '.join(words)}"
 
     def experiment(self, cell: int, replicate: int) -> Experiment:

@@ -33,11 +33,16 @@ def print_plan(out: Console, campaign: Campaign) -> None:
     """
     cells, replicates = len(campaign.cells), campaign.tables.replicates
     for cell in campaign.cells[:LISTED]:
-        out.print(_levels(dict(zip(campaign.factors, cell.levels, strict=True))), soft_wrap=True)
+        out.print(
+            _levels(dict(zip(campaign.factors, cell.levels, strict=True))),
+            soft_wrap=True,
+        )
     if cells > LISTED:
         out.print(f"... {cells - LISTED} more")
     runs = plural(cells * replicates, "run")
-    out.print(f"{plural(cells, 'cell')}, {plural(replicates, 'replicate')} each: {runs}")
+    out.print(
+        f"{plural(cells, 'cell')}, {plural(replicates, 'replicate')} each: {runs}"
+    )
     out.print(f"the first one: {campaign.command(0, 0)}", soft_wrap=True)
 
 
@@ -83,13 +88,19 @@ def cells_figure(cells: Sequence[CellSummary]) -> Section:
         cells: Summary of the campaign.
     """
     names = {each.cell: _levels(each.levels) for each in cells}
-    legend = {k: label for k, label in NAMES.items() if any(k == each.estimator for each in cells)}
+    legend = {
+        k: label
+        for k, label in NAMES.items()
+        if any(k == each.estimator for each in cells)
+    }
     values = {method: _by_cell(cells, method, list(names)) for method in legend}
     errors = {method: rows[0] for method, rows in values.items()}
     shares = {method: rows[1] for method, rows in values.items()}
     bars = {method: (rows[2], rows[3]) for method, rows in values.items()}
     words = list(names.values())
-    coverage = named_panels("coverage", words, shares, "coverage [%]", bars=bars, line=95.0)
+    coverage = named_panels(
+        "coverage", words, shares, "coverage [%]", bars=bars, line=95.0
+    )
     return Section(
         id="cells",
         title="Errors and coverage",
@@ -104,7 +115,9 @@ def cells_figure(cells: Sequence[CellSummary]) -> Section:
     )
 
 
-def _by_cell(cells: Sequence[CellSummary], method: str, numbers: Sequence[int]) -> Array:
+def _by_cell(
+    cells: Sequence[CellSummary], method: str, numbers: Sequence[int]
+) -> Array:
     """Error, coverage and its bounds of a method [%], (4, cells); not a number where it lacks."""
     values = np.full((4, len(numbers)), np.nan)
     for each in cells:

@@ -60,7 +60,9 @@ def places_of(campaign: Campaign) -> list[CampaignRun]:
     """
     digest, code = cache(_model_digest), code_version()
     places = []
-    for replicate, cell in product(range(campaign.tables.replicates), range(len(campaign.cells))):
+    for replicate, cell in product(
+        range(campaign.tables.replicates), range(len(campaign.cells))
+    ):
         experiment = campaign.experiment(cell, replicate)
         parts = [experiment.model_dump_json(exclude=ASIDE)]
         parts += [*campaign.tables.methods, code, digest(experiment.model)]
@@ -139,7 +141,9 @@ def _finished(path: Path, places: Sequence[CampaignRun]) -> dict[str, dict[str, 
                 f"'{path.parent}' is no campaign's folder; name another with --out"
             )
         return {}
-    rows = {row["run"]: row for row in read_results(path).rows if row["status"] == "done"}
+    rows = {
+        row["run"]: row for row in read_results(path).rows if row["status"] == "done"
+    }
     if rows.keys() - {place.run for place in places}:
         raise ExperimentError(
             f"'{path}' has runs of another campaign, or of another version of testbed, Python or "
@@ -159,7 +163,9 @@ def _write(
     for place in places:
         if place.run in rows:
             levels = campaign.cells[place.cell].levels
-            named = {f"factor/{k}": v for k, v in zip(campaign.factors, levels, strict=True)}
+            named = {
+                f"factor/{k}": v for k, v in zip(campaign.factors, levels, strict=True)
+            }
             numbers = {"cell": place.cell, "replicate": place.replicate}
             table.append({**rows[place.run], **numbers, **named})
     write_rows(path, campaign, table)
@@ -198,7 +204,8 @@ def carry_out_run(campaign: Campaign, place: CampaignRun) -> dict[str, Any]:
     row |= {"error": "", "command": campaign.command(place.cell, place.replicate)}
     try:
         with warnings.catch_warnings(), one_blas_thread():
-            warnings.simplefilter("ignore")  # numerical doubt is a diagnostic of the result
+            # numerical doubt is a diagnostic of the result
+            warnings.simplefilter("ignore")
             experiment = campaign.experiment(place.cell, place.replicate)
             return row | _results(experiment, campaign)
     except Exception as error:
@@ -211,13 +218,21 @@ def _results(experiment: Experiment, campaign: Campaign) -> dict[str, Any]:
     from testbed.lab.experiment.evaluate import evaluate
     from testbed.lab.experiment.record import record
 
-    run = evaluate(experiment, record(experiment), methods=campaign.tables.methods, threads=1)
+    run = evaluate(
+        experiment, record(experiment), methods=campaign.tables.methods, threads=1
+    )
     if run.score is None or not run.estimates:
         raise ExperimentError("; ".join(run.failures.values()))
     estimates = []
     for method, estimate in run.estimates.items():
         errors = run.score.errors[method]
-        columns = (estimate.names, errors.truth, estimate.values, estimate.sigma, errors.relative)
+        columns = (
+            estimate.names,
+            errors.truth,
+            estimate.values,
+            estimate.sigma,
+            errors.relative,
+        )
         for name, *numbers in zip(*columns, strict=True):
             truth, value, sigma, relative = map(float, numbers)
             estimates.append(

@@ -48,7 +48,9 @@ NULLABLE = ("estimates", "diagnostics")
 """Columns that are empty where a run failed."""
 
 
-def write_rows(path: Path, campaign: Campaign, rows: Sequence[Mapping[str, Any]]) -> None:
+def write_rows(
+    path: Path, campaign: Campaign, rows: Sequence[Mapping[str, Any]]
+) -> None:
     """Write a table; it appears whole or not at all.
 
     Args:
@@ -102,7 +104,9 @@ def read_results(path: Path) -> Results:
         about = json.loads(table.schema.metadata[KEY])
         if about["format"] != FORMAT:
             raise ValueError(f"it is not of the layout '{FORMAT}'")
-        fields = [pa.field(name, kind, name in NULLABLE) for name, kind in COLUMNS.items()]
+        fields = [
+            pa.field(name, kind, name in NULLABLE) for name, kind in COLUMNS.items()
+        ]
         for field in table.schema:
             if field.name.startswith("factor/"):
                 fields.append(field)

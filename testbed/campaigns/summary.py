@@ -50,7 +50,9 @@ def summarise(rows: Iterable[Row]) -> list[CellSummary]:
     Args:
         rows: Rows, as dictionaries.
     """
-    done = sorted((row for row in rows if row["status"] == "done"), key=itemgetter("cell"))
+    done = sorted(
+        (row for row in rows if row["status"] == "done"), key=itemgetter("cell")
+    )
     return [
         summary
         for cell, replicates in groupby(done, key=itemgetter("cell"))
@@ -72,7 +74,13 @@ def _of_cell(cell: int, rows: Sequence[Row]) -> Iterator[CellSummary]:
         inside = [_inside(row, estimator) for row in rows]
         coverage, low, high = coverage_of([each for each in inside if each])
         yield CellSummary(
-            cell, levels, estimator, len(known), float(np.median(known)), coverage, (low, high)
+            cell,
+            levels,
+            estimator,
+            len(known),
+            float(np.median(known)),
+            coverage,
+            (low, high),
         )
 
 

@@ -11,7 +11,15 @@ import typer
 
 from testbed.cli.identifications import Writing
 from testbed.cli.opening import opened
-from testbed.cli.options import Fields, Force, Json, RobotModel, check_outputs, command, ending
+from testbed.cli.options import (
+    Fields,
+    Force,
+    Json,
+    RobotModel,
+    check_outputs,
+    command,
+    ending,
+)
 from testbed.cli.reading import Reading
 from testbed.core.base.errors import SettingsError, UnknownName, printable
 
@@ -30,18 +38,24 @@ class PayloadOutput:
     vendor: Annotated[
         str | None,
         typer.Option(
-            "--as", metavar="VENDOR", help="Print it for a controller: ur, franka or kuka."
+            "--as",
+            metavar="VENDOR",
+            help="Print it for a controller: ur, franka or kuka.",
         ),
     ] = None
     flange: Annotated[
         str | None,
-        typer.Option(metavar="LINK", help="With --as: link with the flange's frame, e.g. tool0."),
+        typer.Option(
+            metavar="LINK", help="With --as: link with the flange's frame, e.g. tool0."
+        ),
     ] = None
     as_json: Json = False
 
     def __post_init__(self) -> None:
         if self.vendor is not None and self.as_json:
-            raise SettingsError("--as and --json are two forms of one answer: give one of them")
+            raise SettingsError(
+                "--as and --json are two forms of one answer: give one of them"
+            )
 
     def link(self, reading: Reading, tree: Tree) -> FileLink | None:
         """The flange in a tree's bodies; None for none.
@@ -101,7 +115,9 @@ class PayloadOutput:
 
 @command()
 def calibrate(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Parquet file.")],
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="Parquet file.")
+    ],
     reading: Annotated[
         Reading,
         Fields(
@@ -122,16 +138,20 @@ def calibrate(
             help="A known value, e.g. mass=20, gain/Fz=1, centre/x=0.1; repeatable.",
         ),
     ],
-    out: Annotated[Path, typer.Option(help="Calibration file to write, for --plate.")] = Path(
-        "plate.toml"
-    ),
+    out: Annotated[
+        Path, typer.Option(help="Calibration file to write, for --plate.")
+    ] = Path("plate.toml"),
     loaded: Annotated[
         Path | None,
-        typer.Option(help="Of joint torques, with a payload: --known payload/mass=1.5."),
+        typer.Option(
+            help="Of joint torques, with a payload: --known payload/mass=1.5."
+        ),
     ] = None,
     joint: Annotated[
         str | None,
-        typer.Option(help="Joint that moves the link with the payload; default the last."),
+        typer.Option(
+            help="Joint that moves the link with the payload; default the last."
+        ),
     ] = None,
     force: Force = False,
     as_json: Json = False,
@@ -162,7 +182,13 @@ def calibrate(
     if loaded is not None:
         with output.Progress("calibrating torques") as progress:
             scales = torque_scales(
-                reading.tree, source, loaded, facts, joint, progress=progress, **reading.arguments
+                reading.tree,
+                source,
+                loaded,
+                facts,
+                joint,
+                progress=progress,
+                **reading.arguments,
             )
         if as_json:
             output.print_json(encode(scales))
@@ -171,7 +197,9 @@ def calibrate(
         return
     reading, source, held = reading.holding(source)
     with output.Progress("calibrating") as progress:
-        plate = calibrated(reading.tree, source, facts, progress=progress, **reading.arguments)
+        plate = calibrated(
+            reading.tree, source, facts, progress=progress, **reading.arguments
+        )
     write_plate(plate, out)
     if as_json:
         output.print_json(encode(plate, exclude={"estimate": {"normal_equations"}}))
@@ -181,7 +209,9 @@ def calibrate(
 
 @command()
 def drives(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Parquet file.")],
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="Parquet file.")
+    ],
     *,
     reading: Annotated[
         Reading,
@@ -200,16 +230,23 @@ def drives(
     ],
     choose_terms: Annotated[
         bool,
-        typer.Option("--choose-terms", help="Choose the terms of each joint by cross-validation."),
+        typer.Option(
+            "--choose-terms", help="Choose the terms of each joint by cross-validation."
+        ),
     ] = False,
     writing: Annotated[Writing, Fields("write", "force")],
     unseen: Annotated[
         Path | None,
-        typer.Option(help="With --write: another motion, whose torques drive the file in MuJoCo."),
+        typer.Option(
+            help="With --write: another motion, whose torques drive the file in MuJoCo."
+        ),
     ] = None,
     commands: Annotated[
         bool,
-        typer.Option("--commands", help="Torques are commands: find the delay of the drives, too."),
+        typer.Option(
+            "--commands",
+            help="Torques are commands: find the delay of the drives, too.",
+        ),
     ] = False,
     friction: Annotated[
         Path | None,
@@ -252,12 +289,16 @@ def drives(
     reading, source, held = reading.holding(opened(recording))
     sensed = reading.with_sensors(source, alone=True)
     if sensed.tree.sensor is not None and (writing.write is not None or commands):
-        raise SettingsError("--write and --commands need bodies by the plate, not by a sensor")
+        raise SettingsError(
+            "--write and --commands need bodies by the plate, not by a sensor"
+        )
     reading = replace(sensed, sensor=None)
     tree, source = reading.tree, reading.source(source)
     bodies = sensed.identify(source, "identifying by the wrench")
     source, offset = delivered(tree, source, bodies) if commands else (source, None)
-    delay, lines = (0.0, []) if offset is None else (-offset.delay, [delay_line(offset)])
+    delay, lines = (
+        (0.0, []) if offset is None else (-offset.delay, [delay_line(offset)])
+    )
     choose = choose_terms or reading.tables.identification.drives == "chosen"
     with output.Progress("regressing torques") as progress:
         found = identify_drives(
@@ -268,7 +309,9 @@ def drives(
         if friction is not None:
             write_friction(found, friction)
         if writing.write is not None:
-            links = consistent(with_gear(tree, source), [bodies], *reading.bodies(source))
+            links = consistent(
+                with_gear(tree, source), [bodies], *reading.bodies(source)
+            )
             said += writing.written(links, reading, [recording], found, delay)
             lines.append(f"model file: {writing.write}")
     if writing.write is not None and unseen is not None:
@@ -297,7 +340,9 @@ def payload(
     without: Annotated[
         Path, typer.Argument(metavar="WITHOUT", help="Recording without the payload.")
     ],
-    loaded: Annotated[Path, typer.Argument(metavar="WITH", help="Recording with the payload.")],
+    loaded: Annotated[
+        Path, typer.Argument(metavar="WITH", help="Recording with the payload.")
+    ],
     reading: Annotated[
         Reading,
         Fields(
@@ -314,7 +359,9 @@ def payload(
     *,
     joint: Annotated[
         str | None,
-        typer.Option(help="Joint that moves the link with the payload; default the last."),
+        typer.Option(
+            help="Joint that moves the link with the payload; default the last."
+        ),
     ] = None,
     printed: Annotated[PayloadOutput, Fields("vendor", "flange", "as_json")],
 ) -> None:
@@ -339,5 +386,6 @@ def payload(
     ]
     found = payload_of(tree, estimates[0], estimates[1], joint)
     known = [each for estimate in estimates for each in estimate.diagnostics]
-    known = [each for each in known if each.code != "plate.no-tare"]  # the difference has none
+    # the difference has none
+    known = [each for each in known if each.code != "plate.no-tare"]
     printed.print(found, tree, link, [*tree.diagnostics, *known, *found.diagnostics])

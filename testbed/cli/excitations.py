@@ -34,16 +34,21 @@ def excite(
             help="Model file, experiment, or with --check a motion.",
         ),
     ],
-    out: Annotated[Path, typer.Option(callback=ending(".toml"), help="Motion to write.")] = Path(
-        "motion.toml"
-    ),
+    out: Annotated[
+        Path, typer.Option(callback=ending(".toml"), help="Motion to write.")
+    ] = Path("motion.toml"),
     settings: Set = None,
     prior: Annotated[
         Path | None,
-        typer.Option(help="Earlier estimate: a run folder, or the output of identify --json."),
+        typer.Option(
+            help="Earlier estimate: a run folder, or the output of identify --json."
+        ),
     ] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Only verify the motion of a file against the limits.")
+        bool,
+        typer.Option(
+            "--check", help="Only verify the motion of a file against the limits."
+        ),
     ] = False,
     trajectory: Annotated[
         Path | None,
@@ -52,7 +57,9 @@ def excite(
             help="Samples for a controller (.csv), from rest to rest.",
         ),
     ] = None,
-    rate: Annotated[float, typer.Option(min=1e-3, help="Sampling rate of those [Hz].")] = 1000.0,
+    rate: Annotated[
+        float, typer.Option(min=1e-3, help="Sampling rate of those [Hz].")
+    ] = 1000.0,
     page: Annotated[
         Path | None,
         typer.Option(
@@ -126,7 +133,10 @@ class _Searching:
             searches = f"{total} search{'es' * (total != 1)} of at most {STEPS} steps"
             said = "Ctrl-C keeps the best motion so far"
             note(
-                [f"{searches}, at most {most:.0f} s; {said}, fewer excitation.starts stop earlier"]
+                [
+                    f"{searches}, at most {most:.0f} s; {said}, "
+                    "fewer excitation.starts stop earlier"
+                ]
             )
         said = f"searching, at most {most:.0f} s, best standard deviation so far {best:.3g}"
         self._progress.say(done, total, said)

@@ -34,12 +34,17 @@ if TYPE_CHECKING:
 def run(
     file: ExperimentFile,
     settings: Set = None,
-    out: Annotated[Path | None, typer.Option(help="Run folder; default runs/NAME-HASH.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Run folder; default runs/NAME-HASH.")
+    ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Replace a run of another experiment.")
     ] = False,
     live: Annotated[
-        bool, typer.Option("--live", help="Show it in an open viewer: rerun --bind 127.0.0.1")
+        bool,
+        typer.Option(
+            "--live", help="Show it in an open viewer: rerun --bind 127.0.0.1"
+        ),
     ] = False,
     everything: Everything = False,
     as_json: Json = False,
@@ -60,7 +65,8 @@ def run(
 
     experiment = Experiment.from_toml(file, settings or ())
     folder = out or default_folder(experiment)
-    check_outputs(folder, force=True, folder=True)  # the same run again needs no --force
+    # the same run again needs no --force
+    check_outputs(folder, force=True, folder=True)
     check_folder(folder, experiment, force=force)
     watch = _watcher(experiment) if live else _unwatched
     done = carry_out(experiment, watch=watch, folder=folder, stage=output.Progress)
@@ -69,8 +75,12 @@ def run(
     elif done.estimates:
         terminal.print_run(done, folder, everything=everything)
     if not done.estimates:
-        reasons = "; ".join(f"{method}: {said}" for method, said in done.failures.items())
-        raise RecordingError(f"the recording is kept in '{folder}', but no estimate: {reasons}")
+        reasons = "; ".join(
+            f"{method}: {said}" for method, said in done.failures.items()
+        )
+        raise RecordingError(
+            f"the recording is kept in '{folder}', but no estimate: {reasons}"
+        )
     raise typer.Exit(0 if done.as_expected else 1)
 
 
@@ -78,7 +88,8 @@ def run(
 def simulate(
     file: ExperimentFile,
     out: Annotated[
-        Path, typer.Option(callback=ending(".parquet"), help="Recording to write (Parquet).")
+        Path,
+        typer.Option(callback=ending(".parquet"), help="Recording to write (Parquet)."),
     ],
     settings: Set = None,
     force: Force = False,
@@ -131,14 +142,20 @@ def campaign(
     out: Annotated[
         Path | None, typer.Option(help="Campaign folder; default runs/NAME-campaign.")
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="List cells, count runs.")] = False,
-    limit: Annotated[int | None, typer.Option(min=1, help="At most so many runs.")] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="List cells, count runs.")
+    ] = False,
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="At most so many runs.")
+    ] = None,
     summary: Annotated[
         bool, typer.Option("--summary", help="Only summarise a campaign folder.")
     ] = False,
     workers: Annotated[
         int | None,
-        typer.Option(min=0, help="Processes; default one per processor, 0: only this one."),
+        typer.Option(
+            min=0, help="Processes; default one per processor, 0: only this one."
+        ),
     ] = None,
 ) -> None:
     """Carry out many runs of an experiment: factors, replicates, one table.
@@ -151,7 +168,11 @@ def campaign(
     Example: testbed campaign --summary runs/coverage-campaign
     """
     from testbed.campaigns.campaign import Campaign
-    from testbed.campaigns.campaign_section import print_campaign, print_plan, write_campaign_page
+    from testbed.campaigns.campaign_section import (
+        print_campaign,
+        print_plan,
+        write_campaign_page,
+    )
     from testbed.campaigns.conduct import conduct
     from testbed.campaigns.results import RESULTS, read_results
     from testbed.view import output

@@ -32,12 +32,15 @@ if TYPE_CHECKING:
 ConsistentBodies = Annotated[
     bool,
     typer.Option(
-        "--consistent", help="Also compute physically consistent bodies near the model file's."
+        "--consistent",
+        help="Also compute physically consistent bodies near the model file's.",
     ),
 ]
 FixedLinks = Annotated[
     Literal["lump", "share"],
-    typer.Option("--fixed", help="With --write: lump the mass of fixed bodies, or share it."),
+    typer.Option(
+        "--fixed", help="With --write: lump the mass of fixed bodies, or share it."
+    ),
 ]
 
 
@@ -56,7 +59,8 @@ class Writing:
     ] = None
     fixed: FixedLinks = "lump"
     in_place: Annotated[
-        bool, typer.Option("--in-place", help="Allow --write to replace the model file.")
+        bool,
+        typer.Option("--in-place", help="Allow --write to replace the model file."),
     ] = False
     force: Force = False
 
@@ -138,7 +142,8 @@ def identify(
     recordings: Annotated[
         list[Path],
         typer.Argument(
-            metavar="RECORDING...", help="Recordings (Parquet) or mapping files of one robot."
+            metavar="RECORDING...",
+            help="Recordings (Parquet) or mapping files of one robot.",
         ),
     ],
     reading: Annotated[
@@ -158,7 +163,9 @@ def identify(
             model=RobotModel,
         ),
     ],
-    writing: Annotated[Writing, Fields("consistent", "write", "fixed", "in_place", "force")],
+    writing: Annotated[
+        Writing, Fields("consistent", "write", "fixed", "in_place", "force")
+    ],
     method: Annotated[
         Literal["external", "internal", "both"],
         typer.Option(help="external: force plate, internal: joint torques."),
@@ -195,14 +202,19 @@ def identify(
     reading, source, said = reading.joined(recordings)
     tree = reading.tree
     if reading.prior_error and not (writing.wanted or is_imported(source)):
-        raise SettingsError("--set consistent... needs --consistent, or an imported recording")
+        raise SettingsError(
+            "--set consistent... needs --consistent, or an imported recording"
+        )
     wanted = METHODS if method == "both" else (method,)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
     said = [*tree.diagnostics, *said]
-    if (everything or as_json) and not tree.is_part:  # no fault: few recordings have both
+    if (
+        everything or as_json
+    ) and not tree.is_part:  # no fault: few recordings have both
         lacking = [name for name in wanted if name not in there]
         said += [
-            diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking
+            diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m])
+            for m in lacking
         ]
     with output.Progress("identifying") as progress:
         found = analyse(
@@ -223,7 +235,10 @@ def identify(
         raise found.bodies_failure
     if found.bodies is not None:
         said += writing.written(found.bodies, reading, recordings)
-    estimates, posteriors = list(found.estimates.values()), list(found.posterior.values())
+    estimates, posteriors = (
+        list(found.estimates.values()),
+        list(found.posterior.values()),
+    )
     if as_json:
         from testbed.lab.experiment.results import identified
 
@@ -253,13 +268,20 @@ def identify(
 @command()
 def validate(
     recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING", help="Recording of another motion (Parquet).")
+        Path,
+        typer.Argument(
+            metavar="RECORDING", help="Recording of another motion (Parquet)."
+        ),
     ],
     result: Annotated[
         Path,
-        typer.Argument(metavar="RESULT.json", help="Output of identify --json, or a run folder."),
+        typer.Argument(
+            metavar="RESULT.json", help="Output of identify --json, or a run folder."
+        ),
     ],
-    reading: Annotated[Reading, Fields("model", "gravity", "settings", "plate", "threads")],
+    reading: Annotated[
+        Reading, Fields("model", "gravity", "settings", "plate", "threads")
+    ],
     as_json: Json = False,
 ) -> None:
     """Hold estimates against a recording of a motion that they have not seen.
@@ -278,10 +300,15 @@ def validate(
     from testbed.view.posterior import validation_table
 
     kept = read_result(result, reading.model, reading.settings or ())
-    source = corrected_source(kept.without_held(opened(recording)), kept.tree, reading.plate)
+    source = corrected_source(
+        kept.without_held(opened(recording)), kept.tree, reading.plate
+    )
     there = [a for a in kept.answers if SIGNAL_OF[a.estimate.method] in source.signals]
     lacking = [a.estimate.method for a in kept.answers if a not in there]
-    said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m]) for m in lacking]
+    said = [
+        diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m], name=NAMES[m])
+        for m in lacking
+    ]
     if not there:
         raise RecordingError("; ".join(map(str, said)))
     found = {}
@@ -302,7 +329,9 @@ def validate(
     if as_json:
         output.print_json({method: encode(each) for method, each in found.items()})
     else:
-        said += [each for validation in found.values() for each in validation.diagnostics]
+        said += [
+            each for validation in found.values() for each in validation.diagnostics
+        ]
         output.print_result(map(validation_table, found.values()), (), said)
 
 
@@ -310,11 +339,17 @@ def validate(
 def sample(
     result: Annotated[
         Path,
-        typer.Argument(metavar="RESULT.json", help="Output of identify --json, or a run folder."),
+        typer.Argument(
+            metavar="RESULT.json", help="Output of identify --json, or a run folder."
+        ),
     ],
-    out: Annotated[Path, typer.Option(help="New folder for model files and robots.npz.")],
+    out: Annotated[
+        Path, typer.Option(help="New folder for model files and robots.npz.")
+    ],
     *,
-    count: Annotated[int, typer.Option("-n", min=1, max=100_000, help="How many robots.")] = 100,
+    count: Annotated[
+        int, typer.Option("-n", min=1, max=100_000, help="How many robots.")
+    ] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Of the draws.")] = 0,
     reading: Annotated[Reading, Fields("model", "settings")],
     fixed: FixedLinks = "lump",
@@ -344,7 +379,9 @@ def sample(
     check_outputs(out, force=True, folder=True, read=(result, reading.model))
     kept = read_result(result, reading.model, reading.settings or ())
     if kept.tree.is_part:
-        raise SettingsError(f"'{result}' is of a force sensor: robots need plate or joint torques")
+        raise SettingsError(
+            f"'{result}' is of a force sensor: robots need plate or joint torques"
+        )
     others = {each.name for each in out.iterdir()} if out.exists() else set()
     stem = f"{kept.file.path.stem}_"
     if others := {name for name in others - {ARCHIVE} if not name.startswith(stem)}:

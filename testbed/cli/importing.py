@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from testbed.cli.options import Fields, Force, Json, check_outputs, command, ending, note
+from testbed.cli.options import (
+    Fields,
+    Force,
+    Json,
+    check_outputs,
+    command,
+    ending,
+    note,
+)
 from testbed.cli.reading import Reading
 from testbed.core.base.diagnostics import Diagnostic, diagnose, ordered
 from testbed.core.base.errors import RecordingError, few
@@ -45,7 +53,7 @@ def write_mapping(
         TestbedError: The data contradict the mapping, which is written as far as it is known.
     """
     from testbed.core.base.files import replacing, together
-    from testbed.importing.check.mapping_solution import missing
+    from testbed.importing.check.draft_mapping import missing
     from testbed.view import output
     from testbed.view.mapping import solved_table, write_mapping_page
 
@@ -67,15 +75,23 @@ def write_mapping(
     if out is None:
         return None
     empty = missing(draft)
-    notes = {f"{table}.{key}".removeprefix("."): said for (table, key), said in draft.notes.items()}
-    note(f"{out}:{draft.line(key)}: {key}: {notes.get(key, 'not found')}" for key in empty)
+    notes = {
+        f"{table}.{key}".removeprefix("."): said
+        for (table, key), said in draft.notes.items()
+    }
+    note(
+        f"{out}:{draft.line(key)}: {key}: {notes.get(key, 'not found')}"
+        for key in empty
+    )
     fill = f"fill in what is empty ({', '.join(empty)}), then " if empty else ""
     words = ["import", out, "--out", out.with_suffix(".parquet"), *reading.model_words]
     typer.echo(f"{out}: {fill}testbed {shlex.join(map(str, words))}")
     return None if empty else solution
 
 
-def _solution(files: Sequence[Path], written: Path, reading: Reading) -> MappingSolution:
+def _solution(
+    files: Sequence[Path], written: Path, reading: Reading
+) -> MappingSolution:
     """Mapping by the columns' names and, where the robot is known, by the data."""
     from testbed.importing.check.draft_mapping import draft_mapping
     from testbed.importing.check.mapping_solution import MappingSolution, solve_mapping
@@ -109,7 +125,9 @@ def _refused(refusal: Exception, draft: MappingDraft, written: Path) -> Recordin
 def import_(
     files: Annotated[
         list[Path],
-        typer.Argument(metavar="MAPPING.toml", help="Mapping file; with --guess foreign files."),
+        typer.Argument(
+            metavar="MAPPING.toml", help="Mapping file; with --guess foreign files."
+        ),
     ],
     out: Annotated[
         Path | None,
@@ -123,10 +141,14 @@ def import_(
     ] = False,
     *,
     reading: Annotated[
-        Reading, Fields("model", "settings", "weld_root", "lock", "lock_mimic", "unchecked")
+        Reading,
+        Fields("model", "settings", "weld_root", "lock", "lock_mimic", "unchecked"),
     ],
     align: Annotated[
-        bool, typer.Option("--align", help="Correct delays of torques and plate (needs --model).")
+        bool,
+        typer.Option(
+            "--align", help="Correct delays of torques and plate (needs --model)."
+        ),
     ] = False,
     page: Annotated[
         Path | None,
@@ -153,19 +175,25 @@ def import_(
         if not guess and each.suffix.lower() != ".toml":
             raise typer.BadParameter(misplaced(each, kind_of(each) or LOG, "mapping"))
     if page is not None and not (guess and reading.model):
-        raise typer.BadParameter("--page is of a mapping: --guess and --model go with it")
+        raise typer.BadParameter(
+            "--page is of a mapping: --guess and --model go with it"
+        )
     read = [*files, reading.model, *(() if guess or out is None else sources(files[0]))]
     check_outputs(out, page, force=force, read=read)
     if guess:
         write_mapping(files, out, reading, page)
         return
     if len(files) > 1:
-        raise typer.BadParameter(f"one mapping at a time, not {len(files)}; it may name many files")
+        raise typer.BadParameter(
+            f"one mapping at a time, not {len(files)}; it may name many files"
+        )
     (mapping,) = files
     if out is None:
         raise typer.BadParameter("--out is missing, e.g. --out recording.parquet")
     if reading.model is None and align:
-        raise typer.BadParameter("--align needs --model: delays are found by the robot's motion")
+        raise typer.BadParameter(
+            "--align needs --model: delays are found by the robot's motion"
+        )
     recordings, cuts, report = checked_import(mapping, reading, align=align)
     if reading.model is not None:
         known = reading.robot_of(recordings[0])[0].diagnostics
@@ -174,7 +202,10 @@ def import_(
     paths = [str(path) for path in save_pieces(recordings, out, force=force)]
     imports = [recording.metadata.report for recording in recordings]
     if as_json:
-        document: dict[str, object] = {"import": imports if cuts else imports[0], "clocks": clocks}
+        document: dict[str, object] = {
+            "import": imports if cuts else imports[0],
+            "clocks": clocks,
+        }
         document["diagnostics"] = [each.as_dict() for each in report.diagnostics]
         if cuts:
             document |= {"recordings": paths, "cuts": [each.text for each in cuts]}
@@ -204,11 +235,17 @@ def _print_imports(
 def _clock_lines(report: CheckReport, correction: str) -> Iterator[str]:
     """How late signals are, and what was done about it."""
     for each in report.offsets:
-        yield each.diagnostic().text + (correction if each.matters else ", not significant")
+        yield each.diagnostic().text + (
+            correction if each.matters else ", not significant"
+        )
 
 
 def checked_import(
-    mapping: Path, reading: Reading, *, align: bool = False, prepared: Prepared | None = None
+    mapping: Path,
+    reading: Reading,
+    *,
+    align: bool = False,
+    prepared: Prepared | None = None,
 ) -> tuple[Sequence[Recording], list[Diagnostic], CheckReport]:
     """Recordings that a mapping file makes, where it was cut, and their check by the robot.
 
@@ -253,7 +290,9 @@ def save_pieces(pieces: Sequence[Recording], out: Path, *, force: bool) -> list[
     from testbed.core.base.files import together
 
     count = len(pieces)
-    *several, older = (out.with_name(f"{out.stem}-{k + 1}{out.suffix}") for k in range(count + 1))
+    *several, older = (
+        out.with_name(f"{out.stem}-{k + 1}{out.suffix}") for k in range(count + 1)
+    )
     paths = several if count > 1 else [out]
     check_outputs(*paths, force=force)
     if count > 1 and older.exists():

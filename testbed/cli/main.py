@@ -62,7 +62,11 @@ class _Interrupts:
 
     def __init__(self) -> None:
         self.seen = False
-        usual = (signal.default_int_handler, signal.SIG_DFL)  # else ignored, as under nohup
+        # else ignored, as under nohup
+        usual = (
+            signal.default_int_handler,
+            signal.SIG_DFL,
+        )
         self._caught = [each for each in ENDING if signal.getsignal(each) in usual]
         for each in self._caught:
             signal.signal(each, self._interrupt)
@@ -75,7 +79,11 @@ class _Interrupts:
 
     def _swallowed(self, what: sys.UnraisableHookArgs) -> None:
         """Python has caught an exception that nobody can catch."""
-        if self.seen and what.exc_type is KeyboardInterrupt and hasattr(signal, "setitimer"):
+        if (
+            self.seen
+            and what.exc_type is KeyboardInterrupt
+            and hasattr(signal, "setitimer")
+        ):
             signal.signal(signal.SIGALRM, self._interrupt)
             signal.setitimer(signal.ITIMER_REAL, 0.01)
         else:
@@ -95,10 +103,12 @@ class _Interrupts:
 def _ready_streams() -> None:
     """Streams that are there even if whoever started us closed them; output takes any text."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:  # in this order each takes its own file descriptor
+        # in this order each takes its own file descriptor
+        if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: PTH123, SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # names in letters a terminal lacks
+        # names in letters a terminal lacks
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _command() -> int:
@@ -149,14 +159,22 @@ def _told(error: BaseException) -> int:
             code, message = OUR_FAULT, f"a library cannot be loaded: {error}"
         case _ if hasattr(error, "format_message"):  # of the option parser
             context = getattr(error, "ctx", None)
-            command = f" {context.info_name}" if context is not None and context.parent else ""
-            message = error.format_message()  # none where it has printed the help instead
+            command = (
+                f" {context.info_name}"
+                if context is not None and context.parent
+                else ""
+            )
+            # none where it has printed the help instead
+            message = error.format_message()
             message = message and f"{message} (see testbed{command} --help)"
         case _:
             import traceback
 
             traceback.print_exception(error)
-            code, message = OUR_FAULT, "the above is a fault of the program; please report it"
+            code, message = (
+                OUR_FAULT,
+                "the above is a fault of the program; please report it",
+            )
     if message:
         _say(message)
     return code

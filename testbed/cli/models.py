@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
-from testbed.cli.options import Fields, Force, Json, Model, Vector, check_outputs, command
+from testbed.cli.options import (
+    Fields,
+    Force,
+    Json,
+    Model,
+    Vector,
+    check_outputs,
+    command,
+)
 from testbed.cli.reading import Reading
 from testbed.core.base.errors import UnknownName
 
@@ -40,20 +48,36 @@ def minimal(
     reading: Annotated[
         Reading,
         Fields(
-            "zeros", "zero", "gravity", "sensor", "weld_root", "lock", "lock_mimic", model=Model
+            "zeros",
+            "zero",
+            "gravity",
+            "sensor",
+            "weld_root",
+            "lock",
+            "lock_mimic",
+            model=Model,
         ),
     ],
     tared: Annotated[
-        bool, typer.Option("--tared", help="The static wrench is subtracted (tared force plate).")
+        bool,
+        typer.Option(
+            "--tared", help="The static wrench is subtracted (tared force plate)."
+        ),
     ] = False,
     show_map: Annotated[
-        bool, typer.Option("--map", help="Show which parameters each sensor identifies.")
+        bool,
+        typer.Option("--map", help="Show which parameters each sensor identifies."),
     ] = False,
     check: Annotated[
-        bool, typer.Option("--verify", help="Verify the sets by two independent methods.")
+        bool,
+        typer.Option("--verify", help="Verify the sets by two independent methods."),
     ] = False,
-    numbers: Annotated[bool, typer.Option("--numbers", help="Print lengths as numbers.")] = False,
-    as_latex: Annotated[bool, typer.Option("--latex", help="Print the formulas in LaTeX.")] = False,
+    numbers: Annotated[
+        bool, typer.Option("--numbers", help="Print lengths as numbers.")
+    ] = False,
+    as_latex: Annotated[
+        bool, typer.Option("--latex", help="Print the formulas in LaTeX.")
+    ] = False,
     terms: Annotated[
         list[str] | None,
         typer.Option(
@@ -62,7 +86,10 @@ def minimal(
         ),
     ] = None,
     matrices: Annotated[
-        bool, typer.Option("--matrices/--no-matrices", help="With --json: include the matrices.")
+        bool,
+        typer.Option(
+            "--matrices/--no-matrices", help="With --json: include the matrices."
+        ),
     ] = True,
     as_json: Json = False,
 ) -> None:
@@ -101,7 +128,9 @@ def minimal(
 
 @command()
 def equations(
-    what: Annotated[list[What] | None, typer.Option(help="Which equations; repeatable.")] = None,
+    what: Annotated[
+        list[What] | None, typer.Option(help="Which equations; repeatable.")
+    ] = None,
     form: Annotated[
         Form,
         typer.Option(help="All parameters, base parameters, or recursive form."),
@@ -111,13 +140,18 @@ def equations(
     ] = "paper",
     *,
     reading: Annotated[
-        Reading, Fields("zeros", "zero", "gravity", "weld_root", "lock", "lock_mimic", model=Model)
+        Reading,
+        Fields(
+            "zeros", "zero", "gravity", "weld_root", "lock", "lock_mimic", model=Model
+        ),
     ],
     square: Annotated[
         bool,
         typer.Option("--right-angles", help="Round almost right angles."),
     ] = False,
-    out: Annotated[Path | None, typer.Option(help="File to write; default the terminal.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="File to write; default the terminal.")
+    ] = None,
     against: Annotated[
         Path | None,
         typer.Option(exists=True, dir_okay=False, help="Listing to compare with."),
@@ -145,7 +179,9 @@ def equations(
     tree = right_angles(reading.tree) if square else reading.tree
     check_outputs(out, force=force, read=(model, against))
     if reading.zeros and reading.zero:
-        raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")
+        raise typer.BadParameter(
+            "--zeros takes those of the file, --zero NAME others: give one"
+        )
     gravity, known, most = reading.gravity, reading.known_zeros, max_terms or MAX_TERMS
     if against is not None:
         if what or out is not None or as_json:
@@ -169,7 +205,9 @@ def equations(
         sys.stdout.write(text)
 
 
-def _map(tree: Tree, gravity: Vector | None, known: bool | list[str]) -> tuple[Visibility, ...]:
+def _map(
+    tree: Tree, gravity: Vector | None, known: bool | list[str]
+) -> tuple[Visibility, ...]:
     """What each sensor identifies; SciPy's sparse matrices take a third of a second to import."""
     from testbed.core.parameters.identifiability import identifiability
 
@@ -190,16 +228,23 @@ def _compare(
     from testbed.equations.languages.latex import line
     from testbed.view import output
 
-    text = read_text(path, 4 * TERM_LENGTH * max_terms)  # a character has up to four bytes
+    # a character has up to four bytes
+    text = read_text(path, 4 * TERM_LENGTH * max_terms)
     with output.Progress("deriving"):
         found = compare_equations(tree, text, form, gravity, zeros, max_terms)
     for name, difference in found.items():
-        same = "equal" if not difference else f"the listing less the robot: {line(difference)}"
+        same = (
+            "equal"
+            if not difference
+            else f"the listing less the robot: {line(difference)}"
+        )
         sys.stdout.write(f"{name}: {same}\n")
     raise typer.Exit(1 if any(found.values()) else 0)
 
 
-Kind = Annotated[str | None, typer.Argument(metavar="KIND", help="One of them, with its keys.")]
+Kind = Annotated[
+    str | None, typer.Argument(metavar="KIND", help="One of them, with its keys.")
+]
 
 
 @command("list")

@@ -30,7 +30,9 @@ def require_different(paths: Sequence[Path]) -> None:
     places = [os.path.realpath(path) for path in paths]  # of a link to itself, too
     for path, place in zip(paths, places, strict=True):
         if places.count(place) > 1:
-            raise RecordingError(f"'{path}' is given more than once: its data would count as new")
+            raise RecordingError(
+                f"'{path}' is given more than once: its data would count as new"
+            )
 
 
 def opened(path: Path) -> Source:

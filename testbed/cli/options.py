@@ -26,14 +26,19 @@ def ending(*endings: str) -> Callable[[Path | None], Path | None]:
 
     def checked(path: Path | None) -> Path | None:
         if path is not None and path.suffix.lower() not in endings:
-            raise typer.BadParameter(f"'{path}': it is written as {' or '.join(endings)}")
+            raise typer.BadParameter(
+                f"'{path}': it is written as {' or '.join(endings)}"
+            )
         return path
 
     return checked
 
 
 def check_outputs(
-    *paths: Path | None, force: bool, folder: bool = False, read: Iterable[Path | None] = ()
+    *paths: Path | None,
+    force: bool,
+    folder: bool = False,
+    read: Iterable[Path | None] = (),
 ) -> None:
     """Check, before the work, that a command may write its outputs.
 
@@ -51,7 +56,12 @@ def check_outputs(
 
     check_writable(*paths, folder=folder, read=read)
     for path in paths:
-        if path is not None and not force and path.exists() and (not folder or any(path.iterdir())):
+        if (
+            path is not None
+            and not force
+            and path.exists()
+            and (not folder or any(path.iterdir()))
+        ):
             raise typer.BadParameter(
                 f"'{path}' is there and is not replaced; choose another name, or say --force"
             )
@@ -73,7 +83,9 @@ class Vector(NamedTuple):
         try:
             x, y, z = map(float, word.split(","))
         except ValueError:
-            raise typer.BadParameter(f"'{word}' is no vector; write it as 0,0,-9.81") from None
+            raise typer.BadParameter(
+                f"'{word}' is no vector; write it as 0,0,-9.81"
+            ) from None
         return Vector(x, y, z)
 
 
@@ -149,7 +161,9 @@ def command(name: str | None = None) -> Callable[[Command], Command]:
         @wraps(function)
         def flat(**values: Any) -> None:
             for group, (kind, chosen) in groups.items():
-                values[group] = kind(**{each: values.pop(each) for each in chosen.names})
+                values[group] = kind(
+                    **{each: values.pop(each) for each in chosen.names}
+                )
             function(**values)
 
         flat.__signature__ = Signature(options)  # type: ignore[attr-defined]
@@ -172,17 +186,24 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+        bool,
+        typer.Option(
+            "--version", callback=_version, is_eager=True, help="Print the version."
+        ),
     ] = False,
 ) -> None:
     del version  # its callback has done it
 
 
-Json = Annotated[bool, typer.Option("--json", help="Print JSON.", rich_help_panel=OUTPUT)]
+Json = Annotated[
+    bool, typer.Option("--json", help="Print JSON.", rich_help_panel=OUTPUT)
+]
 Everything = Annotated[
     bool,
     typer.Option(
-        "--all", help="Print all parameters, warnings and residuals.", rich_help_panel=OUTPUT
+        "--all",
+        help="Print all parameters, warnings and residuals.",
+        rich_help_panel=OUTPUT,
     ),
 ]
 
@@ -207,20 +228,28 @@ Timings = Annotated[
 Set = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="KEY=VALUE", help="Set a key, e.g. motion.duration=20; repeatable."
+        "--set",
+        metavar="KEY=VALUE",
+        help="Set a key, e.g. motion.duration=20; repeatable.",
     ),
 ]
 Force = Annotated[
     bool,
-    typer.Option("--force", help="Replace files that are there.", rich_help_panel=OUTPUT),
+    typer.Option(
+        "--force", help="Replace files that are there.", rich_help_panel=OUTPUT
+    ),
 ]
 Model = Annotated[
-    Path, typer.Argument(metavar="MODEL", parser=own_or_shipped, help="MJCF or URDF file.")
+    Path,
+    typer.Argument(metavar="MODEL", parser=own_or_shipped, help="MJCF or URDF file."),
 ]
 RobotModel = Annotated[
     Path,
     typer.Option(
-        "--model", metavar="PATH", parser=own_or_shipped, help="MJCF or URDF file of the robot."
+        "--model",
+        metavar="PATH",
+        parser=own_or_shipped,
+        help="MJCF or URDF file of the robot.",
     ),
 ]
 ExperimentFile = Annotated[

@@ -24,7 +24,15 @@ if TYPE_CHECKING:
 
 
 RECORDED = Fields(
-    "model", "settings", "zeros", "weld_root", "lock", "lock_mimic", "plate", "terms", "unchecked"
+    "model",
+    "settings",
+    "zeros",
+    "weld_root",
+    "lock",
+    "lock_mimic",
+    "plate",
+    "terms",
+    "unchecked",
 )
 """Options of a recording that is identified to be shown."""
 
@@ -34,7 +42,8 @@ def view(
     runs: Annotated[
         list[Path],
         typer.Argument(
-            metavar="RUN...", help="Run folders, recordings (with --model), or a motion (.toml)."
+            metavar="RUN...",
+            help="Run folders, recordings (with --model), or a motion (.toml).",
         ),
     ],
     *,
@@ -42,13 +51,16 @@ def view(
     save: Annotated[
         Path | None,
         typer.Option(
-            callback=ending(".rrd"), help="Only write this .rrd file; default RUN.rrd, and open it."
+            callback=ending(".rrd"),
+            help="Only write this .rrd file; default RUN.rrd, and open it.",
         ),
     ] = None,
     serve: Annotated[
         bool, typer.Option("--serve", help="Show it in a browser on this machine.")
     ] = False,
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Of the page, with --serve.")] = 9090,
+    port: Annotated[
+        int, typer.Option(min=1, max=65535, help="Of the page, with --serve.")
+    ] = 9090,
     force: Force = False,
 ) -> None:
     """Show runs in the Rerun viewer: robot, reaction, predictions.
@@ -67,13 +79,17 @@ def view(
     from testbed.view.viewer.scene import scene_of
 
     log = save or _beside(runs[0], ".rrd")
-    check_outputs(log, force=force or save is None, read=(*runs, reading.model, reading.plate))
+    check_outputs(
+        log, force=force or save is None, read=(*runs, reading.model, reading.plate)
+    )
     if save is None and not serve and not has_screen():
         raise ViewerError(
             f"there is no screen to open the viewer on: --save {log.name} writes a file for "
             "another machine, --serve shows it in a browser"
         )
-    motion = reading.model is None and [path.suffix.lower() for path in runs] == [".toml"]
+    motion = reading.model is None and [path.suffix.lower() for path in runs] == [
+        ".toml"
+    ]
     if motion:  # a mapping, which is a TOML file, too, needs --model
         with output.Progress("looking"):
             said = _write_motion(runs[0], reading.settings or (), log)
@@ -87,10 +103,18 @@ def view(
             run = _run_at(path, reading)
             scenes.append(scene_of(run))
         write_rrd(scenes, log)
-    _show(log, [each for scene in scenes for each in scene.diagnostics], serve, save is None, port)
+    _show(
+        log,
+        [each for scene in scenes for each in scene.diagnostics],
+        serve,
+        save is None,
+        port,
+    )
 
 
-def _show(path: Path, said: list[Diagnostic], serve: bool, opened: bool, port: int) -> None:
+def _show(
+    path: Path, said: list[Diagnostic], serve: bool, opened: bool, port: int
+) -> None:
     """Say what was written, and show it as is wished."""
     from testbed.view import output
     from testbed.view.viewer.live import open_viewer
@@ -117,7 +141,10 @@ def _write_motion(file: Path, settings: Sequence[str], path: Path) -> list[Diagn
     look = load_appearance(tree, model_of(found.experiment))
     boxes = obstacles_of(found.experiment)
     write_motion_rrd(path, found.motion, found.rules, found.proof, look, boxes)
-    proof, said = found.proof, [*tree.diagnostics, *look.diagnostics, *found.rules.diagnostics]
+    proof, said = (
+        found.proof,
+        [*tree.diagnostics, *look.diagnostics, *found.rules.diagnostics],
+    )
     if proof.holds:
         return said
     return [diagnose("motion.not-proven", reason=proof.worst.words), *said]
@@ -126,13 +153,16 @@ def _write_motion(file: Path, settings: Sequence[str], path: Path) -> list[Diagn
 @command()
 def report(
     run: Annotated[
-        Path, typer.Argument(metavar="RUN", help="Run folder, or recording (with --model).")
+        Path,
+        typer.Argument(metavar="RUN", help="Run folder, or recording (with --model)."),
     ],
     *,
     reading: Annotated[Reading, RECORDED],
     out: Annotated[
         Path | None,
-        typer.Option(callback=ending(".html", ".htm"), help="HTML file; default RUN.html."),
+        typer.Option(
+            callback=ending(".html", ".htm"), help="HTML file; default RUN.html."
+        ),
     ] = None,
     consistent: ConsistentBodies = False,
     validate: Annotated[
@@ -153,7 +183,8 @@ def report(
     from testbed.view.run_page import write_report
 
     path = out or _beside(run, ".html")
-    again = out is None and path.is_file()  # the run's own page, and the numbers beside it
+    # the run's own page, and the numbers beside it
+    again = out is None and path.is_file()
     read = run, reading.model, reading.plate, validate
     check_outputs(path, path.with_suffix(".json"), force=force or again, read=read)
     _check_said([run], reading, consistent=consistent, other=validate)
@@ -162,13 +193,18 @@ def report(
         if validate is not None:
             done = _judged_on(done, validate, reading)
         elif done.unseen is None:
-            from testbed.lab.experiment.carry_out import on_unseen_motion, with_payload_metrics
+            from testbed.lab.experiment.carry_out import (
+                on_unseen_motion,
+                with_payload_metrics,
+            )
 
             progress.say(0, 0, "simulating a held-out motion")
             done = on_unseen_motion(with_payload_metrics(done, progress), progress)
         progress.say(0, 0, "drawing")
         beside = write_report(done, path)
-    output.console().print(f"{path} ({path.stat().st_size / 1e6:.1f} MB), {beside}", soft_wrap=True)
+    output.console().print(
+        f"{path} ({path.stat().st_size / 1e6:.1f} MB), {beside}", soft_wrap=True
+    )
 
 
 def _beside(run: Path, ending: str) -> Path:
@@ -188,7 +224,11 @@ def _check_said(
     """Whether what was said of recordings has one to be about."""
     from testbed.core.base.errors import ExperimentError
 
-    said = replace(reading, unchecked=False) != Reading() or consistent or other is not None
+    said = (
+        replace(reading, unchecked=False) != Reading()
+        or consistent
+        or other is not None
+    )
     if all(path.is_dir() for path in paths) and said:
         raise ExperimentError(
             f"'{paths[0]}' is a run folder: it has its own model and settings; --model, --set and "
@@ -203,14 +243,20 @@ def _run_at(path: Path, reading: Reading, *, consistent: bool = False) -> Run:
     from testbed.lab.experiment.run import assemble_run
 
     if not path.exists():
-        raise ExperimentError(f"there is no run folder or recording '{path}'{_alike(path)}")
+        raise ExperimentError(
+            f"there is no run folder or recording '{path}'{_alike(path)}"
+        )
     if path.is_dir():
         if (path / "results.parquet").is_file():
-            raise ExperimentError(f"'{path}' is a campaign: testbed campaign --summary {path}")
+            raise ExperimentError(
+                f"'{path}' is a campaign: testbed campaign --summary {path}"
+            )
         return read_run(path)
     with expecting(path, "recording", "mapping"):
         if reading.model is None:
-            raise ExperimentError(f"'{path}' is no run folder; a recording needs --model")
+            raise ExperimentError(
+                f"'{path}' is no run folder; a recording needs --model"
+            )
         reading, recording, accepted = _loaded(path, reading)
     reading, source, accepted = reading.holding(recording, accepted)
     run = assemble_run(
@@ -233,16 +279,23 @@ def _alike(path: Path) -> str:
     found = [
         str(each)
         for each in path.parent.iterdir()
-        if each.name.startswith(path.name) and (each.is_dir() or each.suffix == ".parquet")
+        if each.name.startswith(path.name)
+        and (each.is_dir() or each.suffix == ".parquet")
     ]
     return f"; there is {', '.join(sorted(found)[:3])}" if found else ""
 
 
-def _loaded(path: Path, reading: Reading) -> tuple[Reading, Recording, Sequence[Diagnostic]]:
+def _loaded(
+    path: Path, reading: Reading
+) -> tuple[Reading, Recording, Sequence[Diagnostic]]:
     """A recording in memory, the plate's faults taken back, and what to doubt of it."""
     reading, source = reading.of_recording(opened(path))
     accepted = reading.accepted(source)
-    return reading, _in_memory(corrected_source(source, reading.tree, reading.plate)), accepted
+    return (
+        reading,
+        _in_memory(corrected_source(source, reading.tree, reading.plate)),
+        accepted,
+    )
 
 
 def _in_memory(source: Source) -> Recording:
@@ -259,4 +312,6 @@ def _judged_on(run: Run, path: Path, reading: Reading) -> Run:
     assert run.model is not None
     _, other, doubted = _loaded(path, replace(reading, resolved=run.model))
     said = (*other.metadata.diagnostics, *doubted)
-    return validated(run, other).with_diagnostics(replace(d, recording=path.name) for d in said)
+    return validated(run, other).with_diagnostics(
+        replace(d, recording=path.name) for d in said
+    )

@@ -52,12 +52,17 @@ class Reading:
     ] = None
     zeros: Annotated[
         bool,
-        typer.Option("--zeros", help="Fix to zero all parameters that are zero in the model file."),
+        typer.Option(
+            "--zeros",
+            help="Fix to zero all parameters that are zero in the model file.",
+        ),
     ] = False
     zero: Annotated[
         list[str] | None,
         typer.Option(
-            "--zero", metavar="NAME", help="Fix a parameter to zero, e.g. mb1x; repeatable."
+            "--zero",
+            metavar="NAME",
+            help="Fix a parameter to zero, e.g. mb1x; repeatable.",
         ),
     ] = None
     gravity: Annotated[
@@ -82,7 +87,9 @@ class Reading:
     weld_root: Annotated[
         bool,
         typer.Option(
-            "--weld-root", help="Weld a floating root to the bedplate.", rich_help_panel=ROBOT
+            "--weld-root",
+            help="Weld a floating root to the bedplate.",
+            rich_help_panel=ROBOT,
         ),
     ] = False
     lock: Annotated[
@@ -98,11 +105,14 @@ class Reading:
     lock_mimic: Annotated[
         bool,
         typer.Option(
-            "--lock-mimic", help="Fix all joints that follow others.", rich_help_panel=ROBOT
+            "--lock-mimic",
+            help="Fix all joints that follow others.",
+            rich_help_panel=ROBOT,
         ),
     ] = False
     plate: Annotated[
-        Path | None, typer.Option(help="Calibration file of the plate, by testbed calibrate.")
+        Path | None,
+        typer.Option(help="Calibration file of the plate, by testbed calibrate."),
     ] = None
     terms: Annotated[
         str | None,
@@ -113,10 +123,13 @@ class Reading:
     ] = None
     unchecked: Annotated[
         bool,
-        typer.Option("--unchecked", help="Skip the plausibility check of imported recordings."),
+        typer.Option(
+            "--unchecked", help="Skip the plausibility check of imported recordings."
+        ),
     ] = False
     threads: Annotated[
-        int | None, typer.Option(min=1, help="Default: one per processor.", rich_help_panel=OUTPUT)
+        int | None,
+        typer.Option(min=1, help="Default: one per processor.", rich_help_panel=OUTPUT),
     ] = None
     sensors: Mapping[str, Any] = field(default_factory=dict)
     """Force sensors of the recording, by name."""
@@ -130,7 +143,10 @@ class Reading:
         said += [("--set", each) for each in self.settings or ()]
         said += [("--lock", each) for each in self.lock or ()]
         flags = {"--weld-root": self.weld_root, "--lock-mimic": self.lock_mimic}
-        return [*(word for pair in said for word in pair), *(w for w, on in flags.items() if on)]
+        return [
+            *(word for pair in said for word in pair),
+            *(w for w, on in flags.items() if on),
+        ]
 
     @property
     def known_zeros(self) -> bool | list[str]:
@@ -157,7 +173,9 @@ class Reading:
     @property
     def prior_error(self) -> float | None:
         """Relative error of the model file's bodies, where it is given."""
-        said = any(word.startswith("consistent.prior_error") for word in self.settings or ())
+        said = any(
+            word.startswith("consistent.prior_error") for word in self.settings or ()
+        )
         return self.tables.consistent.prior_error if said else None
 
     @property
@@ -181,7 +199,12 @@ class Reading:
 
         with Progress(label) as bar:
             return identify(
-                self.tree, source, method, doubt=self.doubt, progress=bar, **self.arguments
+                self.tree,
+                source,
+                method,
+                doubt=self.doubt,
+                progress=bar,
+                **self.arguments,
             )
 
     @cached_property
@@ -220,7 +243,9 @@ class Reading:
         from testbed.view import output
 
         with output.Progress("reading"):
-            return corrected_source(on_its_base(recording, self.tree), self.tree, self.plate)
+            return corrected_source(
+                on_its_base(recording, self.tree), self.tree, self.plate
+            )
 
     @stage("reading and plausibility")
     def joined(self, paths: Sequence[Path]) -> tuple[Reading, Source, list[Diagnostic]]:
@@ -305,9 +330,17 @@ class Reading:
         if "sensors" not in source.signals:
             return self
         sensor = self.sensor
-        if sensor is None and len(places) == 1 and not {"wrench", "torque"} & {*source.signals}:
+        if (
+            sensor is None
+            and len(places) == 1
+            and not {"wrench", "torque"} & {*source.signals}
+        ):
             (sensor,) = places
-        meant = {name: place for name, place in places.items() if not alone or name == self.sensor}
+        meant = {
+            name: place
+            for name, place in places.items()
+            if not alone or name == self.sensor
+        }
         return replace(self, sensors={**meant, **self.sensors}, sensor=sensor)
 
     def holding(
@@ -343,7 +376,9 @@ class Reading:
         from testbed.importing.check.check import check_recording
 
         with Progress("searching for the cause") as bar:
-            checked = check_recording(self.tree, source, unchecked=self.unchecked, progress=bar)
+            checked = check_recording(
+                self.tree, source, unchecked=self.unchecked, progress=bar
+            )
         return checked.diagnostics
 
     @property

@@ -57,7 +57,9 @@ def checkup() -> Iterator[Check]:
     yield Check("Python", f"{platform.python_version()}, {sys.executable}")
     for each in map(Requirement, requires(DISTRIBUTION) or ()):
         needed = each.marker is None or each.marker.evaluate({"extra": ""})
-        if needed or not (each.marker and each.marker.evaluate({"extra": NOT_FOR_USERS})):
+        if needed or not (
+            each.marker and each.marker.evaluate({"extra": NOT_FOR_USERS})
+        ):
             found = _installed(each.name)
             fine = each.specifier.contains(found, prereleases=True) if found else False
             remedy = f"pip install '{each.name}{each.specifier}'"
@@ -77,7 +79,10 @@ def new(
     robot: Annotated[
         Path | None,
         typer.Argument(
-            metavar="ROBOT", parser=own_or_shipped, help="MJCF or URDF file.", show_default=False
+            metavar="ROBOT",
+            parser=own_or_shipped,
+            help="MJCF or URDF file.",
+            show_default=False,
         ),
     ] = None,
     *,
@@ -85,10 +90,14 @@ def new(
         list[Path] | None,
         typer.Option(help="A logger's file instead: writes a mapping; repeatable."),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="File to write; default NAME.toml here.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="File to write; default NAME.toml here.")
+    ] = None,
     strict: Annotated[
         bool,
-        typer.Option("--strict", help="Refuse impossible bodies instead of repairing them."),
+        typer.Option(
+            "--strict", help="Refuse impossible bodies instead of repairing them."
+        ),
     ] = False,
     reading: Annotated[Reading, Fields("lock", "lock_mimic")],
     force: Force = False,
@@ -104,7 +113,9 @@ def new(
     Example: testbed new models/puma562.xml
     """
     if robot is None and not recording:
-        raise typer.BadParameter("name a robot's model file, or --recording and a logger's file")
+        raise typer.BadParameter(
+            "name a robot's model file, or --recording and a logger's file"
+        )
     from testbed.core.base.files import replacing
     from testbed.view import output
 
@@ -132,7 +143,9 @@ def new(
     typer.echo(f"{path}: testbed run {path}")
 
 
-def _recorded(files: list[Path], mapping: Path, reading: Reading, *, force: bool) -> None:
+def _recorded(
+    files: list[Path], mapping: Path, reading: Reading, *, force: bool
+) -> None:
     """Write a mapping for logs, and the recording that it makes of a robot."""
     from testbed.importing.import_report import ImportReport
     from testbed.view import output
@@ -145,11 +158,16 @@ def _recorded(files: list[Path], mapping: Path, reading: Reading, *, force: bool
     solution = write_mapping(files, mapping, reading)
     if solution is None or robot is None:
         return
-    recordings, cuts, report = checked_import(mapping, reading, prepared=solution.prepared)
+    recordings, cuts, report = checked_import(
+        mapping, reading, prepared=solution.prepared
+    )
     paths = save_pieces(recordings, made, force=force)
-    listed, taken = (made, made) if len(paths) == 1 else (f"{paths[0]} to {paths[-1]}", mapping)
+    listed, taken = (
+        (made, made) if len(paths) == 1 else (f"{paths[0]} to {paths[-1]}", mapping)
+    )
     words = ["identify", taken, "--model", robot]
-    if recordings[0].wrench is not None:  # the plate's frame and clock are known to a sigma only
+    # the plate's frame and clock are known to a sigma only
+    if recordings[0].wrench is not None:
         words += ["--set", 'identification.nuisances=["pose","skew"]']
     imported = ImportReport.from_dict(recordings[0].metadata.report).diagnostics
     said = [*cuts, *imported, *report.diagnostics]
@@ -162,7 +180,8 @@ def _recorded(files: list[Path], mapping: Path, reading: Reading, *, force: bool
 @command()
 def doctor(
     compile_: Annotated[
-        bool, typer.Option("--compile", help="Compile the kernel ahead of its first use.")
+        bool,
+        typer.Option("--compile", help="Compile the kernel ahead of its first use."),
     ] = False,
     as_json: Json = False,
 ) -> None:

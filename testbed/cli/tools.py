@@ -17,7 +17,9 @@ from testbed.cli.reading import Reading
 def tool(
     recording: Annotated[
         Path,
-        typer.Argument(metavar="FILE", help="Recording in motion; with --at-rest, table of poses."),
+        typer.Argument(
+            metavar="FILE", help="Recording in motion; with --at-rest, table of poses."
+        ),
     ],
     reading: Annotated[
         Reading,
@@ -43,12 +45,15 @@ def tool(
     at_rest: Annotated[
         bool,
         typer.Option(
-            "--at-rest", help="FILE is a table, a row a static pose: joint positions and Fx ... Mz."
+            "--at-rest",
+            help="FILE is a table, a row a static pose: joint positions and Fx ... Mz.",
         ),
     ] = False,
     degrees: Annotated[
         bool,
-        typer.Option("--degrees", help="With --at-rest: angles without a unit are in degrees."),
+        typer.Option(
+            "--degrees", help="With --at-rest: angles without a unit are in degrees."
+        ),
     ] = False,
     printed: Annotated[PayloadOutput, Fields("vendor", "flange", "as_json")],
 ) -> None:
@@ -79,7 +84,9 @@ def tool(
     printed.print(found, tree, link, known, title)
 
 
-def _print_at_rest(table: Path, reading: Reading, printed: PayloadOutput, *, degrees: bool) -> None:
+def _print_at_rest(
+    table: Path, reading: Reading, printed: PayloadOutput, *, degrees: bool
+) -> None:
     """Print the tool by a table of static poses."""
     from testbed.applications.payload.static_fit import StaticPoses
     from testbed.applications.payload.tool import tool_at_rest
@@ -93,7 +100,9 @@ def _print_at_rest(table: Path, reading: Reading, printed: PayloadOutput, *, deg
     tree = reading.tree.with_gravity(reading.gravity)
     poses = StaticPoses(*read_static_poses(table, tree, degrees=degrees))
     link = printed.link(reading, tree)
-    found = tool_at_rest(tree, poses, reading.tables.force_sensors[reading.sensor or ""])
+    found = tool_at_rest(
+        tree, poses, reading.tables.force_sensors[reading.sensor or ""]
+    )
     known = [*tree.diagnostics, *found.diagnostics]
     if printed.as_json:
         output.print_json(encode(found))

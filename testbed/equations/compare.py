@@ -38,7 +38,8 @@ from testbed.equations.program import leaves
 from testbed.equations.robot import SymbolicRobot, draw
 
 _SUMMAND_END = re.compile(
-    r"((?<![\w.])(?>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_]\w*)|\))\s*(?=[+-])", re.ASCII
+    r"((?<![\w.])(?>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_]\w*)|\))\s*(?=[+-])",
+    re.ASCII,
 )
 _WAVE = re.compile(r"[SC](?:\d+|(?:_m?\d+)+)", re.ASCII)
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
@@ -92,7 +93,9 @@ def compare_equations(
         if name in ours:
             found[name] = expand(value - ours[name])
         elif name in names:
-            raise ExpressionError(f"'{name}' is the robot's own and not for a listing to define")
+            raise ExpressionError(
+                f"'{name}' is the robot's own and not for a listing to define"
+            )
         elif len(re.findall(rf"\b{name}\b", text)) < 2:
             raise UnknownName("equation", name, ours)
     return found
@@ -125,7 +128,9 @@ def _names(listing: Listing, robot: SymbolicRobot) -> dict[str, Expression]:
     """What the names of a listing may stand for."""
     symbols = [*map(factor, [*robot.q, *robot.qd, *robot.qdd]), *robot.values]
     for each in listing.equations:
-        symbols += [parameter.symbol for parameter in each.parameters if parameter.symbol]
+        symbols += [
+            parameter.symbol for parameter in each.parameters if parameter.symbol
+        ]
     for _, value in listing.definitions:
         symbols += leaves(value)
     names = {symbol.name: of(symbol) for symbol in symbols}
@@ -152,7 +157,9 @@ def read_listing(
     budget = Budget(max_terms)
     for line, name, right in _statements(text, max_terms):
         if not right.strip() or not _NAME.fullmatch(name):
-            raise ExpressionError(f"line {line}: NAME = expression, found '{name[:40]}'")
+            raise ExpressionError(
+                f"line {line}: NAME = expression, found '{name[:40]}'"
+            )
         if name in found:
             raise ExpressionError(f"line {line}: {name} is defined twice")
         try:
@@ -185,20 +192,28 @@ def _statements(text: str, max_terms: int) -> Iterator[tuple[int, str, str]]:
         yield line, name.strip(), right
 
 
-def _right_side(text: str, names: Mapping[str, Expression], budget: Budget) -> Expression:
+def _right_side(
+    text: str, names: Mapping[str, Expression], budget: Budget
+) -> Expression:
     """Right-hand side of an equation; a sum of any length becomes a tuple."""
     summands = _SUMMAND_END.sub(r"\1,", text.replace("^", "**")).strip()
     try:
         return _value(ast.parse(f"{summands},", mode="eval").body, names, budget)
     except SyntaxError as error:
-        raise ExpressionError(f"'{text.strip()[:40]}' cannot be read: {error.msg}") from None
+        raise ExpressionError(
+            f"'{text.strip()[:40]}' cannot be read: {error.msg}"
+        ) from None
     except ZeroDivisionError:
         raise ExpressionError("a division by zero") from None
     except (RecursionError, MemoryError):
-        raise ExpressionError("factors, signs or brackets are nested too deeply") from None
+        raise ExpressionError(
+            "factors, signs or brackets are nested too deeply"
+        ) from None
 
 
-def _value(node: ast.AST, names: Mapping[str, Expression], budget: Budget) -> Expression:
+def _value(
+    node: ast.AST, names: Mapping[str, Expression], budget: Budget
+) -> Expression:
     """Expression of a syntax tree; tuples stand for sums."""
     match node:
         case ast.Tuple(elts=summands):
@@ -219,13 +234,16 @@ def _value(node: ast.AST, names: Mapping[str, Expression], budget: Budget) -> Ex
         case ast.BinOp(left=left, op=ast.Pow(), right=right):
             exponent = _number(right)
             if exponent not in range(1, MAX_EXPONENT + 1):
-                raise ExpressionError(f"an exponent is a number from 1 to {MAX_EXPONENT}")
+                raise ExpressionError(
+                    f"an exponent is a number from 1 to {MAX_EXPONENT}"
+                )
             factors = [_value(left, names, budget)] * int(exponent)
         case ast.Name(id=name):
             return names[name] if name in names else _wave(name, names)
         case _:
             return number(_number(node))
-    budget.multiply(sum(len(factor.terms) for factor in factors))  # a sum becomes a bracket
+    # a sum becomes a bracket
+    budget.multiply(sum(len(factor.terms) for factor in factors))
     return expression(prod(factors))
 
 
@@ -234,7 +252,9 @@ def _number(node: ast.AST) -> Number:
     match node:
         case ast.Constant(value=float() | int() as size) if not isinstance(size, bool):
             return size
-    raise ExpressionError(f"'{ast.unparse(node)[:40]}' is no sum, product, power or number")
+    raise ExpressionError(
+        f"'{ast.unparse(node)[:40]}' is no sum, product, power or number"
+    )
 
 
 def _wave(name: str, names: Mapping[str, Expression]) -> Expression:

@@ -113,7 +113,9 @@ class Recursion:
     columns: tuple[str, ...]
     budget: Budget
 
-    def run(self, qd: AnyArray, qdd: AnyArray, mark: str = "") -> tuple[AnyArray, AnyArray]:
+    def run(
+        self, qd: AnyArray, qdd: AnyArray, mark: str = ""
+    ) -> tuple[AnyArray, AnyArray]:
         """Joint forces (n, p) and base wrench (6, p).
 
         Args:
@@ -176,10 +178,15 @@ class EquationKind:
             return
         robot, still = recursion.robot, np.zeros(recursion.robot.n, dtype=object)
         moves = "qp" in self.takes
-        forces, wrench = recursion.run(*((robot.qd, robot.qdd) if moves else (still, still)))
+        forces, wrench = recursion.run(
+            *((robot.qd, robot.qdd) if moves else (still, still))
+        )
         values, names = wrench, WRENCH
         if self.model == "dynamic":
-            values, names = forces, tuple(f"{self.letter}{j + 1}" for j in range(robot.n))
+            values, names = (
+                forces,
+                tuple(f"{self.letter}{j + 1}" for j in range(robot.n)),
+            )
         if not self.is_regressor:
             for i, name in enumerate(names):
                 yield _name(name), ((i,), values[i, 0])
@@ -345,7 +352,11 @@ def equations(
     listing = Listing(tree, form, weight, robot.values, minimal, known_zero, (), ())
     builder = _Builder(listing, robot, budget, expander(robot, budget))
     results = tuple(map(builder.build, kinds))
-    meanings = barycentric_definitions(tree, robot, known_zero, budget) if form == "full" else ()
+    meanings = (
+        barycentric_definitions(tree, robot, known_zero, budget)
+        if form == "full"
+        else ()
+    )
     return replace(listing, definitions=tuple(meanings), equations=results)
 
 
@@ -361,11 +372,15 @@ class _Builder:
     def build(self, kind: EquationKind) -> Equations:
         """The equations of one kind."""
         vector, own, theta = self._parameters(kind)
-        recursion = Recursion(self.robot, theta, tuple(p.name for p in own), self.budget)
+        recursion = Recursion(
+            self.robot, theta, tuple(p.name for p in own), self.budget
+        )
         values = dict(kind.content(recursion))
         places = {name: place for name, (place, _) in values.items()}
         if self.listing.form == "recursive":
-            program = recursive({name: expression(value) for name, (_, value) in values.items()})
+            program = recursive(
+                {name: expression(value) for name, (_, value) in values.items()}
+            )
         else:
             results = {name: self.expand(value) for name, (_, value) in values.items()}
             if kind.name == "joint-forces":
@@ -377,7 +392,9 @@ class _Builder:
             shape = (rows, len(own) if kind.is_regressor else rows)
         return Equations(kind, shape, places, vector, own, program)
 
-    def _parameters(self, kind: EquationKind) -> tuple[str, tuple[Parameter, ...], AnyArray]:
+    def _parameters(
+        self, kind: EquationKind
+    ) -> tuple[str, tuple[Parameter, ...], AnyArray]:
         """Name and entries of the vector, and what each barycentric parameter is, (n, 10, p)."""
         minimal = self.listing.minimal.get(kind.model)
         if minimal is not None:
@@ -391,7 +408,9 @@ class _Builder:
             own = parameters(labels, UNITS * self.robot.n, bodies, lift)
         return vector, own, barycentric(own, lift, by_column=kind.is_regressor)
 
-    def _by_reference(self, results: dict[Factor, Expression]) -> dict[Factor, Expression]:
+    def _by_reference(
+        self, results: dict[Factor, Expression]
+    ) -> dict[Factor, Expression]:
         """Joint forces, tips first; Q2 = Q3 + ... where that is shorter."""
         shorter = {}
         names = list(results)

@@ -70,7 +70,9 @@ class Factor:
     key: Key
 
     @staticmethod
-    def of(nature: Nature, name: str, content: Expression | None = None, rank: int = 0) -> Factor:
+    def of(
+        nature: Nature, name: str, content: Expression | None = None, rank: int = 0
+    ) -> Factor:
         """The factor of these properties, made if there is none yet."""
         label = (nature, rank, name, content)
         found = _FACTORS.get(label)
@@ -140,13 +142,17 @@ class Expression:
             return NotImplemented
         if other in (0, 1):
             return self if other else 0
-        return Expression(tuple((factors, exact(size * other)) for factors, size in self.terms))
+        return Expression(
+            tuple((factors, exact(size * other)) for factors, size in self.terms)
+        )
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Number) -> Expression:
         """By a number; exact if it is a power of two."""
-        return Expression(tuple((factors, exact(size / other)) for factors, size in self.terms))
+        return Expression(
+            tuple((factors, exact(size / other)) for factors, size in self.terms)
+        )
 
     def sin(self) -> Expression:
         """Sine, as NumPy asks for it of arrays of expressions."""
@@ -238,7 +244,9 @@ def collect(terms: Iterable[Term]) -> Expression:
     return Expression(tuple(kept))
 
 
-def substitute(value: Expression, meaning: Callable[[Factor], Expression | None]) -> Expression:
+def substitute(
+    value: Expression, meaning: Callable[[Factor], Expression | None]
+) -> Expression:
     """The expression with other expressions in the place of some factors.
 
     Args:
@@ -280,7 +288,11 @@ def as_text(value: Expression) -> str:
         if abs(size) != 1 or not names:
             names.insert(0, f"{abs(size):.12g}")
         sign = "-" if size < 0 else "+"
-        text += f" {sign} {'*'.join(names)}" if text else sign.replace("+", "") + "*".join(names)
+        text += (
+            f" {sign} {'*'.join(names)}"
+            if text
+            else sign.replace("+", "") + "*".join(names)
+        )
     return text or "0"
 
 
@@ -311,7 +323,9 @@ def exact(value: Number) -> Number:
         ExpressionError: It is too large for two such numbers to be multiplied, or is none.
     """
     if not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:
-        raise ExpressionError(f"a number beyond {LARGEST_NUMBER:g}, too large to calculate with")
+        raise ExpressionError(
+            f"a number beyond {LARGEST_NUMBER:g}, too large to calculate with"
+        )
     return int(value) if value == int(value) else float(value)
 
 
@@ -319,13 +333,20 @@ def auxiliaries(values: Iterable[Expression]) -> list[Factor]:
     """The auxiliary variables and brackets that values refer to, each after those it needs."""
 
     def names(value: Expression) -> list[Factor]:
-        return [f for factors, _ in value.terms for f in factors if f.nature >= Nature.AUXILIARY]
+        return [
+            f
+            for factors, _ in value.terms
+            for f in factors
+            if f.nature >= Nature.AUXILIARY
+        ]
 
     first = [factor for value in values for factor in names(value)]
     return depth_first(first, lambda factor: names(factor.content or ZERO))
 
 
-def depth_first(first: Iterable[Factor], needs: Callable[[Factor], list[Factor]]) -> list[Factor]:
+def depth_first(
+    first: Iterable[Factor], needs: Callable[[Factor], list[Factor]]
+) -> list[Factor]:
     """Factors and all that they need, each after what it needs; as deep as may be.
 
     Args:
@@ -342,7 +363,9 @@ def depth_first(first: Iterable[Factor], needs: Callable[[Factor], list[Factor]]
         elif factor not in seen:
             seen.add(factor)
             todo.append((factor, True))
-            todo += [(each, False) for each in reversed(needs(factor)) if each not in seen]
+            todo += [
+                (each, False) for each in reversed(needs(factor)) if each not in seen
+            ]
     return order
 
 

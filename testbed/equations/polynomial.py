@@ -29,7 +29,8 @@ from testbed.equations.expression import (
 )
 
 Index: TypeAlias = tuple[tuple[int, Number], ...]  # (angle, how many times), in order
-Tone: TypeAlias = tuple[int, int, Index]  # group, 0 for a cosine or 1 for a sine, its angle
+# group, 0 for a cosine or 1 for a sine, its angle
+Tone: TypeAlias = tuple[int, int, Index]
 Wave: TypeAlias = tuple[Tone, ...]  # at most one tone a group, in order
 Mixture: TypeAlias = tuple[tuple[Wave, float], ...]  # waves with their weights
 
@@ -121,7 +122,9 @@ class Ring:
         self._known: dict[Factor, Polynomial] = {}
         self._products: dict[tuple[Wave, Wave], Mixture] = {}
         self._group = {
-            self._monomial(angle): number for number, group in enumerate(groups) for angle in group
+            self._monomial(angle): number
+            for number, group in enumerate(groups)
+            for angle in group
         }
 
     def expand(self, value: Expression | Number) -> Polynomial:
@@ -134,13 +137,16 @@ class Ring:
             ExpressionError: Its degree may exceed 63, there are too many terms, or numbers
                 that are no longer finite.
         """
-        for factor in auxiliaries([expression(value)]):  # the deepest first: no deep recursion
+        # the deepest first: no deep recursion
+        for factor in auxiliaries([expression(value)]):
             if factor.content is not None:
                 self._factor(factor)
         total: dict[Wave, dict[int, Number]] = {}
         degree = 0
         for factors, size in expression(value).terms:
-            symbols = [self._monomial(factor) for factor in factors if factor.content is None]
+            symbols = [
+                self._monomial(factor) for factor in factors if factor.content is None
+            ]
             product = Polynomial({(): {sum(symbols): size}}, len(symbols))
             for factor in factors:
                 if factor.content is not None:
@@ -172,7 +178,9 @@ class Ring:
         """The symbols of a monomial and their exponents."""
         found = []
         while monomial:
-            place = ((monomial & -monomial).bit_length() - 1) // BITS  # of the lowest one there
+            place = (
+                (monomial & -monomial).bit_length() - 1
+            ) // BITS  # of the lowest one there
             power = monomial >> (place * BITS) & LARGEST
             found.append((self.symbols[place], power))
             monomial ^= power << (place * BITS)
@@ -185,7 +193,9 @@ class Ring:
     def _clean(self, parts: dict[Wave, dict[int, Number]], degree: int) -> Polynomial:
         """Without zeros, and with numbers that a further product leaves finite."""
         if degree > LARGEST:
-            raise ExpressionError(f"an expression of degree {degree}; at most {LARGEST}")
+            raise ExpressionError(
+                f"an expression of degree {degree}; at most {LARGEST}"
+            )
         least = self._rounding
         for part in parts.values():
             for key in [key for key, size in part.items() if -least <= size <= least]:
@@ -221,9 +231,13 @@ class Ring:
             total = self._times(total, {cosine: 1.0, sine: 1j * sign})
         sines = nature is Nature.SINE
         weights = {wave: (w.imag if sines else w.real) for wave, w in total.items()}
-        return Polynomial({wave: {0: weight} for wave, weight in weights.items() if weight}, 0)
+        return Polynomial(
+            {wave: {0: weight} for wave, weight in weights.items() if weight}, 0
+        )
 
-    def _times(self, a: dict[Wave, complex], b: dict[Wave, complex]) -> dict[Wave, complex]:
+    def _times(
+        self, a: dict[Wave, complex], b: dict[Wave, complex]
+    ) -> dict[Wave, complex]:
         """Two sums of waves multiplied."""
         products: dict[Wave, complex] = {}
         for (x, u), (y, v) in choices(a.items(), b.items()):
@@ -237,7 +251,9 @@ class Ring:
         for wave, part in self.expand(content).parts.items():
             for monomial, number in part.items():
                 atom = self._atom(wave, monomial)
-                parts.setdefault(self._group.get(atom, -1 - atom), []).append((atom, number))
+                parts.setdefault(self._group.get(atom, -1 - atom), []).append(
+                    (atom, number)
+                )
         return {group: tuple(sorted(angle)) for group, angle in parts.items()}
 
     def _atom(self, wave: Wave, monomial: int) -> int:
@@ -260,7 +276,9 @@ class Ring:
         options: list[list[tuple[Wave, float]]] = []
         for group in sorted({*left, *right}):
             tones = [each[group] for each in (left, right) if group in each]
-            options.append(_in_group(group, *tones) if len(tones) > 1 else [(tuple(tones), 1.0)])
+            options.append(
+                _in_group(group, *tones) if len(tones) > 1 else [(tuple(tones), 1.0)]
+            )
         self._budget.multiply(prod(len(each) for each in options))
         mixture: dict[Wave, float] = {}
         for choice in choices(*options):

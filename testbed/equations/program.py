@@ -75,7 +75,9 @@ class Program:
     def waves(self) -> tuple[Factor, ...]:
         """Sines and cosines of coordinates, in order."""
         used = {factor for _, value in self.lines for factor in leaves(value)}
-        return tuple(sorted(f for f in used if f.nature in (Nature.COSINE, Nature.SINE)))
+        return tuple(
+            sorted(f for f in used if f.nature in (Nature.COSINE, Nature.SINE))
+        )
 
     @cached_property
     def symbols(self) -> tuple[Factor, ...]:
@@ -83,7 +85,9 @@ class Program:
         values = [value for _, value in self.lines]
         values += [wave.content for wave in self.waves if wave.content is not None]
         used = {factor for value in values for factor in leaves(value)}
-        return tuple(sorted(factor for factor in used if factor.nature <= Nature.CONSTANT))
+        return tuple(
+            sorted(factor for factor in used if factor.nature <= Nature.CONSTANT)
+        )
 
     @cached_property
     def count(self) -> Count:
@@ -119,7 +123,9 @@ def literal(results: Mapping[Factor, Expression]) -> Program:
 
 def _program(sheet: Assignments) -> Program:
     """Lines in order: brackets and products that serve once go where they are used."""
-    uses = Counter(f for line in sheet.lines.values() for factors, _ in line.terms for f in factors)
+    uses = Counter(
+        f for line in sheet.lines.values() for factors, _ in line.terms for f in factors
+    )
     made: dict[Factor, Expression] = {}  # what to write in the place of a line's name
     once: list[Step] = []
     steps: list[Step] = []
@@ -136,7 +142,9 @@ def _program(sheet: Assignments) -> Program:
             numbers[letter] += not own
             shown = name.name if own else f"{letter}{numbers[letter]}"
             made[name] = symbol(Nature.AUXILIARY, shown)
-            (once if fixed else steps).append((Factor.of(Nature.AUXILIARY, shown), value))
+            (once if fixed else steps).append(
+                (Factor.of(Nature.AUXILIARY, shown), value)
+            )
         else:
             made[name] = value
     return Program(tuple(once), tuple(steps), frozenset(sheet.results))
@@ -184,7 +192,9 @@ class Assignments:
 
     def __init__(self, results: Mapping[Factor, Expression]) -> None:
         """Args: results: By name; what they refer to gets lines of its own."""
-        self.lines = {each: each.content or ZERO for each in auxiliaries(results.values())}
+        self.lines = {
+            each: each.content or ZERO for each in auxiliaries(results.values())
+        }
         self.lines |= results
         self.results = dict.fromkeys(results)
         self._fixed: dict[Factor, bool] = {}
@@ -206,7 +216,9 @@ class Assignments:
             if value is None:
                 known = factor.nature in (Nature.PARAMETER, Nature.CONSTANT)
             else:
-                known = all(self.fixed(part) for factors, _ in value.terms for part in factors)
+                known = all(
+                    self.fixed(part) for factors, _ in value.terms for part in factors
+                )
             self._fixed[factor] = known
         return self._fixed[factor]
 
@@ -216,7 +228,12 @@ class Assignments:
 
     def needs(self, name: Factor) -> list[Factor]:
         """The lines that a line refers to."""
-        return [f for factors, _ in self.lines[name].terms for f in factors if f in self.lines]
+        return [
+            f
+            for factors, _ in self.lines[name].terms
+            for f in factors
+            if f in self.lines
+        ]
 
     def new(self, value: Expression) -> Factor:
         """A new line, and its name."""
@@ -233,11 +250,17 @@ class Assignments:
                 value = other.get(factor)
                 return substitute(value, meaning) if value else value
 
-            left = {name: value for name, value in self.lines.items() if name not in other}
-            self.lines = {name: substitute(value, meaning) for name, value in left.items()}
+            left = {
+                name: value for name, value in self.lines.items() if name not in other
+            }
+            self.lines = {
+                name: substitute(value, meaning) for name, value in left.items()
+            }
             self._fixed.clear()
         needed = set(depth_first(self.results, self.needs))
-        self.lines = {name: value for name, value in self.lines.items() if name in needed}
+        self.lines = {
+            name: value for name, value in self.lines.items() if name in needed
+        }
 
     def _superfluous(self) -> dict[Factor, Expression]:
         """Lines that are zero, another name for a factor, or another line up to its sign."""
@@ -267,7 +290,10 @@ class Assignments:
                     if product not in made:
                         made[product] = self.new(product)
                     rest = [factor for factor in factors if factor not in fixed]
-                    factors, weight = _ordered([*rest, made[product]]), 1 if weight > 0 else -1
+                    factors, weight = (
+                        _ordered([*rest, made[product]]),
+                        1 if weight > 0 else -1,
+                    )
                 terms.append((factors, weight))
             self.lines[name] = collect(terms)
         self.unify()
@@ -287,9 +313,15 @@ class Assignments:
                 self._share(pair, places[pair])
         self.unify()
 
-    def _share(self, pair: tuple[Factor, Factor], places: Iterable[tuple[Factor, Factors]]) -> None:
+    def _share(
+        self, pair: tuple[Factor, Factor], places: Iterable[tuple[Factor, Factors]]
+    ) -> None:
         """A line for a pair of factors, where it still stands in several places."""
-        there = [(name, each) for name, each in places if each in dict(self.lines[name].terms)]
+        there = [
+            (name, each)
+            for name, each in places
+            if each in dict(self.lines[name].terms)
+        ]
         if len(there) < 2:
             return
         alone = (Expression(((pair, 1),)), Expression(((pair, -1),)))
@@ -309,19 +341,27 @@ class Assignments:
         for name in self.variable_lines():
             while (best := self._best_factor(self.lines[name])) is not None:
                 terms = self.lines[name].terms
-                inner = collect((_without(each, best), c) for each, c in terms if best in each)
+                inner = collect(
+                    (_without(each, best), c) for each, c in terms if best in each
+                )
                 rest = [(each, c) for each, c in terms if best not in each]
-                self.lines[name] = collect([*rest, (_ordered((best, self.new(inner))), 1)])
+                self.lines[name] = collect(
+                    [*rest, (_ordered((best, self.new(inner))), 1)]
+                )
         self.unify()
 
     def _best_factor(self, value: Expression) -> Factor | None:
         """The factor that saves the most operations, if any does."""
-        count = Counter(factor for factors, _ in value.terms for factor in dict.fromkeys(factors))
+        count = Counter(
+            factor for factors, _ in value.terms for factor in dict.fromkeys(factors)
+        )
         best, most = None, (0, False)
         for factor, times in count.items():
             if times < 2:
                 continue
-            inner = [_without(each, factor) for each, _ in value.terms if factor in each]
+            inner = [
+                _without(each, factor) for each, _ in value.terms if factor in each
+            ]
             free = all(self.fixed(part) for factors in inner for part in factors)
             saved = ((times - 1) * (1 + free), self.fixed(factor))
             if saved > most:

@@ -57,7 +57,8 @@ def right_angles(tree: Tree) -> Tree:
 def almost_right(tree: Tree) -> dict[str, float]:
     """Joints with a rotation or axis that `right_angles` would change, and by how much [rad]."""
     changes = {
-        joint.name: max(_change(joint.rotation), _change(joint.axis)) for joint in tree.joints
+        joint.name: max(_change(joint.rotation), _change(joint.axis))
+        for joint in tree.joints
     }
     return {name: change for name, change in changes.items() if change > EXACT}
 
@@ -146,10 +147,14 @@ def draw(tree: Tree, gravity: Array) -> SymbolicRobot:
         )
     )
     weight = _gravity(gravity, constant)
-    return SymbolicRobot(tree.n, tuple(joints), q, qd, qdd, weight, values, *_parallel(tree, q))
+    return SymbolicRobot(
+        tree.n, tuple(joints), q, qd, qdd, weight, values, *_parallel(tree, q)
+    )
 
 
-def _parallel(tree: Tree, q: AnyArray) -> tuple[tuple[Group, ...], tuple[Followers, ...]]:
+def _parallel(
+    tree: Tree, q: AnyArray
+) -> tuple[tuple[Group, ...], tuple[Followers, ...]]:
     """Groups of parallel axes, and where they follow each other directly; see `SymbolicRobot`."""
     groups: list[Group] = []
     followers: list[list[tuple[int, int]]] = [[] for _ in tree.joints]
@@ -162,7 +167,9 @@ def _parallel(tree: Tree, q: AnyArray) -> tuple[tuple[Group, ...], tuple[Followe
             i, axis = tree.parents[i], tree.joints[i].rotation @ axis
         cosine = float(axis @ tree.joints[i].axis) if i >= 0 else 0.0
         sign = 1 if cosine >= 0 else -1
-        group, sense, angles = bodies[i] if abs(cosine) > 1.0 - EXACT else (([], []), 1, [ZERO])
+        group, sense, angles = (
+            bodies[i] if abs(cosine) > 1.0 - EXACT else (([], []), 1, [ZERO])
+        )
         if len(angles) == 1:
             groups.append(group)
         elif joint.parent == i:
@@ -246,7 +253,9 @@ def parameters(
     return tuple(map(Parameter, labels, units, symbols))
 
 
-def barycentric(parameters: Sequence[Parameter], lift: Array, *, by_column: bool) -> AnyArray:
+def barycentric(
+    parameters: Sequence[Parameter], lift: Array, *, by_column: bool
+) -> AnyArray:
     """Barycentric parameters in symbols, (n, 10, 1), or on unit columns, (n, 10, N).
 
     Args:
@@ -256,7 +265,9 @@ def barycentric(parameters: Sequence[Parameter], lift: Array, *, by_column: bool
     """
     theta = lift.astype(object)
     if not by_column:
-        symbols = [of(each.symbol) * each.times if each.symbol else 0 for each in parameters]
+        symbols = [
+            of(each.symbol) * each.times if each.symbol else 0 for each in parameters
+        ]
         theta = (theta @ _objects(symbols))[:, None]
     return theta.reshape(-1, 10, theta.shape[1])
 
@@ -322,7 +333,8 @@ def barycentric_definitions(
             shown = simplify(ring, ring.expand(value), frozenset())
             budget.write(len(shown.terms))
             found.append((component_symbol(j, int(component)).text, shown))
-    return sorted(found, key=lambda pair: -_degree(pair[0]))  # as in the paper's listing
+    # as in the paper's listing
+    return sorted(found, key=lambda pair: -_degree(pair[0]))
 
 
 def _own(tree: Tree, j: int, by_file: bool) -> AnyArray:
@@ -330,14 +342,20 @@ def _own(tree: Tree, j: int, by_file: bool) -> AnyArray:
     inertia = tree.inertias[j]
     least = TINY if by_file else 0.0
     centre = [
-        symbol(Nature.CONSTANT, length_symbol(j, j, axis).text) if abs(length) >= least else 0
+        symbol(Nature.CONSTANT, length_symbol(j, j, axis).text)
+        if abs(length) >= least
+        else 0
         for axis, length in zip("xyz", inertia.com, strict=True)
     ]
     least *= np.abs(inertia.central).max()
     central = [
-        symbol(Nature.PARAMETER, f"J{j + 1}{'xyz'[a]}{'xyz'[b]}", j) if abs(size) >= least else 0
+        symbol(Nature.PARAMETER, f"J{j + 1}{'xyz'[a]}{'xyz'[b]}", j)
+        if abs(size) >= least
+        else 0
         for a, b, size in zip(*UPPER, inertia.central[UPPER], strict=True)
     ]
-    own: AnyArray = point_mass(_objects(centre)) * symbol(Nature.PARAMETER, f"m{j + 1}", j)
+    own: AnyArray = point_mass(_objects(centre)) * symbol(
+        Nature.PARAMETER, f"m{j + 1}", j
+    )
     own[4:] += _objects(central)
     return own

@@ -12,7 +12,15 @@ from collections.abc import Iterable
 from typing import TypeAlias
 
 from testbed.equations.expression import Expression, Number, Term, collect, cosine, sine
-from testbed.equations.polynomial import COSINE, SINE, Index, Polynomial, Ring, combine, positive
+from testbed.equations.polynomial import (
+    COSINE,
+    SINE,
+    Index,
+    Polynomial,
+    Ring,
+    combine,
+    positive,
+)
 
 Tone: TypeAlias = tuple[int, Index]  # 0 for a cosine or 1 for a sine, its angle
 Shape: TypeAlias = tuple[Tone, ...]  # cosines and sines of one group
@@ -21,7 +29,9 @@ Key: TypeAlias = tuple[int, Shapes]  # monomial, shapes
 Terms: TypeAlias = dict[Key, Number]
 
 
-def simplify(ring: Ring, polynomial: Polynomial, natural: frozenset[Index]) -> Expression:
+def simplify(
+    ring: Ring, polynomial: Polynomial, natural: frozenset[Index]
+) -> Expression:
     """The polynomial as an expression.
 
     Args:
@@ -63,7 +73,9 @@ def _paired(terms: Terms, group: int, natural: frozenset[Index]) -> Terms:
     return found
 
 
-def _products(tones: dict[Shape, Number], natural: frozenset[Index]) -> dict[Shape, Number]:
+def _products(
+    tones: dict[Shape, Number], natural: frozenset[Index]
+) -> dict[Shape, Number]:
     """The tones of one term, pairs of them as products where that is shorter."""
     left = dict(sorted(tones.items()))
     found: dict[Shape, Number] = {}
@@ -88,7 +100,12 @@ def _product(
     """Two tones of one kind and with numbers of one size as a product, if it is natural."""
     (kind, u), (second, v) = _tone(one), _tone(two)
     half, rest = _half(combine(u, v, 1)), _half(combine(u, v, -1))
-    if kind != second or half is None or rest is None or (kind == SINE and not (u and v)):
+    if (
+        kind != second
+        or half is None
+        or rest is None
+        or (kind == SINE and not (u and v))
+    ):
         return None
     alike = (size > 0) == (other > 0)
     if kind == COSINE:  # cos u + cos v = 2 cos h cos r; cos u - cos v = -2 sin h sin r
@@ -106,7 +123,9 @@ def _product(
     return tuple(sorted(shape)), 2 * size
 
 
-def _halved(shape: Shape, number: Number, natural: frozenset[Index]) -> tuple[Shape, Number]:
+def _halved(
+    shape: Shape, number: Number, natural: frozenset[Index]
+) -> tuple[Shape, Number]:
     """Half a sine of a double angle as a sine times a cosine."""
     kind, index = _tone(shape)
     half = _half(index)
@@ -128,7 +147,9 @@ def _half(index: Index) -> Index | None:
 
 
 def _term(ring: Ring, monomial: int, shapes: Shapes, number: Number) -> Term:
-    factors = [factor for factor, power in ring.exponents(monomial) for _ in range(power)]
+    factors = [
+        factor for factor, power in ring.exponents(monomial) for _ in range(power)
+    ]
     for _, shape in shapes:
         for kind, index in shape:
             angle = collect(((ring.angle(atom),), times) for atom, times in index)

@@ -12,7 +12,9 @@ GRIPPER = r"finger|grip|hand|knuckle|thumb|jaw|claw|robotiq"
 """Words in names of joints of a tool, which few loggers write."""
 
 
-def joint_sets(tree: Tree, names: Sequence[str], followed: Collection[str]) -> Iterator[list[str]]:
+def joint_sets(
+    tree: Tree, names: Sequence[str], followed: Collection[str]
+) -> Iterator[list[str]]:
     """Joints without those of a gripper; of these the ones before the first branching.
 
     Args:
@@ -21,7 +23,9 @@ def joint_sets(tree: Tree, names: Sequence[str], followed: Collection[str]) -> I
         followed: Joints that others follow, as one finger the other.
     """
     tool = {tree.names[j] for j in fingers(tree, followed)}
-    arm = [n for n in names if n not in tool and not re.search(GRIPPER, n, re.IGNORECASE)]
+    arm = [
+        n for n in names if n not in tool and not re.search(GRIPPER, n, re.IGNORECASE)
+    ]
     yield arm
     kept = {tree.index(name) for name in arm}
     trunk: list[str] = []

@@ -6,7 +6,15 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from testbed.importing.foreign_table import FORCES, KINDS, KNOWN, MOMENTS, RAW, UNITS, plain
+from testbed.importing.foreign_table import (
+    FORCES,
+    KINDS,
+    KNOWN,
+    MOMENTS,
+    RAW,
+    UNITS,
+    plain,
+)
 from testbed.importing.vocabulary import TABLES, by_word
 
 PARTS = {kind: tuple(words) for kind, words in TABLES["parts"].items()}
@@ -101,7 +109,9 @@ def without_unit(name: str) -> tuple[str, str | None]:
         for unit in (plain(found[1]), plain(found[1].replace("_", "/"))):
             if unit in KNOWN:
                 return name[: found.start()] + name[found.end() :], unit
-    last = re.fullmatch(r"(\w*[a-z]\w*)[_ ](N|s)|(i_\w+|\w*(?i:cur|strom)\w*)[_ ](A)", name)
+    last = re.fullmatch(
+        r"(\w*[a-z]\w*)[_ ](N|s)|(i_\w+|\w*(?i:cur|strom)\w*)[_ ](A)", name
+    )
     if last:
         return last[1] or last[3], last[2] or last[4]
     words = list(re.finditer(r"(?<![A-Za-z])[A-Za-z]+\d?(?![A-Za-z])", name))
@@ -134,19 +144,27 @@ def _has_part(word: str, parts: tuple[str, ...]) -> bool:
     return inside or word.startswith(parts) or word.endswith(parts)
 
 
-def _kind(words: tuple[str, ...], unit: str | None, role: tuple[int, int] | None) -> str | None:
+def _kind(
+    words: tuple[str, ...], unit: str | None, role: tuple[int, int] | None
+) -> str | None:
     """The signal, by words; by the unit where they say another one, or nothing."""
     if role is not None:
         return "wrench"
     named = [SYMBOLS[word] for word in words if word in SYMBOLS]
-    parts = [kind for kind, each in PARTS.items() if any(_has_part(word, each) for word in words)]
+    parts = [
+        kind
+        for kind, each in PARTS.items()
+        if any(_has_part(word, each) for word in words)
+    ]
     if "torque" in parts[:1] and len(parts) > 1 and "current" in words:
         parts = parts[1:]  # the current position is no current
     found = "base" if "base" in named else next(iter([*named[-1:], *parts]), None)
     if found == "wrench" and any(word.startswith(LONG_JOINT_WORDS) for word in words):
         found = "torque"  # force or moment of a joint
     if found == "position":
-        found = next((DERIVATIVES[word] for word in words if word in DERIVATIVES), found)
+        found = next(
+            (DERIVATIVES[word] for word in words if word in DERIVATIVES), found
+        )
     if unit is None or found in ("wrench", "base"):
         return found
     if unit in RAW:
@@ -177,7 +195,11 @@ class Group:
         after = r"\D*" if len(self.names) > 1 else ""
         found = [re.fullmatch(rf"(.*?)(\d+)({after})", name) for name in self.names]
         around = {(m[1], m[3]) for m in found if m}
-        return [int(m[2]) for m in found if m] if None not in found and len(around) == 1 else []
+        return (
+            [int(m[2]) for m in found if m]
+            if None not in found and len(around) == 1
+            else []
+        )
 
     def of(self, joints: Sequence[str]) -> Group:
         """With the model's names in place of numbers, if there are enough; more are left out.
@@ -188,12 +210,17 @@ class Group:
         n = len(joints)
         if self.matched or not n or len(self.numbers) < n:
             return self
-        own = [[int(w) for w in words_of(name) if w.isdigit()] or [-1] for name in joints]
+        own = [
+            [int(w) for w in words_of(name) if w.isdigit()] or [-1] for name in joints
+        ]
         numbers = self.numbers[:n]
-        several = ([each[at] for each in own] for at in (-1, 0))  # joint_12.0 is the twelfth
+        # joint_12.0 is the twelfth
+        several = ([each[at] for each in own] for at in (-1, 0))
         fits = [each for each in several if sorted(each) == sorted(numbers)]
         places = [fits[0].index(number) for number in numbers] if fits else range(n)
-        return Group(self.columns[:n], tuple(joints[k] for k in places), True).like(joints)
+        return Group(self.columns[:n], tuple(joints[k] for k in places), True).like(
+            joints
+        )
 
     def like(self, names: Sequence[str]) -> Group:
         """The columns in the order of other names for the same joints."""
@@ -203,7 +230,9 @@ class Group:
         return Group(tuple(self.columns[k] for k in order), tuple(names), self.matched)
 
 
-def grouped(columns: Sequence[ColumnName], joints: Sequence[str] = ()) -> Iterator[Group]:
+def grouped(
+    columns: Sequence[ColumnName], joints: Sequence[str] = ()
+) -> Iterator[Group]:
     """Columns of one kind, those together whose names differ by the joint only.
 
     Args:
@@ -217,17 +246,24 @@ def grouped(columns: Sequence[ColumnName], joints: Sequence[str] = ()) -> Iterat
             by_model.setdefault(rest, []).append((column, joint))
         for rest, name in _own_name(column, columns):
             members.setdefault(rest, []).append((column, name))
-    every = [pair for pairs in by_model.values() for pair in pairs]  # rail_force beside j1_torque
+    # rail_force beside j1_torque
+    every = [pair for pairs in by_model.values() for pair in pairs]
     for pairs in (*by_model.values(), every):
         if pairs and (group := _group(pairs, matched=True)):
             yield group.like([name for name in joints if name in group.names])
-    if len(joints) == len(columns) == 1 and not by_model:  # nothing needs distinguishing
+    # nothing needs distinguishing
+    if len(joints) == len(columns) == 1 and not by_model:
         yield Group(tuple(columns), tuple(joints), True)
     for pairs in members.values():
         if group := _group(pairs):
-            ordered = [name for _, name in sorted(zip(group.numbers, group.names, strict=False))]
+            ordered = [
+                name
+                for _, name in sorted(zip(group.numbers, group.names, strict=False))
+            ]
             yield group.like(ordered)
-        numbered: dict[str, list[tuple[ColumnName, str]]] = {}  # 1, 2 apart from Sm1, Sm2
+        numbered: dict[
+            str, list[tuple[ColumnName, str]]
+        ] = {}  # 1, 2 apart from Sm1, Sm2
         for pair in pairs:
             if found := re.fullmatch(r"(\D*)\d+", pair[1]):
                 numbered.setdefault(found[1], []).append(pair)
@@ -244,10 +280,16 @@ def as_torques(column: ColumnName, joints: Sequence[str]) -> ColumnName:
         joints: Names in the model.
     """
     load = column.kind == "wrench" and column.role is None
-    return replace(column, kind="torque") if load and _model_joint(column, joints) else column
+    return (
+        replace(column, kind="torque")
+        if load and _model_joint(column, joints)
+        else column
+    )
 
 
-def _group(pairs: Sequence[tuple[ColumnName, str]], *, matched: bool = False) -> Group | None:
+def _group(
+    pairs: Sequence[tuple[ColumnName, str]], *, matched: bool = False
+) -> Group | None:
     """A group, if each joint is there once."""
     columns, names = zip(*pairs, strict=True)
     return Group(columns, names, matched) if len(set(names)) == len(names) else None
@@ -285,7 +327,9 @@ def plate_columns(columns: Sequence[ColumnName]) -> dict[str, list[ColumnName]]:
         if column.role is not None:
             sets.setdefault(_without_role(column), {}).setdefault(column.role, column)
     whole = {
-        name: [each[role] for role in sorted(each)] for name, each in sets.items() if len(each) == 6
+        name: [each[role] for role in sorted(each)]
+        for name, each in sets.items()
+        if len(each) == 6
     }
     if whole:
         return whole
@@ -314,7 +358,9 @@ def _model_joint(column: ColumnName, joints: Sequence[str]) -> list[tuple[str, s
     return found
 
 
-def _own_name(column: ColumnName, columns: Sequence[ColumnName]) -> Iterator[tuple[str, str]]:
+def _own_name(
+    column: ColumnName, columns: Sequence[ColumnName]
+) -> Iterator[tuple[str, str]]:
     """The rest of a name and what in it is not about the signal and not in all names."""
     said = re.sub(WORD, _marked, column.bare)
     parts = re.findall(r"\0\w+\0|[A-Za-z\d]+(?:[_-]*[A-Za-z\d]+)*", said, re.ASCII)
@@ -334,5 +380,8 @@ def _marked(word: re.Match[str]) -> str:
 
 def _without_role(column: ColumnName) -> str:
     """A wrench column's name without what says force or moment and the axis."""
-    about = [re.sub(r"^([fmt])?[xyz]$|^(force|torque|moment)s?$", "", w) for w in column.words]
+    about = [
+        re.sub(r"^([fmt])?[xyz]$|^(force|torque|moment)s?$", "", w)
+        for w in column.words
+    ]
     return " ".join(word for word in about if word)

@@ -33,7 +33,13 @@ from testbed.importing.mapping import (
     read_mapping,
 )
 from testbed.importing.readers import open_foreign
-from testbed.importing.resampling import FEWEST, SAME, low_pass_reach, on_common_rows, onto_grid
+from testbed.importing.resampling import (
+    FEWEST,
+    SAME,
+    low_pass_reach,
+    on_common_rows,
+    onto_grid,
+)
 from testbed.importing.signal_maps import (
     base_pose,
     check_units,
@@ -113,7 +119,12 @@ def pieces(
     try:
         streams = _streams(mapping, path.parent)
         clocks = [
-            (each.table.source, mapping.sources[each.table.source], each.time, each.rows)
+            (
+                each.table.source,
+                mapping.sources[each.table.source],
+                each.time,
+                each.rows,
+            )
             for each in streams.values()
         ]
         windows, cuts = cut(_window(mapping, streams), clocks)
@@ -153,7 +164,11 @@ def _with_files(path: Path, mapping: Mapping, said: str) -> str:
     """What is wrong with data, with the names of the mapping file and of a data file."""
     said = said.removeprefix(f"{path}: ")
     files = [source.file for source in mapping.sources.values()]
-    own = [each.file for name, each in mapping.sources.items() if f"sources.{name}:" in said]
+    own = [
+        each.file
+        for name, each in mapping.sources.items()
+        if f"sources.{name}:" in said
+    ]
     if any(file in said for file in files):
         return f"{path}: {said}"
     return f"{path}: {few(own or files, WIDTH)}: {said}"
@@ -179,7 +194,9 @@ def _converted(
     mapping: Mapping, streams: Table[str, _Stream], window: Window
 ) -> tuple[dict[str, Array], dict[str, Any]]:
     """Columns and metadata of a recording of a part of the time."""
-    samples = {label: _samples(mapping, label, each, window) for label, each in streams.items()}
+    samples = {
+        label: _samples(mapping, label, each, window) for label, each in streams.items()
+    }
     grid = _grid(mapping, samples.values(), window)
     columns: dict[str, Array] = {"time": grid - grid[0]}
     clocks: dict[str, ClockReport] = {}
@@ -187,7 +204,8 @@ def _converted(
         check_units(label, each.table, each.file)
         got, name = samples[label], each.table.source
         made = _mapped(mapping, label, onto_grid(got.time, got.values, got.rate, grid))
-        columns |= {name: made[name] + columns.get(name, 0.0) for name in made}  # plates add up
+        # plates add up
+        columns |= {name: made[name] + columns.get(name, 0.0) for name in made}
         clock = replace(got.clock, lead=float(grid[0] - each.begin), cut=each.file.cut)
         if clocks.setdefault(name, clock) != clock:  # other samples are missing
             clocks[f"{name}, {label}"] = clock
@@ -219,7 +237,9 @@ def _open(folder: Path, mapping: Mapping, name: str) -> ForeignTable:
     wanted = [*_used(mapping)[name], *([source.time] if source.time else [])]
     counts = {column: lengths[column] for column in wanted if column in lengths}
     if len(set(counts.values())) > 1:
-        said = ", ".join(f"'{column}' {count}" for column, count in list(counts.items())[:4])
+        said = ", ".join(
+            f"'{column}' {count}" for column, count in list(counts.items())[:4]
+        )
         raise RecordingError(
             f"sources.{name}: columns of different lengths: {said}; say a source for each length, "
             "with the times of as many samples"
@@ -234,7 +254,9 @@ def _times(mapping: Mapping, name: str, table: ForeignTable) -> Times:
         column = table.stamps(_used(mapping)[name][0])
         time = Times(0.0, np.arange(len(column)) / (source.rate or mapping.rate))
     else:
-        time = sample_times(name, source, table.stamps(source.time), table.unit(source.time))
+        time = sample_times(
+            name, source, table.stamps(source.time), table.unit(source.time)
+        )
     since = time.since
     if np.nanmin(since) == np.nanmax(since):
         raise RecordingError(
@@ -248,15 +270,21 @@ def _streams(mapping: Mapping, folder: Path) -> dict[str, _Stream]:
     """Samples of all signals, by the label of their tables in the mapping."""
     files = {name: _open(folder, mapping, name) for name in _used(mapping)}
     clocks = {name: _times(mapping, name, file) for name, file in files.items()}
-    times = by_one_clock(clocks, {name: mapping.sources[name].offset for name in clocks})
+    times = by_one_clock(
+        clocks, {name: mapping.sources[name].offset for name in clocks}
+    )
     found = {
         label: _stream(label, table, files[table.source], times[table.source])
         for label, table in mapping.tables.items()
     }
-    spans = sorted((each.table.source, float(np.ptp(each.time))) for each in found.values())
+    spans = sorted(
+        (each.table.source, float(np.ptp(each.time))) for each in found.values()
+    )
     longest = dict(spans)
     return {
-        label: replace(each, shorter=longest[each.table.source] - float(np.ptp(each.time)))
+        label: replace(
+            each, shorter=longest[each.table.source] - float(np.ptp(each.time))
+        )
         for label, each in found.items()
     }
 
@@ -274,7 +302,9 @@ def _stream(label: str, table: AnyTable, file: ForeignTable, time: Array) -> _St
         rows, values = on_common_rows(time, values)
     if len(rows) < FEWEST:
         why = f"{plural(len(rows), 'sample')} of [{label}], which is no recording"
-        for name in (n for n, some in zip(table.columns, finite.T, strict=True) if not some.any()):
+        for name in (
+            n for n, some in zip(table.columns, finite.T, strict=True) if not some.any()
+        ):
             why = f"'{name}' holds no number; leave [{label}] out"
         raise RecordingError(f"sources.{table.source}: {why}")
     begin = float(time[np.isfinite(time)][0])
@@ -287,7 +317,9 @@ def _window(mapping: Mapping, streams: Table[str, _Stream]) -> Window:
     last = min(float(each.time.max()) for each in streams.values())
     times = {each.table.source: each.time for each in streams.values()}
     if first >= last:
-        ranges = "; ".join(f"{n} {t.min():.9g} to {t.max():.9g} s" for n, t in times.items())
+        ranges = "; ".join(
+            f"{n} {t.min():.9g} to {t.max():.9g} s" for n, t in times.items()
+        )
         own, *others = times
         together = ", ".join(
             f"[sources.{n}] offset = "
@@ -302,7 +334,9 @@ def _window(mapping: Mapping, streams: Table[str, _Stream]) -> Window:
     last = min(last, first + (mapping.stop or np.inf))
     first += mapping.start
     if first >= last:
-        raise RecordingError(f"start = {mapping.start:g} s leaves nothing of the recording")
+        raise RecordingError(
+            f"start = {mapping.start:g} s leaves nothing of the recording"
+        )
     return first, last
 
 
@@ -343,7 +377,9 @@ def _samples(mapping: Mapping, label: str, stream: _Stream, window: Window) -> _
     return _Samples(time, values, rate, clock, report)
 
 
-def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, float]) -> Array:
+def _grid(
+    mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, float]
+) -> Array:
     """The recording's instants, (L,) [s]."""
     first, last = window
     for each in samples:
@@ -360,7 +396,9 @@ def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, fl
             f"{max(0.0, last - first):.3g} s are left of what the sources have in common, too "
             f"little for {mapping.rate:g} Hz; is `time_unit` right, and every source's `offset`?"
         )
-    found: Array = first + np.arange(int(count + SAME * mapping.rate) + 1) / mapping.rate
+    found: Array = (
+        first + np.arange(int(count + SAME * mapping.rate) + 1) / mapping.rate
+    )
     return found
 
 
@@ -385,7 +423,9 @@ def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
         "import": encode(report),
         "mapping": mapping.model_dump(mode="json", exclude_none=True),
         "diagnostics": [each.as_dict() for each in report.diagnostics],
-        "sensors": {name: {"link": each.link or name} for name, each in mapping.sensors.items()},
+        "sensors": {
+            name: {"link": each.link or name} for name, each in mapping.sensors.items()
+        },
         "geometry": joint_kinds(mapping.position, mapping.joints),
         "effort": effort_kinds(mapping),
         "gravity": mapping.gravity,
@@ -393,4 +433,7 @@ def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
     plates = [each for each in mapping.others.values() if isinstance(each, WrenchTable)]
     tares = [t for each in plates if (t := each.static(mapping.gravity)) is not None]
     tare = np.sum(tares, axis=0).tolist() if tares else None
-    return {"tare": tare, "facts": {name: value for name, value in metadata.items() if value}}
+    return {
+        "tare": tare,
+        "facts": {name: value for name, value in metadata.items() if value},
+    }

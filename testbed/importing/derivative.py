@@ -103,7 +103,9 @@ def _over(reach: int, values: Array, whole: Array) -> Slopes:
     total = (moved * moved).sum(axis=0)[:, None] * squares
     with np.errstate(divide="ignore", invalid="ignore"):
         slope, fit = between / squares, between**2 / total
-    return Slopes(np.nan_to_num(slope, posinf=0, neginf=0), np.nan_to_num(fit, posinf=0, neginf=0))
+    return Slopes(
+        np.nan_to_num(slope, posinf=0, neginf=0), np.nan_to_num(fit, posinf=0, neginf=0)
+    )
 
 
 def unit_of(kind: str, size: float) -> str | None:
@@ -113,7 +115,9 @@ def unit_of(kind: str, size: float) -> str | None:
         kind: A key of `UNITS`.
         size: What one of it is in SI.
     """
-    near = {unit: abs(factor / size - 1) for unit, factor in UNITS[kind].items() if size > 0}
+    near = {
+        unit: abs(factor / size - 1) for unit, factor in UNITS[kind].items() if size > 0
+    }
     best = min(near, key=near.__getitem__, default=None)
     return best if best is not None and near[best] < BETWEEN else None
 
@@ -132,7 +136,10 @@ def derivatives(
         RecordingError: They are derivatives in another unit, sense or order.
     """
     found: dict[str, SignalReport] = {}
-    pairs: tuple[tuple[Kind, Kind], ...] = (("position", "velocity"), ("velocity", "acceleration"))
+    pairs: tuple[tuple[Kind, Kind], ...] = (
+        ("position", "velocity"),
+        ("velocity", "acceleration"),
+    )
     for below, kind in pairs:
         if below not in mapping.signals or kind not in mapping.signals:
             continue
@@ -152,10 +159,17 @@ def derivatives(
 
 
 def _check_moves(
-    kind: Kind, of: Kind, joints: Sequence[str], values: Array, rates: Array, time: Array
+    kind: Kind,
+    of: Kind,
+    joints: Sequence[str],
+    values: Array,
+    rates: Array,
+    time: Array,
 ) -> None:
     """Whether what has a derivative changes at all."""
-    varied = np.cumsum((rates - rates.mean(axis=0))[1:] * np.diff(time)[:, None], axis=0)
+    varied = np.cumsum(
+        (rates - rates.mean(axis=0))[1:] * np.diff(time)[:, None], axis=0
+    )
     dead = (np.ptp(values, axis=0) == 0) & (np.ptp(varied, axis=0) > MOVED)
     names = np.array(joints)[dead].tolist()
     if names:
@@ -188,7 +202,11 @@ def _diagnostics(
         read = np.stack([sizes[0], sizes[1][order]])
         lines = _lines(kind, table, of, below, order, np.where(sure, slope, 1.0), read)
         names = [joints[k] for k in range(n) if wrong[k] or order[k] != k]
-        said = f"it is {_times(slope[wrong])}" if wrong.any() else "it is that of other joints"
+        said = (
+            f"it is {_times(slope[wrong])}"
+            if wrong.any()
+            else "it is that of other joints"
+        )
         advice = (
             in_mapping(lines)
             if lines

@@ -44,11 +44,20 @@ def without_turns(
             found[1:, k] -= turn * np.cumsum(turns)
             if turns.any():
                 wrapped[name] = int(np.count_nonzero(turns))
-        steps = {i: size for i, size in _steps(time, found[:, k]) if abs(size) * scale > LEAST}
+        steps = {
+            i: size
+            for i, size in _steps(time, found[:, k])
+            if abs(size) * scale > LEAST
+        }
         if 0 < len(steps) <= MOST:
             times = ", ".join(f"{time[i + 1] - time[0]:.6g}" for i in steps)
             said.append(
-                diagnose("position.step", name, scale * max(steps.values(), key=abs), at=times)
+                diagnose(
+                    "position.step",
+                    name,
+                    scale * max(steps.values(), key=abs),
+                    at=times,
+                )
             )
     if wrapped:
         names_of = ", ".join(f"{name} {count} times" for name, count in wrapped.items())

@@ -49,7 +49,8 @@ def _units_of_joint(
 ) -> dict[str, dict[str, float]]:
     """Units of a joint's signals, by those of its positions and of its torques."""
     derivatives = (
-        {f"{unit}{per}": size for unit, size in position.items()} for per in ("/s", "/s^2")
+        {f"{unit}{per}": size for unit, size in position.items()}
+        for per in ("/s", "/s^2")
     )
     return dict(zip(KINDS, (position, *derivatives, torque), strict=True))
 
@@ -90,7 +91,9 @@ def plain(unit: str) -> str:
 def _product(text: str) -> str:
     """Factors of a unit, a force before its arm."""
     given = re.split(r"[\s*·⋅.\-_]+", text)
-    plainer = [word.lower() if len(word) > 2 and word not in WORDS else word for word in given]
+    plainer = [
+        word.lower() if len(word) > 2 and word not in WORDS else word for word in given
+    ]
     words = [WORDS.get(word, word) for word in plainer]
     return " ".join(sorted(words, key=lambda word: word not in FORCES))
 
@@ -190,7 +193,9 @@ class ForeignTable:
         Raises:
             RecordingError: It has more.
         """
-        check_count(self.path, "columns", sum(map(_width, self.shapes.values())), MOST_COLUMNS)
+        check_count(
+            self.path, "columns", sum(map(_width, self.shapes.values())), MOST_COLUMNS
+        )
 
     @staticmethod
     def of(
@@ -208,7 +213,9 @@ class ForeignTable:
     @cached_property
     def lengths(self) -> dict[str, int]:
         """Number of samples of every column, by name."""
-        return {name: max(self.shapes[array]) for name, (array, _) in self._places.items()}
+        return {
+            name: max(self.shapes[array]) for name, (array, _) in self._places.items()
+        }
 
     def unit(self, column: str) -> str | None:
         """What the file says of a column's unit; None if nothing."""
@@ -225,7 +232,9 @@ class ForeignTable:
             UnknownName: There is no such column.
             RecordingError: The file is damaged there, or holds too much.
         """
-        return {k: np.array(row, dtype=np.float64) for k, row in self._rows(columns).items()}
+        return {
+            k: np.array(row, dtype=np.float64) for k, row in self._rows(columns).items()
+        }
 
     def matrix(self, columns: Sequence[str]) -> Array:
         """Some columns of one length side by side, (M, k).

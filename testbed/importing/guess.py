@@ -14,7 +14,14 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError, few, plural, printable
 from testbed.importing.column_names import WARMTH, ColumnName, at_the_hand, grouped
-from testbed.importing.foreign_table import RAW, UNITS, ForeignTable, Kind, StatedPlate, plain
+from testbed.importing.foreign_table import (
+    RAW,
+    UNITS,
+    ForeignTable,
+    Kind,
+    StatedPlate,
+    plain,
+)
 from testbed.importing.import_report import MappingDraft
 from testbed.importing.likely_signals import (
     BY_BOTH,
@@ -69,11 +76,17 @@ def guessed(
         "",
     )
     rate = _rate(sources, signals)
-    why = "" if rate else f": {sources[0].clock.because}, and a log without times does not say it"
+    why = (
+        ""
+        if rate
+        else f": {sources[0].clock.because}, and a log without times does not say it"
+    )
     draft = draft.saying("", "rate", rate, f"of the recording [Hz]{why}")
     draft = draft.saying("", "joints", *_joints(signals, joints))
     plates = likely_plates(sources, signals)
-    used = {each.source.name for each in signals.values()} | {each[1].name for each in plates}
+    used = {each.source.name for each in signals.values()} | {
+        each[1].name for each in plates
+    }
     for each in sources:
         if each.name in used or not used:
             draft = _with_source(draft, each, folder)
@@ -92,20 +105,28 @@ def guessed(
     return draft
 
 
-def _with_source(draft: MappingDraft, source: LikelySource, folder: Path) -> MappingDraft:
+def _with_source(
+    draft: MappingDraft, source: LikelySource, folder: Path
+) -> MappingDraft:
     """Mapping with a source's table, and what its columns hold."""
     name = f"sources.{source.name}"
     file = os.path.relpath(source.file.resolve(), folder.resolve())
     known = [f"# {source.logger} names its columns like this"] if source.logger else []
     rows = max(source.table.lengths.values(), default=0)
-    known += [f"# the last line is incomplete: {rows} rows are read"] if source.table.cut else []
+    known += (
+        [f"# the last line is incomplete: {rows} rows are read"]
+        if source.table.cut
+        else []
+    )
     draft = draft.remarking(name, *known, *_listed(source.table))
     keys = [("file", file, ""), ("topic", source.topic, ""), *source.clock.said()]
     return draft.saying_all(name, keys)
 
 
 def _fitting(
-    sources: Sequence[LikelySource], joints: Sequence[str], subsets: Iterable[Sequence[str]]
+    sources: Sequence[LikelySource],
+    joints: Sequence[str],
+    subsets: Iterable[Sequence[str]],
 ) -> tuple[Mapping[Kind, LikelySignal], Sequence[str]]:
     """Signals of all joints, or of the first fewer ones that the columns fit; and these joints."""
     signals = likely_signals(sources, joints)
@@ -118,7 +139,9 @@ def _fitting(
     return signals, joints
 
 
-def _rate(sources: Sequence[LikelySource], signals: Mapping[Kind, LikelySignal]) -> float:
+def _rate(
+    sources: Sequence[LikelySource], signals: Mapping[Kind, LikelySignal]
+) -> float:
     """The positions' rate, else the highest."""
     if "position" in signals and (own := signals["position"].source.clock.rate):
         return own
@@ -163,8 +186,14 @@ def _listed(table: ForeignTable) -> Iterator[str]:
 
 def _range(values: Array) -> str:
     finite = values[np.isfinite(values)]
-    missing = f" ({len(values) - len(finite)} no numbers)" if len(finite) < len(values) else ""
-    return (f"{finite.min():.4g} .. {finite.max():.4g}" if len(finite) else "nothing") + missing
+    missing = (
+        f" ({len(values) - len(finite)} no numbers)"
+        if len(finite) < len(values)
+        else ""
+    )
+    return (
+        f"{finite.min():.4g} .. {finite.max():.4g}" if len(finite) else "nothing"
+    ) + missing
 
 
 def _with_signal(
@@ -176,7 +205,9 @@ def _with_signal(
     """A signal's table, if columns look like one."""
     beside = [c.name for s in sources for c in s.columns if c.kind == kind and c.beside]
     if beside:
-        draft = draft.remarking(kind, f"# left out, by their names: {json.dumps(beside)}")
+        draft = draft.remarking(
+            kind, f"# left out, by their names: {json.dumps(beside)}"
+        )
     if kind in signals:
         return draft.saying_all(kind, _signal(kind, signals[kind]))
     optional = ", if there are any" if kind != "position" else ""
@@ -191,7 +222,9 @@ def _with_signal(
 
 def _signal(kind: Kind, found: LikelySignal) -> Iterator[Said]:
     """A signal's keys."""
-    others = f"others that look like it: {json.dumps(found.others)}" if found.others else ""
+    others = (
+        f"others that look like it: {json.dumps(found.others)}" if found.others else ""
+    )
     yield "source", found.source.name, ""
     columns = [each.name for each in found.group.columns]
     yield "columns", columns, "; ".join(filter(None, (found.evidence, others)))
@@ -201,9 +234,15 @@ def _signal(kind: Kind, found: LikelySignal) -> Iterator[Said]:
         turns = np.diag(np.full(n, 1 / found.counts)).tolist()
         about = f"{found.counts} counts a turn, as of Dynamixel's and Feetech's servos"
         yield "matrix", turns, about
-        yield "offset", [round(-np.pi, 6)] * n, "ASSUMED: zero is in the middle of a turn"
+        yield (
+            "offset",
+            [round(-np.pi, 6)] * n,
+            "ASSUMED: zero is in the middle of a turn",
+        )
     if found.sign_bit:
-        about = f"values beyond {found.sign_bit - 1} have a sign bit, as of servos' loads"
+        about = (
+            f"values beyond {found.sign_bit - 1} have a sign bit, as of servos' loads"
+        )
         yield "sign_bit", found.sign_bit, about
     yield "sign", list(found.sign) or None, BY_BOTH
 
@@ -215,7 +254,9 @@ def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
     raw = [unit for unit in taken if unit in RAW]
     if len(taken) < len(found.units) or 0 < len(raw) < len(taken):
         more = "; or A, V, raw with gain = [N m each]" * (kind == "torque")
-        large = float(np.nanmax(np.abs(values_of(found)))) if kind == "position" else 0.0
+        large = (
+            float(np.nanmax(np.abs(values_of(found)))) if kind == "position" else 0.0
+        )
         if PER_CENT[0] <= large <= PER_CENT[1]:
             more += "; per cent of each joint's range, as of SO arms: deg, matrix of ranges / 200"
         yield "unit", "", f"{_listing(kind)}{more}"
@@ -226,7 +267,9 @@ def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
 
 
 def _temperatures(
-    sources: Sequence[LikelySource], joints: Sequence[str], signals: Mapping[Kind, LikelySignal]
+    sources: Sequence[LikelySource],
+    joints: Sequence[str],
+    signals: Mapping[Kind, LikelySignal],
 ) -> Mapping[Kind, LikelySignal]:
     """Temperatures of the drives, if every joint has one."""
     position = signals.get("position")
@@ -236,7 +279,11 @@ def _temperatures(
         for group in (each.of(names).like(names) for each in grouped(columns, names)):
             if list(group.names) == names:
                 units, because = ("degC",) * len(names), "the only one that is known"
-                return {"temperature": LikelySignal(source, group, (), units, because=because)}
+                return {
+                    "temperature": LikelySignal(
+                        source, group, (), units, because=because
+                    )
+                }
     return {}
 
 
@@ -245,23 +292,37 @@ def _key(name: str) -> str:
     return re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "plate"
 
 
-def _plate(source: LikelySource, columns: Sequence[ColumnName], *, alone: bool) -> Iterator[Said]:
+def _plate(
+    source: LikelySource, columns: Sequence[ColumnName], *, alone: bool
+) -> Iterator[Said]:
     """A plate's keys."""
     names = tuple(each.name for each in columns)
     none = StatedPlate("", names)
     stated = next((each for each in source.table.plates if each.columns == names), none)
     yield "source", source.name, ""
-    six = "six are wanted: force x, y, z, moment x, y, z" * (len(columns) != 6 and stated is none)
+    six = "six are wanted: force x, y, z, moment x, y, z" * (
+        len(columns) != 6 and stated is none
+    )
     hand = "they look like those of a sensor at the tool: leave [wrench] out then"
     yield "columns", list(names), hand if at_the_hand(columns[0]) else six
     units = [_of_all(columns[:3], "force"), _of_all(columns[3:], "moment")]
-    raw = next((each.unit for each in columns if each.unit and plain(each.unit) in RAW), None)
+    raw = next(
+        (each.unit for each in columns if each.unit and plain(each.unit) in RAW), None
+    )
     if raw or stated.matrix:
-        about = "" if stated.matrix else f"the file says {raw}: six rows, N and N m of one {raw}"
+        about = (
+            ""
+            if stated.matrix
+            else f"the file says {raw}: six rows, N and N m of one {raw}"
+        )
         yield "units", ["N", "N m"], "by the matrix"
         yield "matrix", stated.matrix or "", about
     else:
-        yield "units", units, "" if all(units) else f"{_listing('force')}; {_listing('moment')}"
+        yield (
+            "units",
+            units,
+            "" if all(units) else f"{_listing('force')}; {_listing('moment')}",
+        )
     if stated is not none:
         yield "sense", "on_plate", "as in all files of its kind"
     else:
@@ -273,11 +334,19 @@ def _plate(source: LikelySource, columns: Sequence[ColumnName], *, alone: bool) 
         ]
         yield "sense", "", f"on_robot (at rest upwards) or on_plate{''.join(pull)}"
     if (place := stated.place) is not None:
-        yield "place", place, "by the file, in the laboratory's frame: it must be the bedplate's"
+        yield (
+            "place",
+            place,
+            "by the file, in the laboratory's frame: it must be the bedplate's",
+        )
     elif alone:
         yield "# place", {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, "of the sensor [m, rad]"
     else:
-        yield "place", "", "of the sensor [m, rad], as { xyz = [0, 0, 0], rpy = [0, 0, 0] }"
+        yield (
+            "place",
+            "",
+            "of the sensor [m, rad], as { xyz = [0, 0, 0], rpy = [0, 0, 0] }",
+        )
 
 
 def _listing(kind: str) -> str:

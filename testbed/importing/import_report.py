@@ -42,11 +42,15 @@ class MappingDraft:
         """
         given = {**self.tables.get(table, {}), key: value}
         keys = {name: each for name, each in given.items() if each is not None}
-        notes = {place: each for place, each in self.notes.items() if place != (table, key)}
+        notes = {
+            place: each for place, each in self.notes.items() if place != (table, key)
+        }
         notes |= {(table, key): note} if note and value is not None else {}
         return replace(self, tables={**self.tables, table: keys}, notes=notes)
 
-    def saying_all(self, table: str, keys: Iterable[tuple[str, Any, str]]) -> MappingDraft:
+    def saying_all(
+        self, table: str, keys: Iterable[tuple[str, Any, str]]
+    ) -> MappingDraft:
         """The same with keys of a table, their values and notes."""
         draft = self
         for key, value, note in keys:
@@ -81,7 +85,11 @@ class MappingDraft:
             lines = [*self.remarks.get(name, ())] + [f"[{name}]"] * bool(name and keys)
             for key, value in keys.items():
                 note = printable(self.notes.get((name, key), ""), LONGEST)
-                plain = key if re.fullmatch(r"(# )?[\w-]+", key, re.ASCII) else json.dumps(key)
+                plain = (
+                    key
+                    if re.fullmatch(r"(# )?[\w-]+", key, re.ASCII)
+                    else json.dumps(key)
+                )
                 lines.append(f"{plain} = {in_toml(value)}" + f"  # {note}" * bool(note))
             blocks.append("\n".join(lines))
         return "\n\n".join(blocks) + "\n"
@@ -96,7 +104,11 @@ class MappingDraft:
         lines = self.text.splitlines()
         heads = (f"[{table}]", f"# [{table}]")
         first = next((k for k, line in enumerate(lines) if line.startswith(heads)), 0)
-        keys = [k for k, line in enumerate(lines) if k >= first and line.startswith(f"{name} = ")]
+        keys = [
+            k
+            for k, line in enumerate(lines)
+            if k >= first and line.startswith(f"{name} = ")
+        ]
         return 1 + (keys or [first])[0]
 
 
@@ -110,7 +122,11 @@ def in_toml(value: Any) -> str:
         return f"{{ {', '.join(f'{key} = {in_toml(each)}' for key, each in value.items())} }}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(in_toml, value))}]"
-    return f"{value:.15g}" if isinstance(value, float) else json.dumps(value, ensure_ascii=True)
+    return (
+        f"{value:.15g}"
+        if isinstance(value, float)
+        else json.dumps(value, ensure_ascii=True)
+    )
 
 
 Line: TypeAlias = tuple[str, str, Any]
@@ -200,10 +216,15 @@ class ImportReport:
                 )
                 missing = "look for lost samples: no constant rate makes these stamps"
                 yield diagnose(
-                    "import.jitter", name, clock.jitter, advice=advice if clock.even else missing
+                    "import.jitter",
+                    name,
+                    clock.jitter,
+                    advice=advice if clock.even else missing,
                 )
             if clock.gaps:
-                gaps = f"{plural(clock.gaps, 'gap')} ({plural(clock.missing, 'sample')})"
+                gaps = (
+                    f"{plural(clock.gaps, 'gap')} ({plural(clock.missing, 'sample')})"
+                )
                 yield diagnose("import.gaps", name, clock.longest_gap, gaps=gaps)
 
     def _of_signals(self) -> Iterator[Diagnostic]:

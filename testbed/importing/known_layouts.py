@@ -47,7 +47,9 @@ class LoggerLayout:
 
     def times(self, columns: Sequence[str]) -> list[str]:
         """Columns of times, all of them or none."""
-        found = [next((c for c in columns if re.fullmatch(t, c)), "") for t in self.time]
+        found = [
+            next((c for c in columns if re.fullmatch(t, c)), "") for t in self.time
+        ]
         return found if all(found) else []
 
     def read(self, columns: Sequence[ColumnName]) -> tuple[ColumnName, ...]:
@@ -70,7 +72,10 @@ class LoggerLayout:
 
 def _layout(table: dict[str, Any]) -> LoggerLayout:
     """Layout of a table of `loggers.toml`, in whose patterns {K} stands for the joint."""
-    signals = {kind: (each.replace("{K}", K), u) for kind, (each, u) in table["signals"].items()}
+    signals = {
+        kind: (each.replace("{K}", K), u)
+        for kind, (each, u) in table["signals"].items()
+    }
     beside = table.get("beside", "").replace("{K}", K)
     return LoggerLayout(**{**table, "signals": signals, "beside": beside})
 

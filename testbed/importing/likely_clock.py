@@ -86,13 +86,19 @@ class LikelyClock:
             return
         yield "time", self.column, f"{self.rate:.9g} a second" if self.unit else ""
         if not self.given:
-            yield "time_unit", self.unit or "", self.because if self.unit else ", ".join(TIMES)
+            yield (
+                "time_unit",
+                self.unit or "",
+                self.because if self.unit else ", ".join(TIMES),
+            )
         if self.steady:
             yield "steady", True, self.steady
 
 
 def clock_of(
-    table: ForeignTable, layout: LoggerLayout | None = None, rows: NDArray[np.bool_] | bool = True
+    table: ForeignTable,
+    layout: LoggerLayout | None = None,
+    rows: NDArray[np.bool_] | bool = True,
 ) -> LikelyClock:
     """Find the time column of a table, its unit and its sampling rate.
 
@@ -107,7 +113,9 @@ def clock_of(
         if known:
             seconds, rest = (table.stamps(each) for each in known)
             since = (seconds - seconds[0]) + (rest - rest[0]) * TIMES["ns"]
-            return LikelyClock(None, rate=rate_of(since), because=f"by {' and '.join(known)}")
+            return LikelyClock(
+                None, rate=rate_of(since), because=f"by {' and '.join(known)}"
+            )
         return LikelyClock(None, rate=layout.rate, because=because)
     units = {column: plain(table.unit(column) or "") for column in table.columns}
     timed = {column: unit for column, unit in units.items() if unit in TIMES}
@@ -120,7 +128,9 @@ def clock_of(
             continue
         steps = np.diff(stamps)
         stands = 0.0 if (steps < 0).any() else float((steps == 0).mean())
-        line, _, even = steady_line((stamps - stamps[0]).astype(np.float64), np.arange(len(stamps)))
+        line, _, even = steady_line(
+            (stamps - stamps[0]).astype(np.float64), np.arange(len(stamps))
+        )
         coarse = STANDING < stands < 1 and even
         if not coarse and (steps > 0).mean() <= RISING:
             continue
@@ -136,7 +146,9 @@ def clock_of(
             rate = rounded(rate_of(stamps) / one, 1e-12 if unit else 0.0)
         return LikelyClock(column, unit, column in timed, rate, because, steady)
     count = max(table.lengths.values(), default=0)
-    return LikelyClock(None, because=f"no column of {count} numbers looks like times [Hz]")
+    return LikelyClock(
+        None, because=f"no column of {count} numbers looks like times [Hz]"
+    )
 
 
 def like_time(column: str) -> int:
@@ -177,16 +189,22 @@ def rounded(value: float, doubt: float) -> float:
 def _unit(column: str, stamps: Array | NDArray[np.int64]) -> tuple[str | None, str]:
     """The unit of times by their name, their size or their steps, and which of these showed it."""
     words = [plain(word) for word in re.findall(r"[A-Za-zµ]+", column)]
-    named = [word for word in words if word in TIMES and (word != "min" or len(words) > 1)]
+    named = [
+        word for word in words if word in TIMES and (word != "min" or len(words) > 1)
+    ]
     if named:
         return named[-1], ""
     typical = float(np.median(np.abs(stamps)))
-    sized = [u for u in ("s", "ms", "us", "ns") if EPOCH < typical * TIMES[u] < 3 * EPOCH]
+    sized = [
+        u for u in ("s", "ms", "us", "ns") if EPOCH < typical * TIMES[u] < 3 * EPOCH
+    ]
     if sized:
         return sized[0], "by its size"
     steps = np.diff(stamps)
     step = float(np.median(steps[steps > 0]))
     usual = [
-        u for u in ("s", "ms", "us", "ns", "day") if USUAL[0] <= 1 / (step * TIMES[u]) <= USUAL[1]
+        u
+        for u in ("s", "ms", "us", "ns", "day")
+        if USUAL[0] <= 1 / (step * TIMES[u]) <= USUAL[1]
     ]
     return (usual[0], "by its steps") if len(usual) == 1 else (None, "")

@@ -116,7 +116,10 @@ def likely_sources(paths: Sequence[Path]) -> list[LikelySource]:
     found: list[LikelySource] = []
     stems: list[str] = []
     for path in paths:
-        stem = re.sub(r"\W+", "_", path.name.partition(".")[0], flags=re.ASCII).strip("_") or "log"
+        stem = (
+            re.sub(r"\W+", "_", path.name.partition(".")[0], flags=re.ASCII).strip("_")
+            or "log"
+        )
         name = f"{stem}_{len(stems)}" if stem in stems else stem
         stems.append(stem)
         found += _tables(path, name if len(paths) > 1 else "")
@@ -130,7 +133,9 @@ def by_file(source: LikelySource) -> LikelySource:
         source: As its columns' names state it.
     """
     kind = read_name(source.file.name.partition(".")[0]).kind
-    assigned = any(says_signal(word) for column in source.columns for word in column.words)
+    assigned = any(
+        says_signal(word) for column in source.columns for word in column.words
+    )
     if kind not in KINDS or assigned:
         return source
     columns = (
@@ -143,27 +148,36 @@ def by_file(source: LikelySource) -> LikelySource:
 def _tables(path: Path, name: str) -> Iterator[LikelySource]:
     """A file's tables: one, or of a bag one a topic of numbers."""
     found = tables(path)
-    readable = {topic: each for topic, each in found.items() if isinstance(each, ForeignTable)}
+    readable = {
+        topic: each for topic, each in found.items() if isinstance(each, ForeignTable)
+    }
     for error in found.values():
         if not readable and isinstance(error, Exception):
             raise error
     for number, (topic, table) in enumerate(readable.items()):
         own = f"{name}_topic{number}".strip("_") if topic else name or "log"
         arrays = {array: max(shape) for array, shape in table.shapes.items()}
-        for k, count in enumerate(dict.fromkeys(arrays.values())):  # sampled at other times
-            shapes = {each: s for each, s in table.shapes.items() if arrays[each] == count}
+        # sampled at other times
+        for k, count in enumerate(dict.fromkeys(arrays.values())):
+            shapes = {
+                each: s for each, s in table.shapes.items() if arrays[each] == count
+            }
             part = replace(table, shapes=shapes)
             yield _source(f"{own}_{k + 1}" if k else own, path, topic or None, part)
 
 
-def _source(name: str, path: Path, topic: str | None, table: ForeignTable) -> LikelySource:
+def _source(
+    name: str, path: Path, topic: str | None, table: ForeignTable
+) -> LikelySource:
     """A table with its likely clock and the columns that hold numbers."""
     layout = layout_of(table.columns)
     clock = clock_of(table, layout)
     names = [each for each in table.columns if each != clock.column]
     read = tuple(read_name(each, table.unit(each)) for each in names)
     read = layout.read(read) if layout else read
-    filled = [c for c in read if not c.kind or np.isfinite(table.read([c.name])[c.name]).any()]
+    filled = [
+        c for c in read if not c.kind or np.isfinite(table.read([c.name])[c.name]).any()
+    ]
     logger = layout.logger if layout else ""
     return LikelySource(name, path, topic, table, tuple(filled), clock, logger)
 
@@ -232,23 +246,34 @@ def _with_counts(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySi
     if (values != np.round(values)).any() or not values.any():
         return signals
     units = ("raw",) * len(tau.units)
-    tau = replace(tau, units=units, because="whole numbers", sign_bit=sign_bit_of(values))
+    tau = replace(
+        tau, units=units, because="whole numbers", sign_bit=sign_bit_of(values)
+    )
     return {**signals, "torque": tau}
 
 
 def _signal(
-    source: LikelySource, group: Group, joints: Sequence[str], found: Mapping[Kind, LikelySignal]
+    source: LikelySource,
+    group: Group,
+    joints: Sequence[str],
+    found: Mapping[Kind, LikelySignal],
 ) -> LikelySignal:
     """Signal of a group of columns, in the order of the joints or of the signals before."""
     kept = group.of(joints)
     kept = kept.like(next(iter(found.values())).group.names) if found else kept
     kind, taken = kept.columns[0].kind, set(kept.columns)
-    others = [c.name for c in source.columns if kind and _is(c, kind) and c not in taken]
-    return LikelySignal(source, kept, tuple(others), tuple(c.unit for c in kept.columns))
+    others = [
+        c.name for c in source.columns if kind and _is(c, kind) and c not in taken
+    ]
+    return LikelySignal(
+        source, kept, tuple(others), tuple(c.unit for c in kept.columns)
+    )
 
 
 def _by_data(
-    found: Mapping[Kind, LikelySignal], sources: Sequence[LikelySource], joints: Sequence[str]
+    found: Mapping[Kind, LikelySignal],
+    sources: Sequence[LikelySource],
+    joints: Sequence[str],
 ) -> Iterator[tuple[Kind, LikelySource, Group, str]]:
     """Signals without known names: velocities by integration, torques by elimination.
 
@@ -268,8 +293,12 @@ def _by_data(
         own = {k: each.group for k, each in found.items() if each.source is source}
         pairs = [
             (position, velocity)
-            for position in ([own["position"]] if "position" in own else groups.values())
-            for velocity in ([own["velocity"]] if "velocity" in own else groups.values())
+            for position in (
+                [own["position"]] if "position" in own else groups.values()
+            )
+            for velocity in (
+                [own["velocity"]] if "velocity" in own else groups.values()
+            )
             if position is not velocity and _follows(source, position, velocity)
         ]
         kinds: tuple[Kind, Kind] = ("position", "velocity")
@@ -279,7 +308,12 @@ def _by_data(
             groups.pop(group.columns, None)
         if "torque" not in found and len(groups) == 1 and (pairs or "position" in own):
             (left,) = groups.values()
-            yield "torque", source, left, "ASSUMED: no other columns are left, joint by joint"
+            yield (
+                "torque",
+                source,
+                left,
+                "ASSUMED: no other columns are left, joint by joint",
+            )
 
 
 def _slopes(source: LikelySource, position: Group, velocity: Group) -> Slopes:
@@ -313,7 +347,9 @@ def _followed(signals: Mapping[Kind, LikelySignal]) -> Array | None:
     return np.where(sure, np.diagonal(found.slope), np.nan) if sure.any() else None
 
 
-def _with_derivatives(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySignal]:
+def _with_derivatives(
+    signals: Mapping[Kind, LikelySignal],
+) -> Mapping[Kind, LikelySignal]:
     """Signals whose signs, units and clock follow from positions and velocities."""
     slope = _followed(signals)
     if slope is None:
@@ -321,7 +357,11 @@ def _with_derivatives(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, Lik
     q, v = signals["position"], signals["velocity"]
     if np.nanmin(slope) < 0:
         v = replace(v, sign=tuple(-1 if each < 0 else 1 for each in slope))
-    clock, units, ratios = q.source.clock, [*zip(q.units, v.units, strict=True)], np.abs(slope)
+    clock, units, ratios = (
+        q.source.clock,
+        [*zip(q.units, v.units, strict=True)],
+        np.abs(slope),
+    )
     if clock.seconds is None:
         sizes = [
             ratio * UNITS["position"][a] / UNITS["velocity"][b]
@@ -334,7 +374,11 @@ def _with_derivatives(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, Lik
         pairs = zip(units, ratios / clock.seconds, strict=True)
         units = [_pair(a, b, float(ratio)) for (a, b), ratio in pairs]
     own, rates = ([pair[k] for pair in units] for k in (0, 1))
-    changed = {**signals, "position": _in_units(q, own), "velocity": _in_units(v, rates)}
+    changed = {
+        **signals,
+        "position": _in_units(q, own),
+        "velocity": _in_units(v, rates),
+    }
     return _with_source(changed, q.source, replace(q.source, clock=clock))
 
 
@@ -344,7 +388,11 @@ def _pair(position: str | None, velocity: str | None, ratio: float) -> _Pair:
         return position, unit_of("velocity", ratio * UNITS["position"][position])
     if velocity in UNITS["velocity"] and position is None:
         return unit_of("position", UNITS["velocity"][velocity] / ratio), velocity
-    if position is None and velocity is None and unit_of("position", 1 / ratio) == "deg":
+    if (
+        position is None
+        and velocity is None
+        and unit_of("position", 1 / ratio) == "deg"
+    ):
         return "deg", "rad/s"
     return position, velocity
 
@@ -360,12 +408,17 @@ def _with_sizes(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySig
         return signals
     values = values_of(q)
     values = values[np.isfinite(values)]
-    largest, whole = float(np.nanmax(np.abs(values))), bool((values == np.round(values)).all())
+    largest, whole = (
+        float(np.nanmax(np.abs(values))),
+        bool((values == np.round(values)).all()),
+    )
     if any(q.units) and not (q.source.logger and largest > DEGREES[0]):
         return signals  # loggers can be set to degrees
     if whole and COUNTED <= largest < COUNTS and values.min() >= 0:
         q = replace(q, units=("turn",) * len(q.units), because=BY_SIZE, counts=COUNTS)
-    elif DEGREES[0] < largest <= DEGREES[1] and not PER_CENT[0] <= largest <= PER_CENT[1]:
+    elif (
+        DEGREES[0] < largest <= DEGREES[1] and not PER_CENT[0] <= largest <= PER_CENT[1]
+    ):
         q = replace(q, units=("deg",) * len(q.units), because=BY_SIZE)
         v = signals.get("velocity")
         if v is not None and v.source.logger:
@@ -395,10 +448,14 @@ def likely_plates(
     found = []
     taken = {column.name for each in signals.values() for column in each.group.columns}
     for source in sources:
-        columns = [c for c in source.columns if _is(c, "wrench") and c.name not in taken]
+        columns = [
+            c for c in source.columns if _is(c, "wrench") and c.name not in taken
+        ]
         own = [c for c in columns if not at_the_hand(c)]
         if columns:
-            found += [(n, source, each) for n, each in plate_columns(own or columns).items()]
+            found += [
+                (n, source, each) for n, each in plate_columns(own or columns).items()
+            ]
     six = [each for each in found if len(each[2]) == 6]
     whole = [each for each in six if not at_the_hand(each[2][0])]
     return whole or (six if "torque" in signals else found)[:1]
@@ -408,7 +465,9 @@ IDLE = 0.02
 """Part of the largest force that a plate shows on which nothing stands."""
 
 
-def _stated_plates(source: LikelySource) -> Iterator[tuple[str, LikelySource, list[ColumnName]]]:
+def _stated_plates(
+    source: LikelySource,
+) -> Iterator[tuple[str, LikelySource, list[ColumnName]]]:
     """Plates that the file itself describes, but for those without a load."""
     table, by_name = source.table, {each.name: each for each in source.columns}
     plates = [each for each in table.plates if by_name.keys() >= set(each.columns)]

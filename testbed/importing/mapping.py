@@ -79,7 +79,9 @@ class SourceTable(MappingTable):
     @model_validator(mode="after")
     def _has_a_clock(self) -> SourceTable:
         if self.time is not None and self.rate is not None:
-            raise ValueError("a source's clock is `time`, a column, or `rate` [Hz]; one of them")
+            raise ValueError(
+                "a source's clock is `time`, a column, or `rate` [Hz]; one of them"
+            )
         if self.time is None and (self.time_unit or self.steady):
             raise ValueError("`time_unit` and `steady` are about a column `time`")
         if "\0" in self.file:
@@ -101,8 +103,12 @@ class GearTable(MappingTable):
             raise ValueError("a gear has a `ratio` or a `matrix`, one of them")
         rows = self.matrix or []
         square = all(len(row) == len(rows) for row in rows)
-        if not square or np.linalg.matrix_rank(self.motor_of_joint) < len(self.motor_of_joint):
-            raise ValueError("a gear's matrix is square and can be inverted; no ratio is zero")
+        if not square or np.linalg.matrix_rank(self.motor_of_joint) < len(
+            self.motor_of_joint
+        ):
+            raise ValueError(
+                "a gear's matrix is square and can be inverted; no ratio is zero"
+            )
         return self
 
     @property
@@ -142,7 +148,11 @@ class SignalTable(MappingTable):
     @property
     def units(self) -> list[str]:
         """Unit of each column."""
-        return self.unit if isinstance(self.unit, list) else [self.unit] * len(self.columns)
+        return (
+            self.unit
+            if isinstance(self.unit, list)
+            else [self.unit] * len(self.columns)
+        )
 
 
 class PlaceTable(MappingTable):
@@ -267,7 +277,9 @@ class Mapping(MappingTable):
     @property
     def others(self) -> dict[str, AnyTable]:
         """What is measured besides joint by joint: wrench, plates.NAME, sensors.NAME, base."""
-        found: dict[str, AnyTable | None] = {f"plates.{k}": t for k, t in self.plates.items()}
+        found: dict[str, AnyTable | None] = {
+            f"plates.{k}": t for k, t in self.plates.items()
+        }
         found |= {f"sensors.{k}": table for k, table in self.sensors.items()}
         found |= {"wrench": self.wrench, "base": self.base}
         return {label: table for label, table in found.items() if table is not None}
@@ -289,26 +301,38 @@ class Mapping(MappingTable):
         if len(set(self.joints)) < n:
             raise ValueError("joints: a name is there twice")
         if twice := set(self.lock) & set(self.joints):
-            raise ValueError(f"lock: '{min(twice)}' is among the joints that have columns")
-        if self.torque is None and self.wrench is None and not (self.plates or self.sensors):
+            raise ValueError(
+                f"lock: '{min(twice)}' is among the joints that have columns"
+            )
+        if (
+            self.torque is None
+            and self.wrench is None
+            and not (self.plates or self.sensors)
+        ):
             raise ValueError("a recording has a [torque], a [wrench] or [sensors.NAME]")
         if self.wrench is not None and self.plates:
             raise ValueError("say [wrench], or all plates under [plates], not both")
         if self.stop is not None and self.stop <= self.start:
             raise ValueError("stop comes after start")
         if self.gear is not None and len(self.gear.motor_of_joint) != n:
-            raise ValueError(f"gear: {len(self.gear.motor_of_joint)} motors, {n} joints")
+            raise ValueError(
+                f"gear: {len(self.gear.motor_of_joint)} motors, {n} joints"
+            )
         for kind, table in self.signals.items():
             _check_signal(kind, table, n, self.gear is not None)
         for plate in self.others.values():
             if isinstance(plate, SixAxisTable):
                 _check_wrench(plate)
         if self.base is not None and not slides(self.base.unit):
-            raise ValueError(f"base.unit: '{self.base.unit}' is no length (m, cm, mm, inch)")
+            raise ValueError(
+                f"base.unit: '{self.base.unit}' is no length (m, cm, mm, inch)"
+            )
         for label, found in self.tables.items():
             if found.source not in self.sources:
                 known = ", ".join(self.sources)
-                raise ValueError(f"{label}.source: there is no source '{found.source}' ({known})")
+                raise ValueError(
+                    f"{label}.source: there is no source '{found.source}' ({known})"
+                )
         return self
 
 
@@ -324,7 +348,9 @@ def read_mapping(path: Path) -> Mapping:
     content = read_toml(path, "mapping")
     empty = [*empty_keys(content)]
     if empty:
-        raise ExperimentError(f"{path}: fill in what is empty: {', '.join(dict.fromkeys(empty))}")
+        raise ExperimentError(
+            f"{path}: fill in what is empty: {', '.join(dict.fromkeys(empty))}"
+        )
     return checked(Mapping, content, str(path))
 
 
@@ -374,7 +400,9 @@ def _check_signal(kind: str, table: SignalTable, joints: int, geared: bool) -> N
     for each in table.units:
         check_unit(kind, each, gained=table.gain is not None)
     if table.matrix is not None and any(len(row) != columns for row in table.matrix):
-        raise ValueError(f"{kind}.matrix: a row has as many numbers as there are columns")
+        raise ValueError(
+            f"{kind}.matrix: a row has as many numbers as there are columns"
+        )
     if table.matrix is None and columns != joints:
         raise ValueError(
             f"[{kind}] columns: {plural(columns, 'column')} for {plural(joints, 'joint')}: say the "
@@ -393,8 +421,14 @@ def _check_wrench(table: SixAxisTable) -> None:
     """
     check_unit("force", table.units[0])
     check_unit("moment", table.units[1])
-    if isinstance(table, WrenchTable) and table.tare and table.pedestal not in (None, "removed"):
-        raise ValueError("wrench: a tare is all that is not the robot's: no pedestal beside it")
+    if (
+        isinstance(table, WrenchTable)
+        and table.tare
+        and table.pedestal not in (None, "removed")
+    ):
+        raise ValueError(
+            "wrench: a tare is all that is not the robot's: no pedestal beside it"
+        )
     columns = len(table.columns)
     if table.matrix is None and columns != 6:
         raise ValueError(

@@ -85,7 +85,9 @@ def _kaiser(source_rate: float, rate: float) -> tuple[int, float]:
     return int(taps) | 1, float(beta)
 
 
-def _filtered(values: Array, time: Array, source_rate: float, rate: float) -> tuple[Array, Array]:
+def _filtered(
+    values: Array, time: Array, source_rate: float, rate: float
+) -> tuple[Array, Array]:
     """A signal without what a slower grid cannot hold, where the filter has all it needs."""
     from scipy.signal import firwin, oaconvolve
 
@@ -115,6 +117,10 @@ def on_common_rows(time: Array, values: Array) -> tuple[NDArray[np.intp], Array]
     found = np.full(values.shape, np.nan)
     for k, rows in enumerate(own):
         apart = np.diff(time[rows])
-        if len(rows) >= FEWEST and apart.max() <= max(BRIDGED, BRIDGED_SAMPLES * np.median(apart)):
-            found[common, k] = _spline(time[rows], values[rows, k], even=False)(time[common])
+        if len(rows) >= FEWEST and apart.max() <= max(
+            BRIDGED, BRIDGED_SAMPLES * np.median(apart)
+        ):
+            found[common, k] = _spline(time[rows], values[rows, k], even=False)(
+                time[common]
+            )
     return common[np.isfinite(found[common]).all(axis=1)], found

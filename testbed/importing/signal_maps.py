@@ -11,7 +11,14 @@ from testbed.core.base.errors import RecordingError
 from testbed.core.base.transform import Transform
 from testbed.core.robot.free_base import UNIT
 from testbed.core.robot.rotations import from_rpy
-from testbed.importing.foreign_table import RAW, UNITS, ForeignTable, factor, plain, slides
+from testbed.importing.foreign_table import (
+    RAW,
+    UNITS,
+    ForeignTable,
+    factor,
+    plain,
+    slides,
+)
 from testbed.importing.mapping import (
     AnyTable,
     BaseTable,
@@ -22,7 +29,9 @@ from testbed.importing.mapping import (
 )
 
 
-def joint_signal(kind: str, table: SignalTable, gear: GearTable | None, columns: Array) -> Array:
+def joint_signal(
+    kind: str, table: SignalTable, gear: GearTable | None, columns: Array
+) -> Array:
     """A signal at the joints in SI units, (M, n).
 
     Args:
@@ -40,8 +49,16 @@ def joint_signal(kind: str, table: SignalTable, gear: GearTable | None, columns:
         found = found @ np.array(table.matrix, dtype=np.float64).T
     if gear is not None and table.side == "motor":
         motor = gear.motor_of_joint
-        found = found @ motor if kind == "torque" else np.asarray(np.linalg.solve(motor, found.T).T)
-    return found if table.offset is None else found + np.array(table.offset, dtype=np.float64)
+        found = (
+            found @ motor
+            if kind == "torque"
+            else np.asarray(np.linalg.solve(motor, found.T).T)
+        )
+    return (
+        found
+        if table.offset is None
+        else found + np.array(table.offset, dtype=np.float64)
+    )
 
 
 SIGN_BITS = (1 << 10, 1 << 11, 1 << 15)
@@ -69,7 +86,8 @@ def sign_bit_of(values: Array) -> int:
     if not bit or values.min() < 0 or (values != np.round(values)).any():
         return 0
     raw, signed = (
-        np.square(np.diff(each, axis=0)).sum() for each in (values, without_sign_bit(values, bit))
+        np.square(np.diff(each, axis=0)).sum()
+        for each in (values, without_sign_bit(values, bit))
     )
     return bit if 2 * signed < raw else 0
 
@@ -110,7 +128,9 @@ def wrench_of(table: SixAxisTable, columns: Array) -> Array:
     wrench = np.hstack([force, moment])
     if table.place is None:
         return wrench
-    return Transform(from_rpy(table.place.rpy), np.array(table.place.xyz)).wrench(wrench)
+    return Transform(from_rpy(table.place.rpy), np.array(table.place.xyz)).wrench(
+        wrench
+    )
 
 
 def without_turnovers(quaternions: Array) -> Array:
@@ -176,9 +196,14 @@ def effort_kinds(mapping: Mapping) -> dict[str, str]:
     """
     if (table := mapping.torque) is None:
         return {}
-    units = table.units if table.matrix is None else table.units[:1] * len(mapping.joints)
+    units = (
+        table.units if table.matrix is None else table.units[:1] * len(mapping.joints)
+    )
     other = "motor" if table.side == "motor" else "torque"
-    return {j: EFFORTS.get(plain(u), other) for j, u in zip(mapping.joints, units, strict=True)}
+    return {
+        j: EFFORTS.get(plain(u), other)
+        for j, u in zip(mapping.joints, units, strict=True)
+    }
 
 
 def check_units(label: str, table: AnyTable, file: ForeignTable) -> None:
@@ -202,8 +227,15 @@ def check_units(label: str, table: AnyTable, file: ForeignTable) -> None:
         kinds = ["force"] * 3 + ["moment"] * 3
     for kind, column, unit in zip(kinds, table.columns, units, strict=False):
         said = plain(file.unit(column) or "")
-        if said in {*UNITS[kind], *RAW} and said != plain(unit) and plain(unit) in UNITS[kind]:
-            how = {"torque": "; say its `gain`", "force": "; say the plate's gains, `matrix`"}
+        if (
+            said in {*UNITS[kind], *RAW}
+            and said != plain(unit)
+            and plain(unit) in UNITS[kind]
+        ):
+            how = {
+                "torque": "; say its `gain`",
+                "force": "; say the plate's gains, `matrix`",
+            }
             raise RecordingError(
                 f"{label}: the file says that '{column}' is in {said}, the mapping says {unit}"
                 + how.get(kind, "") * (said in RAW)

@@ -95,21 +95,29 @@ class Times:
             return Times.of(np.asarray(stamps * TIMES[unit], dtype=np.float64), "s")
         minute = round(MINUTE / TIMES[unit])  # of these units
         first = stamps[np.isfinite(stamps)][:1]
-        minutes = int(first[0] / minute) if len(first) else 0  # never beyond the counters' range
+        # never beyond the counters' range
+        minutes = int(first[0] / minute) if len(first) else 0
         since = np.asarray(stamps - minutes * minute, dtype=np.float64)
         return Times(MINUTE * minutes, since * TIMES[unit])
 
 
-def by_one_clock(times: Mapping[str, Times], offsets: Mapping[str, float]) -> dict[str, Array]:
+def by_one_clock(
+    times: Mapping[str, Times], offsets: Mapping[str, float]
+) -> dict[str, Array]:
     """Times of several sources since an instant in common, (M,) each [s].
 
     Args:
         times: By the sources' own clocks.
         offsets: Added to each [s].
     """
-    starts = (each.start + MINUTE * (offsets[name] // MINUTE) for name, each in times.items())
-    start = max(0.0, min(starts))  # what all have in common costs digits and says nothing
-    return {name: t.since + (t.start - start + offsets[name]) for name, t in times.items()}
+    starts = (
+        each.start + MINUTE * (offsets[name] // MINUTE) for name, each in times.items()
+    )
+    # what all have in common costs digits and says nothing
+    start = max(0.0, min(starts))
+    return {
+        name: t.since + (t.start - start + offsets[name]) for name, t in times.items()
+    }
 
 
 def sample_times(
@@ -203,7 +211,8 @@ def steady_line(time: Array, number: NDArray[Any]) -> tuple[Array, Array, bool]:
         number: Numbers of the samples, (M,), as 0, 1, ....
     """
     jumps = np.flatnonzero(np.diff(time) > 0) + 1
-    if len(jumps) < len(time) - 1:  # a sample at which the clock jumps is late by less than a step
+    # a sample at which the clock jumps is late by less than a step
+    if len(jumps) < len(time) - 1:
         slope, begin = _line(number[jumps], time[jumps])
         stray = time[jumps] - begin - slope * number[jumps]
         if slope > 0 and np.ptp(stray) <= 2 * slope:
@@ -295,7 +304,9 @@ def cut(
             places in the file (M,) of its samples.
     """
     gaps = {
-        (*gap, name) for name, source, time, rows in clocks for gap in _gaps(source, time, rows)
+        (*gap, name)
+        for name, source, time, rows in clocks
+        for gap in _gaps(source, time, rows)
     }
     windows, said, begin = [], [], window[0]
     for last, first, name in sorted(gaps):
@@ -314,7 +325,11 @@ def cut(
 
 
 def without_gaps(
-    source: SourceTable, time: Array, rows: NDArray[np.intp], part: slice, window: Window
+    source: SourceTable,
+    time: Array,
+    rows: NDArray[np.intp],
+    part: slice,
+    window: Window,
 ) -> slice:
     """A part without samples outside the window that lie beyond a gap.
 

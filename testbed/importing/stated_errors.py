@@ -26,7 +26,9 @@ def without_stated_errors(mapping: Mapping, recording: Recording) -> Recording:
     if not mapping.errors:
         return recording
     joints = names_as_tree(mapping)
-    values = {error: np.array(own) for error, own in errors_of(joints, mapping.errors).items()}
+    values = {
+        error: np.array(own) for error, own in errors_of(joints, mapping.errors).items()
+    }
     corrected = Corrected(recording, values, joints)
     return corrected.part(0, corrected.samples)
 
@@ -41,7 +43,15 @@ def names_as_tree(mapping: Mapping) -> Tree:
     kinds = dict(zip(mapping.joints, map(slides, units), strict=False))
     z, origin, axes = np.eye(3)[2], np.zeros(3), np.eye(3)
     joints = tuple(
-        Joint(name, name, "prismatic" if kinds.get(name) else "revolute", -1, z, origin, axes)
+        Joint(
+            name,
+            name,
+            "prismatic" if kinds.get(name) else "revolute",
+            -1,
+            z,
+            origin,
+            axes,
+        )
         for name in mapping.joints
     )
     return Tree("", joints, (NOTHING,) * len(joints))

@@ -14,7 +14,13 @@ from testbed.core.base.errors import RecordingError, UnknownName, few
 from testbed.core.recordings.columns import AXES
 from testbed.core.robot.tree import Tree
 from testbed.importing.column_names import read_name
-from testbed.importing.foreign_table import ANGLES, FORCES, LENGTHS, MOMENTS, ForeignTable
+from testbed.importing.foreign_table import (
+    ANGLES,
+    FORCES,
+    LENGTHS,
+    MOMENTS,
+    ForeignTable,
+)
 from testbed.importing.likely_clock import clock_of
 from testbed.importing.likely_signals import (
     BY_SIZE,
@@ -47,7 +53,11 @@ def read_static_poses(
     source = _source(path, table)
     signal = likely_signals([source], tree.names).get("position")
     wrench = next((each for _, _, each in likely_plates([source], {})), [])
-    if signal is None or set(tree.names) - set(signal.group.names) or len(wrench) < len(AXES):
+    if (
+        signal is None
+        or set(tree.names) - set(signal.group.names)
+        or len(wrench) < len(AXES)
+    ):
         raise RecordingError(
             f"'{path}' has no columns of numbers for {few([*tree.names, *AXES], 90)}: a row has "
             f"the joints' positions and the wrench; found {few(table.columns, 90)}"
@@ -71,12 +81,20 @@ def read_static_poses(
 def _source(path: Path, table: ForeignTable) -> LikelySource:
     """Columns of a table but its times; those without a name of a signal may be positions."""
     clock = clock_of(table)
-    names = [read_name(each, table.unit(each)) for each in table.columns if each != clock.column]
-    columns = [replace(x, kind="position") if x.kind is x.unit is None else x for x in names]
+    names = [
+        read_name(each, table.unit(each))
+        for each in table.columns
+        if each != clock.column
+    ]
+    columns = [
+        replace(x, kind="position") if x.kind is x.unit is None else x for x in names
+    ]
     return LikelySource("poses", path, None, table, tuple(columns), clock)
 
 
-def _values(table: ForeignTable, name: str, unit: str, units: Mapping[str, float]) -> Array:
+def _values(
+    table: ForeignTable, name: str, unit: str, units: Mapping[str, float]
+) -> Array:
     """A column in SI, (P,)."""
     if unit not in units:
         raise UnknownName(f"unit of column '{name}'", unit, units)
@@ -89,5 +107,7 @@ def _positions(
     """Column, unit and known units of each joint's position."""
     for joint in tree.joints:
         k = signal.group.names.index(joint.name)
-        usual, units = ("deg" if degrees else "rad", ANGLES) if joint.revolute else ("m", LENGTHS)
+        usual, units = (
+            ("deg" if degrees else "rad", ANGLES) if joint.revolute else ("m", LENGTHS)
+        )
         yield signal.group.columns[k].name, signal.units[k] or usual, units

@@ -43,5 +43,7 @@ def _days(first: str, mark: str, second: str, third: str) -> int:
     """Days since 1970."""
     year, month, day = int(first), int(second), int(third)
     if len(first) < 4:
-        year, month, day = (day, year, month) if mark == "/" and year <= 12 else (day, month, year)
+        year, month, day = (
+            (day, year, month) if mark == "/" and year <= 12 else (day, month, year)
+        )
     return date(year, month, day).toordinal() - date(1970, 1, 1).toordinal()

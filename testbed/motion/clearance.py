@@ -131,7 +131,9 @@ class ClearanceTerm:
 
     def values(self, samples: MotionSamples) -> Array:
         """Missing distances as shares, (k, G)."""
-        return (self._least[:, None] - self._measured(samples.q).values.T) / CLEARANCE_UNIT
+        return (
+            self._least[:, None] - self._measured(samples.q).values.T
+        ) / CLEARANCE_UNIT
 
     def slopes(self, samples: Samples) -> Array:
         """Derivatives, (k, 3 n, G)."""

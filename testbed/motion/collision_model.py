@@ -69,7 +69,11 @@ class CollisionModel:
     @property
     def names(self) -> tuple[str, ...]:
         """Of the pairs, for people."""
-        words = {STANDING: "the pedestal or plate", FLOOR: "the floor", CELL: "an obstacle"}
+        words = {
+            STANDING: "the pedestal or plate",
+            FLOOR: "the floor",
+            CELL: "an obstacle",
+        }
         return tuple(
             f"'{second}' to " + words.get(a, f"'{first}'")
             for (a, _), (first, second) in zip(self.pairs, self.bodies, strict=True)
@@ -79,7 +83,9 @@ class CollisionModel:
     def bodies(self) -> tuple[tuple[str, str], ...]:
         """Of the pairs, by name; what does not move as NAMES has it."""
         joints = self.tree.joints
-        return tuple((NAMES.get(a) or joints[a].body, joints[b].body) for a, b in self.pairs)
+        return tuple(
+            (NAMES.get(a) or joints[a].body, joints[b].body) for a, b in self.pairs
+        )
 
     def without(self, pairs: Iterable[tuple[str, str]]) -> CollisionModel:
         """All but some pairs of bodies, by name.
@@ -97,7 +103,10 @@ class CollisionModel:
     def only(self, watched: Sequence[bool]) -> CollisionModel:
         """Some of the pairs."""
         kept = [k for k, wanted in enumerate(watched) if wanted]
-        pairs, geoms = tuple(self.pairs[k] for k in kept), tuple(self.geoms[k] for k in kept)
+        pairs, geoms = (
+            tuple(self.pairs[k] for k in kept),
+            tuple(self.geoms[k] for k in kept),
+        )
         return replace(self, pairs=pairs, geoms=geoms)
 
 
@@ -121,7 +130,11 @@ def collision_model(
         place = {"pos": joint.offset, "quat": to_quaternion(joint.rotation)}
         body = bodies[joint.parent + 1].add_body(**place)
         body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
-        kind = mujoco.mjtJoint.mjJNT_HINGE if joint.revolute else mujoco.mjtJoint.mjJNT_SLIDE
+        kind = (
+            mujoco.mjtJoint.mjJNT_HINGE
+            if joint.revolute
+            else mujoco.mjtJoint.mjJNT_SLIDE
+        )
         body.add_joint(name=str(j), type=kind, axis=joint.axis)
         bodies.append(body)
     owners: dict[str, int] = {}
@@ -142,7 +155,9 @@ def collision_model(
     return CollisionModel(tree, model, order, tuple(pairs), tuple(pairs.values()))
 
 
-def _pairs(tree: Tree, owners: Sequence[int]) -> dict[tuple[int, int], NDArray[np.int64]]:
+def _pairs(
+    tree: Tree, owners: Sequence[int]
+) -> dict[tuple[int, int], NDArray[np.int64]]:
     """Pairs of bodies that may meet, and their shapes: no joint joins them, one of them moves."""
     joined = {(joint.parent, j) for j, joint in enumerate(tree.joints)}
     joined |= {(FLOOR, j) for parent, j in joined if parent < 0}  # it stands there

@@ -130,10 +130,14 @@ def criterion(problem: DesignProblem, motion: Fourier) -> float:
 class _Progress:
     """Values that searches reached step by step, and whether to stop one."""
 
-    def __init__(self, starts: int, watch: Watch, interrupted: Callable[[], bool]) -> None:
+    def __init__(
+        self, starts: int, watch: Watch, interrupted: Callable[[], bool]
+    ) -> None:
         self._starts, self._watch, self._interrupted = starts, watch, interrupted
         self._done = 0
-        self._steps: list[float] = []  # of the search that is made, then of the best so far
+        self._steps: list[
+            float
+        ] = []  # of the search that is made, then of the best so far
         self._best: list[float] = [np.inf]
         self.stopped = False
 
@@ -153,7 +157,9 @@ class _Progress:
         self._watch(self._done, self._starts, self._best[-1])
 
 
-def _search(problem: DesignProblem, fundamental: float, harmonics: int) -> InteriorPointProblem:
+def _search(
+    problem: DesignProblem, fundamental: float, harmonics: int
+) -> InteriorPointProblem:
     """The search with these frequencies."""
     rules, information = problem.rules, problem.information
     terms: list[LimitTerm] = list(rules.terms)
@@ -181,7 +187,8 @@ def _start(problem: DesignProblem, number: int) -> tuple[InteriorPointProblem, A
     rng = np.random.default_rng([problem.seed, number])
     exceeded = []
     for draw in range(DRAWS):
-        about = problem.rest if 2 * draw >= DRAWS else None  # few postures are free: about one
+        # few postures are free: about one
+        about = problem.rest if 2 * draw >= DRAWS else None
         motions = list(_drawn(search.series, rng, about))
         label, instant, over = search.worst(search.series.unknowns(motions[-1]))
         exceeded.append((over, label, instant))
@@ -202,7 +209,9 @@ def _start(problem: DesignProblem, number: int) -> tuple[InteriorPointProblem, A
     )
 
 
-def _drawn(series: Series, rng: np.random.Generator, about: Array | None) -> Iterator[Fourier]:
+def _drawn(
+    series: Series, rng: np.random.Generator, about: Array | None
+) -> Iterator[Fourier]:
     """A random motion, smaller and smaller; about a posture, (n,), if one is given."""
     draw = sample(series.limits, series.fundamental, series.harmonics, rng)
     for share in SHARES:
@@ -210,7 +219,9 @@ def _drawn(series: Series, rng: np.random.Generator, about: Array | None) -> Ite
         yield motion if about is None else motion.scaled(float(share), about)
 
 
-def _first_inside(search: InteriorPointProblem, motions: Iterable[Fourier]) -> Array | None:
+def _first_inside(
+    search: InteriorPointProblem, motions: Iterable[Fourier]
+) -> Array | None:
     """Unknowns of the first motion that is strictly inside all limits; None for none."""
     unknowns = (search.series.unknowns(motion) for motion in motions)
     return next((x for x in unknowns if search.inside(x).holds), None)

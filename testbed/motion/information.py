@@ -50,7 +50,11 @@ def e_optimal(covariance: Array) -> tuple[float, Array]:
     return value, (axes * (share ** (POWER - 1) / (total * values[-1]))) @ axes.T
 
 
-CRITERIA: dict[CriterionName, Criterion] = {"a": a_optimal, "d": d_optimal, "e": e_optimal}
+CRITERIA: dict[CriterionName, Criterion] = {
+    "a": a_optimal,
+    "d": d_optimal,
+    "e": e_optimal,
+}
 """By name."""
 
 
@@ -84,7 +88,9 @@ class RegressorRows:
     def rows(self, samples: Samples) -> list[Array]:
         """The rows of each channel on all unknowns, (G, U) each."""
         slots = samples.slots[self.model][:, 0]
-        found = [slots[own].T @ lead for own, lead in zip(self.slots, self.lead, strict=True)]
+        found = [
+            slots[own].T @ lead for own, lead in zip(self.slots, self.lead, strict=True)
+        ]
         if self.friction is not None:
             n = len(found)
             for joint, phi in enumerate(found):
@@ -160,7 +166,9 @@ class DesignObjective:
                 pulled[part.slots[c]] += part.lead[c] @ back
                 if part.friction is not None:
                     dry, wet = back[part.friction + c], back[part.friction + n + c]
-                    total[n + c] += dry * (1 - np.tanh(samples.qd[:, c] / SMOOTH) ** 2) / SMOOTH
+                    total[n + c] += (
+                        dry * (1 - np.tanh(samples.qd[:, c] / SMOOTH) ** 2) / SMOOTH
+                    )
                     total[n + c] += wet
             total += samples.stencil.weights @ np.einsum("sg,seg->eg", pulled, slots)
         return total
@@ -199,11 +207,15 @@ def information_of(
         here, joints = rows[model], model == "dynamic"
         same = here.minimal is main.minimal
         lead = np.zeros((here.minimal.count, unknowns))
-        lead[:, :count] = scale * (np.eye(count) if same else selection(here.minimal, main.minimal))
+        lead[:, :count] = scale * (
+            np.eye(count) if same else selection(here.minimal, main.minimal)
+        )
         slots, bases = zip(*here.channels(), strict=True)
         leads = tuple(basis @ lead for basis in bases)
         weights = (torque_noise if joints else plate_noise) ** -2.0
-        parts.append(RegressorRows(model, slots, leads, weights, count if joints else None))
+        parts.append(
+            RegressorRows(model, slots, leads, weights, count if joints else None)
+        )
     before = np.zeros((unknowns, unknowns))
     if prior is not None:
         before[:count, :count] = np.linalg.inv(prior) * np.outer(scale, scale)
@@ -309,7 +321,9 @@ def predict(
     else:
         relative = np.sqrt(np.diag(covariance))
         condition = float(np.sqrt(np.linalg.cond(covariance)))
-    return Prediction(information.names, relative * information.scale, relative, condition)
+    return Prediction(
+        information.names, relative * information.scale, relative, condition
+    )
 
 
 def moving(motion: Fourier, count: int, pipeline: Pipeline) -> NDArray[np.bool_]:
@@ -318,5 +332,7 @@ def moving(motion: Fourier, count: int, pipeline: Pipeline) -> NDArray[np.bool_]
     found = np.abs(motion.derivative(times, 1)) > pipeline.resting
     near = round(pipeline.reach * count / motion.period)
     return np.asarray(
-        np.all([np.roll(found, shift, axis=0) for shift in range(-near, near + 1)], axis=0)
+        np.all(
+            [np.roll(found, shift, axis=0) for shift in range(-near, near + 1)], axis=0
+        )
     )

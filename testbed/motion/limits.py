@@ -95,12 +95,16 @@ def limits_of(
     ranges = np.array([_range(joint) for joint in tree.joints])
     for joint, (low, high) in zip(tree.joints, ranges, strict=True):
         if low == high:
-            raise InfeasibleMotion(f"joint '{joint.name}' has no room to move: {low:g} to {high:g}")
+            raise InfeasibleMotion(
+                f"joint '{joint.name}' has no room to move: {low:g} to {high:g}"
+            )
     return Limits(
         low=ranges[:, 0],
         high=ranges[:, 1],
         velocity=np.array([speed(joint) for joint in tree.joints]),
-        acceleration=np.array([acceleration.get(j.name, CALM[j.kind][2]) for j in tree.joints]),
+        acceleration=np.array(
+            [acceleration.get(j.name, CALM[j.kind][2]) for j in tree.joints]
+        ),
         effort=np.array([joint.max_effort for joint in tree.joints]),
     )
 
@@ -119,5 +123,7 @@ def _range(joint: Joint) -> tuple[float, float]:
     if np.isfinite(low) and np.isfinite(high):
         return low, high
     return (
-        (low, low + 2 * half) if np.isfinite(low) else (min(high, half) - 2 * half, min(high, half))
+        (low, low + 2 * half)
+        if np.isfinite(low)
+        else (min(high, half) - 2 * half, min(high, half))
     )

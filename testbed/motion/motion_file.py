@@ -85,7 +85,8 @@ class MotionFile:
             hint = ""
             if set(self.names) < set(tree.names):
                 hint = (
-                    "; hold those which the motion leaves out, by --set robot.lock.JOINT=POSITION"
+                    "; hold those which the motion leaves out, "
+                    "by --set robot.lock.JOINT=POSITION"
                 )
             raise ExperimentError(
                 f"{self.path} moves {', '.join(self.names)}; the robot has "
@@ -106,14 +107,20 @@ def read_motion(path: Path) -> MotionFile:
         ExperimentError: It is no such file.
     """
     found = checked(_File, read_toml(path, "motion"), str(path))
-    counts = {len(part) for joint in found.joint.values() for part in (joint.sine, joint.cosine)}
+    counts = {
+        len(part)
+        for joint in found.joint.values()
+        for part in (joint.sine, joint.cosine)
+    }
     if len(counts) != 1 or 0 in counts:
         raise ExperimentError(
             f"{path}: all joints need sines and cosines, equally many, found {sorted(counts)}"
         )
     if "\0" in found.model:
         raise ExperimentError(f"{path}: model is not a file name")
-    rows = [[joint.offset, *joint.sine, *joint.cosine] for joint in found.joint.values()]
+    rows = [
+        [joint.offset, *joint.sine, *joint.cosine] for joint in found.joint.values()
+    ]
     return MotionFile(
         path=path,
         model=(path.parent / found.model).resolve(),
@@ -131,13 +138,21 @@ def write_motion(path: Path, found: Excitation, model: Path) -> None:
         model: The robot's model file.
     """
     motion = found.design.motion
-    joints = zip(found.tree.names, motion.offset, motion.sine, motion.cosine, strict=True)
+    joints = zip(
+        found.tree.names, motion.offset, motion.sine, motion.cosine, strict=True
+    )
     tables = {
-        "model": Path(os.path.relpath(model.resolve(), path.resolve().parent)).as_posix(),
+        "model": Path(
+            os.path.relpath(model.resolve(), path.resolve().parent)
+        ).as_posix(),
         "model_sha256": fingerprint(model),
         "fundamental": motion.fundamental,
         "joint": {
-            name: {"offset": float(offset), "sine": sine.tolist(), "cosine": cosine.tolist()}
+            name: {
+                "offset": float(offset),
+                "sine": sine.tolist(),
+                "cosine": cosine.tolist(),
+            }
             for name, offset, sine, cosine in joints
         },
     }
@@ -146,7 +161,9 @@ def write_motion(path: Path, found: Excitation, model: Path) -> None:
         fresh.write_text(text, encoding="utf-8")
 
 
-def write_trajectory(path: Path, found: Excitation, rate: float, duration: float) -> RestToRest:
+def write_trajectory(
+    path: Path, found: Excitation, rate: float, duration: float
+) -> RestToRest:
     """Write a motion's samples: columns time, position/JOINT, velocity/JOINT, acceleration/JOINT.
 
     Time is zero where the periodic motion begins: what is recorded from there on, whole periods,
@@ -179,7 +196,10 @@ def write_trajectory(path: Path, found: Excitation, rate: float, duration: float
     kinds = ("position", "velocity", "acceleration")
     head = ["time", *(f"{kind}/{name}" for kind in kinds for name in found.tree.names)]
     table = np.column_stack([samples.t, samples.q, samples.qd, samples.qdd])
-    with replacing(path) as fresh, fresh.open("w", encoding="utf-8", newline="") as file:
+    with (
+        replacing(path) as fresh,
+        fresh.open("w", encoding="utf-8", newline="") as file,
+    ):
         csv.writer(file, lineterminator="\n").writerow(head)
         np.savetxt(file, table, "%.16g", ",")
     return motion

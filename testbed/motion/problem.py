@@ -140,7 +140,9 @@ def _newton(
     return move, barrier / slack - dual + ratio * along, float(-downhill @ move)
 
 
-def _length(search: Objective, here: Point, move: Array, slope: float, barrier: float) -> float:
+def _length(
+    search: Objective, here: Point, move: Array, slope: float, barrier: float
+) -> float:
     """How far to go so that the barrier function falls; 0 if nowhere."""
     slack, along = -here.limits, here.jacobian.times(move)
     before = here.value - barrier * float(np.log(slack).sum())
@@ -164,13 +166,17 @@ def _inside_duals(dual: Array, move: Array, there: Point, barrier: float) -> Arr
     return np.clip(moved, central / 10, 10 * central)
 
 
-def _bfgs(curvature: Array, here: Point, there: Point, dual: Array, *, first: bool) -> Array:
+def _bfgs(
+    curvature: Array, here: Point, there: Point, dual: Array, *, first: bool
+) -> Array:
     """Curvature after a step: of the function and of the limits with their duals."""
     step = there.x - here.x
     change = there.gradient + there.jacobian.transposed(dual)
     change -= here.gradient + here.jacobian.transposed(dual)
     if first:
-        curvature = curvature * max(abs(float(change @ step)) / float(step @ step), 1e-3)
+        curvature = curvature * max(
+            abs(float(change @ step)) / float(step @ step), 1e-3
+        )
     along = curvature @ step
     own, found = float(step @ along), float(change @ step)
     share = 1.0 if found >= 0.2 * own else 0.8 * own / (own - found)
@@ -217,12 +223,17 @@ class Series:
         """What an unknown of one is as a coefficient, (n, p) [rad or m]."""
         pulses = 2 * np.pi * self.fundamental * np.arange(1, self.harmonics + 1)
         swing = np.tile(self.limits.velocity[:, None] / pulses, 2)
-        return np.hstack([self.limits.half[:, None], np.minimum(swing, self.limits.half[:, None])])
+        return np.hstack(
+            [self.limits.half[:, None], np.minimum(swing, self.limits.half[:, None])]
+        )
 
     @cached_property
     def motion_of(self) -> Array:
         """What q, qd and qdd have of each unknown, (n, 3, G, p)."""
-        basis = [terms(self.fundamental, self.harmonics, self.times, order) for order in range(3)]
+        basis = [
+            terms(self.fundamental, self.harmonics, self.times, order)
+            for order in range(3)
+        ]
         return np.stack(basis)[None] * self.units[:, None, None, :]
 
     @cached_property
@@ -230,7 +241,9 @@ class Series:
         """Shares of position, velocity and acceleration limits, (n, 3 G, p), the middle aside."""
         limits = self.limits
         limit = np.stack([limits.half, limits.velocity, limits.acceleration], axis=1)
-        return (self.motion_of / limit[:, :, None, None]).reshape(self.joints, -1, self.width)
+        return (self.motion_of / limit[:, :, None, None]).reshape(
+            self.joints, -1, self.width
+        )
 
     def motion(self, x: Array) -> Fourier:
         """The motion of unknowns, (n p,)."""
@@ -315,8 +328,12 @@ class BlockJacobian:
     def squared(self, weights: Array) -> Array:
         """J' diag(weights) J, (n p, n p)."""
         (above, below), rest = self._split(weights)
-        blocks = self.linear.transpose(0, 2, 1) @ ((above + below)[:, :, None] * self.linear)
-        return np.asarray(block_diag(*blocks) + self.dense.T @ (rest[:, None] * self.dense))
+        blocks = self.linear.transpose(0, 2, 1) @ (
+            (above + below)[:, :, None] * self.linear
+        )
+        return np.asarray(
+            block_diag(*blocks) + self.dense.T @ (rest[:, None] * self.dense)
+        )
 
     def _split(self, weights: Array) -> tuple[Array, Array]:
         """Weights above and below, (2, n, 3 G), and those of the others with derivatives, (r,)."""
@@ -379,7 +396,8 @@ class InteriorPointProblem:
     def _jacobian(self, samples: Samples) -> BlockJacobian:
         width = 3 * self.series.joints
         by_motion = [
-            term.slopes(samples).transpose(0, 2, 1).reshape(-1, width) for term in self.terms
+            term.slopes(samples).transpose(0, 2, 1).reshape(-1, width)
+            for term in self.terms
         ]
         every = np.concatenate([np.zeros((0, width)), *by_motion])
         place = np.flatnonzero(every.any(axis=1))

@@ -89,9 +89,13 @@ class Margin:
     @property
     def words(self) -> str:
         """For people: how much is left, or by how much it is exceeded, and when."""
-        size = f"{abs(self.left) * 1000:.3g} mm" if self.unit else f"{abs(self.left):.2%}"
+        size = (
+            f"{abs(self.left) * 1000:.3g} mm" if self.unit else f"{abs(self.left):.2%}"
+        )
         state = (
-            f"{size} left" if self.holds else f"exceeded by {size} or more, or not shown to be kept"
+            f"{size} left"
+            if self.holds
+            else f"exceeded by {size} or more, or not shown to be kept"
         )
         return f"{self.label}: {state} at t = {self.instant:.3f} s"
 
@@ -120,7 +124,9 @@ class Proof:
     @property
     def binding(self) -> tuple[str, ...]:
         """Limits that the motion comes up to."""
-        return tuple(m.label for m in self.margins if m.left < (CLOSE_BY if m.unit else CLOSE))
+        return tuple(
+            m.label for m in self.margins if m.left < (CLOSE_BY if m.unit else CLOSE)
+        )
 
     @property
     def worst(self) -> Margin:
@@ -167,13 +173,17 @@ def seems_to_hold(motion: Fourier, rules: Rules, instants: int = GLANCE) -> bool
     """Whether all limits are kept at some instants: no proof, but quick."""
     times, limits = np.arange(instants) * motion.period / instants, rules.limits
     here = Computed(rules.tree, motion.at(times))
-    if any((share > rules.margin).any() for share in _shares(here.motion, limits).values()):
+    if any(
+        (share > rules.margin).any() for share in _shares(here.motion, limits).values()
+    ):
         return False
     if any((term.values(here) > 0).any() for term in rules.terms):
         return False
     if rules.collision is None:
         return True
-    meter = DistanceMeter(rules.collision, float(rules.clearance.max(initial=0)) + TOUCH)
+    meter = DistanceMeter(
+        rules.collision, float(rules.clearance.max(initial=0)) + TOUCH
+    )
     return bool((meter.measure(here.q).values > rules.clearance).all())
 
 
@@ -211,14 +221,21 @@ def force_margins(path: Path, rules: Rules) -> tuple[list[Margin], int]:
     count = spans_of(path.duration)
     while True:
         bounds = force_bounds(rules.tree, suprema(path, count))
-        lost = [(path.duration / count) ** 2 / 8 * t.curvatures(bounds) for t in rules.terms]
-        if max((part.max(initial=0) for part in lost), default=0) <= DOUBT or 2 * count > MOST:
+        lost = [
+            (path.duration / count) ** 2 / 8 * t.curvatures(bounds) for t in rules.terms
+        ]
+        if (
+            max((part.max(initial=0) for part in lost), default=0) <= DOUBT
+            or 2 * count > MOST
+        ):
             break
         count *= 2
     times = np.arange(count + 1) * path.duration / count
     samples, found = Computed(rules.tree, path.at(times)), []
     for term, excess in zip(rules.terms, lost, strict=True):
-        for label, values, more in zip(term.labels, term.values(samples), excess, strict=True):
+        for label, values, more in zip(
+            term.labels, term.values(samples), excess, strict=True
+        ):
             ends = np.maximum(values[:-1], values[1:]) + np.repeat(more, count // SPANS)
             worst = int(ends.argmax())
             found.append(Margin(label, float(-ends[worst]), float(times[worst])))
@@ -259,7 +276,12 @@ def _distances(motion: Fourier, rules: Rules) -> tuple[list[Margin], int]:
     least, when = distances.min(axis=0), times[distances.argmin(axis=0)]
     kept = rules.clearance
     margins = [
-        Margin(f"distance of {name} (over {1000 * kept[k]:.3g} mm)", left, float(when[k]), "m")
+        Margin(
+            f"distance of {name} (over {1000 * kept[k]:.3g} mm)",
+            left,
+            float(when[k]),
+            "m",
+        )
         for k, (name, left) in enumerate(
             zip(rules.collision.names, (least - kept).tolist(), strict=True)
         )
@@ -268,15 +290,21 @@ def _distances(motion: Fourier, rules: Rules) -> tuple[list[Margin], int]:
     return margins, len(times)
 
 
-def _advanced(motion: Fourier, rules: Rules, meter: DistanceMeter) -> tuple[Array, Array]:
+def _advanced(
+    motion: Fourier, rules: Rules, meter: DistanceMeter
+) -> tuple[Array, Array]:
     """Times and distances of all pairs, (P,) and (P, k), by conservative advancement.
 
     From each time to the next no pair can use up what it has beyond its clearance. The last row
     falls short of a clearance where a next time cannot be found.
     """
-    speeds = levers(meter.collision, rules.limits) @ suprema(motion, spans_of(motion.period))[1]
+    speeds = (
+        levers(meter.collision, rules.limits)
+        @ suprema(motion, spans_of(motion.period))[1]
+    )
     times, distances, time = [], [], 0.0
-    for number, speed in enumerate(np.maximum(speeds, STILL).T, start=1):  # each in its span alone
+    # each in its span alone
+    for number, speed in enumerate(np.maximum(speeds, STILL).T, start=1):
         end = number * motion.period / SPANS
         while time < end:
             distance = meter.measure(motion.derivative(np.array([time]), 0)[0]).values
@@ -317,12 +345,18 @@ def slack(motion: Fourier, rules: Rules, times: Array) -> list[Slack]:
     here = Computed(rules.tree, motion.at(times))
     shares = _shares(here.motion, rules.limits)
     left = {kind: rules.margin - used.max(axis=1) for kind, used in shares.items()}
-    left |= {term.labels[0].split()[0]: -term.values(here).max(axis=0) for term in rules.terms}
-    found = [Slack(f"{kind} limits", "%", 100 * values) for kind, values in left.items()]
+    left |= {
+        term.labels[0].split()[0]: -term.values(here).max(axis=0)
+        for term in rules.terms
+    }
+    found = [
+        Slack(f"{kind} limits", "%", 100 * values) for kind, values in left.items()
+    ]
     if rules.collision is not None:
         meter = DistanceMeter(rules.collision)
         wanted = rules.clearance.max()
-        whole = rules.clearance == wanted  # others are built nearer, and would hide all else
+        # others are built nearer, and would hide all else
+        whole = rules.clearance == wanted
         nearest = meter.measure(here.q).values[:, whole].min(axis=1)
         if (nearest < FAR).any():  # else nothing ever comes near
             found.append(Slack("clearances", "mm", 1000 * (nearest - wanted)))

@@ -82,13 +82,16 @@ class Draw:
         middle, half = self.limits.middle, self.limits.half
         times = _times(self.motion, *_CHECK)
         swing = np.abs(self.motion.derivative(times, 0)).max(axis=0)
-        room = MARGIN * half - share * swing  # how far the offset may stray from the middle
+        # how far the offset may stray from the middle
+        room = MARGIN * half - share * swing
         offset = np.clip(self.wish, middle - room, middle + room)
         sine, cosine = (share * part for part in (self.motion.sine, self.motion.cosine))
         return Fourier(self.motion.fundamental, offset, sine, cosine)
 
 
-def sample(limits: Limits, fundamental: float, harmonics: int, rng: np.random.Generator) -> Draw:
+def sample(
+    limits: Limits, fundamental: float, harmonics: int, rng: np.random.Generator
+) -> Draw:
     """One random series, each joint scaled until its nearest limit.
 
     Args:
@@ -108,7 +111,9 @@ def sample(limits: Limits, fundamental: float, harmonics: int, rng: np.random.Ge
         for order, limit in enumerate(largest)
     ]
     size = MARGIN * np.min(room, axis=0)[:, None]
-    return Draw(Fourier(fundamental, np.zeros(n), size * sine, size * cosine), wish, limits)
+    return Draw(
+        Fourier(fundamental, np.zeros(n), size * sine, size * cosine), wish, limits
+    )
 
 
 MORE, BATCHES = 20, 2
@@ -145,7 +150,9 @@ def random_motion(
     draw = sample(limits, fundamental, harmonics, rng)
     motion, effort = _within_efforts(tree, draw)
     if motion is None:
-        motion, effort = _within_efforts(tree, replace(draw, wish=easiest_posture(tree, limits)))
+        motion, effort = _within_efforts(
+            tree, replace(draw, wish=easiest_posture(tree, limits))
+        )
     if motion is not None:
         return motion
     tight = [
@@ -165,7 +172,10 @@ def _within_efforts(tree: Tree, draw: Draw) -> tuple[Fourier | None, Array]:
     times = _times(motion, *_CHECK)
     for share in 0.9 ** np.arange(30):
         motion = draw.sized(float(share))
-        effort = np.abs(motor_efforts(tree, motion.at(times))).max(axis=0) / draw.limits.effort
+        effort = (
+            np.abs(motor_efforts(tree, motion.at(times))).max(axis=0)
+            / draw.limits.effort
+        )
         if (effort <= MARGIN).all():
             return motion, effort
     return None, effort
@@ -204,7 +214,10 @@ def best_motion(
     nearest: Proof | None = None
     rest: Array | None = None
     for count in (candidates, *((MORE,) * BATCHES)):
-        sample = [random_motion(tree, limits, fundamental, harmonics, rng) for _ in range(count)]
+        sample = [
+            random_motion(tree, limits, fundamental, harmonics, rng)
+            for _ in range(count)
+        ]
         scores = [relative_sigma(tree, motion, minimal, noise) for motion in sample]
         order = np.argsort(scores, kind="stable")
         for share, k in product(SHARES, order):
@@ -217,7 +230,9 @@ def best_motion(
             proof = prove(motion, rules)
             if proof.holds:
                 same = share == 1
-                return motion, scores[k] if same else relative_sigma(tree, motion, minimal, noise)
+                return motion, scores[k] if same else relative_sigma(
+                    tree, motion, minimal, noise
+                )
             nearest = proof
     said = "" if nearest is None else f" (the last one: {nearest.worst.words})"
     raise InfeasibleMotion(
@@ -252,10 +267,14 @@ def as_fast(motion: Fourier, rules: Rules, rng: np.random.Generator) -> Fourier:
         other = motion.rephased(rng).scaled(share, motion.offset)
         if seems_to_hold(other, rules) and prove(other, rules).holds:
             return other
-    raise InfeasibleMotion("no other motion that is half as fast as it respects all limits")
+    raise InfeasibleMotion(
+        "no other motion that is half as fast as it respects all limits"
+    )
 
 
-def relative_sigma(tree: Tree, motion: Fourier, minimal: MinimalSet, noise: Array) -> float:
+def relative_sigma(
+    tree: Tree, motion: Fourier, minimal: MinimalSet, noise: Array
+) -> float:
     """Predicted rms of sigma_i / |delta_i| for a hundred samples a period.
 
     Infinite if the motion leaves a parameter unseen.

@@ -19,8 +19,16 @@ from testbed.core.dynamics.newton_euler import Motion
 from testbed.motion.fourier import Fourier
 from testbed.motion.proof import Margin, Rules, force_margins, spans_of
 
-_RATE = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])  # from 0 to 1, flat at both ends
-_STEEPEST = (1.0, 1.875, 5.7736, 60.0, 360.0)  # of it and its derivatives, in the unit interval
+# from 0 to 1, flat at both ends
+_RATE = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
+# of it and its derivatives, in the unit interval
+_STEEPEST = (
+    1.0,
+    1.875,
+    5.7736,
+    60.0,
+    360.0,
+)
 
 SHORTEST, LONGEST = 0.5, 64.0
 """Times that a start may take [s]."""
@@ -52,7 +60,9 @@ class Start:
     @property
     def fifth_derivative(self) -> Array:
         """A bound of the magnitude of the fifth derivative, (n,)."""
-        rates = [np.array(steep / self.duration**k) for k, steep in enumerate(_STEEPEST)]
+        rates = [
+            np.array(steep / self.duration**k) for k, steep in enumerate(_STEEPEST)
+        ]
         return _chain([self.motion.bound(order) for order in range(6)], rates, 5)
 
     @property
@@ -162,14 +172,19 @@ def start_of(motion: Fourier, rules: Rules) -> tuple[Start, list[Margin]]:
         duration *= 2
         if duration > LONGEST:
             worst = min(margins, key=lambda margin: margin.left)
-            raise InfeasibleMotion(f"the motion cannot begin from rest: {worst.words} of the start")
+            raise InfeasibleMotion(
+                f"the motion cannot begin from rest: {worst.words} of the start"
+            )
 
 
 def _accelerations(start: Start, rules: Rules) -> list[Margin]:
     count = spans_of(start.duration)
     times = np.arange(count + 1) * start.duration / count
     step = start.duration / count
-    fourth = np.abs(start.derivative(times, 4)).max(axis=0) + step / 2 * start.fifth_derivative
+    fourth = (
+        np.abs(start.derivative(times, 4)).max(axis=0)
+        + step / 2 * start.fifth_derivative
+    )
     between = step**2 / 8 * fourth  # more than at the samples
     share = (np.abs(start.derivative(times, 2)) + between) / rules.limits.acceleration
     left, worst = rules.margin - share.max(axis=0), times[share.argmax(axis=0)]

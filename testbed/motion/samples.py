@@ -101,7 +101,9 @@ class SampledRows:
             numba_engine,  # a second to import: random motions do not need it
         )
 
-        q, qd, qdd = (np.ascontiguousarray(each[:, self._joints]) for each in (q, qd, qdd))
+        q, qd, qdd = (
+            np.ascontiguousarray(each[:, self._joints]) for each in (q, qd, qdd)
+        )
         signals = sensed(q, qd, qdd, self._width)
         if self._room is None:
             self._room = numba_engine.workspace(self.layout, signals)
@@ -114,7 +116,10 @@ class SampledRows:
         """Slots of each channel, and what they have of each minimal parameter, (s, N)."""
         rows = self.layout.rows
         for start, columns in zip(rows.start, self.layout.channels, strict=True):
-            yield slice(int(start), int(start) + len(columns)), self.layout.basis[columns]
+            yield (
+                slice(int(start), int(start) + len(columns)),
+                self.layout.basis[columns],
+            )
 
     @cached_property
     def model(self) -> Array:

@@ -15,7 +15,12 @@ from testbed.core.base.errors import ExperimentError, few
 from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.tree import Tree
 from testbed.motion.clearance import FAR, DistanceMeter
-from testbed.motion.collision_model import CELL, CollisionModel, Obstacle, collision_model
+from testbed.motion.collision_model import (
+    CELL,
+    CollisionModel,
+    Obstacle,
+    collision_model,
+)
 from testbed.motion.limits import Limits
 
 ALWAYS = 0.9
@@ -97,7 +102,9 @@ def _floor(tree: Tree, shapes: tuple[Shape, ...]) -> float | None:
     return None if origins[:, 2].min() < floor - HANGS * reach else floor
 
 
-def watched(collision: CollisionModel, limits: Limits, clearance: float) -> Surroundings:
+def watched(
+    collision: CollisionModel, limits: Limits, clearance: float
+) -> Surroundings:
     """Choose pairs whose shapes say something, and the distance that each can keep.
 
     Pairs that touch in nearly every posture are left out: their shapes are too coarse. Pairs that
@@ -109,7 +116,9 @@ def watched(collision: CollisionModel, limits: Limits, clearance: float) -> Surr
         limits: Of the joints' positions.
         clearance: Distance to be kept [m].
     """
-    home, *found = DistanceMeter(collision, clearance + FAR).measure(limits.postures).values
+    home, *found = (
+        DistanceMeter(collision, clearance + FAR).measure(limits.postures).values
+    )
     around = np.array([a == CELL for a, _ in collision.pairs], dtype=bool)
     free = around | (np.mean(np.array(found) <= 0, axis=0) < ALWAYS)
     always = np.mean(np.array(found) < NARROW * clearance, axis=0) >= ALWAYS

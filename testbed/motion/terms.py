@@ -50,18 +50,23 @@ def force_bounds(tree: Tree, motion: Array) -> ForceBounds:
     for joint, own in zip(tree.joints, motion.transpose(1, 0, 2), strict=True):
         carrier = ground if joint.parent < 0 else moving[joint.parent]
         moving.append(_carried(joint, carrier, own))
-    force, moment = np.zeros((2, tree.n + 1, *still.shape))  # the last one is the bedplate's
+    # the last one is the bedplate's
+    force, moment = np.zeros((2, tree.n + 1, *still.shape))
     joints = np.empty((tree.n, motion.shape[2]))
     for j in reversed(range(tree.n)):
         joint, body, here = tree.joints[j], tree.inertias[j], moving[j]
         first = float(np.linalg.norm(body.first_moment))
         second = float(np.linalg.norm(body.tensor, 2))
         force[j] += abs(body.mass) * here.linear + first * here.turning
-        moment[j] += first * here.linear + second * (here.angular + _times(here.speed, here.speed))
+        moment[j] += first * here.linear + second * (
+            here.angular + _times(here.speed, here.speed)
+        )
         joints[j] = (moment if joint.revolute else force)[j, 2]
         passed = _times(here.rotation, force[j])
         force[joint.parent] += passed
-        moment[joint.parent] += _times(here.rotation, moment[j]) + _times(here.lever, passed)
+        moment[joint.parent] += _times(here.rotation, moment[j]) + _times(
+            here.lever, passed
+        )
     felt, turned = force[tree.sensor_body, 2], moment[tree.sensor_body, 2]
     if tree.sensor is not None:
         turned = turned + float(np.linalg.norm(tree.sensor.position)) * felt
@@ -94,7 +99,9 @@ def _carried(joint: Joint, carrier: _Moving, own: Array) -> _Moving:
     if joint.revolute:
         rotation[1], rotation[2] = own[1], own[2] + own[1] ** 2
         turned = _times(rotation, carrier.speed)
-        angular = _times(rotation, carrier.angular) + _times(turned, speed) + acceleration
+        angular = (
+            _times(rotation, carrier.angular) + _times(turned, speed) + acceleration
+        )
         linear = _times(rotation, carrier.linear + _times(carrier.turning, lever))
         return _Moving(turned + speed, angular, linear, rotation, lever)
     lever = lever + position
@@ -153,8 +160,12 @@ class PlateRange:
         freeze(self, wrench=(6,))
         if self.half is not None:
             freeze(self, half=(2,))
-        if not (self.wrench > 0).all() or (self.half is not None and not (self.half > 0).all()):
-            raise InfeasibleMotion("the plate's ranges and half lengths must be positive")
+        if not (self.wrench > 0).all() or (
+            self.half is not None and not (self.half > 0).all()
+        ):
+            raise InfeasibleMotion(
+                "the plate's ranges and half lengths must be positive"
+            )
 
     def rows(self, margin: float) -> tuple[tuple[str, ...], Array, Array]:
         """Labels, combinations of the wrench as shares of limits, (k, 6), and their bounds, (k,).
@@ -234,7 +245,9 @@ class PlateTerm(ForceTerm):
 
     def curvatures(self, bounds: ForceBounds) -> Array:
         """Bounds of second derivatives by time, (k, W)."""
-        force, moment = (np.linalg.norm(part, axis=1) for part in np.hsplit(self.rows, 2))
+        force, moment = (
+            np.linalg.norm(part, axis=1) for part in np.hsplit(self.rows, 2)
+        )
         return np.outer(force, bounds.force) + np.outer(moment, bounds.moment)
 
 
@@ -242,7 +255,12 @@ class SensorTerm(PlateTerm):
     """Measuring range of a force sensor in the robot, a plate that moves."""
 
     def __init__(
-        self, tree: Tree, beyond: Tree, ranges: PlateRange, margin: float, name: str = "plate"
+        self,
+        tree: Tree,
+        beyond: Tree,
+        ranges: PlateRange,
+        margin: float,
+        name: str = "plate",
     ) -> None:
         """Set up the limits.
 
@@ -255,13 +273,20 @@ class SensorTerm(PlateTerm):
         """
         super().__init__(ranges, pedestal_wrench(beyond), margin)
         self.labels = tuple(label.replace("plate", name) for label in self.labels)
-        self._beyond, self._joints = beyond, [tree.index(joint) for joint in beyond.names]
-        self._sampled = SampledRows(beyond, minimal_set(beyond, "reaction"), self._joints)
+        self._beyond, self._joints = (
+            beyond,
+            [tree.index(joint) for joint in beyond.names],
+        )
+        self._sampled = SampledRows(
+            beyond, minimal_set(beyond, "reaction"), self._joints
+        )
 
     def forces(self, samples: MotionSamples) -> Array:
         """The sensor's wrench, (6, G)."""
         own = (each[:, self._joints] for each in (samples.q, samples.qd, samples.qdd))
-        return base_wrench(self._beyond, Motion(np.arange(float(len(samples.q))), *own)).T
+        return base_wrench(
+            self._beyond, Motion(np.arange(float(len(samples.q))), *own)
+        ).T
 
     def force_slopes(self, samples: Samples) -> Array:
         """Its derivatives, (6, 3 n, G)."""
@@ -272,7 +297,9 @@ class SensorTerm(PlateTerm):
 
     def curvatures(self, bounds: ForceBounds) -> Array:
         """Bounds of second derivatives by time, (k, W)."""
-        return super().curvatures(force_bounds(self._beyond, bounds.motion[:, self._joints]))
+        return super().curvatures(
+            force_bounds(self._beyond, bounds.motion[:, self._joints])
+        )
 
 
 class EffortTerm(ForceTerm):
@@ -291,8 +318,13 @@ class EffortTerm(ForceTerm):
         """
         limited = np.flatnonzero(np.isfinite(limits.effort))
         names = np.repeat(np.array(tree.names)[limited], 2).tolist()
-        self._viscous, self._rotor = VISCOUS.coefficients(tree), ROTOR.coefficients(tree)
-        most = np.repeat(margin - (COULOMB.coefficients(tree) / limits.effort)[limited], 2)
+        self._viscous, self._rotor = (
+            VISCOUS.coefficients(tree),
+            ROTOR.coefficients(tree),
+        )
+        most = np.repeat(
+            margin - (COULOMB.coefficients(tree) / limits.effort)[limited], 2
+        )
         for name, left in zip(names, most, strict=True):
             if left <= 0:
                 raise InfeasibleMotion(
@@ -310,10 +342,15 @@ class EffortTerm(ForceTerm):
     def force_slopes(self, samples: Samples) -> Array:
         """Their derivatives, (n, 3 n, G)."""
         nothing = np.zeros_like(self._viscous)
-        own = np.hstack([np.diag(each) for each in (nothing, self._viscous, self._rotor)])
+        own = np.hstack(
+            [np.diag(each) for each in (nothing, self._viscous, self._rotor)]
+        )
         return samples.force_slopes("dynamic") + own[:, :, None]
 
     def curvatures(self, bounds: ForceBounds) -> Array:
         """Bounds of second derivatives by time, (k, W)."""
-        lost = self._viscous[:, None] * bounds.motion[3] + self._rotor[:, None] * bounds.motion[4]
+        lost = (
+            self._viscous[:, None] * bounds.motion[3]
+            + self._rotor[:, None] * bounds.motion[4]
+        )
         return np.asarray(np.abs(self.rows) @ (bounds.joints + lost))

@@ -22,12 +22,16 @@ def sensor_errors() -> tuple[type[SensorError], ...]:
 
     def classes() -> Iterator[type[SensorError]]:
         for module in iter_modules(errors.__path__, f"{errors.__name__}."):
-            for _, value in inspect.getmembers(import_module(module.name), inspect.isclass):
+            for _, value in inspect.getmembers(
+                import_module(module.name), inspect.isclass
+            ):
                 if issubclass(value, SensorError) and value.__module__ == module.name:
                     yield value
 
     signals = ("wrench", "tare", "torque", "position")
-    return tuple(sorted(classes(), key=lambda e: (-e.stage, signals.index(e.signal), e.kind)))
+    return tuple(
+        sorted(classes(), key=lambda e: (-e.stage, signals.index(e.signal), e.kind))
+    )
 
 
 @cache

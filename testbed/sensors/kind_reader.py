@@ -28,13 +28,17 @@ def of_table(table: object, what: str, kinds: Mapping[str, type[Some]]) -> Some:
         return cast(Some, table)
     if not isinstance(table, Mapping) or not isinstance(table.get("kind"), str):
         example = next(iter(kinds))
-        raise SettingsError(f'{what} is a table with its kind, as {{ kind = "{example}" }}')
+        raise SettingsError(
+            f'{what} is a table with its kind, as {{ kind = "{example}" }}'
+        )
     kind = kind_named(table["kind"], what, kinds)
     values = {name: value for name, value in table.items() if name != "kind"}
     known = kind.known_keys()
     for name in values:
         if name not in known:
-            raise SettingsError(str(UnknownName(f"key of {kind.kind}", str(name), known)))
+            raise SettingsError(
+                str(UnknownName(f"key of {kind.kind}", str(name), known))
+            )
     return kind(**values)
 
 

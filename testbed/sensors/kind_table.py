@@ -51,7 +51,9 @@ class Sample:
 
 SIGN, PHASE = Sample("sign"), Sample("phase")
 
-PerJoint: TypeAlias = Annotated[float | tuple[float, ...] | Mapping[str, float], Each("joints")]
+PerJoint: TypeAlias = Annotated[
+    float | tuple[float, ...] | Mapping[str, float], Each("joints")
+]
 """One for all joints, one a joint in their order, or by name."""
 PerAxis: TypeAlias = Annotated[float | tuple[float, ...], Each("axes")]
 """One for x, y and z, or three."""
@@ -149,7 +151,9 @@ class Key:
             bounds.append(f"at least {self.least:g}")
         if self.most < LARGEST:
             bounds.append(f"at most {self.most:g}")
-        return f"a {number} {' and '.join(bounds)}".strip() + _LISTS.get(self.members, "")
+        return f"a {number} {' and '.join(bounds)}".strip() + _LISTS.get(
+            self.members, ""
+        )
 
 
 @cache
@@ -162,7 +166,10 @@ def _keys(kind: type) -> dict[str, Key]:
 def _key(hint: Any) -> Key:
     """Key of a field's type, as `Annotated[PerJoint, Ge(0)]`."""
     leaves = [*_leaves(hint)]
-    known: dict[str, Any] = {"whole": int in leaves, "members": "word" if hint is str else ""}
+    known: dict[str, Any] = {
+        "whole": int in leaves,
+        "members": "word" if hint is str else "",
+    }
     for leaf in leaves:
         match leaf:
             case Each():
@@ -199,7 +206,9 @@ class KindTable(Value, ABC):
         for name, wanted in self.known_keys().items():
             value = getattr(self, name)
             if value is not None or self._default(name) is not None:
-                object.__setattr__(self, name, wanted.checked(value, f"{self.kind}: {name}"))
+                object.__setattr__(
+                    self, name, wanted.checked(value, f"{self.kind}: {name}")
+                )
 
     def __eq__(self, other: object) -> bool:
         """Values are the same if their tables are, whatever they are installed on."""
@@ -226,7 +235,9 @@ class KindTable(Value, ABC):
     def by_joint(self) -> dict[str, Mapping[str, float]]:
         """The keys that are tables by joint name."""
         values = {name: getattr(self, name) for name in self.known_keys()}
-        return {name: value for name, value in values.items() if isinstance(value, Mapping)}
+        return {
+            name: value for name, value in values.items() if isinstance(value, Mapping)
+        }
 
     def of_joints(self, names: tuple[str, ...]) -> dict[str, Any]:
         """The keys that have one number a joint, in the joints' order: a number for all, or each.
@@ -234,7 +245,9 @@ class KindTable(Value, ABC):
         Raises:
             SettingsError: It names a joint that is not there, or not of all.
         """
-        wanted = {k: key for k, key in self.known_keys().items() if key.members == "joints"}
+        wanted = {
+            k: key for k, key in self.known_keys().items() if key.members == "joints"
+        }
         return {name: self._of_joints(name, key, names) for name, key in wanted.items()}
 
     def _of_joints(self, name: str, key: Key, names: tuple[str, ...]) -> Any:
@@ -242,7 +255,9 @@ class KindTable(Value, ABC):
         if isinstance(value, Mapping):
             for joint in value:
                 if joint not in names:
-                    raise SettingsError(f"{self.kind}: {UnknownName('joint', joint, names)}")
+                    raise SettingsError(
+                        f"{self.kind}: {UnknownName('joint', joint, names)}"
+                    )
             other = self._default(name) if key.positive else 0.0
             return tuple(value.get(joint, other) for joint in names)
         if isinstance(value, tuple) and len(value) != len(names):

@@ -43,11 +43,20 @@ def in_words(kind: type[KindTable]) -> KindDescription:
     body, _, source = body.partition("\n\nSource ")
     summary, _, details = body.partition("\n\n")
     table = kind().table()
-    meanings = dict(re.findall(r"^    (\w+): ((?:.|\n {8})*)", attributes, re.MULTILINE))
-    keys = tuple((k, _toml(table.get(k)), _line(meanings[k])) for k in kind.known_keys())
+    meanings = dict(
+        re.findall(r"^    (\w+): ((?:.|\n {8})*)", attributes, re.MULTILINE)
+    )
+    keys = tuple(
+        (k, _toml(table.get(k)), _line(meanings[k])) for k in kind.known_keys()
+    )
     example = ", ".join(f"{name} = {_toml(value)}" for name, value in table.items())
     return KindDescription(
-        kind.kind, _line(summary), _line(details), _line(source), keys, f"{{ {example} }}"
+        kind.kind,
+        _line(summary),
+        _line(details),
+        _line(source),
+        keys,
+        f"{{ {example} }}",
     )
 
 
@@ -56,7 +65,9 @@ def rows(entries: list[KindDescription]) -> list[str]:
     lines = ["| kind | what it is | keys: default, meaning | source of the size |"]
     lines += ["| --- | --- | --- | --- |"]
     for entry in entries:
-        keys = "<br>".join(f"`{k}`: {default}, {said}" for k, default, said in entry.keys)
+        keys = "<br>".join(
+            f"`{k}`: {default}, {said}" for k, default, said in entry.keys
+        )
         what = " ".join(filter(None, (entry.summary, entry.details)))
         cells = (f"`{entry.kind}`", what, keys, entry.source)
         lines.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")

@@ -117,7 +117,9 @@ class PredictedWrench:
         qd, qdd = self.motion.qd[:, joint, None], self.motion.qdd[:, joint, None]
         turning = _rate(by_acceleration, self.motion.t)
         known = by_position * qd + by_velocity * qdd - turning * qdd
-        return self.rows(known[..., None]) + self.rates((by_acceleration * qdd)[..., None])
+        return self.rows(known[..., None]) + self.rates(
+            (by_acceleration * qdd)[..., None]
+        )
 
     @cached_property
     def _derivatives(self) -> tuple[Array, Array]:
@@ -133,7 +135,9 @@ class PredictedWrench:
         return self._filtered(signals, self.filter.slopes)
 
     def _filtered(self, signals: Array, weights: Array) -> Array:
-        windows = np.lib.stride_tricks.sliding_window_view(signals, len(weights), axis=0)
+        windows = np.lib.stride_tricks.sliding_window_view(
+            signals, len(weights), axis=0
+        )
         return windows[:: self.filter.step] @ weights
 
 

@@ -66,7 +66,9 @@ class SensorError(KindTable):
             rng: The error's own random numbers.
         """
 
-    def on(self, names: tuple[str, ...], full_scale: tuple[float, ...] = FULL_SCALE) -> Self:
+    def on(
+        self, names: tuple[str, ...], full_scale: tuple[float, ...] = FULL_SCALE
+    ) -> Self:
         """Copy of the error for a robot and a plate: a value a joint, in their order.
 
         Args:
@@ -141,7 +143,9 @@ class AddedWrench(SensorError):
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Wrench with the error, (M, 6) [N, N m]."""
-        return signal + channels(self.force, self.moment) * self.pattern(signal, time, rng)
+        return signal + channels(self.force, self.moment) * self.pattern(
+            signal, time, rng
+        )
 
 
 def channels(force: PerAxis, moment: PerAxis) -> Array:
@@ -151,7 +155,9 @@ def channels(force: PerAxis, moment: PerAxis) -> Array:
         force: One for x, y and z, or three.
         moment: Likewise.
     """
-    return np.concatenate([np.broadcast_to(np.asarray(each), 3) for each in (force, moment)])
+    return np.concatenate(
+        [np.broadcast_to(np.asarray(each), 3) for each in (force, moment)]
+    )
 
 
 def sampling_time(time: Array) -> float:

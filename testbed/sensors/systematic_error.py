@@ -128,7 +128,8 @@ class SystematicError(SensorError):
             neutral: Values of the coefficients without the error, (k,).
         """
         columns = [
-            cls.effect(signal, time, neutral + step) - cls.effect(signal, time, neutral - step)
+            cls.effect(signal, time, neutral + step)
+            - cls.effect(signal, time, neutral - step)
             for step in STEP * np.eye(len(neutral))
         ]
         return np.stack(columns, axis=-1) / (2 * STEP)
@@ -151,7 +152,9 @@ class SystematicError(SensorError):
         return estimate
 
     @classmethod
-    def undo(cls, recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
+    def undo(
+        cls, recording: Recording, values: Array, time: Array, tree: Tree
+    ) -> Recording:
         """Recording as it would be without the error.
 
         Args:
@@ -161,7 +164,9 @@ class SystematicError(SensorError):
             tree: The robot.
         """
         del tree
-        changed: Any = {cls.signal: cls.without(recording.measured(cls.signal), time, values)}
+        changed: Any = {
+            cls.signal: cls.without(recording.measured(cls.signal), time, values)
+        }
         return replace(recording, **changed)
 
     @classmethod
@@ -221,7 +226,9 @@ class PlateError(SystematicError):
     @classmethod
     def measured_columns(cls, predicted: PredictedWrench) -> Array:
         """Derivative by the coefficients of the measured wrench, (rows, 6, k)."""
-        return cls.derivative(predicted.shown, predicted.time, cls.neutral(predicted.tree))
+        return cls.derivative(
+            predicted.shown, predicted.time, cls.neutral(predicted.tree)
+        )
 
 
 class EncoderError(SystematicError):
@@ -246,7 +253,9 @@ class EncoderError(SystematicError):
         )
 
     @classmethod
-    def coordinate_errors(cls, q: Array, qd: Array, qdd: Array) -> Iterable[tuple[Any, Any, Any]]:
+    def coordinate_errors(
+        cls, q: Array, qd: Array, qdd: Array
+    ) -> Iterable[tuple[Any, Any, Any]]:
         """Derivatives of a joint's position, velocity and acceleration by its coefficients.
 
         Default by differences of `effect` along the motion.
@@ -295,10 +304,14 @@ class ClockError(SystematicError):
     def columns(cls, predicted: PredictedWrench) -> Array:
         """Derivative of the wrench in time, less a delay, (rows, 6, 1)."""
         late = np.broadcast_to(cls.lateness(predicted.time), len(predicted.time))
-        return np.asarray(-predicted.rates(predicted.moving[..., None]) * late[:, None, None])
+        return np.asarray(
+            -predicted.rates(predicted.moving[..., None]) * late[:, None, None]
+        )
 
 
-def of_channels(prefix: str, units: Sequence[str] = PLATE_UNITS) -> tuple[Coefficient, ...]:
+def of_channels(
+    prefix: str, units: Sequence[str] = PLATE_UNITS
+) -> tuple[Coefficient, ...]:
     """Coefficients of the plate's six channels.
 
     Args:

@@ -36,9 +36,13 @@ def consistent_tables(found: Consistent) -> list[Table]:
         "physically consistent bodies, about and along their frames [kg, kg m, kg m^2]; data: "
         "share of the prior variance that the data remove"
     )
-    tables = [Table(["link", "", "model file", "estimate", "data"], rows, title, left=[""])]
+    tables = [
+        Table(["link", "", "model file", "estimate", "data"], rows, title, left=[""])
+    ]
     names = [f"{term.law.kind}/{found.places[term.joint]}" for term in found.terms]
-    numbers = numbers_with_sigma(found.coefficients, found.coefficient_sigma, short=True)
+    numbers = numbers_with_sigma(
+        found.coefficients, found.coefficient_sigma, short=True
+    )
     own = list(zip(names, numbers, strict=True))
     return [*tables, *([Table(["joint's own", "estimate"], own)] if own else [])]
 
@@ -73,7 +77,9 @@ def draws_table(found: Robots) -> Table:
         "robots drawn [kg, kg m, kg m^2, N m, N m s/rad]; data: share of the prior variance that "
         f"the data remove; the model file is taken to be wrong by {found.prior_error:g}"
     )
-    return Table(["link, joint", "", "draws", "data", "from"], rows, title, left=["", "from"])
+    return Table(
+        ["link, joint", "", "draws", "data", "from"], rows, title, left=["", "from"]
+    )
 
 
 def _origin(share: float) -> str:
@@ -108,7 +114,11 @@ def consistent_lines(found: Consistent) -> list[str]:
             f"({each.sigmas[most]:+.2g})."
         )
     if found.binding:
-        more = f" and {len(found.binding) - LISTED} more" if len(found.binding) > LISTED else ""
+        more = (
+            f" and {len(found.binding) - LISTED} more"
+            if len(found.binding) > LISTED
+            else ""
+        )
         lines.append(f"At their limits: {'; '.join(found.binding[:LISTED])}{more}.")
     lines.append(
         f"Prior: the model file's bodies, with a relative standard deviation of "

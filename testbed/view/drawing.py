@@ -93,7 +93,9 @@ def draw(panel: Panel, width: float = WIDTH) -> Picture:
     width = max(width, AXIS + LETTER * max(map(len, panel.names), default=0))
     with rc_context(STYLE):
         figure = Picture(figsize=(width, sum(heights) + FRAME), layout="constrained")
-        axes = figure.subplots(len(plots), sharex=True, squeeze=False, height_ratios=heights)
+        axes = figure.subplots(
+            len(plots), sharex=True, squeeze=False, height_ratios=heights
+        )
         for axis, (title, curves) in zip(axes.ravel(), plots.items(), strict=True):
             axis.set_title(title)
             _draw_curves(axis, panel, curves)
@@ -109,10 +111,14 @@ def _draw_curves(axis: Axes, panel: Panel, curves: Curves) -> None:
         (x, y), colour = curves[kind], COLOURS[kind]
         if kind in panel.bands:
             low, high = y - panel.bands[kind], y + panel.bands[kind]
-            axis.fill_between(x, low, high, color=colour, alpha=0.3, linewidth=0, zorder=1)
+            axis.fill_between(
+                x, low, high, color=colour, alpha=0.3, linewidth=0, zorder=1
+            )
         if kind in panel.bars:
             axis.hlines(y, *panel.bars[kind], color=colour, alpha=0.28, linewidth=2.6)
-        (line,) = axis.plot(x, y, color=colour, linewidth=THIN + THICKER * over, label=kind)
+        (line,) = axis.plot(
+            x, y, color=colour, linewidth=THIN + THICKER * over, label=kind
+        )
         if kind in panel.points:
             line.set(linestyle="", marker=MARKERS[kind], clip_on=False)
             line.set_markersize(1.5 if len(x) > MANY else 4.0)
@@ -155,10 +161,14 @@ def svg(panel: Panel) -> str:
     """
     file = StringIO()
     metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-    with rc_context(STYLE | TRANSPARENT | {"svg.hashsalt": panel.title + panel.x_label}):
+    with rc_context(
+        STYLE | TRANSPARENT | {"svg.hashsalt": panel.title + panel.x_label}
+    ):
         # the canvas itself: savefig draws each figure once more, to no file
         FigureCanvasSVG(draw(panel)).print_svg(file, metadata=metadata)  # type: ignore[no-untyped-call]
     text = REMOVED.sub("", file.getvalue()).replace("xlink:href", "href")
     for kind, colour in COLOURS.items():
         text = text.replace(colour, f"var(--{kind})")
-    return text.replace("<svg", f'<svg role="img" aria-label="{escape(panel.label)}"', 1)
+    return text.replace(
+        "<svg", f'<svg role="img" aria-label="{escape(panel.label)}"', 1
+    )

@@ -35,7 +35,9 @@ def drive_table(drives: Sequence[DriveEstimate]) -> Table:
     kinds = dict.fromkeys(term.law.kind for each in drives for term in each.terms)
     heads = ["torque constant", *kinds, "residual"]
     rows = [[each.joint, *(_cell(each, head) for head in heads)] for each in drives]
-    return Table(["joint", *heads], rows, TITLE, parts=[[k] for k in range(1, 1 + len(heads))])
+    return Table(
+        ["joint", *heads], rows, TITLE, parts=[[k] for k in range(1, 1 + len(heads))]
+    )
 
 
 def _cell(drive: DriveEstimate, head: str) -> str:
@@ -59,8 +61,12 @@ def replay_lines(joints: Sequence[str], file: Array, written: Array) -> list[str
     """
     sizes = (np.sqrt((each**2).mean(axis=0)).tolist() for each in (written, file))
     pairs = zip(joints, *sizes, strict=True)
-    listed = ", ".join(f"{joint} {own:.3g} ({other:.3g})" for joint, own, other in pairs)
-    return [f"rms error of the unseen motion, driven open-loop (model file's): {listed}"]
+    listed = ", ".join(
+        f"{joint} {own:.3g} ({other:.3g})" for joint, own, other in pairs
+    )
+    return [
+        f"rms error of the unseen motion, driven open-loop (model file's): {listed}"
+    ]
 
 
 def delay_line(found: TimeOffset) -> str:
@@ -69,7 +75,9 @@ def delay_line(found: TimeOffset) -> str:
     Args:
         found: Of the commands beside the motion.
     """
-    return f"delay of the drives: {-1e3 * found.delay:.3g} +- {1e3 * found.sigma:.2g} ms"
+    return (
+        f"delay of the drives: {-1e3 * found.delay:.3g} +- {1e3 * found.sigma:.2g} ms"
+    )
 
 
 def drive_lines(drives: DriveFindings) -> list[str]:
@@ -92,10 +100,14 @@ def _chosen(choice: Choice) -> str:
     """Coulomb and viscous, then stribeck@0.08 (better by 5.1 standard errors); next ..., 0.4."""
     better = "better by {:.1f} standard errors"
     added = [f"{step.kind} ({better.format(step.gain)})" for step in choice.steps[1:]]
-    text = " and ".join(law.kind for law in choice.laws[: len(choice.laws) - len(added)])
+    text = " and ".join(
+        law.kind for law in choice.laws[: len(choice.laws) - len(added)]
+    )
     text += f", then {', '.join(added)}" if added else ", nothing else"
     if choice.next_best is not None:
-        text += f"; next would be {choice.next_best.kind}, by {choice.next_best.gain:.1f}"
+        text += (
+            f"; next would be {choice.next_best.kind}, by {choice.next_best.gain:.1f}"
+        )
     return text
 
 

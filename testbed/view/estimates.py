@@ -83,7 +83,9 @@ def _cells(
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Values with sigmas by name; errors in sigmas of what is identifiable and known."""
     numbers, errors = {}, {}
-    rows = zip(estimate.names, estimate.values.tolist(), estimate.sigma.tolist(), strict=True)
+    rows = zip(
+        estimate.names, estimate.values.tolist(), estimate.sigma.tolist(), strict=True
+    )
     for name, value, sigma in rows:
         brief = short or name in estimate.unidentifiable
         numbers[name] = number_with_sigma(value, sigma, brief)
@@ -96,7 +98,9 @@ def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
     """One line an estimate: number of unknowns, condition, noise, residual of each channel."""
     lines = []
     for e in estimates:
-        fits = ", ".join(f"{c} {r:.3g}" for c, r in zip(e.channels, e.residual, strict=True))
+        fits = ", ".join(
+            f"{c} {r:.3g}" for c, r in zip(e.channels, e.residual, strict=True)
+        )
         lines.append(
             f"{e.instrument}: {plural(len(e.names), 'unknown')}, condition {e.condition:.1f}, "
             f"{_noise(e)}"
@@ -110,11 +114,15 @@ def _instrument(estimate: Estimate) -> list[str]:
     """What was estimated of the instrument, a line each kind; whether sigma is to be doubted."""
     kinds: dict[str, list[str]] = {}
     for each in estimate.nuisances:
-        number = f"{each.name} {each.value:.4g} +- {each.sigma:.2g} {each.unit}".rstrip()
+        number = (
+            f"{each.name} {each.value:.4g} +- {each.sigma:.2g} {each.unit}".rstrip()
+        )
         kinds.setdefault(each.kind, []).append(number)
     lines = [", ".join(numbers) for numbers in kinds.values()]
     if estimate.doubtful:
-        lines.append("standard deviations do not include the errors that the warnings name")
+        lines.append(
+            "standard deviations do not include the errors that the warnings name"
+        )
     return lines
 
 
@@ -187,8 +195,12 @@ def scales_table(found: TorqueScales) -> Table:
     Args:
         found: By a known payload.
     """
-    rows = list(zip(found.names, numbers_with_sigma(found.values, found.sigma), strict=True))
-    return Table(["joint", "reported over true torque"], rows, "divide torques, or gains, by")
+    rows = list(
+        zip(found.names, numbers_with_sigma(found.values, found.sigma), strict=True)
+    )
+    return Table(
+        ["joint", "reported over true torque"], rows, "divide torques, or gains, by"
+    )
 
 
 def payload_lines(found: PayloadEstimate) -> list[str]:
@@ -198,7 +210,9 @@ def payload_lines(found: PayloadEstimate) -> list[str]:
         found: The payload.
     """
     count = sum(found.identifiable)
-    lines = [f"{count} of ten are identifiable alone, {plural(found.rank, 'combination')} in all."]
+    lines = [
+        f"{count} of ten are identifiable alone, {plural(found.rank, 'combination')} in all."
+    ]
     centre = found.centre
     if centre is not None:
         lines.append(f"Centre of mass: {_place(*centre)}.")
@@ -263,20 +277,31 @@ def instrument_tables(run: Run) -> list[TraceTable]:
     Args:
         run: The run.
     """
-    return [table for estimate in run.estimates.values() for table in _of_estimate(estimate)]
+    return [
+        table for estimate in run.estimates.values() for table in _of_estimate(estimate)
+    ]
 
 
 def _of_estimate(estimate: Estimate) -> Iterator[TraceTable]:
     if estimate.nuisances:
-        rows = [[n.name, n.unit, f"{n.value:.4g}", f"{n.sigma:.2g}"] for n in estimate.nuisances]
-        yield TraceTable(["what", "unit", "value", "std"], rows, "Estimated with the parameters")
+        rows = [
+            [n.name, n.unit, f"{n.value:.4g}", f"{n.sigma:.2g}"]
+            for n in estimate.nuisances
+        ]
+        yield TraceTable(
+            ["what", "unit", "value", "std"], rows, "Estimated with the parameters"
+        )
     tested = sorted(estimate.trace_tests, key=lambda test: test.chance)
     sensor = estimate.instrument if estimate.minimal.of_sensor else ""
     clear = [_test(test, sensor) for test in tested if test.chance <= CLEAR]
-    others = [[phrase(t.nuisance, sensor), _chance(t.chance)] for t in tested[len(clear) :]]
+    others = [
+        [phrase(t.nuisance, sensor), _chance(t.chance)] for t in tested[len(clear) :]
+    ]
     if clear:
         heads = ["fault", "chance", "would change", "size"]
-        yield TraceTable(heads, clear, "Faults with significant effect, the most significant first")
+        yield TraceTable(
+            heads, clear, "Faults with significant effect, the most significant first"
+        )
     if others:
         title = "Faults without significant effect"
         yield TraceTable(["fault", "chance"], others, title, traced=False)
@@ -330,6 +355,8 @@ def plate_lines(plate: Calibration) -> list[str]:
     kinds: dict[str, list[str]] = {}
     for each in plate.numbers:
         if each.kind != "matrix":
-            number = f"{each.name} {number_with_sigma(each.value, each.sigma)} {each.unit}"
+            number = (
+                f"{each.name} {number_with_sigma(each.value, each.sigma)} {each.unit}"
+            )
             kinds.setdefault(each.kind, []).append(number.rstrip())
     return [", ".join(numbers) for numbers in kinds.values()]

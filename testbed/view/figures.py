@@ -17,7 +17,8 @@ MAX_ROWS, COLUMNS = 9, 3
 OFFSET = 0.32
 """Between the points of a row [rows]."""
 
-Curves = Mapping[Any, tuple[Array, Array]]  # x and y by kind: measured, external, internal
+# x and y by kind: measured, external, internal
+Curves = Mapping[Any, tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,13 +122,19 @@ def named_panel(
 def _padded(values: Array) -> tuple[float, float]:
     """Least and largest finite value, with a margin."""
     finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    low, high = (
+        (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    )
     margin = 0.04 * (high - low) or 1.0
     return low - margin, high + margin
 
 
 def named_panels(
-    title: str, names: Sequence[str], values: Mapping[str, Array], x_label: str, **options: Any
+    title: str,
+    names: Sequence[str],
+    values: Mapping[str, Array],
+    x_label: str,
+    **options: Any,
 ) -> list[Panel]:
     """Points by name, a row each; many rows in several panels of one scale.
 
@@ -142,7 +149,11 @@ def _part(panel: Panel, rows: NDArray[np.intp]) -> Panel:
     """Some rows of a panel."""
     return replace(
         panel,
-        curves={kind: (x[rows], y[rows] - rows[0]) for kind, (x, y) in panel.curves.items()},
-        bars={kind: (low[rows], high[rows]) for kind, (low, high) in panel.bars.items()},
+        curves={
+            kind: (x[rows], y[rows] - rows[0]) for kind, (x, y) in panel.curves.items()
+        },
+        bars={
+            kind: (low[rows], high[rows]) for kind, (low, high) in panel.bars.items()
+        },
         names=tuple(panel.names[k] for k in rows),
     )

@@ -7,7 +7,8 @@ from typing import Any
 
 from testbed.core.base.diagnostics import sentences
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
-from testbed.importing.check.mapping_solution import MappingSolution, table_of
+from testbed.importing.check.draft_mapping import table_of
+from testbed.importing.check.mapping_solution import MappingSolution
 from testbed.importing.check.plate import WrenchFit
 from testbed.importing.import_report import MappingDraft
 from testbed.view.figures import Panel
@@ -31,7 +32,9 @@ def solved_table(draft: MappingDraft) -> Table:
     Args:
         draft: The mapping.
     """
-    return Table(["key", "value", "known by"], table_of(draft), left=["value", "known by"])
+    return Table(
+        ["key", "value", "known by"], table_of(draft), left=["value", "known by"]
+    )
 
 
 def mapping_contents(title: str, solved: MappingSolution) -> dict[str, Any]:
@@ -64,7 +67,10 @@ def _channels(read: WrenchFit, place: str, how: str) -> Section:
     panels = [
         Panel(
             f"{axis} [{unit}]",
-            {"measured": (read.time, read.wrench[:, k]), "external": (read.time, read.fit[:, k])},
+            {
+                "measured": (read.time, read.wrench[:, k]),
+                "external": (read.time, read.fit[:, k]),
+            },
             "time [s]",
         )
         for k, (axis, unit) in enumerate(zip(AXES, PLATE_UNITS, strict=True))
@@ -81,6 +87,9 @@ def _channels(read: WrenchFit, place: str, how: str) -> Section:
         caption="Through a low-pass of 8 Hz, in the bedplate's frame.",
         table=Table(
             ["channel", "unexplained"],
-            [[axis, f"{left:.3%}"] for axis, left in zip(AXES, read.unexplained, strict=True)],
+            [
+                [axis, f"{left:.3%}"]
+                for axis, left in zip(AXES, read.unexplained, strict=True)
+            ],
         ),
     )

@@ -32,7 +32,11 @@ GAP = 2
 WIDTHS = (6, 7, 8)
 """Widths of the columns between name and formula: unit, torques, plate."""
 
-SENSORS = {"torques": "joint torques", "plate": "the force plate", "sensor": "the force sensor"}
+SENSORS = {
+    "torques": "joint torques",
+    "plate": "the force plate",
+    "sensor": "the force sensor",
+}
 """Names of sensors in a sentence."""
 
 SHARE = 3
@@ -107,7 +111,8 @@ def print_sets(console: Console, found: Findings, lengths: Lengths) -> None:
     never = set.intersection(*(set(each.never) for each in found.sets))
     if lost := [name for name in beyond if name in never]:
         console.print(
-            f"not identifiable, not even in combination: {', '.join(lost)}", soft_wrap=True
+            f"not identifiable, not even in combination: {', '.join(lost)}",
+            soft_wrap=True,
         )
     console.print(_summary(found), soft_wrap=True)
 
@@ -134,7 +139,9 @@ def map_table(tree: Tree, seen: Sequence[Visibility]) -> Table:
     table = Table(box=None, padding=(0, GAP, 0, 0), header_style="bold")
     table.add_column("body", overflow="fold")
     for each in seen:
-        sensor = {"tared bedplate": "plate, tared"}.get(each.instrument, each.instrument)
+        sensor = {"tared bedplate": "plate, tared"}.get(
+            each.instrument, each.instrument
+        )
         sensor = sensor.replace("bedplate", "plate")
         table.add_column(f"{sensor} ({each.count})", width=len(STANDARD))
     for j, joint in list(enumerate(tree.joints))[tree.massless :]:
@@ -151,18 +158,24 @@ def _print_bodies(console: Console, found: Findings, lengths: Lengths) -> None:
     for body in sorted(rows, reverse=True):
         console.print(_heading(found, body), style="bold", soft_wrap=True)
         table = Table(box=None, padding=(0, 0, 0, GAP), header_style="bold")
-        table.add_column("parameter", width=max(width, len("parameter")), overflow="fold")
+        table.add_column(
+            "parameter", width=max(width, len("parameter")), overflow="fold"
+        )
         table.show_header = body == max(rows)
         for head, wide in zip(("unit", *found.by_sensor), WIDTHS, strict=False):
             table.add_column(head, min_width=wide)
         table.add_column("combination of", overflow="fold")
         for formula, row in rows[body].items():
             rules = (row.get(sensor, "-") for sensor in ("unit", *found.by_sensor))
-            table.add_row(formula.left.text, *rules, "" if formula.trivial else formula.said)
+            table.add_row(
+                formula.left.text, *rules, "" if formula.trivial else formula.said
+            )
         console.print(table)
 
 
-def _rows(found: Findings, lengths: Lengths) -> dict[int, dict[Formula, dict[str, str]]]:
+def _rows(
+    found: Findings, lengths: Lengths
+) -> dict[int, dict[Formula, dict[str, str]]]:
     """By body and formula: the unit, and the rule that keeps it by sensor."""
     rows: dict[int, dict[Formula, dict[str, str]]] = {}
     for sensor, each in found.by_sensor.items():
@@ -179,7 +192,9 @@ def _heading(found: Findings, body: int) -> str:
         return "the bedplate"
     joint = found.tree.joints[body]
     kind = "revolute" if joint.revolute else "prismatic"
-    carrier = found.tree.joints[joint.parent].body if joint.parent >= 0 else "the bedplate"
+    carrier = (
+        found.tree.joints[joint.parent].body if joint.parent >= 0 else "the bedplate"
+    )
     return f"{body + 1}  {joint.body}, {kind} on {carrier}"
 
 
@@ -211,13 +226,18 @@ def _drive_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
         if joints:
             yield f"{law.kind}: a column of its own for {', '.join(joints)}"
     for term, column in drives.regrouped.items():
-        holders = [name for name, share in zip(drives.names, column, strict=True) if share]
+        holders = [
+            name for name, share in zip(drives.names, column, strict=True) if share
+        ]
         beside = " and ".join(holders)
         yield f"{drives.symbol(term).text}: identifiable only in combination with {beside}"
 
 
 def _summary(found: Findings) -> str:
-    (first, *others), (count, *counts) = found.by_sensor, [each.count for each in found.sets]
+    (first, *others), (count, *counts) = (
+        found.by_sensor,
+        [each.count for each in found.sets],
+    )
     phrase = f"{plural(count, 'combination')} identifiable by {SENSORS[first]}"
     for sensor, count in zip(others, counts, strict=True):
         phrase += f", {count} by {SENSORS[sensor]}"
@@ -290,7 +310,9 @@ def _set_as_json(tree: Tree, each: MinimalSet, matrices: bool) -> dict[str, Any]
         "tared": each.tared,
         "known_zero": [
             name
-            for name, zero in zip(parameter_names(tree), each.known_zero.ravel(), strict=True)
+            for name, zero in zip(
+                parameter_names(tree), each.known_zero.ravel(), strict=True
+            )
             if zero
         ],
     }
@@ -300,7 +322,9 @@ def _drives_as_json(drives: DriveSet, matrices: bool) -> dict[str, Any]:
     asked = [drives.symbol(term).text for term in drives.asked]
     regrouped = {
         drives.symbol(term).text: {
-            name: float(share) for name, share in zip(drives.names, column, strict=True) if share
+            name: float(share)
+            for name, share in zip(drives.names, column, strict=True)
+            if share
         }
         for term, column in drives.regrouped.items()
     }

@@ -48,7 +48,9 @@ def print_excitation(
     rows = range(count) if everything else least_known[:ROWS].tolist()
     print_tables(console, [sigma_table(found, rows)])
     if len(rows) < count:
-        console.print(f"({count - len(rows)} more with smaller standard deviation: --all)")
+        console.print(
+            f"({count - len(rows)} more with smaller standard deviation: --all)"
+        )
     motion, design = found.design.motion, found.design
     count = design.searches
     searched = "one search" if count == 1 else f"the best of {count} searches"
@@ -80,7 +82,11 @@ def sigma_table(found: Excitation, rows: Iterable[int]) -> Table:
 
     def row(k: int) -> list[str]:
         predicted = found.predicted
-        words = [predicted.names[k], f"{predicted.sigma[k]:.2g}", f"{predicted.relative[k]:.3%}"]
+        words = [
+            predicted.names[k],
+            f"{predicted.sigma[k]:.2g}",
+            f"{predicted.relative[k]:.3%}",
+        ]
         if random is not None:
             words.append(f"{random[k]:.3%}" if np.isfinite(random[k]) else "-")
         return words
@@ -115,13 +121,19 @@ def print_proof(console: Console, proof: Proof, *, everything: bool = False) -> 
         console.print(f"({count - shown} more limits with larger margins: --all)")
     if not proof.holds:
         failed = sum(not margin.holds for margin in proof.margins)
-        console.print(f"NOT proven: {failed} of {plural(count, 'limit')}; {proof.worst.words}")
+        console.print(
+            f"NOT proven: {failed} of {plural(count, 'limit')}; {proof.worst.words}"
+        )
         return
     held = len(proof.binding)
     console.print(
         f"verified at every instant: {plural(count, 'limit')}"
         + (f"; {held} nearly reached" if held else "")
-        + ("" if any(each.unit for each in proof.margins) else "; collisions not checked")
+        + (
+            ""
+            if any(each.unit for each in proof.margins)
+            else "; collisions not checked"
+        )
     )
 
 
@@ -173,7 +185,9 @@ def _sigma_figure(found: Excitation) -> Section:
         legend={"measured": "random motion", "external": "this motion"}
         if random is not None
         else {"external": "this motion"},
-        panels=named_panels("", names, values, "relative standard deviation [%]", log=True),
+        panels=named_panels(
+            "", names, values, "relative standard deviation [%]", log=True
+        ),
         caption=(
             f"For {found.problem.pipeline.span:.4g} s of a recording, without filter transients. "
             "Logarithmic scale."
@@ -214,7 +228,14 @@ def _motion_figure(found: Excitation) -> Section:
         panels=panels,
         shown=SHOWN,
         table=Table(
-            ["joint", "position", "allowed", "largest velocity", "largest acceleration"], rows
+            [
+                "joint",
+                "position",
+                "allowed",
+                "largest velocity",
+                "largest acceleration",
+            ],
+            rows,
         ),
     )
 

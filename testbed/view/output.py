@@ -149,7 +149,10 @@ class Progress:
         self._label = label
         self.line = f"{label}, {much} ..." if much else f"{label} ..."
         self._bar.update(
-            self._task, completed=done, total=total or None, description=printable(label)
+            self._task,
+            completed=done,
+            total=total or None,
+            description=printable(label),
         )
         if self._bar.disable and time.monotonic() > self._written + BETWEEN:
             self._written = time.monotonic()
@@ -230,15 +233,21 @@ def print_diagnostics(
         most: How many are printed; more are counted. Default all.
     """
     every = ordered(diagnostics)
-    said = [("warning", each) for each in paragraphs(d for d in every if d.level != "info")]
-    said += [("note", each) for each in paragraphs(d for d in every if d.level == "info")]
+    said = [
+        ("warning", each) for each in paragraphs(d for d in every if d.level != "info")
+    ]
+    said += [
+        ("note", each) for each in paragraphs(d for d in every if d.level == "info")
+    ]
     for kind, (text, *more) in said[:most]:
         style = "yellow" if kind == "warning" else None
         out.print(f"{kind}: {printable(text)}", style=style, soft_wrap=True)
         for line in more:
             out.print(f"    {printable(line)}", style=style, soft_wrap=True)
     if most is not None and len(said) > most:
-        out.print(f"(--all prints {plural(len(said) - most, 'more warning')})", soft_wrap=True)
+        out.print(
+            f"(--all prints {plural(len(said) - most, 'more warning')})", soft_wrap=True
+        )
 
 
 def print_tables(out: Console, *layouts: Sequence[Table]) -> None:
@@ -264,11 +273,15 @@ def print_tables(out: Console, *layouts: Sequence[Table]) -> None:
 
 def _drawn(table: Table, width: int | None = None) -> RichTable:
     """Table wrapped to a width: first cells, then row names."""
-    columns = list(zip(*([printable(cell) for cell in row] for row in table.rows), strict=True))
+    columns = list(
+        zip(*([printable(cell) for cell in row] for row in table.rows), strict=True)
+    )
 
     def least(head: str, cells: Sequence[str]) -> int:
         at = None if head in table.left else "\n"
-        return max((len(x) for cell in (head, *cells) for x in cell.split(at)), default=0)
+        return max(
+            (len(x) for cell in (head, *cells) for x in cell.split(at)), default=0
+        )
 
     names, *taken = map(least, table.heads, columns) if columns else (0,)
     room = None if width is None else max(NAME, width - sum(taken) - 3 * len(taken) - 4)

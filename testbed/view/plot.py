@@ -48,14 +48,18 @@ class ErrorDots:
     @property
     def label(self) -> str:
         """Quantity on the horizontal axis."""
-        return "relative error [%]" if self.sigmas else "relative standard deviation [%]"
+        return (
+            "relative error [%]" if self.sigmas else "relative standard deviation [%]"
+        )
 
     @property
     def drawn(self) -> tuple[dict[str, Array], dict[str, tuple[Array, Array]]]:
         """Positions of the dots, and ends of the bars from the axis to one sigma."""
         every = np.concatenate([*self.errors.values(), *self.sigmas.values(), [0.0]])
         least = LEAST * np.nanmax(every)
-        dots: dict[str, Array] = {m: np.maximum(each, least) for m, each in self.errors.items()}
+        dots: dict[str, Array] = {
+            m: np.maximum(each, least) for m, each in self.errors.items()
+        }
         low = decades(np.maximum(every[every > 0], least))[0]
         bars: dict[str, tuple[Array, Array]] = {
             method: (np.full(len(sigma), low), np.maximum(sigma, low))
@@ -76,7 +80,9 @@ def error_dots(
     truths: dict[str, float] = {}
     for each in (judged or {}).values():
         truths |= zip(each.names, each.truth.tolist(), strict=True)
-    backwards = [estimates[method] for method in reversed(METHODS) if method in estimates]
+    backwards = [
+        estimates[method] for method in reversed(METHODS) if method in estimates
+    ]
     names = by_influence(backwards, truths)[:MOST]
     errors: dict[Method, Array] = {}
     sigmas: dict[Method, Array] = {}
@@ -85,7 +91,9 @@ def error_dots(
             errors[method] = _by_name(names, estimate, _relative_sigmas(estimate))
         else:
             errors[method] = _by_name(names, estimate, np.abs(judged[method].relative))
-            sigmas[method] = _by_name(names, estimate, estimate.sigma / judged[method].scale)
+            sigmas[method] = _by_name(
+                names, estimate, estimate.sigma / judged[method].scale
+            )
     return ErrorDots(names, errors, sigmas)
 
 
@@ -119,7 +127,11 @@ def dots_section(run: Run) -> Section | None:
         return None
     judged = bool(dots.sigmas)
     order = "Sorted by influence on the predicted forces"
-    part = f"{order}; these are the first {MOST}." if len(dots.names) == MOST else f"{order}."
+    part = (
+        f"{order}; these are the first {MOST}."
+        if len(dots.names) == MOST
+        else f"{order}."
+    )
     what = "error" if judged else "std"
     rows = np.column_stack([*dots.errors.values()])
     values, bars = dots.drawn
@@ -136,7 +148,10 @@ def dots_section(run: Run) -> Section | None:
         panels=named_panels("", dots.names, values, dots.label, bars=bars, log=True),
         caption=f"Logarithmic scale. {part}",
         table=Table(
-            ["parameter", *(f"{what}, {run.instruments[method]} [%]" for method in dots.errors)],
+            [
+                "parameter",
+                *(f"{what}, {run.instruments[method]} [%]" for method in dots.errors),
+            ],
             [
                 [name, *("" if np.isnan(value) else f"{value:.2g}" for value in row)]
                 for name, row in zip(dots.names, rows.tolist(), strict=True)
@@ -145,7 +160,9 @@ def dots_section(run: Run) -> Section | None:
     )
 
 
-def plot(what: Recording | Run | Estimate, *estimates: Estimate | Information) -> Picture:
+def plot(
+    what: Recording | Run | Estimate, *estimates: Estimate | Information
+) -> Picture:
     """Draw residuals of a recording over time, or errors of parameters.
 
     Args:
@@ -159,11 +176,17 @@ def plot(what: Recording | Run | Estimate, *estimates: Estimate | Information) -
     """
     if isinstance(what, Recording):
         return _residuals(predict(what, *estimates))
-    dots = dots_of_run(what) if isinstance(what, Run) else error_dots({what.method: what})
-    instruments = what.instruments if isinstance(what, Run) else {what.method: what.instrument}
+    dots = (
+        dots_of_run(what) if isinstance(what, Run) else error_dots({what.method: what})
+    )
+    instruments = (
+        what.instruments if isinstance(what, Run) else {what.method: what.instrument}
+    )
     values, bars = dots.drawn
     label = f"{dots.label}; bars: one standard deviation" if bars else dots.label
-    figure = draw(named_panel("", dots.names, values, label, bars=bars, log=True), WIDTH)
+    figure = draw(
+        named_panel("", dots.names, values, label, bars=bars, log=True), WIDTH
+    )
     axis = figure.axes[0]
     lines, methods = axis.get_legend_handles_labels()
     labels = [instruments[method] for method in methods]

@@ -45,7 +45,9 @@ def posterior_table(found: Posterior, most: int | None = None) -> Table:
         [
             found.names[k],
             found.units[k],
-            number_with_sigma(float(found.file[k]), before[k]) if k < found.count else "free",
+            number_with_sigma(float(found.file[k]), before[k])
+            if k < found.count
+            else "free",
             number_with_sigma(float(found.values[k]), sigma[k]),
             f"{found.share[k]:.0%}",
         ]
@@ -56,7 +58,9 @@ def posterior_table(found: Posterior, most: int | None = None) -> Table:
         f"{found.prior_error:.0%}: the estimate by file and recording; data: share of the "
         "file's variance that the recording removes; standard deviations for motions like this one"
     )
-    return Table(["parameter", "unit", "model file", "estimate", "data"], rows, title, ["unit"])
+    return Table(
+        ["parameter", "unit", "model file", "estimate", "data"], rows, title, ["unit"]
+    )
 
 
 def errors_table(found: PredictionErrors) -> Table:
@@ -101,10 +105,13 @@ def validation_table(found: Validation) -> Table:
 
 def _error_columns(found: PredictionErrors, held: str = "") -> dict[str, list[str]]:
     """Columns of signals and errors by candidate; a star marks the reported one."""
-    names = HEADS | ({REFITTED: "file, zero fitted"} if found.method == "external" else {})
+    names = HEADS | (
+        {REFITTED: "file, zero fitted"} if found.method == "external" else {}
+    )
     errors = {name: found.residual[name] for name in HEADS if name in found.residual}
     return {"signal": _texts(found.signal)} | {
-        names[name] + " *" * (name == held): _texts(each) for name, each in errors.items()
+        names[name] + " *" * (name == held): _texts(each)
+        for name, each in errors.items()
     }
 
 

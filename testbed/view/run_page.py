@@ -59,11 +59,15 @@ def write_report(run: Run, path: Path) -> Path:
     beside = path.with_suffix(".json")
     with together(), replacing(path) as fresh, replacing(beside) as numbers:
         fresh.write_text(text, encoding="utf-8")
-        numbers.write_text(json.dumps(_numbers(content), indent=1, sort_keys=True) + "\n", "utf-8")
+        numbers.write_text(
+            json.dumps(_numbers(content), indent=1, sort_keys=True) + "\n", "utf-8"
+        )
     return beside
 
 
-def report(run: Run | str | Path, path: str | Path, unseen: Recording | None = None) -> Path:
+def report(
+    run: Run | str | Path, path: str | Path, unseen: Recording | None = None
+) -> Path:
     """Write a report: one HTML file that needs nothing else, and its numbers as JSON beside it.
 
     Args:
@@ -115,7 +119,9 @@ def contents(run: Run) -> dict[str, Any]:
         "claims": _claims(run),
         "diagnostics": sentences(run.diagnostics),
         "errors": dots_section(run),
-        "parameters": next(parameter_tables(estimates, run.truths)) if estimates else [],
+        "parameters": next(parameter_tables(estimates, run.truths))
+        if estimates
+        else [],
         "estimates": {each.method: _values(each) for each in estimates},
         "figures": sections(predict(run, run.unseen)),
         "posterior": _posterior_tables(run),
@@ -169,13 +175,17 @@ def _maps(run: Run) -> list[Table]:
     if tree.floating:
         names[:FREE] = [joint.body for joint in tree.joints[:FREE]]
     last = 2 if tree.floating or run.recording.wrench is not None else 1
-    maps = identifiability(tree, zeros=run.settings.zeros)[1 if tree.floating else 0 : last]
+    maps = identifiability(tree, zeros=run.settings.zeros)[
+        1 if tree.floating else 0 : last
+    ]
     return [
         Table(
             ["body", *STANDARD],
             [
                 [name, *(GLYPHS[code] for code in codes)]
-                for name, codes in list(zip(names, each.standard, strict=True))[tree.massless :]
+                for name, codes in list(zip(names, each.standard, strict=True))[
+                    tree.massless :
+                ]
             ],
             f"{each.instrument}: {plural(each.count, 'combination')}",
         )
@@ -194,14 +204,20 @@ def _settings(run: Run) -> dict[str, str]:
         "recording": f"{np.ptp(recording.time):.4g} s, {recording.rate:.5g} samples a second",
         "measured": ", ".join(_measured(run)),
         "terms": "; ".join(choice_lines(run.estimates.values())),
-        "identification": ", ".join(f"{name} {value}" for name, value in fitted.items() if value),
-        "versions": ", ".join(f"{name} {number}" for name, number in versions().items()),
+        "identification": ", ".join(
+            f"{name} {value}" for name, value in fitted.items() if value
+        ),
+        "versions": ", ".join(
+            f"{name} {number}" for name, number in versions().items()
+        ),
         "model's SHA-256": recording.metadata.model_sha256,
     }
     if run.model is not None:
         held = run.model.lock.items()
         facts["model file"] = run.model.path.name
-        facts["held"] = ", ".join(joint if q is None else f"{joint} at {q:g}" for joint, q in held)
+        facts["held"] = ", ".join(
+            joint if q is None else f"{joint} at {q:g}" for joint, q in held
+        )
     return {name: text for name, text in facts.items() if text}
 
 

@@ -41,7 +41,10 @@ class Table:
     def markdown(self) -> str:
         """As Rerun's viewer shows it."""
         lines = [self.heads, ["---"] * len(self.heads), *self.rows]
-        cells = ([cell.replace("|", "/").replace("+-", "±") for cell in line] for line in lines)
+        cells = (
+            [cell.replace("|", "/").replace("+-", "±") for cell in line]
+            for line in lines
+        )
         return "\n".join(f"| {' | '.join(line)} |" for line in cells)
 
 

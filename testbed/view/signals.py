@@ -96,7 +96,9 @@ def _signal_panel(found: Predictions, channel: Channel) -> Panel:
     return Panel(f"{channel.name} [{channel.unit}]", above, "time [s]", below=parts)
 
 
-def _residual_table(found: Predictions, smooth: Predictions, names: Mapping[Method, str]) -> Table:
+def _residual_table(
+    found: Predictions, smooth: Predictions, names: Mapping[Method, str]
+) -> Table:
     """Spread and residuals of all channels."""
     heads = ["channel", "unit", "spread (rms)"]
     heads += [f"residual rms, {name}" for name in names.values()]
@@ -112,7 +114,9 @@ def _residual_table(found: Predictions, smooth: Predictions, names: Mapping[Meth
 def _residual_row(run: Run, channel: Channel) -> list[str]:
     """Spread of a channel, residuals, and these as part of the spread; "" for what there is not."""
     spread = float(channel.measured.std())
-    sizes = {by: float(np.sqrt(np.mean(left**2))) for by, left in channel.residuals.items()}
+    sizes = {
+        by: float(np.sqrt(np.mean(left**2))) for by, left in channel.residuals.items()
+    }
     shares = {by: percent(size / spread) for by, size in sizes.items() if spread}
     return [
         channel.name,
@@ -143,8 +147,12 @@ def _spectra(found: Predictions) -> Section:
     panels, rows = [], []
     for channel in found.channels:
         name, unit = channel.name, channel.unit
-        spectra = {by: spectrum(left, rate) for by, left in _shown_residuals(channel).items()}
-        panels.append(Panel(f"{name} [{unit}/√Hz]", spectra, "frequency [Hz]", log=True))
+        spectra = {
+            by: spectrum(left, rate) for by, left in _shown_residuals(channel).items()
+        }
+        panels.append(
+            Panel(f"{name} [{unit}/√Hz]", spectra, "frequency [Hz]", log=True)
+        )
         for method, each in spectra.items():
             slow, fast = rms_within(*each, 0.0, SLOW), rms_within(*each, SLOW, np.inf)
             rows.append([name, unit, names[method], f"{slow:.3g}", f"{fast:.3g}"])
@@ -186,7 +194,9 @@ def _friction(found: Predictions, torque: Array) -> Section:
     caption = ["Points are samples."]
     if any("internal" in panel.curves for panel in panels):
         legend["internal"] = "friction identified from joint torques"
-        caption.append("That from joint torques is the friction model at constant velocity.")
+        caption.append(
+            "That from joint torques is the friction model at constant velocity."
+        )
     if run.drives is not None:
         legend["external"] = "friction curve from the force plate"
         caption.append(

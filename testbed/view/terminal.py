@@ -26,7 +26,13 @@ from testbed.view.estimates import (
     plate_table,
     quality_lines,
 )
-from testbed.view.output import console, print_diagnostics, print_result, print_tables, print_text
+from testbed.view.output import (
+    console,
+    print_diagnostics,
+    print_result,
+    print_tables,
+    print_text,
+)
 from testbed.view.posterior import errors_table, posterior_table
 
 if TYPE_CHECKING:
@@ -109,11 +115,15 @@ def _print_parameters(
         out.print(f"{printable(name)} is {OPEN_ZERO}", soft_wrap=True)
     count = len({name for e in estimates for name in e.names}) - ROWS
     if not everything and count > 0:
-        out.print(f"({count} more parameters with less influence: --all)", soft_wrap=True)
+        out.print(
+            f"({count} more parameters with less influence: --all)", soft_wrap=True
+        )
     out.print(LEGEND, soft_wrap=True)
 
 
-def print_plate(plate: Calibration, diagnostics: Sequence[Diagnostic], path: Path) -> None:
+def print_plate(
+    plate: Calibration, diagnostics: Sequence[Diagnostic], path: Path
+) -> None:
     """Print the calibration of a plate.
 
     Args:
@@ -126,7 +136,9 @@ def print_plate(plate: Calibration, diagnostics: Sequence[Diagnostic], path: Pat
     estimates = [] if plate.estimate is None else [plate.estimate]
     if estimates:
         print_tables(out, *parameter_tables(estimates, {}))
-    print_diagnostics(out, [*diagnostics, *(d for e in estimates for d in e.diagnostics)])
+    print_diagnostics(
+        out, [*diagnostics, *(d for e in estimates for d in e.diagnostics)]
+    )
     out.print(f"plate: {path}", soft_wrap=True)
 
 
@@ -165,7 +177,9 @@ def _print_metrics(out: Console, run: Run, names: Iterable[str]) -> None:
         value = f"{run.metrics[name]:9.3g}" if name in run.metrics else "     none"
         claim = ""
         if name in expect:
-            claim = f"  {expect[name].wanted}: {'holds' if run.verdicts[name] else 'FAILS'}"
+            claim = (
+                f"  {expect[name].wanted}: {'holds' if run.verdicts[name] else 'FAILS'}"
+            )
         out.print(f"{name:28s}{value}{claim}", soft_wrap=True)
 
 
@@ -178,4 +192,6 @@ def _print_verdict(out: Console, run: Run) -> None:
         out.print(f"claim: {printable(run.experiment.claim)}")
     said = "the claim holds" if held == count else "THE CLAIM FAILS"
     out.print(f"verdict: {said} ({held} of {count} bounds)")
-    _print_metrics(out, run, [name for name, holds in run.verdicts.items() if not holds])
+    _print_metrics(
+        out, run, [name for name, holds in run.verdicts.items() if not holds]
+    )

@@ -20,7 +20,8 @@ from testbed.campaigns.conduct import places_of
 from testbed.campaigns.results import Results, read_results, write_rows
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.estimation.sensor.estimates import NuisanceEstimate
-from testbed.importing.check.mapping_solution import KNOWN, MappingSolution
+from testbed.importing.check.draft_mapping import KNOWN
+from testbed.importing.check.mapping_solution import MappingSolution
 from testbed.importing.check.plate import WrenchFit
 from testbed.importing.import_report import MappingDraft
 from testbed.lab.experiment.excite import design_problem

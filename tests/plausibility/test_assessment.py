@@ -28,7 +28,8 @@ from testbed.core.recordings.views import with_base_joints
 from testbed.core.robot.free_base import FREE, coordinates, poses
 from testbed.core.robot.rotations import to_rpy
 from testbed.importing.check.check import assess, check_recording
-from testbed.importing.check.plate import AS_READ, PLATE_ORDERS, frame_of
+from testbed.importing.check.plate import AS_READ, PLATE_ORDERS
+from testbed.importing.check.plate_frame import frame_of
 from testbed.importing.check.remedies import Hypothesis, corrected, merge, remedies_for, with_lines
 from testbed.importing.check.time_offset import TimeOffset, alignment
 from testbed.importing.foreign_table import FORCES, MOMENTS

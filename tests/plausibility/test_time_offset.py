@@ -16,7 +16,8 @@ from benchmarks.inverse_recordings import truth
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import RecordingError
 from testbed.importing.check.check import assess, check_recording, import_and_check
-from testbed.importing.check.mapping_solution import ASSUMED, missing, solve_mapping
+from testbed.importing.check.draft_mapping import ASSUMED, missing
+from testbed.importing.check.mapping_solution import solve_mapping
 from testbed.importing.check.time_offset import time_offsets
 from testbed.importing.guess import guessed
 from tests.helpers.measured import measured, random_fourier

@@ -36,7 +36,26 @@ from testbed.core.robot.friction import BY_LOAD, LOADED, ROTOR, STRIBECK, VARYIN
 from testbed.core.robot.joint_law import JointLaw
 from testbed.core.robot.tree import Tree
 
-NODES = (0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1, 1.4, 2, 2.8, 4, 5.6, 8, 11, 16)
+NODES = (
+    0,
+    0.03,
+    0.06,
+    0.1,
+    0.15,
+    0.2,
+    0.3,
+    0.45,
+    0.7,
+    1,
+    1.4,
+    2,
+    2.8,
+    4,
+    5.6,
+    8,
+    11,
+    16,
+)
 """Speeds of the nodes [rad/s or m/s]: close where friction changes most."""
 
 LEAST = 4.0
@@ -91,7 +110,9 @@ def _node_law(way: int, number: int) -> JointLaw:
 
 
 NODE_LAWS = {
-    (way, number): _node_law(way, number) for way in (-1, 1) for number in range(len(NODES))
+    (way, number): _node_law(way, number)
+    for way in (-1, 1)
+    for number in range(len(NODES))
 }
 """By direction and number of the node."""
 
@@ -138,7 +159,9 @@ def _nodes(torques: Torques, joint: int) -> list[Node]:
     return [node for node, rows in zip(NODE_LAWS, worth, strict=True) if rows >= LEAST]
 
 
-def _between_nodes(torques: Torques, joint: int, nodes: Sequence[Node], way: int) -> Array:
+def _between_nodes(
+    torques: Torques, joint: int, nodes: Sequence[Node], way: int
+) -> Array:
     """How torques at the nodes with enough data make those at all of one direction, (asked, k)."""
     places = np.array(NODES)
     kept = places[[number for each, number in nodes if each == way]]
@@ -238,7 +261,9 @@ def _products(torques: Torques) -> CrossProducts:
     parts = np.array_split(range(0, torques.passes.plan.rows, RUN), PARTS)
     with one_blas_thread():
         blocks = (np.concatenate([x, y[..., None]], axis=2) for x, y in rows)
-        return Folds(np.cumsum([0, *(RUN * len(part) for part in parts)])).products(blocks)
+        return Folds(np.cumsum([0, *(RUN * len(part) for part in parts)])).products(
+            blocks
+        )
 
 
 def _choice(torques: Torques, joint: int, products: CrossProducts) -> Choice:

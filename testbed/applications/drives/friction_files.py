@@ -12,7 +12,14 @@ import numpy as np
 from testbed.applications.drives.friction_curves import DriveEstimate
 from testbed.applications.drives.identify_drives import DriveFindings
 from testbed.core.base.files import replacing
-from testbed.core.robot.friction import COULOMB, LOAD, QUADRATIC_LOAD, ROTOR, STRIBECK, VISCOUS
+from testbed.core.robot.friction import (
+    COULOMB,
+    LOAD,
+    QUADRATIC_LOAD,
+    ROTOR,
+    STRIBECK,
+    VISCOUS,
+)
 
 HEADS = ("joint", "speed", "friction", "sigma", "law")
 """Of the table: nodes of the curve, and what the joint's terms take at their speeds, unloaded."""
@@ -37,7 +44,9 @@ def table(found: DriveFindings) -> str:
         law = drive.friction(curve.speed, np.zeros_like(curve.speed))
         # an apostrophe before what spreadsheets would compute
         joint = f"'{curve.joint}" if curve.joint.startswith(FORMULA) else curve.joint
-        for row in np.column_stack([curve.speed, curve.torque, curve.sigma, law]).tolist():
+        for row in np.column_stack(
+            [curve.speed, curve.torque, curve.sigma, law]
+        ).tolist():
             writer.writerow([joint, *row])
     return text.getvalue()
 
@@ -78,7 +87,9 @@ def bam_parameters(drive: DriveEstimate) -> dict[str, object]:
     found["dtheta_stribeck"] = NEVER
     if fading:
         found["dtheta_stribeck"] = float(terms[STRIBECK].law.kind.partition("@")[2])
-    shares = {"motor": 0.0, "external": value.get(LOAD.kind, 0.0)} if model != "m2" else {}
+    shares = (
+        {"motor": 0.0, "external": value.get(LOAD.kind, 0.0)} if model != "m2" else {}
+    )
     for side, share in shares.items():
         found |= {f"load_friction_{side}": share, f"load_friction_{side}_stribeck": 0.0}
         if model == "m6":

@@ -89,7 +89,9 @@ class Disagreement(Diagnosed):
                 "drives.disagreement",
                 "plate and torques",
                 self.chance,
-                parameters=", ".join(f"{self.names[k]} by {self.z[k]:+.1f} sigma" for k in worst),
+                parameters=", ".join(
+                    f"{self.names[k]} by {self.z[k]:+.1f} sigma" for k in worst
+                ),
             ),
         )
 
@@ -120,7 +122,9 @@ def combined(
     """
     unknown = np.isinf(bodies.sigma)
     before = np.where(unknown[:, None] | unknown, 0.0, bodies.covariance)
-    size = OPEN * np.maximum(np.abs(bodies.values), np.sqrt(np.diagonal(bodies.covariance)))
+    size = OPEN * np.maximum(
+        np.abs(bodies.values), np.sqrt(np.diagonal(bodies.covariance))
+    )
     before[unknown, unknown] = size[unknown] ** 2
     root = _root(before)
     count = root.shape[1]
@@ -167,8 +171,12 @@ def _joint_fit(
         ]
         return np.concatenate([start, *left])
 
-    begin = np.concatenate([np.zeros(root.shape[1]), *(each.values for each in regressions)])
-    fit = least_squares(residuals, begin, "3-point", x_scale="jac", ftol=None, gtol=None, xtol=DONE)
+    begin = np.concatenate(
+        [np.zeros(root.shape[1]), *(each.values for each in regressions)]
+    )
+    fit = least_squares(
+        residuals, begin, "3-point", x_scale="jac", ftol=None, gtol=None, xtol=DONE
+    )
     return fit.x, scaled_inverse(fit.jac.T @ fit.jac)
 
 
@@ -188,7 +196,11 @@ def _rows(torques: Torques, found: JointRegression) -> tuple[Array, Array, Array
     normal, right, _ = torques.equations.of_channel(found.joint)
     root = _root(normal)
     rows = root.T / found.noise
-    return rows, np.linalg.pinv(root) @ right / found.noise, torques.drives.columns @ found.terms
+    return (
+        rows,
+        np.linalg.pinv(root) @ right / found.noise,
+        torques.drives.columns @ found.terms,
+    )
 
 
 def _disagreement(
@@ -298,7 +310,11 @@ def identify_drives(
     laws = offered(settings.laws, problem.source.signals) if choose else None
     torques = torques_beside(problem, bodies, laws)
     choices = chosen_terms(problem.tree, torques, bodies) if choose else {}
-    found = regressions(torques, bodies, picked_terms(torques, choices) if choose else None)
-    drives = tuple(drive_of(problem.tree, torques, each, choices.get(each.joint)) for each in found)
+    found = regressions(
+        torques, bodies, picked_terms(torques, choices) if choose else None
+    )
+    drives = tuple(
+        drive_of(problem.tree, torques, each, choices.get(each.joint)) for each in found
+    )
     curves = friction_curves(problem, bodies, drives)
     return DriveFindings(drives, curves, combined(torques, bodies, found))

@@ -15,7 +15,11 @@ from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.errors import RecordingError, SettingsError
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.noise.fits import NoiseFit, weighted_fits
-from testbed.core.estimation.noise.lagged_products import HIGHEST, LaggedProducts, LaggedSums
+from testbed.core.estimation.noise.lagged_products import (
+    HIGHEST,
+    LaggedProducts,
+    LaggedSums,
+)
 from testbed.core.estimation.noise.replicas import REPLICAS, SEED, Replicas
 from testbed.core.estimation.noise.whitening import counted
 from testbed.core.estimation.problem import Problem
@@ -53,7 +57,9 @@ class JointAttenuation(NamedTuple):
     reliability: float
 
 
-def correct_attenuation(fit: NoiseFit, square: Array, spread: Array) -> JointAttenuation:
+def correct_attenuation(
+    fit: NoiseFit, square: Array, spread: Array
+) -> JointAttenuation:
     """What errors of the bodies take of a constant is put back ([Ful87] section 1.2).
 
     A column with errors has more square than what it stands for, and the coefficient is too small
@@ -66,7 +72,8 @@ def correct_attenuation(fit: NoiseFit, square: Array, spread: Array) -> JointAtt
             errors add to the column's square on average.
     """
     size = len(fit.values)
-    alone = 1.0 / max(float(scaled_inverse(square)[0, 0]), TINY)  # square that terms do not show
+    # square that terms do not show
+    alone = 1.0 / max(float(scaled_inverse(square)[0, 0]), TINY)
     reliability = 1.0 - float(np.trace(spread)) / alone
     kept = max(reliability, LEAST)
     toward = fit.covariance[:, 0] / max(float(fit.covariance[0, 0]), TINY)
@@ -74,7 +81,9 @@ def correct_attenuation(fit: NoiseFit, square: Array, spread: Array) -> JointAtt
     constant = abs(float(slope[0] @ fit.values))
     unsure = max(1.0, constant)
     if reliability > LEAST:
-        unsure = constant * np.sqrt(max(2 * np.trace(spread @ spread), 0.0)) / alone / kept
+        unsure = (
+            constant * np.sqrt(max(2 * np.trace(spread @ spread), 0.0)) / alone / kept
+        )
     covariance = slope @ fit.covariance @ slope.T + unsure**2 * np.outer(toward, toward)
     return JointAttenuation(slope, covariance, reliability)
 
@@ -198,9 +207,13 @@ def torques_beside(
     with one_blas_thread():
         equations = problem.equations(passes)
     combined = np.column_stack([lift @ bodies.values, drives.columns])
-    joints = tuple(problem.tree.index(name) for name in bodies.joints[bodies.minimal.lead :])
+    joints = tuple(
+        problem.tree.index(name) for name in bodies.joints[bodies.minimal.lead :]
+    )
     if not joints:
-        raise SettingsError("no joint lies beyond the force sensor: it says nothing of a drive")
+        raise SettingsError(
+            "no joint lies beyond the force sensor: it says nothing of a drive"
+        )
     return Torques(drives, passes, equations, lift, joints, combined)
 
 
@@ -227,9 +240,12 @@ def regressions(
     for joint, terms in picked.items():
         _check_rows(torques, joint, terms)
     with one_blas_thread():
-        fits = _fits(torques, {joint: block_diag(1.0, terms) for joint, terms in picked.items()})
+        fits = _fits(
+            torques, {joint: block_diag(1.0, terms) for joint, terms in picked.items()}
+        )
     return tuple(
-        _with_bodies(torques, bodies, joint, picked[joint], *fit) for joint, fit in fits.items()
+        _with_bodies(torques, bodies, joint, picked[joint], *fit)
+        for joint, fit in fits.items()
     )
 
 
@@ -244,7 +260,11 @@ def _check_rows(torques: Torques, joint: int, terms: Array) -> None:
         )
     products = torques.products(joint, terms)
     size = np.sqrt(np.diagonal(products))
-    spread = np.linalg.eigvalsh(products / np.outer(size, size)) if size.all() else np.zeros(1)
+    spread = (
+        np.linalg.eigvalsh(products / np.outer(size, size))
+        if size.all()
+        else np.zeros(1)
+    )
     if spread[0] <= len(size) * np.finfo(float).eps * spread[-1]:
         raise RecordingError(
             f"{int(used)} rows of joint '{name}' do not identify its torque constant beside "
@@ -254,7 +274,12 @@ def _check_rows(torques: Torques, joint: int, terms: Array) -> None:
 
 
 def _with_bodies(
-    torques: Torques, bodies: Estimate, joint: int, terms: Array, fit: NoiseFit, squares: float
+    torques: Torques,
+    bodies: Estimate,
+    joint: int,
+    terms: Array,
+    fit: NoiseFit,
+    squares: float,
 ) -> JointRegression:
     """A joint's regression, errors of the bodies counted."""
     normal, _, _ = torques.equations.of_channel(joint)
@@ -287,12 +312,15 @@ def _lift(tree: Tree, bodies: Estimate, drives: DriveSet, settings: Settings) ->
                 "drives are held against the wrench of all that a force sensor carries, of the "
                 "same robot"
             )
-        theta = np.zeros((tree.n, 10, bodies.minimal.count))  # of the bodies beyond the sensor
-        theta[[tree.index(name) for name in bodies.joints]] = bodies.minimal.lift.reshape(
-            -1, 10, bodies.minimal.count
+        # of the bodies beyond the sensor
+        theta = np.zeros((tree.n, 10, bodies.minimal.count))
+        theta[[tree.index(name) for name in bodies.joints]] = (
+            bodies.minimal.lift.reshape(-1, 10, bodies.minimal.count)
         )
         found = np.zeros((drives.count, bodies.minimal.count))
-        found[: drives.minimal.count] = drives.minimal.matrix @ theta.reshape(10 * tree.n, -1)
+        found[: drives.minimal.count] = drives.minimal.matrix @ theta.reshape(
+            10 * tree.n, -1
+        )
         return found
     reaction = minimal_set(tree, "reaction", zeros=settings.zeros)
     if bodies.method != "external" or bodies.names != reaction.names:
@@ -304,7 +332,9 @@ def _lift(tree: Tree, bodies: Estimate, drives: DriveSet, settings: Settings) ->
     return found
 
 
-def _fits(torques: Torques, own: Mapping[int, Array]) -> dict[int, tuple[NoiseFit, float]]:
+def _fits(
+    torques: Torques, own: Mapping[int, Array]
+) -> dict[int, tuple[NoiseFit, float]]:
     """The regression of every joint, sigma corrected by bootstrap, and the squares it leaves."""
     sums = {joint: LaggedSums(HIGHEST) for joint in own}
     for joint, part in _parts(torques, own):
@@ -323,9 +353,14 @@ def _fits(torques: Torques, own: Mapping[int, Array]) -> dict[int, tuple[NoiseFi
     found = {}
     for joint, (fit, given, size) in plain.items():
         unit = np.eye(len(fit.values))
-        factor = float(np.mean([each.squares(weighted_fits, unit) for each in replicas[joint]]))
+        factor = float(
+            np.mean([each.squares(weighted_fits, unit) for each in replicas[joint]])
+        )
         squares = _square(given.products[0, 0], fit.values) * size**2
-        found[joint] = replace(fit, covariance=max(1.0, factor) * fit.covariance), squares
+        found[joint] = (
+            replace(fit, covariance=max(1.0, factor) * fit.covariance),
+            squares,
+        )
     return found
 
 

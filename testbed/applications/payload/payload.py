@@ -17,7 +17,10 @@ from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose
 from testbed.core.base.errors import SettingsError
 from testbed.core.base.gaussian import Gaussian
 from testbed.core.estimation.estimate import Estimate
-from testbed.core.estimation.regression.normal_equations import scaled_inverse, unit_diagonal
+from testbed.core.estimation.regression.normal_equations import (
+    scaled_inverse,
+    unit_diagonal,
+)
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.core.parameters.symbols import STANDARD, to_barycentric
 from testbed.core.robot.tree import Tree
@@ -64,7 +67,9 @@ class PayloadEstimate(Diagnosed, Gaussian):
         return _centre(self.values, self.covariance, self.identifiable)
 
 
-def _centre(values: Array, covariance: Array, identifiable: ArrayLike) -> tuple[Array, Array]:
+def _centre(
+    values: Array, covariance: Array, identifiable: ArrayLike
+) -> tuple[Array, Array]:
     """Centre of mass and standard deviations, (3,) each [m]; nan where not identifiable."""
     mass, place = values[0], values[1:4] / values[0]
     slope = np.column_stack([-place / mass, np.eye(3) / mass])
@@ -116,15 +121,22 @@ def payload(
         )
     if (without.gravity != loaded.gravity).any():
         raise SettingsError("the two recordings are under different gravity")
-    if minimal.names != minimal_set(tree.with_gravity(without.gravity), minimal.model).names:
-        raise SettingsError("a payload breaks the symmetry of links: estimate without known zeros")
+    if (
+        minimal.names
+        != minimal_set(tree.with_gravity(without.gravity), minimal.model).names
+    ):
+        raise SettingsError(
+            "a payload breaks the symmetry of links: estimate without known zeros"
+        )
     adds = seen_of_payload(tree, minimal, joint)
     difference = loaded.values[:count] - without.values[:count]
     noise = (loaded.covariance + without.covariance)[:count, :count]
     found = payload_from(joint, adds, difference, noise)
     if without.method == "external":
         return found
-    return replace(found, diagnostics=(*found.diagnostics, diagnose("payload.scale", joint)))
+    return replace(
+        found, diagnostics=(*found.diagnostics, diagnose("payload.scale", joint))
+    )
 
 
 def payload_from(
@@ -161,7 +173,9 @@ def payload_from(
         chance=chance,
     )
     mass, sigma = float(payload.values[0]), float(payload.sigma[0])
-    return replace(payload, diagnostics=tuple(_diagnostics(joint, chance, mass, sigma, what)))
+    return replace(
+        payload, diagnostics=tuple(_diagnostics(joint, chance, mass, sigma, what))
+    )
 
 
 def _diagnostics(

@@ -93,7 +93,9 @@ class RestFit:
     def share(self) -> float:
         """Rms residual, moments by the centre's lever, over the tool's weight."""
         lever = max(float(np.linalg.norm(self.centre)), LEVER)
-        return float(max(self.scale[0], self.scale[1] / lever) / np.linalg.norm(self.weight))
+        return float(
+            max(self.scale[0], self.scale[1] / lever) / np.linalg.norm(self.weight)
+        )
 
     def tilt(self, gravity: Array) -> tuple[float, float]:
         """Angle between weight and gravity, and its standard deviation [rad].

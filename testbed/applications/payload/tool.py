@@ -6,7 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.applications.payload.payload import PayloadEstimate, payload_from, seen_of_payload
+from testbed.applications.payload.payload import (
+    PayloadEstimate,
+    payload_from,
+    seen_of_payload,
+)
 from testbed.applications.payload.static_fit import RestFit, StaticPoses, fit_tool
 from testbed.applications.payload.tool_check import diagnose_tool
 from testbed.core.base.arrays import Array
@@ -29,7 +33,9 @@ def tool_of(tree: Tree, estimate: Estimate) -> PayloadEstimate:
         SettingsError: The estimate is by no force sensor, or joints lie beyond it.
     """
     sensor = _sensor_of_tool(tree)
-    adds = seen_of_payload(tree, estimate.minimal, tree.names[-1]) @ inertia_matrix(sensor.X_BS)
+    adds = seen_of_payload(tree, estimate.minimal, tree.names[-1]) @ inertia_matrix(
+        sensor.X_BS
+    )
     count = len(adds)
     noise = estimate.covariance[:count, :count]
     return payload_from(tree.names[-1], adds, estimate.values[:count], noise, "tool")
@@ -38,7 +44,9 @@ def tool_of(tree: Tree, estimate: Estimate) -> PayloadEstimate:
 def _sensor_of_tool(tree: Tree) -> Placement:
     """The sensor that carries a single body."""
     if tree.sensor is None or tree.sensor_body < 0:
-        raise SettingsError("a tool is what a force sensor in the robot carries: --sensor LINK")
+        raise SettingsError(
+            "a tool is what a force sensor in the robot carries: --sensor LINK"
+        )
     if tree.children(tree.sensor_body):
         raise SettingsError(
             "joints lie beyond the force sensor, so that what it carries is no single body: hold "
@@ -84,7 +92,9 @@ NOTABLE = 0.005
 """Distance from the last joint from which a sensor's place shows where the tool is; else z [m]."""
 
 
-def tool_at_rest(tree: Tree, poses: StaticPoses, sensor: ForceSensor | None = None) -> ToolEstimate:
+def tool_at_rest(
+    tree: Tree, poses: StaticPoses, sensor: ForceSensor | None = None
+) -> ToolEstimate:
     """Mass, centre, the sensor's zero and the direction of gravity by poses at rest.
 
     Args:
@@ -110,8 +120,12 @@ def tool_at_rest(tree: Tree, poses: StaticPoses, sensor: ForceSensor | None = No
     body = None
     if not fit.open:
         body = payload_from(tree.names[-1], np.eye(4, 10), moments, noise)
-    pairs = np.column_stack([fit.found, np.sqrt(np.diagonal(fit.covariance))]).reshape(4, 3, 2)
-    force_zero, _, moment_zero, centre = (tuple(map(tuple, each)) for each in pairs.tolist())
+    pairs = np.column_stack([fit.found, np.sqrt(np.diagonal(fit.covariance))]).reshape(
+        4, 3, 2
+    )
+    force_zero, _, moment_zero, centre = (
+        tuple(map(tuple, each)) for each in pairs.tolist()
+    )
     return ToolEstimate(
         mass=(float(moments[0]), float(np.sqrt(noise[0, 0]))),
         centre=centre,

@@ -6,7 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from testbed.applications.payload.static_fit import BASES, RestFit, StaticPoses, fit_tool
+from testbed.applications.payload.static_fit import (
+    BASES,
+    RestFit,
+    StaticPoses,
+    fit_tool,
+)
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, Level, diagnose
 from testbed.core.robot.tree import Tree
@@ -75,7 +80,8 @@ def diagnose_tool(
                 place=_listed(other.centre),
             )
             return
-        level: Level = "error" if fit.share > GROSS else "warning"  # below, noise will do it
+        # below, noise will do it
+        level: Level = "error" if fit.share > GROSS else "warning"
         yield diagnose("tool.residual", value=fit.share, level=level)
     if fit.open:
         yield diagnose("tool.poses", ", ".join(fit.open))
@@ -102,7 +108,10 @@ def _implausible(fit: RestFit, gravity: Array, ahead: Array) -> Iterator[Diagnos
     tilt, sigma = fit.tilt(gravity)
     code, causes = "", ["not-level", "cable"] if sure else ["cable", "not-level"]
     if tilt > CEILING:
-        code, causes = "upwards", ["forces-opposite" if behind else "opposite-signs", "hangs"]
+        code, causes = (
+            "upwards",
+            ["forces-opposite" if behind else "opposite-signs", "hangs"],
+        )
     elif abs(tilt - np.pi / 2) < WALL:
         code, causes = "wall", []
     elif tilt > max(LEVEL, CLEAR * sigma):
@@ -113,7 +122,9 @@ def _implausible(fit: RestFit, gravity: Array, ahead: Array) -> Iterator[Diagnos
     if code:
         pull = _listed(size * fit.weight / np.linalg.norm(fit.weight))
         angle, doubt = np.rad2deg([tilt, sigma]).tolist()
-        yield diagnose(f"tool.{code}", value=angle, sigma=doubt, causes=causes, gravity=pull)
+        yield diagnose(
+            f"tool.{code}", value=angle, sigma=doubt, causes=causes, gravity=pull
+        )
     mass = float(np.linalg.norm(fit.weight)) / size
     units = _unit_systems(fit, mass, arm)
     near = arm - CLEAR * _centre_sigma(fit)

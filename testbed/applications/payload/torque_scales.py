@@ -105,10 +105,14 @@ def torque_scales(
         raise UnknownName("known fact", name, (MASS,))
     mass, doubt = facts.get(MASS, (0.0, 0.0))
     if mass <= 0:
-        raise SettingsError(f"of the payload its mass has to be known, in kg: --known {MASS}=1.5")
+        raise SettingsError(
+            f"of the payload its mass has to be known, in kg: --known {MASS}=1.5"
+        )
     settings = replace(settings, nuisances=(), known={})
     if settings.zeros:
-        raise SettingsError("a payload breaks the symmetry of links: calibrate without known zeros")
+        raise SettingsError(
+            "a payload breaks the symmetry of links: calibrate without known zeros"
+        )
     halves = []
     with one_blas_thread():
         for number, recording in enumerate((without, loaded)):
@@ -127,7 +131,8 @@ def torque_scales(
             halves.append(_half(problem, joint or tree.names[-1], mass, number))
         values, v = _solved(halves)
         covariance = _covariance(halves, values, v)
-    covariance += (doubt / mass) ** 2 * np.outer(values, values)  # all else scales with the mass
+    # all else scales with the mass
+    covariance += (doubt / mass) ** 2 * np.outer(values, values)
     return TorqueScales(
         names=tree.names,
         units=("",) * tree.n,
@@ -177,7 +182,9 @@ def _normal(halves: Sequence[_Half], scales: Array, v: Array) -> tuple[Array, Ar
     matrix, vector = np.zeros((size, size)), np.zeros(size)
     for half in halves:
         x = half.lead @ v + half.fixed
-        for j, (k, weight) in enumerate(zip(scales, half.weights(x, scales), strict=True)):
+        for j, (k, weight) in enumerate(
+            zip(scales, half.weights(x, scales), strict=True)
+        ):
             normal, right, _ = half.equations.of_channel(j)
             rows = np.hstack([np.outer(x, np.eye(len(scales))[j]), k * half.lead])
             matrix += weight * rows.T @ normal @ rows
@@ -195,10 +202,17 @@ def _covariance(halves: Sequence[_Half], scales: Array, v: Array) -> Array:
         for columns, measured in half.passes.rows(np.eye(len(x))):
             torque = columns @ x
             left = weights[:, None] * (measured - scales[:, None] * torque)
-            by_rest = np.einsum("ct,ctp->tp", left * scales[:, None], columns) @ half.lead
+            by_rest = (
+                np.einsum("ct,ctp->tp", left * scales[:, None], columns) @ half.lead
+            )
             rows = np.hstack([(left * torque).T, by_rest])
-            scores.append(np.add.reduceat(rows, range(0, len(rows), bin_size(plan.rate))))
-        lost = len(inverse) / len(scales) / 2  # rows' worth of freedom, a channel and recording
-        factor = hidden(plan.weights, plan.step, plan.rate) / max(1 - lost / plan.rows, 0.1)
+            scores.append(
+                np.add.reduceat(rows, range(0, len(rows), bin_size(plan.rate)))
+            )
+        # rows' worth of freedom, a channel and recording
+        lost = len(inverse) / len(scales) / 2
+        factor = hidden(plan.weights, plan.step, plan.rate) / max(
+            1 - lost / plan.rows, 0.1
+        )
         total += factor * score_squares(np.vstack(scores), plan.rate)
     return np.asarray(inverse @ total @ inverse)[: len(scales), : len(scales)]

@@ -80,7 +80,9 @@ class FlangePayload:
         ]
 
 
-def at_flange(found: PayloadEstimate, tree: Tree, link: FileLink | None = None) -> FlangePayload:
+def at_flange(
+    found: PayloadEstimate, tree: Tree, link: FileLink | None = None
+) -> FlangePayload:
     """A payload, or the tool that a force sensor carries, about and along a flange's frame.
 
     Args:
@@ -94,7 +96,9 @@ def at_flange(found: PayloadEstimate, tree: Tree, link: FileLink | None = None) 
     """
     count = 10 if any(found.identifiable[4:]) else 4
     known = np.array(found.identifiable)
-    lacking = [name for name, one in zip(found.names[:count], known, strict=False) if not one]
+    lacking = [
+        name for name, one in zip(found.names[:count], known, strict=False) if not one
+    ]
     if lacking:
         raise SettingsError(
             f"a controller wants all of a payload, and {few(lacking)} are not identifiable"
@@ -121,13 +125,17 @@ def at_flange(found: PayloadEstimate, tree: Tree, link: FileLink | None = None) 
     return FlangePayload(
         frame=frame if link is None else link.name,
         inertia=inertia,
-        sigma=standard_deviations(slope @ np.where(known, found.covariance, 0.0) @ slope.T),
+        sigma=standard_deviations(
+            slope @ np.where(known, found.covariance, 0.0) @ slope.T
+        ),
     )
 
 
 def _check(found: PayloadEstimate, inertia: Inertia, *, whole: bool) -> None:
     """Raise SettingsError where no body has such a mass and inertia."""
-    flaw = inertia_flaw("payload", inertia.mass, inertia.central if whole else np.eye(3))
+    flaw = inertia_flaw(
+        "payload", inertia.mass, inertia.central if whole else np.eye(3)
+    )
     if not flaw:
         return
     remedy = "longer and faster motion makes it more precise"
@@ -135,12 +143,18 @@ def _check(found: PayloadEstimate, inertia: Inertia, *, whole: bool) -> None:
         remedy = "the recording without the payload comes first, the one with it second"
     elif abs(found.values[0]) <= CLEAR * found.sigma[0]:
         remedy = "the recordings do not differ by a payload"
-    raise SettingsError(f"no controller should get a body that cannot exist: {flaw}; {remedy}")
+    raise SettingsError(
+        f"no controller should get a body that cannot exist: {flaw}; {remedy}"
+    )
 
 
 def universal_robots(load: FlangePayload) -> str:
     """URScript: `set_target_payload`."""
-    words = [load.inertia.mass, load.inertia.com.tolist(), *([load.six] if load.six else [])]
+    words = [
+        load.inertia.mass,
+        load.inertia.com.tolist(),
+        *([load.six] if load.six else []),
+    ]
     return "\n".join([*load.comment("# "), f"set_target_payload({str(words)[1:-1]})"])
 
 
@@ -169,7 +183,9 @@ def kuka(load: FlangePayload) -> str:
 
 
 def _fields(names: str, values: Sequence[float] | Array) -> str:
-    return ",".join(f"{name} {float(x)!r}" for name, x in zip(names, values, strict=True))
+    return ",".join(
+        f"{name} {float(x)!r}" for name, x in zip(names, values, strict=True)
+    )
 
 
 VENDORS: Mapping[str, Callable[[FlangePayload], str]] = {

@@ -9,7 +9,13 @@ import numpy as np
 from scipy import special
 
 from testbed.bodies.consistency.known_masses import known_masses
-from testbed.bodies.consistency.likelihood import Likelihood, agreeing, evidence, precise, terms_of
+from testbed.bodies.consistency.likelihood import (
+    Likelihood,
+    agreeing,
+    evidence,
+    precise,
+    terms_of,
+)
 from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.consistency.program import NonlinearProgram, program_of, solve
 from testbed.bodies.prior import Prior
@@ -21,7 +27,10 @@ from testbed.core.base.errors import RecordingError, few
 from testbed.core.base.gaussian import Gaussian
 from testbed.core.estimation.diagnostics.rigid_bodies import rigid_body_test
 from testbed.core.estimation.estimate import Estimate, Method
-from testbed.core.estimation.regression.normal_equations import TINY, standard_deviations
+from testbed.core.estimation.regression.normal_equations import (
+    TINY,
+    standard_deviations,
+)
 from testbed.core.parameters.pseudo_inertia import matrices
 from testbed.core.parameters.symbols import with_standard
 from testbed.core.robot.friction import ROTOR, JointTerm
@@ -213,7 +222,9 @@ def robot_of(found: Consistent, tree: Tree) -> Tree:
     return with_standard(tree, np.array(found.standard)).with_joints(settings)
 
 
-def spread_at(program: NonlinearProgram, z: Array, weight: float) -> tuple[Array, Array]:
+def spread_at(
+    program: NonlinearProgram, z: Array, weight: float
+) -> tuple[Array, Array]:
     """Covariance of x, (m, m), and the part of each variance that the data took away, (m,).
 
     Args:
@@ -232,8 +243,11 @@ def spread_at(program: NonlinearProgram, z: Array, weight: float) -> tuple[Array
         return lead @ np.linalg.inv(program.free.T @ hessian @ program.free) @ lead.T
 
     prior, found = np.diagonal(covariance(before)), covariance(before + data.T @ data)
-    open_before = prior > FAINT * (program.lead**2).sum(axis=1)  # else what is known settles it
-    share = 1 - np.divide(np.diagonal(found), prior, out=np.ones_like(prior), where=open_before)
+    # else what is known settles it
+    open_before = prior > FAINT * (program.lead**2).sum(axis=1)
+    share = 1 - np.divide(
+        np.diagonal(found), prior, out=np.ones_like(prior), where=open_before
+    )
     return found * np.outer(open_before, open_before), np.clip(share, 0.0, 1.0)
 
 
@@ -298,7 +312,9 @@ def _diagnostics(
     for estimate, moved in zip(used, bent, strict=True):
         if moved.widened > SURE:
             subject = f"the {estimate.method} estimate"
-            yield diagnose("bodies.conflict", subject, moved.widened, method=estimate.method)
+            yield diagnose(
+                "bodies.conflict", subject, moved.widened, method=estimate.method
+            )
         yield from _moved_far(estimate, moved)
         yield from _negative(estimate)
     terms = [term for each in used for term in each.joint_terms]
@@ -312,7 +328,9 @@ def _moved_far(estimate: Estimate, moved: Reconciliation) -> Iterator[Diagnostic
     if moved.distance <= limit:
         return
     found = rigid_body_test(estimate, SURE, 0.0)
-    far, noise = (found.distance, found.limit) if found.impossible else (moved.distance, limit)
+    far, noise = (
+        (found.distance, found.limit) if found.impossible else (moved.distance, limit)
+    )
     worst = np.argsort(-np.abs(moved.sigmas))[:3]
     yield diagnose(
         "bodies.impossible" if found.impossible else "bodies.far",
@@ -320,7 +338,9 @@ def _moved_far(estimate: Estimate, moved: Reconciliation) -> Iterator[Diagnostic
         far,
         method=estimate.method,
         limit=noise,
-        changes=", ".join(f"{moved.names[k]} by {moved.sigmas[k]:+.3g} sigma" for k in worst),
+        changes=", ".join(
+            f"{moved.names[k]} by {moved.sigmas[k]:+.3g} sigma" for k in worst
+        ),
     )
 
 

@@ -29,8 +29,8 @@ def with_likely_error(
         options: What is asked.
         posteriors: Of one recording.
     """
-    used = [each.prior_error for each in posteriors if each.used]
-    return replace(options, prior_error=min(used, default=options.prior_error))
+    errors = [each.prior_error for each in posteriors if each.used]
+    return replace(options, prior_error=min(errors, default=options.prior_error))
 
 
 def beside_consistent(
@@ -63,7 +63,9 @@ def beside_consistent(
             values, covariance = with_prior(some, before.times(WIDE))
             own = replace(estimate, values=values, covariance=covariance)
             try:
-                return unknowns_of(consistent(problem.tree, [own], prior, options), problem)
+                return unknowns_of(
+                    consistent(problem.tree, [own], prior, options), problem
+                )
             except TestbedError:  # too few rows: those of the file
                 return found.file
 

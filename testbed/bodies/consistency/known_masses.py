@@ -54,7 +54,9 @@ def known_masses(tree: Tree, prior: Prior, options: ConsistencyOptions) -> Known
             raise UnknownName("link of a known mass", link, links)
         row[:] = massive if name == MASS else np.eye(tree.n)[links.index(link)]
         if row @ ~massive:
-            raise SettingsError(f"known.{name} = {mass:g} kg: it has no matter in the model file")
+            raise SettingsError(
+                f"known.{name} = {mass:g} kg: it has no matter in the model file"
+            )
     values, sigma = np.array([*options.masses.values()]).reshape(-1, 2).T
     return KnownMasses(rows, values, sigma, _scale(prior, options, rows, values, sigma))
 
@@ -66,7 +68,9 @@ def _scale(
     total = np.array([name == MASS for name in options.masses], dtype=bool)
     masses = np.array(prior.standard[:, 0])
     open_bodies = masses > 0
-    for row, value in zip(rows[~total & (sigma == 0)], values[~total & (sigma == 0)], strict=True):
+    for row, value in zip(
+        rows[~total & (sigma == 0)], values[~total & (sigma == 0)], strict=True
+    ):
         masses = np.where(row > 0, value, masses)
         open_bodies &= row == 0
     for value in values[total & (sigma == 0)]:

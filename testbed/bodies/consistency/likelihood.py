@@ -16,7 +16,10 @@ from testbed.core.base.arrays import Array
 from testbed.core.dynamics.drive_set import drive_set
 from testbed.core.estimation.diagnostics.rigid_bodies import SMALL
 from testbed.core.estimation.estimate import METHODS, Estimate
-from testbed.core.estimation.regression.normal_equations import inverse_root, unit_diagonal
+from testbed.core.estimation.regression.normal_equations import (
+    inverse_root,
+    unit_diagonal,
+)
 from testbed.core.parameters.minimal_set import minimal_set, selection
 from testbed.core.parameters.symbols import on_standard, parameter_scale
 from testbed.core.robot.friction import JointTerm
@@ -82,7 +85,9 @@ def terms_of(estimates: Sequence[Estimate]) -> tuple[JointTerm, ...]:
     return tuple(dict.fromkeys(asked))
 
 
-def evidence(tree: Tree, estimate: Estimate, terms: tuple[JointTerm, ...]) -> Likelihood:
+def evidence(
+    tree: Tree, estimate: Estimate, terms: tuple[JointTerm, ...]
+) -> Likelihood:
     """What an estimate says.
 
     Args:
@@ -137,7 +142,9 @@ def _contradiction(plate: Estimate, torques: Estimate) -> float:
     spread = likelihoods @ plate.base.covariance @ likelihoods.T + own.covariance
     spread += np.diag((FINEST * parameter_scale(own.values, own.units, SMALL)) ** 2)
     rotors = () if torques.drives is None else torques.drives.regrouped.values()
-    alone = np.array([not any(column[k] for column in rotors) for k in range(len(apart))])
+    alone = np.array(
+        [not any(column[k] for column in rotors) for k in range(len(apart))]
+    )
     white = inverse_root(spread[np.ix_(alone, alone)]).T @ apart[alone]
     return max(1.0, float(np.sqrt(np.mean(white**2)))) if alone.any() else 1.0
 

@@ -33,7 +33,9 @@ class ConsistencyOptions(Checked):
         super().__post_init__()
         for name, (mass, _) in self.masses.items():
             if name != MASS and not name.startswith(f"{MASS}/"):
-                raise SettingsError(f"known.{name}: only '{MASS}' and '{MASS}/LINK' can be known")
+                raise SettingsError(
+                    f"known.{name}: only '{MASS}' and '{MASS}/LINK' can be known"
+                )
             if mass <= 0:
                 raise SettingsError(f"known.{name} = {mass:g} kg: masses are positive")
 

@@ -106,11 +106,15 @@ class NonlinearProgram:
         """Newton's step, (m,), and its decrement squared."""
         inner, across = self._derivatives(z, weight, barrier)
         size = 1 / np.sqrt(np.maximum(np.diagonal(inner), TINY))
-        factor = linalg.cho_factor(inner * np.outer(size, size) + 1e-15 * np.eye(len(size)))
+        factor = linalg.cho_factor(
+            inner * np.outer(size, size) + 1e-15 * np.eye(len(size))
+        )
         move = -size * linalg.cho_solve(factor, size * across)
         return self.free @ move, float(-across @ move)
 
-    def _derivatives(self, z: Array, weight: float, barrier: float) -> tuple[Array, Array]:
+    def _derivatives(
+        self, z: Array, weight: float, barrier: float
+    ) -> tuple[Array, Array]:
         """Second and first derivatives along what is free, (k, k) and (k,)."""
         at, rest = self.positive, 10 * self.bodies
         gap = coordinates(np.eye(4) - np.linalg.inv(self.matrices(z)))
@@ -174,7 +178,9 @@ def solve(program: NonlinearProgram, weight: float) -> tuple[Array, float]:
     return z, float(np.sqrt(max(gain, 0.0)))
 
 
-def _stages(program: NonlinearProgram, start: Array, last: float) -> Iterator[tuple[float, float]]:
+def _stages(
+    program: NonlinearProgram, start: Array, last: float
+) -> Iterator[tuple[float, float]]:
     """Weights of the prior and of the barriers, one pair after the other."""
     weight = max(last, program.step(start, last, last)[1] / 10)
     while weight > last:
@@ -233,7 +239,11 @@ def program_of(
 
 def _stated(tree: Tree, prior: Prior, term: JointTerm) -> float:
     """Rotor inertia that the file states; 0 for other terms."""
-    return float(prior.rotors[term.joint]) if term.law == ROTOR and term.joint < tree.n else 0.0
+    return (
+        float(prior.rotors[term.joint])
+        if term.law == ROTOR and term.joint < tree.n
+        else 0.0
+    )
 
 
 def _usual(tree: Tree, prior: Prior, term: JointTerm) -> float:

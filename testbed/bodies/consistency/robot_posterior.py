@@ -17,7 +17,12 @@ from testbed.bodies.write_model import Fixed
 from testbed.bodies.write_model import write_model as write_tree
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import SettingsError
-from testbed.core.base.summary_table import Summarized, SummaryTable, Value, number_with_sigma
+from testbed.core.base.summary_table import (
+    Summarized,
+    SummaryTable,
+    Value,
+    number_with_sigma,
+)
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.information import Information
 from testbed.core.parameters.symbols import STANDARD
@@ -45,7 +50,9 @@ class FilePrior(Value):
         found = data.estimates if isinstance(data, Information) else (data,)
         estimates = tuple(each for each in found if isinstance(each, Estimate))
         if not estimates or len(estimates) < len(found):
-            raise SettingsError("a model file's bodies are added to estimates of `identify`")
+            raise SettingsError(
+                "a model file's bodies are added to estimates of `identify`"
+            )
         return RobotPosterior(self, estimates)
 
 
@@ -76,7 +83,9 @@ class RobotPosterior(Summarized):
     def bodies(self) -> Consistent:
         """Likeliest bodies, with covariances and what the data had to give way."""
         prior = self.prior
-        return consistent(prior.robot, self.estimates, prior_of(prior.robot), prior.options)
+        return consistent(
+            prior.robot, self.estimates, prior_of(prior.robot), prior.options
+        )
 
     @cached_property
     def robot(self) -> Tree:
@@ -99,9 +108,19 @@ class RobotPosterior(Summarized):
         """Mass and centre of mass of every link, a row each."""
         found = self.bodies
         sources = " + ".join(each.instrument for each in self.estimates)
-        rows = [("link", *(f"{name} [{'kg' if name == 'm' else 'kg m'}]" for name in STANDARD[:4]))]
+        rows = [
+            (
+                "link",
+                *(
+                    f"{name} [{'kg' if name == 'm' else 'kg m'}]"
+                    for name in STANDARD[:4]
+                ),
+            )
+        ]
         for k, link in enumerate(found.links):
-            numbers = zip(found.standard[k].tolist(), found.sigma[k].tolist(), strict=True)
+            numbers = zip(
+                found.standard[k].tolist(), found.sigma[k].tolist(), strict=True
+            )
             rows.append((link, *(number_with_sigma(*pair) for pair in [*numbers][:4])))
         head = f"{len(found.links)} bodies by {sources} + model file"
         return SummaryTable(head, tuple(rows))

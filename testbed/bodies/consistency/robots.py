@@ -189,7 +189,8 @@ def _log_prior(bodies: Array, error: float) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         for b in reversed(range(4)):
             size = np.sqrt(rest[..., b, b])
-            logs = np.log(size)  # to the power b + 1 in |dY / dL|, once more in dL / dlog L
+            # to the power b + 1 in |dY / dL|, once more in dL / dlog L
+            logs = np.log(size)
             density -= (0.5 * (2 * logs / error) ** 2 + (b + 2) * logs).sum(axis=1)
             column = rest[..., :b, b] / size[..., None]
             density -= (column**2).sum(axis=(1, 2)) / error**2
@@ -214,12 +215,16 @@ def _draws(
         rng: Draws the numbers.
     """
     weight = 1 / error**2
-    hessian = program.square + weight * program.prior_hessian(centre) + FAINT * np.eye(len(centre))
+    hessian = (
+        program.square
+        + weight * program.prior_hessian(centre)
+        + FAINT * np.eye(len(centre))
+    )
     inner = np.linalg.cholesky(program.free.T @ hessian @ program.free)
-    root = np.linalg.solve(inner, program.free.T).T  # root root' is the Gaussian's covariance
-    mean = (
-        centre + program.step(centre, weight, 0.0)[0]
-    )  # where terms at their limits would be without
+    # root root' is the Gaussian's covariance
+    root = np.linalg.solve(inner, program.free.T).T
+    # where terms at their limits would be without
+    mean = centre + program.step(centre, weight, 0.0)[0]
     bodies, own = 10 * program.bodies, 10 * program.bodies + np.flatnonzero(program.own)
     size, most = np.linalg.norm(root, axis=1)[program.positive], mean[program.positive]
     above = special.log_ndtr(most / size)
@@ -239,7 +244,9 @@ def _draws(
         """Its logarithm, (N,); minus infinity where there are no such robots."""
         z, found = unknowns(steps)
         found -= ((z @ program.rows.T - program.right) ** 2).sum(axis=1) / 2
-        found += _log_prior(of_coordinates(z[:, :bodies].reshape(len(z), -1, 10)), error)
+        found += _log_prior(
+            of_coordinates(z[:, :bodies].reshape(len(z), -1, 10)), error
+        )
         logs = np.log(z[:, own])  # of what the file states of the joints
         found -= (logs + 0.5 * (logs / error) ** 2).sum(axis=1)
         return np.where(np.isfinite(found), found, -np.inf)
@@ -258,7 +265,10 @@ def _draws(
 
 
 def elliptical_slices(
-    density: Callable[[Array], Array], start: Array, rounds: int, rng: np.random.Generator
+    density: Callable[[Array], Array],
+    start: Array,
+    rounds: int,
+    rng: np.random.Generator,
 ) -> Array:
     """Draws of a density, each by a chain of its own, on ellipses of the Gaussian of all of them.
 
@@ -289,7 +299,10 @@ def elliptical_slices(
             now[left[taken]], value[left[taken]] = there[taken], found[taken]
             left = left[~taken]
             below = angle[left] < 0
-            low[left[below]], high[left[~below]] = angle[left[below]], angle[left[~below]]
+            low[left[below]], high[left[~below]] = (
+                angle[left[below]],
+                angle[left[~below]],
+            )
             angle[left] = low[left] + (high - low)[left] * rng.random(len(left))
         here = now
     return np.asarray(mean + here @ root.T)

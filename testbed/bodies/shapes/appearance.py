@@ -66,7 +66,9 @@ class Appearance:
     def deck(self) -> float:
         """Height of the plate's upper side: of the widest shape on the bedplate [m]."""
         boxes = [bounds(shape) for shape in self.shapes if shape.body < 0]
-        widest = max(boxes, key=lambda box: float(np.prod((box[1] - box[0])[:2])), default=None)
+        widest = max(
+            boxes, key=lambda box: float(np.prod((box[1] - box[0])[:2])), default=None
+        )
         return 0.0 if widest is None else float(widest[1][2])
 
 
@@ -111,5 +113,8 @@ def _with_plate(tree: Tree, shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:
     for shape in shapes:
         if shape.body < 0 and shape.kind == "box" and min(shape.size[:2]) > 0.5 * half:
             return shapes
-    size, below = np.array([half, half, 0.04 * half]), np.array([0.0, 0.0, -0.04 * half])
+    size, below = (
+        np.array([half, half, 0.04 * half]),
+        np.array([0.0, 0.0, -0.04 * half]),
+    )
     return (*shapes, Shape(-1, "box", size, below, np.eye(3), np.array(STEEL)))

@@ -60,7 +60,9 @@ def _shapes(model: mujoco.MjModel, tree: Tree) -> Iterator[Shape]:
         X_BG = poses[body].inverse @ X_WG
         vertices, faces = _mesh(model, g) if kind == "mesh" else (np.zeros((0, 3)),) * 2
         size = _size(kind, model.geom_size[g], int(model.geom_type[g]))
-        yield Shape(body, kind, size, X_BG.p_AB_A, X_BG.R_AB, _colour(model, g), vertices, faces)
+        yield Shape(
+            body, kind, size, X_BG.p_AB_A, X_BG.R_AB, _colour(model, g), vertices, faces
+        )
 
 
 def _owner(model: mujoco.MjModel, body: int, tree: Tree) -> int:
@@ -75,7 +77,9 @@ def _owner(model: mujoco.MjModel, body: int, tree: Tree) -> int:
 def _size(kind: Kind, size: Array, form: int) -> Array:
     if form == int(mujoco.mjtGeom.mjGEOM_SPHERE):
         return np.repeat(size[0], 3)
-    return {"cylinder": size[:2], "capsule": size[:2], "mesh": size[:0]}.get(kind, size).copy()
+    return {"cylinder": size[:2], "capsule": size[:2], "mesh": size[:0]}.get(
+        kind, size
+    ).copy()
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:

@@ -65,7 +65,9 @@ def sticks(tree: Tree) -> Iterator[Shape]:
     Args:
         tree: The robot.
     """
-    longest = max((float(np.linalg.norm(j.offset)) for j in tree.joints), default=0.0) or 0.3
+    longest = (
+        max((float(np.linalg.norm(j.offset)) for j in tree.joints), default=0.0) or 0.3
+    )
     radius = longest / 30
     grey, dark = np.array([0.72, 0.74, 0.78, 1.0]), np.array([0.25, 0.28, 0.33, 1.0])
     for j, joint in enumerate(tree.joints):
@@ -114,6 +116,10 @@ def bounds(shape: Shape) -> tuple[Array, Array]:
         half = np.sqrt(turn**2 @ shape.size**2)
     else:
         radius, length = shape.size
-        ends = np.sqrt(np.maximum(1 - turn[:, 2] ** 2, 0)) if shape.kind == "cylinder" else 1.0
+        ends = (
+            np.sqrt(np.maximum(1 - turn[:, 2] ** 2, 0))
+            if shape.kind == "cylinder"
+            else 1.0
+        )
         half = length * np.abs(turn[:, 2]) + radius * ends
     return shape.position - half, shape.position + half

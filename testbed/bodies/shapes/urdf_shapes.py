@@ -42,7 +42,9 @@ def read_shapes(model_file: ModelSource, tree: Tree) -> DrawnShapes:
     path = model_file.path
     root, _ = supported_xml(model_file, keep_visuals=True)
     lost: list[str] = []
-    missing = [each for link in root.findall("link") for each in _prepared(link, path, lost)]
+    missing = [
+        each for link in root.findall("link") for each in _prepared(link, path, lost)
+    ]
     if lost:
         missing.append(diagnose("model.mesh-missing", few(lost, WIDTH)))
     coloured = root.find("link/visual/material") is not None
@@ -50,28 +52,42 @@ def read_shapes(model_file: ModelSource, tree: Tree) -> DrawnShapes:
     try:
         shapes = _read(path, root, tree, coloured)
     except ModelError:  # a mesh that cannot be read, as a rule
-        visuals = [(link, visual) for link in root.iter("link") for visual in link.iter("visual")]
+        visuals = [
+            (link, visual)
+            for link in root.iter("link")
+            for visual in link.iter("visual")
+        ]
         alone = [_alone(visual) for _, visual in visuals]
         faults = _faults(path, alone, time.monotonic() + PATIENCE)
         for (link, visual), fault in zip(visuals, faults, strict=True):
             if fault:
                 link.remove(visual)
                 mesh = visual.find("geometry/mesh")
-                what = "a shape" if mesh is None else f"mesh file '{mesh.get('filename')}'"
+                what = (
+                    "a shape" if mesh is None else f"mesh file '{mesh.get('filename')}'"
+                )
                 missing.append(
-                    diagnose("model.shape", f"{what} of link '{link.get('name')}'", reason=fault)
+                    diagnose(
+                        "model.shape",
+                        f"{what} of link '{link.get('name')}'",
+                        reason=fault,
+                    )
                 )
         shapes = _read(path, root, tree, coloured)
     return DrawnShapes(shapes, tuple(missing))
 
 
-def _read(path: Path, root: ET.Element, tree: Tree, coloured: bool) -> tuple[Shape, ...]:
+def _read(
+    path: Path, root: ET.Element, tree: Tree, coloured: bool
+) -> tuple[Shape, ...]:
     """Shapes as Pinocchio and its libraries read them; where there are meshes, in a child."""
     text = ET.tostring(root, encoding="unicode")
     if root.find("link/visual/geometry/mesh") is None:
         said, arrays = read_visuals(str(path), [text])
     else:
-        said, arrays = call_in_child(READING, str(path), [text], file=path, error=ModelError)
+        said, arrays = call_in_child(
+            READING, str(path), [text], file=path, error=ModelError
+        )
     if fault := said["faults"][0]:
         raise ModelError(f"{path}: {fault}")
     found = []
@@ -107,10 +123,16 @@ def read_visuals(path: str, texts: list[str]) -> Returned:
             continue
         for shape in seen.geometryObjects:
             joint = shape.parentJoint
-            place = (shape.placement.translation, shape.placement.rotation, shape.meshColor)
+            place = (
+                shape.placement.translation,
+                shape.placement.rotation,
+                shape.meshColor,
+            )
             for kind, *form in _drawn(shape.geometry):
                 parts = zip(_PARTS, (form[0], *place, *form[1:]), strict=True)
-                arrays |= {f"{len(said)} {part}": np.array(value) for part, value in parts}
+                arrays |= {
+                    f"{len(said)} {part}": np.array(value) for part, value in parts
+                }
                 said.append((model.names[joint] if joint else "", kind))
     return {"faults": faults, "shapes": said}, arrays
 
@@ -178,7 +200,12 @@ def _drawn(form: object) -> Iterator[tuple[Kind, Array, Array, Array]]:
             for triangle in map(form.tri_indices, range(form.num_tris))
         ]
         if faces:
-            yield "mesh", np.zeros(0), np.array(form.vertices()), np.array(faces, dtype=float)
+            yield (
+                "mesh",
+                np.zeros(0),
+                np.array(form.vertices()),
+                np.array(faces, dtype=float),
+            )
 
 
 def _prepared(link: ET.Element, path: Path, lost: list[str]) -> Iterator[Diagnostic]:
@@ -192,7 +219,11 @@ def _prepared(link: ET.Element, path: Path, lost: list[str]) -> Iterator[Diagnos
     owner = f"link '{link.get('name')}'"
     for visual in link.findall("visual"):
         try:
-            for holder in (visual, *visual.findall("geometry"), *visual.findall("material")):
+            for holder in (
+                visual,
+                *visual.findall("geometry"),
+                *visual.findall("material"),
+            ):
                 rewrite_numbers(holder, f"{path.name}: visual of {owner}")
         except ModelError as error:
             link.remove(visual)
@@ -207,6 +238,8 @@ def _prepared(link: ET.Element, path: Path, lost: list[str]) -> Iterator[Diagnos
                 lost.append(f"mesh file '{name}' of {owner}")
             elif fault := blocking(found[1]):
                 link.remove(visual)
-                yield diagnose("model.shape", f"mesh file '{name}' of {owner}", reason=fault)
+                yield diagnose(
+                    "model.shape", f"mesh file '{name}' of {owner}", reason=fault
+                )
             else:
                 mesh.set("filename", str(found[1]))

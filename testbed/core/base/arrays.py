@@ -31,11 +31,17 @@ def readonly(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Arra
         ValueError: The shape differs.
     """
     kept = isinstance(value, np.ndarray) and not value.flags.writeable
-    array = np.asarray(value, np.float64) if kept else np.array(value, np.float64, order="C")
+    array = (
+        np.asarray(value, np.float64)
+        if kept
+        else np.array(value, np.float64, order="C")
+    )
     if array.shape == (0,) and 0 in shape and None not in shape:
-        array = array.reshape([each or 0 for each in shape])  # a list of nothing has one axis
+        # a list of nothing has one axis
+        array = array.reshape([each or 0 for each in shape])
     fits = array.ndim == len(shape) and all(
-        want is None or want == have for want, have in zip(shape, array.shape, strict=True)
+        want is None or want == have
+        for want, have in zip(shape, array.shape, strict=True)
     )
     if not fits:
         wanted = ", ".join("any" if want is None else str(want) for want in shape)

@@ -54,9 +54,13 @@ def call_in_child(
         TestbedError: An `error`, in the words of the function's own, or saying that the library
             crashed, failed, or went beyond the limits.
     """
-    with tempfile.TemporaryDirectory(prefix="testbed-", ignore_cleanup_errors=True) as name:
+    with tempfile.TemporaryDirectory(
+        prefix="testbed-", ignore_cleanup_errors=True
+    ) as name:
         folder = Path(name)
-        (folder / "call.json").write_text(json.dumps([function, arguments, seconds, memory]))
+        (folder / "call.json").write_text(
+            json.dumps([function, arguments, seconds, memory])
+        )
         code = _ended(folder, seconds)
         if code is None:
             raise error(
@@ -78,8 +82,16 @@ def call_in_child(
 def _ended(folder: Path, seconds: float) -> int | None:
     """Exit code of a child Python that makes the call in a folder; None where it took too long."""
     process = subprocess.Popen(
-        [sys.executable, "-P", "-m", __name__, str(folder)],  # -P: no code of the working folder
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"},
+        # -P: no code of the working folder
+        [
+            sys.executable,
+            "-P",
+            "-m",
+            __name__,
+            str(folder),
+        ],
+        env=os.environ
+        | {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"},
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -92,13 +104,17 @@ def _ended(folder: Path, seconds: float) -> int | None:
     finally:  # after Ctrl-C, too
         if process.poll() is None:
             with suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL) if os.name == "posix" else process.kill()
+                os.killpg(
+                    process.pid, signal.SIGKILL
+                ) if os.name == "posix" else process.kill()
         process.communicate()
 
 
 def _make_call(folder: Path) -> None:
     """Make the call that a folder holds, in the child, and write its answer there."""
-    function, arguments, seconds, memory = json.loads((folder / "call.json").read_text())
+    function, arguments, seconds, memory = json.loads(
+        (folder / "call.json").read_text()
+    )
     file = str(arguments[0]) if arguments else function
     _limit(seconds, memory)
     threading.Thread(target=_follow_parent, args=(folder,), daemon=True).start()
@@ -131,7 +147,8 @@ def _limit(seconds: float, memory: int) -> None:
         limits = {
             resource.RLIMIT_AS: memory,
             resource.RLIMIT_FSIZE: memory,
-            resource.RLIMIT_CPU: int(10 * seconds),  # of all threads; where no parent ends it
+            # of all threads; where no parent ends it
+            resource.RLIMIT_CPU: int(10 * seconds),
             resource.RLIMIT_CORE: 0,
         }
         for which, most in limits.items():

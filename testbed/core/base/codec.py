@@ -43,14 +43,20 @@ class ArraySchema:
 def _array(value: Any) -> Any:
     try:
         return np.array(value, dtype=np.float64)
-    except (TypeError, OverflowError):  # pydantic takes a ValueError for the input's fault
+    # pydantic takes a ValueError for the input's fault
+    except (
+        TypeError,
+        OverflowError,
+    ):
         raise ValueError("it is no array of numbers") from None
 
 
 class TableSchema:
     """Of a dataclass that checks its own fields, beside its type: a table in JSON."""
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> Any:
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> Any:
         from pydantic_core import core_schema as schemas
 
         return schemas.no_info_plain_validator_function(
@@ -101,7 +107,10 @@ def with_properties(*names: str) -> Any:
         from pydantic_core import core_schema as schemas
 
         def with_them(value: Any, fields: Callable[[Any], Any]) -> dict[str, Any]:
-            return {**fields(value), **{name: _plain(getattr(value, name)) for name in names}}
+            return {
+                **fields(value),
+                **{name: _plain(getattr(value, name)) for name in names},
+            }
 
         found: Any = handler(source)
         found["serialization"] = schemas.wrap_serializer_function_ser_schema(with_them)
@@ -149,7 +158,9 @@ def json_text(content: Any, *, exact: bool = False) -> bytes:
 
     if exact:
         return json.dumps(content).encode()
-    return json.dumps(to_jsonable_python(content, inf_nan_mode="null"), indent=1).encode()
+    return json.dumps(
+        to_jsonable_python(content, inf_nan_mode="null"), indent=1
+    ).encode()
 
 
 def from_json(text: bytes) -> Any:

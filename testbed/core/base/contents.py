@@ -20,7 +20,9 @@ def read_text(path: Path, most: int) -> str:
         raise OSError(f"'{path}' is no file")
     size = path.stat().st_size
     if size > most:
-        raise OSError(f"'{path}' has {size} bytes; what is expected there has at most {most}")
+        raise OSError(
+            f"'{path}' has {size} bytes; what is expected there has at most {most}"
+        )
     return path.read_text(encoding="utf-8", errors="replace")
 
 

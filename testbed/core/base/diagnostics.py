@@ -70,7 +70,9 @@ class Diagnostic:
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON takes it."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        return {
+            k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()
+        }
 
 
 class Message(NamedTuple):
@@ -145,7 +147,9 @@ def diagnose(
 _PLATE = re.compile(r"(?<![-\w])(force )?plate(?!\w)")
 
 
-def of_instrument(diagnostics: Iterable[Diagnostic], name: str) -> tuple[Diagnostic, ...]:
+def of_instrument(
+    diagnostics: Iterable[Diagnostic], name: str
+) -> tuple[Diagnostic, ...]:
     """The same of another force sensor: its name stands where sentences say "plate".
 
     Args:
@@ -178,7 +182,9 @@ def ordered(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
     causes: list[Diagnostic] = []
     symptoms: list[Diagnostic] = []
     errors = [each for each in every if each.level == "error"]
-    for each in sorted(errors, key=lambda d: (_message(d.code).rank, -_significance(d))):
+    for each in sorted(
+        errors, key=lambda d: (_message(d.code).rank, -_significance(d))
+    ):
         leader = next((cause for cause in causes if cause.explains(each)), each)
         if _kind(leader) == _kind(each):
             causes.append(each)
@@ -214,7 +220,10 @@ def paragraphs(diagnostics: Iterable[Diagnostic]) -> tuple[tuple[str, ...], ...]
             groups.setdefault(_kind(each), []).append(each)
     first = {group[0].code: group for group in reversed(groups.values())}
     return tuple(
-        _parts(group, symptoms.get(group[0].code, ()) if first[group[0].code] is group else ())
+        _parts(
+            group,
+            symptoms.get(group[0].code, ()) if first[group[0].code] is group else (),
+        )
         for group in groups.values()
     )
 
@@ -254,7 +263,9 @@ def messages() -> Mapping[str, Message]:
     found: dict[str, Message] = {}
     rank = 0
     for group, table in _table().items():
-        common = {key: said for key, said in table.items() if not isinstance(said, dict)}
+        common = {
+            key: said for key, said in table.items() if not isinstance(said, dict)
+        }
         for name, own in table.items() if group != "causes" else ():
             if isinstance(own, dict):
                 given = common | own
@@ -279,7 +290,9 @@ def phrase(cause: str, instrument: str = "") -> str:
 
 @cache
 def _table() -> Mapping[str, Any]:
-    return loads(files("testbed.core.base").joinpath("messages.toml").read_text("utf-8"))
+    return loads(
+        files("testbed.core.base").joinpath("messages.toml").read_text("utf-8")
+    )
 
 
 def _message(code: str) -> Message:
@@ -291,7 +304,15 @@ def _message(code: str) -> Message:
 def _kind(each: Diagnostic) -> tuple[str, ...]:
     """What diagnostics have in common that share a sentence."""
     own = () if each.causes or each.remedy else (each.text,)
-    return (each.code, each.recording, each.instrument, each.level, each.remedy, *own, *each.causes)
+    return (
+        each.code,
+        each.recording,
+        each.instrument,
+        each.level,
+        each.remedy,
+        *own,
+        *each.causes,
+    )
 
 
 def _parts(group: list[Diagnostic], symptoms: Iterable[str]) -> tuple[str, ...]:
@@ -300,7 +321,9 @@ def _parts(group: list[Diagnostic], symptoms: Iterable[str]) -> tuple[str, ...]:
     shown += [f"and {len(group) - ALIKE} similar"] * (len(group) > ALIKE)
     text = f"{first.recording}: " * bool(first.recording) + "; ".join(shown)
     labels = {
-        "Likely cause": ", or ".join(phrase(each, first.instrument) for each in first.causes),
+        "Likely cause": ", or ".join(
+            phrase(each, first.instrument) for each in first.causes
+        ),
         "Consequence": ", ".join(symptoms),
         "Remedy": first.remedy,
     }

@@ -43,13 +43,19 @@ def printable(text: str, limit: int = LONGEST_MESSAGE) -> str:
     gap = f" ... ({count} characters in all) ... "
     gap = gap if 2 * len(gap) < limit else "..."
     left = limit - len(gap)
-    return _start(shown, left - left // 2) + gap + _start(shown[::-1], left // 2, backwards=True)
+    return (
+        _start(shown, left - left // 2)
+        + gap
+        + _start(shown[::-1], left // 2, backwards=True)
+    )
 
 
 def visible(text: str) -> str:
     r"""Text of any lines, with what a terminal would obey spelled out: \x1b, \u202e, \r."""
     return "".join(
-        c if c.isprintable() or c in "\n\t\u00a0" else c.encode("unicode_escape").decode()
+        c
+        if c.isprintable() or c in "\n\t\u00a0"
+        else c.encode("unicode_escape").decode()
         for c in text
     )
 
@@ -127,7 +133,11 @@ class UnknownName(TestbedError):
             super().__init__(f"there is no {what} '{shown}'; there is {quoted(same)}")
             return
         short = [each for each in self.known if len(each) <= LONGEST_NAME]
-        near = get_close_matches(name, short[:SEARCHED], NEAR) if len(name) <= LONGEST_NAME else []
+        near = (
+            get_close_matches(name, short[:SEARCHED], NEAR)
+            if len(name) <= LONGEST_NAME
+            else []
+        )
         hint = f"; did you mean '{near[0]}'?" if near else ""
         listed = few(list(dict.fromkeys([*near, *short])), WIDTH)
         super().__init__(f"unknown {what} '{shown}'{hint} (known: {listed})")
@@ -170,7 +180,9 @@ class InfeasibleMotion(TestbedError):
 class UnseenParameters(TestbedError):
     """The data cannot distinguish some base parameters; `names` lists them."""
 
-    def __init__(self, names: Sequence[str], rank: int, count: int, samples: int) -> None:
+    def __init__(
+        self, names: Sequence[str], rank: int, count: int, samples: int
+    ) -> None:
         self.names = tuple(names)
         self.rank = rank
         if 0 < samples < count:

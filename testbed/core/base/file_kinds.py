@@ -39,7 +39,9 @@ BELONGS = {
 }
 """Commands and options that take a file of each kind."""
 
-LOGS = re.compile(r"\.(csv|tsv|mat|h5|hdf5|bag|db3|mcap|npz|c3d|parquet)(\.gz)?$", re.IGNORECASE)
+LOGS = re.compile(
+    r"\.(csv|tsv|mat|h5|hdf5|bag|db3|mcap|npz|c3d|parquet)(\.gz)?$", re.IGNORECASE
+)
 """Names of other programs' files."""
 
 
@@ -59,7 +61,11 @@ def kind_of(path: Path) -> str:
     if re.search(rb"<(robot|mujoco)\b", head):
         return "model file"
     if head.lstrip().startswith(b"{"):
-        return "result" if b'"estimates"' in head + foot or b'"posterior"' in head + foot else ""
+        return (
+            "result"
+            if b'"estimates"' in head + foot or b'"posterior"' in head + foot
+            else ""
+        )
     try:
         found = kind_of_tables(tomllib.loads(head.decode()))
     except (ValueError, RecursionError):

@@ -139,7 +139,9 @@ def _in_words_of(path: Path, fresh: Path) -> Iterator[None]:
     except BrokenPipeError:  # of standard output
         raise
     except OSError as error:
-        names = [os.fsdecode(n) for n in (error.filename, error.filename2) if n is not None]
+        names = [
+            os.fsdecode(n) for n in (error.filename, error.filename2) if n is not None
+        ]
         ours = [name for name in names if name.startswith(str(fresh))]
         if names and not ours:
             raise  # of a file that is read
@@ -208,7 +210,8 @@ def _exchange_in_steps(fresh: Path, place: Path) -> None:
             if not fresh.exists():
                 place.rename(fresh)
             older.replace(place)
-            older.unlink(missing_ok=True)  # to rename a link to the same file does nothing
+            # to rename a link to the same file does nothing
+            older.unlink(missing_ok=True)
         raise
 
 
@@ -255,7 +258,9 @@ def _beside(place: Path, path: Path) -> Iterator[Path]:
         try:
             hidden.mkdir(mode=0o700, parents=True)
         except OSError as error:
-            raise OSError(f"'{path}' may not be written there: {error.strerror}") from None
+            raise OSError(
+                f"'{path}' may not be written there: {error.strerror}"
+            ) from None
         yield hidden
 
 
@@ -276,10 +281,18 @@ def _place(path: Path, folder: bool) -> Path:
                 raise ValueError(f"there is a {kind}; choose another name")
             if not folder and not stat.S_ISREG(mode):
                 raise ValueError("it is a device or pipe, no file; choose another name")
-            if folder and Path.cwd().is_relative_to(place):  # we would be left in one that is none
-                raise ValueError("it is the working folder or above it; choose another name")
-    except OSError as error:  # a name that is too long, a file among the folders above it
+            # we would be left in one that is none
+            if folder and Path.cwd().is_relative_to(place):
+                raise ValueError(
+                    "it is the working folder or above it; choose another name"
+                )
+    except (
+        OSError
+    ) as error:  # a name that is too long, a file among the folders above it
         raise OSError(f"'{path}' cannot be written: {error.strerror}") from None
-    except (RuntimeError, ValueError) as error:  # of Python: links in a circle, a zero byte
+    except (
+        RuntimeError,
+        ValueError,
+    ) as error:  # of Python: links in a circle, a zero byte
         raise OSError(f"'{path}' cannot be written: {error}") from None
     return place

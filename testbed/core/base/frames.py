@@ -30,7 +30,9 @@ def frame_of(columns: Mapping[str, Any], package: str | None = None) -> Any:
         except (ModuleNotFoundError, KeyError):
             continue
         return made(dict(columns))
-    raise SettingsError(f"data frames are of {', '.join(PACKAGES)}; {package} is not installed")
+    raise SettingsError(
+        f"data frames are of {', '.join(PACKAGES)}; {package} is not installed"
+    )
 
 
 def columns_of(frame: Any) -> dict[str, Any]:

@@ -45,7 +45,9 @@ class Gaussian(Summarized):
     @cached_property
     def identifiable(self) -> NDArray[np.bool_]:
         """Whether the data determine each parameter, (p,)."""
-        return np.array([name not in self.unidentifiable for name in self.names], dtype=bool)
+        return np.array(
+            [name not in self.unidentifiable for name in self.names], dtype=bool
+        )
 
     @cached_property
     def sigma(self) -> Array:
@@ -68,7 +70,9 @@ class Gaussian(Summarized):
             tuple(name for name in names if name in self.unidentifiable),
         )
 
-    def transform(self, matrix: Array, names: Sequence[str], units: Sequence[str]) -> Gaussian:
+    def transform(
+        self, matrix: Array, names: Sequence[str], units: Sequence[str]
+    ) -> Gaussian:
         """Distribution of linear combinations of the parameters.
 
         Args:
@@ -85,7 +89,9 @@ class Gaussian(Summarized):
             tuple(compress(names, open_ones)),
         )
 
-    def conditional(self, matrix: Array, values: Array, covariance: ArrayLike = 0.0) -> Gaussian:
+    def conditional(
+        self, matrix: Array, values: Array, covariance: ArrayLike = 0.0
+    ) -> Gaussian:
         """Distribution given matrix @ parameters = values + e, in Joseph's form.
 
         Args:
@@ -111,7 +117,9 @@ class Gaussian(Summarized):
             seed: Of the random numbers.
         """
         rng = np.random.default_rng(seed)
-        draws = rng.multivariate_normal(self.values, self.covariance, count, method="eigh")
+        draws = rng.multivariate_normal(
+            self.values, self.covariance, count, method="eigh"
+        )
         return np.where(self.identifiable, draws, np.nan)
 
     @property

@@ -8,7 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-_seconds: ContextVar[defaultdict[str, float] | None] = ContextVar("seconds", default=None)
+_seconds: ContextVar[defaultdict[str, float] | None] = ContextVar(
+    "seconds", default=None
+)
 _inside: ContextVar[float] = ContextVar("inside", default=0.0)
 
 

@@ -35,7 +35,9 @@ class SummaryTable:
         more = len(self.rows) - MOST_ROWS
         if more <= 0:
             return self
-        return SummaryTable(self.head, self.rows[:MOST_ROWS], (f"... and {more} more", *self.notes))
+        return SummaryTable(
+            self.head, self.rows[:MOST_ROWS], (f"... and {more} more", *self.notes)
+        )
 
     def text(self) -> str:
         """A line each: head, rows in columns, notes."""
@@ -49,7 +51,9 @@ class SummaryTable:
 
     def html(self) -> str:
         """A table with a caption, then the notes."""
-        rows = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self.rows)
+        rows = (
+            "".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self.rows
+        )
         body = "".join(f"<tr>{row}</tr>" for row in rows)
         notes = "".join(f"<li>{escape(line)}</li>" for line in self.notes)
         return f"<table><caption>{escape(self.head)}</caption>{body}</table><ul>{notes}</ul>"
@@ -130,7 +134,11 @@ def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
     digits = 1 if sigma >= 1 or sigma == 0 else len(f"{1 / sigma:.0f}") + 1
     if short:
         places = f"{sigma:.{digits}f}".replace(".", "").lstrip("0")
-        return f"{value:.{digits}f}({sigma:.1f})" if sigma >= 1 else f"{value:.{digits}f}({places})"
+        return (
+            f"{value:.{digits}f}({sigma:.1f})"
+            if sigma >= 1
+            else f"{value:.{digits}f}({places})"
+        )
     return f"{value:.{digits}f} +- {sigma:.{digits}f}"
 
 

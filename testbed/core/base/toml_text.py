@@ -11,7 +11,13 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from testbed.core.base.errors import ExperimentError, UnknownName, few, no_file, printable
+from testbed.core.base.errors import (
+    ExperimentError,
+    UnknownName,
+    few,
+    no_file,
+    printable,
+)
 from testbed.core.base.file_kinds import kind_of, kind_of_tables, misplaced
 
 LARGEST_FILE = 1_000_000
@@ -31,7 +37,9 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-KNOWN_KEYS = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
+KNOWN_KEYS = ConfigDict(
+    extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True
+)
 """Of a table whose keys are all known."""
 
 Checked = TypeVar("Checked", bound=BaseModel)
@@ -65,12 +73,17 @@ def read_toml(path: Path, what: str = "experiment") -> dict[str, Any]:
         if path.stat().st_size > LARGEST_FILE:
             raise ValueError(f"it has more than {LARGEST_FILE:.0e} bytes")
         text = path.read_text(encoding="utf-8")
-        if any(line.partition("=")[0].count(".") > LONGEST_KEY for line in text.splitlines()):
+        if any(
+            line.partition("=")[0].count(".") > LONGEST_KEY
+            for line in text.splitlines()
+        ):
             raise ValueError(f"a key has more than {LONGEST_KEY} parts")
         content = tomllib.loads(text)
         kind = kind_of_tables(content)
     except RecursionError:
-        raise ExperimentError(f"{path}: not a readable TOML file: nested too deeply") from None
+        raise ExperimentError(
+            f"{path}: not a readable TOML file: nested too deeply"
+        ) from None
     except (OSError, ValueError) as error:
         if not (kind := kind_of(path)):
             raise ExperimentError(
@@ -98,7 +111,9 @@ def override(content: dict[str, Any], settings: Iterable[str]) -> None:
         for table in tables:
             here = here.setdefault(table, {})
             if not isinstance(here, dict):
-                raise ExperimentError(f"--set '{setting}': '{table}' is a value, not a table")
+                raise ExperimentError(
+                    f"--set '{setting}': '{table}' is a value, not a table"
+                )
         here[last] = _value(value, setting)
 
 
@@ -155,7 +170,9 @@ def checked(model: type[Checked], content: dict[str, Any], source: str) -> Check
     except ValidationError as error:
         raise ExperimentError(f"{source}: {complaints(error, model)}") from None
     except (RecursionError, ValueError):
-        raise ExperimentError(f"{source}: it is nested too deeply, or no text") from None
+        raise ExperimentError(
+            f"{source}: it is nested too deeply, or no text"
+        ) from None
 
 
 def complaints(error: ValidationError, model: type[BaseModel]) -> str:
@@ -171,8 +188,14 @@ def complaints(error: ValidationError, model: type[BaseModel]) -> str:
             for json_words, toml_words in IN_TOML.items():
                 said = said.replace(json_words, toml_words)
             value = repr(fault["input"])
-            value = value if len(value) <= LONGEST_SHOWN else f"{value[:LONGEST_SHOWN]}..."
-            found = "" if fault["type"] in ("missing", "value_error") else f", found {value}"
+            value = (
+                value if len(value) <= LONGEST_SHOWN else f"{value[:LONGEST_SHOWN]}..."
+            )
+            found = (
+                ""
+                if fault["type"] in ("missing", "value_error")
+                else f", found {value}"
+            )
             label = ".".join(part for part in where if "[" not in part)
             lines.append(f"{label}: {said}{found}" if label else said)
     return few(list(dict.fromkeys([*unknown[:1], *lines, *unknown])), FAULTS, "; ")
@@ -180,7 +203,9 @@ def complaints(error: ValidationError, model: type[BaseModel]) -> str:
 
 def _unknown(model: type[BaseModel], tables: list[str], key: str) -> str:
     """An unknown key, with the table that has one of this name, else with the known ones."""
-    homes = [] if tables else [t for t in model.model_fields if key in _keys(model, [t])]
+    homes = (
+        [] if tables else [t for t in model.model_fields if key in _keys(model, [t])]
+    )
     if homes:
         return f"unknown key '{key}'; did you mean {' or '.join(f'{t}.{key}' for t in homes)}?"
     place = f" in [{'.'.join(tables)}]" if tables else ""

@@ -48,7 +48,11 @@ class Transform:
     def matrix(self) -> AnyArray:
         """Homogeneous matrix [[R_AB, p_AB_A], [0, 1]], (..., 4, 4)."""
         matrix = np.zeros((*self.p_AB_A.shape[:-1], 4, 4))
-        matrix[..., :3, :3], matrix[..., :3, 3], matrix[..., 3, 3] = self.R_AB, self.p_AB_A, 1.0
+        matrix[..., :3, :3], matrix[..., :3, 3], matrix[..., 3, 3] = (
+            self.R_AB,
+            self.p_AB_A,
+            1.0,
+        )
         return matrix
 
     def point(self, p_B: AnyArray) -> AnyArray:
@@ -65,4 +69,6 @@ class Transform:
     def wrench_matrix(self) -> AnyArray:
         """Matrix of `wrench`, (..., 6, 6); its transpose maps twists from A to B."""
         nothing = np.zeros_like(self.R_AB)
-        return np.block([[self.R_AB, nothing], [skew(self.p_AB_A) @ self.R_AB, self.R_AB]])
+        return np.block(
+            [[self.R_AB, nothing], [skew(self.p_AB_A) @ self.R_AB, self.R_AB]]
+        )

@@ -42,7 +42,9 @@ SEED = 20_000
 """Of the states; witnesses take others."""
 
 
-def drive_set(tree: Tree, minimal: MinimalSet, laws: Sequence[str | JointLaw]) -> DriveSet:
+def drive_set(
+    tree: Tree, minimal: MinimalSet, laws: Sequence[str | JointLaw]
+) -> DriveSet:
     """The minimal set of bodies, joints and shafts together, before any data.
 
     Args:
@@ -84,6 +86,8 @@ def _as_a_sum(every: Array, column: Array) -> tuple[Array, float]:
     size = np.linalg.norm(every, axis=0)
     size = np.where(size > 0, size, 1.0)
     found = np.linalg.lstsq(every / size, column, rcond=1e-12)[0] / size
-    found = np.where(np.abs(found) > NOTHING * np.abs(found).max(initial=0.0), found, 0.0)
+    found = np.where(
+        np.abs(found) > NOTHING * np.abs(found).max(initial=0.0), found, 0.0
+    )
     left = np.linalg.norm(column - every @ found) / np.linalg.norm(column)
     return np.round(found, 12), float(left)

@@ -152,7 +152,9 @@ def kinematics(
     moving: list[BodyMotion] = []
     for j, joint in enumerate(tree.joints):
         carrier = bedplate if joint.parent < 0 else moving[joint.parent]
-        moving.append(_step(joint, j, carrier, q[..., j], qd[..., j], qdd[..., j], keep))
+        moving.append(
+            _step(joint, j, carrier, q[..., j], qd[..., j], qdd[..., j], keep)
+        )
     return tuple(moving)
 
 
@@ -243,7 +245,8 @@ def transmitted(
     """
     lead, p = moving[0].w.shape[:-1], theta.shape[-1]
     dtype = np.result_type(moving[0].w.dtype, theta.dtype)
-    force = np.zeros((tree.n + 1, *lead, 3, p), dtype=dtype)  # what children pass on to P
+    # what children pass on to P
+    force = np.zeros((tree.n + 1, *lead, 3, p), dtype=dtype)
     moment = np.zeros_like(force)  # and to L; the last of each is the bedplate's
     whole = np.zeros_like(force[-1])  # F_0: to the bedplate children pass on F^j itself
     efforts: list[AnyArray] = [whole] * tree.n
@@ -281,7 +284,9 @@ def sensor_pose(tree: Tree, q: Array) -> Transform:
     return _sensor_poses(tree, q, [tree.sensor])[0]
 
 
-def _sensor_poses(tree: Tree, q: Array, sensors: Sequence[Placement | None]) -> list[Transform]:
+def _sensor_poses(
+    tree: Tree, q: Array, sensors: Sequence[Placement | None]
+) -> list[Transform]:
     """Pose X_WS of each sensor in the bedplate frame W, M of them; None is the bedplate."""
     still = Transform(np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3)))
     moving = poses(tree, q) if any(at and at.body >= 0 for at in sensors) else []
@@ -313,12 +318,15 @@ def own_wrench(body: BodyMotion) -> AnyArray:
     F = mbar a + W mb;  L = mb x a + K wd + w x K w.
     """
     top = np.concatenate(
-        [body.a[..., None], body.W, np.zeros((*body.w.shape, 6), dtype=body.w.dtype)], axis=-1
+        [body.a[..., None], body.W, np.zeros((*body.w.shape, 6), dtype=body.w.dtype)],
+        axis=-1,
     )
     spin = np.tensordot(body.wd, TENSOR, (-1, 1)) + skew(body.w) @ np.tensordot(
         body.w, TENSOR, (-1, 1)
     )
-    bottom = np.concatenate([np.zeros_like(body.a[..., None]), -skew(body.a), spin], axis=-1)
+    bottom = np.concatenate(
+        [np.zeros_like(body.a[..., None]), -skew(body.a), spin], axis=-1
+    )
     return np.concatenate([top, bottom], axis=-2)
 
 
@@ -422,7 +430,10 @@ def linear(
         raise ValueError(f"a motion of {motion.q.shape[1]} joints, a robot of {tree.n}")
     g = tree.gravity_or(gravity)
     p = theta.shape[-1]
-    joints, base = np.empty((motion.samples, tree.n, p)), np.empty((motion.samples, 6, p))
+    joints, base = (
+        np.empty((motion.samples, tree.n, p)),
+        np.empty((motion.samples, 6, p)),
+    )
     for part in blocks(motion.samples):
         moving = kinematics(tree, motion.q[part], motion.qd[part], motion.qdd[part], g)
         joints[part], base[part] = transmitted(

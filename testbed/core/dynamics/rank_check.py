@@ -47,7 +47,9 @@ class Space:
         return len(self.rows)
 
 
-def row_space(rows: Array, tolerance: float, known_zero: NDArray[np.bool_] | None = None) -> Space:
+def row_space(
+    rows: Array, tolerance: float, known_zero: NDArray[np.bool_] | None = None
+) -> Space:
     """The space spanned by rows, (k, 10 n).
 
     Args:
@@ -108,7 +110,9 @@ def recursive_space(
     return row_space(_on_barycentric(tree, seen, static), NEW, known_zero)
 
 
-def _on_barycentric(tree: Tree, seen: list[Array], static: Array, base: int = -1) -> Array:
+def _on_barycentric(
+    tree: Tree, seen: list[Array], static: Array, base: int = -1
+) -> Array:
     """Functionals of composites as functionals of the barycentric parameters, (k, 10 n)."""
     n = tree.n
     composite = np.zeros((n + 1, 10, 10 * n))  # at q = 0; the last is the bedplate's
@@ -226,7 +230,12 @@ def verify(tree: Tree, minimal: MinimalSet) -> Agreement:
         tree: The robot.
         minimal: Its set.
     """
-    model, g, tared, zero = minimal.model, minimal.gravity, minimal.tared, minimal.known_zero
+    model, g, tared, zero = (
+        minimal.model,
+        minimal.gravity,
+        minimal.tared,
+        minimal.known_zero,
+    )
     rows = sampled_regressor(tree, model, g, tared=tared)
     sampled = row_space(rows, ZERO, zero)
     size = np.abs(rows).max(initial=1e-300)

@@ -60,15 +60,22 @@ def base_wrench_derivatives(
     wrench = np.empty((motion.samples, 6))
     slopes = np.empty((tree.n, 3, motion.samples, 6))
     for part in blocks(motion.samples, BLOCK):
-        states = _outward(tree, motion.q[part].T, motion.qd[part].T, motion.qdd[part].T, g)
-        composite = [_Composite.of(body, at) for body, at in zip(bodies, states, strict=True)]
+        states = _outward(
+            tree, motion.q[part].T, motion.qd[part].T, motion.qdd[part].T, g
+        )
+        composite = [
+            _Composite.of(body, at) for body, at in zip(bodies, states, strict=True)
+        ]
         whole = _inward(tree, states, composite, slopes[:, :, part])
         wrench[part] = whole.T
         if tree.sensor is not None:
             for j in range(tree.lead):  # the sensor itself turns and moves with these
                 slopes[j, 0, part] -= _cross_force(states[j].screw, whole).T
             X_SW = _sensor_pose(tree, states).inverse
-            for found in (wrench[part], *(each[part] for three in slopes for each in three)):
+            for found in (
+                wrench[part],
+                *(each[part] for three in slopes for each in three),
+            ):
                 found[:] = X_SW.wrench(found)
     return wrench, slopes
 
@@ -101,7 +108,9 @@ class _BodyState:
     acceleration: Array
 
 
-def _outward(tree: Tree, q: Array, qd: Array, qdd: Array, gravity: Array) -> list[_BodyState]:
+def _outward(
+    tree: Tree, q: Array, qd: Array, qdd: Array, gravity: Array
+) -> list[_BodyState]:
     """The motion of every body; coordinates (n, m)."""
     still, resting = np.zeros((3, q.shape[1])), np.zeros((6, q.shape[1]))
     flat = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, q.shape[1]))
@@ -111,7 +120,9 @@ def _outward(tree: Tree, q: Array, qd: Array, qdd: Array, gravity: Array) -> lis
     for j, joint in enumerate(tree.joints):
         carrier = bedplate if joint.parent < 0 else found[joint.parent]
         R_WB, p_WB, axis = _pose(joint, carrier, q[j])
-        screw = np.concatenate([axis, _cross(p_WB, axis)] if joint.revolute else [still, axis])
+        screw = np.concatenate(
+            [axis, _cross(p_WB, axis)] if joint.revolute else [still, axis]
+        )
         velocity = carrier.velocity + screw * qd[j]
         acceleration = carrier.acceleration + screw * qdd[j]
         acceleration += _cross_motion(velocity, screw) * qd[j]
@@ -163,9 +174,13 @@ class _Composite:
         found = cls(mass, arm + mass * at.p_WB, about, arm, about, at.velocity)
         turning, sliding = np.split(at.velocity, 2)
         momentum = found.inertia(at.velocity)
-        found.wrench = found.inertia(at.acceleration) + _cross_force(at.velocity, momentum)
+        found.wrench = found.inertia(at.acceleration) + _cross_force(
+            at.velocity, momentum
+        )
         found.momentum = momentum[:3]
-        found.coupling = -2 * _cross(turning[:, None], about) - 2 * sliding[:, None] * found.first
+        found.coupling = (
+            -2 * _cross(turning[:, None], about) - 2 * sliding[:, None] * found.first
+        )
         found.coupling[range(3), range(3)] += 2 * (found.first * sliding).sum(axis=0)
         return found
 

@@ -17,7 +17,10 @@ from testbed.core.base.errors import RecordingError, SettingsError, UnseenParame
 from testbed.core.base.stages import stage
 from testbed.core.estimation.diagnostics.diagnosis import diagnostics, quality
 from testbed.core.estimation.diagnostics.residuals import zero_unknown
-from testbed.core.estimation.diagnostics.setup import regrouped_rotors, setup_diagnostics
+from testbed.core.estimation.diagnostics.setup import (
+    regrouped_rotors,
+    setup_diagnostics,
+)
 from testbed.core.estimation.estimate import Estimate, Method, channel_units, sensor_of
 from testbed.core.estimation.noise.coloured_noise import (
     GlsFit,
@@ -29,9 +32,16 @@ from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.regression.solvers import noise_weights, solve
 from testbed.core.estimation.selection.held_out import TermChoice
 from testbed.core.estimation.selection.position_filter import with_position_filter
-from testbed.core.estimation.selection.term_choice import with_all_terms, with_fewer_terms
+from testbed.core.estimation.selection.term_choice import (
+    with_all_terms,
+    with_fewer_terms,
+)
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
-from testbed.core.estimation.sensor.sensor_model import LinearFit, SensorModel, gauss_newton
+from testbed.core.estimation.sensor.sensor_model import (
+    LinearFit,
+    SensorModel,
+    gauss_newton,
+)
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.parameters.rules import Signal
 from testbed.core.recordings.source import RecordingLike, Source
@@ -114,7 +124,9 @@ def estimate_of(
         if fewer.names == problem.names:
             raise
         problem, estimate = fewer, _estimate_of(fewer, doubt)
-    diagnostics = of_instrument([*estimate.diagnostics, *chosen], sensor_of(problem.tree))
+    diagnostics = of_instrument(
+        [*estimate.diagnostics, *chosen], sensor_of(problem.tree)
+    )
     return problem, replace(estimate, choice=choice, diagnostics=diagnostics)
 
 
@@ -153,25 +165,38 @@ def weighted_least_squares(problem: Problem, source: Source) -> LinearFit:
     """
     passes = problem.passes(3, source, whole=True)
     equations = problem.equations(passes)
-    return LinearFit(passes, equations, solve(equations, noise_weights(equations), passes.rows))
+    return LinearFit(
+        passes, equations, solve(equations, noise_weights(equations), passes.rows)
+    )
 
 
 def _estimate_of(problem: Problem, doubt: CalibrationCovariance | None) -> Estimate:
     """Y = X theta + e, e autoregressive channel by channel: generalised least squares."""
     if not problem.minimal.names:
-        raise SettingsError("identification.zeros leaves no parameter to estimate; name fewer")
+        raise SettingsError(
+            "identification.zeros leaves no parameter to estimate; name fewer"
+        )
     with one_blas_thread():
         model = SensorModel.of(problem, doubt)
-        sensors = gauss_newton(problem.source, partial(weighted_least_squares, problem), model)
+        sensors = gauss_newton(
+            problem.source, partial(weighted_least_squares, problem), model
+        )
         start = sensors.solution
         columns = model.columns(start.passes.plan, start.fit.values, sensors.values)
         solution = generalized_least_squares(start.fit, start.passes, columns)
         fit = bootstrap(solution, problem.names)
         if not np.isfinite(fit.covariance).all():
-            raise RecordingError("the recording holds numbers too large to compute with")
+            raise RecordingError(
+                "the recording holds numbers too large to compute with"
+            )
         estimate = _estimate(problem, start, fit, model, sensors.values)
         tests = diagnostics(estimate, problem, start.passes.surveyor.survey())
-    every = [*setup_diagnostics(problem), *tests, *model.diagnostics(sensors), *quality(estimate)]
+    every = [
+        *setup_diagnostics(problem),
+        *tests,
+        *model.diagnostics(sensors),
+        *quality(estimate),
+    ]
     every += regrouped_rotors(problem)
     zero = {*zero_unknown(fit.noise), *model.with_unknown_zero}
     unidentifiable = tuple(name for name in estimate.names if name in zero)

@@ -19,20 +19,28 @@ def influence(estimate: Estimate, truths: Mapping[str, float]) -> Array:
         truths: True values by name, which count in place of the estimate's.
     """
     equations, units = estimate.normal_equations, np.array(estimate.channel_units)
-    squares = np.array([np.diagonal(equations.of_channel(c)[0]) for c in range(len(units))])
+    squares = np.array(
+        [np.diagonal(equations.of_channel(c)[0]) for c in range(len(units))]
+    )
     values = np.array(
-        [truths.get(n, v) for n, v in zip(estimate.names, estimate.values.tolist(), strict=True)]
+        [
+            truths.get(n, v)
+            for n, v in zip(estimate.names, estimate.values.tolist(), strict=True)
+        ]
     )
     shares = []
     for unit in dict.fromkeys(estimate.channel_units):
         same = units == unit
         size = max(float(equations.squares[same].sum()), TINY)
-        square = np.maximum(squares[same].sum(axis=0), 0.0)  # of a column of zeros by rounding
+        # of a column of zeros by rounding
+        square = np.maximum(squares[same].sum(axis=0), 0.0)
         shares.append(np.sqrt(square / size))
     return np.asarray(np.abs(values) * np.max(shares, axis=0))
 
 
-def by_influence(estimates: Iterable[Estimate], truths: Mapping[str, float]) -> list[str]:
+def by_influence(
+    estimates: Iterable[Estimate], truths: Mapping[str, float]
+) -> list[str]:
     """Names of all parameters, that which adds most to any signal first.
 
     Args:
@@ -41,6 +49,8 @@ def by_influence(estimates: Iterable[Estimate], truths: Mapping[str, float]) -> 
     """
     most: dict[str, float] = {}
     for estimate in estimates:
-        for name, share in zip(estimate.names, influence(estimate, truths).tolist(), strict=True):
+        for name, share in zip(
+            estimate.names, influence(estimate, truths).tolist(), strict=True
+        ):
             most[name] = max(share, most.get(name, 0.0))
     return sorted(most, key=lambda name: -most[name])

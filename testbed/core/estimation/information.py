@@ -113,7 +113,9 @@ def _solution(matrix: Array, vector: Array) -> tuple[Array, Array, NDArray[np.bo
     return values, inverse / np.outer(scale, scale), determined
 
 
-def combinations(estimate: Estimate, minimal: MinimalSet, names: Sequence[str]) -> Array:
+def combinations(
+    estimate: Estimate, minimal: MinimalSet, names: Sequence[str]
+) -> Array:
     """Parameters of an estimate as combinations of a sum's unknowns, (q, p).
 
     Args:

@@ -27,7 +27,9 @@ def parse_known(words: Iterable[str]) -> dict[str, tuple[float, float]]:
         except ValueError:
             equals = ""
         if not equals or not name:
-            raise SettingsError(f"--known '{word}': write it as mass=20 or mass=20+-0.01")
+            raise SettingsError(
+                f"--known '{word}': write it as mass=20 or mass=20+-0.01"
+            )
         if name == "mass" and not known[name][0] > 0:
             raise SettingsError(f"--known '{word}': a mass is positive")
     return known

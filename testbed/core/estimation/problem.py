@@ -21,7 +21,11 @@ from testbed.core.dynamics.newton_euler import pedestal_wrench
 from testbed.core.estimation.estimate import METHODS, SIGNAL_OF, Method, channels_of
 from testbed.core.estimation.regression.normal_equations import NormalEquations, gather
 from testbed.core.estimation.regression.passes import Passes, Progress
-from testbed.core.estimation.regression.windows import ROWS_PER_CUTOFF, drive_filter, make_plan
+from testbed.core.estimation.regression.windows import (
+    ROWS_PER_CUTOFF,
+    drive_filter,
+    make_plan,
+)
 from testbed.core.estimation.selection.held_out import ALWAYS
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.kernel.layout import Layout, layout
@@ -32,7 +36,12 @@ from testbed.core.recordings.columns import check_samples
 from testbed.core.recordings.geometry import check_robot, in_its_gravity
 from testbed.core.recordings.repeats import without_repeated_poses
 from testbed.core.recordings.source import RecordingLike, Source, counted, open_source
-from testbed.core.recordings.views import is_imported, is_of_motors, on_its_base, with_gear
+from testbed.core.recordings.views import (
+    is_imported,
+    is_of_motors,
+    on_its_base,
+    with_gear,
+)
 from testbed.core.robot.friction import BY_LOAD, OFFSET, ROTOR
 from testbed.core.robot.tree import Tree
 
@@ -104,9 +113,17 @@ class Problem:
         by_load = BY_LOAD if knows_load or method == "external" else ()
         lacking = {law.by for law in complete.laws} - {"", *source.signals, *by_load}
         if lacking:
-            raise RecordingError(f"the recording has no {lacking.pop()}, which the terms need")
-        diagnostics = (diagnose("encoder.interpolated", "the poses", repeated),) if repeated else ()
-        return cls(tree, source, method, complete, settings, threads, progress, diagnostics)
+            raise RecordingError(
+                f"the recording has no {lacking.pop()}, which the terms need"
+            )
+        diagnostics = (
+            (diagnose("encoder.interpolated", "the poses", repeated),)
+            if repeated
+            else ()
+        )
+        return cls(
+            tree, source, method, complete, settings, threads, progress, diagnostics
+        )
 
     def with_settings(self, **changes: Any) -> Problem:
         """The same with some settings changed.
@@ -115,7 +132,8 @@ class Problem:
             **changes: Of `Settings`, by name.
         """
         changed = replace(self, settings=replace(self.settings, **changes))
-        if not {"zeros", "tare"} & changes.keys():  # all that the minimal set depends on
+        # all that the minimal set depends on
+        if not {"zeros", "tare"} & changes.keys():
             vars(changed)["minimal"] = self.minimal
         return changed
 
@@ -178,10 +196,13 @@ class Problem:
         Raises:
             RecordingError: The recording is too short, or sampled too slowly.
         """
-        plan = make_plan(source or self.source, self.layout, self.tare, self.settings, per_cutoff)
+        plan = make_plan(
+            source or self.source, self.layout, self.tare, self.settings, per_cutoff
+        )
         if whole and self.settings.reversal_reach is None:
             plan = replace(plan, rest_reach=0)
-        if load is not None:  # friction alone is sought: what a reversal leaves would bias it
+        # friction alone is sought: what a reversal leaves would bias it
+        if load is not None:
             bodies = self.layout.theta.shape[2], self.minimal.count
             weights, nearby = drive_filter(self.settings, plan.source.rate)
             load = self.layout.basis[: bodies[0], : bodies[1]] @ load
@@ -238,7 +259,9 @@ def check_source(source: Source, tree: Tree, method: Method) -> None:
     if SIGNAL_OF[method] in source.signals:
         return
     others = [other for other in METHODS if SIGNAL_OF[other] in source.signals]
-    advice = "".join(f"; its {SIGNAL_OF[other]} allows the {other} one" for other in others)
+    advice = "".join(
+        f"; its {SIGNAL_OF[other]} allows the {other} one" for other in others
+    )
     if "sensors" in source.signals:
         named = ", ".join(source.metadata.sensors)
         advice += f"; it has force sensors: --sensor NAME ({named})"
@@ -283,10 +306,15 @@ def usual_terms(tree: Tree, source: Source) -> list[str]:
     words = [law.kind for law in (*ALWAYS, *[OFFSET] * is_imported(source))]
     if is_of_motors(source):
         return [*words, ROTOR.kind]
-    return [*words, *(f"{ROTOR.kind}/{each.name}" for each in tree.joints if each.rotor_inertia)]
+    return [
+        *words,
+        *(f"{ROTOR.kind}/{each.name}" for each in tree.joints if each.rotor_inertia),
+    ]
 
 
-def _complete(settings: Settings, tree: Tree, source: Source, method: Method) -> Settings:
+def _complete(
+    settings: Settings, tree: Tree, source: Source, method: Method
+) -> Settings:
     """Settings with filters that fit the recording, all terms, and a zero that nobody knows."""
     nuisances: Sequence[str] = settings.nuisances
     if method == "external" and settings.tare == "unknown" and "bias" not in nuisances:

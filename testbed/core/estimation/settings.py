@@ -26,7 +26,9 @@ LARGEST = 1e9
 """Times [s] and speeds [rad/s, m/s] that no robot has."""
 
 
-def with_sigmas(stated: Mapping[str, float | Sequence[float]]) -> dict[str, tuple[float, float]]:
+def with_sigmas(
+    stated: Mapping[str, float | Sequence[float]],
+) -> dict[str, tuple[float, float]]:
     """Value and sigma by name; zero where none is stated.
 
     Args:
@@ -34,7 +36,9 @@ def with_sigmas(stated: Mapping[str, float | Sequence[float]]) -> dict[str, tupl
     """
     values = {}
     for name, given in stated.items():
-        value, sigma, *_ = (*given, 0.0) if isinstance(given, Sequence) else (given, 0.0)
+        value, sigma, *_ = (
+            (*given, 0.0) if isinstance(given, Sequence) else (given, 0.0)
+        )
         values[name] = float(value), float(sigma)
     return values
 
@@ -102,7 +106,9 @@ class Checked(Value):
     def __init_subclass__(cls) -> None:
         hints = get_type_hints(cls, include_extras=True).items()
         metadata = {name: getattr(hint, "__metadata__", ()) for name, hint in hints}
-        cls._valid = {k: (TypeAdapter(each[0]), each[1]) for k, each in metadata.items() if each}
+        cls._valid = {
+            k: (TypeAdapter(each[0]), each[1]) for k, each in metadata.items() if each
+        }
 
     def __post_init__(self) -> None:
         for name, (adapter, meaning) in self._valid.items():
@@ -135,22 +141,28 @@ class Settings(Checked):
     """Barycentric parameters that are known to be zero: true for all that are zero in the
     model file, or their names, such as "mb1x" or "K2xy"."""
 
-    position_cutoff: Annotated[Cutoff | None, Filter, 'a positive frequency [Hz] or "off"'] = "fit"
+    position_cutoff: Annotated[
+        Cutoff | None, Filter, 'a positive frequency [Hz] or "off"'
+    ] = "fit"
     """Low-pass on encoder positions before they are differentiated [Hz], or "off". At least
     twice `cutoff`: what it takes from the motion would bias the estimate. By default 40 Hz, or
     none where the sampling is too slow for that."""
 
-    cutoff: Annotated[Cutoff | None, Filter, 'a positive frequency [Hz] or "off"'] = "fit"
+    cutoff: Annotated[Cutoff | None, Filter, 'a positive frequency [Hz] or "off"'] = (
+        "fit"
+    )
     """Low-pass on the regressor's columns and the measurement alike [Hz], or "off". By default
     5 Hz, or a tenth of the sampling rate or half of `position_cutoff` where that is less."""
 
-    deadband: Annotated[float, Amount, f"a speed [rad/s or m/s], from 0 to {LARGEST:g}"] = 0.02
+    deadband: Annotated[
+        float, Amount, f"a speed [rad/s or m/s], from 0 to {LARGEST:g}"
+    ] = 0.02
     """Joints that are slower rest: dry friction there has no sign, and is unknown
     [rad/s or m/s]."""
 
-    reversal_reach: Annotated[float | None, Amount | None, f"a time [s], from 0 to {LARGEST:g}"] = (
-        None
-    )
+    reversal_reach: Annotated[
+        float | None, Amount | None, f"a time [s], from 0 to {LARGEST:g}"
+    ] = None
     """Rows of a joint that rests within this time do not count, since the filter on rows spreads
     what friction does there [s]. Default: in an estimate they do, whitened of it; where single
     rows are looked at, all but 3 % of the filter's weight has to move, 0.15 s at 5 Hz."""
@@ -175,7 +187,10 @@ class Settings(Checked):
 
     nuisances: Annotated[
         Sequence[str],
-        Annotated[tuple[Annotated[Name, AfterValidator(term_of)], ...], AfterValidator(_distinct)],
+        Annotated[
+            tuple[Annotated[Name, AfterValidator(term_of)], ...],
+            AfterValidator(_distinct),
+        ],
         "a list of names, none twice",
     ] = ()
     """What of the instrument is unknown beside the parameters, for the external method: "bias",
@@ -253,7 +268,9 @@ class Settings(Checked):
         """
         rows = self.cutoff
         if rows == FIT:
-            rows = min(ROW_CUTOFF, SLOWEST_ROWS * rate, (self.position_low_pass or np.inf) / 2)
+            rows = min(
+                ROW_CUTOFF, SLOWEST_ROWS * rate, (self.position_low_pass or np.inf) / 2
+            )
         positions: Cutoff | None = self.position_cutoff
         if positions == FIT:
             positions = POSITION_CUTOFF if rate / 2 > POSITION_CUTOFF else "off"
@@ -274,7 +291,9 @@ class Settings(Checked):
         laws = tuple(name for name in listed if name not in known)
         try:
             return replace(
-                self, nuisances=tuple(errors) or self.nuisances, terms=laws or self.terms
+                self,
+                nuisances=tuple(errors) or self.nuisances,
+                terms=laws or self.terms,
             )
         except UnknownName as error:
             raise UnknownName("term", error.name, (*known, *error.known)) from None

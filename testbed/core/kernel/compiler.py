@@ -23,7 +23,9 @@ from testbed.core.robot import friction, laws
 
 settings: Any = config  # whose names Numba makes while it loads
 
-WIDE = "+avx512f" in (settings.CPU_FEATURES or binding.get_host_cpu_features().flatten())
+WIDE = "+avx512f" in (
+    settings.CPU_FEATURES or binding.get_host_cpu_features().flatten()
+)
 """Whether there are 32 vector registers, enough for tiles of four slots by four."""
 
 
@@ -87,7 +89,9 @@ def call(typing: Any, address: Any, arguments: Any) -> Any:
 
     def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         function, packed = values
-        parts = [builder.extract_value(packed, k) for k in range(len(signature.args[1]))]
+        parts = [
+            builder.extract_value(packed, k) for k in range(len(signature.args[1]))
+        ]
         kind = ir.FunctionType(ir.VoidType(), [part.type for part in parts])
         builder.call(builder.inttoptr(function, kind.as_pointer()), parts)
         return context.get_dummy_value()

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 from testbed.core.kernel.compiler import WIDE, inline, outer, part, plain, summing
-from testbed.core.kernel.records import CHUNK, LARGEST_REST, LARGEST_VARIANCE, REST_VARIANCE, D
+from testbed.core.kernel.records import (
+    CHUNK,
+    LARGEST_REST,
+    LARGEST_VARIANCE,
+    REST_VARIANCE,
+    D,
+)
 from testbed.core.kernel.rows import dot, fill
 
 
@@ -34,7 +40,12 @@ def products(X, Y, n):
     a = b = c = d = (0.0, 0.0, 0.0, 0.0)
     for k in range(n):
         x, y = four(X, k), four(Y, k)
-        a, b, c, d = plus(a, x[0], y), plus(b, x[1], y), plus(c, x[2], y), plus(d, x[3], y)
+        a, b, c, d = (
+            plus(a, x[0], y),
+            plus(b, x[1], y),
+            plus(c, x[2], y),
+            plus(d, x[3], y),
+        )
     return a, b, c, d
 
 
@@ -129,7 +140,9 @@ def count_rests(rows, signals, work, centre, lo, hi, at, n):
                         work.Z[(rows.slots + c) * D + lo + r] = 1.0
                 elif H[r * D + k] != 0.0:
                     for d in range(min(band, r + 1)):
-                        G[(c * band + d) * D + lo + r] += H[r * D + k] * H[(r - d) * D + k]
+                        G[(c * band + d) * D + lo + r] += (
+                            H[r * D + k] * H[(r - d) * D + k]
+                        )
 
 
 @part
@@ -144,7 +157,9 @@ def whiten_rests(X, G, U, size, count):
             covariance = REST_VARIANCE / size * G[(r - j) * D + r]
             for i in range(max(0, r - len(G) // D + 1), j):
                 covariance -= G[(r - i) * D + r] * G[(j - i) * D + j]
-            G[(r - j) * D + r] = covariance / G[j] if j < r else (1.0 + covariance) ** 0.5
+            G[(r - j) * D + r] = (
+                covariance / G[j] if j < r else (1.0 + covariance) ** 0.5
+            )
         U[r] = 1.0 if rest < LARGEST_REST and G[r] ** 2 < 1 + LARGEST_VARIANCE else 0.0
     for s in range(0, len(X), D):
         for r in range(count):

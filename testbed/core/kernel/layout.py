@@ -16,6 +16,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.transform import Transform
+from testbed.core.kernel.independent_columns import independent_columns
 from testbed.core.kernel.records import (
     CACHE,
     KS,
@@ -35,7 +36,7 @@ from testbed.core.kernel.records import (
     law_number,
 )
 from testbed.core.parameters.minimal_set import MinimalSet
-from testbed.core.parameters.regroup import beyond, moved_inertia
+from testbed.core.parameters.regroup import moved_inertia
 from testbed.core.parameters.rules import Model, across
 from testbed.core.robot.friction import JointTerm
 from testbed.core.robot.shafts import shares
@@ -94,7 +95,10 @@ def canonical(tree: Tree) -> Canonical:
     Args:
         tree: The robot; only its geometry matters.
     """
-    frames = [np.eye(3), *(across(joint.axis).R_BT for joint in tree.joints)]  # bedplate first
+    frames = [
+        np.eye(3),
+        *(across(joint.axis).R_BT for joint in tree.joints),
+    ]  # bedplate first
     for i in range(-1, tree.n):
         leans = [_lean(_between(tree, frames, j)) for j in tree.children(i)]
         first = next((angle for angle in leans if angle is not None), None)
@@ -104,7 +108,10 @@ def canonical(tree: Tree) -> Canonical:
     place: list[int] = []
     for j, joint in enumerate(tree.joints):
         parent = place[joint.parent] if joint.parent >= 0 else -1
-        turn, offset = _between(tree, frames, j), frames[joint.parent + 1].T @ joint.offset
+        turn, offset = (
+            _between(tree, frames, j),
+            frames[joint.parent + 1].T @ joint.offset,
+        )
         aside = _lean(turn)
         if aside:
             links.append(KernelLink(-1, parent, True, np.zeros(3), (1.0, 0.0), aside))
@@ -160,7 +167,9 @@ class Shelf:
 
     def __init__(self, links: Sequence[KernelLink], first: int) -> None:
         self.links, self.count = links, first
-        self.carried = np.bincount([link.parent + 1 for link in links], minlength=len(links) + 1)
+        self.carried = np.bincount(
+            [link.parent + 1 for link in links], minlength=len(links) + 1
+        )
         self.places: dict[tuple[int, int], int] = {}
         self.left: dict[tuple[int, int], int] = {}
         self.free: list[int] = []
@@ -171,7 +180,10 @@ class Shelf:
             self.free.append(self.count)
             self.count += 1
         place = self.free.pop()
-        self.places[channel, link], self.left[channel, link] = place, self.carried[link + 1]
+        self.places[channel, link], self.left[channel, link] = (
+            place,
+            self.carried[link + 1],
+        )
         for done in ((channel, link), (channel, self.links[link].parent)):
             if done in self.left:
                 self.left[done] -= done[1] != link
@@ -204,9 +216,13 @@ class LayoutBuilder:
             if self._carries(self.base if link < 0 else link, k):
                 here = [p for p in self.places[k] if not force or p[0] in PUSHED]
                 inner = k != link and not self._stands(k)
-                if inner and not self.links[k].slides:  # its carriers know its mass already
+                if (
+                    inner and not self.links[k].slides
+                ):  # its carriers know its mass already
                     here = [p for p in here if p[0] != MBAR]
-                pairs.append((k, self.slots, [e + (e == MBAR and inner) for e, _ in here]))
+                pairs.append(
+                    (k, self.slots, [e + (e == MBAR and inner) for e, _ in here])
+                )
                 columns += [column for _, column in here]
                 self.slots += len(here)
         for law, column in terms:
@@ -215,10 +231,14 @@ class LayoutBuilder:
             self.slots += 1
         self.measured.append(self.slots)
         for k, slot, entries in pairs:
-            made = 2 if force else USUAL  # entries written there at once; later ones overwrite
+            made = (
+                2 if force else USUAL
+            )  # entries written there at once; later ones overwrite
             usual = [e for e in entries if e < USUAL]
             fits = usual == list(range(len(usual))) and slot + made <= self.slots + 1
-            pair = Pair(len(self.starts), k == link, force, slot, len(usual) * fits, entries)
+            pair = Pair(
+                len(self.starts), k == link, force, slot, len(usual) * fits, entries
+            )
             self.pairs[k].append(pair)
         self.slots = start + -(-(self.slots + 1 - start) // 4) * 4
         self.starts.append(start)
@@ -251,7 +271,9 @@ class LayoutBuilder:
                     source.append(shelf.places[pair.channel, k])
                     target.append(shelf.places[pair.channel, k])
                 else:
-                    source.append(shelf.places.get((pair.channel, link.parent), pair.channel))
+                    source.append(
+                        shelf.places.get((pair.channel, link.parent), pair.channel)
+                    )
                     target.append(shelf.put(pair.channel, k))
                 pairs.append(pair)
         return pairs, source, target
@@ -271,7 +293,9 @@ class LayoutBuilder:
             force=np.array([pair.force for pair in pairs], np.bool_),
             slot=ints([pair.slot for pair in pairs]),
             direct=np.array([pair.direct > 0 for pair in pairs], np.bool_),
-            rest=np.array([max(pair.entries, default=0) >= USUAL for pair in pairs], np.bool_),
+            rest=np.array(
+                [max(pair.entries, default=0) >= USUAL for pair in pairs], np.bool_
+            ),
             copies=ints(np.cumsum([0, *map(len, copies)])),
             copy_from=ints([e for each in copies for e, _ in each]),
             copy_to=ints([slot for each in copies for _, slot in each]),
@@ -342,7 +366,8 @@ class Layout:
     def compiles(self) -> bool:
         """Whether the compiled kernel knows all columns: those of LAWS, at joints."""
         return all(
-            law_number(term.law) != UNKNOWN and term.joint < self.tree.n for term in self.terms
+            law_number(term.law) != UNKNOWN and term.joint < self.tree.n
+            for term in self.terms
         )
 
 
@@ -409,7 +434,9 @@ def _robot(frames: Canonical, gravity: Array, tree: Tree) -> Robot:
         places.append(shelf.put(0, k))
     seeds = np.zeros((SEEDS, 6))
     here = frames.bedplate if tree.sensor_body < 0 else frames.frames[tree.sensor_body]
-    seeds[:3, 3:] = seeds[3:6, :3] = here  # row k: axis k of the bedplate, or of the base
+    seeds[:3, 3:] = seeds[3:6, :3] = (
+        here  # row k: axis k of the bedplate, or of the base
+    )
     if tree.sensor is not None:
         seeds[:6] = tree.sensor.X_BS.inverse.wrench_matrix @ seeds[:6]
     seeds[TURNING, 2] = seeds[SLIDING, 5] = 1.0
@@ -423,7 +450,13 @@ def _robot(frames: Canonical, gravity: Array, tree: Tree) -> Robot:
         ),
         joint=np.array(
             [
-                (*link.lean, *link.offset, link.turn, np.cos(link.turn), np.sin(link.turn))
+                (
+                    *link.lean,
+                    *link.offset,
+                    link.turn,
+                    np.cos(link.turn),
+                    np.sin(link.turn),
+                )
                 for link in links
             ]
         ),
@@ -432,7 +465,9 @@ def _robot(frames: Canonical, gravity: Array, tree: Tree) -> Robot:
     )
 
 
-def _columns(turn: Array, minimal: MinimalSet, *, whole: bool) -> tuple[list[int], Array]:
+def _columns(
+    turn: Array, minimal: MinimalSet, *, whole: bool
+) -> tuple[list[int], Array]:
     """Canonical parameters to take as columns, and how they make up the minimal ones.
 
     As many as there are minimal parameters where their span allows it, else all that the
@@ -444,25 +479,15 @@ def _columns(turn: Array, minimal: MinimalSet, *, whole: bool) -> tuple[list[int
     needed = np.flatnonzero(np.abs(lift).max(axis=1, initial=0.0) > TINY)
     if len(needed) > minimal.count and not whole:
         back = np.linalg.inv(turn)
-        allowed = ~(np.abs(back) * minimal.known_zero[:, :, None] > TINY).any(axis=1).ravel()
-        projected = np.einsum("njb,jbc->njc", minimal.matrix.reshape(-1, len(turn), 10), back)
+        allowed = (
+            ~(np.abs(back) * minimal.known_zero[:, :, None] > TINY).any(axis=1).ravel()
+        )
+        projected = np.einsum(
+            "njb,jbc->njc", minimal.matrix.reshape(-1, len(turn), 10), back
+        )
         projected = projected.reshape(minimal.count, -1) * allowed
         order = [10 * j + c for c in ORDER for j in range(len(turn))]
         picked = sorted(independent_columns(projected, order))
         if len(picked) == minimal.count:
             return picked, np.linalg.inv(projected[:, picked])
     return needed.tolist(), lift[needed]
-
-
-def independent_columns(matrix: Array, order: Sequence[int]) -> list[int]:
-    """Columns that span all others, earlier ones preferred unless nearly dependent."""
-    picked: list[int] = []
-    basis = np.zeros((0, len(matrix)))
-    for threshold in (0.3, 0.03, 1e-3, 1e-6):
-        for k in order if len(picked) < len(matrix) else ():
-            rest = beyond(matrix[:, k], basis)
-            length = np.linalg.norm(rest)
-            if length > threshold:
-                picked.append(k)
-                basis = np.vstack([basis, rest / length])
-    return picked

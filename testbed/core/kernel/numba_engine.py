@@ -120,7 +120,9 @@ def _call(*arguments: object) -> None:
     if not compiled.overloads:
         with _compiling:  # threads ask at once
             if not compiled.overloads:
-                if not any(Path(compiled.stats.cache_path).glob(f"*.{compiled.__name__}-*.nbi")):
+                if not any(
+                    Path(compiled.stats.cache_path).glob(f"*.{compiled.__name__}-*.nbi")
+                ):
                     _log.warning("compiling the kernel once, about 13 s")
                 with ThreadPoolExecutor(1) as pool:
                     pool.submit(compiled, *arguments).result()

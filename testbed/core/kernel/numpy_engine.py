@@ -52,7 +52,12 @@ def sweep(layout: Layout, signals: Signals, given: list[Block]) -> Sums:
         given: Its `rows`, of whichever engine.
     """
     sums = sums_for(layout.rows)
-    for values in (signals.position, signals.velocity, signals.acceleration, signals.measured):
+    for values in (
+        signals.position,
+        signals.velocity,
+        signals.acceleration,
+        signals.measured,
+    ):
         sums.squares[...] += np.vdot(values, values)
     for block in given:
         sums.used[...] += block.used
@@ -62,16 +67,28 @@ def sweep(layout: Layout, signals: Signals, given: list[Block]) -> Sums:
 
 def _block(layout: Layout, signals: Signals, number: int) -> Block:
     half = len(signals.weights) // 2
-    begin, span = signals.start - half, (signals.number - 1) * signals.step + 2 * half + 1
+    begin, span = (
+        signals.start - half,
+        (signals.number - 1) * signals.step + 2 * half + 1,
+    )
     z = np.zeros((layout.rows.slots, signals.number))
-    rests = np.zeros((layout.width, signals.number, signals.number) if signals.deadband > 0 else 0)
+    rests = np.zeros(
+        (layout.width, signals.number, signals.number) if signals.deadband > 0 else 0
+    )
     for at in range(0, span, SAMPLES):
         some = min(SAMPLES, span - at)
         motion = motion_of(signals, begin + at, some)
         y = _unfiltered(layout, signals, begin + at, motion)
-        first, last = (at - 2 * half - 1) // signals.step + 1, (at + some - 1) // signals.step + 1
+        first, last = (
+            (at - 2 * half - 1) // signals.step + 1,
+            (at + some - 1) // signals.step + 1,
+        )
         reached = slice(max(first, 0), min(last, signals.number))
-        offset = at + np.arange(some) - np.arange(signals.number)[reached, None] * signals.step
+        offset = (
+            at
+            + np.arange(some)
+            - np.arange(signals.number)[reached, None] * signals.step
+        )
         inside = (offset >= 0) & (offset < len(signals.weights))
         weights = np.where(inside, signals.weights[np.where(inside, offset, 0)], 0.0)
         z[:, reached] += y @ weights.T
@@ -121,11 +138,17 @@ def motion_of(
     time, last = np.arange(count) * stride / rate, first + (count - 1) * stride + 1
     if len(signals.velocity):
         part = slice(first, last, stride)
-        motion = (signals.position[part], signals.velocity[part], signals.acceleration[part])
+        motion = (
+            signals.position[part],
+            signals.velocity[part],
+            signals.acceleration[part],
+        )
         return Motion(time, *motion)
     half = signals.taps.shape[1] // 2
     around = signals.position[first - half : last + half]
-    windows = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1, axis=0)[::stride]
+    windows = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1, axis=0)[
+        ::stride
+    ]
     return Motion(time, *(windows @ taps for taps in signals.taps))
 
 
@@ -149,7 +172,9 @@ def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) ->
             term = layout.terms[column - phi.shape[2]]
             y[at + len(bodies) + k] = turn[term.joint, c] * own[term.law][:, term.joint]
             if term.law.by:
-                y[at + len(bodies) + k] *= _varying(signals, term, first, load[:, c], smooth[:, c])
+                y[at + len(bodies) + k] *= _varying(
+                    signals, term, first, load[:, c], smooth[:, c]
+                )
         y[layout.rows.measured[c]] = signals.measured[first : first + motion.samples, c]
     return y
 

@@ -152,7 +152,9 @@ def law_number(law: JointLaw) -> int:
     Args:
         law: Of a joint's torque.
     """
-    same = (k for k, known in enumerate(LAWS) if known.column is law.column and not law.by)
+    same = (
+        k for k, known in enumerate(LAWS) if known.column is law.column and not law.by
+    )
     return next(same, UNKNOWN)
 
 
@@ -173,8 +175,12 @@ class Signals(NamedTuple):
     start: int  # sample of the first row
     step: int  # samples from row to row
     number: int  # of rows
-    varying: Array = NONE  # time and temperatures, (M, 1 + n), where a law is multiplied by them
-    load: Array = NO_LOAD  # of the body columns, their values, (P',), where a law is of the load
+    varying: Array = (
+        NONE  # time and temperatures, (M, 1 + n), where a law is multiplied by them
+    )
+    load: Array = (
+        NO_LOAD  # of the body columns, their values, (P',), where a law is of the load
+    )
 
 
 def sensed(q: Array, qd: Array, qdd: Array, channels: int) -> Signals:

@@ -43,7 +43,11 @@ def plus(a, b):
 @inline
 def cross(a, b):
     """Cross product of two vectors."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
 
 
 @inline
@@ -167,7 +171,11 @@ def slide(X, q, qd, qdd):
     for k in range(NB):
         z, speed = q[k], 2.0 * qd[k]
         x, y, along = column(matrix(X, k), 2)
-        more = x * z + X[W + B + k] * speed, y * z - X[W + k] * speed, along * z + qdd[k]
+        more = (
+            x * z + X[W + B + k] * speed,
+            y * z - X[W + k] * speed,
+            along * z + qdd[k],
+        )
         X[Z + k] = z
         put(X, ZZ, k, more)
         put(X, A, k, plus(vector(X, A, k), more))
@@ -178,7 +186,10 @@ def push(J, P, V, X, Y):
     """`carry` of a screw that only slides: a force. Entries: mbx, mby."""
     lean = J[0], J[1]
     for k in range(NB):
-        v, o = turn(X[C + k], X[S + k], inclined(lean, vector(P, 3 * B, k))), matrix(X, k)
+        v, o = (
+            turn(X[C + k], X[S + k], inclined(lean, vector(P, 3 * B, k))),
+            matrix(X, k),
+        )
         put(V, 3 * B, k, v)
         Y[k], Y[D + k] = inner(v, column(o, 0)), inner(v, column(o, 1))
 
@@ -361,7 +372,9 @@ def fill(robot, rows, signals, first, count, work, Y):
     """Rows at `count` samples from `first` on, unfiltered; zeros up to a full block."""
     for at in range(0, count, NB):
         some = min(NB, count - at)
-        for i in range(len(robot.place)):  # all at once: their samples share cache lines
+        for i in range(
+            len(robot.place)
+        ):  # all at once: their samples share cache lines
             if robot.coordinate[i] >= 0:
                 read_link(i, robot, signals, first + at, some, work)
         for i in range(len(robot.place)):

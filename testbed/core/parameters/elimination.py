@@ -79,7 +79,10 @@ def kept_label(tree: Tree, body: int, kept: Kept) -> Label:
     carries = bool(tree.children(body))
     return Label(
         tuple(
-            Term(Symbol(head, (body + 1,), tail, carries and head != "mbar"), ((factor, None),))
+            Term(
+                Symbol(head, (body + 1,), tail, carries and head != "mbar"),
+                ((factor, None),),
+            )
             for factor, head, tail in kept.terms
         )
     )
@@ -100,12 +103,21 @@ def static_entries(tree: Tree, gravity: Array) -> list[Entry]:
     entries = [_static(Symbol("mbar", (lone,), ""), np.eye(10)[0])]
     triad = across(gravity / np.linalg.norm(gravity))
     for direction, letter in zip(triad.axes[:2], triad.letters[:2], strict=True):
-        entries.append(_static(Symbol("mb", (0,), letter, star=True), np.pad(direction, (1, 6))))
+        entries.append(
+            _static(Symbol("mb", (0,), letter, star=True), np.pad(direction, (1, 6)))
+        )
     return entries
 
 
 def _static(symbol: Symbol, form: Array) -> Entry:
-    return Entry(Label((Term(symbol),)), UNIT_OF[symbol.head], BEDPLATE, form, np.zeros(10), False)
+    return Entry(
+        Label((Term(symbol),)),
+        UNIT_OF[symbol.head],
+        BEDPLATE,
+        form,
+        np.zeros(10),
+        False,
+    )
 
 
 def dynamic_first(
@@ -223,7 +235,10 @@ class _Directions:
 
 
 def eliminate(
-    tree: Tree, bodies: Sequence[Body], entries: Sequence[Entry], known_zero: NDArray[np.bool_]
+    tree: Tree,
+    bodies: Sequence[Body],
+    entries: Sequence[Entry],
+    known_zero: NDArray[np.bool_],
 ) -> Elimination:
     """Decide which entries are independent.
 
@@ -237,7 +252,9 @@ def eliminate(
         known_zero: Barycentric parameters known to be zero, (n, 10).
     """
     whole = [not row.any() for row in known_zero]
-    members: dict[int, dict[int, Entry]] = {body: {} for body in range(BEDPLATE, tree.n)}
+    members: dict[int, dict[int, Entry]] = {
+        body: {} for body in range(BEDPLATE, tree.n)
+    }
     for k, entry in enumerate(entries):
         members[entry.body][k] = entry
     settled = _of_a_body(tree.n, 0, [], FREE)
@@ -248,7 +265,9 @@ def eliminate(
         if carrier != BEDPLATE and whole[body] and whole[carrier]:
             done = _undisturbed(tree.n, body, members[body], directions)
         else:
-            directions = _free(tree.n, body, members[body], known_zero[body]).beside(directions)
+            directions = _free(tree.n, body, members[body], known_zero[body]).beside(
+                directions
+            )
             directions, combined = _chosen(members[body], directions)
             dependent |= combined
             done, passed = _passed(directions, passed_on(tree, bodies, body))
@@ -257,8 +276,12 @@ def eliminate(
     directions, combined = _chosen(members[BEDPLATE], carried[BEDPLATE])
     settled = settled.beside(directions.of(directions.entries != FREE))
     settled = settled.of(np.argsort(settled.entries))
-    lift = np.where(np.abs(settled.rows) > ROUNDING * settled.sizes[:, None], settled.rows, 0.0)
-    return Elimination(tuple(settled.entries.tolist()), lift[:, 10:].T, dependent | combined)
+    lift = np.where(
+        np.abs(settled.rows) > ROUNDING * settled.sizes[:, None], settled.rows, 0.0
+    )
+    return Elimination(
+        tuple(settled.entries.tolist()), lift[:, 10:].T, dependent | combined
+    )
 
 
 def _of_a_body(
@@ -267,10 +290,14 @@ def _of_a_body(
     """Directions of a body's own parameters, (k, 10)."""
     rows = np.zeros((len(values), n + 1, 10))
     rows[:, 0] = rows[:, body + 1] = np.reshape(values, (-1, 10))
-    return _Directions(rows.reshape(-1, 10 * n + 10), np.full(len(values), entries, dtype=int))
+    return _Directions(
+        rows.reshape(-1, 10 * n + 10), np.full(len(values), entries, dtype=int)
+    )
 
 
-def _undisturbed(n: int, body: int, own: dict[int, Entry], directions: _Directions) -> _Directions:
+def _undisturbed(
+    n: int, body: int, own: dict[int, Entry], directions: _Directions
+) -> _Directions:
     """Where nothing is known of a body and its carrier: all entries, nothing passed on."""
     bound = directions.of(directions.entries != FREE)
     # the body's own parameters make up for what it was passed
@@ -279,10 +306,15 @@ def _undisturbed(n: int, body: int, own: dict[int, Entry], directions: _Directio
     return alone.beside(_Directions(rows, bound.entries))
 
 
-def _free(n: int, body: int, own: dict[int, Entry], known_zero: NDArray[np.bool_]) -> _Directions:
+def _free(
+    n: int, body: int, own: dict[int, Entry], known_zero: NDArray[np.bool_]
+) -> _Directions:
     """Directions of a body's own parameters: its entries' alone, and single parameters."""
     alone = (entry.alone for entry in own.values())
-    values = [*(each for each in alone if not each[known_zero].any()), *np.eye(10)[~known_zero]]
+    values = [
+        *(each for each in alone if not each[known_zero].any()),
+        *np.eye(10)[~known_zero],
+    ]
     return _of_a_body(n, body, values, FREE)
 
 

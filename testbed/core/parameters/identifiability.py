@@ -63,7 +63,9 @@ def identifiability(
     tared = _told(minimal_set(tree, "reaction", g, zeros, tared=True))
     own = np.eye(10 * tree.n)
     units = sparse.csr_array(on_standard(tree, own))
-    back = sparse.csr_array(to_standard(tree, own.reshape(tree.n, 10, -1)).reshape(own.shape))
+    back = sparse.csr_array(
+        to_standard(tree, own.reshape(tree.n, 10, -1)).reshape(own.shape)
+    )
     if tree.sensor is None:
         torques = _told(minimal_set(tree, "dynamic", g, zeros))
         sets = (torques, plate, tared, _beside_a_pedestal(tree, g, zeros, tared))
@@ -124,7 +126,9 @@ def _told(minimal: MinimalSet) -> _Told:
 
 def _largest(matrix: sparse.sparray, axis: int = 0) -> Array:
     found = abs(sparse.csr_array(matrix)).max(axis=axis) if min(matrix.shape) else None
-    return np.zeros(matrix.shape[1 - axis]) if found is None else found.toarray().ravel()
+    return (
+        np.zeros(matrix.shape[1 - axis]) if found is None else found.toarray().ravel()
+    )
 
 
 def _beside_a_pedestal(
@@ -139,5 +143,7 @@ def _beside_a_pedestal(
     added = sparse.eye_array(len(static))
     weight = sparse.csr_array(static)
     rows = sparse.block_array([[None, tared.rows], [added, weight]], format="csr")
-    lift = sparse.block_array([[-weight @ tared.lift, added], [tared.lift, None]], format="csc")
+    lift = sparse.block_array(
+        [[-weight @ tared.lift, added], [tared.lift, None]], format="csc"
+    )
     return _Told(rows, lift)

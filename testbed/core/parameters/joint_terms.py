@@ -66,14 +66,20 @@ class DriveSet(Value):
     def regrouped(self) -> Mapping[JointTerm, Array]:
         """Terms without a column of their own: what each adds to the unknowns, (count,)."""
         own = set(self.terms)
-        return {term: self.columns[:, k] for k, term in enumerate(self.asked) if term not in own}
+        return {
+            term: self.columns[:, k]
+            for k, term in enumerate(self.asked)
+            if term not in own
+        }
 
     @cached_property
     def labels(self) -> tuple[Label, ...]:
         """Names as values: what each unknown is the sum of."""
         own = (Label((Term(self.symbol(term)),)) for term in self.terms)
         plain = (*self.minimal.labels, *own)
-        return tuple(Label((*label.terms, *self._added(k))) for k, label in enumerate(plain))
+        return tuple(
+            Label((*label.terms, *self._added(k))) for k, label in enumerate(plain)
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -120,7 +126,9 @@ class DriveSet(Value):
             tree: Gives the coefficients of the terms.
         """
         terms = [
-            float(term.law.coefficients(tree)[term.joint]) if term.joint < tree.n else 0.0
+            float(term.law.coefficients(tree)[term.joint])
+            if term.joint < tree.n
+            else 0.0
             for term in self.asked
         ]
         found: Array = self.columns @ np.array(terms)
@@ -138,7 +146,9 @@ class DriveSet(Value):
                 yield Term(self.symbol(term), ((float(column[unknown]), None),))
 
 
-def with_joint_terms(tree: Tree, minimal: MinimalSet, laws: Sequence[str | JointLaw]) -> DriveSet:
+def with_joint_terms(
+    tree: Tree, minimal: MinimalSet, laws: Sequence[str | JointLaw]
+) -> DriveSet:
     """The minimal set of bodies and drives together, exact and before any data.
 
     Args:
@@ -153,7 +163,9 @@ def with_joint_terms(tree: Tree, minimal: MinimalSet, laws: Sequence[str | Joint
         ValueError: The set is not the joint torques'.
     """
     if minimal.model != "dynamic":
-        raise ValueError(f"joint terms belong to the dynamic set, this is the {minimal.model} one")
+        raise ValueError(
+            f"joint terms belong to the dynamic set, this is the {minimal.model} one"
+        )
     asked = tuple(term for term in joint_terms(tree, laws) if term.joint < tree.n)
     rotors = {term.joint for term in asked if term.law == ROTOR}
     offsets = {term.joint: term for term in asked if term.law in CONSTANTS}
@@ -161,7 +173,9 @@ def with_joint_terms(tree: Tree, minimal: MinimalSet, laws: Sequence[str | Joint
     lone = {joint: force for joint, force in lone.items() if joint in rotors}
     shares = _rotor_shares(minimal, list(lone))
     regrouped = {joint: k for k, joint in enumerate(lone) if shares[k, k]}
-    terms = tuple(term for term in asked if term.law != ROTOR or term.joint not in regrouped)
+    terms = tuple(
+        term for term in asked if term.law != ROTOR or term.joint not in regrouped
+    )
     place = {term: minimal.count + k for k, term in enumerate(terms)}
     columns = np.zeros((minimal.count + len(terms), len(asked)))
     for column, term in zip(columns.T, asked, strict=True):
@@ -175,7 +189,9 @@ def with_joint_terms(tree: Tree, minimal: MinimalSet, laws: Sequence[str | Joint
                 column[place[JointTerm(ROTOR, joint)]] = -share[joint]
             if force:
                 column[place[offsets[joint]]] = -force * share[joint]
-    return DriveSet(minimal, asked, terms, readonly(columns, columns.shape, "columns"), tree)
+    return DriveSet(
+        minimal, asked, terms, readonly(columns, columns.shape, "columns"), tree
+    )
 
 
 def _rotor_shares(minimal: MinimalSet, lone: list[int]) -> Array:
@@ -211,7 +227,9 @@ def _lone(tree: Tree, gravity: Array, offsets: Collection[int]) -> dict[int, flo
         By joint, the constant force per unit of that inertia which an offset takes up.
     """
     found = {}
-    for j, each in enumerate(seen_wrenches(tree, "dynamic", gravity, np.zeros((0, 10)))):
+    for j, each in enumerate(
+        seen_wrenches(tree, "dynamic", gravity, np.zeros((0, 10)))
+    ):
         known = each.aside
         inertia, weight = beyond(each.inertia, known), beyond(each.weight, known)
         size, heavy = float(np.linalg.norm(inertia)), float(np.linalg.norm(weight))

@@ -73,7 +73,9 @@ class MinimalSet(Value):
     @property
     def summary(self) -> SummaryTable:
         """Name, unit and formula of each parameter."""
-        rows = zip(self.names, self.units, (each.said for each in self.formulas), strict=True)
+        rows = zip(
+            self.names, self.units, (each.said for each in self.formulas), strict=True
+        )
         head = f"{self.count} minimal parameters of the {self.model} model of {self.robot.name}"
         return SummaryTable(head, tuple(rows))
 
@@ -129,7 +131,9 @@ class MinimalSet(Value):
     @property
     def reasons(self) -> tuple[str, ...]:
         """Table and row of the rule that keeps each parameter; `rules.REASONS` says it."""
-        return tuple("base" if b < 0 else self._bodies[b].row.number for b in self.bodies)
+        return tuple(
+            "base" if b < 0 else self._bodies[b].row.number for b in self.bodies
+        )
 
     @cached_property
     def never(self) -> tuple[str, ...]:
@@ -151,7 +155,10 @@ class MinimalSet(Value):
         """
         place = {candidate: k for k, candidate in enumerate(self._elimination.kept)}
         return tuple(
-            (self._candidates[c].joint, {place[k]: share for k, share in shares.items()})
+            (
+                self._candidates[c].joint,
+                {place[k]: share for k, share in shares.items()},
+            )
             for c, shares in self._elimination.dependent.items()
         )
 
@@ -221,7 +228,9 @@ class MinimalSet(Value):
             lengths: "symbols" prints l12z, "numbers" its value.
         """
         namer = Namer(self._tree, self._bodies, self.known_zero, lengths)
-        wanted = {t.symbol for formula in self.formulas_with(lengths) for t in formula.right}
+        wanted = {
+            t.symbol for formula in self.formulas_with(lengths) for t in formula.right
+        }
         found: list[Formula] = []
         for body in range(self._tree.n):
             for component in range(1, 10):
@@ -238,7 +247,9 @@ class MinimalSet(Value):
         By body index, -1 for the bedplate; w is the joint axis, the only axis of rotation,
         or the direction of gravity.
         """
-        found = {b: self._bodies[b].row.triad for b in sorted(set(self.bodies)) if b >= 0}
+        found = {
+            b: self._bodies[b].row.triad for b in sorted(set(self.bodies)) if b >= 0
+        }
         if BEDPLATE in self.bodies:
             found[BEDPLATE] = across(self.gravity / np.linalg.norm(self.gravity))
         return {body: triad for body, triad in found.items() if triad.inclined}

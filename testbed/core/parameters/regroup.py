@@ -65,7 +65,9 @@ class SeenWrench:
         return span(np.vstack([self.aside, self.inertia, self.weight]))
 
 
-def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> Iterator[SeenWrench]:
+def seen_wrenches(
+    tree: Tree, model: Model, gravity: Array, static: Array
+) -> Iterator[SeenWrench]:
     """What is identifiable of every composite body, from the bedplate outwards.
 
     Args:
@@ -74,7 +76,8 @@ def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> It
         gravity: (3,) [m/s^2], bedplate frame.
         static: Functionals of all that stands on the bedplate that are identifiable, (k, 10).
     """
-    free: list[Array] = [np.eye(6) if model == "reaction" else np.zeros((0, 6))]  # index j + 1
+    # index j + 1
+    free: list[Array] = [np.eye(6) if model == "reaction" else np.zeros((0, 6))]
     rest: list[Array] = [-np.concatenate([gravity, np.zeros(3)])]
     known: list[Array] = [static]
     for j, joint in enumerate(tree.joints):
@@ -82,7 +85,9 @@ def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> It
         rate = _in_our_order(inertia_rate(screw))
         turning, momentum = _ad(screw).T, _momentum(screw)
         still = rest[joint.parent + 1] @ into
-        ahead = _closed(np.vstack([free[joint.parent + 1] @ into, still @ turning]), turning)
+        ahead = _closed(
+            np.vstack([free[joint.parent + 1] @ into, still @ turning]), turning
+        )
         closure = _closed(known[joint.parent + 1] @ moved_inertia(joint.X_PB), rate)
         aside = span(np.vstack([ahead @ momentum, closure @ rate]))
         here = SeenWrench(aside, screw @ momentum, still @ momentum)
@@ -189,7 +194,9 @@ class Body:
     gain: Array
 
 
-def regroup(tree: Tree, model: Model, gravity: Array, *, tared: bool = False) -> tuple[Body, ...]:
+def regroup(
+    tree: Tree, model: Model, gravity: Array, *, tared: bool = False
+) -> tuple[Body, ...]:
     """Apply the rules to every joint.
 
     Args:
@@ -199,7 +206,9 @@ def regroup(tree: Tree, model: Model, gravity: Array, *, tared: bool = False) ->
         tared: The static wrench in one posture has been taken off.
     """
     bodies = []
-    for j, (joint, ahead) in enumerate(zip(tree.joints, mobilities(tree, gravity), strict=True)):
+    for j, (joint, ahead) in enumerate(
+        zip(tree.joints, mobilities(tree, gravity), strict=True)
+    ):
         if j < tree.massless:
             row = NOTHING_KEPT
         elif j == tree.lead - 1:

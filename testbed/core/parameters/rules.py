@@ -70,7 +70,9 @@ class Mobility:
         """
         linear, lever = self.twists[:, :3], self.twists[:, 3:] @ skew(self.axis)
         s = -float(np.sum(lever * linear) / np.sum(lever * lever))
-        return s if np.linalg.norm(linear + s * lever, axis=1).max() <= ALIGNED else None
+        return (
+            s if np.linalg.norm(linear + s * lever, axis=1).max() <= ALIGNED else None
+        )
 
 
 def _distance(vectors: Array, axis: Array) -> float:
@@ -96,7 +98,9 @@ def mobilities(tree: Tree, gravity: Array) -> Iterator[Mobility]:
 def unit_twist(joint: Joint) -> Array:
     """Twist of a joint at unit velocity in its own frame, linear part first, (6,)."""
     nothing = np.zeros(3)
-    return np.concatenate([nothing, joint.axis] if joint.revolute else [joint.axis, nothing])
+    return np.concatenate(
+        [nothing, joint.axis] if joint.revolute else [joint.axis, nothing]
+    )
 
 
 Model = Literal["dynamic", "reaction"]
@@ -195,7 +199,14 @@ def base_rule(functionals: Array) -> Row:
         functionals: What the wrench identifies of the base's ten parameters, (k, 10).
     """
     leads: list[int] = []
-    for column in (*range(4, 10), 1, 2, 3, 0):  # second moments before first ones and the mass
+    # second moments before first ones and the mass
+    for column in (
+        *range(4, 10),
+        1,
+        2,
+        3,
+        0,
+    ):
         if np.linalg.matrix_rank(functionals[:, [*leads, column]], TINY) > len(leads):
             leads.append(column)
     forms = np.linalg.solve(functionals[:, leads], functionals)
@@ -265,7 +276,9 @@ def _moment(direction: Array) -> Array:
 def _moments(triad: Triad, count: int) -> tuple[Kept, ...]:
     """Components of mb^j along the first directions of a triad."""
     pairs = list(zip(triad.letters, map(_moment, triad.axes), strict=True))
-    return tuple(Kept(((1.0, "mb", letter),), form, form) for letter, form in pairs[:count])
+    return tuple(
+        Kept(((1.0, "mb", letter),), form, form) for letter, form in pairs[:count]
+    )
 
 
 def _about_axis(

@@ -50,7 +50,8 @@ STANDARD_ORDER = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)
 def standard(tree: Tree) -> Array:
     """Standard parameters of every body, (n, 10) in the order STANDARD [kg, kg m, kg m^2]."""
     rows = [
-        (inertia.mass, *inertia.first_moment, *inertia.tensor[UPPER]) for inertia in tree.inertias
+        (inertia.mass, *inertia.first_moment, *inertia.tensor[UPPER])
+        for inertia in tree.inertias
     ]
     return readonly(np.array(rows)[:, STANDARD_ORDER], (tree.n, 10), "standard")
 
@@ -62,7 +63,9 @@ def with_standard(tree: Tree, standard: Array) -> Tree:
         tree: The robot.
         standard: (n, 10) in the order STANDARD [kg, kg m, kg m^2].
     """
-    tensors = standard[:, STANDARD_ORDER][:, 4:] @ np.moveaxis(TENSOR, 2, 0).reshape(6, 9)
+    tensors = standard[:, STANDARD_ORDER][:, 4:] @ np.moveaxis(TENSOR, 2, 0).reshape(
+        6, 9
+    )
     bodies = [
         Inertia(own[0], own[1:4], tensor.reshape(3, 3))
         for own, tensor in zip(standard, tensors, strict=True)

@@ -76,7 +76,16 @@ def members_of(
         sensors: Names of force sensors.
     """
     of_sensors = tuple(f"{name}/{axis}" for name in sensors for axis in AXES)
-    pose = ("x", "y", "z", "qw", "qx", "qy", "qz")  # position [m] and quaternion on the ground
+    # position [m] and quaternion on the ground
+    pose = (
+        "x",
+        "y",
+        "z",
+        "qw",
+        "qx",
+        "qy",
+        "qz",
+    )
     own = {"wrench": AXES, "sensors": of_sensors, "base": pose}
     return own.get(signal.removeprefix("truth/"), joints)
 
@@ -88,7 +97,11 @@ def joints_in(columns: Sequence[str]) -> tuple[str, ...]:
 
 def sensors_in(columns: Sequence[str]) -> tuple[str, ...]:
     """Names of force sensors besides the plate."""
-    own = (c.split("/", 1)[1].rpartition("/")[0] for c in columns if c.startswith("sensors/"))
+    own = (
+        c.split("/", 1)[1].rpartition("/")[0]
+        for c in columns
+        if c.startswith("sensors/")
+    )
     return tuple(dict.fromkeys(own))
 
 
@@ -113,7 +126,9 @@ def check_samples(count: int, source: str) -> None:
         RecordingError: It has fewer.
     """
     if count < 2:
-        raise RecordingError(f"{source}: {plural(count, 'sample')}, which is no recording")
+        raise RecordingError(
+            f"{source}: {plural(count, 'sample')}, which is no recording"
+        )
 
 
 def check_columns(columns: Mapping[str, Array], source: str) -> None:

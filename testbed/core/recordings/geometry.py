@@ -38,7 +38,11 @@ def geometry(tree: Tree) -> dict[str, JointGeometry]:
             parent,
             three(joint.axis),
             three(joint.offset),
-            (three(joint.rotation[0]), three(joint.rotation[1]), three(joint.rotation[2])),
+            (
+                three(joint.rotation[0]),
+                three(joint.rotation[1]),
+                three(joint.rotation[2]),
+            ),
         )
         for joint, parent in zip(tree.joints, parents, strict=True)
     }
@@ -74,7 +78,9 @@ def _same(there: Any, here: Any) -> bool:
     return bool(np.abs(np.subtract(there, here)).max() <= TOLERANCE)
 
 
-def in_its_gravity(tree: Tree, source: Described, gravity: ArrayLike | None = None) -> Tree:
+def in_its_gravity(
+    tree: Tree, source: Described, gravity: ArrayLike | None = None
+) -> Tree:
     """The robot under the gravity that was given, or else the recording's, or the model file's.
 
     Args:

@@ -72,7 +72,9 @@ def hold_resting(
     still = high - low < STILL
     if not (lock_only or still.all()):
         tree, names = file.tree(), np.array(source.names)[still].tolist()
-        resting = [name for name in names if name in tree.names and name not in file.lock]
+        resting = [
+            name for name in names if name in tree.names and name not in file.lock
+        ]
         for name in resting:
             least, most = tree.joints[tree.index(name)].position_range
             places[name] = float(np.clip(mean[source.names.index(name)], least, most))
@@ -82,7 +84,9 @@ def hold_resting(
     return found, without(source, places), said
 
 
-def lock_unrecorded(file: ModelFile, source: Source) -> tuple[ModelFile, tuple[Diagnostic, ...]]:
+def lock_unrecorded(
+    file: ModelFile, source: Source
+) -> tuple[ModelFile, tuple[Diagnostic, ...]]:
     """Model file with unrecorded joints held, at the mapping's positions or at rest.
 
     Args:
@@ -96,12 +100,16 @@ def lock_unrecorded(file: ModelFile, source: Source) -> tuple[ModelFile, tuple[D
         ModelError: The file cannot be read.
     """
     names = joint_names(file.path)
-    lacking = [name for name in names if name not in source.names and name not in file.lock]
+    lacking = [
+        name for name in names if name not in source.names and name not in file.lock
+    ]
     if not lacking or len(lacking) == len(names):
         return file, ()
     given = (source.metadata.mapping or {}).get("lock", {})
     lock = {**{name: given.get(name) for name in lacking}, **file.lock}
-    where = few([f"{n} at {'rest' if lock[n] is None else f'{lock[n]:.4g}'}" for n in lacking])
+    where = few(
+        [f"{n} at {'rest' if lock[n] is None else f'{lock[n]:.4g}'}" for n in lacking]
+    )
     return replace(file, lock=lock), (diagnose("robot.locked", where, len(lacking)),)
 
 

@@ -42,10 +42,16 @@ class Joined(DerivedSource):
         ends = np.cumsum(lengths + max(LEAST_GAP, round(first.rate)))
         begins = np.append(0, ends[:-1])
         super().__init__(first, int(begins[-1] + lengths[-1]), first.rate)
-        self.segments = tuple(zip(begins.tolist(), (begins + lengths).tolist(), strict=True))
-        self.signals = tuple(s for s in first.signals if all(s in p.signals for p in parts))
+        self.segments = tuple(
+            zip(begins.tolist(), (begins + lengths).tolist(), strict=True)
+        )
+        self.signals = tuple(
+            s for s in first.signals if all(s in p.signals for p in parts)
+        )
         self.senses_kinematics = all(part.senses_kinematics for part in parts)
-        said = dict.fromkeys(d for part in self._parts for d in part.metadata.diagnostics)
+        said = dict.fromkeys(
+            d for part in self._parts for d in part.metadata.diagnostics
+        )
         self.metadata = replace(first.metadata, counted=None, diagnostics=tuple(said))
 
     def part(self, first: int, last: int) -> Recording:
@@ -54,10 +60,18 @@ class Joined(DerivedSource):
             if begin <= first and last <= end:
                 found = part.part(first - begin, last - begin)
                 changed: dict[str, Any] = {"tare": self.tare}
-                if found.wrench is not None and part.tare is not None and self.tare is not None:
+                if (
+                    found.wrench is not None
+                    and part.tare is not None
+                    and self.tare is not None
+                ):
                     changed["wrench"] = found.wrench - part.tare + self.tare
-                changed |= dict.fromkeys(s for s in found.signals if s not in self.signals)
-                changed["time"] = np.asarray(found.time) - found.time[0] + first / self.rate
+                changed |= dict.fromkeys(
+                    s for s in found.signals if s not in self.signals
+                )
+                changed["time"] = (
+                    np.asarray(found.time) - found.time[0] + first / self.rate
+                )
                 return replace(found, **changed)
         raise ValueError(f"samples {first} to {last} are not of one recording")
 

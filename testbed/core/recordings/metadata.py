@@ -87,8 +87,12 @@ class Metadata:
         Raises:
             ValueError: A value is not of its type; names it.
         """
-        names = {IN_FILES.get(each.name, each.name): each.name for each in fields(Metadata)}
-        known = {names[k]: v for k, v in content.items() if k in names and v is not None}
+        names = {
+            IN_FILES.get(each.name, each.name): each.name for each in fields(Metadata)
+        }
+        known = {
+            names[k]: v for k, v in content.items() if k in names and v is not None
+        }
         others = {k: v for k, v in content.items() if k not in names}
         try:
             metadata: Metadata = decode(Metadata, known | {"others": others}, {})
@@ -101,7 +105,11 @@ class Metadata:
     def table(self) -> dict[str, Any]:
         """Metadata that are known, as JSON takes them."""
         content: dict[str, Any] = encode(self)
-        known = {k: v for k, v in content.items() if getattr(self, k) != getattr(NO_METADATA, k)}
+        known = {
+            k: v
+            for k, v in content.items()
+            if getattr(self, k) != getattr(NO_METADATA, k)
+        }
         others: dict[str, Any] = known.pop("others", {})
         return {IN_FILES.get(k, k): v for k, v in known.items()} | others
 

@@ -104,7 +104,12 @@ class Recording(Summarized):
 
     def __post_init__(self) -> None:
         samples, n = len(self.time), len(self.names)
-        shapes = {"time": (samples,), "wrench": (samples, 6), "tare": (6,), "base": (samples, 7)}
+        shapes = {
+            "time": (samples,),
+            "wrench": (samples, 6),
+            "tare": (6,),
+            "base": (samples, 7),
+        }
         shapes["sensors"] = (samples, 6 * len(self.sensor_names))
         for name in (*SIGNALS, "tare"):
             value = getattr(self, name)
@@ -194,7 +199,9 @@ class Recording(Summarized):
         """Measured channels by column name, (M,) each."""
         found: dict[str, Array] = {}
         for signal in self.signals:
-            found |= _split(signal, self.measured(signal), self.names, self.sensor_names)
+            found |= _split(
+                signal, self.measured(signal), self.names, self.sensor_names
+            )
         return found
 
     def true_columns(self) -> dict[str, Array]:
@@ -210,7 +217,10 @@ class Recording(Summarized):
 
     def units(self) -> dict[str, str]:
         """Unit of every column, those of the truth too."""
-        kinds = {name: each.kind or "revolute" for name, each in self.metadata.geometry.items()}
+        kinds = {
+            name: each.kind or "revolute"
+            for name, each in self.metadata.geometry.items()
+        }
         every = (*self.columns(), *self.true_columns())
         return {column: unit_of(column, kinds) for column in every}
 
@@ -221,7 +231,9 @@ class Recording(Summarized):
         return {"tare": tare, "facts": self.metadata.table()}
 
     @staticmethod
-    def from_columns(columns: Mapping[str, Array], header: Any, source: str) -> Recording:
+    def from_columns(
+        columns: Mapping[str, Array], header: Any, source: str
+    ) -> Recording:
         """A recording of columns and metadata as a file yields them.
 
         Args:
@@ -273,7 +285,11 @@ class Recording(Summarized):
         require_tree(robot, "from_frame(frame, robot)")
         columns: dict[str, Array] = {}
         for name, values in columns_of(frame).items():
-            columns |= {name: values} if values.ndim == 1 else _split(name, values, robot.names, ())
+            columns |= (
+                {name: values}
+                if values.ndim == 1
+                else _split(name, values, robot.names, ())
+            )
         found = Recording.from_columns(columns, {}, "the frame")
         check_columns(found.columns(), "the frame")
         return found.ordered(robot)
@@ -289,7 +305,9 @@ class Recording(Summarized):
         for name, values in self.columns().items():
             if name != "time":
                 rms = float(np.sqrt(np.mean(values**2)))
-                rows.append((name, *(f"{x:.4g}" for x in (rms, values.min(), values.max()))))
+                rows.append(
+                    (name, *(f"{x:.4g}" for x in (rms, values.min(), values.max())))
+                )
         length = float(self.time[-1] - self.time[0]) if self.samples else 0.0
         head = f"recording of {', '.join(self.names)}: {self.samples} samples, {length:.4g} s"
         return SummaryTable(head, tuple(rows))
@@ -303,7 +321,9 @@ class Recording(Summarized):
         from testbed.core.recordings.formats.parquet import is_parquet, write_table
 
         if Path(path).is_file() and not is_parquet(Path(path)):
-            raise RecordingError(f"'{path}' is there and is no recording; choose another name")
+            raise RecordingError(
+                f"'{path}' is there and is no recording; choose another name"
+            )
         with replacing(Path(path)) as fresh:
             columns = self.columns() | self.true_columns()
             write_table(fresh, self.units(), self.header, [columns])

@@ -63,7 +63,10 @@ def slow_device(values: Array) -> NDArray[np.bool_]:
         (M,) of bool.
     """
     starts, lengths = _runs(values)
-    typical, since = _typical(lengths), np.arange(len(values)) - np.repeat(starts, lengths)
+    typical, since = (
+        _typical(lengths),
+        np.arange(len(values)) - np.repeat(starts, lengths),
+    )
     filled = (typical == 1) & (np.repeat(lengths, lengths) <= REST)
     found: NDArray[np.bool_] = since % np.where(filled, REST, typical) == 0
     return found

@@ -64,7 +64,11 @@ class DerivedSource:
             samples: Number of samples.
             rate: Samples a second [Hz].
         """
-        self.names, self.tare, self.metadata = header.names, header.tare, header.metadata
+        self.names, self.tare, self.metadata = (
+            header.names,
+            header.tare,
+            header.metadata,
+        )
         self.signals, self.senses_kinematics = header.signals, header.senses_kinematics
         self.samples, self.rate = samples, rate
         self.segments: tuple[tuple[int, int], ...] = ((0, samples),)
@@ -165,7 +169,9 @@ class Stretch(DerivedSource):
         super().__init__(whole, last - first, whole.rate)
         self._whole, self._first = whole, first
         cut = (np.clip(segment, first, last) - first for segment in whole.segments)
-        self.segments = tuple((int(begin), int(end)) for begin, end in cut if end > begin)
+        self.segments = tuple(
+            (int(begin), int(end)) for begin, end in cut if end > begin
+        )
 
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1 of the stretch, without the truth."""
@@ -183,7 +189,8 @@ def open_source(what: RecordingLike) -> Source:
     """
     if isinstance(what, str | Path):
         return StoredRecording(what)
-    if isinstance(what, Recording | Source):  # asked as a Source, it is asked for its rate
+    # asked as a Source, it is asked for its rate
+    if isinstance(what, Recording | Source):
         return what
     return gathered(what)
 
@@ -209,7 +216,9 @@ def gathered(parts: Iterable[Recording]) -> Recording:
                 if name not in files:
                     files[name] = open_files.enter_context(tempfile.TemporaryFile())
                 files[name].write(np.ascontiguousarray(values).tobytes())
-        mapped: dict[str, Any] = {name: _mapped(file, part, name) for name, file in files.items()}
+        mapped: dict[str, Any] = {
+            name: _mapped(file, part, name) for name, file in files.items()
+        }
     return replace(part, truth=None, **mapped)
 
 

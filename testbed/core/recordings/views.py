@@ -89,7 +89,9 @@ NAMES = tuple(name for name, _, _ in COORDINATES)
 class TransformedSource(DerivedSource):
     """A source whose parts are transformed one by one: other joints, no torques, no truth."""
 
-    def __init__(self, source: Source, transform: Callable[[Recording], Recording]) -> None:
+    def __init__(
+        self, source: Source, transform: Callable[[Recording], Recording]
+    ) -> None:
         """The same samples.
 
         Args:
@@ -98,7 +100,11 @@ class TransformedSource(DerivedSource):
         """
         header = transform(source.part(0, min(1, source.samples)))
         super().__init__(header, source.samples, source.rate)
-        self._source, self._transform, self.segments = source, transform, source.segments
+        self._source, self._transform, self.segments = (
+            source,
+            transform,
+            source.segments,
+        )
 
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1, without the truth.
@@ -175,7 +181,9 @@ def of_segment(recording: Recording, tree: Tree) -> Recording:
     if recording.tare is not None and tare is None:
         tare = pedestal_wrench(tree, gravity)
     if truth is not None:
-        true = _between(tree, truth.position, _wrenches(recording, truth.wrench, truth.sensors))
+        true = _between(
+            tree, truth.position, _wrenches(recording, truth.wrench, truth.sensors)
+        )
         truth = None if true is None else replace(truth, wrench=true, sensors=None)
     shown = _wrenches(recording, recording.wrench, recording.sensors)
     return replace(
@@ -195,7 +203,9 @@ def of_segment(recording: Recording, tree: Tree) -> Recording:
     )
 
 
-def _mapping_of(mapping: Mapping[str, Any] | None, sensor: str) -> Mapping[str, Any] | None:
+def _mapping_of(
+    mapping: Mapping[str, Any] | None, sensor: str
+) -> Mapping[str, Any] | None:
     """Mapping with one sensor's wrench alone, if it names the sensor."""
     own = (mapping or {}).get("sensors", {}).get(sensor)
     if mapping is None or own is None:
@@ -209,7 +219,9 @@ def _segment_of(tree: Tree) -> tuple[str, ...]:
     return (tree.sensor.name if tree.sensor else "", *(cut.name for cut in tree.cuts))
 
 
-def _wrenches(recording: Recording, plate: Array | None, sensors: Array | None) -> dict[str, Array]:
+def _wrenches(
+    recording: Recording, plate: Array | None, sensors: Array | None
+) -> dict[str, Array]:
     """By sensor, the plate's called ""."""
     found = {} if plate is None else {"": plate}
     if sensors is not None:
@@ -218,13 +230,18 @@ def _wrenches(recording: Recording, plate: Array | None, sensors: Array | None) 
     return found
 
 
-def _between(tree: Tree, position: Array, wrenches: Mapping[str, Array]) -> Array | None:
+def _between(
+    tree: Tree, position: Array, wrenches: Mapping[str, Array]
+) -> Array | None:
     """The first sensor's wrench less those of the next, (M, 6); None where it has none."""
     first, *following = _segment_of(tree)
     lacking = [name for name in following if name not in wrenches]
     if lacking:
-        raise RecordingError(f"the recording has no wrench of the force sensor '{lacking[0]}'")
-    alone = wrenches.get("") if len(wrenches) == 1 else None  # a recording's only wrench is it
+        raise RecordingError(
+            f"the recording has no wrench of the force sensor '{lacking[0]}'"
+        )
+    # a recording's only wrench is it
+    alone = wrenches.get("") if len(wrenches) == 1 else None
     felt = wrenches.get(first, alone)
     if felt is None or not following:
         return felt

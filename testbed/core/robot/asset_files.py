@@ -42,7 +42,18 @@ LAYOUT = {
     "dae",
 }
 """Names of folders that stand beside each other in a robot's description."""
-MESHES = (".stl", ".obj", ".dae", ".ply", ".msh", ".off", ".glb", ".gltf", ".bin", ".mtl")
+MESHES = (
+    ".stl",
+    ".obj",
+    ".dae",
+    ".ply",
+    ".msh",
+    ".off",
+    ".glb",
+    ".gltf",
+    ".bin",
+    ".mtl",
+)
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".hf", ".skn")
 ENDINGS = {*PARTS, *MESHES, *PICTURES}
 
@@ -84,11 +95,15 @@ def blocking(file: Path) -> str | None:
 def _beside(file: Path, model: Path) -> bool:
     """Whether a file lies below the model's folder, in a package, or in the usual place beside."""
     home = model.parent
-    if home in file.parents or any((each / "package.xml").is_file() for each in file.parents):
+    if home in file.parents or any(
+        (each / "package.xml").is_file() for each in file.parents
+    ):
         return True
     if home.parent not in file.parents:
         return False
-    return bool(LAYOUT & {home.name.lower(), file.relative_to(home.parent).parts[0].lower()})
+    return bool(
+        LAYOUT & {home.name.lower(), file.relative_to(home.parent).parts[0].lower()}
+    )
 
 
 def mjcf_files(path: Path) -> Iterator[tuple[Path, Path]]:
@@ -102,8 +117,12 @@ def mjcf_files(path: Path) -> Iterator[tuple[Path, Path]]:
         here = waiting.pop()
         root = read_xml(here)
         for compiler in root.iter("compiler"):
-            assets |= {compiler.get(key, "") for key in ("meshdir", "texturedir", "assetdir")}
-        folders = {place / name for place in (path.parent, here.parent) for name in assets}
+            assets |= {
+                compiler.get(key, "") for key in ("meshdir", "texturedir", "assetdir")
+            }
+        folders = {
+            place / name for place in (path.parent, here.parent) for name in assets
+        }
         names = [
             value
             for element in root.iter()
@@ -114,7 +133,9 @@ def mjcf_files(path: Path) -> Iterator[tuple[Path, Path]]:
             for folder in folders:
                 file = Path(os.path.normpath(folder / name))
                 if file.exists() and not (file.is_file() or file.is_dir()):
-                    raise ModelError(f"{path}: '{name}' is a device or pipe, no file of a model")
+                    raise ModelError(
+                        f"{path}: '{name}' is a device or pipe, no file of a model"
+                    )
                 if file in seen or not file.is_file():
                     continue
                 seen.add(file)

@@ -20,7 +20,9 @@ def friction_torque(tree: Tree, qd: Array, smooth: float = 0.0) -> Array:
         qd: Velocities, (..., n) [rad/s or m/s].
         smooth: Speed over which the sign of dry friction is smoothed [rad/s or m/s].
     """
-    return _torque(tree, (law for law in LAWS if law.resists), qd, np.zeros_like(qd), smooth)
+    return _torque(
+        tree, (law for law in LAWS if law.resists), qd, np.zeros_like(qd), smooth
+    )
 
 
 def drive_torque(tree: Tree, qd: Array, qdd: Array, smooth: float = 0.0) -> Array:
@@ -32,9 +34,13 @@ def drive_torque(tree: Tree, qd: Array, qdd: Array, smooth: float = 0.0) -> Arra
         qdd: Accelerations, (..., n) [rad/s^2 or m/s^2].
         smooth: Speed over which the sign of dry friction is smoothed [rad/s or m/s].
     """
-    return _torque(tree, (law for law in LAWS if law.parameter is not None), qd, qdd, smooth)
+    return _torque(
+        tree, (law for law in LAWS if law.parameter is not None), qd, qdd, smooth
+    )
 
 
-def _torque(tree: Tree, laws: Iterable[JointLaw], qd: Array, qdd: Array, smooth: float) -> Array:
+def _torque(
+    tree: Tree, laws: Iterable[JointLaw], qd: Array, qdd: Array, smooth: float
+) -> Array:
     torques = [law.coefficients(tree) * law.columns(qd, qdd, smooth) for law in laws]
     return np.asarray(np.sum(torques, axis=0))

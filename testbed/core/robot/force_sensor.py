@@ -51,7 +51,10 @@ class ForceSensor(Value):
 
 
 def beyond_sensor(
-    tree: Tree, links: Sequence[FileLink], sensor: ForceSensor, others: Iterable[ForceSensor] = ()
+    tree: Tree,
+    links: Sequence[FileLink],
+    sensor: ForceSensor,
+    others: Iterable[ForceSensor] = (),
 ) -> Tree:
     """What a force sensor feels, as a tree: the joints that lead to it, and all beyond it.
 
@@ -79,7 +82,9 @@ def beyond_sensor(
     return _segment(tree, links, sensor, others)
 
 
-def before_sensors(tree: Tree, links: Sequence[FileLink], others: Iterable[ForceSensor]) -> Tree:
+def before_sensors(
+    tree: Tree, links: Sequence[FileLink], others: Iterable[ForceSensor]
+) -> Tree:
     """What the bedplate feels without what lies beyond force sensors; as `beyond_sensor`.
 
     Args:
@@ -91,7 +96,10 @@ def before_sensors(tree: Tree, links: Sequence[FileLink], others: Iterable[Force
 
 
 def _segment(
-    tree: Tree, links: Sequence[FileLink], sensor: ForceSensor | None, others: Iterable[ForceSensor]
+    tree: Tree,
+    links: Sequence[FileLink],
+    sensor: ForceSensor | None,
+    others: Iterable[ForceSensor],
 ) -> Tree:
     """What lies between a sensor, or the bedplate, and the next ones."""
     if tree.floating:  # the pedestal's links are the base's then
@@ -103,7 +111,9 @@ def _segment(
     kept = [*path, *sorted({*whole, *cut} - {*path, -1})]
     if not kept:
         first = f"force sensor '{sensor.name}'" if sensor else "the force plate"
-        raise ModelError(f"nothing that moves lies between {first} and the next force sensors")
+        raise ModelError(
+            f"nothing that moves lies between {first} and the next force sensors"
+        )
     index = dict(zip((-1, *kept), range(-1, len(kept)), strict=True))
     parts = {
         k: total(link.in_body for link in ours if link.body == k)
@@ -111,8 +121,12 @@ def _segment(
     }
     return replace(
         tree,
-        joints=tuple(replace(tree.joints[k], parent=index[tree.parents[k]]) for k in kept),
-        inertias=tuple(NOTHING if k in path[:-1] else parts.get(k, tree.inertias[k]) for k in kept),
+        joints=tuple(
+            replace(tree.joints[k], parent=index[tree.parents[k]]) for k in kept
+        ),
+        inertias=tuple(
+            NOTHING if k in path[:-1] else parts.get(k, tree.inertias[k]) for k in kept
+        ),
         pedestal=NOTHING if path else parts.get(-1, tree.pedestal),
         shafts=(),
         lead=len(path),
@@ -136,12 +150,16 @@ def _between(
     inside = [each for each in others if each.link in beyond]
     for a, b in combinations([*([sensor] if sensor else []), *inside], 2):
         if a.link == b.link:
-            raise ModelError(f"force sensors '{a.name}' and '{b.name}' both carry '{a.link}'")
+            raise ModelError(
+                f"force sensors '{a.name}' and '{b.name}' both carry '{a.link}'"
+            )
     farther = {each.link: _beyond(links, each) for each in inside}
     following = [
         each
         for each in inside
-        if not any(each.link in names for link, names in farther.items() if link != each.link)
+        if not any(
+            each.link in names for link, names in farther.items() if link != each.link
+        )
     ]
     left_out = set().union(*(farther[each.link] for each in following))
     ours = [link for link in links if link.name in beyond - left_out]
@@ -157,7 +175,9 @@ def _link(links: Sequence[FileLink], sensor: ForceSensor) -> FileLink:
 
 def _beyond(links: Sequence[FileLink], sensor: ForceSensor | None) -> set[str]:
     """Names of the links beyond a sensor; of all beyond the bedplate."""
-    found = {link.name for link in links} if sensor is None else {_link(links, sensor).name}
+    found = (
+        {link.name for link in links} if sensor is None else {_link(links, sensor).name}
+    )
     for link in links:
         if link.parent in found:
             found.add(link.name)

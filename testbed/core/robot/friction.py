@@ -69,7 +69,9 @@ SLOPE = JointLaw("slope", "N m/s", "N/s", _one, by="time")
 ROOM = 25.0
 """Temperature at which friction is what its laws without temperature say [degC]."""
 
-WARM_VISCOUS = JointLaw("warm_viscous", "N m s/(rad K)", "N s/(m K)", _velocity, by="temperature")
+WARM_VISCOUS = JointLaw(
+    "warm_viscous", "N m s/(rad K)", "N s/(m K)", _velocity, by="temperature"
+)
 """Change of viscous friction with the drive's temperature, from ROOM on."""
 
 VARYING = (
@@ -92,7 +94,9 @@ encoders are noisy, abs(load) is not zero on average where the load is."""
 LOAD = JointLaw("load", "1", "1", _sign, jumps=True, by="load")
 """Dry friction that grows with the load: the part of it that a gear loses."""
 
-QUADRATIC_LOAD = JointLaw("quadratic_load", "1/(N m)", "1/N", _sign, jumps=True, by="squared load")
+QUADRATIC_LOAD = JointLaw(
+    "quadratic_load", "1/(N m)", "1/N", _sign, jumps=True, by="squared load"
+)
 """Dry friction that grows with the square of the load."""
 
 LOADED = (
@@ -100,7 +104,9 @@ LOADED = (
     # viscous friction that grows with the load
     JointLaw("viscous_load", "s/rad", "s/m", _velocity, by="load"),
     # the same as far as a gear that drives has more of it than one that is driven back
-    JointLaw("driving_load", "s/rad", "s/m", lambda qd, qdd: np.abs(qd), by="signed load"),
+    JointLaw(
+        "driving_load", "s/rad", "s/m", lambda qd, qdd: np.abs(qd), by="signed load"
+    ),
     QUADRATIC_LOAD,
 )
 """Laws of the load. Dry friction that differs between driving and being driven is not among them:
@@ -109,7 +115,9 @@ its column, load - sign(v) abs(load), has nothing of its own beside the torque c
 
 def _further_laws() -> Iterator[JointLaw]:
     """Laws of the modules in `testbed/core/robot/laws`, by the modules' names."""
-    for module in sorted(iter_modules(laws.__path__, f"{laws.__name__}."), key=attrgetter("name")):
+    for module in sorted(
+        iter_modules(laws.__path__, f"{laws.__name__}."), key=attrgetter("name")
+    ):
         values = vars(import_module(module.name)).values()
         yield from (value for value in values if isinstance(value, JointLaw))
 
@@ -190,11 +198,16 @@ def joint_terms(tree: Tree, words: Iterable[str | JointLaw]) -> tuple[JointTerm,
     names = places(tree)
     wanted: dict[JointLaw, set[int]] = {}
     for word in words:
-        law, place = law_of(word), "" if isinstance(word, JointLaw) else word.partition("/")[2]
+        law, place = (
+            law_of(word),
+            "" if isinstance(word, JointLaw) else word.partition("/")[2],
+        )
         if place and place not in names:
             raise UnknownName(f"place of '{law.kind}'", place, names)
         everywhere = range(tree.n if law in CONSTANTS or law.by else len(names))
-        wanted.setdefault(law, set()).update([names.index(place)] if place else everywhere)
+        wanted.setdefault(law, set()).update(
+            [names.index(place)] if place else everywhere
+        )
     return tuple(JointTerm(law, k) for law, at in wanted.items() for k in sorted(at))
 
 

@@ -15,4 +15,6 @@ def fingers(tree: Tree, followed: Collection[str]) -> list[int]:
         followed: Names of joints that others follow.
     """
     carrying = {joint.parent for joint in tree.joints}
-    return [j for j, name in enumerate(tree.names) if name in followed and j not in carrying]
+    return [
+        j for j, name in enumerate(tree.names) if name in followed and j not in carrying
+    ]

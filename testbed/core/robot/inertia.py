@@ -55,7 +55,11 @@ class Inertia(Value):
     @property
     def radius(self) -> float:
         """Radius of gyration about the frame's origin, by the sum of second moments [m]."""
-        return math.sqrt(max(np.trace(self.tensor) / 2 / self.mass, 0.0)) if self.mass > 0 else 0.0
+        return (
+            math.sqrt(max(np.trace(self.tensor) / 2 / self.mass, 0.0))
+            if self.mass > 0
+            else 0.0
+        )
 
     @cached_property
     def central(self) -> Array:
@@ -85,7 +89,9 @@ class Inertia(Value):
     def of_pseudo(matrix: Array) -> Inertia:
         """From such a matrix, (4, 4)."""
         second = matrix[:3, :3]
-        return Inertia(matrix[3, 3], matrix[:3, 3], np.trace(second) * np.eye(3) - second)
+        return Inertia(
+            matrix[3, 3], matrix[:3, 3], np.trace(second) * np.eye(3) - second
+        )
 
     def moved(self, X_AB: Transform) -> Inertia:
         """Inertia about and along frame A of a body given in frame B.

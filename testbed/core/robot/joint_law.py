@@ -53,7 +53,9 @@ class JointLaw:
         """What the model file states, (n,); zero where it states nothing."""
         if self.parameter is None:
             return np.zeros(tree.n)
-        return np.array([getattr(joint, self.parameter) for joint in tree.joints], dtype=float)
+        return np.array(
+            [getattr(joint, self.parameter) for joint in tree.joints], dtype=float
+        )
 
     def columns(self, qd: Array, qdd: Array, smooth: float = 0.0) -> Array:
         """The column of every joint, shaped as `qd`.

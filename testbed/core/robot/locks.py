@@ -91,15 +91,21 @@ def parse_lock(
         name, equals, place = text.partition("=")
         value = decimals(place, 1)
         if not name or (equals and value is None):
-            raise ModelError(f"--lock takes JOINT or JOINT=q [rad or m], found '{text}'")
+            raise ModelError(
+                f"--lock takes JOINT or JOINT=q [rad or m], found '{text}'"
+            )
         position = value[0] if value else None
         joints = [name]
         if name[0] == "!" or re.search(r"[*?\[]", name):
             known, other = names(), name[0] == "!"
-            joints = [j for j in known if fnmatchcase(j, name.removeprefix("!")) != other]
+            joints = [
+                j for j in known if fnmatchcase(j, name.removeprefix("!")) != other
+            ]
             if not joints or len(joints) == len(known):
                 many = "all" if joints else "none"
-                raise ModelError(f"--lock {name} matches {many} of the joints {few(known)}")
+                raise ModelError(
+                    f"--lock {name} matches {many} of the joints {few(known)}"
+                )
         for joint in joints:
             if lock.setdefault(joint, position) != position:
                 raise ModelError(f"--lock {joint} is given two positions")
@@ -131,7 +137,9 @@ def lock_positions(
     try:
         order = tuple(TopologicalSorter(graph).static_order())
     except CycleError as error:
-        raise ModelError(f"{source}: joint '{error.args[1][0]}' follows itself") from None
+        raise ModelError(
+            f"{source}: joint '{error.args[1][0]}' follows itself"
+        ) from None
     held: dict[str, float] = {}
     positions: dict[str, float] = {}
     free: dict[str, str] = {}
@@ -144,16 +152,22 @@ def lock_positions(
             positions[name] = coupling.position(positions.get(master or "", 0.0))
         else:
             positions[name] = joint.rest
-        if name in lock or (coupling is not None and (master is None or master in held)):
+        if name in lock or (
+            coupling is not None and (master is None or master in held)
+        ):
             held[name] = positions[name]
         elif master is not None:
             free[name] = master
     if free:
-        raise MimicError(source, free, tuple(m if m in joints else f for f, m in free.items()))
+        raise MimicError(
+            source, free, tuple(m if m in joints else f for f, m in free.items())
+        )
     return held, tuple(_departures(joints, held))
 
 
-def _departures(joints: Mapping[str, Travel], held: Mapping[str, float]) -> Iterator[Diagnostic]:
+def _departures(
+    joints: Mapping[str, Travel], held: Mapping[str, float]
+) -> Iterator[Diagnostic]:
     """Followers that are held where their masters would not take them."""
     for name, position in held.items():
         coupling, master = joints[name].coupling, joints[name].master
@@ -163,7 +177,9 @@ def _departures(joints: Mapping[str, Travel], held: Mapping[str, float]) -> Iter
             yield diagnose("model.follower-held", name, position, master=master)
         elif abs(taken := coupling.position(held[master]) - position) > _SLACK:
             end = position + taken
-            yield diagnose("model.follower-off", name, position, master=master, taken=end)
+            yield diagnose(
+                "model.follower-off", name, position, master=master, taken=end
+            )
 
 
 def _within(name: str, wanted: float, joint: Travel, source: str) -> float:

@@ -66,7 +66,9 @@ class ModelFile(ModelSource):
         Raises:
             ModelError: The file cannot be read or holds what is not supported.
         """
-        return load_tree(self.path, weld_root=self.weld_root, repair=self.repair, lock=self.lock)
+        return load_tree(
+            self.path, weld_root=self.weld_root, repair=self.repair, lock=self.lock
+        )
 
 
 def file_of(tree: Tree) -> ModelFile:
@@ -76,7 +78,9 @@ def file_of(tree: Tree) -> ModelFile:
         ModelError: It was not read from one.
     """
     if not isinstance(tree.file, ModelFile):
-        raise ModelError(f"robot '{tree.name}' has no model file: load_tree(path) reads one")
+        raise ModelError(
+            f"robot '{tree.name}' has no model file: load_tree(path) reads one"
+        )
     return tree.file
 
 
@@ -135,7 +139,9 @@ def load_tree(
     tree = replace(source.tree(), file=file)
     with errors_of(file.path):
         check_tree(tree)
-    if strange := {f"'{each.name}' ({why})": 0 for each, _, why in _named_files(file.path) if why}:
+    if strange := {
+        f"'{each.name}' ({why})": 0 for each, _, why in _named_files(file.path) if why
+    }:
         said = diagnose("model.not-copied", few([*strange], WIDTH, "; "))
         tree = replace(tree, diagnostics=(*tree.diagnostics, said))
     return tree if sensor is None else beyond_sensor(tree, source.links, sensor)
@@ -191,7 +197,9 @@ def expressible(file: ModelFile) -> tuple[ModelFile, Tree, frozenset[str]]:
             if followed:
                 raise
             followed = frozenset(error.masters.values())
-            file = replace(file, lock={**dict.fromkeys(mimic_joints(file.path)), **file.lock})
+            file = replace(
+                file, lock={**dict.fromkeys(mimic_joints(file.path)), **file.lock}
+            )
         except LoopError as error:
             file = replace(file, lock={**file.lock, **error.joints})
 
@@ -259,7 +267,9 @@ def copy_model(path: Path, folder: Path) -> Path:
     """
     path = path.resolve()
     held = references(path)
-    root = Path(os.path.commonpath([path.parent, *held.values(), *(f.parent for f in held)]))
+    root = Path(
+        os.path.commonpath([path.parent, *held.values(), *(f.parent for f in held)])
+    )
     for file in (path, *held):
         place = folder / file.relative_to(root)
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -279,7 +289,9 @@ def references(path: Path) -> dict[Path, Path]:
 def _named_files(path: Path) -> Iterator[tuple[Path, Path, str | None]]:
     """Files that a model refers to, the folders of their names, and why copies lack them."""
     home = path.resolve()
-    for file, at in mjcf_files(path) if model_format(path) == "mjcf" else _of_urdf(path):
+    for file, at in (
+        mjcf_files(path) if model_format(path) == "mjcf" else _of_urdf(path)
+    ):
         yield file, at, asset_fault(file, home)
 
 

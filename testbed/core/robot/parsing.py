@@ -71,12 +71,20 @@ def read_xml(path: Path) -> ET.Element:
             raise ModelError(f"{size / 2**20:.0f} MiB; a model file has at most 64 MiB")
         try:
             return _parsed(path)
-        except (ExpatError, LookupError, ValueError) as error:  # the latter: odd encodings
+        except (
+            ExpatError,
+            LookupError,
+            ValueError,
+        ) as error:  # the latter: odd encodings
             with path.open("rb") as file:
                 page = file.read(_BEGINNING).lstrip(b"\xef\xbb\xbf\r\n\t ").lower()
             if page.startswith((b"<!doctype html", b"<html")):
-                raise ModelError("a web page, no model; download the raw file") from None
-            hint = "; an experiment file is run by testbed run" * (path.suffix.lower() == ".toml")
+                raise ModelError(
+                    "a web page, no model; download the raw file"
+                ) from None
+            hint = "; an experiment file is run by testbed run" * (
+                path.suffix.lower() == ".toml"
+            )
             raise ModelError(f"not well-formed XML ({error}){hint}") from None
 
 
@@ -116,7 +124,9 @@ def check_name(name: str, what: str) -> None:
             f"{LONGEST_NAME}"
         )
     if any(unicodedata.category(letter) in _UNSEEN for letter in name):
-        raise ModelError(f"{what} {name!a:.60} holds control characters; names are plain text")
+        raise ModelError(
+            f"{what} {name!a:.60} holds control characters; names are plain text"
+        )
 
 
 class _Limited(ET.TreeBuilder):
@@ -181,7 +191,10 @@ def capture_stderr() -> Iterator[Callable[[], str]]:
     ours = sys.stderr
     ours.flush()
     saved = os.dup(2)
-    with tempfile.TemporaryFile() as sink, os.fdopen(saved, "w", encoding="utf-8") as before:
+    with (
+        tempfile.TemporaryFile() as sink,
+        os.fdopen(saved, "w", encoding="utf-8") as before,
+    ):
         with suppress(AttributeError, OSError, ValueError):
             if ours.fileno() == 2:  # a test's or a notebook's is another, or has none
                 sys.stderr = before

@@ -33,12 +33,16 @@ class FreeRootError(ModelError):
 class MimicError(ModelError):
     """Joints that follow others, which a tree cannot express; `masters` by follower."""
 
-    def __init__(self, source: str, masters: Mapping[str, str], hold: Sequence[str]) -> None:
+    def __init__(
+        self, source: str, masters: Mapping[str, str], hold: Sequence[str]
+    ) -> None:
         self.masters = dict(masters)
         names = list(dict.fromkeys(hold))
         first, master = next(iter(masters.items()))
         more = f" ({len(masters)} such joints)" if len(masters) > 1 else ""
-        options = " ".join(f"--lock {name}" for name in names[:2]) + " ..." * (len(names) > 2)
+        options = " ".join(f"--lock {name}" for name in names[:2]) + " ..." * (
+            len(names) > 2
+        )
         super().__init__(
             f"{source}: joint '{first}' follows '{master}'{more}, which a tree cannot express. "
             f"{options} holds followed and followers, --lock-mimic followers only (in an "
@@ -50,7 +54,9 @@ class MimicError(ModelError):
 class LoopError(ModelError):
     """A constraint that closes a loop, none of a tree; where `joints` along it rest."""
 
-    def __init__(self, source: str, constraint: str, joints: Mapping[str, float]) -> None:
+    def __init__(
+        self, source: str, constraint: str, joints: Mapping[str, float]
+    ) -> None:
         self.joints = dict(joints)
         options = " ".join(f"--lock {name}" for name in self.joints)
         super().__init__(

@@ -151,7 +151,11 @@ def repaired(
     moving = {name: body for name, body in bodies.items() if groups[name][0].body >= 0}
     ball, odd = _out_of_scale(moving, reach)
     bodies |= dict.fromkeys(odd, ball)
-    doubted = {link.carrier: suspects[link.name] for link in links[::-1] if link.name in suspects}
+    doubted = {
+        link.carrier: suspects[link.name]
+        for link in links[::-1]
+        if link.name in suspects
+    }
     judged = [name for name in groups if name in doubted or name in given_bodies]
     flaws = _flaws({name: bodies[name] for name in judged}, doubted, source)
     flaws |= dict(_bare_ends(links, bodies, parents))
@@ -231,9 +235,16 @@ class _Size:
 
 def _out_of_scale(bodies: Bodies, reach: float) -> tuple[Inertia, dict[str, str]]:
     """Body of average size, and a message for bodies out of proportion, by name."""
-    known = {name: body for name, body in bodies.items() if body.mass > 0 and body.within_limits}
+    known = {
+        name: body
+        for name, body in bodies.items()
+        if body.mass > 0 and body.within_limits
+    }
     sizes = {name: (body.mass, body.radius) for name, body in known.items()}
-    dust, reach = DUST * np.median([0.0, *(mass for mass, _ in sizes.values())]), max(reach, 1.0)
+    dust, reach = (
+        DUST * np.median([0.0, *(mass for mass, _ in sizes.values())]),
+        max(reach, 1.0),
+    )
     odd, good = {}, []
     for name, (mass, radius) in sizes.items():
         if dust < mass < DENSEST * reach**3 and radius < WIDEST * reach:
@@ -252,7 +263,9 @@ def _lump(carrier: FileLink, *others: FileLink) -> Inertia:
     """A link and all that is fixed to it, about and along its frame; alone to the last bit."""
     X_CB = carrier.X_BL.inverse
     full = (link for link in others if link.inertia.pseudo.any())
-    return carrier.inertia + total(link.inertia.moved(X_CB @ link.X_BL) for link in full)
+    return carrier.inertia + total(
+        link.inertia.moved(X_CB @ link.X_BL) for link in full
+    )
 
 
 def _flaw(name: str, body: Inertia) -> str | None:
@@ -269,7 +282,11 @@ def _bare_ends(
     """Bodies of the tree without matter that carry none, and what is wrong with them."""
     full = [False] * len(parents)
     for link in links:
-        if 0 <= link.body < len(full) and link.name in bodies and bodies[link.name].pseudo.any():
+        if (
+            0 <= link.body < len(full)
+            and link.name in bodies
+            and bodies[link.name].pseudo.any()
+        ):
             full[link.body] = True
     for body in reversed(range(len(parents))):
         if full[body] and parents[body] >= 0:
@@ -277,4 +294,7 @@ def _bare_ends(
     first = {link.body: link.carrier for link in reversed(links)}
     for body, name in sorted(first.items()):
         if 0 <= body < len(parents) and any(full) and not full[body]:
-            yield name, f"link '{name}' moves, and neither it nor what it carries has a mass"
+            yield (
+                name,
+                f"link '{name}' moves, and neither it nor what it carries has a mass",
+            )

@@ -28,7 +28,9 @@ def with_rotor_spin(tree: Tree, spins: Mapping[str, float]) -> Tree:
         j = tree.index(name)
         joint = tree.joints[j]
         if not joint.revolute:
-            raise ModelError(f"joint '{name}' slides: the spin of its rotor is not of the bodies")
+            raise ModelError(
+                f"joint '{name}' slides: the spin of its rotor is not of the bodies"
+            )
         tree = tree.with_inertia(j, _about(joint.axis, spin))
         tree = tree.with_inertia(joint.parent, _about(joint.carried_axis, -spin))
         left = replace(joint, rotor_inertia=joint.rotor_inertia - spin)

@@ -33,7 +33,9 @@ def with_shafts(tree: Tree, given: Shafts) -> Tree:
     made = []
     for name, turns in given.items():
         _check(tree, name, turns)
-        listed = sorted((tree.index(joint), float(turn)) for joint, turn in turns.items())
+        listed = sorted(
+            (tree.index(joint), float(turn)) for joint, turn in turns.items()
+        )
         made.append(Shaft(name, tuple(listed)))
     coupled = replace(tree, shafts=tuple(made))
     turn = shares(coupled)[tree.n :]
@@ -66,13 +68,19 @@ def shares(tree: Tree) -> Array:
 def _check(tree: Tree, name: str, turns: Mapping[str, float]) -> None:
     what = f"robot.coupling: shaft '{name}'"
     if name in tree.names or not name or "/" in name:
-        raise ModelError(f"{what} needs a name of its own, that no joint has and without '/'")
+        raise ModelError(
+            f"{what} needs a name of its own, that no joint has and without '/'"
+        )
     kinds = {tree.joints[tree.index(joint)].kind for joint in turns}
-    numbers = all(isinstance(turn, int | float) and math.isfinite(turn) for turn in turns.values())
+    numbers = all(
+        isinstance(turn, int | float) and math.isfinite(turn) for turn in turns.values()
+    )
     if len(turns) < 2 or not numbers or 0.0 in turns.values():
         raise ModelError(
             f"{what} turns with two joints or more, each by a finite number that is not zero, "
             f"found {dict(turns)!r:.80}"
         )
     if len(kinds) > 1:
-        raise ModelError(f"{what} turns with revolute and prismatic joints: that has no one unit")
+        raise ModelError(
+            f"{what} turns with revolute and prismatic joints: that has no one unit"
+        )

@@ -144,10 +144,14 @@ class Joint(Value):
         for name, value in settings.items():
             if name not in SETTABLE:
                 raise UnknownName(f"setting of joint '{self.name}'", name, SETTABLE)
-            shape, form = ((2,), "two numbers") if name == "position_range" else ((), "a number")
+            shape, form = (
+                ((2,), "two numbers") if name == "position_range" else ((), "a number")
+            )
             numbers = _numbers(value, shape)
             if numbers is None:
-                raise ModelError(f"joint '{self.name}': {name} is {form}, found {value!r:.60}")
+                raise ModelError(
+                    f"joint '{self.name}': {name} is {form}, found {value!r:.60}"
+                )
             values[name] = numbers if shape else float(numbers)
         joint = replace(self, **values)
         flaw = joint.flaw()
@@ -251,10 +255,14 @@ class Tree(Diagnosed, Value):
     def __post_init__(self) -> None:
         freeze(self, gravity=(3,))
         if len(self.joints) != len(self.inertias):
-            raise ValueError(f"{len(self.joints)} joints carry {len(self.inertias)} inertias")
+            raise ValueError(
+                f"{len(self.joints)} joints carry {len(self.inertias)} inertias"
+            )
         for j, joint in enumerate(self.joints):
             if not -1 <= joint.parent < j:
-                raise ValueError(f"joint '{joint.name}' ({j}) precedes its parent {joint.parent}")
+                raise ValueError(
+                    f"joint '{joint.name}' ({j}) precedes its parent {joint.parent}"
+                )
 
     def __repr__(self) -> str:
         joints = ", ".join(f"{each.name} ({each.kind})" for each in self.joints)
@@ -325,7 +333,9 @@ class Tree(Diagnosed, Value):
         """
         vector = _numbers(self.gravity if gravity is None else gravity, (3,))
         if vector is None or not np.isfinite(vector).all():
-            raise ModelError(f"gravity is three finite numbers [m/s^2], found {gravity!s:.60}")
+            raise ModelError(
+                f"gravity is three finite numbers [m/s^2], found {gravity!s:.60}"
+            )
         size = math.hypot(*vector)  # overflows and vanishes only where numbers do
         if vector.any() and not WEAKEST <= size <= STRONGEST:
             raise ModelError(
@@ -401,18 +411,23 @@ class Tree(Diagnosed, Value):
         """
         if link < 0:
             return replace(self, pedestal=self.pedestal + more)
-        bodies = [body + more if k == link else body for k, body in enumerate(self.inertias)]
+        bodies = [
+            body + more if k == link else body for k, body in enumerate(self.inertias)
+        ]
         return replace(self, inertias=tuple(bodies))
 
     def without_friction(self) -> Tree:
         """The same tree with joints that do not rub."""
-        joints = tuple(replace(joint, coulomb=0.0, viscous=0.0) for joint in self.joints)
+        joints = tuple(
+            replace(joint, coulomb=0.0, viscous=0.0) for joint in self.joints
+        )
         return replace(self, joints=joints)
 
     def without_inertias(self) -> Tree:
         """The same tree with no masses and no friction: all that an estimator may know."""
         joints = tuple(
-            replace(joint, rotor_inertia=0.0) for joint in self.without_friction().joints
+            replace(joint, rotor_inertia=0.0)
+            for joint in self.without_friction().joints
         )
         return replace(self, inertias=(NOTHING,) * self.n, joints=joints)
 

@@ -56,11 +56,15 @@ def as_document(listing: Listing, text: str) -> dict[str, Any]:
         "robot": listing.tree.name,
         "form": listing.form,
         "gravity": listing.gravity.tolist(),
-        "constants": {factor.name: value for factor, value in listing.constants.items()},
+        "constants": {
+            factor.name: value for factor, value in listing.constants.items()
+        },
         "equations": {
             each.kind.name: {
                 "shape": each.shape,
-                each.vector: [{"name": p.name, "unit": p.unit} for p in each.parameters],
+                each.vector: [
+                    {"name": p.name, "unit": p.unit} for p in each.parameters
+                ],
                 "matrix": None if minimal is None else minimal.matrix.tolist(),
                 "operations": asdict(each.program.count),
             }

@@ -5,7 +5,13 @@ from __future__ import annotations
 import re
 
 from testbed.equations.equations import Equations, Listing
-from testbed.equations.expression import Expression, Factor, Nature, Number, angle_labels
+from testbed.equations.expression import (
+    Expression,
+    Factor,
+    Nature,
+    Number,
+    angle_labels,
+)
 from testbed.equations.languages.text import (
     Style,
     definitions,
@@ -17,7 +23,9 @@ from testbed.equations.languages.text import (
     wrap,
 )
 
-STYLE = Style(lambda factor: factor.name.replace("mbar", "mm"), fraction, parameter_first=True)
+STYLE = Style(
+    lambda factor: factor.name.replace("mbar", "mm"), fraction, parameter_first=True
+)
 
 
 def paper(listing: Listing, source: str) -> str:
@@ -56,17 +64,28 @@ def line(value: Expression) -> str:
 TERMS_PER_LINE = 3
 """Terms of an equation that stand on one line of a page."""
 
-_COORDINATES = {Nature.POSITION: "q", Nature.VELOCITY: r"\dot q", Nature.ACCELERATION: r"\ddot q"}
+_COORDINATES = {
+    Nature.POSITION: "q",
+    Nature.VELOCITY: r"\dot q",
+    Nature.ACCELERATION: r"\ddot q",
+}
 _GREEK = {"phi": r"\phi", "w": r"\omega", "wd": r"\dot\omega", "zdd": r"\ddot z"}
 
 
 def latex(listing: Listing, source: str) -> str:
     """A document for pdflatex, one display an equation; arguments as for `write_equations`."""
     lines = [f"% {line}".rstrip() for line in preface(listing, source)]
-    lines += [r"\documentclass{article}", r"\usepackage{amsmath}", r"\allowdisplaybreaks"]
+    lines += [
+        r"\documentclass{article}",
+        r"\usepackage{amsmath}",
+        r"\allowdisplaybreaks",
+    ]
     lines += [r"\begin{document}"]
     if listing.constants:
-        values = [f"{_name(c.name)} &= {_number(v)}" for c, v in sorted(listing.constants.items())]
+        values = [
+            f"{_name(c.name)} &= {_number(v)}"
+            for c, v in sorted(listing.constants.items())
+        ]
         lines += [r"\begin{align*}", " \\\\\n".join(values), r"\end{align*}"]
     for each in listing.equations:
         lines += [rf"\section*{{{each.kind.name.replace('-', ' ').capitalize()}}}"]
@@ -81,14 +100,19 @@ def _equations(each: Equations, joints: int) -> str:
         for symbol, label in labels.items()
     }
     style = Style(
-        lambda factor: known.get(factor) or _factor(factor, joints), _number, r"\,", power=_power
+        lambda factor: known.get(factor) or _factor(factor, joints),
+        _number,
+        r"\,",
+        power=_power,
     )
     lines = []
     for label, value in each.program.lines:
         if value or len(each.shape) == 1:
             pieces = terms(value, style)
             rows = range(0, len(pieces), TERMS_PER_LINE)
-            broken = (" ".join(pieces[first : first + TERMS_PER_LINE]) for first in rows)
+            broken = (
+                " ".join(pieces[first : first + TERMS_PER_LINE]) for first in rows
+            )
             lines.append(f"{_name(label.name)} ={{}}& " + " \\\\\n&".join(broken))
     return " \\\\\n".join(lines) or "0 ={}& 0"
 

@@ -45,11 +45,15 @@ def _in_blocks(function, shape, motion, parameters, size):
 
 def python(listing: Listing, source: str) -> str:
     """A Python module; arguments as for `write_equations`."""
-    lines = [*_FIRST_LINES, *(f"# {line}".rstrip() for line in preface(listing, source))]
+    lines = [
+        *_FIRST_LINES,
+        *(f"# {line}".rstrip() for line in preface(listing, source)),
+    ]
     lines += ["", "import numpy as np", "from numpy import cos, sin", ""]
     lines += [f"JOINTS = {listing.tree.n}", "BLOCK = 2048  # samples at once"]
     lines += [
-        f"{name} = {decimal(value)}  # {unit}" for name, value, unit in used_constants(listing)
+        f"{name} = {decimal(value)}  # {unit}"
+        for name, value, unit in used_constants(listing)
     ]
     for each in listing.equations:
         lines += _vector(each)
@@ -86,10 +90,14 @@ def _front(each: Equations) -> list[str]:
 
 def _body(each: Equations) -> list[str]:
     """The lines of the program, on one block: coordinates (joints, samples)."""
-    lines = [f"def _{function_name(each)}({', '.join(each.kind.takes)}, {each.vector}, result):"]
+    lines = [
+        f"def _{function_name(each)}({', '.join(each.kind.takes)}, {each.vector}, result):"
+    ]
     lines += [f"    {name} = {source}" for name, source in inputs(each)]
     unused = last_uses(each.program)
-    for (label, value), (target, pieces) in zip(each.program.lines, assignments(each), strict=True):
+    for (label, value), (target, pieces) in zip(
+        each.program.lines, assignments(each), strict=True
+    ):
         for first in range(0, len(pieces) if value else 0, MOST_TERMS):
             part = pieces[first : first + MOST_TERMS]
             sum_of = wrap(f"    {target} {'+=' if first else '='} (", part, "        ")

@@ -49,7 +49,11 @@ def decimal(value: Number) -> str:
 
 def fraction(value: Number) -> str:
     """A number as people write it, and as it reads back: 1/2, 0.4318."""
-    if isinstance(value, float) and value == (near := Fraction(value)) and near.denominator <= 64:
+    if (
+        isinstance(value, float)
+        and value == (near := Fraction(value))
+        and near.denominator <= 64
+    ):
         return str(near)
     return repr(value)
 
@@ -74,7 +78,11 @@ def terms(value: Expression, style: Style) -> list[str]:
         rest = [f for f in factors if f.nature is not Nature.PARAMETER]
         number = [style.number(abs(size))] if abs(size) != 1 or not factors else []
         names, others = (_product(each, style) for each in (parameters, rest))
-        parts = [*names, *number, *others] if style.parameter_first else [*number, *names, *others]
+        parts = (
+            [*names, *number, *others]
+            if style.parameter_first
+            else [*number, *names, *others]
+        )
         sign = "-" if size < 0 else "+"
         lead = f"{sign} " if texts else sign.replace("+", "")
         texts.append(lead + style.times.join(parts))
@@ -83,7 +91,10 @@ def terms(value: Expression, style: Style) -> list[str]:
 
 def _product(factors: list[Factor], style: Style) -> list[str]:
     """Factors as written, repeated ones as powers."""
-    return [style.power(_factor(each, style), times) for each, times in Counter(factors).items()]
+    return [
+        style.power(_factor(each, style), times)
+        for each, times in Counter(factors).items()
+    ]
 
 
 def _factor(factor: Factor, style: Style) -> str:
@@ -109,7 +120,9 @@ def harmless(text: str) -> str:
     Letters of other scripts become their numbers, such as u65e5; everything else an underline,
     colons among them: a comment with `coding:` changes how Python reads a file.
     """
-    spelled = "".join(c if c.isascii() or not c.isalnum() else f"u{ord(c):04x}" for c in text)
+    spelled = "".join(
+        c if c.isascii() or not c.isalnum() else f"u{ord(c):04x}" for c in text
+    )
     return re.sub(r"[^A-Za-z0-9_.,+\-() /]", "_", spelled)[:120]
 
 
@@ -153,14 +166,20 @@ def operations(each: Equations) -> str:
         f"{count.multiplications} multiplications, {count.additions} additions, "
         f"{count.trigonometric} sines and cosines"
     )
-    return f"{text}; {count.once} operations on parameters alone" if count.once else text
+    return (
+        f"{text}; {count.once} operations on parameters alone" if count.once else text
+    )
 
 
 def used_constants(listing: Listing) -> list[tuple[str, float, str]]:
     """Name, value and unit of each constant that the equations need, in order."""
     symbols = {symbol for each in listing.equations for symbol in each.program.symbols}
     return [
-        (factor.name, listing.constants[factor], "m" if factor.name.startswith("l") else "m/s^2")
+        (
+            factor.name,
+            listing.constants[factor],
+            "m" if factor.name.startswith("l") else "m/s^2",
+        )
         for factor in sorted(symbols)
         if factor.nature is Nature.CONSTANT
     ]
@@ -191,7 +210,9 @@ def inputs(each: Equations) -> Iterator[tuple[str, str]]:
 
 def assignments(each: Equations) -> Iterator[tuple[str, list[str]]]:
     """Name and terms of each line of a program; results as result[0] or result[0][1]."""
-    places = {name: "".join(f"[{k}]" for k in place) for name, place in each.places.items()}
+    places = {
+        name: "".join(f"[{k}]" for k in place) for name, place in each.places.items()
+    }
     names = {name: f"result{place}" for name, place in places.items()}
     style = replace(PROGRAMS, name=lambda factor: names.get(factor, factor.name))
     for label, value in each.program.lines:

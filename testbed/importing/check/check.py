@@ -51,7 +51,13 @@ from testbed.importing.check.recording_diagnostics import (
     unsaid_pedestal,
     wrong_mapping,
 )
-from testbed.importing.check.remedies import Hypothesis, Remedy, in_words, remedies_for, with_lines
+from testbed.importing.check.remedies import (
+    Hypothesis,
+    Remedy,
+    in_words,
+    remedies_for,
+    with_lines,
+)
 from testbed.importing.check.search import Progress, Search
 from testbed.importing.check.sensor_errors import diagnostic, sensor_error
 from testbed.importing.check.time_offset import TimeOffset, alignment, time_offsets
@@ -135,7 +141,9 @@ class Assessment(Diagnosed):
         Raises:
             RecordingError: Says what is wrong, and what would make it right.
         """
-        late = len(self.certain) == 1 and [each.kind for each in self.remedies] == ["late"]
+        late = len(self.certain) == 1 and [each.kind for each in self.remedies] == [
+            "late"
+        ]
         if self.certain and not (align and late):
             lines = "; ".join(sentences(self.certain))
             raise RecordingError(f"the recording cannot be true of this robot: {lines}")
@@ -163,7 +171,8 @@ def assess(tree: Tree, source: Source, progress: Progress | None = None) -> Asse
     assessment = _judge(tree, part, beyond, CUTOFF, progress)
     best = assessment.best
     if best is not None and not best.plate.explained():
-        slow = _judge(tree, part, beyond, SLOW, progress)  # noise may hide what is below it
+        # noise may hide what is below it
+        slow = _judge(tree, part, beyond, SLOW, progress)
         if slow.best is not None and slow.best.plate.cost < best.plate.cost - APART:
             assessment = slow
     named = of_instrument(assessment.diagnostics, sensor_of(tree))
@@ -197,23 +206,33 @@ def _judge(
     foreign = any(each.level == "error" for each in plate)
     still = list(still_joints(tree, as_read))
     if any(each.value for each in still) and (foreign or not clear):
-        doubted = [replace(each, level="error" if foreign else "warning") for each in still]
+        doubted = [
+            replace(each, level="error" if foreign else "warning") for each in still
+        ]
         return Assessment(tuple(doubted), best.torques.sizes)
     wrong = gain > LIKELY and not foreign
-    believed = [each for each in best.hypotheses if wrong and each.kind != "torque_size"]
+    believed = [
+        each for each in best.hypotheses if wrong and each.kind != "torque_size"
+    ]
     hypotheses = [_timed(each, best) for each in believed]
     wrong = bool(hypotheses)
     zero = None if foreign or not best.has_plate else zero_hypothesis(best, part.tare)
     hypotheses += [] if zero is None else [zero]
     recorded = replace(as_read, torques=best.torques.as_recorded()).unexplained
     torques = len(best.torques.unexplained)
-    remedies = tuple(remedies_for(tree, hypotheses, recorded, best.unexplained, mapping, torques))
+    remedies = tuple(
+        remedies_for(tree, hypotheses, recorded, best.unexplained, mapping, torques)
+    )
     equals = tuple(dict.fromkeys(_equals(tree, explanations)))
     said = [] if wrong and clear else [*beyond, *plate]
     vain = [each for each in remedies if each.after > EXPLAINING]
     if wrong and vain and not best.has_plate:
         before, after = share(vain[0].before), share(vain[0].after)
-        said.append(diagnose("recording.unexplained", vain[0].channel, before=before, after=after))
+        said.append(
+            diagnose(
+                "recording.unexplained", vain[0].channel, before=before, after=after
+            )
+        )
         wrong, remedies = False, ()
     if wrong:
         said.append(wrong_mapping(tree, remedies, equals, gain, certain=clear))
@@ -238,7 +257,7 @@ def _timed(hypothesis: Hypothesis, best: Explanation) -> Hypothesis:
 
 
 def _explains(as_read: Explanation, best: Explanation) -> bool:
-    """Whether channels that are explained better than as they were read are explained well."""
+    """Whether channels that are explained better than as read are explained well."""
     before, after = as_read.unexplained, best.unexplained
     for each in best.hypotheses:
         if each.kind == "torque_order":  # what is left of a column, whosever it is
@@ -263,7 +282,11 @@ def zero_hypothesis(
     zero, sigma = best.fit.plate.zero(best.plate)
     moved = np.abs(zero - expected) > np.maximum(least * prior.weight, CLEAR * sigma)
     zero = np.where(moved, zero, expected)
-    return Hypothesis("tare", (), tuple(np.round(zero, 3).tolist())) if moved.any() else None
+    return (
+        Hypothesis("tare", (), tuple(np.round(zero, 3).tolist()))
+        if moved.any()
+        else None
+    )
 
 
 def _equals(tree: Tree, explanations: Sequence[Explanation]) -> Iterator[str]:
@@ -366,7 +389,9 @@ def check_recording(
     for each in offsets:
         if each.matters:
             lines = in_mapping(_alignment([each], source))
-            doubts.append(each.diagnostic(f"{lines}, or import with --model and --align"))
+            doubts.append(
+                each.diagnostic(f"{lines}, or import with --model and --align")
+            )
     return CheckReport(tuple(offsets), tuple(doubts))
 
 
@@ -412,7 +437,12 @@ def import_and_check(
     longest = prepared.longest
     tree, own = robot_of(longest)
     report = check_recording(
-        tree, own, align=align, unchecked=unchecked, progress=progress, prepared=prepared
+        tree,
+        own,
+        align=align,
+        unchecked=unchecked,
+        progress=progress,
+        prepared=prepared,
     )
     lines = _alignment(report.offsets, longest)
     if align and lines:
@@ -430,7 +460,9 @@ def import_and_check(
         "diagnostics": [each.as_dict() for each in report.diagnostics],
     }
     held = replace(longest, metadata=replace(longest.metadata, verdict=verdict))
-    recordings = tuple(held if each is longest else each for each in prepared.recordings)
+    recordings = tuple(
+        held if each is longest else each for each in prepared.recordings
+    )
     return recordings, prepared.cuts, report
 
 

@@ -15,10 +15,16 @@ import numpy as np
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.newton_euler import linear
 from testbed.importing.check.instants import Instants
-from testbed.importing.check.plate import WEIGHT, Frame, PlateEvidence, PlateExplanation
+from testbed.importing.check.plate import WEIGHT, PlateEvidence, PlateExplanation
+from testbed.importing.check.plate_frame import Frame
 from testbed.importing.check.prior import ScaledPrior
 from testbed.importing.check.remedies import Hypothesis, merge, own_joints
-from testbed.importing.check.torques import NO_TORQUES, TorqueAssignment, TorqueEvidence, assign
+from testbed.importing.check.torques import (
+    NO_TORQUES,
+    TorqueAssignment,
+    TorqueEvidence,
+    assign,
+)
 
 BRAKED = 0.1
 """Share of a torque that the plate's parameters and friction that brakes leave at most."""
@@ -48,7 +54,9 @@ class Explanation:
     @cached_property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
         """In the order in which they are applied."""
-        return merge((*self.fit.hypotheses, *self.plate.hypotheses, *self.torques.hypotheses))
+        return merge(
+            (*self.fit.hypotheses, *self.plate.hypotheses, *self.torques.hypotheses)
+        )
 
     @property
     def has_plate(self) -> bool:
@@ -83,13 +91,16 @@ class Explanation:
         own = len(own_joints(self.fit.prior.tree))
         each = ("position_sign", "torque_sign", "zero")
         return sum(
-            len(h.joints) if h.kind in each and len(h.joints) < own else 1 for h in self.hypotheses
+            len(h.joints) if h.kind in each and len(h.joints) < own else 1
+            for h in self.hypotheses
         )
 
     @property
     def explained(self) -> bool:
         """Whether nothing is odd about the plate; without one about the torques."""
-        return self.plate.explained() if self.has_plate else self.torques_explained(ENOUGH)
+        return (
+            self.plate.explained() if self.has_plate else self.torques_explained(ENOUGH)
+        )
 
     def torques_explained(self, share: float) -> bool:
         """Whether no more is left of the torques, noise aside.
@@ -97,7 +108,9 @@ class Explanation:
         Args:
             share: Part of a torque's variance that may be left.
         """
-        return bool((self.torques.unexplained < share + 3 * self.fit.torque_noise).all())
+        return bool(
+            (self.torques.unexplained < share + 3 * self.fit.torque_noise).all()
+        )
 
     @property
     def sized(self) -> bool:
@@ -120,7 +133,9 @@ class Explanation:
     def unclear(self) -> set[int]:
         """Joints whose position may be wrong instead: their torque is odd, or counts as changed."""
         kinds = ("torque_order", "torque_sign")
-        changed = {k for each in self.hypotheses if each.kind in kinds for k in each.joints}
+        changed = {
+            k for each in self.hypotheses if each.kind in kinds for k in each.joints
+        }
         return self.odd_torques() | changed
 
     def after_plate(self) -> Explanation:
@@ -194,12 +209,16 @@ class HypothesisFit:
 
         Torques count in their own order, or in that of the positions.
         """
-        cost = 3 * WEIGHT * float(np.log(self.plate.least)) if self.plate.measured else 0.0
+        cost = (
+            3 * WEIGHT * float(np.log(self.plate.least)) if self.plate.measured else 0.0
+        )
         if self.torques is not None:
             orders = [h.values for h in self.hypotheses if h.kind == "position_order"]
             orders.append(tuple(range(self.prior.tree.n)))
             fit = self.torques.fit
-            cost += min(sum(fit(*place).cost for place in enumerate(each)) for each in orders)
+            cost += min(
+                sum(fit(*place).cost for place in enumerate(each)) for each in orders
+            )
         return cost
 
     @cached_property
@@ -210,7 +229,10 @@ class HypothesisFit:
     @cached_property
     def explanations(self) -> list[Explanation]:
         """All that is open, the positions being as they are."""
-        return [Explanation(self, plate, self.assignment) for plate in self.plate.explanations]
+        return [
+            Explanation(self, plate, self.assignment)
+            for plate in self.plate.explanations
+        ]
 
     @cached_property
     def as_read(self) -> Explanation:
@@ -223,4 +245,6 @@ class HypothesisFit:
         if not self.as_read.explained:
             return False
         after = self.as_read.after_plate()
-        return not after.hypotheses and not (self.plate.measured and after.odd_torques())
+        return not after.hypotheses and not (
+            self.plate.measured and after.odd_torques()
+        )

@@ -66,7 +66,9 @@ class Instants:
     spacing: float
 
 
-def sample(recording: Recording, late: float = 0.0, cutoff: float = CUTOFF) -> Instants | None:
+def sample(
+    recording: Recording, late: float = 0.0, cutoff: float = CUTOFF
+) -> Instants | None:
     """Signals of a recording at a few hundred instants; None where it is too short.
 
     Args:
@@ -151,7 +153,9 @@ def orthonormal_basis(columns: Array, dependent: float = DEPENDENT) -> Array:
     from scipy.linalg import orth
 
     size = np.linalg.norm(columns, axis=0)
-    basis: Array = orth(columns / np.maximum(size, dependent * size.max() + 1e-300), dependent)
+    basis: Array = orth(
+        columns / np.maximum(size, dependent * size.max() + 1e-300), dependent
+    )
     return basis
 
 
@@ -178,7 +182,8 @@ def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
     share = (explained**2).sum(axis=1) / np.maximum(whole, 1e-300)
     best = int(np.argmax(share))
     times = float((1 - share[best]) / max(1 - share[most], 1e-300))
-    if best in (0, 2 * most) or times > LATE:  # no delay is best, the farther the better
+    # no delay is best, the farther the better
+    if best in (0, 2 * most) or times > LATE:
         return 0.0, 1.0
     return spacing * (best - most), times
 

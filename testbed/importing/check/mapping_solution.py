@@ -29,24 +29,24 @@ from testbed.core.recordings.views import on_its_base
 from testbed.core.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.core.robot.tree import Tree
 from testbed.importing.check.check import Assessment, Prepared, assess, zero_hypothesis
+from testbed.importing.check.draft_mapping import ASSUMED, KNOWN, missing
 from testbed.importing.check.explanation import Explanation
-from testbed.importing.check.plate import FAR, WrenchFit, frame_of, unit_ratio
+from testbed.importing.check.plate import FAR, WrenchFit
+from testbed.importing.check.plate_frame import frame_of, unit_ratio
 from testbed.importing.check.plate_map import LATE, RATIO, SHIFT, TURN, rotation_vector
-from testbed.importing.check.recording_diagnostics import encoder_steps, removed, share, weights
+from testbed.importing.check.recording_diagnostics import (
+    encoder_steps,
+    removed,
+    share,
+    weights,
+)
 from testbed.importing.check.search import Progress
 from testbed.importing.check.time_offset import TimeOffset, alignment, time_offsets
 from testbed.importing.convert import clock_ranges, pieces
 from testbed.importing.derivative import DerivativeError
 from testbed.importing.foreign_table import TURNING
-from testbed.importing.import_report import MappingDraft, in_toml
+from testbed.importing.import_report import MappingDraft
 from testbed.importing.mapping import Mapping as MappingFile
-from testbed.importing.mapping import empty_keys
-
-ASSUMED = "ASSUMED"
-"""Mark of what neither names nor data determine."""
-
-KNOWN = (ASSUMED, "solved", "by the data")
-"""Beginnings of what is said beside a value that no name states."""
 
 SLIDING = ": lengths of joints that slide"
 
@@ -155,32 +155,6 @@ def solve_mapping(
     )
 
 
-def missing(draft: MappingDraft) -> list[str]:
-    """Keys that a person must fill in.
-
-    Args:
-        draft: A mapping.
-    """
-    content = draft.content
-    clocks = {"": content} | {f"sources.{k}.": each for k, each in content["sources"].items()}
-    rateless = (f"{name}rate" for name, each in clocks.items() if not each.get("rate", 1.0))
-    none = ["position"] * ("position" not in content)
-    return [*dict.fromkeys((*empty_keys(content), *rateless, *none))]
-
-
-def table_of(draft: MappingDraft) -> list[tuple[str, str, str]]:
-    """What was assumed or solved: key, value, and what it is known by.
-
-    Args:
-        draft: Of a solution.
-    """
-    return [
-        (f"{table}.{key}".removeprefix("."), in_toml(draft.tables[table][key]), note)
-        for (table, key), note in draft.notes.items()
-        if note.startswith(KNOWN) and key != "# place"
-    ]
-
-
 def _mapping(draft: MappingDraft, out: Path) -> MappingFile:
     return checked(MappingFile, draft.content, str(out))
 
@@ -209,16 +183,29 @@ def _assume(draft: MappingDraft, tree: Tree) -> MappingDraft:
     joints = tables[""]["joints"]
     for kind, (turns, slides) in USUAL.items():
         unit = tables.get(kind, {}).get("unit")
-        if unit == "" or (unit in [*TURNING.get(kind, ())] and sliding.intersection(joints)):
+        if unit == "" or (
+            unit in [*TURNING.get(kind, ())] and sliding.intersection(joints)
+        ):
             length = f"m{slides}" if str(unit).startswith("deg") else slides
             units = [length if name in sliding else unit or turns for name in joints]
             note = ASSUMED + SLIDING * bool(unit)
-            draft = draft.saying(kind, "unit", units if len({*units}) > 1 else units[0], note)
+            draft = draft.saying(
+                kind, "unit", units if len({*units}) > 1 else units[0], note
+            )
     if tables.get("torque", {}).get("gain") == "":
-        draft = draft.saying("torque", "gain", 1.0, f"{ASSUMED}: torque of one unit [N m]")
-    plates = {name: each for name, each in tables.items() if name.startswith(("wrench", "plates."))}
+        draft = draft.saying(
+            "torque", "gain", 1.0, f"{ASSUMED}: torque of one unit [N m]"
+        )
+    plates = {
+        name: each
+        for name, each in tables.items()
+        if name.startswith(("wrench", "plates."))
+    }
     for name, plate in plates.items():
-        units = [each or usual for each, usual in zip(plate["units"], ("N", "N m"), strict=True)]
+        units = [
+            each or usual
+            for each, usual in zip(plate["units"], ("N", "N m"), strict=True)
+        ]
         if units != plate["units"]:
             draft = draft.saying(name, "units", units, ASSUMED)
         if not plate["sense"]:
@@ -246,7 +233,8 @@ def _better(draft: MappingDraft, assessment: Assessment, tree: Tree) -> MappingD
     plate = draft.tables.get("wrench", {"tare": None})
     if best is not None and "tare" not in plate:
         if codes == {"plate.weight"}:
-            return _with_zero(draft, best)  # the plate's zero is not the model's pedestal
+            # the plate's zero is not the model's pedestal
+            return _with_zero(draft, best)
         weighed = None if "pedestal" in plate else weights(best)
         if weighed is not None and not codes & {"plate.foreign", "plate.crosstalk"}:
             draft = _with_pedestal(draft, weighed)
@@ -257,7 +245,9 @@ def _better(draft: MappingDraft, assessment: Assessment, tree: Tree) -> MappingD
     return _with_sizes(draft, assessment, tree)
 
 
-def _with_sizes(draft: MappingDraft, assessment: Assessment, tree: Tree) -> MappingDraft:
+def _with_sizes(
+    draft: MappingDraft, assessment: Assessment, tree: Tree
+) -> MappingDraft:
     """Mapping with the unit or the gains of torques, by their size."""
     best, finite = assessment.best, assessment.sizes[np.isfinite(assessment.sizes)]
     odd = any(each.code == "torque.size" for each in assessment.certain)
@@ -268,14 +258,18 @@ def _with_sizes(draft: MappingDraft, assessment: Assessment, tree: Tree) -> Mapp
         if np.median(finite) > 1:
             return draft
         note = f"{ASSUMED}: currents, or torques on the motors' side of gears"
-        return draft.saying("torque", "unit", "raw", note).saying("torque", "gain", 1.0, ASSUMED)
+        return draft.saying("torque", "unit", "raw", note).saying(
+            "torque", "gain", 1.0, ASSUMED
+        )
     if draft.tables.get("torque", {}).get("gain") == 1.0 and len(finite):
         plate = best is not None and best.has_plate
         return _with_gains(draft, assessment.sizes, tree, "plate" if plate else "model")
     return draft
 
 
-def _with_gains(draft: MappingDraft, sizes: Array, tree: Tree, origin: str) -> MappingDraft:
+def _with_gains(
+    draft: MappingDraft, sizes: Array, tree: Tree, origin: str
+) -> MappingDraft:
     """Mapping with gains by a force plate or the model file's masses.
 
     Args:
@@ -294,12 +288,16 @@ def _with_gains(draft: MappingDraft, sizes: Array, tree: Tree, origin: str) -> M
     return draft.saying("torque", "gain_from", origin)
 
 
-def _with_pedestal(draft: MappingDraft, weighed: tuple[float, float, float]) -> MappingDraft:
+def _with_pedestal(
+    draft: MappingDraft, weighed: tuple[float, float, float]
+) -> MappingDraft:
     """Whether a plate's reading contains the pedestal, by the model file's masses."""
     included, without, file = weighed
     value = "removed" if removed(*weighed) else "included"
     note = f"{ASSUMED}: the robot weighs {included:.3g} kg if it is included, {without:.3g} kg if "
-    return draft.saying("wrench", "pedestal", value, f"{note}not; the model file says {file:.3g}")
+    return draft.saying(
+        "wrench", "pedestal", value, f"{note}not; the model file says {file:.3g}"
+    )
 
 
 def _with_remedies(draft: MappingDraft, assessment: Assessment) -> MappingDraft:
@@ -324,7 +322,9 @@ def _with_rates(draft: MappingDraft, unit: str | list[str]) -> MappingDraft:
     for kind, ending in (("velocity", "/s"), ("acceleration", "/s^2")):
         if draft.notes.get((kind, "unit")) == ASSUMED:
             several = isinstance(unit, list)
-            rates = [f"{each}{ending}" for each in unit] if several else f"{unit}{ending}"
+            rates = (
+                [f"{each}{ending}" for each in unit] if several else f"{unit}{ending}"
+            )
             draft = draft.saying(kind, "unit", rates, ASSUMED)
     return draft
 
@@ -354,12 +354,16 @@ def _with_clocks(
             if key == "delay":
                 draft = _delayed(draft, table, value, each.sigma)
             else:
-                note = f"solved: {1e6 * each.skew:.1f} +- {1e6 * each.skew_sigma:.1f} ppm"
+                note = (
+                    f"solved: {1e6 * each.skew:.1f} +- {1e6 * each.skew_sigma:.1f} ppm"
+                )
                 draft = draft.saying(table, key, value, note)
     return draft
 
 
-def _delayed(draft: MappingDraft, signal: str, delay: float, sigma: float) -> MappingDraft:
+def _delayed(
+    draft: MappingDraft, signal: str, delay: float, sigma: float
+) -> MappingDraft:
     """A signal that is so late [s]; of a clock of its own as its offset."""
     source = draft.tables[signal]["source"]
     table, key, value = signal, "delay", round(delay, 7)
@@ -367,7 +371,9 @@ def _delayed(draft: MappingDraft, signal: str, delay: float, sigma: float) -> Ma
         table, key = f"sources.{source}", "offset"
         value = round(draft.tables[table].get("offset", 0.0) - delay, 7)
         draft = draft.saying(signal, "delay", None)
-    return draft.saying(table, key, value, f"solved: {1e3 * value:.3f} +- {1e3 * sigma:.3f} ms")
+    return draft.saying(
+        table, key, value, f"solved: {1e3 * value:.3f} +- {1e3 * sigma:.3f} ms"
+    )
 
 
 def _with_plate(draft: MappingDraft, best: Explanation) -> MappingDraft:
@@ -387,10 +393,16 @@ def _with_plate(draft: MappingDraft, best: Explanation) -> MappingDraft:
     note += f"; ratio {ratio:.6g} +- {ratio * sigma[RATIO]:.2g}"
     draft = draft.saying("wrench", "units", table["units"], note)
     late = float(moves[LATE])
-    shared = table["source"] == draft.tables["position"]["source"] and "delay" not in table
+    shared = (
+        table["source"] == draft.tables["position"]["source"] and "delay" not in table
+    )
     if not shared or abs(late) > CLEAR * sigma[LATE]:
-        draft = _delayed(draft, "wrench", table.get("delay", 0.0) + late, float(sigma[LATE]))
-    placed = Transform(from_rpy(rpy), xyz).wrench_matrix @ frame.map_inverse @ best.plate.map
+        draft = _delayed(
+            draft, "wrench", table.get("delay", 0.0) + late, float(sigma[LATE])
+        )
+    placed = (
+        Transform(from_rpy(rpy), xyz).wrench_matrix @ frame.map_inverse @ best.plate.map
+    )
     return _with_zero(draft, replace(best, plate=replace(best.plate, map=placed)))
 
 
@@ -406,13 +418,17 @@ def _with_place(
     axes = [axis for axis, each in zip("xyz", spread, strict=True) if each > FAR]
     note += f"; {', '.join(axes)} not determined by these data" * bool(axes)
     value = {"xyz": np.round(xyz, 4).tolist(), "rpy": [round(a, 6) + 0.0 for a in rpy]}
-    return draft.saying("wrench", "# place", None).saying("wrench", "place", value, note)
+    return draft.saying("wrench", "# place", None).saying(
+        "wrench", "place", value, note
+    )
 
 
 def _with_zero(draft: MappingDraft, best: Explanation) -> MappingDraft:
     """What the plate shows without the robot, where that is clear."""
     table = MappingFile.model_validate(draft.content).wrench
-    zero = None if table is None else zero_hypothesis(best, table.static(None), least=0.0)
+    zero = (
+        None if table is None else zero_hypothesis(best, table.static(None), least=0.0)
+    )
     if zero is None:
         return draft
     note = "solved: where it is clear; of Fz, Mx and My, what is of weight, by the file's masses"
@@ -447,7 +463,9 @@ def _too_short(best: Explanation) -> Iterator[Diagnostic]:
     parameters = minimal_set(best.fit.prior.tree, "reaction").count
     count, joints = instants.motion.q.shape
     if count * (6 if best.has_plate else joints) <= SHORT * parameters:
-        yield diagnose("recording.short", value=count * instants.spacing, parameters=parameters)
+        yield diagnose(
+            "recording.short", value=count * instants.spacing, parameters=parameters
+        )
 
 
 def _doubted(draft: MappingDraft) -> MappingDraft:

@@ -10,11 +10,10 @@ the mapping says, it is tried.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from testbed.core.base.transform import Transform
 from testbed.core.estimation.regression.normal_equations import inverse_and_solution
 from testbed.core.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.importing.check.instants import Instants, delay
+from testbed.importing.check.plate_frame import Frame, unit_ratio
 from testbed.importing.check.plate_map import (
     LASTS,
     LATE,
@@ -36,8 +36,12 @@ from testbed.importing.check.plate_map import (
     ridge_regression,
 )
 from testbed.importing.check.prior import ScaledPrior
-from testbed.importing.check.remedies import STEPS, Hypothesis, exchanges, place_of, tables_of
-from testbed.importing.foreign_table import FORCES, MOMENTS, plain
+from testbed.importing.check.remedies import (
+    STEPS,
+    Hypothesis,
+    exchanges,
+)
+from testbed.importing.foreign_table import FORCES, MOMENTS
 
 AS_READ = (0, 1, 2, 3, 4, 5)
 
@@ -102,64 +106,6 @@ MapHypothesis = tuple[tuple[Hypothesis, ...], Array]
 """Hypotheses about a plate, and the map from the recorded wrench by them, (6, 6)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """How a mapping has read the plate.
-
-    Attributes:
-        turn: Of the sensor's frame, (3, 3).
-        place: Of its origin, (3,) [m].
-        units: Of forces and moments.
-    """
-
-    turn: Array
-    place: Array
-    units: tuple[str, str]
-
-    @cached_property
-    def map_inverse(self) -> Array:
-        """The wrench in the sensor's frame of one in the bedplate's, (6, 6)."""
-        return Transform(self.turn, self.place).inverse.wrench_matrix
-
-    def map(
-        self, turn: Array, units: tuple[str, str], order: Sequence[int], ratio: float = 1.0
-    ) -> Array:
-        """The wrench in the bedplate's frame by another reading, of that by this one, (6, 6).
-
-        Args:
-            turn: Of the sensor's frame, (3, 3).
-            units: Of forces and moments.
-            order: In which column each channel is.
-            ratio: Times that moments are larger than in these units.
-        """
-        size = np.repeat([FORCES[units[0]], ratio * MOMENTS[units[1]]], 3)
-        own_size = np.repeat([FORCES[self.units[0]], MOMENTS[self.units[1]]], 3)
-        columns = np.eye(6)[list(order)] * np.outer(size, 1 / own_size)
-        return Transform(turn, self.place).wrench_matrix @ columns @ self.map_inverse
-
-
-def frame_of(mapping: Mapping[str, Any]) -> Frame:
-    """How a mapping has read its plate; as the bedplate's own where it has none, or several.
-
-    Args:
-        mapping: What the recording's mapping file says; empty if it has none.
-    """
-    tables = tables_of(mapping, "wrench")
-    table = next((each for name, each in tables.items() if not name.startswith("plates.")), {})
-    rpy, xyz = place_of(table)
-    force, moment = (plain(each) for each in table.get("units", ("N", "N m")))
-    return Frame(from_rpy(rpy), xyz, (force, moment))
-
-
-def unit_ratio(units: tuple[str, str]) -> float:
-    """What one of a moment's unit is in SI, for one of a force's.
-
-    Args:
-        units: Of forces and moments.
-    """
-    return MOMENTS[units[1]] / FORCES[units[0]]
-
-
 def best_hypotheses(
     plate: PlateRows, frame: Frame, order: tuple[int, ...]
 ) -> Iterator[MapHypothesis]:
@@ -174,7 +120,8 @@ def best_hypotheses(
     """
     starts = [*_aligned(plate, frame, order), frame.turn]
     turn, ratio, sigma, _ = min(
-        (_descend(plate, frame, order, start) for start in starts), key=lambda each: each[-1]
+        (_descend(plate, frame, order, start) for start in starts),
+        key=lambda each: each[-1],
     )
     angles = [round(angle / STEPS[-1]) * STEPS[-1] for angle in to_rpy(turn)]
     near = max(SNAP, SIGMAS * sigma)
@@ -200,11 +147,19 @@ def _aligned(plate: PlateRows, frame: Frame, order: Sequence[int]) -> Iterator[A
     """
     from scipy.spatial.transform import Rotation
 
-    channels = plate.channels[:, :6] @ frame.map(np.eye(3), frame.units, order).T * plate.weight
+    channels = (
+        plate.channels[:, :6]
+        @ frame.map(np.eye(3), frame.units, order).T
+        * plate.weight
+    )
     vectors, expected = channels.reshape(-1, 3), plate.expected.reshape(-1, 3)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of vectors along one line: any turn will do
-        both = [Rotation.align_vectors(expected, sense * vectors)[0] for sense in (1.0, -1.0)]
+        # of vectors along one line: any turn will do
+        warnings.simplefilter("ignore", UserWarning)
+        both = [
+            Rotation.align_vectors(expected, sense * vectors)[0]
+            for sense in (1.0, -1.0)
+        ]
     yield from (turn.as_matrix() for turn in both)
 
 
@@ -219,7 +174,9 @@ def _descend(
     ratio = plate.gain_ratio(frame.map(frame.turn, frame.units, order))
     moves = [*TURN, RATIO]
     for _ in range(ROUNDS):
-        fit = plate.fit(frame.map(turn, frame.units, order, ratio), (*SHIFT, LATE, *moves))
+        fit = plate.fit(
+            frame.map(turn, frame.units, order, ratio), (*SHIFT, LATE, *moves)
+        )
         step = fit.extras[moves]
         step = step * min(1.0, LARGEST / max(float(np.linalg.norm(step)), LARGEST))
         turn = from_vector(step[:3]) @ turn
@@ -285,7 +242,9 @@ class PlateEvidence:
         rows: Of the wrench on all barycentric parameters, (T, 6, 10 n).
     """
 
-    def __init__(self, prior: ScaledPrior, frame: Frame, rows: Array, instants: Instants) -> None:
+    def __init__(
+        self, prior: ScaledPrior, frame: Frame, rows: Array, instants: Instants
+    ) -> None:
         """Products of rows and channels.
 
         Args:
@@ -294,7 +253,12 @@ class PlateEvidence:
             rows: Of the wrench on all barycentric parameters, (T, 6, 10 n).
             instants: Of the recording.
         """
-        self._prior, self._frame, self.rows, self._instants = prior, frame, rows, instants
+        self._prior, self._frame, self.rows, self._instants = (
+            prior,
+            frame,
+            rows,
+            instants,
+        )
         self.measured = instants.wrench.size > 0
         if self.measured:
             self._spread, self._expected = rows @ prior.root, rows @ prior.mean
@@ -321,7 +285,9 @@ class PlateEvidence:
         """
         wrench = self._instants.wrench
         channels = np.hstack([wrench, np.ones((len(wrench), 1))])
-        each = np.einsum("tk,cd->tcdk", channels, np.eye(6)).reshape(len(channels), 6, -1)
+        each = np.einsum("tk,cd->tcdk", channels, np.eye(6)).reshape(
+            len(channels), 6, -1
+        )
         late, times = delay(each, self._products.expected, self._instants.spacing)
         return -late, times
 
@@ -334,7 +300,9 @@ class PlateEvidence:
         several = self._judge(best_hypotheses(plate, frame, AS_READ))
         if not any(each.explained() for each in several):
             several += self._judge(
-                each for order in PLATE_ORDERS for each in best_hypotheses(plate, frame, order)
+                each
+                for order in PLATE_ORDERS
+                for each in best_hypotheses(plate, frame, order)
             )
         return several
 
@@ -362,7 +330,9 @@ class PlateEvidence:
         size = min((np.log(max(abs(fit.size), 1e-9)) / ROUGH) ** 2, MOST_SIZE)
         cost = WEIGHT * float(np.log(fit.unexplained + TINY).sum() + size)
         late = float(fit.extras[LATE])
-        return PlateExplanation(tuple(hypotheses), each, late, fit.unexplained, fit.noise, cost)
+        return PlateExplanation(
+            tuple(hypotheses), each, late, fit.unexplained, fit.noise, cost
+        )
 
     @cached_property
     def as_read(self) -> PlateExplanation:
@@ -388,21 +358,30 @@ class PlateEvidence:
         Returns:
             Besides these what they leave of the wrench, (T, 6) [N, N m].
         """
-        prior, (departure, root, left) = self._prior, self._regression(each, self._spread)
+        prior, (departure, root, left) = (
+            self._prior,
+            self._regression(each, self._spread),
+        )
         return prior.mean + prior.root @ departure, prior.root @ root, left
 
-    def residual(self, each: PlateExplanation, columns: Array) -> tuple[Array, Array, Array]:
+    def residual(
+        self, each: PlateExplanation, columns: Array
+    ) -> tuple[Array, Array, Array]:
         """Residual, (T, 6), with further columns; their values and sigmas, (k,).
 
         Args:
             each: Of the plate.
             columns: Of the bedplate's wrench, (T, 6, k).
         """
-        values, root, left = self._regression(each, np.concatenate([self._spread, columns], axis=2))
+        values, root, left = self._regression(
+            each, np.concatenate([self._spread, columns], axis=2)
+        )
         others = self._spread.shape[2]
         return left, values[others:], np.linalg.norm(root[others:], axis=1)
 
-    def _regression(self, each: PlateExplanation, columns: Array) -> tuple[Array, Array, Array]:
+    def _regression(
+        self, each: PlateExplanation, columns: Array
+    ) -> tuple[Array, Array, Array]:
         """Values of columns, a root of their covariance, and the residual, by an explanation."""
         wrench = self.wrench(each)
         share = np.maximum(each.unexplained, LEAST_LEFT) * LASTS
@@ -449,7 +428,9 @@ class PlateEvidence:
         constants = np.broadcast_to(np.eye(6), (count, 6, 6))
         model = np.concatenate([self._spread, constants], axis=2)
         model = dct(model, axis=0, norm="ortho")
-        wrench, rate = (dct(x, axis=0, norm="ortho") for x in (data.wrench, data.wrench_rate))
+        wrench, rate = (
+            dct(x, axis=0, norm="ortho") for x in (data.wrench, data.wrench_rate)
+        )
         target = wrench - dct(self._expected, axis=0, norm="ortho")
         parameters, moves = slice(self._spread.shape[2]), slice(model.shape[2], None)
         precision = np.concatenate([np.ones(parameters.stop), np.zeros(6), 1 / WIDE**2])
@@ -486,7 +467,9 @@ class PlateEvidence:
             each: Of the plate.
         """
         wrench, left = self.wrench(each), self.posterior(each)[2]
-        return WrenchFit(self._instants.motion.t, wrench, wrench - left, each.unexplained)
+        return WrenchFit(
+            self._instants.motion.t, wrench, wrench - left, each.unexplained
+        )
 
 
 def _spectral_weights(residual: Array, leverage: Array) -> Array:

@@ -21,7 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.base.arrays import Array, skew
-from testbed.core.estimation.regression.normal_equations import inverse_root, unit_diagonal
+from testbed.core.estimation.regression.normal_equations import (
+    inverse_root,
+    unit_diagonal,
+)
 from testbed.importing.check.instants import Instants
 
 LASTS = 10.0
@@ -58,7 +61,9 @@ def rotation_vector(turn: Array) -> Array:
 def _slopes() -> Array:
     """Derivatives of a map, to be multiplied by it, by what is fitted beside it, (8, 6, 6)."""
     slopes = np.zeros((8, 6, 6))
-    slopes[SHIFT, 3:, :3] = slopes[TURN, :3, :3] = slopes[TURN, 3:, 3:] = skew(np.eye(3))
+    slopes[SHIFT, 3:, :3] = slopes[TURN, :3, :3] = slopes[TURN, 3:, 3:] = skew(
+        np.eye(3)
+    )
     slopes[LATE] = np.eye(6)  # of the wrench's derivative
     slopes[RATIO, 3:, 3:] = np.eye(3)
     return slopes
@@ -67,7 +72,9 @@ def _slopes() -> Array:
 SLOPES = _slopes()
 
 
-def ridge_regression(rows: Array, target: Array, sigma: Array) -> tuple[Array, Array, Array]:
+def ridge_regression(
+    rows: Array, target: Array, sigma: Array
+) -> tuple[Array, Array, Array]:
     """Parameters that explain signals, with any constants, and what they leave.
 
     Where the plate is noise, parameters remain near the model file's.
@@ -140,7 +147,9 @@ class PlateRows:
         signals = np.einsum("tk,cd->tcdk", self.channels, np.diag(self.weight))
         signals = signals.reshape(len(varied), 6, 72)
         signals -= self.expected[..., None] * self._model  # of each map's size
-        departure, _, signals = ridge_regression(rows * self.weight[:, None], signals, sigma)
+        departure, _, signals = ridge_regression(
+            rows * self.weight[:, None], signals, sigma
+        )
         self._departure = departure.T @ departure
         self._residual = np.einsum("tcx,tcy->cxy", signals, signals, optimize=True)
 
@@ -157,7 +166,10 @@ class PlateRows:
         terms[1 + LATE] = np.roll(terms[0], 6, axis=1)  # of the wrench's derivative
         flat = terms.reshape(-1, 72)[[0, *(1 + np.array(places))]]
         residual = flat @ self._residual @ flat.T  # (6, 1 + k, 1 + k)
-        whole, noise = _at_least(self._variance(each)), self.weight**2 * (each**2 @ self._noise)
+        whole, noise = (
+            _at_least(self._variance(each)),
+            self.weight**2 * (each**2 @ self._noise),
+        )
         weight = QUIET / (QUIET * whole + noise)
         total = np.tensordot(weight, residual, 1)
         total += QUIET / whole.mean() * (flat @ self._departure @ flat.T)
@@ -182,7 +194,9 @@ class PlateRows:
 
     def _variance(self, each: Array) -> Array:
         """Of each channel after a map, in parts of the model's, (6,)."""
-        return np.asarray(self.weight**2 * ((each @ self._covariance[:6, :6]) * each).sum(axis=1))
+        return np.asarray(
+            self.weight**2 * ((each @ self._covariance[:6, :6]) * each).sum(axis=1)
+        )
 
     @cached_property
     def least_share(self) -> float:

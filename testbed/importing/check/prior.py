@@ -38,7 +38,9 @@ class ScaledPrior:
         own = standard(self.tree)
         file, moments, tensor = own[:, :1], own[:, 1:4], own[:, 4:]
         mass = np.maximum(file, LIGHT * file.sum())
-        centre = np.linalg.norm(moments, axis=1, keepdims=True) / np.where(file > 0, file, 1.0)
+        centre = np.linalg.norm(moments, axis=1, keepdims=True) / np.where(
+            file > 0, file, 1.0
+        )
         reach = REACH + MASS * centre
         lever = np.repeat(mass * reach, 3, axis=1)
         sigma = np.hstack([MASS * mass, lever, MASS * np.abs(tensor) + mass * reach**2])

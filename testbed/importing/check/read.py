@@ -10,8 +10,8 @@ from testbed.core.base.toml_text import checked
 from testbed.core.recordings.recording import Recording
 from testbed.core.robot.model_file import file_of
 from testbed.core.robot.tree import Tree, require_tree
-from testbed.importing.check.draft_mapping import draft_mapping
-from testbed.importing.check.mapping_solution import missing, solve_mapping
+from testbed.importing.check.draft_mapping import draft_mapping, missing
+from testbed.importing.check.mapping_solution import solve_mapping
 from testbed.importing.convert import import_recording, pieces
 from testbed.importing.mapping import Mapping
 

@@ -70,7 +70,9 @@ def spikes(recording: Recording) -> Iterator[Diagnostic]:
     Args:
         recording: Or a part of one.
     """
-    for signal in (name for name in ("position", "torque", "wrench") if name in recording.signals):
+    for signal in (
+        name for name in ("position", "torque", "wrench") if name in recording.signals
+    ):
         values = recording.measured(signal)
         rare = min(max(FEWEST / len(values), RARE), 0.25)
         low, high = np.quantile(values, [rare, 1 - rare], axis=0)
@@ -82,8 +84,12 @@ def spikes(recording: Recording) -> Iterator[Diagnostic]:
             if signal == "wrench":
                 name = f"the plate's {AXES[k]}"
             at = np.flatnonzero(outside[:, k])
-            said = few([f"{values[i, k]:.4g} at {recording.time[i]:.6g} s" for i in at], SHOWN)
-            yield diagnose("channel.spikes", name, len(at), spikes=said, low=low[k], high=high[k])
+            said = few(
+                [f"{values[i, k]:.4g} at {recording.time[i]:.6g} s" for i in at], SHOWN
+            )
+            yield diagnose(
+                "channel.spikes", name, len(at), spikes=said, low=low[k], high=high[k]
+            )
 
 
 def out_of_range(tree: Tree, position: Array) -> Iterator[Diagnostic]:
@@ -129,7 +135,9 @@ def at_rest(tree: Tree, instants: Instants) -> Iterator[Diagnostic]:
     noise = (np.diff(position, axis=0).var(axis=0) > position.var(axis=0)).all()
     if position.size and moved < (NOISE_RESTS if noise else STILL):
         yield diagnose("robot.rest", "the robot", moved)
-    elif wrench.size and np.ptp(wrench, axis=0).max() <= ROUNDING * np.abs(wrench).max():
+    elif (
+        wrench.size and np.ptp(wrench, axis=0).max() <= ROUNDING * np.abs(wrench).max()
+    ):
         yield diagnose("plate.silent", "the plate", 0.0, wrench=components(wrench[0]))
 
 
@@ -218,7 +226,9 @@ def weights(best: Explanation) -> tuple[float, float, float] | None:
     return included, without, float(file)
 
 
-def unsaid_pedestal(best: Explanation, mapping: Mapping[str, Any]) -> Iterator[Diagnostic]:
+def unsaid_pedestal(
+    best: Explanation, mapping: Mapping[str, Any]
+) -> Iterator[Diagnostic]:
     """A plate that seems to be read without the pedestal, of which its mapping says nothing.
 
     Args:
@@ -262,7 +272,12 @@ def other_zero(remedy: Remedy) -> Diagnostic:
 
 
 def wrong_mapping(
-    tree: Tree, remedies: Sequence[Remedy], equals: Sequence[str], gain: float, *, certain: bool
+    tree: Tree,
+    remedies: Sequence[Remedy],
+    equals: Sequence[str],
+    gain: float,
+    *,
+    certain: bool,
 ) -> Diagnostic:
     """A mapping that hypotheses contradict, and what would make it right.
 
@@ -286,7 +301,9 @@ def wrong_mapping(
         " and ".join([*subjects, *[joints][: len(names)]]),
         worst.before,
         level="error" if certain else "warning",
-        causes=[" and ".join(dict.fromkeys(KINDS[each.kind].words for each in remedies))],
+        causes=[
+            " and ".join(dict.fromkeys(KINDS[each.kind].words for each in remedies))
+        ],
         before=share(worst.before),
         after=share(worst.after),
         channel=worst.channel,
@@ -321,7 +338,9 @@ def odd_sizes(
         causes, lines = ("unit-n-mm",), f'[torque] unit = "{units[unit]}"'
     elif small:
         causes = ("motor-side", "currents")
-        gains = ", ".join(f"{round_significant(1 / x, 5):g}" if x > 0 else "?" for x in sizes)
+        gains = ", ".join(
+            f"{round_significant(1 / x, 5):g}" if x > 0 else "?" for x in sizes
+        )
         lines = (
             f'[torque] side = "motor" with a table [gear] (ratio about [{gains}]), or '
             f'unit = "A" with gain about [{gains}]'
@@ -347,7 +366,9 @@ def undecided(tree: Tree, hypotheses: Sequence[Hypothesis]) -> Iterator[Diagnost
     """
     parts = []
     for kind in ("zero", "position_sign", "position_order"):
-        joints = sorted({k for each in hypotheses if each.kind == kind for k in each.joints})
+        joints = sorted(
+            {k for each in hypotheses if each.kind == kind for k in each.joints}
+        )
         if joints:
             what = kind.removeprefix("position_")
             parts.append(f"the {what} of {few([tree.names[k] for k in joints])}")

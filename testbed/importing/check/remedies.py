@@ -38,7 +38,9 @@ KINDS: Mapping[str, Kind] = {
     "position_order": Kind("positions in another order of joints", "position", 1.5),
     "zero": Kind("another zero of the position", "position", 4.0),
     "base_unit": Kind("another unit of the base's position", "base"),
-    "quaternion_order": Kind("x, y, z, w of the base's quaternion taken for w, x, y, z", "base"),
+    "quaternion_order": Kind(
+        "x, y, z, w of the base's quaternion taken for w, x, y, z", "base"
+    ),
     "torque_sign": Kind("the opposite sign of the torque", "torque"),
     "torque_order": Kind("torques in another order of joints", "torque"),
     "torque_size": Kind("torques of another size", "torque"),
@@ -99,9 +101,13 @@ class Hypothesis:
     @property
     def penalty(self) -> float:
         """What it must explain more than another hypothesis [nats]."""
-        if self.kind == "turn":  # people turn by right angles, and then by what is on a protractor
+        # people turn by right angles, and then by what is on a protractor
+        if self.kind == "turn":
             angles = np.array(self.values)
-            odd = [np.abs(angles - np.round(angles / step) * step).max() > 1e-4 for step in STEPS]
+            odd = [
+                np.abs(angles - np.round(angles / step) * step).max() > 1e-4
+                for step in STEPS
+            ]
             return float(ODD * sum(odd))
         times = 1
         if self.kind == "zero":
@@ -287,7 +293,9 @@ def of_joints(
     """
     if those.any():
         joints = np.flatnonzero(those).tolist()
-        yield Hypothesis(kind, tuple(joints), () if values is None else tuple(values.tolist()))
+        yield Hypothesis(
+            kind, tuple(joints), () if values is None else tuple(values.tolist())
+        )
 
 
 @dataclass(frozen=True)
@@ -336,7 +344,9 @@ def remedies_for(
         lines = tuple(_lines(tree, each, mapping))
         mapping = with_lines(mapping, lines)  # on which the next ones build
         every = range(len(before))
-        own = {"wrench": every[torques:], "torque": each.joints}.get(KINDS[each.kind].table, every)
+        own = {"wrench": every[torques:], "torque": each.joints}.get(
+            KINDS[each.kind].table, every
+        )
         best = max(own, key=lambda k: before[k] - after[k])
         joints = tuple(tree.names[k] for k in each.joints)
         shares = float(before[best]), float(after[best])
@@ -360,16 +370,22 @@ def with_lines(mapping: Mapping[str, Any], lines: Iterable[Line]) -> dict[str, A
     return edited
 
 
-def _lines(tree: Tree, hypothesis: Hypothesis, mapping: Mapping[str, Any]) -> Iterator[Line]:
+def _lines(
+    tree: Tree, hypothesis: Hypothesis, mapping: Mapping[str, Any]
+) -> Iterator[Line]:
     """What to write of one hypothesis, in terms of what is written if that is known."""
     signal = KINDS[hypothesis.kind].table
     for name, table in tables_of(mapping, signal).items():
         if signal == "wrench":
-            pairs = [_plate_line(hypothesis, table, alone=not name.startswith("plates."))]
+            pairs = [
+                _plate_line(hypothesis, table, alone=not name.startswith("plates."))
+            ]
         elif signal == "base":
             pairs = [_base_line(hypothesis, table)]
         else:
-            order = [tree.names.index(joint) for joint in mapping.get("joints", tree.names)]
+            order = [
+                tree.names.index(joint) for joint in mapping.get("joints", tree.names)
+            ]
             pairs = [*_joint_lines(tree, hypothesis, table, order)]
         yield from ((name, *pair) for pair in pairs)
 
@@ -420,7 +436,10 @@ def _plate_line(
         xyz = xyz if alone else turn @ xyz
     else:
         xyz = np.array(values) if alone else xyz + values
-    return "place", {"xyz": np.round(xyz, 4).tolist(), "rpy": [round(a, 5) + 0.0 for a in rpy]}
+    return "place", {
+        "xyz": np.round(xyz, 4).tolist(),
+        "rpy": [round(a, 5) + 0.0 for a in rpy],
+    }
 
 
 def _base_line(hypothesis: Hypothesis, table: Mapping[str, Any]) -> tuple[str, Any]:
@@ -437,7 +456,11 @@ def _joint_lines(
     tree: Tree, hypothesis: Hypothesis, table: Mapping[str, Any], order: Sequence[int]
 ) -> Iterator[tuple[str, Any]]:
     """Keys of the joints' columns and their values, in the mapping's own order of joints."""
-    kind, matrix, offset = hypothesis.kind, table.get("matrix"), table.get("offset") or ()
+    kind, matrix, offset = (
+        hypothesis.kind,
+        table.get("matrix"),
+        table.get("offset") or (),
+    )
     here = [k in hypothesis.joints for k in order]
     if kind.endswith("sign"):
         factors = np.where(here, -1, 1)
@@ -452,7 +475,10 @@ def _joint_lines(
     elif kind == "zero":
         angles = dict(zip(hypothesis.joints, hypothesis.values, strict=True))
         before = zip(order, offset or [0.0] * len(order), strict=True)
-        yield "offset", [round(float(x + angles[k]), 5) if k in angles else x for k, x in before]
+        yield (
+            "offset",
+            [round(float(x + angles[k]), 5) if k in angles else x for k, x in before],
+        )
     else:
         columns = table.get("columns", ())
         if matrix or len(columns) != len(order):
@@ -461,7 +487,9 @@ def _joint_lines(
         yield "columns", [by_joint[hypothesis.values[k]] for k in order]
 
 
-def _angle_units(tree: Tree, kind: str, unit: Any, order: Sequence[int]) -> str | list[str]:
+def _angle_units(
+    tree: Tree, kind: str, unit: Any, order: Sequence[int]
+) -> str | list[str]:
     """Units of positions, those of joints that turn in the right one."""
     right = "deg" if kind == "degrees" else "rad"
     said = unit if isinstance(unit, list) else ["m"] * len(order)

@@ -19,7 +19,8 @@ from testbed.importing.check.explanation import (
     ranked,
 )
 from testbed.importing.check.instants import sample
-from testbed.importing.check.plate import EXPLAINED, frame_of
+from testbed.importing.check.plate import EXPLAINED
+from testbed.importing.check.plate_frame import frame_of
 from testbed.importing.check.prior import ScaledPrior
 from testbed.importing.check.remedies import (
     Hypothesis,
@@ -119,8 +120,14 @@ class Search:
         """
         misfit = self.fits[()].misfit
         most = APART if self._has_plate else ROUGHLY_APART
-        worse = {each: fit.misfit - misfit for each, fit in self.fits.items() if len(each) == 1}
-        return [each for (each,), by in worse.items() if by < most and abs(by) > NOTHING]
+        worse = {
+            each: fit.misfit - misfit
+            for each, fit in self.fits.items()
+            if len(each) == 1
+        }
+        return [
+            each for (each,), by in worse.items() if by < most and abs(by) > NOTHING
+        ]
 
     def _fit(self, *hypotheses: Hypothesis) -> HypothesisFit | None:
         """A fit by hypotheses about positions and clocks, made once; None where it is no motion."""
@@ -138,7 +145,9 @@ class Search:
             instants = sample(moved, late, self._cutoff)
             if instants is None:
                 return None
-            self.fits[hypotheses] = HypothesisFit(self.prior, self.frame, hypotheses, instants)
+            self.fits[hypotheses] = HypothesisFit(
+                self.prior, self.frame, hypotheses, instants
+            )
             if self._progress is not None:
                 self._progress(len(self.fits), 0)
         return self.fits[hypotheses]
@@ -157,9 +166,13 @@ class Search:
 
     def _with_signs(self, after: Explanation) -> list[Explanation]:
         """What explains it with other senses of the positions whose torques are unclear."""
-        signs = [Hypothesis("position_sign", (joint,)) for joint in sorted(after.unclear)]
+        signs = [
+            Hypothesis("position_sign", (joint,)) for joint in sorted(after.unclear)
+        ]
         signs = [each for each in signs if each not in after.fit.hypotheses]
-        return [each for fit in self._look(after.fit, signs) for each in fit.explanations]
+        return [
+            each for fit in self._look(after.fit, signs) for each in fit.explanations
+        ]
 
     def _stages(
         self, first: HypothesisFit, several: list[Explanation]
@@ -185,7 +198,8 @@ class Search:
         if not self._has_plate:
             plain = [each.cost for each in several if not each.sized]
             if as_read.sized and min(plain, default=np.inf) > as_read.cost - DOUBTED:
-                del several[1:]  # torques of another size leave little to judge of the rest
+                # torques of another size leave little to judge of the rest
+                del several[1:]
                 return
             if not as_read.torques_explained(CLOSE):
                 yield self._at_best_zeros(2)
@@ -198,7 +212,9 @@ class Search:
         self._look(first, rarer_hypotheses(tree, pairs=not self._has_plate))
         yield self._at_best_zeros(3)
         for each in self._nearest(2 if self._has_plate else 4):
-            self._look(each, position_hypotheses(tree, each.instants.motion.q, each.hypotheses))
+            self._look(
+                each, position_hypotheses(tree, each.instants.motion.q, each.hypotheses)
+            )
         yield self._promising()
 
     def _in_time(
@@ -208,10 +224,14 @@ class Search:
         explained = any(each.explained for each in several)
         if first.hypotheses or not self._has_plate or explained:
             return None
-        late, _ = min((each.plate.delay for each in self.fits.values()), key=lambda d: d[1])
+        late, _ = min(
+            (each.plate.delay for each in self.fits.values()), key=lambda d: d[1]
+        )
         return self._fit(Hypothesis("late", (), (late,))) if late else None
 
-    def _look(self, beside: HypothesisFit, hypotheses: Iterable[Hypothesis]) -> list[HypothesisFit]:
+    def _look(
+        self, beside: HypothesisFit, hypotheses: Iterable[Hypothesis]
+    ) -> list[HypothesisFit]:
         """Fits by one hypothesis more each."""
         fits = [self._fit(*beside.hypotheses, each) for each in hypotheses]
         return [each for each in fits if each is not None]
@@ -223,10 +243,17 @@ class Search:
         """What the nearest fits leave, but for those that no map of a plate explains as well."""
         nearest = self._nearest(JUDGED)
         most = MUCH * min(each.plate.least for each in nearest) + EXPLAINED
-        return [each for fit in nearest if fit.plate.least <= most for each in fit.explanations]
+        return [
+            each
+            for fit in nearest
+            if fit.plate.least <= most
+            for each in fit.explanations
+        ]
 
     def _at_best_zeros(self, count: int) -> list[Explanation]:
-        fits = [self._refine(each) for each in self._nearest(count) if _moves_zero(each)]
+        fits = [
+            self._refine(each) for each in self._nearest(count) if _moves_zero(each)
+        ]
         return [each for fit in fits for each in fit.explanations]
 
     def _refine(self, fit: HypothesisFit) -> HypothesisFit:
@@ -240,7 +267,9 @@ class Search:
             return self._fit(*before, replace(last, values=angles)) or fit
 
         best = minimize_scalar(
-            lambda step: moved(step).misfit, bounds=(-STEP, STEP), options={"xatol": FINEST}
+            lambda step: moved(step).misfit,
+            bounds=(-STEP, STEP),
+            options={"xatol": FINEST},
         )
         return min(fit, moved(float(best.x)), key=lambda each: each.misfit)
 

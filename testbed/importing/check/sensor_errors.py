@@ -18,7 +18,12 @@ from testbed.sensors.catalogue import candidate_errors
 from testbed.sensors.errors.plate_delay import PlateDelay
 from testbed.sensors.errors.plate_gain import PlateGain
 from testbed.sensors.errors.plate_matrix import PlateMatrix
-from testbed.sensors.systematic_error import ClockError, Coefficient, PlateError, SystematicError
+from testbed.sensors.systematic_error import (
+    ClockError,
+    Coefficient,
+    PlateError,
+    SystematicError,
+)
 
 LIKELY = 6.0
 """Log-likelihood ratio from which a sensor error is named [nats]."""
@@ -77,7 +82,10 @@ def diagnostic(fit: SensorErrorFit, best: Explanation) -> Diagnostic:
     """
     shares, left = best.plate.unexplained, fit.unexplained
     channel = int(np.argmax(np.log((shares + TINY) / (left + TINY))))
-    lines = [("errors", f'"{c.name}"', float(f"{value:.4g}")) for c, value in fit.coefficients]
+    lines = [
+        ("errors", f'"{c.name}"', float(f"{value:.4g}"))
+        for c, value in fit.coefficients
+    ]
     sizes = [f"{c.name} {value:.3g} {c.unit}".rstrip() for c, value in fit.coefficients]
     return diagnose(
         "plate.sensor-error",
@@ -105,7 +113,9 @@ def _fits(best: Explanation) -> Iterator[SensorErrorFit]:
         columns = _columns(error, best, explained)
         if columns is None:
             continue
-        after, values, sigma = _regression(best, np.concatenate([columns, gains], axis=2))
+        after, values, sigma = _regression(
+            best, np.concatenate([columns, gains], axis=2)
+        )
         gain = WEIGHT * float(np.log((before + TINY) / (after + TINY)).sum())
         coefficients = error.coefficients(best.fit.prior.tree)
         pairs = zip(coefficients, values.tolist(), CLEAR * sigma, strict=False)
@@ -123,7 +133,9 @@ def _regression(best: Explanation, columns: Array) -> tuple[Array, Array, Array]
     return plate.unexplained, values, sigma
 
 
-def _columns(error: type[SystematicError], best: Explanation, wrench: Array) -> Array | None:
+def _columns(
+    error: type[SystematicError], best: Explanation, wrench: Array
+) -> Array | None:
     """Derivative of a wrench, (T, 6), by coefficients, (T, 6, k); None without change in time."""
     time = best.fit.instants.motion.t
     time = time - time.mean()

@@ -159,7 +159,9 @@ def time_offsets(
     return [each for each in offsets if each is not None]
 
 
-def delivered(tree: Tree, source: Source, bodies: Estimate) -> tuple[Recording, TimeOffset]:
+def delivered(
+    tree: Tree, source: Source, bodies: Estimate
+) -> tuple[Recording, TimeOffset]:
     """A recording of commanded torques with the torques as drives deliver them: so much later.
 
     Args:
@@ -201,11 +203,20 @@ def alignment(
         return
     clocks = ImportReport.from_dict(report).clocks if report else {}
     for name, table in tables_of(mapping, offset.signal).items():
-        source, delay = str(table.get("source")), float(table.get("delay", 0.0)) + offset.delay
+        source, delay = (
+            str(table.get("source")),
+            float(table.get("delay", 0.0)) + offset.delay,
+        )
         if offset.drifts and source != mapping["position"]["source"]:
             lead, own = clocks[source].lead, mapping["sources"][source].get("skew", 0.0)
-            delay = (lead + delay - offset.skew * offset.middle) / (1 + offset.skew) - lead
-            yield f"sources.{source}", "skew", round((1 + own) / (1 + offset.skew) - 1, 10)
+            delay = (lead + delay - offset.skew * offset.middle) / (
+                1 + offset.skew
+            ) - lead
+            yield (
+                f"sources.{source}",
+                "skew",
+                round((1 + own) / (1 + offset.skew) - 1, 10),
+            )
         yield name, "delay", round(delay, 8)
 
 
@@ -241,7 +252,9 @@ def _offset(
     columns = rows * (counted * weights)[..., None]
     spacing = float(np.diff(time).mean())
     start, _ = delay(columns, (values - values.mean(axis=0)) * weights, spacing)
-    counted = counted * ((time >= time[0] - start) & (time <= time[-1] - start))[:, None]
+    counted = (
+        counted * ((time >= time[0] - start) & (time <= time[-1] - start))[:, None]
+    )
     regression = _Regression(rows, counted, time, measured)
     offset = _fit(kind, regression, [start, 0.0])
     if offset.drifts and abs(offset.skew) < MOST_SKEW:
@@ -266,10 +279,14 @@ def _regression(
     rows = rows.reshape(len(rows), *columns.shape[1:])
     counted = np.ones(rows.shape[:2])
     if kind == "torque":
-        moving = decimate((np.abs(motion.qd) > DEADBAND).astype(np.float64), weights, coarse)
+        moving = decimate(
+            (np.abs(motion.qd) > DEADBAND).astype(np.float64), weights, coarse
+        )
         counted = (np.abs(moving - 1) < NEARLY).astype(np.float64)
     size = np.sqrt((rows**2).sum(axis=(0, 1)))
-    return _Regression(rows[:, :, size > 1e-9 * size.max()], counted, time[coarse], measured)
+    return _Regression(
+        rows[:, :, size > 1e-9 * size.max()], counted, time[coarse], measured
+    )
 
 
 def _columns(kind: str, tree: Tree, motion: Motion, bodies: Estimate | None) -> Array:
@@ -282,7 +299,9 @@ def _columns(kind: str, tree: Tree, motion: Motion, bodies: Estimate | None) -> 
     if bodies is not None:
         theta = bodies.minimal.lift @ bodies.values[: bodies.minimal.count]
         columns = (columns @ (minimal.matrix @ theta))[:, :, None] * channels
-    return np.concatenate([columns, *(each[..., None] * channels for each in own)], axis=2)
+    return np.concatenate(
+        [columns, *(each[..., None] * channels for each in own)], axis=2
+    )
 
 
 def _filtered(
@@ -323,7 +342,9 @@ def _fit(kind: str, regression: _Regression, start: Sequence[float]) -> TimeOffs
     return TimeOffset(kind, late, late_sigma, skew, skew_sigma, middle, before, after)
 
 
-def _residuals(regression: _Regression, powers: Array, weights: Array) -> Callable[[Array], Array]:
+def _residuals(
+    regression: _Regression, powers: Array, weights: Array
+) -> Callable[[Array], Array]:
     """What of a signal that is so late, weighed, no unknowns explain, (T C,), by its delay."""
     rows, _, time, measured = regression
     columns = (rows * weights[..., None]).reshape(-1, rows.shape[2])

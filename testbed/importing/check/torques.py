@@ -81,7 +81,9 @@ class _Rows(NamedTuple):
 class TorqueEvidence:
     """How well each recorded column can be each joint's torques."""
 
-    def __init__(self, rows: Array, mean: Array, root: Array, instants: Instants) -> None:
+    def __init__(
+        self, rows: Array, mean: Array, root: Array, instants: Instants
+    ) -> None:
         """Products of rows and torques.
 
         Args:
@@ -105,7 +107,9 @@ class TorqueEvidence:
             friction = _friction(instants.motion, joint)
             raw = np.column_stack([friction, rows[:, joint] @ mean])
             variance = float(moved.var(axis=0).sum())
-            self._rows.append(_Rows(raw, white @ raw, (wide * spread)[:, moves], variance))
+            self._rows.append(
+                _Rows(raw, white @ raw, (wide * spread)[:, moves], variance)
+            )
 
     def log(self, joint: int, column: int, gain: float = 1.0) -> Array:
         """Log evidence that a column is a joint's torques, in its sense and in the other, (2,).
@@ -120,13 +124,20 @@ class TorqueEvidence:
         rows, size = self._rows[joint], gain / self._rms[column]
         expected = rows.white @ [*FRICTION, size]
         moved = np.hstack([rows.white[:, :-1] * SPREAD, size * rows.spread])
-        rest = np.outer([1.0, -1.0], self._white_torque[:, column] / self._rms[column]) - expected
+        rest = (
+            np.outer([1.0, -1.0], self._white_torque[:, column] / self._rms[column])
+            - expected
+        )
         spread, axes = eigh(moved.T @ moved)
         along = rest @ moved @ axes
         variance = LEFT**2
         within = np.maximum(spread, 0.0)[:, None] + variance  # (k, 12)
-        determinant = np.log(within / variance).sum(axis=0) + rest.shape[1] * np.log(variance)
-        square = ((rest**2).sum(axis=1, keepdims=True) - along**2 @ (1 / within)) / variance
+        determinant = np.log(within / variance).sum(axis=0) + rest.shape[1] * np.log(
+            variance
+        )
+        square = (
+            (rest**2).sum(axis=1, keepdims=True) - along**2 @ (1 / within)
+        ) / variance
         return np.asarray(-0.5 * (square + determinant).min(axis=1))
 
     def fit(self, joint: int, column: int) -> ColumnFit:
@@ -141,10 +152,14 @@ class TorqueEvidence:
         return min(
             ColumnFit(SIGN * (sense < 0) + GAIN * (gain != 1.0) - log, sense, gain)
             for gain in gains
-            for sense, log in zip((1.0, -1.0), self.log(joint, column, gain).tolist(), strict=True)
+            for sense, log in zip(
+                (1.0, -1.0), self.log(joint, column, gain).tolist(), strict=True
+            )
         )
 
-    def unexplained(self, joint: int, column: int, sense: float = 1.0, gain: float = 1.0) -> float:
+    def unexplained(
+        self, joint: int, column: int, sense: float = 1.0, gain: float = 1.0
+    ) -> float:
         """Part of a torque's variance that the mean's masses and friction that brakes leave.
 
         Args:
@@ -169,7 +184,9 @@ class TorqueEvidence:
             joint: Of the robot.
             column: Of the recording.
         """
-        return self._rows[joint].moved / max(float(self._torque[:, column].var()), 1e-30)
+        return self._rows[joint].moved / max(
+            float(self._torque[:, column].var()), 1e-30
+        )
 
     def size(self, joint: int, column: int, times: float = 1.0) -> float:
         """Times what the mean's masses make that a column is; nan where they do not determine it.
@@ -187,7 +204,11 @@ class TorqueEvidence:
         whole = len(torque) * torque.var()
         known = own[:-1].min() > DEPENDENT * own[:-1].max()
         clear = explained > max(CLEAR * whole, times * left)
-        return float(triangle[-2, -1] / triangle[-2, -2]) if known and clear else float("nan")
+        return (
+            float(triangle[-2, -1] / triangle[-2, -2])
+            if known and clear
+            else float("nan")
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +256,11 @@ def assign(torques: TorqueEvidence) -> TorqueAssignment:
 
     n = torques.joints
     pairs = product(range(n), repeat=2)
-    fits = {pair: torques.fit(*pair) for pair in pairs if n <= MOST_JOINTS or pair[0] == pair[1]}
+    fits = {
+        pair: torques.fit(*pair)
+        for pair in pairs
+        if n <= MOST_JOINTS or pair[0] == pair[1]
+    }
     costs = np.full((n, n), np.inf)
     for place, fit in fits.items():
         costs[place] = fit.cost

@@ -98,11 +98,17 @@ def _reader_of(path: Path) -> str:
                 _check_folder(path)
                 return module
         marks = " or ".join(FOLDERS.values())
-        raise RecordingError(f"'{path}' is a folder without {marks}: no dataset and no ROS 2 bag")
+        raise RecordingError(
+            f"'{path}' is a folder without {marks}: no dataset and no ROS 2 bag"
+        )
     if "\0" in str(path) or not path.is_file():
         raise RecordingError(no_file(path, "file"))
     above = path.absolute().parents
-    if path.suffix == ".parquet" and len(above) > 2 and (above[2] / FOLDERS["lerobot"]).is_file():
+    if (
+        path.suffix == ".parquet"
+        and len(above) > 2
+        and (above[2] / FOLDERS["lerobot"]).is_file()
+    ):
         _check_folder(above[2])
         return "lerobot"  # a file of a dataset
     name = path.name.lower().removesuffix(".gz")
@@ -122,9 +128,15 @@ def _check_folder(path: Path) -> None:
     with readable(path):
         for count, each in enumerate(path.rglob("*"), start=1):
             check_count(path, "files", count, MOST_FILES)
-            linked = each.is_symlink() and not each.resolve().is_relative_to(path.resolve())
+            linked = each.is_symlink() and not each.resolve().is_relative_to(
+                path.resolve()
+            )
             if linked or not (each.is_file() or each.is_dir()):
-                kind = "a link out of the folder" if linked else "a pipe, device or broken link"
+                kind = (
+                    "a link out of the folder"
+                    if linked
+                    else "a pipe, device or broken link"
+                )
                 raise RecordingError(
                     f"{path}: '{each.relative_to(path)}' is {kind}, which is not read; put the "
                     "file itself there, or remove it"

@@ -57,7 +57,9 @@ def read_file(path: Path) -> ForeignTable:
         except (OSError, RuntimeError):
             raise RecordingError(f"{path}: no C3D file, or a damaged one") from None
         groups: Parameters = {
-            group: {name: each["value"] for name, each in own.items() if "value" in each}
+            group: {
+                name: each["value"] for name, each in own.items() if "value" in each
+            }
             for group, own in content["parameters"].items()
         }
         points, (analog,) = content["data"]["points"], content["data"]["analogs"]
@@ -74,11 +76,16 @@ def read_file(path: Path) -> ForeignTable:
             for axis, values in zip("xyz", place, strict=True):
                 columns[f"point/{label}/{axis}"] = values, markers[label]
         plates: list[StatedPlate] = []
-        with suppress(KeyError, ValueError, IndexError):  # parameters that are not all there
+        # parameters that are not all there
+        with suppress(KeyError, ValueError, IndexError):
             plates = [*_plates(groups, [f"analog/{label}" for label in channels])]
-    shapes = {name: values.shape for name, (values, _) in columns.items() if len(values) > 1}
+    shapes = {
+        name: values.shape for name, (values, _) in columns.items() if len(values) > 1
+    }
     units = {name: unit for name, (_, unit) in columns.items() if unit}
-    return ForeignTable(path, shapes, lambda name: columns[name][0], units, plates=plates)
+    return ForeignTable(
+        path, shapes, lambda name: columns[name][0], units, plates=plates
+    )
 
 
 def _check_complete(path: Path, frames: int) -> None:
@@ -90,7 +97,9 @@ def _check_complete(path: Path, frames: int) -> None:
     with path.open("rb") as stream:
         header = stream.read(FIRST_LAST + 4)
     ends = (struct.unpack_from(f"{order}2H", header, FIRST_LAST) for order in "<>")
-    if frames < MOST_FRAMES and frames not in [last - first + 1 for first, last in ends]:
+    if frames < MOST_FRAMES and frames not in [
+        last - first + 1 for first, last in ends
+    ]:
         raise ValueError(f"it ends early, after {frames} frames")
 
 
@@ -104,7 +113,9 @@ def _labels(kind: str, groups: Parameters, count: int) -> dict[str, str]:
 
 def _texts(group: str, name: str, groups: Parameters) -> list[str]:
     """A list of texts, which goes on under LABELS2, LABELS3 where there are many."""
-    parts = (groups.get(group, {}).get(f"{name}{more}", ()) for more in ("", "2", "3", "4"))
+    parts = (
+        groups.get(group, {}).get(f"{name}{more}", ()) for more in ("", "2", "3", "4")
+    )
     return [str(text).strip() for part in parts for text in part]
 
 
@@ -151,4 +162,7 @@ def _place(corners: Array, origin: Array) -> dict[str, list[float]] | None:
         return None
     rotation, _ = Rotation.align_vectors([x, y], np.eye(3)[:2])
     xyz = corners.mean(axis=0) - rotation.apply(origin)
-    return {"xyz": xyz.round(6).tolist(), "rpy": rotation.as_euler("xyz").round(6).tolist()}
+    return {
+        "xyz": xyz.round(6).tolist(),
+        "rpy": rotation.as_euler("xyz").round(6).tolist(),
+    }

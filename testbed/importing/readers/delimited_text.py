@@ -46,7 +46,15 @@ LONGEST_PREAMBLE = 1000
 WHOLE = 2.0**53
 """From here on floating-point numbers leave out whole ones."""
 
-STYLES = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (None, "."), (None, ","))
+STYLES = (
+    (";", "."),
+    (";", ","),
+    ("\t", "."),
+    ("\t", ","),
+    (",", "."),
+    (None, "."),
+    (None, ","),
+)
 """Separators and decimal points in the order of trying; no separator is blanks."""
 
 MISSING = {"", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none"}
@@ -67,8 +75,11 @@ def read_file(path: Path) -> ForeignTable:
         numbered = [k for k, line in enumerate(lines) if not _comment(line)]
         probes = numbered[len(numbered) // 2 :]
         probes = probes[:: len(probes) // LOOKED_AT + 1]
-        fields = 1 + max((lines[k].count(mark) for k in probes for mark in ";\t,"), default=0)
-        check_count(path, "fields in a line", fields, 2 * MOST_COLUMNS)  # 1,5;2,5 has more commas
+        fields = 1 + max(
+            (lines[k].count(mark) for k in probes for mark in ";\t,"), default=0
+        )
+        # 1,5;2,5 has more commas
+        check_count(path, "fields in a line", fields, 2 * MOST_COLUMNS)
         probes = probes[: max(1, MOST_FIELDS // fields)]
         separator, decimal = max(
             STYLES, key=lambda style: _numeric([lines[k] for k in probes], *style)
@@ -79,18 +90,27 @@ def read_file(path: Path) -> ForeignTable:
         rows = [_fields(lines[k], separator) for k in probes]
         width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
         held = [*zip(*(row for row in rows if len(row) == width), strict=True)]
-        wanted = [k for k, (values, words) in enumerate(map(_held, held)) if values >= words]
+        wanted = [
+            k for k, (values, words) in enumerate(map(_held, held)) if values >= words
+        ]
         filled = [k for k in wanted if any(map(str.strip, held[k]))]
         first, above = _first_numbers(path, lines, separator, filled, width)
-        names, units = _head([_fields(_bare(given[k]), separator) for k in above], width)
+        names, units = _head(
+            [_fields(_bare(given[k]), separator) for k in above], width
+        )
         read = [k for k in wanted if names[k] != str(k) or k in filled]
         instants = {
-            names[k]: "us" for k in read if any(map(INSTANT.fullmatch, map(str.strip, held[k])))
+            names[k]: "us"
+            for k in read
+            if any(map(INSTANT.fullmatch, map(str.strip, held[k])))
         }
         tail = _fields(lines[numbered[-1]], separator)
         cut = len(tail) < len(_fields(lines[first], separator))
-        if not ended:  # of numbers with so many digits each, zeros too, the last may lack some
-            others = [row for k, row in zip(probes, rows, strict=True) if k != numbered[-1]]
+        # of numbers with so many digits each, zeros too, the last may lack some
+        if not ended:
+            others = [
+                row for k, row in zip(probes, rows, strict=True) if k != numbered[-1]
+            ]
             ends = ["".join(row[-1:]) for row in (*others, tail)]
             *digits, last = [len(end.partition(".")[2]) for end in ends]
             padded = any(end.endswith("0") for end in ends[:-1])
@@ -111,7 +131,11 @@ def read_file(path: Path) -> ForeignTable:
 
 
 def _columns(
-    path: Path, lines: list[str], body: list[int], separator: str | None, names: dict[int, str]
+    path: Path,
+    lines: list[str],
+    body: list[int],
+    separator: str | None,
+    names: dict[int, str],
 ) -> dict[str, NDArray[Any] | RecordingError]:
     """Columns by name, or which line is no number in them.
 
@@ -140,7 +164,12 @@ def _columns(
         return value
 
     table = partial(
-        np.loadtxt, delimiter=separator, comments=None, ndmin=2, quotechar='"', encoding="utf-8"
+        np.loadtxt,
+        delimiter=separator,
+        comments=None,
+        ndmin=2,
+        quotechar='"',
+        encoding="utf-8",
     )
     try:
         read = table(map(lines.__getitem__, body), usecols=[*names])
@@ -152,11 +181,16 @@ def _columns(
                 raise RecordingError(f"{path}: {said}") from None
         readers = {k: reader(name) for k, name in names.items()}
         read = table(map(lines.__getitem__, body), usecols=[*names], converters=readers)
-    found: dict[str, NDArray[Any] | RecordingError] = dict(zip(names.values(), read.T, strict=True))
+    found: dict[str, NDArray[Any] | RecordingError] = dict(
+        zip(names.values(), read.T, strict=True)
+    )
     large = np.nanmax(np.abs(read), axis=0, initial=0) >= WHOLE
     for k in np.array([*names])[large].tolist():
-        with suppress(ValueError, OverflowError):  # no whole numbers, or more than counters hold
-            counted = table(map(lines.__getitem__, body), usecols=k, converters=int, dtype=np.int64)
+        # no whole numbers, or more than counters hold
+        with suppress(ValueError, OverflowError):
+            counted = table(
+                map(lines.__getitem__, body), usecols=k, converters=int, dtype=np.int64
+            )
             found[names[k]] = counted[:, 0]
     return found | odd
 
@@ -174,13 +208,17 @@ def _lines(path: Path, encoding: str = "utf-8-sig") -> tuple[list[str], bool]:
             while line := stream.readline(LONGEST_LINE + 1):
                 lines.append(line.rstrip("\n"))
                 total, ended = total + len(line), line.endswith("\n")
-                check_count(path, f"characters in line {len(lines)}", len(line), LONGEST_LINE)
+                check_count(
+                    path, f"characters in line {len(lines)}", len(line), LONGEST_LINE
+                )
                 if "\0" in line:
                     raise ValueError("it is no text")
                 check_count(path, "characters", total, MOST_TEXT)
                 check_count(path, "lines", len(lines), MOST_LINES)
     except UnicodeDecodeError as error:  # byte 255 begins no text of UTF-8, but UTF-16
-        follows = {"utf-8-sig": "utf-16" if error.object[:1] in b"\xff\xfe" else "latin-1"}
+        follows = {
+            "utf-8-sig": "utf-16" if error.object[:1] in b"\xff\xfe" else "latin-1"
+        }
         return _lines(path, follows.get(encoding, "latin-1"))
     return lines, ended
 

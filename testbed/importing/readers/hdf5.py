@@ -26,9 +26,13 @@ def read_file(path: Path) -> ForeignTable:
     units: dict[str, str] = {}
 
     def visit(name: str, item: Any) -> None:
-        inside = isinstance(item, h5py.Dataset) and not item.external and not item.is_virtual
+        inside = (
+            isinstance(item, h5py.Dataset) and not item.external and not item.is_virtual
+        )
         if inside and is_column(item.shape or (), item.dtype.kind):
-            shapes[name] = tuple(reversed(item.shape)) if _by_matlab(item) else item.shape
+            shapes[name] = (
+                tuple(reversed(item.shape)) if _by_matlab(item) else item.shape
+            )
             unit = item.attrs.get("unit", item.attrs.get("units"))
             if isinstance(unit, str):
                 units[name] = unit

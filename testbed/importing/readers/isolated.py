@@ -79,7 +79,10 @@ def read_isolated(module: str, path: Path, topic: str | None) -> Tables:
             return arrays[key]
 
         shapes = {name: tuple(shape) for name, shape in said["shapes"].items()}
-        plates = [StatedPlate(own, tuple(columns), *rest) for own, columns, *rest in said["plates"]]
+        plates = [
+            StatedPlate(own, tuple(columns), *rest)
+            for own, columns, *rest in said["plates"]
+        ]
         return ForeignTable(path, shapes, load, said["units"], plates=plates)
 
     found, read = called(topic, None)
@@ -111,7 +114,9 @@ def read(file: str, module: str, topic: str | None, first: str | None) -> Return
             said.append((name, str(table)))
             continue
         plates = [astuple(plate) for plate in table.plates]
-        said.append((name, {"shapes": table.shapes, "units": table.units, "plates": plates}))
+        said.append(
+            (name, {"shapes": table.shapes, "units": table.units, "plates": plates})
+        )
         wanted = first is None
         for each, shape in table.shapes.items():
             if each == first:
@@ -119,6 +124,7 @@ def read(file: str, module: str, topic: str | None, first: str | None) -> Return
                 with readable(path):
                     arrays[name + each] = table.load(each)
             elif wanted and (room := room - math.prod(shape)) > 0:
-                with suppress(ValueError, OSError, RuntimeError, KeyError):  # said when asked for
+                # said when asked for
+                with suppress(ValueError, OSError, RuntimeError, KeyError):
                     arrays[name + each] = table.load(each)
     return said, arrays

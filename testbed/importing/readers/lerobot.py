@@ -58,12 +58,16 @@ def read_file(path: Path) -> ForeignTable:
         found = (path / "data").rglob("*.parquet") if path.is_dir() else [path]
         files = sorted(each for each in found if each.is_file())
         if not files:
-            raise RecordingError(f"{path}: there is no Parquet file in its folder 'data'")
+            raise RecordingError(
+                f"{path}: there is no Parquet file in its folder 'data'"
+            )
         if sum(pq.read_metadata(file).num_rows for file in files) > MOST_NUMBERS:
             raise RecordingError(
                 f"{path}: more than {MOST_NUMBERS:.0e} rows; name an episode's file"
             )
-        time = _times(path, _read(files, "episode_index"), _read(files, "timestamp"), fps)
+        time = _times(
+            path, _read(files, "episode_index"), _read(files, "timestamp"), fps
+        )
         columns: dict[str, tuple[str, int]] = {}
         for feature in pq.read_schema(files[0]).names:
             if feature in features and feature not in (*COUNTED, "timestamp"):
@@ -97,12 +101,18 @@ def _info(path: Path) -> tuple[dict[str, Any], float]:
     with (path / "meta" / "info.json").open("rb") as stream:
         text = stream.read(LONGEST_INFO + 1)
     if len(text) > LONGEST_INFO:
-        raise RecordingError(f"{path}: meta/info.json has more than {LONGEST_INFO} bytes")
+        raise RecordingError(
+            f"{path}: meta/info.json has more than {LONGEST_INFO} bytes"
+        )
     info = json.loads(text)
     features, fps = (
         info.get(key) if isinstance(info, dict) else None for key in ("features", "fps")
     )
-    if not isinstance(features, dict) or not isinstance(fps, int | float) or not 0 < fps < 1e6:
+    if (
+        not isinstance(features, dict)
+        or not isinstance(fps, int | float)
+        or not 0 < fps < 1e6
+    ):
         raise RecordingError(f"{path}: meta/info.json says no `features` and `fps`")
     if not str(version := info.get("codebase_version")).startswith(VERSIONS):
         raise RecordingError(
@@ -133,14 +143,20 @@ def _columns(feature: str, about: Any) -> list[str]:
     """Names of a feature's elements; none if it is no row of numbers."""
     about = about if isinstance(about, dict) else {}
     kind, shape, names = (about.get(key) for key in ("dtype", "shape", "names"))
-    if not re.fullmatch(r"u?int\d+|float\d+|bool", str(kind)) or not isinstance(shape, list):
+    if not re.fullmatch(r"u?int\d+|float\d+|bool", str(kind)) or not isinstance(
+        shape, list
+    ):
         return []
     count = shape[0] if len(shape) == 1 and isinstance(shape[0], int) else 0
     if not 1 <= count <= MOST_COLUMNS:
         return []
     if isinstance(names, dict) and len(names) == 1:  # as {"motors": [...]}
         (names,) = names.values()
-    texts = {each for each in names if isinstance(each, str)} if isinstance(names, list) else ()
+    texts = (
+        {each for each in names if isinstance(each, str)}
+        if isinstance(names, list)
+        else ()
+    )
     if isinstance(names, list) and len(texts) == len(names) == count > 1:
         return [f"{feature}/{name}" for name in names]
     return [feature] if count == 1 else [f"{feature}[{k}]" for k in range(count)]

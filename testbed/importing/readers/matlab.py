@@ -36,14 +36,20 @@ def read_file(path: Path) -> ForeignTable:
             raise RecordingError(f"{path}: no MATLAB file of version 5 or 7.3")
         from scipy.io import loadmat
 
-        found = _nested(loadmat(path, simplify_cells=True, verify_compressed_data_integrity=True))
+        found = _nested(
+            loadmat(path, simplify_cells=True, verify_compressed_data_integrity=True)
+        )
     arrays = {
-        name: array for name, array in found.items() if is_column(array.shape, array.dtype.kind)
+        name: array
+        for name, array in found.items()
+        if is_column(array.shape, array.dtype.kind)
     }
     return ForeignTable.of(path, arrays, {})
 
 
-def _nested(content: dict[str, Any], before: str = "") -> dict[str, np.ndarray[Any, Any]]:
+def _nested(
+    content: dict[str, Any], before: str = ""
+) -> dict[str, np.ndarray[Any, Any]]:
     """Arrays of structs in structs, by path."""
     found: dict[str, np.ndarray[Any, Any]] = {}
     for name, value in content.items():

@@ -65,9 +65,13 @@ def _tables(path: Path, records: Iterable[Any], wanted: str | None) -> Tables:
             continue
         try:
             if channel.id not in decoders:
-                decoders[channel.id] = _decoder(channel, known["Schema"].get(channel.schema_id))
+                decoders[channel.id] = _decoder(
+                    channel, known["Schema"].get(channel.schema_id)
+                )
             numbers = decoders[channel.id](record.data)
-            rows.setdefault(channel.topic, MessageRows(path)).add(record.log_time, numbers)
+            rows.setdefault(channel.topic, MessageRows(path)).add(
+                record.log_time, numbers
+            )
         except Exception as error:  # whatever a damaged message makes a library raise
             failed[channel.topic] = refusal(path, error)
             rows.pop(channel.topic, None)
@@ -126,7 +130,9 @@ def _content(message: Any) -> dict[str, Any]:
             if not (field.is_repeated or field.has_presence):
                 found[field.name] = field.default_value
         elif inner is None:
-            found[field.name] = [*sent[field.name]] if field.is_repeated else sent[field.name]
+            found[field.name] = (
+                [*sent[field.name]] if field.is_repeated else sent[field.name]
+            )
         elif not field.is_repeated:
             found[field.name] = _content(sent[field.name])
         elif not inner.GetOptions().map_entry:

@@ -50,7 +50,9 @@ def numbers_of(message: Any) -> Numbers:
     return found
 
 
-def _walk(content: Any, path: str, names: tuple[str, ...]) -> Iterator[tuple[str, float]]:
+def _walk(
+    content: Any, path: str, names: tuple[str, ...]
+) -> Iterator[tuple[str, float]]:
     """Numbers of a part of a message by path; `names` are of the entries of a list."""
     if isinstance(content, dict):
         for keys in SECONDS:
@@ -63,10 +65,16 @@ def _walk(content: Any, path: str, names: tuple[str, ...]) -> Iterator[tuple[str
         for key, value in content.items():
             yield from _walk(value, f"{path}/{key}" if path else str(key), own)
     elif isinstance(content, list):
-        own = _texts([each.get("name") if isinstance(each, dict) else None for each in content])
-        label = next((each for each in (own, names) if len(each) == len(content) > 0), None)
+        own = _texts(
+            [each.get("name") if isinstance(each, dict) else None for each in content]
+        )
+        label = next(
+            (each for each in (own, names) if len(each) == len(content) > 0), None
+        )
         for k, value in enumerate(content):
-            yield from _walk(value, f"{path}/{label[k]}" if label else f"{path}[{k}]", ())
+            yield from _walk(
+                value, f"{path}/{label[k]}" if label else f"{path}[{k}]", ()
+            )
     elif isinstance(content, int | float):
         yield path, content
 
@@ -128,7 +136,9 @@ class MessageRows:
         for name in sorted(self._columns, key=lambda name: name != STAMP):
             label, values = "stamp" if name == STAMP else name, self._columns[name]
             made = np.array(values)
-            columns[label] = (made if made.dtype.kind in "if" else made.astype(np.float64))[order]
+            columns[label] = (
+                made if made.dtype.kind in "if" else made.astype(np.float64)
+            )[order]
             if any(isinstance(each, Nanoseconds) for each in values):
                 units[label] = "ns"
         columns["received"], units["received"] = received[order], "ns"

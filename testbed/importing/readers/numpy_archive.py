@@ -30,16 +30,23 @@ def read_file(path: Path) -> ForeignTable:
             with path.open("rb") as stream:
                 found["array"] = _header(stream, path.stat().st_size)
         else:
-            archive = zipfile.ZipFile(path)  # stays open: some have thousands of members
+            # stays open: some have thousands of members
+            archive = zipfile.ZipFile(path)
             for member in archive.infolist():
                 if member.filename.endswith(".npy"):
                     with archive.open(member) as inside:
                         name = member.filename.removesuffix(".npy")
                         found[name] = _header(inside, member.file_size)
-    shapes = {name: shape for name, (shape, kind) in found.items() if is_column(shape, kind)}
+    shapes = {
+        name: shape for name, (shape, kind) in found.items() if is_column(shape, kind)
+    }
 
     def load(name: str) -> Any:
-        with path.open("rb") if archive is None else archive.open(f"{name}.npy") as stream:
+        with (
+            path.open("rb")
+            if archive is None
+            else archive.open(f"{name}.npy") as stream
+        ):
             return np.lib.format.read_array(stream, allow_pickle=False)
 
     return ForeignTable(path, shapes, load)
@@ -51,7 +58,10 @@ def _header(stream: IO[bytes], size: int) -> tuple[tuple[int, ...], str]:
     Raises:
         RecordingError: It does not: reading it would make place for numbers that are not there.
     """
-    readers = {1: np.lib.format.read_array_header_1_0, 2: np.lib.format.read_array_header_2_0}
+    readers = {
+        1: np.lib.format.read_array_header_1_0,
+        2: np.lib.format.read_array_header_2_0,
+    }
     major, _ = np.lib.format.read_magic(stream)
     if (read := readers.get(major)) is None:
         raise RecordingError(f"an array of NumPy's format {major} is not known")

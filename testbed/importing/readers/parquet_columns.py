@@ -11,7 +11,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from testbed.importing.foreign_table import MOST_COLUMNS, MOST_NUMBERS, ForeignTable, readable
+from testbed.importing.foreign_table import (
+    MOST_COLUMNS,
+    MOST_NUMBERS,
+    ForeignTable,
+    readable,
+)
 
 
 def read_file(path: Path) -> ForeignTable:
@@ -27,7 +32,9 @@ def read_file(path: Path) -> ForeignTable:
         file = pq.ParquetFile(path, pre_buffer=False)
         schema, rows = file.schema_arrow, file.metadata.num_rows
         names = list(schema.names)
-        widths = {f.name: _width(f, file.metadata) for f in schema if names.count(f.name) == 1}
+        widths = {
+            f.name: _width(f, file.metadata) for f in schema if names.count(f.name) == 1
+        }
         units = {f.name: u for f in schema if widths.get(f.name) and (u := _unit(f))}
         kept = {n: k for n, k in widths.items() if 0 < k <= MOST_COLUMNS and rows > 1}
         shapes = {n: (rows, k) if k > 1 else (rows,) for n, k in kept.items()}
@@ -43,14 +50,20 @@ def _width(field: pa.Field, metadata: Any) -> int:
         groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
         parts = (each.column(k) for each in groups for k in range(each.num_columns))
         values = sum(
-            int(p.num_values) for p in parts if p.path_in_schema.startswith(f"{field.name}.")
+            int(p.num_values)
+            for p in parts
+            if p.path_in_schema.startswith(f"{field.name}.")
         )
         return values // max(int(metadata.num_rows), 1)
     return int(_is_number(kind) or _is_time(kind))
 
 
 def _is_number(kind: pa.DataType) -> bool:
-    numbers = (pa.types.is_floating(kind), pa.types.is_integer(kind), pa.types.is_boolean(kind))
+    numbers = (
+        pa.types.is_floating(kind),
+        pa.types.is_integer(kind),
+        pa.types.is_boolean(kind),
+    )
     return any(numbers)
 
 
@@ -76,19 +89,27 @@ def read_column(file: pq.ParquetFile, name: str) -> NDArray[Any]:
         ValueError: A value is missing, or lists are of different lengths.
     """
     width = _width(file.schema_arrow.field(name), file.metadata)
-    if width * file.metadata.num_rows > MOST_NUMBERS:  # a small file can hold as many equal ones
+    # a small file can hold as many equal ones
+    if width * file.metadata.num_rows > MOST_NUMBERS:
         raise ValueError(f"column '{name}' has more than {MOST_NUMBERS:.0e} numbers")
     try:
         array = file.read([name]).column(0).combine_chunks()
-    except pa.ArrowInvalid as error:  # before version 26, of a list of one length that is missing
+    except (
+        pa.ArrowInvalid
+    ) as error:  # before version 26, of a list of one length that is missing
         raise ValueError(f"column '{name}': {error}") from None
     array = array.combine_chunks() if isinstance(array, pa.ChunkedArray) else array
     rows, kind = len(array), array.type
-    missing, listed = array.null_count, pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind)
+    missing, listed = (
+        array.null_count,
+        pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind),
+    )
     if listed:
         lengths = np.unique(array.value_lengths().drop_null().to_numpy())
         if len(lengths) > 1:
-            raise ValueError(f"lists of column '{name}' have {lengths[0]} to {lengths[-1]} values")
+            raise ValueError(
+                f"lists of column '{name}' have {lengths[0]} to {lengths[-1]} values"
+            )
         array = array.flatten()
         missing += array.null_count
     if missing and listed:

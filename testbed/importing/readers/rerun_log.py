@@ -47,10 +47,14 @@ def tables(path: Path, topic: str | None) -> Tables:
         found = _tables(path)
     wanted = [each for each in found if topic is None or topic in each[0]]
     if topic is not None and not wanted:
-        known = [name for columns, units in found for name in columns if name not in units]
+        known = [
+            name for columns, units in found for name in columns if name not in units
+        ]
         raise UnknownName("entity", topic, known)
     return {
-        next(name for name in columns if name not in units): ForeignTable.of(path, columns, units)
+        next(name for name in columns if name not in units): ForeignTable.of(
+            path, columns, units
+        )
         for columns, units in wanted
     }
 
@@ -63,7 +67,8 @@ def _tables(path: Path) -> list[tuple[dict[str, NDArray[Any]], dict[str, str]]]:
     units: dict[str, str] = {}
     count = 0
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of files without a table of contents, which are read
+        # of files without a table of contents, which are read
+        warnings.simplefilter("ignore")
         for chunk in RrdReader(path).stream().to_chunks():
             batch = chunk.to_record_batch()
             if chunk.is_static or SCALARS not in batch.schema.names:
@@ -84,16 +89,23 @@ def _tables(path: Path) -> list[tuple[dict[str, NDArray[Any]], dict[str, str]]]:
 
 def _scalars(batch: Any, units: dict[str, str]) -> tuple[Stamps, NDArray[Any]]:
     """Times and values, (M, k), of a chunk; none where rows differ in length."""
-    lines = [f for f in batch.schema if (f.metadata or {}).get(b"rerun:kind") == b"index"]
+    lines = [
+        f for f in batch.schema if (f.metadata or {}).get(b"rerun:kind") == b"index"
+    ]
     lines = [line for line in lines if line.name not in OWN] or lines
     units |= {line.name: getattr(line.type, "unit", "") for line in lines}
     column = batch.column(SCALARS)
     sent = column.is_valid().to_numpy(zero_copy_only=False)
-    values, rows = column.drop_null().flatten().to_numpy(zero_copy_only=False), int(sent.sum())
+    values, rows = (
+        column.drop_null().flatten().to_numpy(zero_copy_only=False),
+        int(sent.sum()),
+    )
     widths = np.unique(np.diff(column.drop_null().offsets.to_numpy()))
     if len(widths) != 1:
         sent, rows, values = np.zeros_like(sent), 0, values[:0]
-    stamps = {f.name: batch.column(f.name).cast(pa.int64()).to_numpy()[sent] for f in lines}
+    stamps = {
+        f.name: batch.column(f.name).cast(pa.int64()).to_numpy()[sent] for f in lines
+    }
     return stamps, values.reshape(rows, len(values) // max(rows, 1))
 
 

@@ -65,7 +65,9 @@ def tables(path: Path, topic: str | None) -> Tables:
                 own = [each for each in bag.connections if each.topic == name]
                 try:
                     found[name] = _table(path, bag, own, version)
-                except Exception as error:  # whatever a damaged message makes a library raise
+                except (
+                    Exception
+                ) as error:  # whatever a damaged message makes a library raise
                     found[name] = refusal(path, error)
     return found
 
@@ -77,11 +79,16 @@ def _check_unpacked(path: Path) -> None:
         RecordingError: They are too large, unpacked.
     """
     packed = list(path.glob("*.zstd"))
-    most, total = MOST_UNPACKED + MOST_RATIO * sum(each.stat().st_size for each in packed), 0
+    most, total = (
+        MOST_UNPACKED + MOST_RATIO * sum(each.stat().st_size for each in packed),
+        0,
+    )
     for each in packed:
         import zstandard
 
-        with zstandard.ZstdDecompressor().stream_reader(each.open("rb"), closefd=True) as content:
+        with zstandard.ZstdDecompressor().stream_reader(
+            each.open("rb"), closefd=True
+        ) as content:
             while part := content.read(AT_ONCE):
                 total += len(part)
                 check_count(path, "unpacked bytes", total, most)
@@ -117,7 +124,12 @@ def decoder_of(kind: str, text: str, version: int, *, idl: bool = False) -> Deco
         RecordingError: Neither defines it, or rosbags is not installed.
     """
     with library("rosbags"):
-        from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+        from rosbags.typesys import (
+            Stores,
+            get_types_from_idl,
+            get_types_from_msg,
+            get_typestore,
+        )
         from rosbags.typesys.msg import normalize_msgtype
     standard = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
     kind, known = normalize_msgtype(kind), dict[str, Any](standard.fielddefs)
@@ -140,7 +152,9 @@ class RosMessage:
         """
         self._data, self._aligned = data, version == 2
         self._place = HEADER if self._aligned else 0
-        self._order: Literal["<", ">"] = ">" if self._aligned and not data[1] & 1 else "<"
+        self._order: Literal["<", ">"] = (
+            ">" if self._aligned and not data[1] & 1 else "<"
+        )
 
     def value(self, node: Any, what: Any, definitions: Definitions) -> Any:
         """The next value: a number, a text, a list, or a dictionary of a type's fields.
@@ -154,7 +168,10 @@ class RosMessage:
             ValueError: The message is damaged.
         """
         if node == NAME:
-            return {name: self.value(*each, definitions) for name, each in definitions[what][1]}
+            return {
+                name: self.value(*each, definitions)
+                for name, each in definitions[what][1]
+            }
         if node == BASE and what[0] in TEXTS:
             return self._text()
         if node == BASE:
@@ -180,4 +197,9 @@ class RosMessage:
     def _text(self) -> str:
         """The next text."""
         length = self._numbers("uint32", 1).item()
-        return self._numbers("uint8", length).tobytes().rstrip(b"\0").decode("utf-8", "replace")
+        return (
+            self._numbers("uint8", length)
+            .tobytes()
+            .rstrip(b"\0")
+            .decode("utf-8", "replace")
+        )

@@ -98,7 +98,9 @@ def assumptions(tree: Tree) -> Assumptions:
     rotors = _rotors(rubbing, matrices)
     whole = rubbing.with_joints(rotors)
     for more in (rotors, _efforts(whole)):
-        settings = {name: settings.get(name, {}) | more.get(name, {}) for name in tree.names}
+        settings = {
+            name: settings.get(name, {}) | more.get(name, {}) for name in tree.names
+        }
     force_noise = PLATE_NOISE * float(_rms(wrench[:, :3].ravel()))
     moment_noise = PLATE_NOISE * float(_rms(wrench[:, 3:].ravel()))
     return Assumptions(
@@ -239,7 +241,9 @@ def tried_text(
     done: list[str] = []
     while True:
         content = tomllib.loads(text(needs))
-        experiment = Experiment.of_content(content, folder / "new.toml", settings=SECOND)
+        experiment = Experiment.of_content(
+            content, folder / "new.toml", settings=SECOND
+        )
         try:
             record(experiment)
             break
@@ -247,7 +251,9 @@ def tried_text(
             more = _needs_after(error, experiment, needs)
             if more is None:
                 tried = f" (tried: {'; '.join(done)})" if done else ""
-                raise ExperimentError(f"no experiment is written: {error}{tried}") from None
+                raise ExperimentError(
+                    f"no experiment is written: {error}{tried}"
+                ) from None
             needs = more[0]
             done.append(more[1])
     for line in done:
@@ -262,9 +268,13 @@ def _needs_after(
     if isinstance(error, SimulationDiverged):
         smaller = [step for step in STEPS if step < needs.step][:2]
         if smaller:
-            return replace(needs, step=smaller[-1]), f"simulation.step = {smaller[-1]:g} s"
+            return replace(
+                needs, step=smaller[-1]
+            ), f"simulation.step = {smaller[-1]:g} s"
         if needs.pace == 1:
-            return replace(needs, step=STEPS[2], pace=SLOWER), f"motion at {SLOWER:g} of its pace"
+            return replace(
+                needs, step=STEPS[2], pace=SLOWER
+            ), f"motion at {SLOWER:g} of its pace"
     if isinstance(error, InfeasibleMotion) and experiment.excitation.clearance != "off":
         pairs = () if needs.exclude else _touching(experiment)
         if not pairs:
@@ -285,5 +295,7 @@ def _touching(experiment: Experiment) -> tuple[tuple[str, str], ...]:
     near = meter.measure(rules.limits.postures).values <= rules.clearance
     fewest = near[near.sum(axis=1).argmin()]
     return tuple(
-        pair for pair, is_near in zip(rules.collision.bodies, fewest, strict=True) if is_near
+        pair
+        for pair, is_near in zip(rules.collision.bodies, fewest, strict=True)
+        if is_near
     )

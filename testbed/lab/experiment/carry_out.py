@@ -72,7 +72,9 @@ def unseen(run: Run, progress: Progress = lambda done, total: None) -> Recording
     asked = experiment.motion
     duration = min(max(UNSEEN, 1.0 / asked.fundamental), asked.duration)
     shorter = asked.model_copy(update={"duration": duration})
-    other = experiment.model_copy(update={"motion": shorter, "seed": experiment.seed + 1})
+    other = experiment.model_copy(
+        update={"motion": shorter, "seed": experiment.seed + 1}
+    )
     motion = another_motion(experiment, robot_of(experiment))
     return record(other, progress, installed=experiment.seed, motion=motion)
 
@@ -117,7 +119,9 @@ def _judged(run: Run, recording: Recording) -> Score | None:
     return replace(run.score, accuracy=accuracy)
 
 
-def with_payload_metrics(run: Run, progress: Progress = lambda done, total: None) -> Run:
+def with_payload_metrics(
+    run: Run, progress: Progress = lambda done, total: None
+) -> Run:
     """A run with the figures of its payload, if a claim is about them.
 
     The robot without the payload makes another recording, with other noise.
@@ -130,7 +134,9 @@ def with_payload_metrics(run: Run, progress: Progress = lambda done, total: None
     if experiment is None or run.score is None or "external" not in run.estimates:
         return run
     loads = [each for each in experiment.simulation.effect if isinstance(each, Payload)]
-    if len(loads) != 1 or not any(name.startswith("payload_") for name in experiment.expect):
+    if len(loads) != 1 or not any(
+        name.startswith("payload_") for name in experiment.expect
+    ):
         return run
     empty = _without(experiment)
     tree, settings = robot_of(empty), replace(experiment.identification, zeros=False)
@@ -139,22 +145,31 @@ def with_payload_metrics(run: Run, progress: Progress = lambda done, total: None
     found = payload(tree, without, loaded, loads[0].joint or None)
     metrics = {}
     if found.identifiable[0]:
-        error, sigma = abs(float(found.values[0]) - loads[0].mass), float(found.sigma[0])
+        error, sigma = (
+            abs(float(found.values[0]) - loads[0].mass),
+            float(found.sigma[0]),
+        )
         metrics = {
             "payload_mass_error": error,
             "payload_mass_sigma": sigma,
             "payload_mass_z": error / sigma,
         }
     if found.centre is not None and np.isfinite(found.centre[0]).all():
-        metrics["payload_centre_error"] = float(np.linalg.norm(found.centre[0] - loads[0].centre))
+        metrics["payload_centre_error"] = float(
+            np.linalg.norm(found.centre[0] - loads[0].centre)
+        )
     return run.with_metrics(metrics).with_diagnostics(found.diagnostics)
 
 
 def _without(experiment: Experiment) -> Experiment:
     """The same without payloads, with another motion and other noise."""
-    effects = tuple(e for e in experiment.simulation.effect if not isinstance(e, Payload))
+    effects = tuple(
+        e for e in experiment.simulation.effect if not isinstance(e, Payload)
+    )
     simulation = experiment.simulation.model_copy(update={"effect": effects})
-    return experiment.model_copy(update={"simulation": simulation, "seed": experiment.seed + 2})
+    return experiment.model_copy(
+        update={"simulation": simulation, "seed": experiment.seed + 2}
+    )
 
 
 Stage = Callable[[str], AbstractContextManager[Progress]]

@@ -50,7 +50,9 @@ def design(
     seen = surroundings(rig.file, tree, limits, CLEARANCE)
     reach = PlateRange(np.array(how.full_scale))
     terms: list[SmoothTerm] = [PlateTerm(reach, pedestal_wrench(tree), MARGIN)]
-    rows: dict[Model, SampledRows] = {"reaction": SampledRows(tree, minimal_set(tree, "reaction"))}
+    rows: dict[Model, SampledRows] = {
+        "reaction": SampledRows(tree, minimal_set(tree, "reaction"))
+    }
     if np.isfinite(limits.effort).any():
         terms.append(EffortTerm(tree, limits, MARGIN))
         rows["dynamic"] = SampledRows(tree, minimal_set(tree, "dynamic"))
@@ -62,7 +64,13 @@ def design(
     )
     problem = DesignProblem(
         rules=Rules(
-            tree, limits, MARGIN, tuple(terms), seen.collision, seen.clearance, seen.diagnostics
+            tree,
+            limits,
+            MARGIN,
+            tuple(terms),
+            seen.collision,
+            seen.clearance,
+            seen.diagnostics,
         ),
         information=information,
         rows=rows,

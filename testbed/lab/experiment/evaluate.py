@@ -27,7 +27,11 @@ from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.experiment_tables import SimulationTable
 from testbed.lab.experiment.rig import sensed_robot
 from testbed.lab.experiment.run import Run, assemble_run
-from testbed.lab.experiment.score import relative_errors, root_mean_square, shared_errors
+from testbed.lab.experiment.score import (
+    relative_errors,
+    root_mean_square,
+    shared_errors,
+)
 from testbed.lab.instruments.chain import Instrument, measured_again
 from testbed.lab.instruments.error_chain import stream
 
@@ -48,7 +52,9 @@ def with_floor(run: Run) -> Run:
         return run
     asked = experiment.measurement
     perfect = Instrument(rate=asked.rate, averaged=asked.averaged)
-    seen = replace(measured_again(run.recording, perfect, experiment.seed).blind(), tare=None)
+    seen = replace(
+        measured_again(run.recording, perfect, experiment.seed).blind(), tare=None
+    )
     plain = replace(run.settings, nuisances=(), known={})
     try:
         estimate = identify(run.tree, seen, "external", settings=plain, threads=1)
@@ -94,7 +100,9 @@ def evaluate(
     return with_floor(with_body_metrics(run))
 
 
-def bodies_asked(experiment: Experiment, tree: Tree) -> tuple[Prior, ConsistencyOptions] | None:
+def bodies_asked(
+    experiment: Experiment, tree: Tree
+) -> tuple[Prior, ConsistencyOptions] | None:
     """Prior and conditions of consistent bodies, where an experiment asks for them.
 
     The model file is the truth in an experiment, so the prior is a wrong one.
@@ -121,7 +129,9 @@ def wrong_bodies(tree: Tree, error: float, rng: np.random.Generator) -> Tree:
         error: Standard deviation of every coordinate of J, in parts of the body.
         rng: Draws the numbers.
     """
-    return replace(tree, inertias=tuple(_wrong(body, error, rng) for body in tree.inertias))
+    return replace(
+        tree, inertias=tuple(_wrong(body, error, rng) for body in tree.inertias)
+    )
 
 
 def _wrong(body: Inertia, error: float, rng: np.random.Generator) -> Inertia:
@@ -159,9 +169,13 @@ def _metrics(run: Run, found: Consistent) -> dict[str, float]:
     massive = found.eigenvalues[found.eigenvalues[:, -1] > 0]
     consistent, prior = _error(run, found.standard), _error(run, found.prior)
     least = (massive[:, 0] / massive[:, -1]).min(initial=np.inf)
-    plain = (run.metrics.get(f"{method}_rms_relative_error") for method in run.estimates)
+    plain = (
+        run.metrics.get(f"{method}_rms_relative_error") for method in run.estimates
+    )
     first = next((error for error in plain if error is not None), None)
-    ratio = None if consistent is None or first is None else consistent / max(first, TINY)
+    ratio = (
+        None if consistent is None or first is None else consistent / max(first, TINY)
+    )
     metrics = {
         "consistent_rms_relative_error": consistent,
         "prior_rms_relative_error": prior,
@@ -176,4 +190,6 @@ def _error(run: Run, bodies: Array) -> float | None:
     dynamic = minimal_set(run.tree, "dynamic", zeros=run.settings.zeros)
     matrix = dynamic.standard_matrix
     truth = matrix @ standard(run.tree).ravel()
-    return root_mean_square(relative_errors(matrix @ bodies.ravel(), truth, dynamic.units))
+    return root_mean_square(
+        relative_errors(matrix @ bodies.ravel(), truth, dynamic.units)
+    )

@@ -8,7 +8,11 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ExperimentError, TestbedError
-from testbed.core.estimation.regression.windows import motion_taps, reversal_samples, row_weights
+from testbed.core.estimation.regression.windows import (
+    motion_taps,
+    reversal_samples,
+    row_weights,
+)
 from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.rules import Model
@@ -52,14 +56,18 @@ def excite(
     """
     problem = design_problem(experiment, prior)
     random = _random(experiment, problem.rules)
-    return excite_robot(problem, random, experiment.motion.candidates, watch, interrupted)
+    return excite_robot(
+        problem, random, experiment.motion.candidates, watch, interrupted
+    )
 
 
 def _random(experiment: Experiment, rules: Rules) -> Fourier | None:
     """What the experiment would run without a design."""
     motion = experiment.motion.model_copy(update={"file": ""})
     try:
-        return motion_of(experiment.model_copy(update={"motion": motion}), rules.tree, rules)
+        return motion_of(
+            experiment.model_copy(update={"motion": motion}), rules.tree, rules
+        )
     except TestbedError:
         return None
 
@@ -74,7 +82,11 @@ def design_problem(experiment: Experiment, prior: Array | None = None) -> Design
     Raises:
         ExperimentError: The band holds no motion, or the instruments do not show what is wanted.
     """
-    tree, table, about = robot_of(experiment), experiment.excitation, experiment.robot.sensor
+    tree, table, about = (
+        robot_of(experiment),
+        experiment.excitation,
+        experiment.robot.sensor,
+    )
     if about and table.instrument != "plate":
         raise ExperimentError(
             f"robot.sensor = {about!r} is designed for by its own rows alone: leave "
@@ -99,7 +111,9 @@ def design_problem(experiment: Experiment, prior: Array | None = None) -> Design
 def pipeline_of(experiment: Experiment) -> Pipeline:
     """What the experiment's estimates make of its recording."""
     how, seconds = experiment.measurement, experiment.motion.duration
-    return pipeline(how.rate, seconds, experiment.identification, sensed=how.senses_kinematics)
+    return pipeline(
+        how.rate, seconds, experiment.identification, sensed=how.senses_kinematics
+    )
 
 
 def pipeline(
@@ -138,9 +152,16 @@ def frequencies_of(experiment: Experiment) -> tuple[tuple[float, int], ...]:
     table, duration = experiment.excitation, experiment.motion.duration
     lowest = max(table.lowest_frequency, 1 / duration)
     found = []
-    for multiple in (2, 1, 4):  # faster ones are more informative, slower ones are richer
+    # faster ones are more informative, slower ones are richer
+    for multiple in (
+        2,
+        1,
+        4,
+    ):
         fundamental = multiple * lowest
-        harmonics = min(table.harmonics, int(table.highest_frequency / fundamental * (1 + 1e-9)))
+        harmonics = min(
+            table.harmonics, int(table.highest_frequency / fundamental * (1 + 1e-9))
+        )
         if harmonics >= min(FEWEST, table.harmonics):
             found.append((fundamental, harmonics))
     if not found:
@@ -158,7 +179,10 @@ def _rows(experiment: Experiment, rules: Rules) -> dict[Model, SampledRows]:
     wanted: list[Model] = ["reaction", *models_of(experiment.excitation.instrument)]
     if np.isfinite(rules.limits.effort).any():
         wanted.append("dynamic")
-    found = {m: SampledRows(tree, minimal_set(tree, m, zeros=zeros)) for m in dict.fromkeys(wanted)}
+    found = {
+        m: SampledRows(tree, minimal_set(tree, m, zeros=zeros))
+        for m in dict.fromkeys(wanted)
+    }
     if experiment.robot.sensor:
         seen = experiment.sensed(tree, model_of(experiment))
         joints = [tree.index(name) for name in seen.names]

@@ -92,7 +92,9 @@ class Experiment(Summarized, RobotTables):
         return checked(Experiment, _merged(said, changes), "with_")
 
     @staticmethod
-    def of_content(content: dict[str, Any], path: Path, settings: Iterable[str] = ()) -> Experiment:
+    def of_content(
+        content: dict[str, Any], path: Path, settings: Iterable[str] = ()
+    ) -> Experiment:
         """From the tables of an experiment file that has been read.
 
         Args:
@@ -139,7 +141,9 @@ class Experiment(Summarized, RobotTables):
         for name, mounting in self.force_sensors.items():
             table = self.sensors.get(name, SensorTable())
             noise = table.force_noise, table.moment_noise
-            found.append(ForcePlate(noise, table.fault, table.full_scale, table.plate, mounting))
+            found.append(
+                ForcePlate(noise, table.fault, table.full_scale, table.plate, mounting)
+            )
         return found
 
     @property

@@ -22,7 +22,9 @@ def model_of(experiment: Experiment) -> ModelFile:
     return ModelFile(Path(experiment.model), weld_root=welded, repair=bodies, lock=held)
 
 
-def with_nearest_bodies(experiment: Experiment) -> tuple[Experiment, tuple[Diagnostic, ...]]:
+def with_nearest_bodies(
+    experiment: Experiment,
+) -> tuple[Experiment, tuple[Diagnostic, ...]]:
     """The same with the nearest bodies in place of those that cannot be, and what to say of it.
 
     Args:
@@ -31,5 +33,7 @@ def with_nearest_bodies(experiment: Experiment) -> tuple[Experiment, tuple[Diagn
     model = model_of(experiment)
     found = nearest_bodies(model.path, weld_root=model.weld_root, lock=model.lock)
     tables = {name: BodyTable.of(body) for name, body in found.bodies.items()}
-    robot = experiment.robot.model_copy(update={"repair": tables | experiment.robot.repair})
+    robot = experiment.robot.model_copy(
+        update={"repair": tables | experiment.robot.repair}
+    )
     return experiment.model_copy(update={"robot": robot}), found.diagnostics

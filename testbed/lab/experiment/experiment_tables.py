@@ -111,7 +111,9 @@ class ExcitationTable(StrictTable):
     the bedplate."""
     obstacle: tuple[ObstacleTable, ...] = ()
     """Boxes around the robot, `[[excitation.obstacle]]`."""
-    plate_range: tuple[Positive, Positive, Positive, Positive, Positive, Positive] | None = None
+    plate_range: (
+        tuple[Positive, Positive, Positive, Positive, Positive, Positive] | None
+    ) = None
     """Largest magnitudes of the plate's wrench, pedestal included [N, N m]; default
     `measurement.full_scale` for designed motions, none for random ones or without a plate. Force
     sensors have their own `full_scale`."""
@@ -158,7 +160,9 @@ class Bound(StrictTable):
     def wanted(self) -> str:
         """In words: at most 0.0015."""
         bounds = self.model_dump(exclude_none=True).items()
-        return ", ".join(f"{side.replace('_', ' ')} {value:g}" for side, value in bounds)
+        return ", ".join(
+            f"{side.replace('_', ' ')} {value:g}" for side, value in bounds
+        )
 
     def holds(self, value: float) -> bool:
         """Whether `value` is within the bound; a value that is not a number never is."""

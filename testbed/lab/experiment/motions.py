@@ -25,7 +25,13 @@ from testbed.motion.motion_file import read_motion
 from testbed.motion.proof import Proof, Rules, prove
 from testbed.motion.random_motion import as_fast, best_motion
 from testbed.motion.surroundings import Surroundings, surroundings
-from testbed.motion.terms import EffortTerm, PlateRange, PlateTerm, SensorTerm, SmoothTerm
+from testbed.motion.terms import (
+    EffortTerm,
+    PlateRange,
+    PlateTerm,
+    SensorTerm,
+    SmoothTerm,
+)
 
 QUIET_PLATE = np.repeat([0.5, 0.1], 3)
 """Noise assumed for choosing a motion when the plate has none [N, N m]."""
@@ -63,7 +69,9 @@ def motion_of(experiment: Experiment, tree: Tree, like: Rules | None = None) -> 
         )
     proof = prove(motion, rules)
     if not proof.holds:
-        raise InfeasibleMotion(f"{path} does not suit this experiment: {proof.worst.words}")
+        raise InfeasibleMotion(
+            f"{path} does not suit this experiment: {proof.worst.words}"
+        )
     return motion
 
 
@@ -84,7 +92,9 @@ def another_motion(experiment: Experiment, tree: Tree) -> Fourier:
 
 def plate_noise_of(experiment: Experiment) -> Array:
     """Standard deviation of the wrench, (6,) [N, N m]; of a quiet plate if it has none."""
-    own = experiment.sensor_instruments.get(experiment.robot.sensor, experiment.measurement)
+    own = experiment.sensor_instruments.get(
+        experiment.robot.sensor, experiment.measurement
+    )
     return own.plate_noise if own.plate_noise.all() else QUIET_PLATE
 
 
@@ -113,8 +123,12 @@ def rules_of(
         seen = Surroundings()
     else:
         around = obstacles_of(experiment), table.exclude, table.floor
-        seen = surroundings(model_of(experiment), tree, limits, table.clearance, *around)
-    return Rules(tree, limits, margin, terms, seen.collision, seen.clearance, seen.diagnostics)
+        seen = surroundings(
+            model_of(experiment), tree, limits, table.clearance, *around
+        )
+    return Rules(
+        tree, limits, margin, terms, seen.collision, seen.clearance, seen.diagnostics
+    )
 
 
 def _terms(
@@ -123,8 +137,14 @@ def _terms(
     """Limits of plate, force sensors and motors."""
     table, about = experiment.excitation, experiment.robot.sensor
     terms: list[SmoothTerm] = []
-    on_plate = designed and about in ("", PLATE)  # else its range matters only where it is said
-    reach = table.plate_range or (experiment.measurement.full_scale if on_plate else None)
+    # else its range matters only where it is said
+    on_plate = designed and about in (
+        "",
+        PLATE,
+    )
+    reach = table.plate_range or (
+        experiment.measurement.full_scale if on_plate else None
+    )
     if reach is not None or table.pressure_area is not None:
         wrench = np.full(6, np.inf) if reach is None else np.array(reach)
         area = None if table.pressure_area is None else np.array(table.pressure_area)
@@ -182,4 +202,6 @@ def checked_motion(path: Path, settings: Sequence[str] = ()) -> CheckedMotion:
 def obstacles_of(experiment: Experiment) -> tuple[Obstacle, ...]:
     """The boxes around an experiment's robot."""
     boxes = experiment.excitation.obstacle
-    return tuple(Obstacle(np.array(box.centre), np.array(box.size) / 2) for box in boxes)
+    return tuple(
+        Obstacle(np.array(box.centre), np.array(box.size) / 2) for box in boxes
+    )

@@ -66,7 +66,9 @@ class RobotFound:
     repair: Repair
 
 
-def find_robot(model: Path, repair: Bodies | None, lock: Lock | None = None) -> RobotFound:
+def find_robot(
+    model: Path, repair: Bodies | None, lock: Lock | None = None
+) -> RobotFound:
     """Read the file; weld its root and hold what no tree can move, if that is what it takes.
 
     Args:
@@ -104,7 +106,8 @@ def _stuck(tree: Tree) -> dict[str, float]:
     narrow = [
         j
         for j, joint in enumerate(tree.joints)
-        if min(np.ptp(joint.position_range) / 2 * SWING, joint.max_velocity) < Settings().deadband
+        if min(np.ptp(joint.position_range) / 2 * SWING, joint.max_velocity)
+        < Settings().deadband
     ]
     return _at_rest(tree, narrow) if len(narrow) < tree.n else {}
 
@@ -123,14 +126,16 @@ def _grippers(tree: Tree, followed: Collection[str]) -> dict[str, float]:
     The stroke of a gripper's fingers is too short for their masses to be identified.
     """
     own = fingers(tree, followed)
-    return _at_rest(tree, own) if len(own) < tree.n else {}  # else the robot is a gripper
+    # else the robot is a gripper
+    return _at_rest(tree, own) if len(own) < tree.n else {}
 
 
 def _at_rest(tree: Tree, own: Iterable[int]) -> dict[str, float]:
     """Rest positions of some joints, by name [rad or m]."""
     joints = [tree.joints[j] for j in own]
     return {
-        joint.name: round_significant(Travel(*joint.position_range).rest, 6) for joint in joints
+        joint.name: round_significant(Travel(*joint.position_range).rest, 6)
+        for joint in joints
     }
 
 
@@ -182,15 +187,21 @@ def new_experiment(
         say(line)
     assumed = assumptions(found.tree)
     place = Path(os.path.relpath(model.resolve(), folder.resolve())).as_posix()
-    content = _content(found, assumed) | {"model": place, "name": run_name(model, found.tree.name)}
+    content = _content(found, assumed) | {
+        "model": place,
+        "name": run_name(model, found.tree.name),
+    }
     template = _environment().get_template("new_experiment.toml.jinja")
 
     def text(needs: Needs) -> str:
-        slow = "" if needs.pace == 1 else ": so slow, since the robot went astray faster"
+        slow = (
+            "" if needs.pace == 1 else ": so slow, since the robot went astray faster"
+        )
         lines = template.render(content, needs=needs, slow=slow).split("\n")
         columns = (line.partition(COMMENT) for line in lines)
         return "\n".join(
-            f"{key.ljust(COLUMN)}  # {comment}" if mark else key for key, mark, comment in columns
+            f"{key.ljust(COLUMN)}  # {comment}" if mark else key
+            for key, mark, comment in columns
         )
 
     first = Needs(step=assumed.step)
@@ -201,7 +212,9 @@ def _content(found: RobotFound, assumed: Assumptions) -> dict[str, Any]:
     """Values of the template that do not depend on trials."""
     tree = found.tree
     unknowns = minimal_set(tree, "reaction").count
-    harmonics = max(FEWEST_HARMONICS, min(MOST_HARMONICS, -(-unknowns // UNKNOWNS_A_HARMONIC)))
+    harmonics = max(
+        FEWEST_HARMONICS, min(MOST_HARMONICS, -(-unknowns // UNKNOWNS_A_HARMONIC))
+    )
     keys = {key for values in assumed.joints.values() for key in values}
     return {
         "found": found,
@@ -216,7 +229,9 @@ def _content(found: RobotFound, assumed: Assumptions) -> dict[str, Any]:
         "period": PERIOD * math.ceil(harmonics / (PERIOD * FASTEST)),
         "reasons": [reason for key, reason in _REASONS.items() if key in keys],
         "units": {
-            name: [_UNITS[key][tree.joints[tree.index(name)].revolute] for key in values]
+            name: [
+                _UNITS[key][tree.joints[tree.index(name)].revolute] for key in values
+            ]
             for name, values in assumed.joints.items()
         },
         "plate_noise": f"{PLATE_NOISE:.1%}",

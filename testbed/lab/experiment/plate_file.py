@@ -48,11 +48,16 @@ def write_plate(plate: Calibration, path: Path) -> None:
         plate: The calibration.
         path: The file; what stands there is replaced.
     """
-    numbers = {n.name: _Number(value=n.value, sigma=n.sigma, unit=n.unit) for n in plate.numbers}
+    numbers = {
+        n.name: _Number(value=n.value, sigma=n.sigma, unit=n.unit)
+        for n in plate.numbers
+    }
     rows = [] if plate.correlation is None else plate.correlation.tolist()
     known = dict(plate.known)
     content = _Plate(robot=plate.robot, known=known, numbers=numbers, correlation=rows)
-    text = _HEAD.format(version=version()) + tomli_w.dumps(content.model_dump(mode="json"))
+    text = _HEAD.format(version=version()) + tomli_w.dumps(
+        content.model_dump(mode="json")
+    )
     with replacing(path) as fresh:
         fresh.write_text(text, encoding="utf-8")
 
@@ -68,7 +73,11 @@ def read_plate(path: Path, tree: Tree) -> Calibration:
         ExperimentError: It is no such file.
     """
     found = checked(_Plate, read_toml(path, "plate's calibration"), str(path))
-    terms = {c.name: error.term for error in estimable_errors() for c in error.coefficients(tree)}
+    terms = {
+        c.name: error.term
+        for error in estimable_errors()
+        for c in error.coefficients(tree)
+    }
     numbers = tuple(
         NuisanceEstimate(terms.get(name, name), name, each.unit, each.value, each.sigma)
         for name, each in found.numbers.items()

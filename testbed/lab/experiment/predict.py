@@ -156,13 +156,17 @@ class Predictions(Summarized):
             return self
 
         def passed(values: Array) -> Array:
-            return np.column_stack([np.convolve(each, weights, "valid") for each in values.T])
+            return np.column_stack(
+                [np.convolve(each, weights, "valid") for each in values.T]
+            )
 
         signals = [
             replace(
                 signal,
                 measured=passed(signal.measured),
-                predicted={method: passed(each) for method, each in signal.predicted.items()},
+                predicted={
+                    method: passed(each) for method, each in signal.predicted.items()
+                },
             )
             for signal in self.signals
         ]
@@ -203,7 +207,9 @@ def run_of(data: Recording, *estimates: Estimate | Information) -> Run:
         listed += each.estimates if isinstance(each, Information) else [each]
     found = [each for each in listed if isinstance(each, Estimate)]
     if not found or len(found) < len(listed):
-        raise SettingsError("a recording is shown with estimates of its robot: give one or more")
+        raise SettingsError(
+            "a recording is shown with estimates of its robot: give one or more"
+        )
     tree = found[0].minimal.robot
     return Run(
         name=tree.name,
@@ -215,7 +221,9 @@ def run_of(data: Recording, *estimates: Estimate | Information) -> Run:
     )
 
 
-def predict(data: Recording | Run, *more: Estimate | Information | Recording | None) -> Predictions:
+def predict(
+    data: Recording | Run, *more: Estimate | Information | Recording | None
+) -> Predictions:
     """What estimates predict of a recording, beside what was measured.
 
     Args:
@@ -234,8 +242,12 @@ def predict(data: Recording | Run, *more: Estimate | Information | Recording | N
     wrench, torque = predictions(run.tree, recording, motion, run.estimates)
     signals = []
     if recording.wrench is not None:
-        signals.append(Signal("wrench", AXES, PLATE_UNITS, recording.wrench[inner], wrench))
+        signals.append(
+            Signal("wrench", AXES, PLATE_UNITS, recording.wrench[inner], wrench)
+        )
     if recording.torque is not None:
         units = channel_units(run.tree, "internal")
-        signals.append(Signal("torque", run.tree.names, units, recording.torque[inner], torque))
+        signals.append(
+            Signal("torque", run.tree.names, units, recording.torque[inner], torque)
+        )
     return Predictions(run, recording, motion, tuple(signals), bool(others))

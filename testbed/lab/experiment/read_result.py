@@ -19,7 +19,12 @@ from testbed.core.base.contents import fingerprint, read_text
 from testbed.core.base.errors import ExperimentError, plural
 from testbed.core.base.file_kinds import expecting
 from testbed.core.base.toml_text import checked, complaints, override
-from testbed.core.estimation.estimate import METHODS, Estimate, EstimateSummary, channels_of
+from testbed.core.estimation.estimate import (
+    METHODS,
+    Estimate,
+    EstimateSummary,
+    channels_of,
+)
 from testbed.core.estimation.settings import Settings
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.rules import Model
@@ -85,7 +90,9 @@ class KeptResult:
         return hold_still(self.file, source, lock_only=True)[1]
 
 
-def read_result(path: Path, model: Path | None = None, settings: Sequence[str] = ()) -> KeptResult:
+def read_result(
+    path: Path, model: Path | None = None, settings: Sequence[str] = ()
+) -> KeptResult:
     """The estimates of a file, and the robot and settings that they are of.
 
     Args:
@@ -99,7 +106,9 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
     """
     if path.is_dir():
         if not (path / RESULT).is_file():
-            raise ExperimentError(f"'{path}' is no folder of a run that ended: no {RESULT} in it")
+            raise ExperimentError(
+                f"'{path}' is no folder of a run that ended: no {RESULT} in it"
+            )
         path = path / RESULT
     if not path.exists():
         raise ExperimentError(
@@ -130,16 +139,26 @@ def _estimates(
     """
     said = content.get("posterior"), content.get("estimates")
     added, every = (x if isinstance(x, dict) else {} for x in said)
-    own = {m: _decoded(EstimateSummary, every[m], f"{path}: {m}") for m in METHODS if m in every}
+    own = {
+        m: _decoded(EstimateSummary, every[m], f"{path}: {m}")
+        for m in METHODS
+        if m in every
+    }
     with_file = {
-        m: _decoded(Posterior, added[m], f"{path}: {m}: posterior") for m in METHODS if m in added
+        m: _decoded(Posterior, added[m], f"{path}: {m}: posterior")
+        for m in METHODS
+        if m in added
     }
     there = [method for method in METHODS if method in own or method in with_file]
     if not there:
-        raise ExperimentError(f"{path}: no result: it has no {' or '.join(METHODS)} estimate")
+        raise ExperimentError(
+            f"{path}: no result: it has no {' or '.join(METHODS)} estimate"
+        )
     plain = bool(content.get("plain"))
     try:
-        answers = [reported_estimate(own.get(m), with_file.get(m), plain=plain) for m in there]
+        answers = [
+            reported_estimate(own.get(m), with_file.get(m), plain=plain) for m in there
+        ]
     except ValueError as error:
         raise ExperimentError(f"{path}: {error}") from None
     return tuple(own.values()), tuple(answers)
@@ -158,7 +177,10 @@ def _decoded(kind: type[Part], content: Any, source: str) -> Part:
     except TypeError as error:
         raise ExperimentError(f"{source}: no estimate: {error}") from None
     numbers = [each for each in vars(found).values() if isinstance(each, np.ndarray)]
-    if not all(np.isfinite(each).all() for each in numbers) or (found.residual < 0).any():
+    if (
+        not all(np.isfinite(each).all() for each in numbers)
+        or (found.residual < 0).any()
+    ):
         raise ExperimentError(
             f"{source}: its values, covariance, gravity and residual are finite numbers, the "
             "residual's none below zero"
@@ -177,7 +199,9 @@ def _json(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise ExperimentError(f"{path}: no result: it is not JSON: {error}") from None
     if not isinstance(content, dict):
-        raise ExperimentError(f"{path}: no result: it is JSON, but no object with estimates")
+        raise ExperimentError(
+            f"{path}: no result: it is JSON, but no object with estimates"
+        )
     return content
 
 
@@ -220,7 +244,9 @@ def _of_run(
     options = experiment.consistent or ConsistencyOptions()
     tree = robot_of(experiment)
     prior = wrong_prior(tree, experiment)
-    return KeptResult(tree, experiment.identification, model_of(experiment), prior, options)
+    return KeptResult(
+        tree, experiment.identification, model_of(experiment), prior, options
+    )
 
 
 def _checked_model(place: Path, sha256: object, path: Path) -> Path:
@@ -230,9 +256,13 @@ def _checked_model(place: Path, sha256: object, path: Path) -> Path:
         ExperimentError: It is not there, or is another.
     """
     if "\0" in str(place) or not place.is_file():
-        raise ExperimentError(f"{path}: its model file '{place}' is not there; --model names it")
+        raise ExperimentError(
+            f"{path}: its model file '{place}' is not there; --model names it"
+        )
     if fingerprint(place) != sha256:
-        raise ExperimentError(f"'{place}' is not the model of {path}: its SHA-256 is another")
+        raise ExperimentError(
+            f"'{place}' is not the model of {path}: its SHA-256 is another"
+        )
     return place
 
 

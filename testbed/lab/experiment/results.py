@@ -46,7 +46,9 @@ DIGITS = 16
 """Of a fingerprint, in a comment."""
 
 
-def provenance(found: Consistent, model: ModelFile, recordings: Sequence[Path]) -> list[str]:
+def provenance(
+    found: Consistent, model: ModelFile, recordings: Sequence[Path]
+) -> list[str]:
     """Where the numbers of a written file come from, for a comment.
 
     Args:
@@ -207,7 +209,9 @@ def identified(
         plain: Whether least squares are the answer all the same.
     """
     found = {estimate.method: estimate for estimate in estimates}
-    settings = _settled(tables, found.values()).model_dump(mode="json", exclude_none=True)
+    settings = _settled(tables, found.values()).model_dump(
+        mode="json", exclude_none=True
+    )
     for key in ("lock", "lock_mimic"):  # the model's lock is all that was held
         settings["robot"].pop(key)
     used = UsedModel.of(model, str(model.path), fingerprint(model.path))
@@ -218,7 +222,10 @@ def identified(
         posterior=posterior or {},
         plain=plain,
         verdict=verdict_of(
-            found.values(), (posterior or {}).values(), PLAIN if plain else POSTERIOR, diagnostics
+            found.values(),
+            (posterior or {}).values(),
+            PLAIN if plain else POSTERIOR,
+            diagnostics,
         ),
         model=used,
         settings=settings,
@@ -231,7 +238,10 @@ def _settled(tables: RecordingTables, estimates: Iterable[Estimate]) -> Recordin
     for drives in (estimate.drives for estimate in estimates):
         if drives is not None and drives.tree.shafts:
             names = drives.tree.names
-            said = {s.name: {names[j]: turn for j, turn in s.turns} for s in drives.tree.shafts}
+            said = {
+                s.name: {names[j]: turn for j, turn in s.turns}
+                for s in drives.tree.shafts
+            }
             robot = robot.model_copy(update={"coupling": said})
     identification = with_chosen_settings(tables.identification, estimates)
     return tables.model_copy(update={"robot": robot, "identification": identification})
@@ -271,13 +281,17 @@ def read_estimates(run: Run, path: Path, source: Mapping[str, str]) -> Run | Non
     except Exception:  # a file that was damaged may be wrong in any way
         return None
     settings = with_chosen_settings(run.settings, found.estimates.values())
-    return replace(run, settings=settings, **{name: getattr(found, name) for name in FIELDS})
+    return replace(
+        run, settings=settings, **{name: getattr(found, name) for name in FIELDS}
+    )
 
 
 def _makers(run: Run) -> Makers:
     """What makes values of their names: the robot's sets, laws, unknowns of the instrument."""
     tree, settings = run.tree, run.settings
-    sets = {found.model: found for found in (set_of(tree, m, settings) for m in METHODS)}
+    sets = {
+        found.model: found for found in (set_of(tree, m, settings) for m in METHODS)
+    }
     return {
         MinimalSet: sets.__getitem__,
         DriveSet: lambda words: drive_set(tree, sets["dynamic"], words),
@@ -313,7 +327,9 @@ def check_folder(folder: Path, experiment: Experiment, *, force: bool = False) -
     own = {EXPERIMENT, RECORDING, RESULT, MODEL, MOTION, UNSEEN, ESTIMATES}
     others = sorted(present - own)
     kept = (each for each in (folder / MODEL).rglob("*") if each.is_file())
-    others += [f"{MODEL}/{each.name}" for each in kept if each.suffix.lower() not in ENDINGS]
+    others += [
+        f"{MODEL}/{each.name}" for each in kept if each.suffix.lower() not in ENDINGS
+    ]
     if present and (others or EXPERIMENT not in present):
         listed = ", ".join((others or sorted(present))[:3])
         raise ExperimentError(
@@ -343,7 +359,9 @@ def write_run(run: Run, folder: Path) -> None:
         ExperimentError: No experiment made the run.
     """
     if run.experiment is None:
-        raise ExperimentError(f"run '{run.name}' is of no experiment: it has no run folder")
+        raise ExperimentError(
+            f"run '{run.name}' is of no experiment: it has no run folder"
+        )
     with replacing(folder, folder=True) as fresh:
         _write_files(run.experiment, run.recording, fresh)
         if run.unseen is not None:
@@ -395,7 +413,9 @@ def _identity(experiment: Experiment) -> str:
 def _is_of(folder: Path, experiment: Experiment) -> bool:
     """Whether a run folder is of an experiment."""
     try:
-        return _identity(Experiment.from_toml(folder / EXPERIMENT)) == _identity(experiment)
+        return _identity(Experiment.from_toml(folder / EXPERIMENT)) == _identity(
+            experiment
+        )
     except (OSError, ExperimentError):  # unreadable, or its model file is gone
         return False
 
@@ -412,16 +432,22 @@ def read_run(folder: Path) -> Run:
     Raises:
         ExperimentError: It is no run folder, or the model file is not the run's.
     """
-    missing = [name for name in (EXPERIMENT, RECORDING) if not (folder / name).is_file()]
+    missing = [
+        name for name in (EXPERIMENT, RECORDING) if not (folder / name).is_file()
+    ]
     if missing:
-        raise ExperimentError(f"'{folder}' is no run folder: it has no {', '.join(missing)}")
+        raise ExperimentError(
+            f"'{folder}' is no run folder: it has no {', '.join(missing)}"
+        )
     experiment = Experiment.from_toml(folder / EXPERIMENT)
     recording = Recording.load(folder / RECORDING)
     model = Path(experiment.model)
     if not model.is_file():
         raise ExperimentError(f"the run's model file '{model}' is not there any more")
     if fingerprint(model) != recording.metadata.model_sha256:
-        raise ExperimentError(f"'{model}' is not the model that was simulated; run it again")
+        raise ExperimentError(
+            f"'{model}' is not the model that was simulated; run it again"
+        )
     bare = evaluate(experiment, recording, methods=())
     run = read_estimates(bare, folder / ESTIMATES, _source(folder))
     if run is None:
@@ -432,5 +458,7 @@ def read_run(folder: Path) -> Run:
 
 def _source(folder: Path) -> dict[str, str]:
     """All that estimates in a run folder came of: its files, and what computed them."""
-    files = [name for name in (EXPERIMENT, RECORDING, UNSEEN) if (folder / name).is_file()]
+    files = [
+        name for name in (EXPERIMENT, RECORDING, UNSEEN) if (folder / name).is_file()
+    ]
     return versions() | {name: fingerprint(folder / name) for name in files}

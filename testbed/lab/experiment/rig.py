@@ -17,7 +17,13 @@ from testbed.core.robot.model_file import ModelFile, file_of
 from testbed.core.robot.tree import Tree, require_tree
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_robot import model_of
-from testbed.lab.experiment.sensors import Encoders, ForcePlate, JointTorques, Sensor, sensors_of
+from testbed.lab.experiment.sensors import (
+    Encoders,
+    ForcePlate,
+    JointTorques,
+    Sensor,
+    sensors_of,
+)
 from testbed.lab.instruments.chain import Instrument
 from testbed.lab.simulation.effect import Effect
 from testbed.sensors.sensor_error import SensorError
@@ -31,7 +37,9 @@ MOST_SAMPLES = 2e6
 
 def _check_kinds(name: str, values: object, kind: type) -> None:
     """Refuse what is no sequence of effects or sensors."""
-    if not isinstance(values, Sequence) or not all(isinstance(each, kind) for each in values):
+    if not isinstance(values, Sequence) or not all(
+        isinstance(each, kind) for each in values
+    ):
         raise SettingsError(
             f"Rig: {name} is a list of {kind.__name__} values, found {values!r:.80}"
         )
@@ -69,13 +77,17 @@ class Rig(Summarized):
         _check_kinds("plant", self.plant, Effect)
         _check_kinds("sensors", self.sensors, Sensor)
         for sensor in self.sensors:
-            _check_kinds(f"errors of {type(sensor).__name__}", sensor.errors, SensorError)
+            _check_kinds(
+                f"errors of {type(sensor).__name__}", sensor.errors, SensorError
+            )
         if not isinstance(self.friction, bool):
             raise SettingsError(
                 f"Rig: friction is True or False, found {self.friction!r}; that of joints is the "
                 "robot's, as robot.with_joints({JOINT: {'coulomb': 4.0}})"
             )
-        object.__setattr__(self, "plant", tuple(effect.on(names) for effect in self.plant))
+        object.__setattr__(
+            self, "plant", tuple(effect.on(names) for effect in self.plant)
+        )
         object.__setattr__(self, "sensors", tuple(self.sensors))
         kinds = [type(sensor).__name__ for sensor in self.outer]
         for kind in kinds:
@@ -147,9 +159,13 @@ class Rig(Summarized):
         Args:
             sensors: One of a kind.
         """
-        settings = {key: value for each in sensors for key, value in each.settings.items()}
+        settings = {
+            key: value for each in sensors for key, value in each.settings.items()
+        }
         errors = tuple(error for each in sensors for error in each.errors)
-        return Instrument(rate=self.rate, averaged=self.averaged, fault=errors, **settings)
+        return Instrument(
+            rate=self.rate, averaged=self.averaged, fault=errors, **settings
+        )
 
     def steps(self, seconds: float) -> int:
         """Number of simulation steps a sample.
@@ -172,7 +188,9 @@ class Rig(Summarized):
                 f"{1 / self.rate:g} s into 1 to {MOST_STEPS} steps"
             )
         if not self.rate * seconds >= 2:
-            raise SettingsError(f"{seconds:g} s at {self.rate:g} Hz hold no two samples")
+            raise SettingsError(
+                f"{seconds:g} s at {self.rate:g} Hz hold no two samples"
+            )
         if self.rate * (seconds + self.warm_up) > MOST_SAMPLES:
             raise SettingsError(
                 f"{seconds:g} s (motion.duration) at {self.rate:g} Hz are more than the "

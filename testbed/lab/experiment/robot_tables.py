@@ -9,7 +9,14 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from testbed.bodies.consistency.options import ConsistencyOptions
-from testbed.core.base.toml_text import KNOWN_KEYS, Finite, NotNegative, Positive, checked, override
+from testbed.core.base.toml_text import (
+    KNOWN_KEYS,
+    Finite,
+    NotNegative,
+    Positive,
+    checked,
+    override,
+)
 from testbed.core.estimation.settings import Settings
 from testbed.core.robot.force_sensor import ForceSensor, before_sensors, beyond_sensor
 from testbed.core.robot.free_root import on_free_base
@@ -65,7 +72,9 @@ class BodyTable(StrictTable):
         """A table of a body that is given about and along the link's frame."""
         (xx, xy, xz), (_, yy, yz), (_, _, zz) = body.central.tolist()
         centre = tuple(body.com.tolist())
-        return BodyTable(mass=body.mass, centre=centre, inertia=(xx, yy, zz, xy, xz, yz))
+        return BodyTable(
+            mass=body.mass, centre=centre, inertia=(xx, yy, zz, xy, xz, yz)
+        )
 
     @property
     def body(self) -> Inertia:
@@ -90,7 +99,9 @@ class SensorTable(StrictTable):
     """Standard deviation of its forces [N]."""
     moment_noise: NotNegative = 0.0
     """Standard deviation of its moments [N m]."""
-    full_scale: tuple[Positive, Positive, Positive, Positive, Positive, Positive] = FULL_SCALE
+    full_scale: tuple[Positive, Positive, Positive, Positive, Positive, Positive] = (
+        FULL_SCALE
+    )
     """Largest values that it can show [N, N m], as `measurement.full_scale`."""
     fault: tuple[Annotated[SensorError, AsTable(error_of)], ...] = ()
     """What else is wrong with it, `[[sensors.NAME.fault]]`: as of the plate."""
@@ -99,7 +110,9 @@ class SensorTable(StrictTable):
     def _faults_are_of_its_wrench(self) -> SensorTable:
         for fault in self.fault:
             if fault.signal != "wrench":
-                raise ValueError(f"fault: {fault.kind} is no fault of a force sensor's wrench")
+                raise ValueError(
+                    f"fault: {fault.kind} is no fault of a force sensor's wrench"
+                )
         return self
 
     def sensor(self, name: str) -> ForceSensor:
@@ -108,7 +121,9 @@ class SensorTable(StrictTable):
         Args:
             name: Of the sensor.
         """
-        return ForceSensor(self.link or name, np.array(self.position), from_rpy(self.rpy), name)
+        return ForceSensor(
+            self.link or name, np.array(self.position), from_rpy(self.rpy), name
+        )
 
 
 class RobotTable(StrictTable):

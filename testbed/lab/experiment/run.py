@@ -27,7 +27,14 @@ from testbed.core.base.errors import RecordingError, SettingsError, TestbedError
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.diagnostics.torques import diagnostics_of
-from testbed.core.estimation.estimate import METHODS, NAMES, SIGNAL_OF, Estimate, Method, sensor_of
+from testbed.core.estimation.estimate import (
+    METHODS,
+    NAMES,
+    SIGNAL_OF,
+    Estimate,
+    Method,
+    sensor_of,
+)
 from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.selection.chosen import with_chosen_settings
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
@@ -54,7 +61,9 @@ def shown_motion(recording: Recording, settings: Settings) -> tuple[Motion, slic
         step = 1 / recording.rate
         speed = np.gradient(recording.position, step, axis=0)
         rates = speed, np.gradient(speed, step, axis=0)
-        return Motion(recording.time, recording.position, *rates), slice(0, recording.samples)
+        return Motion(recording.time, recording.position, *rates), slice(
+            0, recording.samples
+        )
 
 
 CLOSE = 0.9
@@ -97,7 +106,8 @@ def correlated(estimate: Estimate) -> Iterator[Diagnostic]:
             f"the {estimate.method} estimate",
             correlation[*pairs[0]],
             method=estimate.method,
-            pairs=", ".join(named[:MOST_PAIRS]) + (f" and {more} more pairs" if more > 0 else ""),
+            pairs=", ".join(named[:MOST_PAIRS])
+            + (f" and {more} more pairs" if more > 0 else ""),
         )
 
 
@@ -109,8 +119,11 @@ def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[Diagnostic
         errors: Of its values.
     """
     gap = np.abs(estimate.values - errors.truth)
-    rounding = EXACT * np.abs(errors.truth).max(initial=0.0)  # where nothing has a scale
-    exact = np.where(np.isnan(errors.relative), gap < rounding, np.abs(errors.relative) < EXACT)
+    # where nothing has a scale
+    rounding = EXACT * np.abs(errors.truth).max(initial=0.0)
+    exact = np.where(
+        np.isnan(errors.relative), gap < rounding, np.abs(errors.relative) < EXACT
+    )
     far = np.where(exact, 0.0, np.nan_to_num(np.abs(errors.z), posinf=np.inf))
     others = int((far > FAR).sum()) - 1
     if others < 0:
@@ -171,10 +184,14 @@ class Run(Diagnosed, Summarized):
     @property
     def summary(self) -> SummaryTable:
         """Figures of merit, or how many parameters each estimate has."""
-        counts = {self.instruments[m]: str(len(e.names)) for m, e in self.estimates.items()}
+        counts = {
+            self.instruments[m]: str(len(e.names)) for m, e in self.estimates.items()
+        }
         figures = {name: f"{value:.4g}" for name, value in self.metrics.items()}
         warnings = tuple(f"warning: {line}" for line in sentences(self.diagnostics))
-        return SummaryTable(f"run '{self.name}'", tuple((counts | figures).items()), warnings)
+        return SummaryTable(
+            f"run '{self.name}'", tuple((counts | figures).items()), warnings
+        )
 
     def with_diagnostics(self, more: Iterable[Diagnostic]) -> Run:
         """The same with more diagnostics, put in order anew.
@@ -353,8 +370,12 @@ def _with_drives(run: Run, settings: Settings, progress: Progress) -> Run:
             progress=progress,
         )
     except TestbedError as error:
-        return _with_unique(run, [diagnose("drives.missing", "the drives", reason=error)])
+        return _with_unique(
+            run, [diagnose("drives.missing", "the drives", reason=error)]
+        )
     run = _with_unique(replace(run, drives=drives), drives.diagnostics)
     if run.experiment is None:
         return run
-    return run.with_metrics(drive_metrics(run.tree, run.experiment, run.recording, drives))
+    return run.with_metrics(
+        drive_metrics(run.tree, run.experiment, run.recording, drives)
+    )

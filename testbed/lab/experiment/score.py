@@ -73,7 +73,9 @@ def accuracies(
         if method == "external":
             wrench = _share(tree, some, own, values, PLATE_UNITS, about_mean=True)
         with suppress(ValueError):  # a plate that measures changes only
-            values = selection(dynamic, own) @ values if method == "external" else values
+            values = (
+                selection(dynamic, own) @ values if method == "external" else values
+            )
             torque = _share(tree, some, dynamic, values, units, about_mean=False)
         found[method] = Accuracy(wrench, torque)
     return found
@@ -94,7 +96,9 @@ def _share(
     signal, error = columns @ truth, columns @ (values - truth)
     if about_mean:
         signal, error = (each - each.mean(axis=0) for each in (signal, error))
-    return share_of_signal(np.linalg.norm(error, axis=0), np.linalg.norm(signal, axis=0), units)
+    return share_of_signal(
+        np.linalg.norm(error, axis=0), np.linalg.norm(signal, axis=0), units
+    )
 
 
 def share_of_signal(error: Array, signal: Array, units: Sequence[str]) -> float | None:
@@ -207,7 +211,9 @@ def score(
     if "internal" in errors:
         own, relative = estimates["internal"], errors["internal"].relative
         resisting = [term.law.resists for term in own.joint_terms]
-        metrics["friction_max_relative_error"] = _largest(relative[own.minimal.count :][resisting])
+        metrics["friction_max_relative_error"] = _largest(
+            relative[own.minimal.count :][resisting]
+        )
     ours = metrics.get("internal_rms_relative_error")
     theirs = metrics.get("external_rms_relative_error")
     if ours is not None and theirs is not None:
@@ -232,12 +238,16 @@ def shared_errors(tree: Tree, values: Array, zeros: bool | Sequence[str]) -> Arr
         values: delta_r, (N_r,).
         zeros: Which zeros were taken as known.
     """
-    reaction, dynamic = (minimal_set(tree, model, zeros=zeros) for model in ("reaction", "dynamic"))
+    reaction, dynamic = (
+        minimal_set(tree, model, zeros=zeros) for model in ("reaction", "dynamic")
+    )
     known = selection(dynamic, reaction) @ values
     return relative_errors(known, dynamic.values(barycentric(tree)), dynamic.units)
 
 
-def _errors(estimate: Estimate, truth: Array, motion: Motion, torque: Array | None) -> Errors:
+def _errors(
+    estimate: Estimate, truth: Array, motion: Motion, torque: Array | None
+) -> Errors:
     error = estimate.values - truth
     sigma = np.maximum(estimate.sigma, TINY)
     count = estimate.minimal.count
@@ -256,7 +266,9 @@ def _term_scales(
     tree = estimate.drives.tree
     for term, true in zip(estimate.drives.terms, np.abs(truth), strict=True):
         j = int(np.argmax(np.abs(shares(tree)[term.joint])))
-        unit_torque = _root_mean_square(term_torque(tree, term, motion.qd, motion.qdd)[:, j])
+        unit_torque = _root_mean_square(
+            term_torque(tree, term, motion.qd, motion.qdd)[:, j]
+        )
         if torque is not None and unit_torque > 0:
             true = max(true, FAINT * (_root_mean_square(torque[:, j]) / unit_torque))
         yield true if true > 0 else np.nan
@@ -269,7 +281,9 @@ def _usual(truth: Array, units: Sequence[str]) -> Array:
     for unit in set(units):
         same = np.array([u == unit for u in units])
         largest = scale[same].max()
-        scale[same] = np.maximum(scale[same], SMALL * largest) if largest > least else np.nan
+        scale[same] = (
+            np.maximum(scale[same], SMALL * largest) if largest > least else np.nan
+        )
     return scale
 
 
@@ -324,14 +338,17 @@ def drive_metrics(
     constants, load = true_constants(experiment, recording), np.zeros(tree.n)
     for effect in experiment.simulation.effect:
         gears = effect.on(tree.names).gears(tree)
-        if gears is not None:  # as one loss in both directions and a constant: no torque shows more
+        # as one loss in both directions and a constant: no torque shows more
+        if gears is not None:
             constants = constants * (1 + (gears.driving - gears.driven) / 2)
             load = (gears.driving + gears.driven) / (2 + gears.driving - gears.driven)
     errors = np.array([each.constant for each in found.estimates]) / constants - 1
     sigmas = np.array([each.sigma for each in found.estimates]) / constants
     metrics = {
         "torque_constant_max_error": float(np.abs(errors).max()),
-        "torque_constant_max_z": float(np.abs(errors / np.maximum(sigmas, 1e-300)).max()),
+        "torque_constant_max_z": float(
+            np.abs(errors / np.maximum(sigmas, 1e-300)).max()
+        ),
         **_bodies(tree, experiment, found),
         **dict(_law_errors(tree, found.estimates, load)),
     }
@@ -380,7 +397,9 @@ def _coefficient(drive: DriveEstimate, law: JointLaw, missing: float) -> float:
     return next((term.value for term in drive.terms if term.law == law), missing)
 
 
-def _curve_errors(curves: Iterable[FrictionCurve], truth: Truth, least: float) -> Iterator[Array]:
+def _curve_errors(
+    curves: Iterable[FrictionCurve], truth: Truth, least: float
+) -> Iterator[Array]:
     """Of every joint at its nodes: against true friction near the nodes' speeds."""
     for j, curve in enumerate(curves):
         there = [
@@ -406,7 +425,9 @@ def true_friction(truth: Truth, joint: int, speed: float) -> float:
     return float(line[0])
 
 
-def _bodies(tree: Tree, experiment: Experiment, found: DriveFindings) -> dict[str, float]:
+def _bodies(
+    tree: Tree, experiment: Experiment, found: DriveFindings
+) -> dict[str, float]:
     """The estimate of plate and torques together."""
     zeros, both = experiment.identification.zeros, found.combined
     truth = minimal_set(tree, "reaction", zeros=zeros).values(barycentric(tree))

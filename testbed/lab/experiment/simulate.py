@@ -66,7 +66,9 @@ class SampledMotion:
     def at(self, t: Array) -> Motion:
         """The motion at times t, (M,) [s]."""
         moving = (t >= 0) & (t <= self.period)
-        rates = [moving[:, None] * self._spline(self.place(t), order) for order in (1, 2)]
+        rates = [
+            moving[:, None] * self._spline(self.place(t), order) for order in (1, 2)
+        ]
         return Motion(t, self._spline(self.place(t)), *rates)
 
     def place(self, t: Array) -> Array:
@@ -108,7 +110,9 @@ def simulate(
         SimulationDiverged: The robot did not follow.
     """
     if not isinstance(rig, Rig):
-        raise SettingsError(f"simulate(rig, motion): rig is a Rig, found a {type(rig).__name__}")
+        raise SettingsError(
+            f"simulate(rig, motion): rig is a Rig, found a {type(rig).__name__}"
+        )
     reference, begin, end = _course(rig, motion, seconds)
     sampling = Sampling(rig.rate, rig.steps(end), rig.averaged, rig.warm_up, begin)
     tree, model = rig.true_robot, rig.file
@@ -140,15 +144,23 @@ def simulate(
     return _measured(rig, happened, plant.tare, metadata, seed, installed)
 
 
-def _course(rig: Rig, motion: Reference | Motion, seconds: float) -> tuple[Reference, float, float]:
+def _course(
+    rig: Rig, motion: Reference | Motion, seconds: float
+) -> tuple[Reference, float, float]:
     """What the controller follows, when the recording begins and ends [s]."""
     if isinstance(motion, FromRest):
         return motion, -motion.lead, motion.end + motion.lead
     found: Reference = SampledMotion(motion) if isinstance(motion, Motion) else motion
     joints = found.at(np.zeros(1)).q.shape[1]
     if joints != rig.robot.n:
-        raise SettingsError(f"the motion is of {joints} joints, the robot has {rig.robot.n}")
-    return found, 0.0, min(seconds, found.period) if isinstance(motion, Motion) else seconds
+        raise SettingsError(
+            f"the motion is of {joints} joints, the robot has {rig.robot.n}"
+        )
+    return (
+        found,
+        0.0,
+        min(seconds, found.period) if isinstance(motion, Motion) else seconds,
+    )
 
 
 def _forces(rig: Rig, tree: Tree, more: StepForces | None) -> StepForces | None:
@@ -178,7 +190,9 @@ def _gears(rig: Rig, tree: Tree) -> Gears | None:
         )
     found = [gears for effect in rig.plant if (gears := effect.gears(tree)) is not None]
     if found and tree.shafts:
-        raise ExperimentError(f"{owners[0]} is of joints with gears of their own, not of couplings")
+        raise ExperimentError(
+            f"{owners[0]} is of joints with gears of their own, not of couplings"
+        )
     return found[0] if found else None
 
 
@@ -192,11 +206,15 @@ def _measured(
 ) -> Recording:
     """What the sensors show of what happened."""
     names, time = rig.robot.names, happened.time
-    found = measure(rig.instrument, names, time, happened.truth, tare, metadata, seed, installed)
+    found = measure(
+        rig.instrument, names, time, happened.truth, tare, metadata, seed, installed
+    )
     for effect in rig.plant:
         warmth = effect.temperature(time)
         if warmth is not None:
-            found = replace(found, temperature=np.broadcast_to(warmth, found.position.shape))
+            found = replace(
+                found, temperature=np.broadcast_to(warmth, found.position.shape)
+            )
     mounted = {place.name: rig.instrument_of(own) for place, own in rig.mounted.items()}
     if mounted:
         found = with_sensors(found, mounted, seed, installed)

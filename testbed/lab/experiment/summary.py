@@ -29,7 +29,12 @@ def summary(run: Run) -> list[str]:
     """
     if not run.estimates:
         return [headline(run), *_cautions(run)]
-    return [headline(run), *accuracy_lines(run), f"Data: {_data(run)}.", *_cautions(run)]
+    return [
+        headline(run),
+        *accuracy_lines(run),
+        f"Data: {_data(run)}.",
+        *_cautions(run),
+    ]
 
 
 def accuracy_lines(run: Run) -> list[str]:
@@ -52,7 +57,10 @@ def headline(run: Run) -> str:
         return f"From {_data(run)} no estimate could be made."
     if made or run.score is None:
         said = verdict_of(run.estimates.values(), made, doubts=run.diagnostics)
-        shown = ([each for each in parts if each[:6] != "Remedy"] for parts in paragraphs(said))
+        shown = (
+            [each for each in parts if each[:6] != "Remedy"]
+            for parts in paragraphs(said)
+        )
         first = [f"{text[0].upper()}{text[1:]}." for text in map(". ".join, shown)]
         return " ".join([*first, *data_lines(made, well=said[0].code == WELL)])
     errors = _prediction_errors(run)
@@ -68,7 +76,9 @@ def _prediction_errors(run: Run) -> list[str]:
     part = run.tree.is_part  # whose joints carry more than what the sensor feels
     errors: dict[str, list[str]] = {}
     for name, signal in ({"wrench": "sensor wrench"} if part else SIGNALS).items():
-        for method, accuracy in ({} if run.score is None else run.score.accuracy).items():
+        for method, accuracy in (
+            {} if run.score is None else run.score.accuracy
+        ).items():
             share = getattr(accuracy, name)
             if share is not None:
                 phrase = f"{percent(share)} by the {run.estimates[method].instrument}"
@@ -78,7 +88,11 @@ def _prediction_errors(run: Run) -> list[str]:
 
 def assumed(run: Run) -> str:
     """What the experiment assumes of the torque constants; "" if nothing."""
-    table = {} if run.experiment is None else run.experiment.measurement.torque_constant_error
+    table = (
+        {}
+        if run.experiment is None
+        else run.experiment.measurement.torque_constant_error
+    )
     sizes = sorted({abs(error) for error in table.values() if error})
     if not sizes or "internal" not in run.estimates:
         return ""
@@ -95,7 +109,8 @@ def _parameters(run: Run) -> list[str]:
     for method, estimate in run.estimates.items():
         errors, count = run.score.errors[method], estimate.minimal.count
         relative, z = (
-            np.abs(x[:count][np.isfinite(x[:count])]) for x in (errors.relative, errors.z)
+            np.abs(x[:count][np.isfinite(x[:count])])
+            for x in (errors.relative, errors.z)
         )
         parts = [f"{count} by the {estimate.instrument}"]
         if relative.size:

@@ -74,7 +74,11 @@ class Instrument:
     full_scale: tuple[float, float, float, float, float, float] = FULL_SCALE
     fault: tuple[Annotated[SensorError, AsTable(error_of)], ...] = ()
 
-    __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True, "allow_inf_nan": False}
+    __pydantic_config__: ClassVar = {
+        "extra": "forbid",
+        "strict": True,
+        "allow_inf_nan": False,
+    }
 
     def __post_init__(self) -> None:
         if self.plate:
@@ -84,7 +88,9 @@ class Instrument:
         for fault in self.fault:
             fault.check_rate(self.rate)
         if sum(isinstance(fault, MeasuredTare) for fault in self.fault) > 1:
-            raise SettingsError("measured_tare is asked for more than once; there is one tare")
+            raise SettingsError(
+                "measured_tare is asked for more than once; there is one tare"
+            )
         latched = any(isinstance(fault, EncoderInstantSampling) for fault in self.fault)
         if latched and not self.averaged:
             raise SettingsError(
@@ -121,7 +127,9 @@ class Instrument:
         )
         every = [fault.on(names, self.full_scale) for fault in (*always, *self.fault)]
         every.sort(key=lambda fault: fault.stage)
-        return {s: tuple(fault for fault in every if fault.signal == s) for s in _SIGNALS}
+        return {
+            s: tuple(fault for fault in every if fault.signal == s) for s in _SIGNALS
+        }
 
     def installed(
         self, names: tuple[str, ...], seed: int, sensor: str = ""
@@ -212,7 +220,9 @@ def with_sensors(
     """
     truth = recording.truth
     if truth is None or truth.sensors is None:
-        raise RecordingError("only a simulated recording, with truth, is measured again")
+        raise RecordingError(
+            "only a simulated recording, with truth, is measured again"
+        )
     once, shown = seed if installed is None else installed, []
     for k, (name, instrument) in enumerate(instruments.items()):
         chain = instrument.installed(recording.names, once, name)["wrench"]
@@ -221,7 +231,9 @@ def with_sensors(
     return replace(recording, sensors=np.hstack(shown), sensor_names=tuple(instruments))
 
 
-def measured_again(recording: Recording, instrument: Instrument, seed: int) -> Recording:
+def measured_again(
+    recording: Recording, instrument: Instrument, seed: int
+) -> Recording:
     """What another instrument shows of a run that was simulated before: no simulation needed.
 
     Args:
@@ -234,7 +246,9 @@ def measured_again(recording: Recording, instrument: Instrument, seed: int) -> R
         RecordingError: The recording has no truth or no tare, or is of another rate.
     """
     if recording.truth is None or recording.tare is None:
-        raise RecordingError("only a simulated recording, with truth and tare, is measured again")
+        raise RecordingError(
+            "only a simulated recording, with truth and tare, is measured again"
+        )
     if abs(recording.rate / instrument.rate - 1) > 1e-6:
         raise RecordingError(
             f"the recording has {recording.rate:g} samples a second, the instrument takes "

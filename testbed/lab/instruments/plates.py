@@ -36,7 +36,11 @@ PLATES: Mapping[str, PlateModel] = {
         source="noise: rms over the channels above 2 Hz at 100 Hz of examples/ur5e_plate; ranges: "
         "8.9 kN as its type (2000 lb) says, the others in proportion, our own choice",
     ),
-    "ati-axia80-m20": PlateModel(0.25, 0.01, (500.0, 500.0, 900.0, 20.0, 20.0, 20.0), ATI),
-    "ati-axia90-m50": PlateModel(0.5, 0.025, (1000.0, 1000.0, 2000.0, 50.0, 50.0, 50.0), ATI),
+    "ati-axia80-m20": PlateModel(
+        0.25, 0.01, (500.0, 500.0, 900.0, 20.0, 20.0, 20.0), ATI
+    ),
+    "ati-axia90-m50": PlateModel(
+        0.5, 0.025, (1000.0, 1000.0, 2000.0, 50.0, 50.0, 50.0), ATI
+    ),
 }
 """By name, as `measurement.plate` in an experiment has it."""

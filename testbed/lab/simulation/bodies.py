@@ -47,20 +47,26 @@ class Payload(Effect):
     @property
     def body(self) -> Inertia:
         """In the frame of the joint's body."""
-        centre, moments = (np.broadcast_to(np.asarray(v), 3) for v in (self.centre, self.inertia))
+        centre, moments = (
+            np.broadcast_to(np.asarray(v), 3) for v in (self.centre, self.inertia)
+        )
         return Inertia.about_centre(self.mass, centre, np.diag(moments))
 
     def robot(self, tree: Tree) -> Tree:
         """The robot with the payload."""
         if self.joint and self.joint not in tree.names:
-            raise SettingsError(f"payload: {UnknownName('joint', self.joint, tree.names)}")
+            raise SettingsError(
+                f"payload: {UnknownName('joint', self.joint, tree.names)}"
+            )
         return tree.with_inertia(self._link(tree), self.body)
 
     def equip(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
         """A body of MuJoCo's, welded to the link."""
         link = self._link(tree)
         body = spec.joint(prefix + tree.names[link]).parent
-        centre, moments = (np.broadcast_to(np.asarray(v), 3) for v in (self.centre, self.inertia))
+        centre, moments = (
+            np.broadcast_to(np.asarray(v), 3) for v in (self.centre, self.inertia)
+        )
         X_LC = Transform(p_AB_A=centre)
         _weld(spec, body, "testbed/payload", tree, link, X_LC, self.mass, moments)
 
@@ -106,9 +112,14 @@ class GearedRotor(Effect):
         """The rotors at rest on their carriers, and what their spin takes."""
         for joint, inertia, _ in self._each(tree):
             known = tree.joints[joint]
-            hinge, moments = spec.joint(prefix + known.name), inertia * np.array([0.5, 0.5, 1.0])
+            hinge, moments = (
+                spec.joint(prefix + known.name),
+                inertia * np.array([0.5, 0.5, 1.0]),
+            )
             frame = tree, joint, Transform(across(known.axis).R_BT)
-            _weld(spec, hinge.parent.parent, _rotor(known.name), *frame, MASSLESS, moments)
+            _weld(
+                spec, hinge.parent.parent, _rotor(known.name), *frame, MASSLESS, moments
+            )
             hinge.armature = known.rotor_inertia
 
     def disturb(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
@@ -117,7 +128,9 @@ class GearedRotor(Effect):
         for joint, inertia, ratio in self._each(tree):
             name = prefix + tree.names[joint]
             rotor = _rotor(tree.names[joint])
-            spec.body(rotor).add_joint(name=rotor, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+            spec.body(rotor).add_joint(
+                name=rotor, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1]
+            )
             spec.joint(name).armature -= ratio**2 * inertia
             gear = spec.add_equality(name=rotor, type=mujoco.mjtEq.mjEQ_JOINT)
             gear.objtype = mujoco.mjtObj.mjOBJ_JOINT
@@ -128,7 +141,8 @@ class GearedRotor(Effect):
     def _each(self, tree: Tree) -> Iterator[tuple[int, float, float]]:
         """Joint, inertia and ratio where there is a rotor."""
         sizes, ratios = (
-            np.broadcast_to(each_joint(value), tree.n) for value in (self.inertia, self.ratio)
+            np.broadcast_to(each_joint(value), tree.n)
+            for value in (self.inertia, self.ratio)
         )
         for joint, (inertia, ratio) in enumerate(zip(sizes, ratios, strict=True)):
             if inertia and ratio:
@@ -204,8 +218,12 @@ class CompliantPlate(Effect):
         """
         del prefix
         if any(joint.name == _FREEDOMS[0] for joint in spec.joints):
-            raise SettingsError(f"{self.kind}: the bedplate is on springs already; once is enough")
-        site = next(s.objname for s in spec.sensors if s.type == mujoco.mjtSensor.mjSENS_FORCE)
+            raise SettingsError(
+                f"{self.kind}: the bedplate is on springs already; once is enough"
+            )
+        site = next(
+            s.objname for s in spec.sensors if s.type == mujoco.mjtSensor.mjSENS_FORCE
+        )
         plate = spec.site(site).parent
         place = np.asarray(spec.site(site).pos)
         kinds = [mujoco.mjtJoint.mjJNT_SLIDE] * 3 + [mujoco.mjtJoint.mjJNT_HINGE] * 3

@@ -129,7 +129,9 @@ def follow(
         for number in range(steps):
             if engine.push and number:
                 call(engine.push, (drive.times[k] + number * step,))
-                call(engine.forward_skip, (model, engine.data, np.int32(2), np.int32(0)))
+                call(
+                    engine.forward_skip, (model, engine.data, np.int32(2), np.int32(0))
+                )
             if stopped[0]:
                 return
             if clock.averaged:
@@ -191,7 +193,9 @@ def _smooth(state: State, period: float) -> bool:
         rubs = state.dry[i]
         if abs(abs(state.constraint[i]) - rubs) > SLIPS * rubs:
             return False
-        if rubs and abs(state.velocity[i]) <= TURNS * period * abs(state.acceleration[i]):
+        if rubs and abs(state.velocity[i]) <= TURNS * period * abs(
+            state.acceleration[i]
+        ):
             return False
     return True
 

@@ -58,7 +58,9 @@ class Controller(NamedTuple):
     effort: Array
 
 
-def computed_torque(tree: Tree, motion: Reference, times: Array, bandwidth: float) -> Controller:
+def computed_torque(
+    tree: Tree, motion: Reference, times: Array, bandwidth: float
+) -> Controller:
     """A drive that follows a motion along a path that closes.
 
     Args:
@@ -77,7 +79,8 @@ def computed_torque(tree: Tree, motion: Reference, times: Array, bandwidth: floa
         qd=reference.qd,
         expected=joint_forces(tree, reference) + besides,
         inertia=mass_matrices(tree, grid) + np.diag(ROTOR.coefficients(tree)),
-        posture=np.floor((phase - np.floor(phase)) * _PERIOD_GRID).astype(int) % _PERIOD_GRID,
+        posture=np.floor((phase - np.floor(phase)) * _PERIOD_GRID).astype(int)
+        % _PERIOD_GRID,
         bandwidth=bandwidth,
         effort=np.array([joint.max_effort for joint in tree.joints]),
     )
@@ -93,5 +96,7 @@ def mass_matrices(tree: Tree, postures: Array) -> Array:
     k, n = postures.shape
     pushes = np.tile(np.eye(n), (k, 1))  # each joint alone, in every posture
     still = np.zeros((k * n, n))
-    motion = Motion(np.arange(k * n, dtype=float), postures.repeat(n, axis=0), still, pushes)
+    motion = Motion(
+        np.arange(k * n, dtype=float), postures.repeat(n, axis=0), still, pushes
+    )
     return joint_forces(tree, motion, gravity=np.zeros(3)).reshape(k, n, n)

@@ -73,7 +73,15 @@ def solve_friction(
                 if k != j:
                     rate -= loose[j, k] * friction[k]
             found = _at_joint(
-                gears, j, step, velocity[j], rate, loose[j, j], force[j], rotor[j], friction[j]
+                gears,
+                j,
+                step,
+                velocity[j],
+                rate,
+                loose[j, j],
+                force[j],
+                rotor[j],
+                friction[j],
             )
             moved = max(moved, abs(found - friction[j]))
             largest = max(largest, abs(found))
@@ -96,7 +104,11 @@ def _at_joint(
 ) -> float:
     """Of one joint, those of the others given; `rate` is its acceleration without its own."""
     end, gives = velocity + step * rate, step * loose
-    load, passes = force - rotor * rate, 1.0 - rotor * loose  # a unit of friction takes so much
+    # a unit of friction takes so much
+    load, passes = (
+        force - rotor * rate,
+        1.0 - rotor * loose,
+    )
     dip = (velocity / gears.speed[j]) ** 2
     dry = gears.coulomb[j] * (1.0 + (gears.static[j] - 1.0) * np.exp(-dip))
     held = end / gives
@@ -108,7 +120,9 @@ def _at_joint(
     middle, wet = (velocity + end) / 2.0, gears.viscous[j]
     found, by_load = held, gears.viscous_load[j] * (middle - gives * before / 2.0)
     for side in (1.0, -1.0):  # driving, driven
-        loss = side * ((gears.driving[j] if side > 0 else gears.driven[j]) + sign * by_load)
+        loss = side * (
+            (gears.driving[j] if side > 0 else gears.driven[j]) + sign * by_load
+        )
         kept = 1.0 + loss * passes + wet * gives / 2.0
         if kept <= 0:  # a gear that is driven takes all and more: it locks itself
             return held

@@ -76,7 +76,9 @@ class FrictionTerm(Effect):
         del tree, step
         law, size = joint_law(self.term), each_joint(self.coefficient)
         if law.by or law.parameter == ROTOR.parameter:
-            raise SettingsError(f"friction_term: '{self.term}' depends on more than the velocity")
+            raise SettingsError(
+                f"friction_term: '{self.term}' depends on more than the velocity"
+            )
 
         def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
             del time, q, motor
@@ -209,8 +211,12 @@ class LuGreFriction(Effect):
         return push
 
 
-def _bent(before: Array, velocity: Array, slip: Array, stiff: Array, step: float) -> Array:
+def _bent(
+    before: Array, velocity: Array, slip: Array, stiff: Array, step: float
+) -> Array:
     """Deflection after a step of constant velocity: exact, so that it never overshoots."""
     tiny = np.finfo(float).tiny
     decay = np.maximum(step * stiff * np.abs(velocity) / np.maximum(slip, 1e-99), tiny)
-    return np.asarray(before * np.exp(-decay) - velocity * step * np.expm1(-decay) / decay)
+    return np.asarray(
+        before * np.exp(-decay) - velocity * step * np.expm1(-decay) / decay
+    )

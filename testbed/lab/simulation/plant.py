@@ -19,7 +19,11 @@ from testbed.core.dynamics.newton_euler import Motion, base_wrench, joint_forces
 from testbed.core.robot.drive_torque import friction_torque
 from testbed.core.robot.force_sensor import ForceSensor
 from testbed.core.robot.formats.mjcf import MjcfModel
-from testbed.core.robot.formats.mjcf_compile import MASSLESS, compile_spec, no_mujoco_warnings
+from testbed.core.robot.formats.mjcf_compile import (
+    MASSLESS,
+    compile_spec,
+    no_mujoco_warnings,
+)
 from testbed.core.robot.friction import ROTOR
 from testbed.core.robot.model_file import ModelFile
 from testbed.core.robot.rotations import to_quaternion
@@ -33,7 +37,9 @@ SAME = 1e-9
 _OWN = 1e-6
 """The same of what acts on a joint, in parts of the greatest that this joint has."""
 
-_SPEED = 0.5  # of the joints in the self-check: well outside the band where friction is soft
+_SPEED = (
+    0.5  # of the joints in the self-check: well outside the band where friction is soft
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +88,17 @@ def check_plant(plant: Plant, tree: Tree, path: Path) -> None:
         ModelError: Says what differs.
     """
     even = np.arange(tree.n) % 2 == 0
-    states = [_driven(plant, tree, path, moving) for moving in (np.ones(tree.n), even, ~even)]
-    own = np.max([np.abs(state.motor) + np.abs(state.friction) for state in states], axis=0)
+    states = [
+        _driven(plant, tree, path, moving) for moving in (np.ones(tree.n), even, ~even)
+    ]
+    own = np.max(
+        [np.abs(state.motor) + np.abs(state.friction) for state in states], axis=0
+    )
     for state in states:
         scale = max(np.abs(state.need).max(), np.abs(state.motor).max())
         scale += np.abs(state.wrench).max()
-        allowed = np.minimum(SAME * scale, _OWN * own)  # a light joint's are small beside others'
+        # a light joint's are small beside others'
+        allowed = np.minimum(SAME * scale, _OWN * own)
         wrong = np.flatnonzero(np.abs(state.other + state.friction) > allowed)
         said = [
             f"'{tree.names[k]}' ({state.other[k]:.4g} found, {-state.friction[k]:.4g} of friction "
@@ -100,7 +111,10 @@ def check_plant(plant: Plant, tree: Tree, path: Path) -> None:
                 "N], which the robot that was read does not have"
             )
         felt = np.abs(state.expected_wrench - state.wrench).max()
-        if max(felt, np.abs(state.need - state.motor - state.other).max()) > SAME * scale:
+        if (
+            max(felt, np.abs(state.need - state.motor - state.other).max())
+            > SAME * scale
+        ):
             raise ModelError(
                 f"{path}: the plate or the joints do not feel the robot that was read (off by "
                 f"{felt:.3g} N or N m); does every arm stand on the sensor, is it unfiltered?"
@@ -122,7 +136,12 @@ def _driven(plant: Plant, tree: Tree, path: Path, moving: Array) -> _State:
     """Drive the plant through a state near the middle of all ranges."""
     rng, limits = np.random.default_rng(0), limits_of(tree)
     q = limits.middle + rng.uniform(-0.1, 0.1, tree.n) * (limits.high - limits.low)
-    qd = moving * _SPEED * rng.choice([-1.0, 1.0], tree.n) * rng.uniform(0.5, 1.0, tree.n)
+    qd = (
+        moving
+        * _SPEED
+        * rng.choice([-1.0, 1.0], tree.n)
+        * rng.uniform(0.5, 1.0, tree.n)
+    )
     qdd = moving * rng.uniform(-1.0, 1.0, tree.n)
     friction, rotor = friction_torque(tree, qd), ROTOR.coefficients(tree)
     wanted = Motion(np.zeros(1), q[None], qd[None], qdd[None])
@@ -132,7 +151,9 @@ def _driven(plant: Plant, tree: Tree, path: Path, moving: Array) -> _State:
     mujoco.mj_forward(plant.model, data)
     found = data.qacc[plant.order]
     if not (np.abs(found) < 1e12).all():
-        raise ModelError(f"{path}: MuJoCo finds no finite acceleration; a body may lack inertia")
+        raise ModelError(
+            f"{path}: MuJoCo finds no finite acceleration; a body may lack inertia"
+        )
     motion = replace(wanted, qdd=found[None])
     return _State(
         motor=motor,
@@ -194,7 +215,9 @@ def build_plant(
         compiled = compile_spec(spec, path)
         plate = _plate_of(compiled)
         if plate is None:
-            raise ModelError(f"{path}: the sensing bedplate was lost when MuJoCo compiled it")
+            raise ModelError(
+                f"{path}: the sensing bedplate was lost when MuJoCo compiled it"
+            )
         plant = _plant_of(compiled, tree, plate, prefix, sensors)
         check_plant(plant, tree, path)
         for effect in effects:
@@ -219,7 +242,11 @@ def robot_spec(model: ModelFile) -> mujoco.MjSpec:
         for each in root.iter(tag):
             if each.get(key) == "world":
                 each.set(key, _WORLD)
-    options = {"fusestatic": "false", "balanceinertia": "false", "discardvisual": "true"}
+    options = {
+        "fusestatic": "false",
+        "balanceinertia": "false",
+        "discardvisual": "true",
+    }
     ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", options)
     with no_mujoco_warnings():
         try:
@@ -252,11 +279,14 @@ def _equip(
     option.disableflags = int(off.mjDSBL_CONTACT) | int(off.mjDSBL_AUTORESET)
     option.enableflags = 0
     for joint in spec.joints:
-        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE  # the drive limits itself
+        # the drive limits itself
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         known = tree.joints[tree.index(joint.name.removeprefix(prefix))]
         if known.name in changed:
             joint.frictionloss, joint.armature = known.coulomb, known.rotor_inertia
-            joint.damping = np.concatenate([[known.viscous], np.zeros(np.size(joint.damping) - 1)])
+            joint.damping = np.concatenate(
+                [[known.viscous], np.zeros(np.size(joint.damping) - 1)]
+            )
         if not known.coulomb:
             joint.frictionloss = 0.0
         if not known.viscous:
@@ -273,7 +303,8 @@ def _equip(
 
 def _add_sensor(spec: mujoco.MjSpec, sensor: ForceSensor, prefix: str) -> None:
     """A force and a torque sensor at the cut before a link, at its place and along its axes."""
-    bodies = {each.name.removeprefix(prefix): each for each in spec.bodies[1:]}  # not the world
+    # not the world
+    bodies = {each.name.removeprefix(prefix): each for each in spec.bodies[1:]}
     if sensor.link not in bodies:
         raise UnknownName("link", sensor.link, sorted(bodies))
     body = bodies[sensor.link]
@@ -317,13 +348,21 @@ def _plant_of(
         return (first[:, None] + np.arange(size)).ravel()
 
     order = np.array([model.joint(prefix + name).dofadr[0] for name in tree.names])
-    wrists = [f"{_SENSOR}{each.name}/{what}" for each in sensors for what in ("force", "torque")]
+    wrists = [
+        f"{_SENSOR}{each.name}/{what}"
+        for each in sensors
+        for what in ("force", "torque")
+    ]
     return Plant(
         model=model,
         order=order,
         dofs=_dofs(model, order),
-        positions=addresses((_label("position", prefix + name) for name in tree.names), 1),
-        velocities=addresses((_label("velocity", prefix + name) for name in tree.names), 1),
+        positions=addresses(
+            (_label("position", prefix + name) for name in tree.names), 1
+        ),
+        velocities=addresses(
+            (_label("velocity", prefix + name) for name in tree.names), 1
+        ),
         plate=np.concatenate([model.sensor_adr[s] + np.arange(3) for s in plate]),
         X_BS=Transform(data.site_xmat[site].reshape(3, 3), data.site_xpos[site]),
         tare=_tare(model, data, int(model.site_bodyid[site])),
@@ -350,7 +389,9 @@ def _dofs(model: mujoco.MjModel, order: Array) -> Array:
 
 def _plate_of(model: mujoco.MjModel) -> tuple[int, int] | None:
     """Numbers of a force and a torque sensor at one site that is welded to the world."""
-    sites = list(zip(model.sensor_type.tolist(), model.sensor_objid.tolist(), strict=True))
+    sites = list(
+        zip(model.sensor_type.tolist(), model.sensor_objid.tolist(), strict=True)
+    )
     kinds = mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE
     for site in np.flatnonzero(model.body_weldid[model.site_bodyid] == 0).tolist():
         force, torque = ((int(kind), site) for kind in kinds)
@@ -366,4 +407,6 @@ def _tare(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> Array:
         if model.body_parentid[other] in still and not model.body_dofnum[other]:
             still.append(other)
     mass, gravity = model.body_mass[still], model.opt.gravity
-    return np.concatenate([-mass.sum() * gravity, -np.cross(mass @ data.xipos[still], gravity)])
+    return np.concatenate(
+        [-mass.sum() * gravity, -np.cross(mass @ data.xipos[still], gravity)]
+    )

@@ -44,14 +44,19 @@ def replay(model: ModelFile, recording: Recording, seconds: float = 2.0) -> Arra
     )
     last = min(last, len(time) - 1)
     if last <= fitted:
-        raise RecordingError(f"a recording that is replayed lasts more than {2 * START:g} s")
+        raise RecordingError(
+            f"a recording that is replayed lasts more than {2 * START:g} s"
+        )
     period = float((time[last] - time[first]) / (last - first))
     steps = int(np.ceil(period / STEP))
     plant = _plant(model, tree.names, period / steps)
     data = mujoco.MjData(plant)
     _recall(plant, data, time - time[first], torque)
-    order = [plant.joint(name).dofadr[0] for name in tree.names]  # each has one position
-    fit = np.polynomial.polynomial.polyfit(time[:fitted] - time[first], recorded[:fitted], 3)
+    # each has one position
+    order = [plant.joint(name).dofadr[0] for name in tree.names]
+    fit = np.polynomial.polynomial.polyfit(
+        time[:fitted] - time[first], recorded[:fitted], 3
+    )
     data.qpos[order], data.qvel[order] = fit[:2]
     simulated = []
     for k in range(first, last):
@@ -62,7 +67,9 @@ def replay(model: ModelFile, recording: Recording, seconds: float = 2.0) -> Arra
     return np.array(simulated) - recorded[first:last]
 
 
-def _recall(plant: mujoco.MjModel, data: mujoco.MjData, time: Array, torque: Array) -> None:
+def _recall(
+    plant: mujoco.MjModel, data: mujoco.MjData, time: Array, torque: Array
+) -> None:
     """Give delayed motors the commands from before the start, t = 0."""
     for late in np.flatnonzero(plant.actuator_delay).tolist():
         before = plant.opt.timestep * np.arange(-plant.actuator_history[late, 0], 0.0)

@@ -22,7 +22,14 @@ from testbed.core.base.errors import TestbedError
 from testbed.core.recordings.recording import Truth
 from testbed.core.robot.formats.mjcf_compile import unwarned_steps
 from testbed.core.robot.tree import Tree
-from testbed.lab.simulation.compiled_loop import Clock, Engine, Log, State, follow, mujoco_functions
+from testbed.lab.simulation.compiled_loop import (
+    Clock,
+    Engine,
+    Log,
+    State,
+    follow,
+    mujoco_functions,
+)
 from testbed.lab.simulation.controller import Controller, Reference, computed_torque
 from testbed.lab.simulation.effect import StepForces
 from testbed.lab.simulation.gear_friction import Gears, solve_friction
@@ -87,7 +94,8 @@ class SampledLoop:
         self._smooth_model = copy.copy(model)
         option = self._smooth_model.opt
         option.timestep = period / max(smooth, 1)
-        option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_REFSAFE)  # friction as it is
+        # friction as it is
+        option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_REFSAFE)
         self._push = _Push(forces, gears, plant, data)
         self._engine = Engine(
             **mujoco_functions(),
@@ -154,7 +162,11 @@ def _smooth_steps(model: mujoco.MjModel, period: float) -> int:
     loose = model.dof_invweight0
     spring = model.jnt_stiffness[model.dof_jntid]
     fastest = max(np.max(model.dof_damping * loose), np.sqrt(np.max(spring * loose)))
-    return int(np.ceil(period / min(SMOOTH_STEP, SMOOTH_DECAY / max(fastest, 1e-9)) * (1 - 1e-9)))
+    return int(
+        np.ceil(
+            period / min(SMOOTH_STEP, SMOOTH_DECAY / max(fastest, 1e-9)) * (1 - 1e-9)
+        )
+    )
 
 
 class _Push:
@@ -192,7 +204,9 @@ class _Push:
             raise self._error
 
 
-def _gear_friction(gears: Gears, plant: Plant, data: mujoco.MjData) -> Callable[[], Array]:
+def _gear_friction(
+    gears: Gears, plant: Plant, data: mujoco.MjData
+) -> Callable[[], Array]:
     """What gears take over the next step, beside the forces that act otherwise, (n,)."""
     model, order = plant.model, plant.order
     rotor, friction = model.dof_armature[order].copy(), np.zeros(len(order))
@@ -270,8 +284,13 @@ def simulate_motion(
     Raises:
         SimulationDiverged: The robot did not follow.
     """
-    lead, samples = round(sampling.warm_up * sampling.rate), round(duration * sampling.rate)
-    times = np.arange(round(sampling.begin * sampling.rate) - lead, samples) / sampling.rate
+    lead, samples = (
+        round(sampling.warm_up * sampling.rate),
+        round(duration * sampling.rate),
+    )
+    times = (
+        np.arange(round(sampling.begin * sampling.rate) - lead, samples) / sampling.rate
+    )
     drive = computed_torque(tree, motion, times, bandwidth)
     loop, logs = SampledLoop(plant, drive, sampling, forces, gears), []
     for first in range(0, len(times), _SLAB):
@@ -288,13 +307,20 @@ def simulate_motion(
     return _rollout_of(times[lead:], logs, drive, tree)
 
 
-def _rollout_of(time: Array, logs: Sequence[Truth], drive: Controller, tree: Tree) -> Rollout:
+def _rollout_of(
+    time: Array, logs: Sequence[Truth], drive: Controller, tree: Tree
+) -> Rollout:
     count = len(time)
-    whole = {k: np.concatenate([vars(log)[k] for log in logs])[-count:] for k in vars(logs[0])}
+    whole = {
+        k: np.concatenate([vars(log)[k] for log in logs])[-count:]
+        for k in vars(logs[0])
+    }
     truth, wanted = Truth(**whole), drive.q[-count:]
     tracking = np.sqrt(np.mean((truth.position - wanted) ** 2, axis=0))
     swing = np.ptp(wanted, axis=0)
-    lost = [name for name, e, s in zip(tree.names, tracking, swing, strict=True) if e > s]
+    lost = [
+        name for name, e, s in zip(tree.names, tracking, swing, strict=True) if e > s
+    ]
     if lost:
         raise SimulationDiverged(
             f"the drive lost the reference at {', '.join(lost)}; lower the motion's limits"

@@ -39,7 +39,10 @@ class EncoderDelay(EncoderError):
     def effect(cls, signal: Array, time: Array, values: Array) -> Array:
         """Positions of other times, (M, n) [rad or m]; held before the first sample."""
         delays = np.broadcast_to(values, signal.shape[1])
-        late = [at_times(q, time, time - delay) for q, delay in zip(signal.T, delays, strict=True)]
+        late = [
+            at_times(q, time, time - delay)
+            for q, delay in zip(signal.T, delays, strict=True)
+        ]
         return np.stack(late, axis=1)
 
     @classmethod

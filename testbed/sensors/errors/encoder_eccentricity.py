@@ -43,7 +43,9 @@ class EncoderEccentricity(EncoderError):
     @property
     def values(self) -> Array:
         """Amplitudes of sine and cosine, joint by joint, of errors that repeat with every turn."""
-        size, phase = np.broadcast_arrays(each_joint(self.amplitude), each_joint(self.phase or 0.0))
+        size, phase = np.broadcast_arrays(
+            each_joint(self.amplitude), each_joint(self.phase or 0.0)
+        )
         return np.stack([size * np.cos(phase), size * np.sin(phase)], axis=-1).ravel()
 
     @classmethod
@@ -56,5 +58,7 @@ class EncoderEccentricity(EncoderError):
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Positions with a wave of any period, (M, n) [rad or m]."""
         del time, rng
-        angle = 2 * np.pi * signal / each_joint(self.period) + each_joint(self.phase or 0.0)
+        angle = 2 * np.pi * signal / each_joint(self.period) + each_joint(
+            self.phase or 0.0
+        )
         return signal + each_joint(self.amplitude) * np.sin(angle)

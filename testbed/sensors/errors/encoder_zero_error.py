@@ -36,7 +36,9 @@ class EncoderZeroError(EncoderError):
         return signal + values
 
     @classmethod
-    def coordinate_errors(cls, q: Array, qd: Array, qdd: Array) -> Iterable[tuple[Any, Any, Any]]:
+    def coordinate_errors(
+        cls, q: Array, qd: Array, qdd: Array
+    ) -> Iterable[tuple[Any, Any, Any]]:
         """Constant of the position."""
         del q, qd, qdd
         return ((1.0, 0.0, 0.0),)

@@ -51,9 +51,13 @@ class PlateAntiAliasFilter(SensorError):
 
         del rng
         step = sampling_time(time)
-        poles = butter(self.order, 2 * np.pi * self.cutoff, analog=True, output="zpk")[1]
+        poles = butter(self.order, 2 * np.pi * self.cutoff, analog=True, output="zpk")[
+            1
+        ]
         for pole in poles[poles.imag > -1e-9 * abs(poles)]:  # of a pair the upper one
-            below = np.poly([pole, pole.conj()] if pole.imag > 1e-9 * abs(pole) else [pole]).real
+            below = np.poly(
+                [pole, pole.conj()] if pole.imag > 1e-9 * abs(pole) else [pole]
+            ).real
             above, below, _ = cont2discrete((below[-1:], below), step, "foh")
             rest = lfilter_zi(above[0], below)[:, None] * signal[0]
             signal = lfilter(above[0], below, signal, axis=0, zi=rest)[0]

@@ -51,12 +51,16 @@ class PlateBias(PlateError):
         return signal + values
 
     @classmethod
-    def undo(cls, recording: Recording, values: Array, time: Array, tree: Tree) -> Recording:
+    def undo(
+        cls, recording: Recording, values: Array, time: Array, tree: Tree
+    ) -> Recording:
         """Recording without constants; those of the next force sensors turn with the links."""
         del time
         plate, *others = values.reshape(-1, 6)
         wrench = recording.measured("wrench") - plate
-        transforms = wrench_transforms(tree, recording.position).values() if others else ()
+        transforms = (
+            wrench_transforms(tree, recording.position).values() if others else ()
+        )
         for wrench_transform, constants in zip(transforms, others, strict=True):
             wrench = wrench + apply(wrench_transform, constants)
         return replace(recording, wrench=wrench)
@@ -68,6 +72,8 @@ class PlateBias(PlateError):
         if not predicted.tree.cuts:
             return rows
         moved = [*wrench_transforms(predicted.tree, predicted.motion.q).values()]
-        return np.concatenate([rows, predicted.rows(-np.concatenate(moved, axis=2))], axis=2)
+        return np.concatenate(
+            [rows, predicted.rows(-np.concatenate(moved, axis=2))], axis=2
+        )
 
     measured_columns = columns

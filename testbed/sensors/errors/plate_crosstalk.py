@@ -63,7 +63,11 @@ class PlateCrosstalk(PlateError):
     def _mixing(self) -> Array:
         """D X D^-1, (6, 6)."""
         scale = np.array(self.full_scale)
-        mixing = self.size * (1 - np.eye(6)) if self.matrix is None else np.array(self.matrix)
+        mixing = (
+            self.size * (1 - np.eye(6))
+            if self.matrix is None
+            else np.array(self.matrix)
+        )
         return np.asarray(mixing * scale[:, None] / scale)
 
     @classmethod

@@ -36,5 +36,7 @@ class PlateHum(AddedWrench):
     def pattern(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Sine of the mains, (M, 6)."""
         del signal, rng
-        turn = 2 * np.pi * self.frequency * time[:, None] + np.asarray(self.phase or 0.0)
+        turn = 2 * np.pi * self.frequency * time[:, None] + np.asarray(
+            self.phase or 0.0
+        )
         return np.asarray(np.sin(turn))

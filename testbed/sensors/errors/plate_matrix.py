@@ -19,7 +19,8 @@ SENSITIVITIES = tuple(
     Coefficient(f"gain/{shown}", "", 1.0)
     if shown == load
     else Coefficient(
-        f"crosstalk/{shown}/{load}", {"FM": "1/m", "MF": "m"}.get(f"{shown[0]}{load[0]}", "")
+        f"crosstalk/{shown}/{load}",
+        {"FM": "1/m", "MF": "m"}.get(f"{shown[0]}{load[0]}", ""),
     )
     for shown in AXES
     for load in AXES

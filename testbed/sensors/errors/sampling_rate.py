@@ -26,5 +26,8 @@ class SamplingRate(SystematicError):
     def columns(cls, predicted: PredictedWrench) -> Array:
         """Derivative of the wrench by velocities and twice the accelerations, (rows, 6, 1)."""
         qd, qdd = predicted.motion.qd, predicted.motion.qdd
-        each = (predicted.along(j, 0.0, qd[:, j], 2 * qdd[:, j]) for j in range(predicted.tree.n))
+        each = (
+            predicted.along(j, 0.0, qd[:, j], 2 * qdd[:, j])
+            for j in range(predicted.tree.n)
+        )
         return predicted.rows(-np.sum([*each], axis=0)[..., None])

@@ -31,7 +31,9 @@ def blueprint(scenes: Sequence[Scene]) -> rrb.Blueprint:
     """
     count = len(scenes)
     roots = [root(k, count) for k in range(count)]
-    robots = [_robot(s.run.name, s.span, at) for s, at in zip(scenes, roots, strict=True)]
+    robots = [
+        _robot(s.run.name, s.span, at) for s, at in zip(scenes, roots, strict=True)
+    ]
     sides = [_tabs(scene, at) for scene, at in zip(scenes, roots, strict=True)]
     name = " | ".join(scene.run.name for scene in scenes)
     left = robots[0] if count == 1 else rrb.Vertical(*robots)
@@ -47,7 +49,10 @@ def live_blueprint(name: str, tree: Tree, size: float) -> rrb.Blueprint:
         tree: The robot.
         size: A length that fits it [m].
     """
-    wrench = [_plot(f"/wrench/{c}", f"{c} [{u}]") for c, u in zip(AXES, PLATE_UNITS, strict=True)]
+    wrench = [
+        _plot(f"/wrench/{c}", f"{c} [{u}]")
+        for c, u in zip(AXES, PLATE_UNITS, strict=True)
+    ]
     torque = [
         _plot(f"/torque/{safe(joint)}", f"torque of {joint} [{unit}]")
         for joint, unit in zip(tree.names, channel_units(tree, "internal"), strict=True)
@@ -71,10 +76,16 @@ def motion_blueprint(
         period: Of the motion [s].
     """
     seen = (0.0, period)
-    left = [_plot(f"/left/{k}", f"margin to {kind}", seen, False) for k, kind in enumerate(kinds)]
+    left = [
+        _plot(f"/left/{k}", f"margin to {kind}", seen, False)
+        for k, kind in enumerate(kinds)
+    ]
     joints = [
         rrb.Horizontal(
-            *(_plot(f"/{s}/{safe(joint)}", f"{s} of {joint}", seen, False) for s in RATES)
+            *(
+                _plot(f"/{s}/{safe(joint)}", f"{s} of {joint}", seen, False)
+                for s in RATES
+            )
         )
         for joint in tree.names
     ]
@@ -84,16 +95,23 @@ def motion_blueprint(
         rrb.TextDocumentView(origin="/notes", name="notes"),
         name=name,
     )
-    return _page(_robot(name, size, "", "robot and the paths of its tips"), tabs, name, seen)
+    return _page(
+        _robot(name, size, "", "robot and the paths of its tips"), tabs, name, seen
+    )
 
 
 def _page(
-    left: rrb.View | rrb.Container, right: rrb.Container, name: str, window: Range | None
+    left: rrb.View | rrb.Container,
+    right: rrb.Container,
+    name: str,
+    window: Range | None,
 ) -> rrb.Blueprint:
     """Both halves, the panels folded away."""
     selection = None
     if window is not None:
-        selection = rrb.components.AbsoluteTimeRange(*(int(1e9 * seconds) for seconds in window))
+        selection = rrb.components.AbsoluteTimeRange(
+            *(int(1e9 * seconds) for seconds in window)
+        )
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[2, 3], name=name),
         rrb.TimePanel(
@@ -107,13 +125,17 @@ def _page(
     )
 
 
-def _robot(name: str, size: float, at: str, shown: str = "robot and reaction") -> rrb.Spatial3DView:
+def _robot(
+    name: str, size: float, at: str, shown: str = "robot and reaction"
+) -> rrb.Spatial3DView:
     eye = rrb.EyeControls3D(
         position=(1.25 * size, -2.06 * size, 1.2 * size),
         look_target=(0, 0, 0.3 * size),
         eye_up=(0, 0, 1),
     )
-    return rrb.Spatial3DView(origin=f"{at}/world", name=f"{name}: {shown}", eye_controls=eye)
+    return rrb.Spatial3DView(
+        origin=f"{at}/world", name=f"{name}: {shown}", eye_controls=eye
+    )
 
 
 def _tabs(scene: Scene, at: str) -> rrb.Tabs:
@@ -149,7 +171,9 @@ def _row(scene: Scene, channel: Channel, at: str) -> rrb.Horizontal:
     """A channel measured and predicted, and beside it what is left over."""
     plots = {f"{at}/{channel.kind}/{safe(channel.name)}": channel.name}
     if channel.residuals:
-        plots[f"{at}/residual/{channel.kind}/{safe(channel.name)}"] = f"{channel.name}: residual"
+        plots[f"{at}/residual/{channel.kind}/{safe(channel.name)}"] = (
+            f"{channel.name}: residual"
+        )
     legend = channel.index == 0
     return rrb.Horizontal(
         *(

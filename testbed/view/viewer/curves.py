@@ -34,7 +34,10 @@ def log_signals(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
         path = f"{at}/{channel.kind}/{safe(channel.name)}"
         log_series(stream, path, time, channel.curves)
         if channel.kind == "torque" and drives is not None:
-            curve, speed = drives.curves[channel.index], scene.motion.qd[:, channel.index]
+            curve, speed = (
+                drives.curves[channel.index],
+                scene.motion.qd[:, channel.index],
+            )
             friction = {"friction": curve.at(speed)}
             log_series(stream, f"{path}/friction", time, friction, [COLOURS["path"]])
 
@@ -74,7 +77,9 @@ def log_series(
     send_values(stream, path, *thinned(time, np.column_stack([*curves.values()])))
 
 
-def send_values(stream: rr.RecordingStream, path: str, time: Array, values: Array) -> None:
+def send_values(
+    stream: rr.RecordingStream, path: str, time: Array, values: Array
+) -> None:
     """Values of one plot over time.
 
     Args:
@@ -108,4 +113,6 @@ def thinned(time: Array, values: Array) -> tuple[Array, Array]:
     parts = values[np.minimum(starts[:, None] + np.arange(size), last)]
     places = np.sort([parts.argmin(axis=1), parts.argmax(axis=1)], axis=0)
     shown = np.take_along_axis(parts, places.swapaxes(0, 1), axis=1)
-    return time[np.column_stack([starts, ends]).ravel()], shown.reshape(-1, values.shape[1])
+    return time[np.column_stack([starts, ends]).ravel()], shown.reshape(
+        -1, values.shape[1]
+    )

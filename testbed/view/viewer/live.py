@@ -21,7 +21,12 @@ from testbed.core.recordings.recording import Truth
 from testbed.view.viewer.blueprint import live_blueprint
 from testbed.view.viewer.colours import COLOURS, palette
 from testbed.view.viewer.curves import send_values
-from testbed.view.viewer.robot_drawing import ARROW, log_appearance, send_arrows, send_poses
+from testbed.view.viewer.robot_drawing import (
+    ARROW,
+    log_appearance,
+    send_arrows,
+    send_poses,
+)
 from testbed.view.viewer.scene import POSES, safe
 
 LOOPBACK = "127.0.0.1"
@@ -79,7 +84,9 @@ def serve(path: Path, port: int) -> NoReturn:
 def _become(command: list[str]) -> NoReturn:
     program = viewer_program()
     if program is None:
-        raise ViewerError("the command 'rerun' is not there; pip install rerun-sdk brings it")
+        raise ViewerError(
+            "the command 'rerun' is not there; pip install rerun-sdk brings it"
+        )
     sys.stdout.flush()
     os.execve(program, command, _environment())
 
@@ -98,7 +105,9 @@ def viewer_program() -> str | None:
 def has_screen() -> bool:
     """Whether there is a screen to open a window on; elsewhere than on Linux there is."""
     linux = sys.platform.startswith("linux")
-    return not linux or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return not linux or bool(
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )
 
 
 PATIENCE = 5.0
@@ -138,7 +147,10 @@ class Live:
         names = look.tree.names
         lines = rr.SeriesLines(names=names, colors=palette(len(names)))
         self._stream.log("/position", lines, static=True)
-        self._paths = [*(f"/wrench/{c}" for c in AXES), *(f"/torque/{safe(n)}" for n in names)]
+        self._paths = [
+            *(f"/wrench/{c}" for c in AXES),
+            *(f"/torque/{safe(n)}" for n in names),
+        ]
         single = rr.SeriesLines(names=["true"], colors=[COLOURS["measured"]])
         for path in self._paths:
             self._stream.log(path, single, static=True)
@@ -161,7 +173,12 @@ class Live:
         _, frames = np.unique(np.floor(POSES * time), return_index=True)
         send_poses(self._stream, self._look, time[frames], q[frames], "/world")
         send_arrows(
-            self._stream, self._look, time[frames], wrench[frames], self._scales, "/world/bedplate"
+            self._stream,
+            self._look,
+            time[frames],
+            wrench[frames],
+            self._scales,
+            "/world/bedplate",
         )
         send_values(self._stream, "/position", time, q)
         signals = np.hstack([wrench, truth.torque[there]])

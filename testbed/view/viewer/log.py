@@ -65,12 +65,18 @@ def write_motion_rrd(
     kinds = [f"{kind.label} [{kind.unit}]" for kind in left]
     postures = motion.at(times).q
     size = span_of(look, postures)
-    with _written(path, motion_blueprint(path.stem, tree, size, kinds, motion.period)) as stream:
+    with _written(
+        path, motion_blueprint(path.stem, tree, size, kinds, motion.period)
+    ) as stream:
         log_appearance(stream, look, "/world")
-        log_paths(stream, look, send_poses(stream, look, times, postures, "/world"), "/world")
+        log_paths(
+            stream, look, send_poses(stream, look, times, postures, "/world"), "/world"
+        )
         _log_obstacles(stream, obstacles)
         _log_curves(stream, rules, motion, times, left)
-        notes = rr.TextDocument(_notes(path.stem, rules, proof), media_type=rr.MediaType.MARKDOWN)
+        notes = rr.TextDocument(
+            _notes(path.stem, rules, proof), media_type=rr.MediaType.MARKDOWN
+        )
         stream.log("/notes", notes, static=True)
 
 
@@ -86,19 +92,29 @@ def _log_obstacles(stream: rr.RecordingStream, obstacles: tuple[Obstacle, ...]) 
 
 
 def _log_curves(
-    stream: rr.RecordingStream, rules: Rules, motion: Fourier, times: Array, left: list[Slack]
+    stream: rr.RecordingStream,
+    rules: Rules,
+    motion: Fourier,
+    times: Array,
+    left: list[Slack],
 ) -> None:
     for k, kind in enumerate(left):
-        log_series(stream, f"/left/{k}", times, {kind.label: kind.left}, [COLOURS["external"]])
+        log_series(
+            stream, f"/left/{k}", times, {kind.label: kind.left}, [COLOURS["external"]]
+        )
     for order, rate in enumerate(RATES):
-        for name, values in zip(rules.tree.names, motion.derivative(times, order).T, strict=True):
+        for name, values in zip(
+            rules.tree.names, motion.derivative(times, order).T, strict=True
+        ):
             path = f"/{rate}/{safe(name)}"
             log_series(stream, path, times, {rate: values}, [COLOURS["external"]])
 
 
 def _notes(name: str, rules: Rules, proof: Proof) -> str:
     said = (
-        "Proven at every moment." if proof.holds else f"**Not proven:** {plain(proof.worst.words)}"
+        "Proven at every moment."
+        if proof.holds
+        else f"**Not proven:** {plain(proof.worst.words)}"
     )
     lines = [f"# {plain(name)}", f"{plural(len(proof.margins), 'limit')}. {said}"]
     lines.append(margin_table(proof.margins).markdown)
@@ -128,7 +144,9 @@ def _written(path: Path, arranged: rrb.Blueprint) -> Iterator[rr.RecordingStream
         path: The .rrd file; appears whole or not at all.
         arranged: Blueprint for a first look.
     """
-    stream = rr.RecordingStream("testbed", recording_id=path.stem, send_properties=False)
+    stream = rr.RecordingStream(
+        "testbed", recording_id=path.stem, send_properties=False
+    )
     memory = stream.memory_recording()
     stream.send_blueprint(arranged, make_active=False)
     yield stream
@@ -178,8 +196,14 @@ def view(
     """
     runs = run_of(data, *estimates) if isinstance(data, Recording) else data
     several = [runs] if isinstance(runs, (Run, str, Path)) else list(runs)
-    shown = [each if isinstance(each, Run) else read_run(Path(each)) for each in several]
-    place = Path(tempfile.mkdtemp()) / f"{shown[0].name}.rrd" if path is None else Path(path)
+    shown = [
+        each if isinstance(each, Run) else read_run(Path(each)) for each in several
+    ]
+    place = (
+        Path(tempfile.mkdtemp()) / f"{shown[0].name}.rrd"
+        if path is None
+        else Path(path)
+    )
     write_rrd([scene_of(run) for run in shown], place)
     if path is None:
         start_viewer(place)

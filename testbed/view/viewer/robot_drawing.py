@@ -75,7 +75,9 @@ def log_bodies(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
                 colors=[colour],
                 fill_mode=rr.components.FillMode.MajorWireframe,
             )
-            stream.log(f"{at}/robot/{shape.body + 1}/body/{name}", ellipsoids, static=True)
+            stream.log(
+                f"{at}/robot/{shape.body + 1}/body/{name}", ellipsoids, static=True
+            )
 
 
 def log_appearance(stream: rr.RecordingStream, look: Appearance, at: str) -> None:
@@ -106,7 +108,9 @@ def send_poses(
     for j, X_WB in enumerate(placed):
         turned = quaternions(X_WB.R_AB)
         columns = rr.Transform3D.columns(translation=X_WB.p_AB_A, quaternion=turned)
-        stream.send_columns(f"{at}/robot/{j + 1}", indexes=[clock(time)], columns=columns)
+        stream.send_columns(
+            f"{at}/robot/{j + 1}", indexes=[clock(time)], columns=columns
+        )
     return placed
 
 
@@ -133,7 +137,9 @@ def send_arrows(
     if places is None:
         places = np.tile(look.corner, (len(time), 1))
     for k, name in enumerate(("force", "moment")):
-        style = rr.Arrows3D.from_fields(colors=[COLOURS[name]], radii=[ARROW * look.reach / 40])
+        style = rr.Arrows3D.from_fields(
+            colors=[COLOURS[name]], radii=[ARROW * look.reach / 40]
+        )
         stream.log(f"{at}/{name}", style, static=True)
         vectors = scales[k] * wrench[:, 3 * k : 3 * k + 3]
         columns = rr.Arrows3D.columns(vectors=vectors, origins=places)
@@ -196,14 +202,20 @@ def _archetype(shape: Shape) -> Any:
     if shape.kind == "box":
         return rr.Boxes3D(half_sizes=[shape.size], centers=[shape.position], **solid)
     if shape.kind == "ellipsoid":
-        return rr.Ellipsoids3D(half_sizes=[shape.size], centers=[shape.position], **solid)
+        return rr.Ellipsoids3D(
+            half_sizes=[shape.size], centers=[shape.position], **solid
+        )
     if shape.kind == "cylinder":
         radius, half = shape.size
-        return rr.Cylinders3D(lengths=[2 * half], radii=[radius], centers=[shape.position], **solid)
+        return rr.Cylinders3D(
+            lengths=[2 * half], radii=[radius], centers=[shape.position], **solid
+        )
     if shape.kind == "capsule":
         radius, half = shape.size
         start = shape.position - shape.rotation[:, 2] * half
-        return rr.Capsules3D(lengths=[2 * half], radii=[radius], translations=[start], **solid)
+        return rr.Capsules3D(
+            lengths=[2 * half], radii=[radius], translations=[start], **solid
+        )
     vertices = shape.vertices @ shape.rotation.T + shape.position
     corners = vertices[shape.faces.astype(int)]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -59,7 +59,9 @@ class Scene:
     @property
     def frames(self) -> slice:
         """Samples of the motion at which poses are shown."""
-        return slice(0, self.motion.samples, max(1, round(self.run.recording.rate / POSES)))
+        return slice(
+            0, self.motion.samples, max(1, round(self.run.recording.rate / POSES))
+        )
 
     @cached_property
     def smooth(self) -> Predictions:
@@ -99,7 +101,9 @@ class Scene:
             lines += [f"## {table.title}", table.markdown]
         if self.diagnostics:
             lines.append("## Warnings")
-            lines.append("\n".join(f"- {plain(line)}" for line in sentences(self.diagnostics)))
+            lines.append(
+                "\n".join(f"- {plain(line)}" for line in sentences(self.diagnostics))
+            )
         return "\n\n".join(lines)
 
 

@@ -94,7 +94,9 @@ OTHER_CAUSES: Mapping[Method, tuple[str, ...]] = {
 
 
 @stage("what the residuals say")
-def diagnostics(estimate: Estimate, problem: Problem, survey: Survey) -> tuple[Diagnostic, ...]:
+def diagnostics(
+    estimate: Estimate, problem: Problem, survey: Survey
+) -> tuple[Diagnostic, ...]:
     """Faults of a recording, as far as one method's data show them.
 
     Args:
@@ -104,10 +106,14 @@ def diagnostics(estimate: Estimate, problem: Problem, survey: Survey) -> tuple[D
     """
     tree, tare = problem.tree, problem.tare
     faults = [*_few(estimate), *_encoders(tree, survey.position)]
-    faults += [*_channels(estimate, survey.measured), *_repeated(estimate, survey.repeats)]
+    faults += [
+        *_channels(estimate, survey.measured),
+        *_repeated(estimate, survey.repeats),
+    ]
     negative: list[Diagnostic] = []
     if estimate.method == "external":
-        if not pedestal_said(problem.source):  # else a tare that is not its weight is odd
+        # else a tare that is not its weight is odd
+        if not pedestal_said(problem.source):
             faults += _tare(tree, tare)
         negative += _mass(estimate, tree, survey.measured, tare)
     else:
@@ -129,7 +135,10 @@ def quality(estimate: Estimate) -> Iterator[Diagnostic]:
     subject = f"the {estimate.method} estimate"
     if estimate.condition > THRESHOLDS.condition:
         yield diagnose(
-            "estimate.ill-conditioned", subject, estimate.condition, method=estimate.method
+            "estimate.ill-conditioned",
+            subject,
+            estimate.condition,
+            method=estimate.method,
         )
     yield from noise_diagnostics(estimate)
     base = estimate.base
@@ -145,12 +154,17 @@ def quality(estimate: Estimate) -> Iterator[Diagnostic]:
         and THRESHOLDS.small_sigma * largest[unit] < sigma < np.inf
     ]
     if loose:
-        yield diagnose("estimate.uncertain", subject, method=estimate.method, parameters=few(loose))
+        yield diagnose(
+            "estimate.uncertain", subject, method=estimate.method, parameters=few(loose)
+        )
 
 
 def _few(estimate: Estimate) -> Iterator[Diagnostic]:
     """Little more values than unknowns."""
-    unknowns, values = len(estimate.values) + len(estimate.nuisances), sum(estimate.samples)
+    unknowns, values = (
+        len(estimate.values) + len(estimate.nuisances),
+        sum(estimate.samples),
+    )
     if values < THRESHOLDS.values_an_unknown * unknowns:
         yield diagnose(
             "estimate.few-values",
@@ -174,7 +188,9 @@ def _repeated(estimate: Estimate, repeats: Repeats) -> Iterator[Diagnostic]:
     if share > THRESHOLDS.repeats_ratio * by_chance:
         yield diagnose(
             "channel.repeated",
-            "the plate's samples" if estimate.method == "external" else "the torques' samples",
+            "the plate's samples"
+            if estimate.method == "external"
+            else "the torques' samples",
             share,
             method=estimate.method,
             count=repeats.together,
@@ -185,11 +201,16 @@ def _repeated(estimate: Estimate, repeats: Repeats) -> Iterator[Diagnostic]:
 def _encoders(tree: Tree, position: Array) -> Iterator[Diagnostic]:
     """Positions that the joint cannot have, or that hardly change."""
     for joint, q in zip(tree.joints, position.T, strict=True):
-        unit, subject = "rad" if joint.revolute else "m", f"the encoder of '{joint.name}'"
+        unit, subject = (
+            "rad" if joint.revolute else "m",
+            f"the encoder of '{joint.name}'",
+        )
         low, high = float(q.min()), float(q.max())
         least, greatest = joint.position_range
         room = (
-            THRESHOLDS.outside_range * (greatest - least) if np.isfinite(greatest - least) else 0.0
+            THRESHOLDS.outside_range * (greatest - least)
+            if np.isfinite(greatest - least)
+            else 0.0
         )
         if low < least - room or high > greatest + room:
             yield diagnose(
@@ -228,14 +249,24 @@ def _encoder_causes(joint: Joint, low: float, high: float) -> list[str]:
 def _channels(estimate: Estimate, measured: Array) -> Iterator[Diagnostic]:
     """Signals that stop at a value, or never leave it."""
     for c, values in enumerate(measured.T):
-        unit, label, method = estimate.channel_units[c], estimate.label(c), estimate.method
+        unit, label, method = (
+            estimate.channel_units[c],
+            estimate.label(c),
+            estimate.method,
+        )
         if np.ptp(values) == 0:
             if estimate.matters[c]:
-                yield diagnose("channel.constant", label, values[0], method=method, unit=unit)
+                yield diagnose(
+                    "channel.constant", label, values[0], method=method, unit=unit
+                )
             continue
-        share, end = max((_piled(values, float(e)), float(e)) for e in (values.max(), values.min()))
+        share, end = max(
+            (_piled(values, float(e)), float(e)) for e in (values.max(), values.min())
+        )
         if share > THRESHOLDS.extreme_share:
-            yield diagnose("channel.saturated", label, share, method=method, end=end, unit=unit)
+            yield diagnose(
+                "channel.saturated", label, share, method=method, end=end, unit=unit
+            )
 
 
 def _piled(values: Array, end: float) -> float:
@@ -283,7 +314,9 @@ def _tare(tree: Tree, tare: Array) -> Iterator[Diagnostic]:
         )
 
 
-def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterator[Diagnostic]:
+def _mass(
+    estimate: Estimate, tree: Tree, wrench: Array, tare: Array
+) -> Iterator[Diagnostic]:
     """A total mass that is negative, or not what the plate carries on average."""
     base, gravity = estimate.base, float(np.linalg.norm(tree.gravity))
     try:
@@ -303,7 +336,12 @@ def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterato
             first = first[::-1]
         causes = (*first, "exchanged", "gravity")
         yield diagnose(
-            "plate.negative-mass", subject, mass, sigma=sigma, method="external", causes=causes
+            "plate.negative-mass",
+            subject,
+            mass,
+            sigma=sigma,
+            method="external",
+            causes=causes,
         )
     elif (
         abs(mass - carried)
@@ -325,13 +363,15 @@ def _friction(estimate: Estimate) -> Iterator[Diagnostic]:
     equations, drives = estimate.normal_equations, estimate.drives
     if drives is None:
         return
-    most = np.argmax(np.abs(shares(drives.tree)), axis=1)  # the joint that feels a place most
+    # the joint that feels a place most
+    most = np.argmax(np.abs(shares(drives.tree)), axis=1)
     for k, term in enumerate(estimate.joint_terms, start=estimate.minimal.count):
         place = drives.terms[k - estimate.minimal.count].joint
         normal, _, square = equations.of_channel(int(most[place]))
         torque = abs(term.value) * np.sqrt(normal[k, k])
-        sure = term.value < -SIGMAS * term.sigma and torque > THRESHOLDS.negative_share * np.sqrt(
-            square
+        sure = (
+            term.value < -SIGMAS * term.sigma
+            and torque > THRESHOLDS.negative_share * np.sqrt(square)
         )
         if term.law.resists and sure:
             yield diagnose(
@@ -370,7 +410,10 @@ def _late(estimate: Estimate, problem: Problem) -> Iterator[Diagnostic]:
 def _score(problem: Problem, estimate: Estimate, law: JointLaw) -> float:
     """Score test of a law at all joints: a chi-square where the torques do not hold it."""
     beside = problem.with_settings(terms=(*problem.settings.words, law))
-    equations, weights = beside.equations(beside.passes(1, whole=True)), estimate.residual**-2.0
+    equations, weights = (
+        beside.equations(beside.passes(1, whole=True)),
+        estimate.residual**-2.0,
+    )
     matrix = equations.matrix(weights)
     values = np.pad(estimate.values, (0, len(matrix) - len(estimate.values)))
     gradient = equations.vector(weights) - matrix @ values
@@ -385,8 +428,12 @@ def _residuals(estimate: Estimate, tree: Tree) -> Iterator[Diagnostic]:
     ):
         like = [unit == estimate.channel_units[c] for unit in estimate.channel_units]
         apart = residual > THRESHOLDS.outlier * estimate.residual[like].min()
-        wrong = share > THRESHOLDS.useless_residual or (share > THRESHOLDS.residual and apart)
-        if (wrong and estimate.matters[c]) or (share > THRESHOLDS.residual and residual > large[c]):
+        wrong = share > THRESHOLDS.useless_residual or (
+            share > THRESHOLDS.residual and apart
+        )
+        if (wrong and estimate.matters[c]) or (
+            share > THRESHOLDS.residual and residual > large[c]
+        ):
             yield _residual(estimate, c, float(share))
 
 
@@ -417,8 +464,12 @@ def _residual(estimate: Estimate, c: int, share: float) -> Diagnostic:
         and abs(factor - 1) > THRESHOLDS.factor_error
     ):
         causes = ["sign" if factor < 0 else "gain"]
-        return diagnose("channel.scale", label, share, method=method, causes=causes, factor=factor)
-    return diagnose("channel.residual", label, share, method=method, causes=OTHER_CAUSES[method])
+        return diagnose(
+            "channel.scale", label, share, method=method, causes=causes, factor=factor
+        )
+    return diagnose(
+        "channel.residual", label, share, method=method, causes=OTHER_CAUSES[method]
+    )
 
 
 def _impossible(estimate: Estimate) -> Iterator[Diagnostic]:

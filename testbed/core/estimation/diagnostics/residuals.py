@@ -50,7 +50,9 @@ def fault_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
     tests = estimate.trace_tests
     if not noisy(estimate):
         return
-    clear = [t for t in tests if t.chance * len(tests) < FALSE_ALARMS and not _too_far(t)]
+    clear = [
+        t for t in tests if t.chance * len(tests) < FALSE_ALARMS and not _too_far(t)
+    ]
     if not clear:
         yield from _repetition(estimate)
         return
@@ -60,7 +62,9 @@ def fault_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
         "the plate's residuals",
         best.shift,
         significance=float(-special.ndtri(max(best.chance / 2, TINY))),
-        method="external" if systematic_errors()[best.nuisance].signal == "wrench" else "",
+        method="external"
+        if systematic_errors()[best.nuisance].signal == "wrench"
+        else "",
         causes=[*terms, *["level"] * bool(LIKE_TILT & {*terms}), "unmodelled-load"],
         chance=chance_text(best.chance),
         cause=phrase(best.nuisance),
@@ -96,16 +100,24 @@ def noise_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
     if noise is None:
         return
     if noise.noise_limited:
-        yield diagnose("encoder.noise", few(noise.noise_limited), method=estimate.method)
+        yield diagnose(
+            "encoder.noise", few(noise.noise_limited), method=estimate.method
+        )
     if noise.steps_matter:
         steps = zip(estimate.joints, noise.least_counts, strict=True)
-        coarse = few([f"'{name}' ({count:.3g} a step)" for name, count in steps if count])
+        coarse = few(
+            [f"'{name}' ({count:.3g} a step)" for name, count in steps if count]
+        )
         share = min(noise.by_counts, 1.0)
         yield diagnose("encoder.resolution", coarse, share, method=estimate.method)
     hidden, verb = ", ".join(noise.hidden), "is" if len(noise.hidden) == 1 else "are"
     if noise.bias_chance <= SMALL_CHANCE:
         constants = zip(
-            estimate.channels, estimate.channel_units, noise.bias, noise.bias_sigma, strict=True
+            estimate.channels,
+            estimate.channel_units,
+            noise.bias,
+            noise.bias_sigma,
+            strict=True,
         )
         yield diagnose(
             "plate.offset",
@@ -122,10 +134,17 @@ def noise_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
     elif any(_slow(noise)) and noise.hidden:
         memories = zip(estimate.channels, noise.memory, _slow(noise), strict=True)
         slow = ", ".join(
-            f"{channel} ({time:.2g} s)" for channel, time, is_slow in memories if is_slow
+            f"{channel} ({time:.2g} s)"
+            for channel, time, is_slow in memories
+            if is_slow
         )
         yield diagnose(
-            "plate.drift", "the plate", method="external", channels=slow, hidden=hidden, verb=verb
+            "plate.drift",
+            "the plate",
+            method="external",
+            channels=slow,
+            hidden=hidden,
+            verb=verb,
         )
 
 

@@ -68,7 +68,9 @@ def rigid_body_test(
     limit = float(np.sqrt(special.chdtri(len(scale), 2 * special.ndtr(-sigmas))))
     forms, rotors = _of_bodies(estimate.minimal.standard_matrix), _rotors(estimate)
     root = square_root(covariance * np.outer(unit, unit))
-    normal = _separating(unit[:, None] * forms, unit[:, None] * rotors, unit * base.values, root)
+    normal = _separating(
+        unit[:, None] * forms, unit[:, None] * rotors, unit * base.values, root
+    )
     distance = max(0.0, float(normal @ (unit * base.values)))
     gap = -distance * (covariance @ (unit * normal))
     relative = np.abs(gap) / np.where(scale > 0, scale, 1.0)
@@ -102,7 +104,8 @@ def _separating(forms: Array, rotors: Array, wanted: Array, root: Array) -> Arra
         wanted: The parameters, (N,).
         root: R, (N, N), their covariance R R'.
     """
-    size = float(np.linalg.norm(np.linalg.solve(root, wanted))) or 1.0  # for the solver: near one
+    # for the solver: near one
+    size = float(np.linalg.norm(np.linalg.solve(root, wanted))) or 1.0
     count = len(wanted)
     rows = np.vstack([np.zeros(count), -root.T, forms.T, rotors.T])
     cones = [

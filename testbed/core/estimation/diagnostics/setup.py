@@ -33,7 +33,9 @@ def setup_diagnostics(problem: Problem) -> Iterator[Diagnostic]:
         yield from _missing_terms(problem.tree, settings)
         for term in problem.drives.asked:
             if term.law in (FORWARD, BACKWARD):
-                yield diagnose("drives.one-way", problem.tree.names[term.joint], method="internal")
+                yield diagnose(
+                    "drives.one-way", problem.tree.names[term.joint], method="internal"
+                )
     passing = [kind for kind in ("bias", "slope") if kind in settings.nuisances]
     if plate and passing and len(source.segments) > 1:
         yield diagnose("plate.common-offset", " and ".join(passing), method="external")
@@ -57,7 +59,9 @@ def _missing_terms(tree: Tree, settings: Settings) -> Iterator[Diagnostic]:
     for law in LAWS:
         given = law.coefficients(tree)
         if given.any() and law not in settings.laws:
-            names = ", ".join(name for name, value in zip(tree.names, given, strict=True) if value)
+            names = ", ".join(
+                name for name, value in zip(tree.names, given, strict=True) if value
+            )
             yield diagnose("drives.term", names, method="internal", kind=law.kind)
 
 
@@ -67,7 +71,11 @@ def regrouped_rotors(problem: Problem) -> Iterator[Diagnostic]:
     Args:
         problem: By either method.
     """
-    stated = [f"+{ROTOR.kind}/{each.name}" for each in problem.tree.joints if each.rotor_inertia]
+    stated = [
+        f"+{ROTOR.kind}/{each.name}"
+        for each in problem.tree.joints
+        if each.rotor_inertia
+    ]
     sums = [name for name in problem.names if name.endswith(tuple(stated))]
     if sums:
         yield diagnose("drives.rotor", few(sums), method="internal")

@@ -83,12 +83,19 @@ def cross_check(external: Estimate, internal: Estimate) -> Iterator[Diagnostic]:
         return
     known, spread = s @ external.base.values, s @ external.base.covariance @ s.T
     for joint, name in enumerate(internal.joints):
-        factor, subject = torque_factor(internal, known, spread, joint), f"the torque of '{name}'"
+        factor, subject = (
+            torque_factor(internal, known, spread, joint),
+            f"the torque of '{name}'",
+        )
         if factor is None:
             continue
         value, sigma = factor
         if not LEAST < value < MOST:
-            units = [cause for unit, cause in UNITS.items() if abs(abs(value) / unit - 1) < ALIKE]
+            units = [
+                cause
+                for unit, cause in UNITS.items()
+                if abs(abs(value) / unit - 1) < ALIKE
+            ]
             causes = ["sign"] * (value < 0) + [*units, "motor-side", "exchanged"]
             yield diagnose("torque.scale", subject, value, sigma=sigma, causes=causes)
         elif not external.doubtful and abs(value - 1) > max(OFF, SURE * sigma):
@@ -109,7 +116,9 @@ def diagnostics_of(estimates: Iterable[Estimate]) -> tuple[Diagnostic, ...]:
         estimates: By both methods or by one.
     """
     by_method = {estimate.method: estimate for estimate in estimates}
-    diagnostics = [each for estimate in by_method.values() for each in estimate.diagnostics]
+    diagnostics = [
+        each for estimate in by_method.values() for each in estimate.diagnostics
+    ]
     if len(by_method) == len(METHODS):
         diagnostics += cross_check(by_method["external"], by_method["internal"])
     return ordered(diagnostics)
@@ -135,7 +144,11 @@ def torque_factor(
     own = [k for k, body in enumerate(internal.minimal.axial) if body == joint]
     if internal.drives is not None:
         turn = shares(internal.drives.tree)[:, joint]
-        own += [count + k for k, term in enumerate(internal.drives.terms) if turn[term.joint]]
+        own += [
+            count + k
+            for k, term in enumerate(internal.drives.terms)
+            if turn[term.joint]
+        ]
     predicted = np.zeros(len(right))
     predicted[:count] = known
     predicted[own] = 0.0  # a rotor may be part of it
@@ -153,4 +166,6 @@ def torque_factor(
     if factor**2 * alone <= CLEAR * residual or error >= KNOWN**2 * alone:
         return None
     rows = max(float(internal.normal_equations.used[joint]), 1.0)
-    return TorqueFactor(factor, float(np.sqrt((max(residual, 0.0) / rows + error) / alone)))
+    return TorqueFactor(
+        factor, float(np.sqrt((max(residual, 0.0) / rows + error) / alone))
+    )

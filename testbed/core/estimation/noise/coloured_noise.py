@@ -23,8 +23,17 @@ from testbed.core.estimation.noise.errors_in_variables import (
     PositionNoise,
     correct_attenuation,
 )
-from testbed.core.estimation.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
-from testbed.core.estimation.noise.lagged_products import HIGHEST, Autoregression, LaggedProducts
+from testbed.core.estimation.noise.fits import (
+    Fits,
+    NoiseFit,
+    weighted_fits,
+    whitened_fits,
+)
+from testbed.core.estimation.noise.lagged_products import (
+    HIGHEST,
+    Autoregression,
+    LaggedProducts,
+)
 from testbed.core.estimation.noise.noise_model import (
     NoiseModel,
     PeriodicResidual,
@@ -34,7 +43,11 @@ from testbed.core.estimation.noise.noise_model import (
     period_of,
 )
 from testbed.core.estimation.noise.replicas import Bootstrap, QuantizationSums
-from testbed.core.estimation.noise.score_tests import ScoreTest, ScoreTests, TestedColumns
+from testbed.core.estimation.noise.score_tests import (
+    ScoreTest,
+    ScoreTests,
+    TestedColumns,
+)
 from testbed.core.estimation.noise.whitening import (
     NuisanceColumns,
     Products,
@@ -108,7 +121,9 @@ class AveragedFit:
             factor: By which sigma is larger than the formula's.
         """
         count = self.directions.shape[1]
-        return float(special.chdtrc(count, self.chi_square / factor**2)) if count else 1.0
+        return (
+            float(special.chdtrc(count, self.chi_square / factor**2)) if count else 1.0
+        )
 
 
 @stage("fit under coloured noise")
@@ -127,7 +142,10 @@ def averaged_fit(
     correction = None if noise is None else correct_attenuation(alone, noise)
     if correction is not None:
         alone = correction.fit
-    none, imitating = np.zeros((products.products.shape[1], 0)), np.zeros((0, products.unknowns))
+    none, imitating = (
+        np.zeros((products.products.shape[1], 0)),
+        np.zeros((0, products.unknowns)),
+    )
     if whole:
         directions, imitating = constants(products)
     if not whole or products.rows < FEWEST_ROWS or not directions.shape[1]:
@@ -136,10 +154,15 @@ def averaged_fit(
     if noise is not None:
         beside = correct_attenuation(beside, noise.with_constants(directions)).fit
     own = slice(products.unknowns, None)
-    square = scaled_solve(beside.covariance[own, own], beside.values[own]) @ beside.values[own]
+    square = (
+        scaled_solve(beside.covariance[own, own], beside.values[own])
+        @ beside.values[own]
+    )
     weight = float(special.expit(square / 2 - directions.shape[1]))
     fit = averaged(alone, beside, weight)
-    return AveragedFit(fit, fits, directions, imitating, correction, weight, float(square))
+    return AveragedFit(
+        fit, fits, directions, imitating, correction, weight, float(square)
+    )
 
 
 def averaged(alone: NoiseFit, beside: NoiseFit, weight: float) -> NoiseFit:
@@ -224,7 +247,9 @@ class GlsSolution:
     @cached_property
     def step(self) -> Array:
         """Correction of all unknowns, (p + s,)."""
-        return self.units.fixed + self.units.basis @ self.average.fit.values[: self.count]
+        return (
+            self.units.fixed + self.units.basis @ self.average.fit.values[: self.count]
+        )
 
     @cached_property
     def values(self) -> Array:
@@ -305,7 +330,10 @@ def generalized_least_squares(
         passes: Over all rows.
         beside: Columns beside the robot's.
     """
-    units, encoders = whitening_of(start, beside, passes.plan.layout), _encoder_noise(passes)
+    units, encoders = (
+        whitening_of(start, beside, passes.plan.layout),
+        _encoder_noise(passes),
+    )
     products = units.products(passes, start.values, HIGHEST, encoders)
     average = averaged_fit(
         units.as_free(products.every),
@@ -327,7 +355,9 @@ def bootstrap(solution: GlsSolution, names: tuple[str, ...]) -> GlsFit:
     columns = TestedColumns(solution.count + units.beside.trends, units.beside.tested)
     free, robot = units.as_free(solution.products.every), units.basis[:p]
     residuals = ResidualSums(np.any(solution.constants, axis=1))
-    replicas = Bootstrap(average.fit.noise, free, average.directions, robot[robot.any(axis=1)])
+    replicas = Bootstrap(
+        average.fit.noise, free, average.directions, robot[robot.any(axis=1)]
+    )
     quantization = QuantizationSums(average.fit, solution.count)
     tests = ScoreTests(units.as_free(solution.products.tested), columns, robot)
     repetition = _repetition_sums(solution.passes, average.fit.noise)
@@ -405,10 +435,16 @@ def sensor_step(
 def _lateness(solution: GlsSolution, factor: float, plan: Plan) -> TimeDelay | None:
     """Of joint torques; of the plate, there are tests that are more sensitive."""
     units = solution.units
-    if plan.layout.model == "reaction" or units.free is not None or len(plan.weights) == 1:
+    if (
+        plan.layout.model == "reaction"
+        or units.free is not None
+        or len(plan.weights) == 1
+    ):
         return None
     start = np.asarray(np.linalg.solve(units.white, solution.start), dtype=np.float64)
-    return lateness(solution.products.every, solution.average.fit, start, factor, plan.rate)
+    return lateness(
+        solution.products.every, solution.average.fit, start, factor, plan.rate
+    )
 
 
 def _covariance(solution: GlsSolution, factor: float, by_counts: Array) -> Array:
@@ -435,7 +471,9 @@ def _encoder_noise(passes: Passes) -> PositionNoise:
     plan, survey = passes.plan, passes.surveyor.survey()
     inferred = not plan.source.senses_kinematics
     filtered = inferred and len(plan.weights) > 1
-    return PositionNoise(plan, survey.encoder_noise * inferred, survey.encoder_count * filtered)
+    return PositionNoise(
+        plan, survey.encoder_noise * inferred, survey.encoder_count * filtered
+    )
 
 
 def _named(which: Iterable[bool], names: tuple[str, ...]) -> tuple[str, ...]:

@@ -50,7 +50,9 @@ class PositionNoise:
         """
         self._plan, self._sigma, self._count = plan, sigma, count
         self._coarse = np.flatnonzero(count)
-        self._kernels = np.stack([np.convolve(taps, plan.weights) for taps in plan.taps])
+        self._kernels = np.stack(
+            [np.convolve(taps, plan.weights) for taps in plan.taps]
+        )
 
     @property
     def least_counts(self) -> tuple[float, ...]:
@@ -70,8 +72,13 @@ class PositionNoise:
             if len(self._coarse):
                 smooth, begin = self._smooth(signals), first * self._plan.step
                 blocks = np.arange(begin, begin + len(smooth)) // HELD
-                zeros = [self._zeros(COUNTS_SEED, k) for k in range(blocks[0], blocks[-1] + 1)]
-                noise = noise + self._rounded(smooth, np.array(zeros)[blocks - blocks[0]])
+                zeros = [
+                    self._zeros(COUNTS_SEED, k)
+                    for k in range(blocks[0], blocks[-1] + 1)
+                ]
+                noise = noise + self._rounded(
+                    smooth, np.array(zeros)[blocks - blocks[0]]
+                )
             return changed(self._plan, at_rows(signals), noise, basis)
 
         return columns if self._sigma.any() else None
@@ -108,16 +115,23 @@ class PositionNoise:
         strides = range(1, step // PER_ROW + 1)
         stride = max((d for d in strides if step % d == 0), default=1)
         kernels = self._kernels[:, middle % stride :: stride].T * np.sqrt(stride)
-        begin, end = first * step // stride, (first + count - 1) * step // stride + len(kernels)
+        begin, end = (
+            first * step // stride,
+            (first + count - 1) * step // stride + len(kernels),
+        )
         white = np.concatenate(
             [
-                np.random.default_rng([SEED, block]).normal(size=(BLOCK, len(self._sigma)))
+                np.random.default_rng([SEED, block]).normal(
+                    size=(BLOCK, len(self._sigma))
+                )
                 for block in range(begin // BLOCK, -(-end // BLOCK))
             ]
         )[begin % BLOCK :][: end - begin]
         around = np.lib.stride_tricks.sliding_window_view(white, len(kernels), axis=0)
         made = around[:: step // stride] @ kernels
-        return np.asarray(np.moveaxis(made, 2, 0) * np.where(self._count > 0, 0.0, self._sigma))
+        return np.asarray(
+            np.moveaxis(made, 2, 0) * np.where(self._count > 0, 0.0, self._sigma)
+        )
 
     def _smooth(self, signals: Signals) -> Array:
         """Positions of coarse encoders around the rows, without counts, (samples, coarse)."""
@@ -125,7 +139,9 @@ class PositionNoise:
         half, around = self._kernels.shape[1] // 2, len(signals.weights) // 2
         shown = signals.position[signals.start - half : last + half + 1, self._coarse]
         ends = np.pad(shown, ((around, around), (0, 0)), "reflect", reflect_type="odd")
-        return np.stack([np.convolve(own, signals.weights, "valid") for own in ends.T], axis=1)
+        return np.stack(
+            [np.convolve(own, signals.weights, "valid") for own in ends.T], axis=1
+        )
 
     def _rounded(self, smooth: Array, zeros: Array) -> Array:
         """Errors of whole counts, behind the filters, (3, rows, n).
@@ -137,7 +153,9 @@ class PositionNoise:
         size = self._count[self._coarse]
         counts = smooth / size + zeros
         off = (np.round(counts) - counts) * size
-        around = np.lib.stride_tricks.sliding_window_view(off, self._kernels.shape[1], axis=0)
+        around = np.lib.stride_tricks.sliding_window_view(
+            off, self._kernels.shape[1], axis=0
+        )
         part = around[:: self._plan.step] @ self._kernels.T
         every = np.zeros((3, len(part), len(self._count)))
         every[:, :, self._coarse] = np.moveaxis(part, 2, 0)
@@ -215,7 +233,11 @@ def correct_attenuation(fit: NoiseFit, noise: LaggedProducts) -> AttenuationCorr
     share, axes = eigh(root.T @ white[:m, :m] @ root)
     directions, kept = root @ axes, np.clip(share, 0.0, MOST)
     taken = white[:m, :m] @ fit.values - white[:m, m]
-    taken = directions.T @ taken * np.where(share > MOST, MOST / np.maximum(share, MOST), 1.0)
+    taken = (
+        directions.T
+        @ taken
+        * np.where(share > MOST, MOST / np.maximum(share, MOST), 1.0)
+    )
     spread = directions / (1 - kept)
     back = spread @ np.linalg.inv(directions)
     better = replace(

@@ -111,8 +111,12 @@ def whitened_fits(
 
     now = up_to(0)
     weighted = _weighted(now, given.rows)
-    if order is None:  # by residuals as they are: of coloured noise weights alone take less
-        highest, residuals = _highest(given, now.unknowns), _of_residuals(now, weighted.values)
+    # by residuals as they are: of coloured noise weights alone take less
+    if order is None:
+        highest, residuals = (
+            _highest(given, now.unknowns),
+            _of_residuals(now, weighted.values),
+        )
         residuals = given.moments(
             _squares(residuals if basis is None else residuals @ basis.T), highest
         )[0]
@@ -120,10 +124,15 @@ def whitened_fits(
     given = up_to(order)
     for _ in range(ROUNDS if order else 1):
         coefficients = fit(_moments(given, weighted, order), order)
-        weighted = _weighted(given, given.after(order), coefficients, weighted if quick else None)
+        weighted = _weighted(
+            given, given.after(order), coefficients, weighted if quick else None
+        )
     noises = map(Autoregression, coefficients, weighted.spread)
     each = zip(weighted.values, weighted.inverse, noises, strict=True)
-    return [NoiseFit(values, inverse, noise, noise, inverse) for values, inverse, noise in each]
+    return [
+        NoiseFit(values, inverse, noise, noise, inverse)
+        for values, inverse, noise in each
+    ]
 
 
 def weighted_fits(given: LaggedProducts, order: int | None = None) -> list[NoiseFit]:
@@ -137,7 +146,8 @@ def weighted_fits(given: LaggedProducts, order: int | None = None) -> list[Noise
     counts = given.products[:, :, -1, -1].T  # (C, K + 1)
     weighted = _weighted(now, np.maximum(counts[:, 0], 1.0))
     squares = given.squares(_of_residuals(given, weighted.values))
-    covariances = squares / np.maximum(counts - weighted.taken[..., None], 1.0)  # (R, C, K + 1)
+    # (R, C, K + 1)
+    covariances = squares / np.maximum(counts - weighted.taken[..., None], 1.0)
     covariances[..., 0] = weighted.spread**2  # which is not zero
     weights = weighted.spread[..., None] ** -4.0 * covariances
     least = now.sums(weights[..., :1])
@@ -146,10 +156,14 @@ def weighted_fits(given: LaggedProducts, order: int | None = None) -> list[Noise
     fits = []
     for r, inverse in enumerate(weighted.inverse):
         inner = _at_least(LEAST_SHARE, least[r, :m, :m], middle[r, :m, :m])
-        noise = _from_covariances(covariances[r], given.lags if order is None else order)
+        noise = _from_covariances(
+            covariances[r], given.lags if order is None else order
+        )
         weighting = Autoregression(np.zeros((len(counts), 0)), weighted.spread[r])
         fits.append(
-            NoiseFit(weighted.values[r], inverse @ inner @ inverse, noise, weighting, inverse)
+            NoiseFit(
+                weighted.values[r], inverse @ inner @ inverse, noise, weighting, inverse
+            )
         )
     return fits
 
@@ -157,7 +171,9 @@ def weighted_fits(given: LaggedProducts, order: int | None = None) -> list[Noise
 def _highest(given: LaggedProducts, unknowns: int) -> int:
     """Largest order that leaves rows enough for the unknowns, and for itself."""
     needed = ENOUGH * unknowns // int(given.products.shape[1]) + 1
-    return max(0, min(HIGHEST, given.lags, given.rows // ROWS_PER_ORDER, given.rows - needed))
+    return max(
+        0, min(HIGHEST, given.lags, given.rows // ROWS_PER_ORDER, given.rows - needed)
+    )
 
 
 def _at_least(share: float, least: Array, matrix: Array) -> Array:
@@ -202,7 +218,10 @@ def _weighted(
     m, trials, channels = given.unknowns, given.responses, given.products.shape[1]
     if coefficients is None:
         coefficients = np.zeros((trials, channels, 0))
-    white, free = Whitened(given, coefficients), np.asarray(rows) - coefficients.shape[2]
+    white, free = (
+        Whitened(given, coefficients),
+        np.asarray(rows) - coefficients.shape[2],
+    )
     values, taken = np.zeros((trials, m)), np.full((trials, channels), m / channels)
     if before is not None:
         values, taken = before.values, before.taken
@@ -218,7 +237,9 @@ def _weighted(
 
 def _solutions(sums: Array, m: int) -> tuple[Array, Array]:
     """Inverses of the normal matrices, (R, m, m), and each response's solution, (R, m)."""
-    each = [inverse_and_solution(one[:m, :m], one[:m, m + r]) for r, one in enumerate(sums)]
+    each = [
+        inverse_and_solution(one[:m, :m], one[:m, m + r]) for r, one in enumerate(sums)
+    ]
     inverses, values = zip(*each, strict=True)
     return np.stack(inverses), np.stack(values)
 
@@ -243,7 +264,10 @@ def _of_residuals(given: LaggedProducts, values: Array) -> Array:
     """B with b' z what a response's values leave of a row z, (R, q)."""
     trials, m = values.shape
     combinations = np.zeros((trials, given.products.shape[2]))
-    combinations[:, :m], combinations[range(trials), range(m, m + trials)] = -values, 1.0
+    combinations[:, :m], combinations[range(trials), range(m, m + trials)] = (
+        -values,
+        1.0,
+    )
     return combinations
 
 

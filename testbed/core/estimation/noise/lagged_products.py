@@ -59,7 +59,10 @@ def fit(moments: Array, order: int) -> Array:
         moments: e_(t-i) e_(t-j) summed over the same t, (..., K + 1, K + 1), K >= P.
         order: P.
     """
-    matrix, right = moments[..., 1 : order + 1, 1 : order + 1], moments[..., 1 : order + 1, :1]
+    matrix, right = (
+        moments[..., 1 : order + 1, 1 : order + 1],
+        moments[..., 1 : order + 1, :1],
+    )
     size = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None] / max(order, 1)
     return _forgetting(
         np.linalg.solve(matrix + (RIDGE * size + TINY) * np.eye(order), right)[..., 0]
@@ -68,7 +71,9 @@ def fit(moments: Array, order: int) -> Array:
 
 def prediction_errors(coefficients: Array) -> Array:
     """1, -a_1 ... -a_P channel by channel, (..., P + 1): what makes white noise of the coloured."""
-    return np.concatenate([np.ones((*coefficients.shape[:-1], 1)), -coefficients], axis=-1)
+    return np.concatenate(
+        [np.ones((*coefficients.shape[:-1], 1)), -coefficients], axis=-1
+    )
 
 
 def innovation_variance(moments: Array, coefficients: Array) -> Array:
@@ -117,7 +122,9 @@ def _forgetting(coefficients: Array) -> Array:
 class NoiseMaker:
     """Replicas of noise, row after row."""
 
-    def __init__(self, noise: Autoregression, replicas: int, rng: np.random.Generator) -> None:
+    def __init__(
+        self, noise: Autoregression, replicas: int, rng: np.random.Generator
+    ) -> None:
         """Ready for the first row.
 
         Args:
@@ -132,7 +139,10 @@ class NoiseMaker:
     def rows(self, count: int) -> Array:
         """The next rows, (C, count, replicas)."""
         order, sigma = self._noise.order, self._noise.sigma
-        fresh = self._rng.normal(size=(count, len(sigma), self._recent.shape[2])) * sigma[:, None]
+        fresh = (
+            self._rng.normal(size=(count, len(sigma), self._recent.shape[2]))
+            * sigma[:, None]
+        )
         made = np.concatenate([self._recent, fresh.transpose(1, 0, 2)], axis=1)
         for channel, alpha in enumerate(prediction_errors(self._noise.coefficients)):
             bands = np.repeat(alpha[:, None], order + count, axis=1)
@@ -228,7 +238,9 @@ class LaggedProducts:
         """
         back = np.swapaxes(maps, -1, -2)
         products = np.asarray(back @ self.products @ maps)
-        return replace(self, products=products, first=self.first @ maps, last=self.last @ maps)
+        return replace(
+            self, products=products, first=self.first @ maps, last=self.last @ maps
+        )
 
     def sums(self, weights: Array) -> Array:
         """Of all lags and channels, half of what they are and of their transpose, (R, q, q).
@@ -271,7 +283,8 @@ class LaggedProducts:
             for each in (self.first, last)
         )
         moments = self.traces(inner)[..., np.abs(np.subtract.outer(lag, lag))]
-        for t in range(order):  # rows before t = P, and zeros after the last, do not count
+        # rows before t = P, and zeros after the last, do not count
+        for t in range(order):
             moments[..., : t + 1, : t + 1] -= head[..., t::-1, t::-1]
             moments[..., t + 1 :, t + 1 :] -= tail[..., t:, t:][..., ::-1, ::-1]
         return moments
@@ -285,7 +298,10 @@ class LaggedProducts:
         m, count, size = self.unknowns, directions.shape[1], self.products.shape[2]
         if not count:
             return self
-        extended, own = self.columns(np.r_[:m, [size - 1] * count, m:size]), slice(m, m + count)
+        extended, own = (
+            self.columns(np.r_[:m, [size - 1] * count, m:size]),
+            slice(m, m + count),
+        )
         extended.products[..., own, :] *= directions[:, :, None]
         for each in (extended.products, extended.first, extended.last):
             each[..., own] *= directions[:, None]
@@ -310,13 +326,18 @@ class Whitened:
         alpha, order = prediction_errors(coefficients), coefficients.shape[2]
         given, share = given.up_to(order), np.empty(alpha.shape)
         for lag in range(order + 1):
-            share[..., lag] = (alpha[..., lag:] * alpha[..., : order + 1 - lag]).sum(axis=2)
+            share[..., lag] = (alpha[..., lag:] * alpha[..., : order + 1 - lag]).sum(
+                axis=2
+            )
         share[..., 1:] *= 2  # a lag's products, and their transpose
         self._given, self._share, self._edges = given, share, _edges(given, alpha)
         if len(alpha) == 1:  # then once and for all
             whole = self.sums(np.eye(alpha.shape[1]))
             self._given = replace(given.up_to(0), products=whole[None], alike=True)
-            self._share, self._edges = np.ones((1, len(whole), 1)), self._edges[..., :0, :]
+            self._share, self._edges = (
+                np.ones((1, len(whole), 1)),
+                self._edges[..., :0, :],
+            )
 
     def sums(self, weights: Array) -> Array:
         """Of all channels, (R, q, q).
@@ -423,7 +444,9 @@ class LaggedSums:
         """The sums."""
         assert self._products is not None, "sums of no rows"
         first, last = zip(*self._edges, *self._open(), strict=True)
-        return LaggedProducts(self._rows, self._products, np.stack(first), np.stack(last))
+        return LaggedProducts(
+            self._rows, self._products, np.stack(first), np.stack(last)
+        )
 
     def _open(self) -> list[tuple[Array, Array]]:
         """First and last rows of the sequence that is not closed, if it has any."""

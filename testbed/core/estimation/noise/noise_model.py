@@ -67,7 +67,9 @@ def _differences(unit: Array) -> Array:
     products = np.fft.irfft((np.abs(spectrum) ** 2).sum(axis=1), size)[lags]
     ends = np.concatenate([[0.0], np.cumsum((unit**2).sum(axis=1))])
     later, earlier = ends[-1] - ends[lags], ends[count - lags]
-    return np.asarray((later + earlier - 2 * products) / (2 * channels * (count - lags)))
+    return np.asarray(
+        (later + earlier - 2 * products) / (2 * channels * (count - lags))
+    )
 
 
 FEWEST_PAIRS = 30
@@ -103,7 +105,8 @@ class PeriodicSums:
         """
         channels = len(noise.sigma)
         self._noise, self._rows, self._period = noise, rows, period
-        self._recent = np.zeros((channels, 0))  # residuals that the next ones are whitened with
+        # residuals that the next ones are whitened with
+        self._recent = np.zeros((channels, 0))
         self._before = np.zeros((channels, 0))  # whitened ones of one period
         self._sums = np.zeros((3, channels))
         self._pairs = 0
@@ -121,7 +124,11 @@ class PeriodicSums:
         white = np.concatenate([self._before, fresh], axis=1)
         self._before = white[:, -self._rows :]
         now, then = white[:, self._rows :], white[:, : -self._rows]
-        self._sums += [(now * then).sum(axis=1), (now**2).sum(axis=1), (then**2).sum(axis=1)]
+        self._sums += [
+            (now * then).sum(axis=1),
+            (now**2).sum(axis=1),
+            (then**2).sum(axis=1),
+        ]
         self._pairs += now.shape[1]
 
     def result(self) -> PeriodicResidual | None:
@@ -135,7 +142,8 @@ class PeriodicSums:
         score = share[some] * np.sqrt(self._pairs)
         together = special.ndtr(-score.sum() / np.sqrt(len(score)))
         alone = len(score) * special.ndtr(-score.max())
-        chance = min(1.0, 2 * float(min(together, alone)))  # two looks, and so many channels
+        # two looks, and so many channels
+        chance = min(1.0, 2 * float(min(together, alone)))
         return PeriodicResidual(self._period, tuple(float(x) for x in share), chance)
 
 
@@ -180,19 +188,26 @@ def lateness(
         return None
     m, (now, one) = len(start), given.products[:2]
     ones = np.maximum(now[:, -1, -1], 1.0)
-    maps = np.zeros((len(ones), m + 2, 2))  # to predictions about their mean, and to residuals
+    # to predictions about their mean, and to residuals
+    maps = np.zeros((len(ones), m + 2, 2))
     maps[:, :m] = np.column_stack([start + fit.values, -fit.values])
     maps[:, m, 1] = 1.0
     maps[:, -1, 0] = -(now[:, -1] * maps[..., 0]).sum(axis=1) / ones
     both = given.combined(maps).products
-    apart = np.concatenate([both[:0:-1].swapaxes(2, 3), both])  # -K ... K rows apart, (., C, 2, 2)
+    # -K ... K rows apart, (., C, 2, 2)
+    apart = np.concatenate([both[:0:-1].swapaxes(2, 3), both])
     slopes = -_half_differences(_half_differences(apart[..., 0, 0])) * rate**2
     across = _half_differences(apart[..., 1, 0])[1:-1] * rate
-    slope = ((one.swapaxes(1, 2) - one) @ maps[..., :1])[..., 0] * rate / 2  # with each column
+    # with each column
+    slope = ((one.swapaxes(1, 2) - one) @ maps[..., :1])[..., 0] * rate / 2
     squares = slopes[len(slopes) // 2]
     late = TimeDelay(0.0, 0.0)
     for _ in range(ROUNDS):  # residuals without the delay are noise
-        rest = apart[2:-2, :, 1, 1] + late.delay * (across + across[::-1]) + late.delay**2 * slopes
+        rest = (
+            apart[2:-2, :, 1, 1]
+            + late.delay * (across + across[::-1])
+            + late.delay**2 * slopes
+        )
         noise = rest / ones
         weights = 1 / np.maximum(noise[len(noise) // 2], LEAST**2)
         late = _fitted(now[:, :m, :m], slope, squares, maps[0, :, 1], weights)
@@ -225,7 +240,9 @@ def _fitted(
     alone = float(weights @ squares - shared @ scaled_solve(normal, shared))
     if alone <= 0:
         return TimeDelay(0.0, np.inf)
-    return TimeDelay(-float(weights @ slope @ residual) / alone, 1 / float(np.sqrt(alone)))
+    return TimeDelay(
+        -float(weights @ slope @ residual) / alone, 1 / float(np.sqrt(alone))
+    )
 
 
 COARSE = 0.05

@@ -32,7 +32,9 @@ class Replicas:
     Of columns with columns they are known from the residuals' own products.
     """
 
-    def __init__(self, noise: Autoregression, known: LaggedProducts, seed: int = SEED) -> None:
+    def __init__(
+        self, noise: Autoregression, known: LaggedProducts, seed: int = SEED
+    ) -> None:
         """Nothing yet.
 
         Args:
@@ -64,9 +66,12 @@ class Replicas:
             self._before = np.zeros((len(ones), lags, now.shape[2]))
         run = np.concatenate([self._before, now], axis=1)
         known, made = run[..., :-REPLICAS].swapaxes(1, 2), run[..., -REPLICAS:]
-        for lag, across in enumerate(self._across):  # a lag's products with their transpose
+        # a lag's products with their transpose
+        for lag, across in enumerate(self._across):
             late, early = slice(lags, lags + rows), slice(lags - lag, lags - lag + rows)
-            across += (known[..., late] @ made[:, early] + known[..., early] @ made[:, late]) / 2
+            across += (
+                known[..., late] @ made[:, early] + known[..., early] @ made[:, late]
+            ) / 2
         self._before = run[:, rows:]
 
     def pause(self) -> None:
@@ -87,10 +92,14 @@ class Replicas:
             np.concatenate(ends, axis=3)
             for ends in ((known.first, made.first), (known.last, made.last))
         )
-        whole = LaggedProducts(made.rows, np.block(products), first, last, REPLICAS, alike=True)
+        whole = LaggedProducts(
+            made.rows, np.block(products), first, last, REPLICAS, alike=True
+        )
         return whole.columns(np.r_[:m, m + 1 : m + 1 + REPLICAS, m])
 
-    def squares(self, fits: Fits, basis: Array, directions: Array | None = None) -> Array:
+    def squares(
+        self, fits: Fits, basis: Array, directions: Array | None = None
+    ) -> Array:
         """Squares of parameters that are zero, as replicas have them, over sigma's, (R, p).
 
         Args:
@@ -119,7 +128,11 @@ class Bootstrap:
     """Factor on standard deviations, from replicas of the noise."""
 
     def __init__(
-        self, noise: Autoregression, products: LaggedProducts, directions: Array, basis: Array
+        self,
+        noise: Autoregression,
+        products: LaggedProducts,
+        directions: Array,
+        basis: Array,
     ) -> None:
         """Nothing yet.
 

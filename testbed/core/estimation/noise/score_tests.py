@@ -22,7 +22,11 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
 from testbed.core.base.stages import stage
 from testbed.core.estimation.noise.fits import whitened_fits
-from testbed.core.estimation.noise.lagged_products import Autoregression, LaggedProducts, Whitened
+from testbed.core.estimation.noise.lagged_products import (
+    Autoregression,
+    LaggedProducts,
+    Whitened,
+)
 from testbed.core.estimation.noise.replicas import Replicas
 from testbed.core.estimation.noise.whitening import WhitenedRows
 from testbed.core.estimation.regression.normal_equations import TINY
@@ -84,7 +88,9 @@ class ScoreTest:
         """
         if not self.count:
             return 1.0
-        return float(special.fdtrc(self.count, self.free, self.square / self.count / scale))
+        return float(
+            special.fdtrc(self.count, self.free, self.square / self.count / scale)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,15 +131,23 @@ def score_tests(
     """
     channels, responses = products.products.shape[1], products.responses
     basis = linalg.block_diag(independent, np.eye(responses + 1))
-    noises = [fit.noise for fit in whitened_fits(products, order, quick=quick, basis=basis)]
+    noises = [
+        fit.noise for fit in whitened_fits(products, order, quick=quick, basis=basis)
+    ]
     white = Whitened(products, np.stack([noise.coefficients for noise in noises]))
     squares = white.sums(np.stack([noise.sigma for noise in noises]) ** -2.0)
     rows = products.after(noises[0].order) - noises[0].order
     free = max(rows * channels - independent.shape[1], 1)
     tests = []
     for response, each in enumerate(squares, start=products.unknowns):
-        at = [*np.roll(np.arange(products.unknowns), channels), response]  # constants first
-        tests.append(_tests(each[np.ix_(at, at)], columns, columns.base + channels, free))
+        # constants first
+        at = [
+            *np.roll(np.arange(products.unknowns), channels),
+            response,
+        ]
+        tests.append(
+            _tests(each[np.ix_(at, at)], columns, columns.base + channels, free)
+        )
     return list(zip(tests, noises, strict=True))
 
 
@@ -146,7 +160,9 @@ def independent_columns(products: LaggedProducts, columns: TestedColumns) -> Arr
     """
     q, channels = products.unknowns, products.products.shape[1]
     base = channels + columns.base  # constants come first
-    squares = np.roll(products.products[0, :, :q, :q].sum(axis=0), channels, axis=(0, 1))
+    squares = np.roll(
+        products.products[0, :, :q, :q].sum(axis=0), channels, axis=(0, 1)
+    )
     scale = _scales(squares)
     first, across, rest_squares = _beside(squares * np.outer(scale, scale), base)
     rest = _orthonormal(rest_squares)
@@ -182,7 +198,9 @@ def _orthonormal(squares: Array) -> Array:
     return axes[:, identifiable] / np.sqrt(spread[identifiable])
 
 
-def _tests(squares: Array, columns: TestedColumns, base: int, free: int) -> list[ScoreTest]:
+def _tests(
+    squares: Array, columns: TestedColumns, base: int, free: int
+) -> list[ScoreTest]:
     """All kinds', from products of the base's columns, the kinds' and the residuals."""
     scale = _scales(squares)
     scale[-1] = 1.0
@@ -209,7 +227,9 @@ def _tests(squares: Array, columns: TestedColumns, base: int, free: int) -> list
     return tests
 
 
-def _alone(squares: Array, across: Array, scale: Array, variance: float) -> SingleEffect:
+def _alone(
+    squares: Array, across: Array, scale: Array, variance: float
+) -> SingleEffect:
     """Of products of a kind's columns, (k, k), and with the residuals, (k,), beside the base."""
     length = np.diagonal(squares)
     known = length > IMITATED
@@ -217,7 +237,9 @@ def _alone(squares: Array, across: Array, scale: Array, variance: float) -> Sing
     k = int(explained.argmax())
     if not known[k]:
         return SingleEffect(0.0, k, 0.0, np.inf)
-    size, sigma = np.array([across[k], np.sqrt(variance * length[k])]) * scale[k] / length[k]
+    size, sigma = (
+        np.array([across[k], np.sqrt(variance * length[k])]) * scale[k] / length[k]
+    )
     return SingleEffect(float(explained[k]) / variance, k, float(size), float(sigma))
 
 
@@ -240,7 +262,9 @@ def calibrated(
 class ScoreTests:
     """Score tests of the residuals, calibrated by replicas of their noise where one is clear."""
 
-    def __init__(self, products: LaggedProducts, columns: TestedColumns, basis: Array) -> None:
+    def __init__(
+        self, products: LaggedProducts, columns: TestedColumns, basis: Array
+    ) -> None:
         """Test the residuals, if rows suffice.
 
         Args:
@@ -277,5 +301,7 @@ class ScoreTests:
             made = [tests for tests, _ in score_tests(*asked, quick=True)]
             chances = calibrated(self._tests, made)
         m = self._basis.shape[1]
-        moved = (replace(test, shift=self._basis @ test.shift[:m]) for test in self._tests)
+        moved = (
+            replace(test, shift=self._basis @ test.shift[:m]) for test in self._tests
+        )
         return tuple(zip(moved, chances, strict=True))

@@ -19,7 +19,11 @@ from testbed.core.base.stages import stage
 from testbed.core.estimation.noise.errors_in_variables import PositionNoise
 from testbed.core.estimation.noise.lagged_products import LaggedProducts, LaggedSums
 from testbed.core.estimation.regression import solvers
-from testbed.core.estimation.regression.constraints import LinearConstraints, NullSpace, free
+from testbed.core.estimation.regression.constraints import (
+    LinearConstraints,
+    NullSpace,
+    free,
+)
 from testbed.core.estimation.regression.normal_equations import square_root
 from testbed.core.estimation.regression.passes import Columns, Passes
 from testbed.core.kernel.layout import Layout
@@ -140,7 +144,9 @@ class Whitening:
         if self.free is None:
             return columns
         m = len(self.grown)
-        return np.concatenate([columns[..., :m] @ self.free.lead, columns[..., m:]], axis=2)
+        return np.concatenate(
+            [columns[..., :m] @ self.free.lead, columns[..., m:]], axis=2
+        )
 
     def as_free(self, every: LaggedProducts) -> LaggedProducts:
         """The same for products; what the facts account for is taken off the residuals."""
@@ -151,7 +157,9 @@ class Whitening:
         whole[:m, -2] = -self.offset
         return every.combined(whole)
 
-    def rows(self, passes: Passes, values: Array, made: Columns | None) -> Iterator[WhitenedRows]:
+    def rows(
+        self, passes: Passes, values: Array, made: Columns | None
+    ) -> Iterator[WhitenedRows]:
         """Rows, block by block.
 
         Args:
@@ -164,7 +172,8 @@ class Whitening:
         for columns, noise, sensors, measured in blocks:
             residual, ones = measured - columns[..., -1], counted(columns, measured)
             yield WhitenedRows(
-                columns=np.concatenate([columns[..., :-1], sensors], axis=2) * root[..., None],
+                columns=np.concatenate([columns[..., :-1], sensors], axis=2)
+                * root[..., None],
                 tested=sensors.shape[2] == self.beside.width,
                 white=root * residual,
                 ones=ones,
@@ -175,7 +184,11 @@ class Whitening:
 
     @stage("columns of the instrument")
     def products(
-        self, passes: Passes, values: Array, lags: int, encoders: PositionNoise | None = None
+        self,
+        passes: Passes,
+        values: Array,
+        lags: int,
+        encoders: PositionNoise | None = None,
     ) -> Products:
         """Products of columns, of what values leave, and of ones, with so many rows before.
 
@@ -187,7 +200,8 @@ class Whitening:
         """
         plate = passes.plan.layout.model == "reaction"
         every, tested = LaggedSums(lags), LaggedSums(lags)
-        noise = LaggedSums(lags if plate else 0)  # rows of joints have gaps: none is whitened
+        # rows of joints have gaps: none is whitened
+        noise = LaggedSums(lags if plate else 0)
         combined = np.column_stack([self.white, values])
         made = None if encoders is None else encoders.noisy_columns(combined)
         whole, m = passes.plan.tests_all_windows, len(self.grown)
@@ -212,10 +226,14 @@ class Whitening:
         """In the places of all unknowns, of the residuals and of the ones, (C, k, p + s + 2)."""
         columns, predicted = noise[..., :-1], noise[..., -1:]
         exact = np.zeros((*noise.shape[:2], self.beside.unknown))
-        return np.concatenate([columns, exact, -predicted, np.zeros_like(predicted)], axis=2)
+        return np.concatenate(
+            [columns, exact, -predicted, np.zeros_like(predicted)], axis=2
+        )
 
 
-def whitening_of(start: solvers.Fit, beside: NuisanceColumns, layout: Layout) -> Whitening:
+def whitening_of(
+    start: solvers.Fit, beside: NuisanceColumns, layout: Layout
+) -> Whitening:
     """Units that a weighted solution suggests.
 
     Columns are made orthonormal from the bedplate outward, so that a joint's row still holds those
@@ -230,7 +248,9 @@ def whitening_of(start: solvers.Fit, beside: NuisanceColumns, layout: Layout) ->
     inward = np.argsort(np.argmax(involved[::-1], axis=0), kind="stable")
     white = np.empty_like(start.inverse)
     white[inward] = square_root(start.inverse[np.ix_(inward, inward)])[:, ::-1]
-    units = Whitening(np.sqrt(start.weights), white, beside, np.zeros(len(white) + beside.unknown))
+    units = Whitening(
+        np.sqrt(start.weights), white, beside, np.zeros(len(white) + beside.unknown)
+    )
     facts = beside.facts
     if facts is None or not len(facts):
         return units

@@ -74,21 +74,27 @@ def _posture(tree: Tree, name: str, where: str) -> Array:
         except ValueError:
             q[:] = np.nan
         if not np.isfinite(q).all():
-            raise SettingsError(f"'{name}': write a posture as {CENTRE}x@{tree.names[-1]}=1.57")
+            raise SettingsError(
+                f"'{name}': write a posture as {CENTRE}x@{tree.names[-1]}=1.57"
+            )
     return q
 
 
 def _wrench(tree: Tree, q: Array, pulled: int) -> Array:
     """Of every barycentric parameter at rest, gravity of 1 m/s^2 against an axis, (6, 10 n)."""
     gravity = -np.eye(3)[pulled]
-    return np.asarray(parameter_regressor(tree, Motion.at_rest(q[None]), "reaction", gravity)[0])
+    return np.asarray(
+        parameter_regressor(tree, Motion.at_rest(q[None]), "reaction", gravity)[0]
+    )
 
 
 def _combination(minimal: MinimalSet, wanted: Array, name: str) -> Array:
     """A functional on the barycentric parameters as one on the minimal ones, (N,)."""
     wanted = np.where(minimal.known_zero.ravel(), 0.0, wanted)
     form = wanted @ minimal.lift
-    if np.abs(form @ minimal.matrix - wanted).max() > IN_SPACE * np.abs(wanted).max(initial=1.0):
+    if np.abs(form @ minimal.matrix - wanted).max() > IN_SPACE * np.abs(wanted).max(
+        initial=1.0
+    ):
         raise SettingsError(
             f"'{name}' is not identifiable from this recording: "
             + (

@@ -169,11 +169,6 @@ class NormalEquations:
             right=self.right[..., at],
         )
 
-    def scaled(self, scale: Array) -> NormalEquations:
-        """Normal equations of columns times factors, (p,)."""
-        normal = self.normal * np.outer(scale, scale)
-        return replace(self, normal=normal, right=self.right * scale)
-
     def matrix(self, weights: Array) -> Array:
         """X' X of all channels, (p, p), by weights (C,)."""
         return np.tensordot(weights, self.normal, 1)
@@ -193,7 +188,10 @@ class NormalEquations:
 
 
 def gather(
-    layout: Layout, unknowns: tuple[str, ...], channels: tuple[str, ...], windows: Iterable[Sums]
+    layout: Layout,
+    unknowns: tuple[str, ...],
+    channels: tuple[str, ...],
+    windows: Iterable[Sums],
 ) -> NormalEquations:
     """Those of all rows from sums over windows, in their order.
 
@@ -216,5 +214,9 @@ def gather(
         basis[: len(columns), :-1] = layout.basis[columns]
         basis[rows.measured[c] - rows.start[c], -1] = 1.0
         products[c] = basis.T @ (lower + np.tril(lower, -1).T) @ basis
-    normal, right, squares = products[:, :-1, :-1], products[:, :-1, -1], products[:, -1, -1]
+    normal, right, squares = (
+        products[:, :-1, :-1],
+        products[:, :-1, -1],
+        products[:, -1, -1],
+    )
     return NormalEquations(unknowns, channels, used, normal, right, squares)

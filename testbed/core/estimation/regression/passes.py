@@ -102,7 +102,9 @@ class Surveyor:
         self._looks: dict[int, tuple[Array, Array, Repeats]] = {}
         self._closely: dict[int, tuple[Array, Array]] = {}
 
-    def look(self, signals: Signals, first: int, count: int, closely: bool = True) -> None:
+    def look(
+        self, signals: Signals, first: int, count: int, closely: bool = True
+    ) -> None:
         """Keep some of a window's samples.
 
         Args:
@@ -124,16 +126,24 @@ class Surveyor:
         looks = zip(*(self._looks[first] for first in sorted(self._looks)), strict=True)
         positions, measured, each = looks
         repeats = Repeats(*(sum(counts) for counts in zip(*each, strict=True)))
-        rough, least = zip(*(self._closely[k] for k in sorted(self._closely)), strict=True)
+        rough, least = zip(
+            *(self._closely[k] for k in sorted(self._closely)), strict=True
+        )
         # poses that were recorded again say nothing of it
-        noise = (repeats.held < HELD * repeats.pairs) * np.sqrt(np.median(rough, axis=0))
+        noise = (repeats.held < HELD * repeats.pairs) * np.sqrt(
+            np.median(rough, axis=0)
+        )
         counts = _without_noise(np.stack(least), noise)
-        return Survey(np.concatenate(positions), np.concatenate(measured), repeats, noise, counts)
+        return Survey(
+            np.concatenate(positions), np.concatenate(measured), repeats, noise, counts
+        )
 
 
 def _repeats(position: Array, measured: Array) -> Repeats:
     # a product of booleans is true where any is: ten times faster than `any` along short rows
-    any_joint, any_channel = (np.ones(each.shape[1], np.bool_) for each in (position, measured))
+    any_joint, any_channel = (
+        np.ones(each.shape[1], np.bool_) for each in (position, measured)
+    )
     moved = (position[1:] != position[:-1]) @ any_joint
     held = int(np.sum(moved[:-1] & ~moved[1:]))
     same = measured[1:] == measured[:-1]
@@ -200,7 +210,9 @@ KEPT = 100e6
 def is_compiled(plan: Plan) -> bool:
     """Whether the compiled kernel makes a plan's rows: by size where NumPy takes longer."""
     seconds = plan.source.samples * (PER_SAMPLE + PER_NUMBER * plan.layout.theta.size)
-    wanted = plan.engine == "compiled" or (plan.engine == "by size" and seconds >= SMALL)
+    wanted = plan.engine == "compiled" or (
+        plan.engine == "by size" and seconds >= SMALL
+    )
     return wanted and plan.layout.compiles
 
 
@@ -230,7 +242,9 @@ def motion_rows(plan: Plan, q: Array, qd: Array, qdd: Array) -> Array:
 class Passes:
     """Answers questions about all rows of a plan, pass by pass."""
 
-    def __init__(self, plan: Plan, threads: int | None, progress: Progress, number: int) -> None:
+    def __init__(
+        self, plan: Plan, threads: int | None, progress: Progress, number: int
+    ) -> None:
         """Ready for the first pass.
 
         Args:
@@ -245,10 +259,14 @@ class Passes:
         self.threads = max(1, threads or os.cpu_count() or 1) if self.compiled else 1
         self.progress = progress
         self.done = 0
-        self.surveyor, self._tested_windows = Surveyor(plan.source.samples), plan.tested_windows
+        self.surveyor, self._tested_windows = (
+            Surveyor(plan.source.samples),
+            plan.tested_windows,
+        )
         self._workspaces: SimpleQueue[Any] = SimpleQueue()
         self._kept: dict[int, list[Block]] = {}
-        thinned = not self.compiled or len(plan.weights) > 1  # else made again as fast as read
+        # else made again as fast as read
+        thinned = not self.compiled or len(plan.weights) > 1
         self._rows_kept = KEPT // (plan.layout.rows.slots * 8) if thinned else 0
 
     def sums(self) -> Iterator[Sums]:
@@ -263,7 +281,9 @@ class Passes:
         """
         return ((columns, measured) for columns, measured in self.rows_beside(combined))
 
-    def rows_beside(self, combined: Array, *beside: Columns | None) -> Iterator[tuple[Array, ...]]:
+    def rows_beside(
+        self, combined: Array, *beside: Columns | None
+    ) -> Iterator[tuple[Array, ...]]:
         """The same with further columns between the two, (C, k, s) by each that makes some.
 
         Args:
@@ -274,7 +294,8 @@ class Passes:
         basis = layout.basis @ combined
         answers = self._pass(partial(self._rows, beside))
         for window, (blocks, further) in zip(self.plan.windows(), answers, strict=True):
-            if window.row > done:  # what a gap leaves out counts for nothing, but takes its time
+            # what a gap leaves out counts for nothing, but takes its time
+            if window.row > done:
                 widths = basis.shape[1], *(each.shape[2] for each in further)
                 gap = layout.width, window.row - done
                 yield *(np.zeros((*gap, width)) for width in widths), np.zeros(gap)
@@ -334,7 +355,9 @@ class Passes:
     ) -> tuple[list[Array], list[Array]]:
         signals = self.plan.signals(part, window)
         none = np.zeros((self.plan.layout.width, window.rows, 0))
-        further = [none if make is None else make(signals, window.row) for make in beside]
+        further = [
+            none if make is None else make(signals, window.row) for make in beside
+        ]
         return [block.rows for block in self._blocks(signals, window)], further
 
     def _blocks(self, signals: Signals, window: Window) -> list[Block]:

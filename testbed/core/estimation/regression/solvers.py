@@ -96,7 +96,11 @@ def by_normal_equations(equations: NormalEquations, weights: Array) -> Fit:
     Raises:
         UnseenParameters: The equations do not determine all they see; names them.
     """
-    matrix, vector, rows = equations.matrix(weights), equations.vector(weights), equations.rows
+    matrix, vector, rows = (
+        equations.matrix(weights),
+        equations.vector(weights),
+        equations.rows,
+    )
     present = np.flatnonzero(np.diagonal(matrix))
     if not len(present):
         raise UnseenParameters(equations.unknowns, 0, len(equations.unknowns), rows)
@@ -106,7 +110,9 @@ def by_normal_equations(equations: NormalEquations, weights: Array) -> Fit:
     if lost.any():
         refuse([equations.unknowns[k] for k in present], directions[:, lost].T, rows)
     values, inverse = np.full(len(matrix), np.nan), np.full(matrix.shape, np.nan)
-    inverse[np.ix_(present, present)], values[present] = inverse_and_solution(part, vector[present])
+    inverse[np.ix_(present, present)], values[present] = inverse_and_solution(
+        part, vector[present]
+    )
     return Fit(values, inverse, weights, float(np.sqrt(spread[-1] / spread[0])))
 
 
@@ -114,7 +120,9 @@ RANK_TOLERANCE = 1e-10
 """Singular values of the scaled equations below this share of the largest count as zero."""
 
 
-def by_orthogonal_columns(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
+def by_orthogonal_columns(
+    equations: NormalEquations, weights: Array, rows: Rows
+) -> Fit:
     """The solution for given weights by a QR of all rows; errors grow with the condition.
 
     Args:
@@ -131,13 +139,17 @@ def by_orthogonal_columns(equations: NormalEquations, weights: Array, rows: Rows
     for columns, measured in rows(np.diag(1 / scale)):
         stack = np.concatenate([columns, measured[..., None]], axis=2)
         white = (np.sqrt(weights)[:, None, None] * stack).reshape(-1, p + 1)
-        (triangle,) = linalg.qr(np.vstack([triangle, white]), mode="r", check_finite=False)
+        (triangle,) = linalg.qr(
+            np.vstack([triangle, white]), mode="r", check_finite=False
+        )
     _, spread, directions = np.linalg.svd(triangle[:p, :p])
     lost = spread <= RANK_TOLERANCE * spread[0]
     if lost.any():
         refuse(equations.unknowns, directions[lost], equations.rows)
     root = linalg.inv(triangle[:p, :p]) / scale[:, None]
-    return Fit(root @ triangle[:p, p], root @ root.T, weights, float(spread[0] / spread[-1]))
+    return Fit(
+        root @ triangle[:p, p], root @ root.T, weights, float(spread[0] / spread[-1])
+    )
 
 
 SQUARED = 1e4
@@ -155,7 +167,8 @@ def solve(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
     Raises:
         UnseenParameters: The equations do not determine all unknowns; names them.
     """
-    with suppress(UnseenParameters):  # to the precision of sums; the rows may know better
+    # to the precision of sums; the rows may know better
+    with suppress(UnseenParameters):
         solution = by_normal_equations(equations, weights)
         if solution.condition <= SQUARED and not np.isnan(solution.values).any():
             return solution

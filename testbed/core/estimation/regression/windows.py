@@ -54,7 +54,11 @@ def low_pass_reach(rate: float, cutoff: float | None, attenuation: float) -> flo
     if cutoff is None:
         return 0.0
     width = 2 * np.pi * TRANSITION * cutoff / rate  # Kaiser's rules
-    return np.inf if width == 0 else float(np.ceil((attenuation - 7.95) / (2.285 * width) / 2))
+    return (
+        np.inf
+        if width == 0
+        else float(np.ceil((attenuation - 7.95) / (2.285 * width) / 2))
+    )
 
 
 def low_pass(rate: float, cutoff: float, attenuation: float) -> Array:
@@ -99,7 +103,9 @@ def motion_taps(rate: float, cutoff: float | None) -> Array:
         np.concatenate([-first[::-1], [0.0], first]),
         np.concatenate([second[::-1], [-2 * second.sum()], second]),
     )
-    weights = np.ones(1) if cutoff is None else low_pass(rate, cutoff, POSITION_ATTENUATION)
+    weights = (
+        np.ones(1) if cutoff is None else low_pass(rate, cutoff, POSITION_ATTENUATION)
+    )
     return np.stack([np.convolve(weights, stencil) for stencil in stencils])
 
 
@@ -128,7 +134,8 @@ def _slopes(values: Array) -> Array:
     size = min(2 * STENCIL + 1, len(values))
     powers, nodes = np.arange(size), np.arange(size) - size // 2
     slope = powers * nodes[:, None] ** np.maximum(powers - 1.0, 0.0)
-    differences = slope @ np.linalg.inv(np.vander(nodes, increasing=True))  # at each of the nodes
+    # at each of the nodes
+    differences = slope @ np.linalg.inv(np.vander(nodes, increasing=True))
     at = np.arange(len(values))
     first = np.clip(at - size // 2, 0, len(values) - size)
     near = np.lib.stride_tricks.sliding_window_view(values, size)[first]
@@ -281,7 +288,10 @@ class Plan:
         rows = [window.row for window in self.windows()]
         if len(rows) > TESTED_WINDOWS:
             rows = [
-                rows[k] for k in np.linspace(0, len(rows) - 1, TESTED_WINDOWS).round().astype(int)
+                rows[k]
+                for k in np.linspace(0, len(rows) - 1, TESTED_WINDOWS)
+                .round()
+                .astype(int)
             ]
         return frozenset(rows)
 
@@ -305,10 +315,16 @@ class Plan:
             part = part.ordered(self.layout.tree)
         dynamic = self.layout.model == "dynamic"
         velocity = acceleration = np.empty((0, len(part.names)))
-        if part.senses_kinematics and part.velocity is not None and part.acceleration is not None:
+        if (
+            part.senses_kinematics
+            and part.velocity is not None
+            and part.acceleration is not None
+        ):
             velocity, acceleration = part.velocity, part.acceleration
         varying = {term.law.by for term in self.layout.terms} - {"", *BY_LOAD}
-        measured = part.measured("torque") if dynamic else part.measured("wrench") - self.tare
+        measured = (
+            part.measured("torque") if dynamic else part.measured("wrench") - self.tare
+        )
         arrays = part.position, velocity, acceleration, measured
         q, qd, qdd, y = map(np.ascontiguousarray, arrays)
         return Signals(
@@ -329,9 +345,13 @@ class Plan:
 
     def _varying(self, part: Recording, window: Window) -> Array:
         """Time since the middle of the source [s], and the drives' temperatures over 25 degC."""
-        time = (window.first + np.arange(part.samples) - self.source.samples / 2) / self.source.rate
+        time = (
+            window.first + np.arange(part.samples) - self.source.samples / 2
+        ) / self.source.rate
         warmth = (
-            np.zeros_like(part.position) if part.temperature is None else part.temperature - ROOM
+            np.zeros_like(part.position)
+            if part.temperature is None
+            else part.temperature - ROOM
         )
         return np.column_stack([time, warmth])
 
@@ -356,8 +376,15 @@ def make_plan(
         RecordingError: The recording is too short, or sampled too slowly.
     """
     rate, sensed = source.rate, source.senses_kinematics
-    slow, position = settings.row_low_pass, None if sensed else settings.position_low_pass
-    fast = [cutoff for cutoff in (slow, position) if cutoff is not None and cutoff >= rate / 2]
+    slow, position = (
+        settings.row_low_pass,
+        None if sensed else settings.position_low_pass,
+    )
+    fast = [
+        cutoff
+        for cutoff in (slow, position)
+        if cutoff is not None and cutoff >= rate / 2
+    ]
     if fast:
         raise RecordingError(
             f"the recording has {rate:g} samples a second, too few for a filter at {fast[0]:g} Hz"

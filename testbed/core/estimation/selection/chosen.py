@@ -18,7 +18,9 @@ def with_chosen_settings(settings: Settings, estimates: Iterable[Estimate]) -> S
     """
     for each in estimates:
         used = each.settings
-        if each.drives is not None and (settings.terms is not None or used.terms != USUAL):
+        if each.drives is not None and (
+            settings.terms is not None or used.terms != USUAL
+        ):
             settings = replace(settings, terms=used.terms)
         if any(diagnostic.code == "encoder.filter" for diagnostic in each.diagnostics):
             settings = replace(settings, position_cutoff=used.position_cutoff)

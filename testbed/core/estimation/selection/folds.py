@@ -70,7 +70,12 @@ class Folds:
             shape = len(block), block.shape[2], block.shape[2]
             first += block.shape[1]
         unseen, near = (
-            np.array([sums[reach, fold] + np.zeros(shape) for fold in range(len(self.ends) - 1)])
+            np.array(
+                [
+                    sums[reach, fold] + np.zeros(shape)
+                    for fold in range(len(self.ends) - 1)
+                ]
+            )
             for reach in (0, self.reach)
         )
         return CrossProducts(unseen, unseen.sum(axis=0) - near)
@@ -99,7 +104,9 @@ class CrossProducts:
             np.einsum("c,kcij->kij", weights, self.seen),
         )
 
-    def residual_squares(self, validation: CrossValidation, columns: Sequence[int]) -> Array:
+    def residual_squares(
+        self, validation: CrossValidation, columns: Sequence[int]
+    ) -> Array:
         """Squares that fits of some columns leave of each channel in unseen folds, (C,).
 
         Args:
@@ -125,7 +132,9 @@ class CrossValidation:
     def values(self, columns: Sequence[int]) -> Array:
         """Coefficients of some columns, fitted to the rows seen, (folds, k)."""
         own = list(columns)
-        return np.array([scaled_solve(s[np.ix_(own, own)], s[own, -1]) for s in self.seen])
+        return np.array(
+            [scaled_solve(s[np.ix_(own, own)], s[own, -1]) for s in self.seen]
+        )
 
     def residual_squares(self, columns: Sequence[int]) -> Array:
         """Squares that fits of some columns leave of each fold, (folds,)."""
@@ -144,9 +153,12 @@ class CrossValidation:
             whole = np.diagonal(seen)[new]
             beyond = whole - np.einsum("ij,ij->j", seen[np.ix_(own, new)], shared)
             independent = beyond > DEPENDENT * whole
-            share = np.where(independent, seen[new, y] - seen[np.ix_(new, own)] @ values, 0.0)
+            share = np.where(
+                independent, seen[new, y] - seen[np.ix_(new, own)] @ values, 0.0
+            )
             share = share / np.where(independent, beyond, 1.0)
-            ends = np.zeros((y + 1, len(new)))  # residuals as combinations of the columns
+            # residuals as combinations of the columns
+            ends = np.zeros((y + 1, len(new)))
             ends[own] = share * shared - values[:, None]
             ends[new, np.arange(len(new))] -= share
             ends[y] = 1.0
@@ -160,4 +172,6 @@ def _residual_squares(products: Array, columns: Sequence[int], values: Array) ->
     at = [*columns, products.shape[-1] - 1]
     ends = np.column_stack([-values, np.ones(len(values))])
     inner = products[..., at, :][..., at]
-    return np.asarray(np.maximum(np.einsum("ki,k...ij,kj->k...", ends, inner, ends), 0.0))
+    return np.asarray(
+        np.maximum(np.einsum("ki,k...ij,kj->k...", ends, inner, ends), 0.0)
+    )

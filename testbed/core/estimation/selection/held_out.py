@@ -101,7 +101,9 @@ class HeldOut:
     @property
     def rms(self) -> float:
         """Of all joints' rows together [N m], or [N] where all slide."""
-        return float(np.sqrt((self.rows @ self.residual**2) / max(float(self.rows.sum()), 1.0)))
+        return float(
+            np.sqrt((self.rows @ self.residual**2) / max(float(self.rows.sum()), 1.0))
+        )
 
 
 @dataclass(frozen=True, eq=False)

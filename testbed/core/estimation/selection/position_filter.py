@@ -36,10 +36,16 @@ def with_position_filter(problem: Problem) -> tuple[Problem, tuple[Diagnostic, .
         problem: By either method, with all terms said.
     """
     rows = problem.settings.row_low_pass
-    if problem.asked.position_cutoff != FIT or problem.source.senses_kinematics or rows is None:
+    if (
+        problem.asked.position_cutoff != FIT
+        or problem.source.senses_kinematics
+        or rows is None
+    ):
         return problem, ()
     noise = _noise(problem, SLOWER[0] * rows)
-    cutoffs = [times * rows for times in SLOWER if times * rows < problem.source.rate / 2]
+    cutoffs = [
+        times * rows for times in SLOWER if times * rows < problem.source.rate / 2
+    ]
     if not np.median(noise) > MOSTLY or not cutoffs:
         return problem, ()
     slower = [problem.with_settings(position_cutoff=cutoff) for cutoff in cutoffs]
@@ -54,7 +60,9 @@ def with_position_filter(problem: Problem) -> tuple[Problem, tuple[Diagnostic, .
         return problem, ()
     noisy = few([f"'{problem.tree.names[k]}'" for k in np.flatnonzero(noise > MOSTLY)])
     share = float(shares[best] ** 0.5)
-    return slower[best], (diagnose("encoder.filter", noisy, cutoffs[best], share=share),)
+    return slower[best], (
+        diagnose("encoder.filter", noisy, cutoffs[best], share=share),
+    )
 
 
 def _noise(problem: Problem, cutoff: float) -> Array:

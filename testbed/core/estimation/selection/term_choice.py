@@ -14,7 +14,11 @@ from testbed.core.estimation.problem import Problem, usual_terms
 from testbed.core.estimation.regression.normal_equations import NormalEquations
 from testbed.core.estimation.regression.solvers import noise_weights
 from testbed.core.estimation.regression.windows import DENSE
-from testbed.core.estimation.selection.folds import CrossProducts, CrossValidation, Folds
+from testbed.core.estimation.selection.folds import (
+    CrossProducts,
+    CrossValidation,
+    Folds,
+)
 from testbed.core.estimation.selection.held_out import (
     OFFERED,
     HeldOut,
@@ -87,7 +91,9 @@ def with_fewer_terms(problem: Problem) -> Problem:
     return problem.with_settings(terms=tuple(dict.fromkeys(words)))
 
 
-def _one_way(problem: Problem, equations: NormalEquations) -> Iterator[tuple[int, JointLaw]]:
+def _one_way(
+    problem: Problem, equations: NormalEquations
+) -> Iterator[tuple[int, JointLaw]]:
     """Joints that never reverse, and what is left of dry friction and offset there."""
     for joint, place in enumerate(problem.channels):
         pair = f"{COULOMB.kind}/{place}", f"{OFFSET.kind}/{place}"
@@ -111,13 +117,18 @@ def choose_terms(problem: Problem) -> TermChoice:
     tree = problem.tree
     usual = joint_terms(tree, usual_terms(tree, problem.source))
     varying = [law for law in VARYING if law.by in problem.source.signals]
-    laws = tuple(dict.fromkeys((*(term.law for term in usual), ROTOR, *OFFERED, *varying)))
+    laws = tuple(
+        dict.fromkeys((*(term.law for term in usual), ROTOR, *OFFERED, *varying))
+    )
     problem = problem.with_settings(terms=laws)
     drives = problem.drives
     assert drives is not None, "terms are those of joint torques"
     at = {term: drives.minimal.count + k for k, term in enumerate(drives.terms)}
     base = [term for term in at if term in usual]
-    always, more = [*range(drives.minimal.count), *(at[term] for term in base)], list[JointTerm]()
+    always, more = (
+        [*range(drives.minimal.count), *(at[term] for term in base)],
+        list[JointTerm](),
+    )
     data = _FoldedRows.of(problem)
     for _ in range(ROUNDS):
         folds = data.validation([*always, *(at[term] for term in more)])
@@ -186,7 +197,9 @@ class _FoldedRows:
                 f"the recording gives {plural(plan.rows, 'row')}, too few for "
                 f"{PARTS}-fold cross-validation; record longer"
             )
-        folds = Folds.even(plan.rows, PARTS, -(-2 * (len(plan.weights) // 2) // plan.step))
+        folds = Folds.even(
+            plan.rows, PARTS, -(-2 * (len(plan.weights) // 2) // plan.step)
+        )
         with one_blas_thread():
             equations = problem.equations(passes)
             rows = passes.rows(np.eye(len(problem.names)))
@@ -196,7 +209,9 @@ class _FoldedRows:
 
     def validation(self, columns: Sequence[int]) -> CrossValidation:
         """Products weighted by the noise that a fit of some columns leaves."""
-        return self.products.weighted(noise_weights(self.equations.of_unknowns(columns)))
+        return self.products.weighted(
+            noise_weights(self.equations.of_unknowns(columns))
+        )
 
     def held_out(self, folds: CrossValidation, columns: Sequence[int]) -> HeldOut:
         """Residuals of fits of some columns, channel by channel."""

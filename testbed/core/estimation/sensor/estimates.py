@@ -65,14 +65,19 @@ class TraceTest:
         """
         one = self.alone
         if one is not None:
-            return [f"{one.name} {one.value:.3g} +- {one.sigma:.2g} {one.unit}".rstrip()]
+            return [
+                f"{one.name} {one.value:.3g} +- {one.sigma:.2g} {one.unit}".rstrip()
+            ]
         numbers = sorted(
-            zip(self.names, self.units, self.size, strict=True), key=lambda n: -abs(n[2])
+            zip(self.names, self.units, self.size, strict=True),
+            key=lambda n: -abs(n[2]),
         )
         phrases = []
         for unit in dict.fromkeys(self.units):
             own = [(name, size) for name, own_unit, size in numbers if own_unit == unit]
-            phrases += [f"{name} {size:.3g} {unit}".rstrip() for name, size in own[:count]]
+            phrases += [
+                f"{name} {size:.3g} {unit}".rstrip() for name, size in own[:count]
+            ]
         return phrases
 
 
@@ -87,7 +92,10 @@ def in_order(tests: Iterable[TraceTest]) -> tuple[TraceTest, ...]:
 
     def rank(test: TraceTest) -> tuple[float, int]:
         own = test.clearness
-        held = [clearness.get(kind, 0.0) for kind in systematic_errors()[test.nuisance].contains]
+        held = [
+            clearness.get(kind, 0.0)
+            for kind in systematic_errors()[test.nuisance].contains
+        ]
         nearly = [other for other in held if other > NEARLY * own > 0]
         return -min([own, *nearly]), len(nearly)
 

@@ -17,7 +17,9 @@ So few fold the accelerations' noise into the columns: it is then another than t
 and a test does not take what both have in common for a fault."""
 
 
-def row_filter(plan: Plan, cutoff: float, *, exact: bool = False, noisy: float = 0.0) -> RowFilter:
+def row_filter(
+    plan: Plan, cutoff: float, *, exact: bool = False, noisy: float = 0.0
+) -> RowFilter:
     """The filter that a plan's rows pass.
 
     Args:
@@ -30,7 +32,9 @@ def row_filter(plan: Plan, cutoff: float, *, exact: bool = False, noisy: float =
     unfolded = bool(noisy) * (1 + TRANSITION / 2) * (noisy + cutoff)
     least = rate if exact else max(INSTANTS_PER_CUTOFF * cutoff, unfolded)
     stride = max(
-        d for d in range(1, plan.step + 1) if (plan.step % d == 0 and least * d <= rate) or d == 1
+        d
+        for d in range(1, plan.step + 1)
+        if (plan.step % d == 0 and least * d <= rate) or d == 1
     )
     places = np.arange(-(middle // stride), middle // stride + 1) * stride
     weights = plan.weights[middle + places]
@@ -53,10 +57,14 @@ def predict_wrench(
         first: Number of its first row.
     """
     at = signals.start - filtered.reach
-    count = ((signals.number - 1) * signals.step + 2 * filtered.reach) // filtered.stride + 1
+    count = (
+        (signals.number - 1) * signals.step + 2 * filtered.reach
+    ) // filtered.stride + 1
     rate = plan.source.rate
     middle = (plan.source.samples - 1) / 2 / rate
-    rows = (plan.reach + (first + np.arange(signals.number)) * plan.step) / rate - middle
+    rows = (
+        plan.reach + (first + np.arange(signals.number)) * plan.step
+    ) / rate - middle
     half, layout = len(signals.weights) // 2, plan.layout
     around = signals.measured[signals.start - half :]
     windows = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1, axis=0)

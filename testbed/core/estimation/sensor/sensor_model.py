@@ -29,7 +29,12 @@ from testbed.core.estimation.regression.passes import Passes
 from testbed.core.estimation.regression.solvers import Fit
 from testbed.core.estimation.regression.windows import Plan
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
-from testbed.core.estimation.sensor.estimates import NEARLY, NuisanceEstimate, TraceTest, in_order
+from testbed.core.estimation.sensor.estimates import (
+    NEARLY,
+    NuisanceEstimate,
+    TraceTest,
+    in_order,
+)
 from testbed.core.estimation.sensor.predicted_wrench import row_filter
 from testbed.core.estimation.sensor.unknowns import (
     Columns,
@@ -100,7 +105,9 @@ class SensorModel:
     corrected: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, problem: Problem, doubt: CalibrationCovariance | None = None) -> SensorModel:
+    def of(
+        cls, problem: Problem, doubt: CalibrationCovariance | None = None
+    ) -> SensorModel:
         """Which calibration parameters are identifiable beside a robot's, before any data.
 
         Args:
@@ -113,26 +120,38 @@ class SensorModel:
         terms = settings.nuisances if plate else ()
         asked = [error for error in estimable_errors() if error.term in terms]
         calibrated = doubt.nuisances(tree, asked) if plate and doubt is not None else []
-        asked = [error for error in estimable_errors() if error in asked or error in calibrated]
+        asked = [
+            error
+            for error in estimable_errors()
+            if error in asked or error in calibrated
+        ]
         _check_cut(tree, asked)
         every = unknowns_of(tree, asked)
         given = {n: v for n, v in settings.facts.items() if plate or n in names}
         known = facts(tree, problem.minimal, names, every.names, given)
-        neutral = {c.name: c.neutral for error in calibrated for c in error.coefficients(tree)}
+        neutral = {
+            c.name: c.neutral for error in calibrated for c in error.coefficients(tree)
+        }
         if doubt is not None and neutral:
             known = doubt.added(known, neutral, (*names, *every.names))
         unknowns, nonidentifiable = identifiable_subset(problem, asked, known)
         _check_whole(every, nonidentifiable, settings)
         tests = plate and settings.row_low_pass is not None
         covered = {term for error in asked for term in (error.term, *error.contains)}
-        others = [error for error in candidate_errors() if tests and error.term not in covered]
+        others = [
+            error for error in candidate_errors() if tests and error.term not in covered
+        ]
         return cls(
             settings=settings,
             unknowns=unknowns,
             nonidentifiable=nonidentifiable,
             tested=unknowns_of(tree, others),
-            trends=unknowns_of(tree, [PlateDrift] if tests and PlateDrift not in asked else []),
-            known=known.about([*range(len(names)), *(len(names) + k for k in unknowns.kept)]),
+            trends=unknowns_of(
+                tree, [PlateDrift] if tests and PlateDrift not in asked else []
+            ),
+            known=known.about(
+                [*range(len(names)), *(len(names) + k for k in unknowns.kept)]
+            ),
             corrected=frozenset(neutral),
         )
 
@@ -141,7 +160,10 @@ class SensorModel:
         """Parameters that are collinear with constants of the plate that were asked for."""
         terms = (PlateBias.term, PlateTare.term)
         return tuple(
-            n for i in self.nonidentifiable if i.name.partition("/")[0] in terms for n in i.by
+            n
+            for i in self.nonidentifiable
+            if i.name.partition("/")[0] in terms
+            for n in i.by
         )
 
     def columns(
@@ -160,7 +182,9 @@ class SensorModel:
         if not any(each.kept for each in shown):
             return NuisanceColumns(facts=known)
         cutoff = self.settings.row_low_pass
-        assert cutoff is not None, "settings refuse nuisances of rows that are not filtered"
+        assert cutoff is not None, (
+            "settings refuse nuisances of rows that are not filtered"
+        )
         exact = any(error.jointly for error in self.unknowns.nuisances)
         filtered = row_filter(plan, cutoff, exact=exact)
         sensed = plan.source.senses_kinematics
@@ -192,7 +216,12 @@ class SensorModel:
         sigma = standard_deviations(fit.sensor_covariance)
         own = self.unknowns
         numbers = zip(
-            own.terms, own.names, own.units, values + fit.sensor_values, sigma, strict=True
+            own.terms,
+            own.names,
+            own.units,
+            values + fit.sensor_values,
+            sigma,
+            strict=True,
         )
         return tuple(
             NuisanceEstimate(kind, name, unit, float(value), float(spread))
@@ -206,7 +235,11 @@ class SensorModel:
         Args:
             fit: The last fit.
         """
-        kept = [k for k, name in enumerate(self.unknowns.names) if name not in self.corrected]
+        kept = [
+            k
+            for k, name in enumerate(self.unknowns.names)
+            if name not in self.corrected
+        ]
         return fit.sensor_covariance[np.ix_(kept, kept)]
 
     def diagnostics(self, result: GaussNewtonResult) -> Iterator[Diagnostic]:
@@ -220,7 +253,9 @@ class SensorModel:
             groups.setdefault(each.by, []).append(each.name)
         for by, names in groups.items():
             verb = "is" if len(names) == 1 else "are"
-            yield diagnose("plate.collinear", ", ".join(names), verb=verb, others=few(by))
+            yield diagnose(
+                "plate.collinear", ", ".join(names), verb=verb, others=few(by)
+            )
         if result.weak:
             verb = "is" if len(result.weak) == 1 else "are"
             yield diagnose("plate.uncertain", few(result.weak), verb=verb, share=OWN)
@@ -236,11 +271,15 @@ class SensorModel:
         """
         sigma = np.sqrt(np.maximum(np.diagonal(fit.covariance), TINY))
         tests = []
-        for nuisance, (trace, chance) in zip(self.tested.nuisances, fit.score_tests, strict=False):
+        for nuisance, (trace, chance) in zip(
+            self.tested.nuisances, fit.score_tests, strict=False
+        ):
             moved = np.abs(trace.shift) / sigma
             coefficients, one = nuisance.coefficients(problem.layout.tree), trace.alone
             first, clearness = coefficients[one.place], trace.square - 2 * trace.count
-            named = NuisanceEstimate(nuisance.term, first.name, first.unit, one.size, one.sigma)
+            named = NuisanceEstimate(
+                nuisance.term, first.name, first.unit, one.size, one.sigma
+            )
             tests.append(
                 TraceTest(
                     nuisance=nuisance.term,
@@ -259,7 +298,11 @@ class SensorModel:
 
 def _check_cut(tree: Tree, asked: Sequence[type[SystematicError]]) -> None:
     """Raise SettingsError where more than zeros is asked of a difference of two sensors."""
-    mixed = [error.term for error in asked if tree.cuts and (not error.added or error.jointly)]
+    mixed = [
+        error.term
+        for error in asked
+        if tree.cuts and (not error.added or error.jointly)
+    ]
     if mixed:
         raise SettingsError(
             f"{', '.join(mixed)}: of a wrench that is a difference of two sensors' only zeros "
@@ -279,7 +322,9 @@ def _check_whole(
     terms = dict(zip(every.names, every.terms, strict=True))
     open_ones = [each for each in nonidentifiable if terms[each.name] in needed]
     if open_ones:
-        raise SettingsError(explain_nonidentifiable(open_ones, settings.known, settings.nuisances))
+        raise SettingsError(
+            explain_nonidentifiable(open_ones, settings.known, settings.nuisances)
+        )
 
 
 class GaussNewtonResult(NamedTuple):
@@ -321,7 +366,9 @@ def gauss_newton(
             each = zip(model.unknowns.names, share, strict=True)
             weak = tuple(n for n, s in each if s < OWN and n not in model.corrected)
         values = values + step
-        solution = solve(Corrected(source, model.unknowns.by_error(values), plan.layout.tree))
+        solution = solve(
+            Corrected(source, model.unknowns.by_error(values), plan.layout.tree)
+        )
         if np.all(np.abs(step) <= SETTLED * sigma + ROUNDING * np.abs(values)):
             return GaussNewtonResult(solution, values, True, weak)
     return GaussNewtonResult(solution, values, False, weak)

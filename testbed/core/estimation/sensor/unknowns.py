@@ -92,7 +92,9 @@ def unknowns_of(tree: Tree, nuisances: Sequence[type[SystematicError]]) -> Unkno
     each = [error.coefficients(tree) for error in nuisances]
     coefficients = tuple(coefficient for own in each for coefficient in own)
     counts = tuple(len(own) for own in each)
-    return Unknowns(tuple(nuisances), counts, coefficients, tuple(range(len(coefficients))))
+    return Unknowns(
+        tuple(nuisances), counts, coefficients, tuple(range(len(coefficients)))
+    )
 
 
 class Columns:
@@ -150,7 +152,9 @@ class Columns:
         return made
 
     def _made(self, signals: Signals, first: int) -> Array:
-        shown = self._unknowns[: None if first in self._tested_windows else self._always]
+        shown = self._unknowns[
+            : None if first in self._tested_windows else self._always
+        ]
         if not shown:
             return np.zeros((6, signals.number, 0))
         nuisances = [n for unknowns in shown for n in unknowns.nuisances]
@@ -175,7 +179,9 @@ class Columns:
         self, error: type[SystematicError], predicted: PredictedWrench, estimated: bool
     ) -> Array:
         """Columns of a sensor error, mixtures of the channels taken back."""
-        columns = error.measured_columns(predicted) if estimated else error.columns(predicted)
+        columns = (
+            error.measured_columns(predicted) if estimated else error.columns(predicted)
+        )
         if not error.added or self._unmixing is None:
             return columns
         return self._unmixing @ columns
@@ -228,7 +234,9 @@ def identifiable_subset(
     if not nuisances:
         return wanted, ()
     count, rng = len(wanted.coefficients), np.random.default_rng(SEED)
-    own, theirs = _generic_columns(problem, nuisances, 40 + (len(names) + count) // 2, rng)
+    own, theirs = _generic_columns(
+        problem, nuisances, 40 + (len(names) + count) // 2, rng
+    )
     labels, sure = list(names), [False] * count
     if stated is not None and len(stated):
         left = free(stated)
@@ -236,7 +244,8 @@ def identifiable_subset(
         about = left.lead[: len(names)].any(axis=0)
         own = own @ left.lead[: len(names), about]
         labels = [
-            names[int(np.abs(column).argmax())] for column in left.lead[: len(names), about].T
+            names[int(np.abs(column).argmax())]
+            for column in left.lead[: len(names), about].T
         ]
     kept, nonidentifiable = _in_turn((own, labels), (theirs, wanted.names), sure)
     return replace(wanted, kept=kept), nonidentifiable
@@ -283,7 +292,9 @@ def _in_turn(
 
 
 def explain_nonidentifiable(
-    open_ones: Sequence[NonIdentifiable], known: Collection[str], nuisances: Collection[str]
+    open_ones: Sequence[NonIdentifiable],
+    known: Collection[str],
+    nuisances: Collection[str],
 ) -> str:
     """What no motion identifies, and which facts would, in a line.
 
@@ -293,7 +304,9 @@ def explain_nonidentifiable(
         nuisances: Kinds that are estimated.
     """
     first, more = open_ones[0], len(open_ones) - 1
-    phrase = f"{first.name} from {few(first.by, SHORT)}{f', nor {more} others' * (more > 0)}"
+    phrase = (
+        f"{first.name} from {few(first.by, SHORT)}{f', nor {more} others' * (more > 0)}"
+    )
     zero = " (the zero of Fz is unknown: the mass alone does not)" * (
         MASS in known and PlateBias.term in nuisances
     )
@@ -326,7 +339,8 @@ def _generic_columns(
     lead = layout.theta @ layout.basis
     theta = np.asarray(lead @ rng.normal(size=lead.shape[2]))
     motion = _generic_motion(np.arange(rows + 4) / RATE, problem.tree.n, rng)
-    slopes = np.array([1, -8, 0, 8, -1]) / 12 * RATE  # a row is one instant; its slope needs five
+    # a row is one instant; its slope needs five
+    slopes = np.array([1, -8, 0, 8, -1]) / 12 * RATE
     weights = np.array([0, 0, 1.0, 0, 0])
     found = PredictedWrench(
         tree=layout.tree,
@@ -350,4 +364,6 @@ def _generic_motion(time: Array, joints: int, rng: np.random.Generator) -> Motio
     phase = time[:, None, None] * speed
     wave = size[0] * np.sin(phase) + size[1] * np.cos(phase)
     rate = speed * (size[0] * np.cos(phase) - size[1] * np.sin(phase))
-    return Motion(time, *(each.sum(axis=1) for each in (wave, rate, -(speed**2) * wave)))
+    return Motion(
+        time, *(each.sum(axis=1) for each in (wave, rate, -(speed**2) * wave))
+    )

@@ -114,7 +114,8 @@ class ParquetTable:
         """Read on from the row group that holds a row."""
         groups, start, group = self._file.metadata, 0, 0
         while (
-            group + 1 < groups.num_row_groups and first >= start + groups.row_group(group).num_rows
+            group + 1 < groups.num_row_groups
+            and first >= start + groups.row_group(group).num_rows
         ):
             start += groups.row_group(group).num_rows
             group += 1
@@ -139,7 +140,9 @@ def write_table(
         parts: Consecutive rows, by column.
     """
     text = json.dumps({"format": FORMAT, **metadata}, sort_keys=True)
-    fields = [pa.field(name, pa.float64(), metadata={"unit": u}) for name, u in units.items()]
+    fields = [
+        pa.field(name, pa.float64(), metadata={"unit": u}) for name, u in units.items()
+    ]
     schema = pa.schema(fields, metadata={KEY: text})
     options = {"compression": "zstd", "compression_level": 1}
     with pq.ParquetWriter(
@@ -173,7 +176,9 @@ def readable(path: Path) -> Iterator[None]:
         RecursionError,
     ) as error:
         reason = " ".join(str(error).split()) or "it ends early"
-        raise RecordingError(f"{path}: not a readable Parquet recording: {reason}") from None
+        raise RecordingError(
+            f"{path}: not a readable Parquet recording: {reason}"
+        ) from None
 
 
 def _metadata(schema: pa.Schema) -> dict[str, Any]:
@@ -184,7 +189,9 @@ def _metadata(schema: pa.Schema) -> dict[str, Any]:
     """
     text = (schema.metadata or {}).get(KEY.encode(), b"{}")
     if len(text) > MOST_METADATA:
-        raise ValueError(f"its metadata have {len(text):.2g} bytes, more than {MOST_METADATA:.0g}")
+        raise ValueError(
+            f"its metadata have {len(text):.2g} bytes, more than {MOST_METADATA:.0g}"
+        )
     found = json.loads(text)
     if not isinstance(found, dict) or found.get("format", FORMAT) != FORMAT:
         raise ValueError(f"its metadata are not of the layout '{FORMAT}'")

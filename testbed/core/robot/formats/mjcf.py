@@ -120,7 +120,10 @@ def _check_places(model: mujoco.MjModel, path: Path) -> None:
     bodies, joints = range(1, model.nbody), range(model.njnt)
     places = [
         *((f"body '{model.body(b).name}'", model.body_pos[b]) for b in bodies),
-        *((f"mass centre of body '{model.body(b).name}'", model.body_ipos[b]) for b in bodies),
+        *(
+            (f"mass centre of body '{model.body(b).name}'", model.body_ipos[b])
+            for b in bodies
+        ),
         *((f"joint '{model.joint(j).name}'", model.jnt_pos[j]) for j in joints),
     ]
     for what, place in places:
@@ -140,7 +143,9 @@ def _joints(
     for b in range(1, model.nbody):
         owner, X_OP = poses[model.body_parentid[b]]
         X_OB = X_OP @ Transform(rotation_matrix(model.body_quat[b]), model.body_pos[b])
-        for j in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b]):
+        for j in range(
+            model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b]
+        ):
             joints.append(_joint_of(model, j, owner, X_OB))
             owner, X_OB = len(joints) - 1, Transform(p_AB_A=-model.jnt_pos[j])
         poses[b] = owner, X_OB
@@ -187,10 +192,14 @@ def _has(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> bool:
 
 
 def _disabled(model: mujoco.MjModel, flag: str) -> bool:
-    return bool(model.opt.disableflags & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}")))
+    return bool(
+        model.opt.disableflags & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}"))
+    )
 
 
-def _inertia_of(model: mujoco.MjModel, b: int, stated: dict[str, StatedInertia]) -> Inertia:
+def _inertia_of(
+    model: mujoco.MjModel, b: int, stated: dict[str, StatedInertia]
+) -> Inertia:
     """The inertia of MuJoCo body b in its body frame, as stated where the file states it."""
     said = stated.get(model.body(b).name)
     mass, moments = model.body_mass[b], model.body_inertia[b]

@@ -83,9 +83,13 @@ class _Files:
         """
         place = path.resolve()
         if place in within:
-            raise ModelError(f"{self._first}: '{path.name}' holds itself, by <include> or <model>")
+            raise ModelError(
+                f"{self._first}: '{path.name}' holds itself, by <include> or <model>"
+            )
         if len(within) >= DEEPEST_FILES:
-            raise ModelError(f"{self._first}: more than {DEEPEST_FILES} files hold each other")
+            raise ModelError(
+                f"{self._first}: more than {DEEPEST_FILES} files hold each other"
+            )
         if place not in self._counted:
             self._counted[place] = self._count(path, (*within, place))
         return self._counted[place]
@@ -95,7 +99,9 @@ class _Files:
         try:
             path.read_text(encoding="utf-8")
         except UnicodeDecodeError:
-            raise ModelError(f"{path}: not UTF-8, which is all that MuJoCo reads") from None
+            raise ModelError(
+                f"{path}: not UTF-8, which is all that MuJoCo reads"
+            ) from None
         models: dict[str, _Size] = {}
         for model in root.iter("model"):
             found = self._held(model, path, within)
@@ -125,12 +131,16 @@ class _Files:
         """Whether what an element's numbers ask for can be made in a moment."""
         if element.tag == "hfield":
             if _largest(element, "nrow") * _largest(element, "ncol") > MOST_CELLS:
-                raise ModelError(f"{self._first}: a height field of more than {MOST_CELLS} cells")
+                raise ModelError(
+                    f"{self._first}: a height field of more than {MOST_CELLS} cells"
+                )
         elif element.tag == "mesh":
             if _largest(element, "params") > FINEST_MESH:
                 raise ModelError(f"{self._first}: a mesh of params above {FINEST_MESH}")
         else:
-            reserved = {key: _largest(element, key) for key in element.attrib if key != "memory"}
+            reserved = {
+                key: _largest(element, key) for key in element.attrib if key != "memory"
+            }
             large = [key for key, value in reserved.items() if value > MOST_RESERVED]
             if large:
                 raise ModelError(
@@ -253,16 +263,22 @@ class StatedInertia:
     """An inertia as the file states it: the compiler's principal axes cost digits."""
 
     mass: float
-    moments: Array  # (3, 3) along the body's axes, or (3,) along those given by its `iquat`
+    moments: (
+        Array  # (3, 3) along the body's axes, or (3,) along those given by its `iquat`
+    )
 
 
-def stated_inertias(spec: mujoco.MjSpec) -> tuple[dict[str, str], dict[str, StatedInertia]]:
+def stated_inertias(
+    spec: mujoco.MjSpec,
+) -> tuple[dict[str, str], dict[str, StatedInertia]]:
     """Flaws and explicit inertias, by body; `spec` is made to compile: flawed ones are replaced."""
     spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     flaws: dict[str, str] = {}
     stated: dict[str, StatedInertia] = {}
     compiler = spec.compiler
-    from_geoms = compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    from_geoms = (
+        compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    )
     if from_geoms or compiler.balanceinertia:
         return flaws, stated  # what counts is what the compiler makes of the file
     for body in spec.bodies:
@@ -273,14 +289,22 @@ def stated_inertias(spec: mujoco.MjSpec) -> tuple[dict[str, str], dict[str, Stat
             full = np.empty((3, 3))
             for value, (a, b) in zip(body.fullinertia, FULL, strict=True):
                 full[a, b] = full[b, a] = value
-        found = inertia_flaw(body.name, mass, np.diag(body.inertia) if full is None else full)
+        found = inertia_flaw(
+            body.name, mass, np.diag(body.inertia) if full is None else full
+        )
         if not np.isfinite(body.ipos).all():
             found = f"link '{body.name}' has a mass centre that is not a number"
             body.ipos, mass = np.zeros(3), np.nan
-        stated[body.name] = StatedInertia(mass, np.array(body.inertia) if full is None else full)
+        stated[body.name] = StatedInertia(
+            mass, np.array(body.inertia) if full is None else full
+        )
         if found:
             flaws[body.name] = found
-            body.mass, body.inertia, body.fullinertia = 1.0, np.ones(3), np.full(6, np.nan)
+            body.mass, body.inertia, body.fullinertia = (
+                1.0,
+                np.ones(3),
+                np.full(6, np.nan),
+            )
     return flaws, stated
 
 
@@ -291,10 +315,14 @@ def set_inertia(body: mujoco.MjsBody, inertia: Inertia) -> None:
     body.mass, body.ipos, body.iquat = inertia.mass, inertia.com, [1.0, 0.0, 0.0, 0.0]
     body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     body.inertia = np.zeros(3)
-    body.fullinertia = [central[at] for at in FULL] if central.any() else np.full(6, np.nan)
+    body.fullinertia = (
+        [central[at] for at in FULL] if central.any() else np.full(6, np.nan)
+    )
 
 
-def resolve(spec: mujoco.MjSpec, path: Path) -> tuple[mujoco.MjModel, dict[str, StatedInertia]]:
+def resolve(
+    spec: mujoco.MjSpec, path: Path
+) -> tuple[mujoco.MjModel, dict[str, StatedInertia]]:
     """A copy compiled, for frames, degrees, limits and masses; and inertias as stated, by body."""
     copy = spec.copy()
     _, stated = stated_inertias(copy)

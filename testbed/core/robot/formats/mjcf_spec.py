@@ -67,7 +67,10 @@ def open_spec(file: ModelSource) -> tuple[mujoco.MjSpec, tuple[Diagnostic, ...]]
     _set_total_mass(spec, path)
     _strip(spec)
     for joint in list(spec.joints):
-        if joint.type == mujoco.mjtJoint.mjJNT_FREE and joint.parent.parent.name == "world":
+        if (
+            joint.type == mujoco.mjtJoint.mjJNT_FREE
+            and joint.parent.parent.name == "world"
+        ):
             if not file.weld_root:
                 raise FreeRootError(path.name, joint.name or joint.parent.name)
             spec.delete(joint)
@@ -98,7 +101,9 @@ def parse(path: Path) -> mujoco.MjSpec:
     """
     check_files(path)
     if path.suffix != ".xml":
-        raise ModelError(f"{path}: MuJoCo reads MJCF from files that end in .xml; rename it")
+        raise ModelError(
+            f"{path}: MuJoCo reads MJCF from files that end in .xml; rename it"
+        )
     with no_mujoco_warnings():
         try:
             spec = mujoco.MjSpec.from_file(str(path))
@@ -116,8 +121,12 @@ def _set_total_mass(spec: mujoco.MjSpec, path: Path) -> None:
         return
     spec.compiler.settotalmass = -1.0
     model, stated = resolve(spec, path)
-    masses = {name: float(model.body(name).mass[0]) for name in (b.name for b in spec.bodies)}
-    factor = wanted / sum((masses | {n: body.mass for n, body in stated.items()}).values())
+    masses = {
+        name: float(model.body(name).mass[0]) for name in (b.name for b in spec.bodies)
+    }
+    factor = wanted / sum(
+        (masses | {n: body.mass for n, body in stated.items()}).values()
+    )
     for body in spec.bodies:
         body.mass, body.inertia = factor * body.mass, factor * body.inertia
         body.fullinertia = factor * body.fullinertia
@@ -141,7 +150,9 @@ def _name_everything(spec: mujoco.MjSpec) -> None:
     taken = {body.name for body in spec.bodies} | {joint.name for joint in spec.joints}
     for k, body in enumerate(spec.bodies):
         if not body.name:
-            body.name = next(n for i in range(len(taken) + 1) if (n := f"body{k + i}") not in taken)
+            body.name = next(
+                n for i in range(len(taken) + 1) if (n := f"body{k + i}") not in taken
+            )
             taken.add(body.name)
     for k, joint in enumerate(spec.joints):
         if not joint.name:
@@ -195,7 +206,8 @@ def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[Diagnostic
     try:
         held, said = lock_positions(travels, lock, path.name)
     except MimicError:
-        _check_loops(loops, travels, lock, path)  # what may hold the master, too, comes first
+        # what may hold the master, too, comes first
+        _check_loops(loops, travels, lock, path)
         raise
     _check_loops(loops, travels, held, path)
     for numeric in list(spec.numerics):
@@ -208,11 +220,16 @@ def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[Diagnostic
 
 
 def _check_loops(
-    loops: Mapping[str, tuple[str, ...]], travels: Mapping[str, Travel], held: Lock, path: Path
+    loops: Mapping[str, tuple[str, ...]],
+    travels: Mapping[str, Travel],
+    held: Lock,
+    path: Path,
 ) -> None:
     for constraint, joints in loops.items():
         moving = {
-            name: travels[name].rest for name in joints if name in travels.keys() - held.keys()
+            name: travels[name].rest
+            for name in joints
+            if name in travels.keys() - held.keys()
         }
         if moving:
             raise LoopError(path.name, constraint, moving)
@@ -232,7 +249,11 @@ def _couplings(spec: mujoco.MjSpec) -> tuple[_Couplings, dict[str, tuple[str, ..
                     f"'{name}'" for name in (equality.name1, equality.name2) if name
                 )
                 kind = equality.type.name.removeprefix("mjEQ_").lower()
-                label = f"'{equality.name}'" if equality.name else f"<{kind}> (number {number})"
+                label = (
+                    f"'{equality.name}'"
+                    if equality.name
+                    else f"<{kind}> (number {number})"
+                )
                 loops[f"{label} on {ends}"] = _along(spec, equality)
         spec.delete(equality)  # an inactive one does nothing
     return found, loops
@@ -251,7 +272,9 @@ def _coupled(
     if equality.type != mujoco.mjtEq.mjEQ_TENDON or equality.name2:
         return None
     wraps = list(spec.tendon(equality.name1).path)
-    if len(wraps) != 2 or any(wrap.type != mujoco.mjtWrap.mjWRAP_JOINT for wrap in wraps):
+    if len(wraps) != 2 or any(
+        wrap.type != mujoco.mjtWrap.mjWRAP_JOINT for wrap in wraps
+    ):
         return None
     (first, own), (second, other) = ((wrap.target.name, wrap.coef) for wrap in wraps)
     return first, second, np.array([data[0] / own, -other / own, 0.0, 0.0, 0.0])
@@ -268,7 +291,10 @@ def _along(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> tuple[str, ...]
         bodies = [wrap.target.parent for wrap in wraps if wrap.type == _SITE]
     else:
         on_sites = equality.objtype == mujoco.mjtObj.mjOBJ_SITE
-        joints, bodies = [], [spec.site(n).parent if on_sites else spec.body(n) for n in names]
+        joints, bodies = (
+            [],
+            [spec.site(n).parent if on_sites else spec.body(n) for n in names],
+        )
     chains: list[list[str]] = []
     for body in bodies:
         chains.append([])
@@ -276,13 +302,17 @@ def _along(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> tuple[str, ...]
             chains[-1] += [joint.name for joint in body.joints]
             body = body.parent
     for chain in chains:  # what carries both ends does not move one against the other
-        joints += [n for n in chain if len(chains) == 1 or not all(n in c for c in chains)]
+        joints += [
+            n for n in chain if len(chains) == 1 or not all(n in c for c in chains)
+        ]
     return tuple(dict.fromkeys(joints))
 
 
 def _travels(model: mujoco.MjModel, couplings: _Couplings) -> dict[str, Travel]:
     names = [model.joint(j).name for j in range(model.njnt)]
-    zero = {name: float(model.qpos0[model.jnt_qposadr[j]]) for j, name in enumerate(names)}
+    zero = {
+        name: float(model.qpos0[model.jnt_qposadr[j]]) for j, name in enumerate(names)
+    }
     travels = {}
     for j, name in enumerate(names):
         low, high = model.jnt_range[j] if model.jnt_limited[j] else (-np.inf, np.inf)
@@ -298,7 +328,10 @@ def _travels(model: mujoco.MjModel, couplings: _Couplings) -> dict[str, Travel]:
 
 
 def _hold(
-    spec: mujoco.MjSpec, body: mujoco.MjsBody, model: mujoco.MjModel, held: dict[str, float]
+    spec: mujoco.MjSpec,
+    body: mujoco.MjsBody,
+    model: mujoco.MjModel,
+    held: dict[str, float],
 ) -> None:
     """Take a body's held joints out and pose it where they hold it.
 
@@ -309,7 +342,10 @@ def _hold(
     X_PB = X_PB_zero = Transform(rotation_matrix(at_zero.quat), at_zero.pos)
     free: list[tuple[mujoco.MjsJoint, Array, Array]] = []
     for joint in list(body.joints):
-        known, slides = model.joint(joint.name), joint.type == mujoco.mjtJoint.mjJNT_SLIDE
+        known, slides = (
+            model.joint(joint.name),
+            joint.type == mujoco.mjtJoint.mjJNT_SLIDE,
+        )
         anchor, axis = known.pos.copy(), known.axis.copy()
         if joint.name not in held:
             free.append((joint, anchor, axis))
@@ -322,7 +358,8 @@ def _hold(
             free = [(each, back.point(p), back.R_AB @ e) for each, p, e in free]
             X_PB = X_PB @ X
     if X_PB is not X_PB_zero:
-        body.set_frame(body.parent.add_frame())  # out of frames that would move it once more
+        # out of frames that would move it once more
+        body.set_frame(body.parent.add_frame())
         body.pos, body.quat = X_PB.p_AB_A, to_quaternion(X_PB.R_AB)
         body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         for joint, anchor, axis in free:
@@ -338,8 +375,15 @@ def drop_tendons(spec: mujoco.MjSpec) -> tuple[Diagnostic, ...]:
     """
     acting = []
     for number, tendon in enumerate(list(spec.tendons), start=1):
-        acts = (*tendon.stiffness, *tendon.damping, tendon.armature, tendon.frictionloss)
-        stops = tendon.limited != mujoco.mjtLimited.mjLIMITED_FALSE and np.any(tendon.range)
+        acts = (
+            *tendon.stiffness,
+            *tendon.damping,
+            tendon.armature,
+            tendon.frictionloss,
+        )
+        stops = tendon.limited != mujoco.mjtLimited.mjLIMITED_FALSE and np.any(
+            tendon.range
+        )
         if any(acts) or stops:
             acting.append(tendon.name or f"number {number}")
         spec.delete(tendon)
@@ -390,7 +434,10 @@ def _dampers_of_springs(spec: mujoco.MjSpec, path: Path) -> dict[str, float]:
     if not names:
         return {}
     model, _ = resolve(spec, path)
-    return {n: float(np.ravel(model.dof_damping[model.joint(n).dofadr[0]])[0]) for n in names}
+    return {
+        n: float(np.ravel(model.dof_damping[model.joint(n).dofadr[0]])[0])
+        for n in names
+    }
 
 
 def _left_out(found: dict[str, list[str]]) -> tuple[Diagnostic, ...]:

@@ -20,7 +20,12 @@ from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic
 from testbed.core.base.errors import ModelError
 from testbed.core.base.transform import Transform
-from testbed.core.robot.formats.urdf_xml import TENSOR, link_at, numbers_of, supported_xml
+from testbed.core.robot.formats.urdf_xml import (
+    TENSOR,
+    link_at,
+    numbers_of,
+    supported_xml,
+)
 from testbed.core.robot.inertia import NOTHING, Inertia
 from testbed.core.robot.parsing import capture_stderr, errors_of, plain, read_xml
 from testbed.core.robot.repair import FileLink, Repair, repaired
@@ -75,7 +80,9 @@ def read(file: ModelSource) -> UrdfModel:
     root, said = supported_xml(file)
     elements = {link.get("name", ""): link for link in root.findall("link")}
     with errors_of(path):
-        suspects = {name: line for name, link in elements.items() if (line := _link_flaw(link))}
+        suspects = {
+            name: line for name, link in elements.items() if (line := _link_flaw(link))
+        }
     links, parents = _links(root, path)
     repair = repaired(links, suspects, parents, file.repair, path.name, _reach(root))
     for name, inertia in repair.links.items():
@@ -89,14 +96,20 @@ def _reach(root: ET.Element) -> float:
     return sum(math.hypot(*numbers_of(origin, "xyz", "0 0 0")) for origin in origins)
 
 
-def _links(root: ET.Element, path: Path) -> tuple[tuple[FileLink, ...], tuple[int, ...]]:
+def _links(
+    root: ET.Element, path: Path
+) -> tuple[tuple[FileLink, ...], tuple[int, ...]]:
     """The links with their inertias as the file has them, and the parents of the tree's bodies."""
     joints = read_xml(path).findall("joint")
     parents = {link_at(joint, "child"): link_at(joint, "parent") for joint in joints}
     held = {link_at(joint, "child") for joint in joints if joint.get("type") == "fixed"}
-    inertias = {link.get("name", ""): _link_inertia(link) for link in root.findall("link")}
+    inertias = {
+        link.get("name", ""): _link_inertia(link) for link in root.findall("link")
+    }
     bare = ET.Element("robot", root.attrib)
-    bare[:] = [ET.Element("link", name=name) for name in inertias] + root.findall("joint")
+    bare[:] = [ET.Element("link", name=name) for name in inertias] + root.findall(
+        "joint"
+    )
     model = _built(bare, path)
     links: dict[str, FileLink] = {}
     for frame in model.frames.tolist():
@@ -112,7 +125,9 @@ def _links(root: ET.Element, path: Path) -> tuple[tuple[FileLink, ...], tuple[in
                 X_BL=Transform(frame.placement.rotation, frame.placement.translation),
                 inertia=inertias[frame.name],
             )
-    return tuple(links.values()), tuple(model.parents[j] - 1 for j in range(1, model.njoints))
+    return tuple(links.values()), tuple(
+        model.parents[j] - 1 for j in range(1, model.njoints)
+    )
 
 
 def _link_inertia(link: ET.Element) -> Inertia:
@@ -133,7 +148,9 @@ def _built(root: ET.Element, path: Path) -> pin.Model:
         try:
             model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
         except Exception as error:  # Pinocchio raises whatever its parser meets
-            raise ModelError(f"{path}: {_first_complaint(said(), str(error))}") from None
+            raise ModelError(
+                f"{path}: {_first_complaint(said(), str(error))}"
+            ) from None
         if said():  # its parser leaves out what it complains of
             raise ModelError(f"{path}: {_first_complaint(said(), said())}")
     return model
@@ -178,9 +195,14 @@ def _set_inertia(link: ET.Element, inertia: Inertia) -> None:
 def _joint_of(model: pin.Model, j: int, bodies: dict[int, str]) -> Joint:
     kind, axis = _screw(model, j)
     v, q = model.idx_vs[j], model.idx_qs[j]
-    bounded = model.joints[j].nq == 1  # a continuous joint is kept as a point of the circle
+    # a continuous joint is kept as a point of the circle
+    bounded = model.joints[j].nq == 1
     limits = (model.lowerPositionLimit[q], model.upperPositionLimit[q])
-    bounded = bounded and limits != (0.0, 0.0)  # in URDF a limit of zero means none is known
+    # in URDF a limit of zero means none is known
+    bounded = bounded and limits != (
+        0.0,
+        0.0,
+    )
     placement = model.jointPlacements[j]
     return Joint(
         name=model.names[j],

@@ -45,7 +45,14 @@ _BESIDE: dict[str, tuple[str, ...]] = {
 }
 """What is for simulators, drawings and drives."""
 
-TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+TENSOR = {
+    "ixx": (0, 0),
+    "ixy": (0, 1),
+    "ixz": (0, 2),
+    "iyy": (1, 1),
+    "iyz": (1, 2),
+    "izz": (2, 2),
+}
 """Entries of an inertia, by attribute."""
 
 RIGHT = 1e-5
@@ -84,7 +91,10 @@ _ATTRIBUTES = {
         **{key: _Numbers(1, "0") for key in ("lower", "upper")},
         **{key: _Numbers(1, "0", signed=False) for key in ("effort", "velocity")},
     },
-    "dynamics": {"damping": _Numbers(1, "0"), "friction": _Numbers(1, "0", signed=False)},
+    "dynamics": {
+        "damping": _Numbers(1, "0"),
+        "friction": _Numbers(1, "0", signed=False),
+    },
     "mimic": {"multiplier": _Numbers(1, "1"), "offset": _Numbers(1, "0")},
     "box": {"size": _Numbers(3, None, FARTHEST)},
     "sphere": {"radius": _Numbers(1, None, FARTHEST)},
@@ -138,7 +148,10 @@ def _checked(
         root[:] = [*shown, *links, *joints]
         carriers = _carriers(links, joints)
         for joint in joints:
-            if joint.get("type") == "floating" and link_at(joint, "parent") not in carriers:
+            if (
+                joint.get("type") == "floating"
+                and link_at(joint, "parent") not in carriers
+            ):
                 if not weld_root:
                     raise FreeRootError(path.name, joint.get("name", "?"))
                 joint.set("type", "fixed")
@@ -168,7 +181,9 @@ def _check_joint(joint: ET.Element) -> None:
 def _accepted(element: ET.Element) -> Iterator[Diagnostic]:
     """Of several places the first, as URDF's own parser takes it; friction that drives is none."""
     name = f"{element.tag} '{element.get('name', '')}'"
-    for part in (element, *element.findall("inertial")) if element.tag in _PARTS else ():
+    for part in (
+        (element, *element.findall("inertial")) if element.tag in _PARTS else ()
+    ):
         for more in part.findall("origin")[1:]:
             part.remove(more)
             yield diagnose("model.origins", name)
@@ -187,7 +202,9 @@ def travels(path: Path) -> dict[str, Travel]:
 
 def _travels(joints: list[ET.Element]) -> dict[str, Travel]:
     """How the joints of a checked file move, by name; fixed ones do not."""
-    moving = {joint.get("name", ""): joint for joint in joints if joint.get("type") in _MOVING}
+    moving = {
+        joint.get("name", ""): joint for joint in joints if joint.get("type") in _MOVING
+    }
     fixed = {joint.get("name", "") for joint in joints} - moving.keys()
     travels = {}
     for name, joint in moving.items():
@@ -199,7 +216,10 @@ def _travels(joints: list[ET.Element]) -> dict[str, Travel]:
         coupling = None
         if mimic is not None:
             master = mimic.get("joint", "")
-            offset, slope = *numbers_of(mimic, "offset"), *numbers_of(mimic, "multiplier", "1")
+            offset, slope = (
+                *numbers_of(mimic, "offset"),
+                *numbers_of(mimic, "multiplier", "1"),
+            )
             coupling = Coupling(master, (offset, slope))
             if master in fixed:
                 coupling = Coupling(None, (offset,))
@@ -241,7 +261,9 @@ def _move_origin(joint: ET.Element, position: float) -> None:
     origin.set("rpy", plain(to_rpy(X_PB.R_AB)))
 
 
-def _keep(element: ET.Element, owner: str, also: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+def _keep(
+    element: ET.Element, owner: str, also: tuple[str, ...]
+) -> Iterator[tuple[str, str]]:
     """Remove unknown elements; yields unknown elements and attributes, and their owners."""
     tag, tags = element.tag, [child.tag for child in element]
     owner = f"{tag} '{element.get('name', '?')}'" if tag in _BESIDE else owner
@@ -252,7 +274,9 @@ def _keep(element: ET.Element, owner: str, also: tuple[str, ...]) -> Iterator[tu
         for name in sorted({*names} - {*known, *beside}):
             near = get_close_matches(name.lower(), {*known} - {*names}, n=1, cutoff=0.8)
             if near and near[0] not in name:  # a longer name is another one
-                said = f"<{tag}> holds the unknown {name!r:.40}; did you mean {near[0]}?"
+                said = (
+                    f"<{tag}> holds the unknown {name!r:.40}; did you mean {near[0]}?"
+                )
                 raise ModelError(f"{owner}: {said}")
             yield f"'{name:.40}' in <{tag}>", owner
     element[:] = [child for child in element if child.tag in (*parts, *also)]
@@ -263,7 +287,9 @@ def _keep(element: ET.Element, owner: str, also: tuple[str, ...]) -> Iterator[tu
             yield from _keep(child, owner, also)
 
 
-def _carriers(links: list[ET.Element], joints: list[ET.Element]) -> dict[str, ET.Element]:
+def _carriers(
+    links: list[ET.Element], joints: list[ET.Element]
+) -> dict[str, ET.Element]:
     """The joint that carries each link; the links hang together as one tree."""
     for what, elements in (("link", links), ("joint", joints)):
         names = [element.get("name", "") for element in elements]
@@ -278,7 +304,9 @@ def _carriers(links: list[ET.Element], joints: list[ET.Element]) -> dict[str, ET
         name, child = joint.get("name", ""), link_at(joint, "child")
         for end in ("parent", "child"):
             if link_at(joint, end) not in known:
-                raise ModelError(f"joint '{name}' has no {end} link '{link_at(joint, end)}'")
+                raise ModelError(
+                    f"joint '{name}' has no {end} link '{link_at(joint, end)}'"
+                )
         if child in carriers:
             raise ModelError(
                 f"link '{child}' is carried by joint '{carriers[child].get('name')}' and by joint "
@@ -304,7 +332,9 @@ def _check_tree(known: set[str], carriers: dict[str, ET.Element]) -> None:
             raise ModelError(f"a chain of more than {DEEPEST_LINKS} links")
     if len(reached) < len(known):
         lost = min(known - reached)
-        raise ModelError(f"link '{lost}' hangs on no root; its chain of joints is a closed loop")
+        raise ModelError(
+            f"link '{lost}' hangs on no root; its chain of joints is a closed loop"
+        )
     if len(roots) > 1:
         raise ModelError(
             f"{len(roots)} links are carried by no joint ({quoted(sorted(roots))}); a robot "
@@ -334,7 +364,9 @@ def rewrite_numbers(owner: ET.Element, where: str, *, allow_nan: bool = False) -
             text = part.get(key, numbers.absent)
             if text is None:
                 raise ModelError(f"{where}: <{part.tag}> has no {key}")
-            part.set(key, _plain(text, numbers, f"{where}: <{part.tag}> {key}", allow_nan))
+            part.set(
+                key, _plain(text, numbers, f"{where}: <{part.tag}> {key}", allow_nan)
+            )
 
 
 def numbers_of(element: ET.Element | None, key: str, absent: str = "0") -> list[float]:
@@ -351,14 +383,22 @@ def _plain(text: str, numbers: _Numbers, where: str, allow_nan: bool) -> str:
             finite = [w for w in words if w.lstrip("+-") not in _NO_NUMBERS]
             if len(finite) < len(words) and all(decimals(word, 1) for word in finite):
                 return " ".join(["nan"] * numbers.count)
-        wanted = "a decimal number" if numbers.count == 1 else f"{numbers.count} decimal numbers"
+        wanted = (
+            "a decimal number"
+            if numbers.count == 1
+            else f"{numbers.count} decimal numbers"
+        )
         raise ModelError(f"{where}={text!r:.60} is not {wanted}")
     for value in values:
         if abs(value) > numbers.greatest:
-            raise ModelError(f"{where} holds {value:g}; {numbers.greatest:g} is the limit")
+            raise ModelError(
+                f"{where} holds {value:g}; {numbers.greatest:g} is the limit"
+            )
         if value < 0 and not numbers.signed:
             raise ModelError(f"{where} holds {value:g}, which cannot be negative")
     if numbers.angles:
         right = [round(2 * angle / math.pi) * math.pi / 2 for angle in values]
-        values = [r if abs(a - r) <= RIGHT else a for a, r in zip(values, right, strict=True)]
+        values = [
+            r if abs(a - r) <= RIGHT else a for a, r in zip(values, right, strict=True)
+        ]
     return plain(values)

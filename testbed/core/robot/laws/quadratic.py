@@ -6,5 +6,7 @@ import numpy as np
 
 from testbed.core.robot.joint_law import JointLaw
 
-QUADRATIC = JointLaw("quadratic", "N m s^2/rad^2", "N s^2/m^2", lambda qd, qdd: qd * np.abs(qd))
+QUADRATIC = JointLaw(
+    "quadratic", "N m s^2/rad^2", "N s^2/m^2", lambda qd, qdd: qd * np.abs(qd)
+)
 """Friction in proportion to the square of the velocity."""
