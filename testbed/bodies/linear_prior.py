@@ -35,6 +35,9 @@ FEWEST = 0.1
 LEAST = 0.1
 """Part of what the model file with its friction fitted leaves that noise is at least."""
 
+DOUBTFUL = 3.0
+"""Error of a placeholder in errors of other bodies."""
+
 ROUNDEST = 0.05
 """Share of a body's greatest second moment that the others have at least, of the body by whose size
 uncertainty is measured: the centre of a slender link may lie beside its axis."""
@@ -85,38 +88,22 @@ def linear_prior(problem: Problem, prior: Prior, rows: RowProducts) -> LinearPri
     """Gaussian prior of the unknowns by the model file; joint terms are nearly free.
 
     Bodies have a relative error of one. Friction is about zero and as wide as the torques: files
-    state it by guess. The file's friction stands, uncertain by itself, where rows are too few.
+    state it by guess. Where rows are too few, friction of the file stands that is no placeholder,
+    uncertain by itself.
 
     Args:
         problem: Says which unknowns.
         prior: The file's bodies.
         rows: Products of all rows.
     """
-    count, drives = problem.minimal.count, problem.drives
-    bodies = problem.minimal.standard_matrix
-    mean, root = (
-        np.zeros(len(problem.names)),
-        np.zeros((len(problem.names), 10 * problem.tree.n)),
-    )
-    mean[:count] = bodies @ prior.standard.ravel()
-    root[:count] = bodies @ _thickened(prior).root
-    if drives is not None:
-        equations = rows.equations(drives.columns, np.zeros(len(mean)))
-        size = np.where(
-            rows.enough[:, None], np.einsum("cii->ci", equations.normal), 0.0
-        )
-        # the channel where each shows most
-        most = (
-            size.argmax(axis=0),
-            np.arange(size.shape[1]),
-        )
-        seen = size[most] > 0
-        scale = np.sqrt(equations.squares[most[0]] / np.where(seen, size[most], np.inf))
-        stated = drives.values(np.zeros((problem.tree.n, 10)), problem.tree)
-        unseen = drives.columns[:, ~seen].any(axis=1)
-        mean += np.where(unseen, stated, 0.0)
-        size_of_terms = np.where(seen, scale, np.abs(drives.columns.T @ stated))
-        root = np.hstack([root, drives.columns * size_of_terms])
+    bodies, count = problem.minimal.standard_matrix, problem.minimal.count
+    width = np.ones((problem.tree.n, 10))
+    width[list(prior.placeholders.bodies)] = DOUBTFUL
+    mean, root = _terms_prior(problem, prior, rows)
+    mean[:count] += bodies @ prior.standard.ravel()
+    of_bodies = np.zeros((len(mean), 10 * problem.tree.n))
+    of_bodies[:count] = bodies @ (width.ravel() * _thickened(prior).root)
+    root = np.hstack([of_bodies, root])
     floor = np.full(len(rows.channels), TINY)
     before = LinearPrior(
         mean, root, bodies.shape[1], floor, _bounds(problem, mean, root)
@@ -129,6 +116,29 @@ def linear_prior(problem: Problem, prior: Prior, rows: RowProducts) -> LinearPri
     return replace(
         before, noise=np.where(rows.enough, np.maximum(noise, floor), np.inf)
     )
+
+
+def _terms_prior(
+    problem: Problem, prior: Prior, rows: RowProducts
+) -> tuple[Array, Array]:
+    """Mean, (p,), and root of the covariance, (p, k), of the k joint terms."""
+    drives, none = problem.drives, np.zeros(len(problem.names))
+    if drives is None:
+        return none, np.zeros((len(none), 0))
+    equations = rows.equations(drives.columns, none)
+    squares = np.einsum("cii->ci", equations.normal) * rows.enough[:, None]
+    channel = squares.argmax(axis=0)  # where each term shows most
+    most = squares[channel, np.arange(len(channel))]
+    seen = most > 0
+    scale = np.sqrt(equations.squares[channel] / np.where(seen, most, np.inf))
+    stated = drives.values(np.zeros((problem.tree.n, 10)), problem.tree)
+    doubtful = [
+        each.law.parameter in prior.placeholders.friction for each in drives.asked
+    ]
+    believed = drives.columns[:, ~seen].any(axis=1)
+    believed &= ~drives.columns[:, doubtful].any(axis=1)
+    own = np.where(seen, scale, np.abs(drives.columns.T @ stated))
+    return np.where(believed, stated, 0.0), drives.columns * own
 
 
 def _thickened(prior: Prior) -> Prior:

@@ -18,6 +18,11 @@ from testbed.core.parameters.pseudo_inertia import (
 )
 from testbed.core.parameters.symbols import standard
 from testbed.core.robot.inertia import Inertia, upper_root
+from testbed.core.robot.placeholders import (
+    NO_PLACEHOLDERS,
+    Placeholders,
+    placeholders,
+)
 from testbed.core.robot.rigid_matter import ROUNDING, SMALL, nearest_body
 from testbed.core.robot.tree import Tree
 
@@ -33,11 +38,13 @@ class Prior(Diagnosed, Value):
         standard: Standard parameters, (n, 10) [kg, kg m, kg m^2]; of bodies that can be, or zero
             for those without matter, which have none whatever the data say.
         rotors: Inertias of the drives at their joints, (n,) [kg m^2 or kg]; 0 where not known.
+        placeholders: Bodies and friction that nobody measured.
         diagnostics: What was put right.
     """
 
     standard: Array
     rotors: Array
+    placeholders: Placeholders = NO_PLACEHOLDERS
     diagnostics: tuple[Diagnostic, ...] = ()
 
     def __post_init__(self) -> None:
@@ -91,6 +98,7 @@ def prior_of(tree: Tree) -> Prior:
     return Prior(
         found,
         rotors,
+        placeholders(tree),
         tuple(_diagnostics(without_masses, impossible, nothing)),
     )
 

@@ -196,6 +196,7 @@ def identify(
     from testbed.core.base.errors import SettingsError
     from testbed.core.estimation.estimate import METHODS, NAMES, SIGNAL_OF
     from testbed.core.recordings.views import is_imported
+    from testbed.core.robot.placeholders import placeholders
     from testbed.view import output, terminal
 
     writing.check(reading, recordings)
@@ -207,7 +208,8 @@ def identify(
         )
     wanted = METHODS if method == "both" else (method,)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
-    said = [*tree.diagnostics, *said]
+    doubts = placeholders(tree).diagnostics if is_imported(source) else ()
+    said = [*tree.diagnostics, *doubts, *said]
     if (
         everything or as_json
     ) and not tree.is_part:  # no fault: few recordings have both

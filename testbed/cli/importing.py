@@ -93,6 +93,7 @@ def _solution(
     files: Sequence[Path], written: Path, reading: Reading
 ) -> MappingSolution:
     """Mapping by the columns' names and, where the robot is known, by the data."""
+    from testbed.core.robot.placeholders import placeholders
     from testbed.importing.check.draft_mapping import draft_mapping
     from testbed.importing.check.mapping_solution import MappingSolution, solve_mapping
     from testbed.importing.guess import guessed
@@ -109,7 +110,8 @@ def _solution(
     said = [diagnose("robot.locked", locked)] if locked else []
     if file.weld_root and not reading.weld_root:
         said.append(diagnose("robot.welded", tree.name))
-    output.print_result(diagnostics=[*tree.diagnostics, *said, *solution.diagnostics])
+    doubts = (*tree.diagnostics, *placeholders(tree).diagnostics)
+    output.print_result(diagnostics=[*doubts, *said, *solution.diagnostics])
     return solution
 
 

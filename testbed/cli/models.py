@@ -100,6 +100,7 @@ def minimal(
     from testbed.core.dynamics.drive_set import drive_set
     from testbed.core.dynamics.rank_check import verify, verify_drives
     from testbed.core.parameters.minimal_set import minimal_set
+    from testbed.core.robot.placeholders import placeholders
     from testbed.view import output
     from testbed.view.minimal_sets import Findings, as_document, print_latex, print_sets
 
@@ -121,7 +122,8 @@ def minimal(
     elif as_latex:
         print_latex(output.console(), found, lengths)
     else:
-        output.print_diagnostics(output.console(), tree.diagnostics)
+        doubts = placeholders(tree).diagnostics
+        output.print_diagnostics(output.console(), (*tree.diagnostics, *doubts))
         print_sets(output.console(), found, lengths)
     raise typer.Exit(0 if found.hold else 1)
 

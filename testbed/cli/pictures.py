@@ -239,6 +239,7 @@ def _check_said(
 def _run_at(path: Path, reading: Reading, *, consistent: bool = False) -> Run:
     """A run folder's run, or a recording's with what can be identified from it."""
     from testbed.core.base.errors import ExperimentError
+    from testbed.core.robot.placeholders import placeholders
     from testbed.lab.experiment.results import read_run
     from testbed.lab.experiment.run import assemble_run
 
@@ -269,7 +270,8 @@ def _run_at(path: Path, reading: Reading, *, consistent: bool = False) -> Run:
         prior_error=reading.prior_error,
         bodies=reading.bodies(source) if consistent else None,
     )
-    return replace(run, diagnostics=ordered([*accepted, *run.diagnostics]))
+    doubts = placeholders(reading.tree).diagnostics
+    return replace(run, diagnostics=ordered([*doubts, *accepted, *run.diagnostics]))
 
 
 def _alike(path: Path) -> str:

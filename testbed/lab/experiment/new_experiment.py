@@ -22,6 +22,7 @@ from testbed.core.robot.friction import VISCOUS
 from testbed.core.robot.grippers import fingers
 from testbed.core.robot.locks import Lock, Travel
 from testbed.core.robot.model_file import ModelFile, expressible, nearest_bodies
+from testbed.core.robot.placeholders import placeholders
 from testbed.core.robot.repair import NAMED, Bodies, Repair
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.assumptions import (
@@ -183,7 +184,8 @@ def new_experiment(
         ModelError: The robot cannot be read.
     """
     found = find_robot(model, {} if strict else None, lock)
-    for line in (*sentences(found.tree.diagnostics), *_flaws(found.repair)):
+    doubts = (*found.tree.diagnostics, *placeholders(found.tree).diagnostics)
+    for line in (*sentences(doubts), *_flaws(found.repair)):
         say(line)
     assumed = assumptions(found.tree)
     place = Path(os.path.relpath(model.resolve(), folder.resolve())).as_posix()
