@@ -145,7 +145,8 @@ def rest_fit(back: Array, wrench: Array) -> RestFit:
         found = found + step
         if number > 1 and np.abs(step).max() < 1e-12 * np.abs(found).max():
             break
-    inflation = stats.t.ppf(0.975, max(len(rest) - rank, 1)) / stats.norm.ppf(0.975)
+    freedom = max((len(rest) - rank) / 2, 1)  # of each scale: forces', moments'
+    inflation = stats.t.ppf(0.975, freedom) / stats.norm.ppf(0.975)
     open_part = 1 - np.sum(right[:rank] ** 2, axis=0)
     return RestFit(found, inflation**2 * root @ root.T, open_part, scale)
 

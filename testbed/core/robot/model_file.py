@@ -24,6 +24,7 @@ from testbed.core.robot.locks import Lock, Travel
 from testbed.core.robot.parsing import check_name, errors_of, read_xml
 from testbed.core.robot.refusals import FreeRootError, LoopError, MimicError
 from testbed.core.robot.repair import Bodies, FileLink, Repair
+from testbed.core.robot.right_angles import with_right_angles
 from testbed.core.robot.tree import ModelSource, Tree
 
 if TYPE_CHECKING:
@@ -136,7 +137,7 @@ def load_tree(
     """
     file = ModelFile(own_or_shipped(path), weld_root, repair, lock or {})
     source = file.read()
-    tree = replace(source.tree(), file=file)
+    tree = replace(with_right_angles(source.tree()), file=file)
     with errors_of(file.path):
         check_tree(tree)
     if strange := {
