@@ -353,11 +353,10 @@ def bootstrap(solution: GlsSolution, names: tuple[str, ...]) -> GlsFit:
     """
     units, average, p = solution.units, solution.average, len(names)
     columns = TestedColumns(solution.count + units.beside.trends, units.beside.tested)
-    free, robot = units.as_free(solution.products.every), units.basis[:p]
+    robot = units.basis[:p]
     residuals = ResidualSums(np.any(solution.constants, axis=1))
-    replicas = Bootstrap(
-        average.fit.noise, free, average.directions, robot[robot.any(axis=1)]
-    )
+    known = robot[robot.any(axis=1)]
+    replicas = Bootstrap(average.fit.noise, average.directions, known)
     quantization = QuantizationSums(average.fit, solution.count)
     tests = ScoreTests(units.as_free(solution.products.tested), columns, robot)
     repetition = _repetition_sums(solution.passes, average.fit.noise)

@@ -165,7 +165,6 @@ class LaggedProducts:
         first: The first K rows of each sequence, (S, C, K, q); zeros where there are fewer.
         last: The last K, in the order of time, (S, C, K, q); zeros before the first.
         responses: R.
-        alike: Whether each lag's products are symmetric.
     """
 
     rows: int
@@ -173,7 +172,6 @@ class LaggedProducts:
     first: Array
     last: Array
     responses: int = 1
-    alike: bool = False
 
     @property
     def lags(self) -> int:
@@ -250,7 +248,7 @@ class LaggedProducts:
         """
         total = weights.swapaxes(1, 2).reshape(len(weights), -1) @ self.flat
         total = total.reshape(-1, *self.products.shape[2:])
-        return total if self.alike else (total + total.swapaxes(1, 2)) / 2
+        return np.asarray(total + total.swapaxes(1, 2)) / 2
 
     def traces(self, inner: Array) -> Array:
         """Traces of each lag's times a matrix, (R, C, K + 1).
@@ -333,7 +331,7 @@ class Whitened:
         self._given, self._share, self._edges = given, share, _edges(given, alpha)
         if len(alpha) == 1:  # then once and for all
             whole = self.sums(np.eye(alpha.shape[1]))
-            self._given = replace(given.up_to(0), products=whole[None], alike=True)
+            self._given = replace(given.up_to(0), products=whole[None])
             self._share, self._edges = (
                 np.ones((1, len(whole), 1)),
                 self._edges[..., :0, :],

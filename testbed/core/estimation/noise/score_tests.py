@@ -281,7 +281,7 @@ class ScoreTests:
             ((self._tests, noise),) = score_tests(whole, self._independent, columns)
             self._order = noise.order
             if any(test.chance(1.0) < UNCLEAR for test in self._tests):
-                self._replicas = Replicas(noise, products)
+                self._replicas = Replicas(noise)
 
     def add(self, rows: WhitenedRows) -> None:
         """Go on with consecutive rows."""
