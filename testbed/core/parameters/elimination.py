@@ -180,10 +180,6 @@ INDEPENDENT = 1e-9
 ROUNDING = 1e-13
 """Part of a direction's largest parameter that is rounding of zero."""
 
-COMPARABLE = 0.1
-"""Of directions that change an entry, the first with this share of the greatest change is
-taken: the body's own come first."""
-
 
 @dataclass(frozen=True, eq=False)
 class Elimination:
@@ -337,7 +333,9 @@ def _chosen(
             shares = np.flatnonzero((entries != FREE) & (np.abs(change) > INDEPENDENT))
             combined[k] = {int(entries[i]): float(change[i]) for i in shares}
             continue
-        first = int(np.argmax(weights >= COMPARABLE * great))
+        # of directions that change an entry, the first with this share of the greatest change is
+        # taken: the body's own come first
+        first = int(np.argmax(weights >= 0.1 * great))
         pivot = rows[first] * (1.0 / change[first])
         rest = _Directions(rows - np.outer(change, pivot), entries.copy())
         rest.rows[first], rest.entries[first] = pivot, k

@@ -21,12 +21,6 @@ HIGHEST = 6
 LARGEST_ROOT = 0.998
 """A fit may find noise that grows without end; it is held to one that forgets."""
 
-RIDGE = 1e-12
-"""Of the mean square: noise that repeats itself exactly has many autoregressions."""
-
-BURN_IN = 200
-"""Rows simulated before the first that counts."""
-
 
 @dataclass(frozen=True, eq=False)
 class Autoregression:
@@ -64,8 +58,9 @@ def fit(moments: Array, order: int) -> Array:
         moments[..., 1 : order + 1, :1],
     )
     size = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None] / max(order, 1)
+    # of the mean square: noise that repeats itself exactly has many autoregressions
     return _forgetting(
-        np.linalg.solve(matrix + (RIDGE * size + TINY) * np.eye(order), right)[..., 0]
+        np.linalg.solve(matrix + (1e-12 * size + TINY) * np.eye(order), right)[..., 0]
     )
 
 
@@ -134,7 +129,8 @@ class NoiseMaker:
         """
         self._noise, self._rng = noise, rng
         self._recent = np.zeros((len(noise.sigma), noise.order, replicas))
-        self.rows(BURN_IN)
+        # rows simulated before the first that counts
+        self.rows(200)
 
     def rows(self, count: int) -> Array:
         """The next rows, (C, count, replicas)."""
