@@ -178,7 +178,7 @@ INDEPENDENT = 1e-9
 """What unit parameters must change of an entry, or of a carrier, for it to count."""
 
 ROUNDING = 1e-13
-"""Part of a direction's largest parameter that is rounding of zero."""
+"""Parameter of a direction, which has some near one, that is rounding of zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,42 +222,44 @@ def eliminate(
     forms, rows = dense_rows(tree, bodies, entries), _free(tree.n, entries, known_zero)
     changed = np.full(len(rows), FREE)  # the only entry that each direction changes
     dependent: dict[int, dict[int, float]] = {}
-    for k in sorted(range(len(entries)), key=lambda k: -entries[k].body):
-        change = rows @ forms[k]
-        touched = np.flatnonzero(change)
-        sizes = np.abs(rows[touched]).max(axis=1, initial=0.0)
-        weights = np.where(changed[touched] == FREE, np.abs(change[touched]) / sizes, 0)
-        place = _pivot(weights)
-        if place is None:
-            dependent[k] = {
-                int(changed[i]): float(change[i])
-                for i in touched
-                if changed[i] != FREE and abs(change[i]) > INDEPENDENT
-            }
-            continue
-        pivot = rows[touched[place]] * (1.0 / change[touched[place]])
-        rest = rows[touched] - np.outer(change[touched], pivot)
-        rest[np.abs(rest).max(axis=1) <= ROUNDING * sizes] = 0.0
-        rest[place], changed[touched[place]] = pivot, k
-        rows[touched] = rest
+    for body in range(tree.n - 1, BEDPLATE - 1, -1):
+        own = [k for k, entry in enumerate(entries) if entry.body == body]
+        touched = np.flatnonzero((rows @ forms[own].T).any(axis=1))
+        part, bound = rows[touched], changed[touched]
+        for k in own:
+            dependent |= _settle(k, forms[k], part, bound)
+        rows[touched] = np.where(np.abs(part) > ROUNDING, part, 0.0)
+        changed[touched] = bound
     kept = np.argsort(changed)[np.count_nonzero(changed == FREE) :]
-    rows = rows[kept]
-    small = np.abs(rows) <= ROUNDING * np.abs(rows).max(axis=1, keepdims=True)
-    rows[small] = 0.0
-    return Elimination(tuple(changed[kept].tolist()), rows.T, dependent)
+    return Elimination(tuple(changed[kept].tolist()), rows[kept].T, dependent)
 
 
-def _pivot(weights: Array) -> int | None:
-    """Place of the direction that is taken for an entry; None where none changes it.
+def _settle(
+    k: int, form: Array, rows: Array, changed: NDArray[np.int_]
+) -> dict[int, dict[int, float]]:
+    """Take a free direction for an entry, which no other then changes.
 
     Args:
-        weights: By how much free directions of unit size change the entry, (k,).
+        k: Number of the entry.
+        form: The entry, (N,).
+        rows: Directions, (m, N), which are changed.
+        changed: Number of the only entry that each changes, (m,), FREE for none; likewise.
+
+    Returns:
+        By its number, the entry as a combination of others; nothing where a direction is taken.
     """
+    change, free = rows @ form, changed == FREE
+    weights = np.where(free, np.abs(change), 0.0)
     great = weights.max(initial=0.0)
     if great <= INDEPENDENT:
-        return None
+        shares = np.flatnonzero(~free & (np.abs(change) > INDEPENDENT))
+        return {k: {int(changed[i]): float(change[i]) for i in shares}}
     # the first with this share of the greatest change: the body's own come first
-    return int(np.argmax(weights >= 0.1 * great))
+    first = int(np.argmax(weights >= 0.1 * great))
+    pivot = rows[first] * (1.0 / change[first])
+    rows -= np.outer(change, pivot)
+    rows[first], changed[first] = pivot, k
+    return {}
 
 
 def _free(n: int, entries: Sequence[Entry], known_zero: NDArray[np.bool_]) -> Array:
