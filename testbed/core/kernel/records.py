@@ -15,7 +15,7 @@ from testbed.core.robot.joint_law import JointLaw
 # Entries of a row on one body.
 
 ORDER = (1, 2, 4, 5, 6, 8, 9, 3, 7, 0)
-"""The kernel's entries, as indices of COMPONENTS; an eleventh is mbar as carriers feel it."""
+"""The kernel's entries, as indices of PARTS; an eleventh is mbar as carriers feel it."""
 
 USUAL = 7
 """How many entries the kernel makes at once; `screws.rest` makes the others."""

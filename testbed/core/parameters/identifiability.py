@@ -39,13 +39,11 @@ class Visibility:
         instrument: One of INSTRUMENTS.
         count: Number of identifiable combinations, the pedestal's own included if unknown.
         standard: Of the standard parameters: NEVER, COMBINED or ALONE, (n, 10).
-        barycentric: Likewise of the barycentric parameters, (n, 10).
     """
 
     instrument: str
     count: int
     standard: NDArray[np.int_]
-    barycentric: NDArray[np.int_]
 
 
 def identifiability(
@@ -72,16 +70,9 @@ def identifiability(
         named = list(zip(INSTRUMENTS, sets, strict=True))
     else:
         named = [("force sensor", plate), ("force sensor, tared", tared)]
-    one = sparse.eye_array(10 * tree.n)
-    shape = (tree.n, 10)
     return tuple(
-        Visibility(
-            name,
-            space.rows.shape[0],
-            space.of(units, back).reshape(shape),
-            space.of(one, one).reshape(shape),
-        )
-        for name, space in named
+        Visibility(name, told.rows.shape[0], told.of(units, back).reshape(tree.n, 10))
+        for name, told in named
     )
 
 

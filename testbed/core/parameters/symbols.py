@@ -23,10 +23,7 @@ PARTS = (
     *(("mb", axis) for axis in "xyz"),
     *(("K", pair) for pair in ("xx", "xy", "xz", "yy", "yz", "zz")),
 )
-"""Of a body's barycentric parameters: what each is, and along which axes."""
-
-COMPONENTS = tuple(head + tail for head, tail in PARTS)
-"""Order of a body's barycentric parameters: mbar, mbx, mby, mbz, Kxx, Kxy, ... Kzz."""
+"""Of a body's barycentric parameters, in their order: what each is, and along which axes."""
 
 STANDARD = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Order of a body's standard parameters, about and along its frame (Pinocchio's order)."""
@@ -44,7 +41,7 @@ TENSOR: Array = np.eye(6)[np.array([(0, 1, 2), (1, 3, 4), (2, 4, 5)])]
 """The tensor of six numbers, (3, 3, 6): K[a, b] = sum over k of TENSOR[a, b, k] K6[k]."""
 
 STANDARD_ORDER = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)
-"""Swaps Kxz and Kyy, from the order STANDARD to COMPONENTS and back."""
+"""Swaps Kxz and Kyy, from the order STANDARD to PARTS and back."""
 
 
 def standard(tree: Tree) -> Array:
@@ -76,7 +73,7 @@ def with_standard(tree: Tree, standard: Array) -> Tree:
 def barycentric(tree: Tree) -> Array:
     """Barycentric parameters theta of every body, (n, 10) [kg, kg m, kg m^2].
 
-    [FRS96] eqs. (3)-(5). Row j is in body j's frame, in the order COMPONENTS.
+    [FRS96] eqs. (3)-(5). Row j is in body j's frame, in the order PARTS.
     """
     return readonly(to_barycentric(tree, standard(tree)), (tree.n, 10), "theta")
 
@@ -91,7 +88,7 @@ def to_barycentric(tree: Tree, standard: AnyArray) -> AnyArray:
         standard: (n, 10, ...) in the order STANDARD, numbers or symbols.
 
     Returns:
-        theta, (n, 10, ...) in the order COMPONENTS.
+        theta, (n, 10, ...) in the order PARTS.
     """
     theta = standard[:, STANDARD_ORDER].copy()
     for j in reversed(range(tree.n)):
@@ -114,7 +111,7 @@ def on_standard(tree: Tree, rows: Array) -> Array:
 
 
 def to_standard(tree: Tree, theta: AnyArray) -> AnyArray:
-    """The inverse of `to_barycentric`: (n, 10, ...) COMPONENTS -> (n, 10, ...) STANDARD."""
+    """The inverse of `to_barycentric`: (n, 10, ...) PARTS -> (n, 10, ...) STANDARD."""
     own = theta.copy()
     for j in range(tree.n):
         if tree.parents[j] >= 0:
@@ -153,7 +150,7 @@ def component_symbol(body: int, component: int, star: bool = False) -> Symbol:
 
     Args:
         body: Index of the body, from 0; its number is one more.
-        component: Index of COMPONENTS.
+        component: Index of PARTS.
         star: The redefined parameter; a mass is never redefined.
     """
     head, tail = PARTS[component]
@@ -161,7 +158,7 @@ def component_symbol(body: int, component: int, star: bool = False) -> Symbol:
 
 
 def point_mass(offset: AnyArray) -> AnyArray:
-    """Ten barycentric parameters of a unit point mass, (10,) in the order COMPONENTS.
+    """Ten barycentric parameters of a unit point mass, (10,) in the order PARTS.
 
     Args:
         offset: Where it is, (3,) [m], numbers or symbols.
