@@ -20,9 +20,6 @@ HIDDEN = ".testbed-"
 FROM_WORKING_FOLDER, EXCHANGE = -100, 2
 """AT_FDCWD and RENAME_EXCHANGE of renameat2(2)."""
 
-NO_EXCHANGE = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP)
-"""Errors of a file system, or of a kernel, that cannot exchange two paths."""
-
 
 class _Replacements(ExitStack):
     """Complete outputs that wait to be put in place, with their temporary folders."""
@@ -174,7 +171,8 @@ def _exchange(fresh: Path, place: Path) -> None:
                 return
         elif not (number := _exchange_in_one_step(fresh, place)):
             return
-        elif number in NO_EXCHANGE:
+        # a file system, or a kernel, that cannot exchange two paths
+        elif number in (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP):
             _exchange_in_steps(fresh, place)
             return
         elif number != errno.ENOENT or not fresh.exists():

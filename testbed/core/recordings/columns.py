@@ -108,9 +108,6 @@ def sensors_in(columns: Sequence[str]) -> tuple[str, ...]:
 LARGEST = 1e12
 """What no instrument measures, in any SI unit."""
 
-EARLIEST, LATEST = 1e-9, 1e6
-"""Sampling times that are no mistake [s]."""
-
 
 def check_samples(count: int, source: str) -> None:
     """Refuse a recording of fewer than two samples.
@@ -207,7 +204,7 @@ def check_sampling_time(step: float, source: str) -> None:
     Raises:
         RecordingError: It is not.
     """
-    if not EARLIEST <= step <= LATEST:
+    if not 1e-9 <= step <= 1e6:
         raise RecordingError(
             f"{source}: {step:.3g} s from sample to sample is no sampling time; time is in seconds"
         )

@@ -24,9 +24,6 @@ robot's inertia."""
 NAMED = 3
 """Most causes, and most numbers of a cause, that are named."""
 
-LIKE_TILT = {"crosstalk", "gains", "pose"}
-"""Kinds whose effects the weight on a plate that is not level resembles."""
-
 SMALL_CHANCE = 1e-3
 """Probability below which what is found is not taken for chance."""
 
@@ -47,6 +44,8 @@ def fault_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
         yield from _repetition(estimate)
         return
     best, terms = clear[0], [test.nuisance for test in clear[:NAMED]]
+    # kinds whose effects the weight on a plate that is not level resembles
+    tilted = not {"crosstalk", "gains", "pose"}.isdisjoint(terms)
     yield diagnose(
         f"sensor.{best.nuisance}",
         "the plate's residuals",
@@ -55,7 +54,7 @@ def fault_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
         method="external"
         if systematic_errors()[best.nuisance].signal == "wrench"
         else "",
-        causes=[*terms, *["level"] * bool(LIKE_TILT & {*terms}), "unmodelled-load"],
+        causes=[*terms, *["level"] * tilted, "unmodelled-load"],
         chance=chance_text(best.chance),
         cause=phrase(best.nuisance),
         kind=best.nuisance,

@@ -14,10 +14,6 @@ from testbed.core.estimation.regression.normal_equations import TINY
 from testbed.core.parameters.minimal_set import selection
 from testbed.core.robot.shafts import shares
 
-LEAST, MOST = 0.77, 1.3
-"""Factors between which it is a torque constant that is wrong."""
-
-
 UNITS = {
     1e3: "torques-in-n-mm",
     1e-3: "moments-in-n-mm",
@@ -66,7 +62,8 @@ def cross_check(external: Estimate, internal: Estimate) -> Iterator[Diagnostic]:
         if factor is None:
             continue
         value, sigma = factor
-        if not LEAST < value < MOST:
+        # between these factors it is a torque constant that is wrong
+        if not 0.77 < value < 1.3:
             # relative difference up to which factors are the same
             units = [
                 cause

@@ -191,13 +191,11 @@ SMALL = 0.05
 """Seconds that NumPy may take for rows; longer jobs are worth loading the compiled kernel, 0.4 s:
 few commands make rows once. Both methods do, filters that are tried, coarse encoders."""
 
-PER_SAMPLE, PER_NUMBER = 4e-6, 6e-9
-"""Seconds that NumPy takes for a sample, and more for each number of `Layout.theta`; measured."""
-
 
 def is_compiled(plan: Plan) -> bool:
     """Whether the compiled kernel makes a plan's rows: by size where NumPy takes longer."""
-    seconds = plan.source.samples * (PER_SAMPLE + PER_NUMBER * plan.layout.theta.size)
+    # seconds that NumPy takes for a sample, and more for each number of `Layout.theta`; measured
+    seconds = plan.source.samples * (4e-6 + 6e-9 * plan.layout.theta.size)
     wanted = plan.engine == "compiled" or (
         plan.engine == "by size" and seconds >= SMALL
     )

@@ -22,9 +22,6 @@ FORMAT = "testbed recording 1"
 KEY = "testbed"
 """Under which the schema keeps the metadata."""
 
-BUFFER = 1 << 20
-"""Bytes of a column that are read at once."""
-
 MOST_METADATA = 16_000_000
 """Bytes of metadata that a recording may have."""
 
@@ -73,7 +70,8 @@ class ParquetTable:
         """
         self._path = path
         with readable(path):
-            self._file = pq.ParquetFile(path, pre_buffer=False, buffer_size=BUFFER)
+            # of a column, a mebibyte is read at once
+            self._file = pq.ParquetFile(path, pre_buffer=False, buffer_size=1 << 20)
             self._schema = self._file.schema_arrow
             self.columns: tuple[str, ...] = tuple(self._schema.names)
             self.samples: int = self._file.metadata.num_rows
