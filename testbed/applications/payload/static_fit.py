@@ -20,6 +20,10 @@ from testbed.core.robot.tree import Tree
 UNKNOWNS = 12
 """Zero of force and moment, weight, centre: three each."""
 
+ARM, ENOUGH = 0.04, 12
+"""Noise of moments over that of forces, as of usual sensors [m]; rows beyond the unknowns with
+which each is known by itself."""
+
 SMALLEST = 1e-6
 """Singular values below this share of the largest are rounding, or poses that are all alike."""
 
@@ -164,8 +168,14 @@ def _linearised(back: Array, wrench: Array, found: Array) -> tuple[Array, Array]
 
 
 def _scale(rest: Array) -> Array:
-    """Noise of forces and of moments by their residuals, each with half the unknowns, (2,)."""
-    parts = rest.reshape(-1, 2, 3)
+    """Noise of forces and of moments by their residuals, each with half the unknowns, (2,).
+
+    Rows that lack to `ENOUGH` are those of both together, by `ARM`: else that of the two which
+    happens to fit better takes all weight, and fits better still.
+    """
+    parts = rest.reshape(-1, 2, 3) / [[1.0], [ARM]]
     count = max(3 * len(parts) - UNKNOWNS // 2, 1)
-    sizes = np.sqrt((parts**2).sum(axis=(0, 2)) / count)
+    lacking, squares = max(ENOUGH - count, 0), (parts**2).sum(axis=(0, 2))
+    squares = (squares + lacking * squares.mean() / count) / (count + lacking)
+    sizes = np.sqrt(squares) * [1.0, ARM]
     return np.asarray(np.maximum(sizes, 1e-9 * max(sizes.max(), 1e-9)))

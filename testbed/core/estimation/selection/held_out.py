@@ -45,6 +45,9 @@ def rivals(one: JointLaw, other: JointLaw) -> bool:
 Z_GAIN = 2.0
 """Standard errors that a gain has to have."""
 
+LEAST_GAIN = 0.02
+"""Part of what is left by which a gain lowers it at least."""
+
 Key = TypeVar("Key")
 
 
@@ -157,7 +160,7 @@ def forward_selection(
         gains, total = _gains(squares, each), each.sum(axis=0)
         if not np.isfinite(total).any():
             break
-        clear = gains >= Z_GAIN
+        clear = (gains >= Z_GAIN) & (total < (1 - LEAST_GAIN) ** 2 * squares.sum())
         k = int(np.argmin(np.where(clear, total, np.inf) if clear.any() else total))
         best = list(candidates)[k]
         following = step(named(best), each[:, k], float(gains[k]))
