@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from testbed.bodies.linear_prior import (
+    REPEATED,
     LinearPrior,
     PriorFit,
     fit_of_noise,
@@ -97,32 +98,82 @@ def model_average(
     noise = np.array([fit.noise for fit in fits])
     folds = [(seen, part) for seen, part in parts.folds if part.rows.any()]
     by_rows, weights = dict[RowProducts, Array](), (sizes == PRIOR_ERROR) / 1.0
+    error = float(sizes[0])
     if len(sizes) == 1:
         weights = np.ones(1)
     elif len(folds) >= FEWEST_PARTS:
         by_rows = {seen: _values(seen, prior, sizes, noise) for seen, _ in folds}
         losses = [_losses(part, by_rows[seen], noise[-1]) for seen, part in folds]
         weights = _weights(np.array(losses), sizes)
-    error = (
-        float(sizes[0]) if len(sizes) == 1 else _file_error(fits, sizes, weights, prior)
+    if len(sizes) > 1:
+        error = _file_error(fits, sizes, weights, prior)
+    z = np.array([prior.scale(e) * fit.z for e, fit in zip(errors, fits, strict=True)])
+    apart = z - weights @ z
+    covariance = (weights * apart.T) @ apart
+    covariance += _within(parts, prior, fits, sizes, weights)
+    return ModelAverage(
+        prior,
+        sizes,
+        weights,
+        noise,
+        prior.mean + prior.root @ (weights @ z),
+        prior.root @ covariance @ prior.root.T,
+        error,
+        by_rows,
     )
-    z, covariance = _mixture(fits, sizes, weights, prior)
-    values, spread = prior.mean + prior.root @ z, prior.root @ covariance @ prior.root.T
-    return ModelAverage(prior, sizes, weights, noise, values, spread, error, by_rows)
 
 
-def _mixture(
-    fits: Sequence[PriorFit], errors: Array, weights: Array, prior: LinearPrior
-) -> tuple[Array, Array]:
-    """Mean, (r,), and covariance, (r, r), of the mixture of fits, in z of the prior."""
-    scale = np.array([prior.scale(error) for error in errors])
-    z = scale * [fit.z for fit in fits]
-    within = [
-        np.outer(s, s) * fit.covariance for s, fit in zip(scale, fits, strict=True)
+def _within(
+    parts: RowParts,
+    prior: LinearPrior,
+    fits: Sequence[PriorFit],
+    errors: Array,
+    weights: Array,
+) -> Array:
+    """Average covariance of the fits in z of the prior with an error of one, (r, r).
+
+    Bodies that no row shows are as uncertain as those of any file: no evidence says how wrong they
+    are. Correlated noise, and what the model leaves out, count by the scatter of the parts' scores.
+    """
+    equations = parts.whole.equations(prior.root, prior.mean)
+    best = int(weights.argmax())
+    excess = _excess(parts, prior, fits[best], float(errors[best]))
+    unseen = errors if len(errors) == 1 else np.maximum(errors, REFERENCE)
+    covariance: Array = np.zeros_like(fits[best].covariance)
+    for weight, error, fit in zip(weights, unseen.tolist(), fits, strict=True):
+        noise, own = excess * fit.noise, _scaled(equations, prior, error)
+        wider = fit_with_noise(own, noise, prior.least)
+        covariance += weight * _unscaled(wider.covariance, prior, error)
+    return covariance
+
+
+def _unscaled(covariance: Array, prior: LinearPrior, error: float) -> Array:
+    """Covariance in z of the prior with an error of one, (r, r)."""
+    scale = prior.scale(error)
+    return np.outer(scale, scale) * covariance
+
+
+def _excess(parts: RowParts, prior: LinearPrior, fit: PriorFit, error: float) -> Array:
+    """Scatter of the parts' scores over that of white noise, by channel, (C,); at least one.
+
+    Correlated noise and what the model leaves out make it larger.
+
+    Source    [LZ86]
+    """
+    values = prior.mean + prior.root @ (prior.scale(error) * fit.z)
+    constants = parts.whole.constants(values)[:, None]
+    ones = np.ones_like(constants)
+    left = np.hstack([-values * ones, -constants, ones])
+    scores = [
+        np.einsum("cij,cj->ci", part.products[:, :-2], left) @ prior.root
+        for part in parts.each
     ]
-    mean = weights @ z
-    apart = z - mean
-    return mean, np.einsum("k,kij->ij", weights, within) + (weights * apart.T) @ apart
+    covariance = _unscaled(fit.covariance, prior, error)
+    scatter = np.einsum("kci,ij,kcj->c", scores, covariance, scores)
+    normal = parts.whole.equations(prior.root, prior.mean).normal
+    white = REPEATED * np.einsum("cij,ji->c", normal, covariance)
+    excess = scatter / np.maximum(white, TINY) / fit.noise
+    return np.asarray(np.maximum(excess, 1.0))
 
 
 def _file_error(
