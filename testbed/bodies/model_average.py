@@ -7,6 +7,7 @@ linear in the unknowns, so that the average is an estimate.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -32,6 +33,9 @@ PRIOR_ERROR = 0.3
 REFERENCE = 0.5
 """Error of a file of which nothing is known; data determine what they narrow to a tenth of its
 variance."""
+
+BLOCKS = (1, 2, 4)
+"""Parts that are held out together: from the longer ones fits have to extrapolate."""
 
 FEWEST_PARTS = 3
 
@@ -96,16 +100,11 @@ def model_average(
         fit_of_noise(_scaled(equations, prior, e), prior, whole.enough) for e in errors
     ]
     noise = np.array([fit.noise for fit in fits])
-    folds = [(seen, part) for seen, part in parts.folds if part.rows.any()]
-    by_rows, weights = dict[RowProducts, Array](), (sizes == PRIOR_ERROR) / 1.0
+    by_rows, weights = dict[RowProducts, Array](), np.ones(1)
     error = float(sizes[0])
-    if len(sizes) == 1:
-        weights = np.ones(1)
-    elif len(folds) >= FEWEST_PARTS:
-        by_rows = {seen: _values(seen, prior, sizes, noise) for seen, _ in folds}
-        losses = [_losses(part, by_rows[seen], noise[-1]) for seen, part in folds]
-        weights = _weights(np.array(losses), sizes)
     if len(sizes) > 1:
+        by_rows = {seen: _values(seen, prior, sizes, noise) for seen, _ in parts.folds}
+        weights = _weights(_losses(parts, prior, sizes, noise, by_rows), sizes)
         error = _file_error(fits, sizes, weights, prior)
     z = np.array([prior.scale(e) * fit.z for e, fit in zip(errors, fits, strict=True)])
     apart = z - weights @ z
@@ -212,7 +211,30 @@ def _values(
     return np.array(values)
 
 
-def _losses(part: RowProducts, values: Array, noise: Array) -> Array:
+def _losses(
+    parts: RowParts,
+    prior: LinearPrior,
+    errors: Array,
+    noise: Array,
+    by_rows: Mapping[RowProducts, Array],
+) -> Array:
+    """Losses of held-out parts by fit, (parts, k): averages over blocks of all lengths.
+
+    Parts without rows are left out.
+    """
+    losses = defaultdict[int, list[Array]](list)
+    for length in BLOCKS:
+        for seen, block in parts.blocks(length):
+            values = by_rows.get(seen)
+            if values is None:
+                values = _values(seen, prior, errors, noise)
+            for k, part in block:
+                if part.rows.any():
+                    losses[k].append(_loss(part, values, noise[-1]))
+    return np.array([np.mean(each, axis=0) for each in losses.values()])
+
+
+def _loss(part: RowProducts, values: Array, noise: Array) -> Array:
     """Logarithms of a part's mean squares in units of the noise, by fit, (k,)."""
     squares = np.array([part.squares(each, part.constants(each)) for each in values])
     loss: Array = np.log(
@@ -223,6 +245,8 @@ def _losses(part: RowProducts, values: Array, noise: Array) -> Array:
 
 def _weights(losses: Array, errors: Array) -> Array:
     """Weights of fits by their losses on parts, (parts, k)."""
+    if len(losses) < FEWEST_PARTS:
+        return np.asarray((errors == PRIOR_ERROR) / 1.0)
     excess = losses - losses[:, [losses.mean(axis=0).argmin()]]
     error = excess.std(axis=0, ddof=1) / np.sqrt(len(excess))
     apart = excess.mean(axis=0) / np.clip(error, SURE, UNSURE)
