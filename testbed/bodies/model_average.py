@@ -1,7 +1,7 @@
 """Model average: fits whose priors have several strengths, weighted by held-out parts.
 
-How wrong a model file is cannot be told from a short recording, and each single guess is a bad one
-somewhere. Strengths that held-out parts cannot tell apart are averaged: torques and wrenches are
+How wrong a model file is cannot be seen in a short recording, and each single guess is a bad one
+somewhere. Strengths that held-out parts cannot distinguish are averaged: torques and wrenches are
 linear in the unknowns, so that the average is an estimate.
 """
 
