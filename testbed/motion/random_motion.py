@@ -9,7 +9,8 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import InfeasibleMotion
-from testbed.core.dynamics.newton_euler import Motion, regressor
+from testbed.core.dynamics.newton_euler import Motion
+from testbed.core.dynamics.regressor import regressor
 from testbed.core.parameters.minimal_set import MinimalSet
 from testbed.core.parameters.symbols import barycentric, parameter_scale
 from testbed.core.robot.tree import Tree, require_tree

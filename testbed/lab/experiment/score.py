@@ -11,7 +11,8 @@ import numpy as np
 from testbed.applications.drives.friction_curves import DriveEstimate, FrictionCurve
 from testbed.applications.drives.identify_drives import DriveFindings
 from testbed.core.base.arrays import Array
-from testbed.core.dynamics.newton_euler import Motion, regressor
+from testbed.core.dynamics.newton_euler import Motion
+from testbed.core.dynamics.regressor import regressor
 from testbed.core.estimation.estimate import Estimate, Method, channel_units
 from testbed.core.estimation.regression.normal_equations import TINY
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set, selection
