@@ -132,12 +132,14 @@ class ClearanceTerm:
     def values(self, samples: MotionSamples) -> Array:
         """Missing distances as shares, (k, G)."""
         return (
-            self._least[:, None] - self._measured(samples.q).values.T
+            self._least[:, None] - self._measured(samples.motion.q).values.T
         ) / CLEARANCE_UNIT
 
     def slopes(self, samples: Samples) -> Array:
         """Derivatives, (k, 3 n, G)."""
-        by_q = -self._measured(samples.q).slopes.transpose(1, 2, 0) / CLEARANCE_UNIT
+        by_q = (
+            -self._measured(samples.motion.q).slopes.transpose(1, 2, 0) / CLEARANCE_UNIT
+        )
         return np.concatenate([by_q, np.zeros_like(by_q), np.zeros_like(by_q)], axis=1)
 
     def _measured(self, postures: Array) -> Distances:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, block_diag, cho_factor, cho_solve
 
 from testbed.core.base.arrays import Array
+from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.parameters.rules import Model
 from testbed.motion.fourier import Fourier, terms
 from testbed.motion.information import DesignObjective
@@ -254,10 +255,10 @@ class Series:
         """The unknowns of a motion of these frequencies, (n p,)."""
         return (motion.coefficients / self.units).ravel()
 
-    def at(self, x: Array) -> Array:
-        """q, qd and qdd at the instants, (3, G, n)."""
+    def at(self, x: Array) -> Motion:
+        """The motion at the instants."""
         each = x.reshape(self.joints, self.width)
-        return np.asarray(np.einsum("jdgp,jp->dgj", self.motion_of, each))
+        return Motion(self.times, *np.einsum("jdgp,jp->dgj", self.motion_of, each))
 
     def linear_values(self, x: Array) -> Array:
         """Shares of the linear limits less what is allowed, (n, 2, 3, G): above, below.
@@ -405,8 +406,7 @@ class InteriorPointProblem:
         return BlockJacobian(self.series.linear, len(every), place, dense)
 
     def _samples(self, x: Array, stencil: Stencil | None) -> Samples:
-        q, qd, qdd = self.series.at(x)
-        return Samples(q, qd, qdd, self.rows, stencil)
+        return Samples(self.series.at(x), self.rows, stencil)
 
     def _limits(self, x: Array, samples: Samples) -> Array:
         values = [term.values(samples).ravel() for term in self.terms]

@@ -18,7 +18,7 @@ from testbed.motion.collision_model import CollisionModel, levers
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import Limits
 from testbed.motion.samples import Computed
-from testbed.motion.terms import SmoothTerm, force_bounds
+from testbed.motion.terms import ForceTerm, force_bounds
 
 RATE = 1000.0
 """Samples a second at which forces are looked at first [Hz]."""
@@ -151,7 +151,7 @@ class Rules:
     tree: Tree
     limits: Limits
     margin: float
-    terms: Sequence[SmoothTerm]
+    terms: Sequence[ForceTerm]
     collision: CollisionModel | None
     clearance: Array
     diagnostics: tuple[Diagnostic, ...] = ()
@@ -184,7 +184,7 @@ def seems_to_hold(motion: Fourier, rules: Rules, instants: int = GLANCE) -> bool
     meter = DistanceMeter(
         rules.collision, float(rules.clearance.max(initial=0)) + TOUCH
     )
-    return bool((meter.measure(here.q).values > rules.clearance).all())
+    return bool((meter.measure(here.motion.q).values > rules.clearance).all())
 
 
 def _linear(motion: Fourier, rules: Rules) -> list[Margin]:
@@ -357,7 +357,7 @@ def slack(motion: Fourier, rules: Rules, times: Array) -> list[Slack]:
         wanted = rules.clearance.max()
         # others are built nearer, and would hide all else
         whole = rules.clearance == wanted
-        nearest = meter.measure(here.q).values[:, whole].min(axis=1)
+        nearest = meter.measure(here.motion.q).values[:, whole].min(axis=1)
         if (nearest < FAR).any():  # else nothing ever comes near
             found.append(Slack("clearances", "mm", 1000 * (nearest - wanted)))
     return found

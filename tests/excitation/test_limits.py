@@ -201,7 +201,7 @@ def test_a_force_sensor_is_a_plate_that_moves(tree: tb.Tree, rng: np.random.Gene
         return np.array([s * wrench[:, k] / RANGE[k] for k in (0, 2, 3, 4) for s in (1, -1)]) - 0.9
 
     at = motion.at(np.linspace(0, motion.period, 40))
-    samples = Samples(at.q, at.qd, at.qdd, {}, stencil(tree))
+    samples = Samples(at, {}, stencil(tree))
     np.testing.assert_allclose(term.values(samples), shares(at), atol=1e-12)
     away, slopes = rng.normal(size=(3, tree.n)), term.slopes(samples)
     here = np.stack([at.q, at.qd, at.qdd])
@@ -333,7 +333,8 @@ def test_distances_of_balls_are_those_of_their_centres_and_change_as_differences
         assert {j for j in range(tree.n) if row[j] > 0} == between  # others move neither or both
     term = ClearanceTerm(collision, np.full(len(collision.pairs), 0.05))
     for q in rng.uniform(limits.low, limits.high, (2, 6, tree.n)):
-        samples, found = Samples(q, q, q, {}, None), DistanceMeter(collision, 0.15).measure(q)
+        samples = Samples(tb.Motion(np.arange(6.0), q, q, q), {}, None)
+        found = DistanceMeter(collision, 0.15).measure(q)
         np.testing.assert_allclose(term.values(samples), (0.05 - found.values.T) / 0.1)
 
 

@@ -18,7 +18,7 @@ from testbed.motion.limits import limits_of
 from testbed.motion.proof import Rules
 from testbed.motion.samples import SampledRows
 from testbed.motion.surroundings import surroundings
-from testbed.motion.terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
+from testbed.motion.terms import EffortTerm, ForceTerm, PlateRange, PlateTerm
 
 MARGIN = 0.95
 """Share of every limit that a motion may use."""
@@ -49,7 +49,7 @@ def design(
     limits = limits_of(tree)
     seen = surroundings(rig.file, tree, limits, CLEARANCE)
     reach = PlateRange(np.array(how.full_scale))
-    terms: list[SmoothTerm] = [PlateTerm(reach, pedestal_wrench(tree), MARGIN)]
+    terms: list[ForceTerm] = [PlateTerm(reach, pedestal_wrench(tree), MARGIN)]
     rows: dict[Model, SampledRows] = {
         "reaction": SampledRows(tree, minimal_set(tree, "reaction"))
     }

@@ -27,10 +27,10 @@ from testbed.motion.random_motion import as_fast, best_motion
 from testbed.motion.surroundings import Surroundings, surroundings
 from testbed.motion.terms import (
     EffortTerm,
+    ForceTerm,
     PlateRange,
     PlateTerm,
     SensorTerm,
-    SmoothTerm,
 )
 
 QUIET_PLATE = np.repeat([0.5, 0.1], 3)
@@ -133,10 +133,10 @@ def rules_of(
 
 def _terms(
     experiment: Experiment, tree: Tree, limits: Limits, margin: float, *, designed: bool
-) -> tuple[SmoothTerm, ...]:
+) -> tuple[ForceTerm, ...]:
     """Limits of plate, force sensors and motors."""
     table, about = experiment.excitation, experiment.robot.sensor
-    terms: list[SmoothTerm] = []
+    terms: list[ForceTerm] = []
     # else its range matters only where it is said
     on_plate = designed and about in (
         "",
