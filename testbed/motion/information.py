@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.blas import eigh
@@ -307,8 +308,7 @@ def predict(
         pipeline: What an estimate makes of it.
     """
     count = max(DENSITY * motion.harmonics, 200)
-    times = np.arange(count) * motion.period / count
-    samples = Samples(motion.at(times), rows, None)
+    samples = Samples(motion.at(motion.instants(count)), rows, None)
     counted = moving(motion, count, pipeline)
     keep = int(pipeline.band * motion.period) if np.isfinite(pipeline.band) else count
     matrix = information.matrix(samples, counted=counted, harmonics=keep)
@@ -326,11 +326,6 @@ def predict(
 
 def moving(motion: Fourier, count: int, pipeline: Pipeline) -> NDArray[np.bool_]:
     """Whether each joint's rows count at samples of a period, (count, n)."""
-    times = np.arange(count) * motion.period / count
-    found = np.abs(motion.derivative(times, 1)) > pipeline.resting
-    near = round(pipeline.reach * count / motion.period)
-    return np.asarray(
-        np.all(
-            [np.roll(found, shift, axis=0) for shift in range(-near, near + 1)], axis=0
-        )
-    )
+    fast = np.abs(motion.derivative(motion.instants(count), 1)) > pipeline.resting
+    width = 2 * round(pipeline.reach * count / motion.period) + 1
+    return np.asarray(minimum_filter1d(fast, width, axis=0, mode="wrap"))

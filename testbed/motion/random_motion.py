@@ -36,7 +36,7 @@ def rest_posture(rules: Rules) -> Array:
     for term in rules.terms:
         excess = np.maximum(excess, term.values(still).max(axis=0))
     if rules.collision is not None:
-        meter = DistanceMeter(rules.collision, float(rules.clearance.max()) + FAR)
+        meter = DistanceMeter(rules.collision, rules.clearance + FAR)
         missing = rules.clearance - meter.measure(postures).values
         excess = np.maximum(excess, missing.max(axis=1) / CLEARANCE_UNIT)
     return rules.limits.home if excess[0] < 0 else np.asarray(postures[excess.argmin()])

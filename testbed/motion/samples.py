@@ -103,8 +103,8 @@ class SampledRows:
         )
 
         states = (motion.q, motion.qd, motion.qdd)
-        own = (np.array(each[:, self._joints], order="C") for each in states)
-        signals = sensed(*own, self._width)
+        q, qd, qdd = (np.array(each[:, self._joints], order="C") for each in states)
+        signals = sensed(q, qd, qdd, self._width)
         if self._room is None:
             self._room = numba_engine.workspace(self.layout, signals)
         made = numba_engine.rows(self.layout, signals, self._room)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -291,11 +292,7 @@ def _touching(experiment: Experiment) -> tuple[tuple[str, str], ...]:
     rules = rules_of(experiment, tree, designed=False)
     if rules.collision is None:
         return ()
-    meter = DistanceMeter(rules.collision, float(rules.clearance.max(initial=0)) * 2)
+    meter = DistanceMeter(rules.collision, 2 * rules.clearance)
     near = meter.measure(rules.limits.postures).values <= rules.clearance
     fewest = near[near.sum(axis=1).argmin()]
-    return tuple(
-        pair
-        for pair, is_near in zip(rules.collision.bodies, fewest, strict=True)
-        if is_near
-    )
+    return tuple(compress(rules.collision.bodies, fewest))
