@@ -25,6 +25,7 @@ from testbed.core.base.blas import one_blas_thread
 from testbed.core.base.codec import with_properties
 from testbed.core.base.diagnostics import Diagnosed, Diagnostic, diagnose, sentences
 from testbed.core.base.errors import RecordingError
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion, linear
 from testbed.core.estimation.estimate import (
@@ -37,7 +38,6 @@ from testbed.core.estimation.estimate import (
     matters,
 )
 from testbed.core.estimation.problem import Problem, tare_of
-from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.regression.windows import motion_taps
 from testbed.core.estimation.selection.chosen import with_chosen_settings
 from testbed.core.estimation.settings import DEFAULTS, Settings
@@ -284,7 +284,7 @@ def validate(
     gravity: ArrayLike | None = None,
     settings: Settings | None = None,
     threads: int | None = None,
-    progress: Progress = lambda done, total: None,
+    progress: Progress = unreported,
     models: Mapping[str, Array] | None = None,
     held: str = PLAIN,
 ) -> Validation:

@@ -16,6 +16,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import InfeasibleMotion
+from testbed.core.base.stages import unreported
 from testbed.core.parameters.rules import Model
 from testbed.motion.clearance import ClearanceTerm
 from testbed.motion.fourier import Fourier
@@ -92,7 +93,7 @@ class Design:
 
 def design(
     problem: DesignProblem,
-    watch: Watch = lambda done, total, best: None,
+    watch: Watch = unreported,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Design:
     """Find the best motion of several searches that is proven to respect all limits.

@@ -157,11 +157,11 @@ class DesignObjective:
         count = len(self.scale)
         by_covariance = CRITERIA[self.criterion](full[:count, :count])[1]
         by_matrix = full[:, :count] @ by_covariance @ full[:count]  # times -1
-        instants, n = samples.motion.q.shape
-        total = np.zeros((3 * n, instants))
+        n = samples.motion.q.shape[1]
+        total = np.zeros((3 * n, samples.motion.samples))
         for part in self.parts:
             slots = samples.slots[part.model]
-            pulled = np.zeros((len(slots), instants))
+            pulled = np.zeros(slots.shape[::2])
             for c, phi in enumerate(part.rows(samples)):
                 back = -2 * part.weights[c] * (by_matrix @ phi.T)  # (U, G)
                 pulled[part.slots[c]] += part.lead[c] @ back

@@ -39,7 +39,7 @@ def rest_posture(rules: Rules) -> Array:
         meter = DistanceMeter(rules.collision, rules.clearance + FAR)
         missing = rules.clearance - meter.measure(postures).values
         excess = np.maximum(excess, missing.max(axis=1) / CLEARANCE_UNIT)
-    return rules.limits.home if excess[0] < 0 else np.asarray(postures[excess.argmin()])
+    return rules.limits.home if excess[0] < 0 else postures[excess.argmin()]
 
 
 def easiest_posture(tree: Tree, limits: Limits) -> Array:

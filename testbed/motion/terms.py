@@ -228,7 +228,7 @@ class ForceTerm:
 
     def curvatures(self, bounds: ForceBounds) -> Array:
         """Bounds of the second derivatives of `values` by time, (k, W) [1/s^2]."""
-        return np.asarray(np.abs(self.rows) @ self.force_curvatures(bounds))
+        return np.abs(self.rows) @ self.force_curvatures(bounds)
 
 
 class PlateTerm(ForceTerm):

@@ -155,7 +155,7 @@ def _rotors(tree: Tree, matrices: Array) -> dict[str, dict[str, float]]:
     usual, own = _rms(diagonal), ROTOR.coefficients(tree)
     whole = matrices + np.diag(own + 1e-12 * usual.max())
     free = 1 / np.diagonal(np.linalg.inv(whole), axis1=1, axis2=2)
-    light = np.asarray((free < LIGHT * usual).any(axis=0))
+    light = (free < LIGHT * usual).any(axis=0)
     moved = COULOMB.coefficients(tree) / (SimulationTable().bandwidth ** 2 * OFF_COURSE)
     wanted = np.maximum(light * ROTOR_SHARE * usual, (moved > usual + own) * moved)
     return {

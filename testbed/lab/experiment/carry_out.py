@@ -14,8 +14,8 @@ from testbed.applications.validate import validate
 from testbed.bodies.posterior import reported_estimate
 from testbed.core.base.diagnostics import diagnose
 from testbed.core.base.errors import RecordingError, TestbedError
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.estimation.identify import identify
-from testbed.core.estimation.regression.passes import Progress
 from testbed.core.recordings.recording import Recording
 from testbed.core.recordings.views import on_its_base
 from testbed.lab.experiment.evaluate import evaluate
@@ -33,7 +33,7 @@ UNSEEN = 12.0
 """Seconds of it."""
 
 
-def on_unseen_motion(run: Run, progress: Progress = lambda done, total: None) -> Run:
+def on_unseen_motion(run: Run, progress: Progress = unreported) -> Run:
     """A run with its estimates validated on another motion.
 
     Args:
@@ -53,7 +53,7 @@ def on_unseen_motion(run: Run, progress: Progress = lambda done, total: None) ->
     return run if recording is None else validated(run, recording)
 
 
-def unseen(run: Run, progress: Progress = lambda done, total: None) -> Recording | None:
+def unseen(run: Run, progress: Progress = unreported) -> Recording | None:
     """The same robot and instrument along another motion as fast, with other noise.
 
     Args:
@@ -119,9 +119,7 @@ def _judged(run: Run, recording: Recording) -> Score | None:
     return replace(run.score, accuracy=accuracy)
 
 
-def with_payload_metrics(
-    run: Run, progress: Progress = lambda done, total: None
-) -> Run:
+def with_payload_metrics(run: Run, progress: Progress = unreported) -> Run:
     """A run with the figures of its payload, if a claim is about them.
 
     The robot without the payload makes another recording, with other noise.
@@ -178,8 +176,8 @@ Stage = Callable[[str], AbstractContextManager[Progress]]
 
 def carry_out(
     experiment: Experiment,
-    progress: Progress = lambda done, total: None,
-    watch: Watch = lambda time, truth: None,
+    progress: Progress = unreported,
+    watch: Watch = unreported,
     *,
     folder: Path | None = None,
     stage: Stage | None = None,

@@ -12,10 +12,10 @@ from testbed.bodies.consistency.options import ConsistencyOptions
 from testbed.bodies.prior import Prior, prior_of
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import TestbedError
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.estimation.estimate import METHODS, Method
 from testbed.core.estimation.identify import identify
 from testbed.core.estimation.regression.normal_equations import TINY
-from testbed.core.estimation.regression.passes import Progress
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.symbols import standard
 from testbed.core.recordings.recording import Recording
@@ -69,7 +69,7 @@ def with_floor(run: Run) -> Run:
 def evaluate(
     experiment: Experiment,
     recording: Recording,
-    progress: Progress = lambda done, total: None,
+    progress: Progress = unreported,
     methods: Iterable[Method] = METHODS,
     threads: int | None = None,
 ) -> Run:

@@ -8,6 +8,7 @@ import numpy as np
 
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ExperimentError, TestbedError
+from testbed.core.base.stages import unreported
 from testbed.core.estimation.regression.windows import (
     motion_taps,
     reversal_samples,
@@ -37,7 +38,7 @@ FEWEST = 3
 
 def excite(
     experiment: Experiment,
-    watch: Watch = lambda done, total, best: None,
+    watch: Watch = unreported,
     prior: Array | None = None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Excitation:

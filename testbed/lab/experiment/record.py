@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from testbed.core.base.errors import ExperimentError
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.recordings.recording import Recording
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.experiment_robot import model_of
@@ -22,8 +21,8 @@ LEAST_PERIODS = 0.1
 
 def record(
     experiment: Experiment,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-    watch: Watch = lambda time, truth: None,
+    progress: Progress = unreported,
+    watch: Watch = unreported,
     forces: StepForces | None = None,
     installed: int | None = None,
     motion: Fourier | None = None,

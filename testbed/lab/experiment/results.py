@@ -23,6 +23,7 @@ from testbed.core.base.errors import ExperimentError
 from testbed.core.base.files import replacing
 from testbed.core.base.installation import versions
 from testbed.core.base.toml_text import Finite
+from testbed.core.base.whole_files import write_whole
 from testbed.core.dynamics.drive_set import drive_set
 from testbed.core.estimation.diagnostics.torques import diagnostics_of
 from testbed.core.estimation.estimate import METHODS, Estimate, Method
@@ -254,8 +255,7 @@ def write_estimates(result: Result, path: Path) -> None:
         result: With the source by which it is known again.
         path: Where to; what stands there is replaced.
     """
-    with replacing(path) as fresh:
-        fresh.write_bytes(gzip.compress(json_text(encode(result), exact=True), mtime=0))
+    write_whole(path, gzip.compress(json_text(encode(result), exact=True), mtime=0))
 
 
 def read_estimates(run: Run, path: Path, source: Mapping[str, str]) -> Run | None:

@@ -24,6 +24,7 @@ from testbed.core.base.diagnostics import (
     sentences,
 )
 from testbed.core.base.errors import RecordingError, SettingsError, TestbedError, plural
+from testbed.core.base.stages import Progress, unreported
 from testbed.core.base.summary_table import Summarized, SummaryTable
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.estimation.diagnostics.torques import diagnostics_of
@@ -35,7 +36,6 @@ from testbed.core.estimation.estimate import (
     Method,
     sensor_of,
 )
-from testbed.core.estimation.regression.passes import Progress
 from testbed.core.estimation.selection.chosen import with_chosen_settings
 from testbed.core.estimation.sensor.correction import CalibrationCovariance
 from testbed.core.estimation.settings import DEFAULTS, Settings
@@ -256,7 +256,7 @@ def assemble_run(
     prior_error: float | None = None,
     bodies: tuple[Prior, ConsistencyOptions] | None = None,
     threads: int | None = None,
-    progress: Progress = lambda done, total: None,
+    progress: Progress = unreported,
 ) -> Run:
     """Identify by every method that the recording's signals allow, and score where that is known.
 

@@ -15,7 +15,7 @@ from testbed.bodies.shapes.appearance import Appearance
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import sentences
 from testbed.core.base.errors import plural
-from testbed.core.base.files import replacing
+from testbed.core.base.whole_files import write_whole
 from testbed.core.estimation.estimate import Estimate
 from testbed.core.estimation.information import Information
 from testbed.core.recordings.recording import Recording
@@ -150,8 +150,7 @@ def _written(path: Path, arranged: rrb.Blueprint) -> Iterator[rr.RecordingStream
     memory = stream.memory_recording()
     stream.send_blueprint(arranged, make_active=False)
     yield stream
-    with replacing(path) as fresh:
-        fresh.write_bytes(memory.drain_as_bytes())
+    write_whole(path, memory.drain_as_bytes())
 
 
 def log_scene(stream: rr.RecordingStream, scene: Scene, at: str = "") -> None:

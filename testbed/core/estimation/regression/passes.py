@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from testbed.core.base.arrays import Array
+from testbed.core.base.stages import Progress
 from testbed.core.estimation.regression.windows import Plan, Window
 from testbed.core.kernel import numpy_engine
 from testbed.core.kernel.records import Block, Signals, Sums, sensed
@@ -187,9 +188,6 @@ def _without_noise(counts: Array, noise: Array) -> Array:
     least = np.nanmedian(np.where(np.isnan(counts).all(axis=0), 0.0, counts), axis=0)
     return np.where(noise < BETWEEN * least, least, 0.0)
 
-
-Progress = Callable[[int, int], None]
-"""Called with samples done and samples in all."""
 
 Columns = Callable[[Signals, int], Array]
 """Columns of a window's rows, (C, rows, s), of its signals and the number of its first row."""
