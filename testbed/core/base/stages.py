@@ -7,9 +7,8 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import TypeAlias
 
-Progress: TypeAlias = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 """Called with what is done, and how much there is in all."""
 
 

@@ -387,7 +387,7 @@ def pedestal_wrench(tree: Tree, gravity: ArrayLike | None = None) -> Array:
     """
     g = tree.gravity_or(gravity)
     pedestal = tree.pedestal
-    wrench = np.concatenate([-pedestal.mass * g, -np.cross(pedestal.first_moment, g)])
+    wrench = -np.concatenate([pedestal.mass * g, np.cross(pedestal.first_moment, g)])
     return wrench if tree.sensor is None else tree.sensor.X_BS.inverse.wrench(wrench)
 
 
@@ -414,8 +414,12 @@ def linear(
         np.empty((motion.samples, rows, theta.shape[-1])) for rows in (tree.n, 6)
     )
     for part in blocks(motion.samples):
-        moving = kinematics(tree, motion.q[part], motion.qd[part], motion.qdd[part], g)
+        at = motion[part]
         joints[part], base[part] = transmitted(
-            tree, moving, theta, unchanged, tree.sensor, tree.sensor_body
+            tree,
+            kinematics(tree, at.q, at.qd, at.qdd, g),
+            theta,
+            sensor=tree.sensor,
+            base=tree.sensor_body,
         )
     return joints, base
