@@ -25,7 +25,7 @@ from testbed.motion.problem import InteriorPointProblem, Series, minimise
 from testbed.motion.proof import Proof, Rules, prove
 from testbed.motion.random_motion import rest_posture, sample
 from testbed.motion.samples import SampledRows, stencil
-from testbed.motion.terms import LimitTerm
+from testbed.motion.terms import ForceTerm
 
 DRAWS = 60
 """Random motions tried for a start inside the limits."""
@@ -163,7 +163,7 @@ def _search(
 ) -> InteriorPointProblem:
     """The search with these frequencies."""
     rules, information = problem.rules, problem.information
-    terms: list[LimitTerm] = list(rules.terms)
+    terms: list[ForceTerm | ClearanceTerm] = [*rules.terms]
     if rules.collision is not None:
         room = np.maximum(ROOM * rules.clearance, LEAST_ROOM)
         terms.append(ClearanceTerm(rules.collision, rules.clearance + room))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +13,12 @@ from scipy.linalg import LinAlgError, block_diag, cho_factor, cho_solve
 from testbed.core.base.arrays import Array
 from testbed.core.dynamics.newton_euler import Motion
 from testbed.core.parameters.rules import Model
+from testbed.motion.clearance import ClearanceTerm
 from testbed.motion.fourier import Fourier, terms
 from testbed.motion.information import DesignObjective
 from testbed.motion.limits import Limits
 from testbed.motion.samples import SampledRows, Samples, Stencil
-from testbed.motion.terms import LimitTerm
+from testbed.motion.terms import ForceTerm
 
 WEIGHT = 20.0
 """Of the barrier at first, in all: its share of each limit is this over their number."""
@@ -67,18 +67,8 @@ class Point(Inside):
     jacobian: BlockJacobian
 
 
-class Objective(Protocol):
-    """Function to be minimised, with and without derivatives."""
-
-    def inside(self, x: Array) -> Inside:
-        """Without derivatives."""
-
-    def point(self, x: Array) -> Point:
-        """With them."""
-
-
 def minimise(
-    search: Objective,
+    search: InteriorPointProblem,
     x: Array,
     iterations: int = STEPS,
     stop: Callable[[float], bool] | None = None,
@@ -142,7 +132,7 @@ def _newton(
 
 
 def _length(
-    search: Objective, here: Point, move: Array, slope: float, barrier: float
+    search: InteriorPointProblem, here: Point, move: Array, slope: float, barrier: float
 ) -> float:
     """How far to go so that the barrier function falls; 0 if nowhere."""
     slack, along = -here.limits, here.jacobian.times(move)
@@ -358,7 +348,7 @@ class InteriorPointProblem:
 
     series: Series
     information: DesignObjective
-    terms: Sequence[LimitTerm]
+    terms: Sequence[ForceTerm | ClearanceTerm]
     rows: Mapping[Model, SampledRows]
     stencil: Stencil
     names: tuple[str, ...]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 
@@ -134,17 +134,6 @@ SMALL = 0.05
 """Values below this share of the largest of their unit count as that large."""
 
 
-class MotionSamples(Protocol):
-    """G instants of a motion, and forces by an a-priori model."""
-
-    @property
-    def motion(self) -> Motion:
-        """The instants."""
-
-    def forces(self, model: Model) -> Array:
-        """Joint forces or bedplate wrench, the pedestal's aside, (channels, G) [N m, N]."""
-
-
 @dataclass(frozen=True, eq=False)
 class Computed:
     """Instants whose forces come from the recursion of `dynamics`: the proof's witness.
@@ -202,3 +191,7 @@ class Samples:
         """Their derivatives by q, then qd, then qdd, (channels, 3 n, G)."""
         assert self.stencil is not None, "derivatives were not asked for"
         return np.asarray(np.matmul(self.stencil.weights, self._seen[model]))
+
+
+MotionSamples: TypeAlias = Samples | Computed
+"""G instants of a motion, and forces by an a-priori model."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -120,20 +119,6 @@ def _times(a: Array, b: Array) -> Array:
     """The jet of a product."""
     second = a[2] * b[0] + 2 * a[1] * b[1] + a[0] * b[2]
     return np.stack([a[0] * b[0], a[1] * b[0] + a[0] * b[1], second])
-
-
-class LimitTerm(Protocol):
-    """Some limits at every instant."""
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """What each is a limit of, (k,)."""
-
-    def values(self, samples: MotionSamples) -> Array:
-        """Shares less what is allowed, (k, G); below zero inside."""
-
-    def slopes(self, samples: Samples) -> Array:
-        """Their derivatives by q, then qd, then qdd, (k, 3 n, G)."""
 
 
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")

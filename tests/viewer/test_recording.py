@@ -56,17 +56,16 @@ def test_signals_predictions_and_residuals_are_in_the_file() -> None:
     """Curves one over the other are all seen."""
     shown, path = scene("ur5"), rrd("ur5")
     for found, at in ((shown.predictions, ""), (shown.smooth, "/residual")):
-        for signal in found.signals:
-            for c, channel in enumerate(signal.channels):
-                every = [signal.residual(m)[:, c] for m in METHODS] if at else [
-                    signal.measured[:, c], *(signal.predicted[m][:, c] for m in METHODS)
-                ]  # fmt: skip
-                place = f"{at}/{signal.kind}/{channel}"
-                written = columns(path, place, SCALARS).reshape(-1, len(every))
-                _, wanted = thinned(found.motion.t, np.column_stack(every))
-                np.testing.assert_array_equal(written, wanted)
-                widths = columns(path, place, "SeriesLines:widths", static=True)
-                assert (np.diff(widths) <= -1.0).all()
+        for channel in found.channels:
+            every = [channel.residuals[m] for m in METHODS] if at else [
+                channel.measured, *(channel.predicted[m] for m in METHODS)
+            ]  # fmt: skip
+            place = f"{at}/{channel.kind}/{channel.name}"
+            written = columns(path, place, SCALARS).reshape(-1, len(every))
+            _, wanted = thinned(found.motion.t, np.column_stack(every))
+            np.testing.assert_array_equal(written, wanted)
+            widths = columns(path, place, "SeriesLines:widths", static=True)
+            assert (np.diff(widths) <= -1.0).all()
     written = columns(path, "/position", SCALARS).reshape(-1, shown.run.tree.n)
     recording = shown.run.recording
     np.testing.assert_array_equal(written, thinned(recording.time, recording.position)[1])
