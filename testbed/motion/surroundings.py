@@ -12,7 +12,7 @@ from testbed.bodies.shapes.shapes import Shape, bounds
 from testbed.core.base.arrays import Array
 from testbed.core.base.diagnostics import Diagnostic, diagnose
 from testbed.core.base.errors import ExperimentError, few
-from testbed.core.robot.model_file import ModelFile
+from testbed.core.robot.model_file import file_of
 from testbed.core.robot.tree import Tree
 from testbed.motion.clearance import FAR, DistanceMeter
 from testbed.motion.collision_model import (
@@ -49,7 +49,6 @@ class Surroundings:
 
 
 def surroundings(
-    model: ModelFile,
     tree: Tree,
     limits: Limits,
     clearance: float,
@@ -60,8 +59,7 @@ def surroundings(
     """Find the pairs of bodies that a motion can be asked to keep apart.
 
     Args:
-        model: The model file, for its shapes.
-        tree: The robot.
+        tree: The robot, its model file for shapes.
         limits: Of the joints' positions.
         clearance: Distance to be kept [m].
         obstacles: Boxes around the robot.
@@ -72,6 +70,7 @@ def surroundings(
         ExperimentError: There are obstacles, and the model file has no shapes.
         UnknownName: There is no body of a name in `exclude`.
     """
+    model = file_of(tree)
     found = load_shapes(model, tree)
     said = found.diagnostics
     if not any(shape.body >= 0 for shape in found.shapes):

@@ -47,7 +47,7 @@ def design(
     """
     tree, how = rig.true_robot, rig.instrument
     limits = limits_of(tree)
-    seen = surroundings(rig.file, tree, limits, CLEARANCE)
+    seen = surroundings(tree, limits, CLEARANCE)
     reach = PlateRange(np.array(how.full_scale))
     terms: list[ForceTerm] = [PlateTerm(reach, pedestal_wrench(tree), MARGIN)]
     rows: dict[Model, SampledRows] = {

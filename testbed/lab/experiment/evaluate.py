@@ -23,7 +23,6 @@ from testbed.core.robot.inertia import Inertia, upper_root
 from testbed.core.robot.rotor_spin import with_rotor_spin
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.experiment_tables import SimulationTable
 from testbed.lab.experiment.rig import sensed_robot
 from testbed.lab.experiment.run import Run, assemble_run
@@ -91,7 +90,6 @@ def evaluate(
         name=experiment.name,
         settings=experiment.identification,
         experiment=experiment,
-        model=model_of(experiment),
         methods=methods,
         bodies=bodies_asked(experiment, tree),
         threads=threads,

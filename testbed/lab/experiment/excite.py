@@ -18,7 +18,6 @@ from testbed.core.estimation.settings import DEFAULTS, Settings
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.parameters.rules import Model
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import model_of
 from testbed.lab.experiment.motions import motion_of, plate_noise_of, rules_of
 from testbed.lab.experiment.rig import robot_of
 from testbed.motion.design import DesignProblem, Watch
@@ -185,7 +184,7 @@ def _rows(experiment: Experiment, rules: Rules) -> dict[Model, SampledRows]:
         for m in dict.fromkeys(wanted)
     }
     if experiment.robot.sensor:
-        seen = experiment.sensed(tree, model_of(experiment))
+        seen = experiment.sensed(tree)
         joints = [tree.index(name) for name in seen.names]
         found["reaction"] = SampledRows(seen, minimal_set(seen, "reaction"), joints)
     return found

@@ -13,9 +13,9 @@ from testbed.core.base.errors import ExperimentError, InfeasibleMotion
 from testbed.core.dynamics.newton_euler import pedestal_wrench
 from testbed.core.parameters.minimal_set import minimal_set
 from testbed.core.robot.force_sensor import beyond_sensor
+from testbed.core.robot.model_file import file_of
 from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
-from testbed.lab.experiment.experiment_robot import model_of, with_nearest_bodies
 from testbed.lab.experiment.rig import robot_of
 from testbed.lab.experiment.robot_tables import PLATE
 from testbed.motion.collision_model import Obstacle
@@ -123,9 +123,7 @@ def rules_of(
         seen = Surroundings()
     else:
         around = obstacles_of(experiment), table.exclude, table.floor
-        seen = surroundings(
-            model_of(experiment), tree, limits, table.clearance, *around
-        )
+        seen = surroundings(tree, limits, table.clearance, *around)
     return Rules(
         tree, limits, margin, terms, seen.collision, seen.clearance, seen.diagnostics
     )
@@ -155,7 +153,7 @@ def _terms(
             else PlateTerm(plate, pedestal_wrench(tree), margin)
         )
     if designed and experiment.force_sensors:
-        links = model_of(experiment).links()
+        links = file_of(tree).links()
         for name, sensor in experiment.force_sensors.items():
             beyond = beyond_sensor(tree, links, sensor)
             own = PlateRange(np.array(experiment.sensor_instruments[name].full_scale))
@@ -193,7 +191,7 @@ def checked_motion(path: Path, settings: Sequence[str] = ()) -> CheckedMotion:
         ExperimentError: It is no motion, or of another robot.
     """
     said = read_motion(path)
-    experiment, _ = with_nearest_bodies(Experiment.of_model(said.model, settings))
+    experiment, _ = Experiment.of_model(said.model, settings).with_nearest_bodies()
     tree = robot_of(experiment)
     motion, rules = said.motion_for(tree), rules_of(experiment, tree, designed=True)
     return CheckedMotion(experiment, motion, rules, prove(motion, rules))

@@ -20,7 +20,6 @@ from testbed.core.estimation.information import Information
 from testbed.core.estimation.regression.windows import row_weights
 from testbed.core.recordings.columns import AXES, PLATE_UNITS
 from testbed.core.recordings.recording import Recording
-from testbed.core.robot.model_file import ModelFile
 from testbed.lab.experiment.run import Run, shown_motion
 from testbed.sensors.corrected import corrected
 
@@ -193,7 +192,6 @@ def run_of(data: Recording, *estimates: Estimate | Information) -> Run:
         recording=data.ordered(tree),
         estimates={each.method: each for each in found},
         settings=found[0].settings,
-        model=tree.file if isinstance(tree.file, ModelFile) else None,
     )
 
 

@@ -153,7 +153,6 @@ class Run(Diagnosed, Summarized):
         settings: How the recording's signals were treated.
         experiment: What was carried out; None for a recording that no experiment made.
         score: The estimates against the truth; None where the truth is not known.
-        model: The model file, for its shapes; None if the robot came from no file.
         diagnostics: What a careful reader should know, in order.
         validation: What the estimates leave of a motion that they have not seen, by method;
             {} where there is none.
@@ -172,7 +171,6 @@ class Run(Diagnosed, Summarized):
     settings: Settings = field(default_factory=Settings)
     experiment: Experiment | None = None
     score: Score | None = None
-    model: ModelFile | None = None
     diagnostics: tuple[Diagnostic, ...] = ()
     validation: Mapping[Method, Validation] = field(default_factory=dict)
     unseen: Recording | None = None
@@ -180,6 +178,11 @@ class Run(Diagnosed, Summarized):
     consistent: Consistent | None = None
     posterior: Mapping[Method, Posterior] = field(default_factory=dict)
     verdict: tuple[Diagnostic, ...] = ()
+
+    @property
+    def model(self) -> ModelFile | None:
+        """The model file, for its shapes; None if the robot came from no file."""
+        return self.tree.file if isinstance(self.tree.file, ModelFile) else None
 
     @property
     def summary(self) -> SummaryTable:
@@ -250,7 +253,6 @@ def assemble_run(
     name: str,
     settings: Settings = DEFAULTS,
     experiment: Experiment | None = None,
-    model: ModelFile | None = None,
     doubt: CalibrationCovariance | None = None,
     methods: Iterable[Method] = METHODS,
     prior_error: float | None = None,
@@ -268,7 +270,6 @@ def assemble_run(
         name: Of the run.
         settings: How the signals are treated; default those of `Settings()`.
         experiment: What made the recording: the tree then holds the truth.
-        model: The model file, for its shapes.
         doubt: About the plate by which the recording was corrected.
         methods: Which estimates to make.
         prior_error: Of the model file's bodies, as for `posterior`.
@@ -302,7 +303,6 @@ def assemble_run(
         settings=with_chosen_settings(settings, estimates.values()),
         experiment=experiment,
         score=_score(tree, recording, estimates, settings, experiment),
-        model=model,
         consistent=found.bodies,
         posterior=posteriors,
         verdict=verdict_of(estimates.values(), posteriors.values()),
