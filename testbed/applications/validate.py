@@ -71,12 +71,10 @@ def motion_in(
     inner = slice(reach, recording.samples - reach)
     if recording.samples <= 2 * reach:
         raise RecordingError("the recording is too short for the filter on positions")
-    signals = [
-        np.column_stack(
-            [np.convolve(q, tap[::-1], "valid") for q in recording.position.T]
-        )
+    signals = (
+        np.apply_along_axis(np.convolve, 0, recording.position, tap[::-1], "valid")
         for tap in taps
-    ]
+    )
     return Motion(recording.time[inner], *signals), inner
 
 
@@ -101,7 +99,6 @@ def predictions(
     recording: Recording,
     motion: Motion,
     estimates: Mapping[Method, Estimate],
-    gravity: ArrayLike | None = None,
 ) -> tuple[dict[Method, Array], dict[Method, Array]]:
     """What plate and drives should have shown along a motion, by method.
 
@@ -114,12 +111,11 @@ def predictions(
         recording: Says its gravity, and how much of the wrench is the pedestal's.
         motion: The motion it shows.
         estimates: By method, "external" and "internal", in any order.
-        gravity: As for `identify`.
 
     Returns:
         Wrenches, pedestal included, (M, 6) [N, N m]; and motor torques, (M, n) [N m or N].
     """
-    tree = in_its_gravity(tree, recording, gravity)
+    tree = in_its_gravity(tree, recording)
     tare = tare_of(tree, recording)
     theta = np.zeros((tree.n, 10, len(estimates)))
     methods = [method for method in METHODS if method in estimates]

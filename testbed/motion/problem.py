@@ -70,7 +70,6 @@ class Point(Inside):
 def minimise(
     search: InteriorPointProblem,
     x: Array,
-    iterations: int = STEPS,
     stop: Callable[[float], bool] | None = None,
 ) -> Point:
     """A point strictly inside the limits where the function is small.
@@ -78,7 +77,6 @@ def minimise(
     Args:
         search: The function and its limits.
         x: Where to start, strictly inside, (k,).
-        iterations: Steps at most.
         stop: Asked after every step, with the value reached.
 
     Raises:
@@ -91,7 +89,7 @@ def minimise(
     barrier, inner = WEIGHT / count, 0
     dual = barrier / -here.limits
     curvature = np.eye(len(x))
-    for step in range(iterations):
+    for step in range(STEPS):
         newton = _newton(here, dual, curvature, barrier)
         if newton is None:
             break

@@ -122,6 +122,8 @@ def _times(a: Array, b: Array) -> Array:
 
 
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+SIGNS = np.array([[1.0], [-1.0]])
+"""A limit holds for a force and for its negative."""
 PRESSURE = 100.0
 """Force at which a centre of pressure at the edge counts as a share of one [N]."""
 
@@ -159,21 +161,16 @@ class PlateRange:
         """
         known = np.flatnonzero(np.isfinite(self.wrench))
         labels = [f"plate {CHANNELS[c]}" for c in known]
-        rows = _both_signs(np.eye(6)[known] / self.wrench[known, None])
+        rows = np.kron(np.eye(6)[known] / self.wrench[known, None], SIGNS)
         most = np.full(len(rows), margin)
         if self.half is not None:  # |My| <= x Fz, |Mx| <= y Fz
             labels += [f"centre of pressure along {axis}" for axis in "xy"]
             half = np.repeat(self.half, 2)
-            pressed = _both_signs(np.eye(6)[[4, 3]])
+            pressed = np.kron(np.eye(6)[[4, 3]], SIGNS)
             pressed[:, 2] = -margin * half
             rows = np.concatenate([rows, pressed / (PRESSURE * half[:, None])])
             most = np.append(most, np.zeros(4))
         return tuple(np.repeat(labels, 2).tolist()), rows, most
-
-
-def _both_signs(rows: Array) -> Array:
-    """Each row and its negative, (2 k, c), of (k, c)."""
-    return np.stack([rows, -rows], axis=1).reshape(-1, rows.shape[1])
 
 
 class ForceTerm:
@@ -303,7 +300,7 @@ class EffortTerm(ForceTerm):
                     f"the motor of joint '{name}' is too weak for its dry friction: nothing of its "
                     "effort limit is left for a motion; correct max_effort or coulomb"
                 )
-        rows = _both_signs(np.eye(tree.n)[limited] / limits.effort[limited, None])
+        rows = np.kron(np.eye(tree.n)[limited] / limits.effort[limited, None], SIGNS)
         labels = tuple(f"effort of '{name}'" for name in names)
         super().__init__("dynamic", labels, rows, most)
 

@@ -71,12 +71,10 @@ def unseen(run: Run, progress: Progress = unreported) -> Recording | None:
         return None
     asked = experiment.motion
     duration = min(max(UNSEEN, 1.0 / asked.fundamental), asked.duration)
-    shorter = asked.model_copy(update={"duration": duration})
-    other = experiment.model_copy(
-        update={"motion": shorter, "seed": experiment.seed + 1}
-    )
+    seed = experiment.seed
+    other = experiment.with_(motion={"duration": duration}, seed=seed + 1)
     motion = another_motion(experiment, robot_of(experiment))
-    return record(other, progress, installed=experiment.seed, motion=motion)
+    return record(other, progress, installed=seed, motion=motion)
 
 
 def validated(run: Run, recording: Recording) -> Run:
@@ -161,13 +159,9 @@ def with_payload_metrics(run: Run, progress: Progress = unreported) -> Run:
 
 def _without(experiment: Experiment) -> Experiment:
     """The same without payloads, with another motion and other noise."""
-    effects = tuple(
-        e for e in experiment.simulation.effect if not isinstance(e, Payload)
-    )
-    simulation = experiment.simulation.model_copy(update={"effect": effects})
-    return experiment.model_copy(
-        update={"simulation": simulation, "seed": experiment.seed + 2}
-    )
+    effects = experiment.simulation.effect
+    others = tuple(each for each in effects if not isinstance(each, Payload))
+    return experiment.with_(simulation={"effect": others}, seed=experiment.seed + 2)
 
 
 Stage = Callable[[str], AbstractContextManager[Progress]]

@@ -63,11 +63,8 @@ def excite(
 
 def _random(experiment: Experiment, rules: Rules) -> Fourier | None:
     """What the experiment would run without a design."""
-    motion = experiment.motion.model_copy(update={"file": ""})
     try:
-        return motion_of(
-            experiment.model_copy(update={"motion": motion}), rules.tree, rules
-        )
+        return motion_of(experiment.with_(motion={"file": ""}), rules.tree, rules)
     except TestbedError:
         return None
 

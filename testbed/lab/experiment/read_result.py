@@ -23,6 +23,7 @@ from testbed.core.estimation.estimate import (
     METHODS,
     Estimate,
     EstimateSummary,
+    Method,
     channels_of,
 )
 from testbed.core.estimation.settings import Settings
@@ -139,19 +140,9 @@ def _estimates(
     Raises:
         ExperimentError: There is none, or one is not what it should be.
     """
-    said = content.get("posterior"), content.get("estimates")
-    added, every = (x if isinstance(x, dict) else {} for x in said)
-    own = {
-        m: _decoded(EstimateSummary, every[m], f"{path}: {m}")
-        for m in METHODS
-        if m in every
-    }
-    with_file = {
-        m: _decoded(Posterior, added[m], f"{path}: {m}: posterior")
-        for m in METHODS
-        if m in added
-    }
-    there = [method for method in METHODS if method in own or method in with_file]
+    own = _by_method(EstimateSummary, content.get("estimates"), path)
+    with_file = _by_method(Posterior, content.get("posterior"), path, ": posterior")
+    there = [method for method in METHODS if method in own | with_file]
     if not there:
         raise ExperimentError(
             f"{path}: no result: it has no {' or '.join(METHODS)} estimate"
@@ -164,6 +155,15 @@ def _estimates(
     except ValueError as error:
         raise ExperimentError(f"{path}: {error}") from None
     return tuple(own.values()), tuple(answers)
+
+
+def _by_method(
+    kind: type[Part], content: Any, path: Path, part: str = ""
+) -> dict[Method, Part]:
+    """Read one estimate a method; of what is no object, none."""
+    every = content if isinstance(content, dict) else {}
+    there = [method for method in METHODS if method in every]
+    return {m: _decoded(kind, every[m], f"{path}: {m}{part}") for m in there}
 
 
 def _decoded(kind: type[Part], content: Any, source: str) -> Part:

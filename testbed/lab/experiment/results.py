@@ -194,7 +194,7 @@ def identified(
     tables: RecordingTables,
     diagnostics: Iterable[Diagnostic] = (),
     consistent: Consistent | None = None,
-    posterior: Mapping[Method, Posterior] | None = None,
+    posterior: Mapping[Method, Posterior] = {},
     *,
     plain: bool = False,
 ) -> Result:
@@ -220,11 +220,11 @@ def identified(
         estimates=found,
         diagnostics=(*diagnostics, *diagnostics_of(found.values())),
         consistent=consistent,
-        posterior=posterior or {},
+        posterior=posterior,
         plain=plain,
         verdict=verdict_of(
             found.values(),
-            (posterior or {}).values(),
+            posterior.values(),
             PLAIN if plain else POSTERIOR,
             diagnostics,
         ),
