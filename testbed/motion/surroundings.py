@@ -18,7 +18,6 @@ from testbed.motion.clearance import FAR, DistanceMeter
 from testbed.motion.collision_model import (
     CELL,
     CollisionModel,
-    Obstacle,
     collision_model,
 )
 from testbed.motion.limits import Limits
@@ -52,7 +51,7 @@ def surroundings(
     tree: Tree,
     limits: Limits,
     clearance: float,
-    obstacles: Sequence[Obstacle] = (),
+    obstacles: Sequence[Shape] = (),
     exclude: Iterable[tuple[str, str]] = (),
     floor: float | str | None = None,
 ) -> Surroundings:
@@ -62,7 +61,7 @@ def surroundings(
         tree: The robot, its model file for shapes.
         limits: Of the joints' positions.
         clearance: Distance to be kept [m].
-        obstacles: Boxes around the robot.
+        obstacles: Shapes around the robot, in the bedplate's frame.
         exclude: Pairs that do not count, by name.
         floor: Height of the floor [m]; "off" for none; None for the lowest point of the pedestal.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from testbed.bodies.shapes.shapes import Shape
 from testbed.core.base.arrays import Array
 from testbed.core.base.errors import ExperimentError, InfeasibleMotion
 from testbed.core.dynamics.newton_euler import pedestal_wrench
@@ -18,7 +19,6 @@ from testbed.core.robot.tree import Tree
 from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.rig import robot_of
 from testbed.lab.experiment.robot_tables import PLATE
-from testbed.motion.collision_model import Obstacle
 from testbed.motion.fourier import Fourier
 from testbed.motion.limits import Limits, limits_of
 from testbed.motion.motion_file import read_motion
@@ -197,9 +197,10 @@ def checked_motion(path: Path, settings: Sequence[str] = ()) -> CheckedMotion:
     return CheckedMotion(experiment, motion, rules, prove(motion, rules))
 
 
-def obstacles_of(experiment: Experiment) -> tuple[Obstacle, ...]:
+def obstacles_of(experiment: Experiment) -> tuple[Shape, ...]:
     """The boxes around an experiment's robot."""
-    boxes = experiment.excitation.obstacle
+    eye, black = np.eye(3), np.array([0.0, 0, 0, 1])
     return tuple(
-        Obstacle(np.array(box.centre), np.array(box.size) / 2) for box in boxes
+        Shape(-1, "box", np.array(box.size) / 2, np.array(box.centre), eye, black)
+        for box in experiment.excitation.obstacle
     )
