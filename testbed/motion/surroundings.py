@@ -21,6 +21,8 @@ from testbed.motion.collision_model import (
     collision_model,
 )
 from testbed.motion.limits import Limits
+from testbed.motion.proof import Rules
+from testbed.motion.terms import EffortTerm, ForceTerm
 
 ALWAYS = 0.9
 """A pair that touches in this share of random postures always does: its shapes say nothing."""
@@ -45,6 +47,28 @@ class Surroundings:
     collision: CollisionModel | None = None
     clearance: Array = field(default_factory=lambda: np.zeros(0))
     diagnostics: tuple[Diagnostic, ...] = ()
+
+
+def rules_within(
+    tree: Tree,
+    limits: Limits,
+    margin: float,
+    terms: Iterable[ForceTerm],
+    around: Surroundings | Rules,
+) -> Rules:
+    """Rules of a motion, with the efforts of motors that are limited.
+
+    Args:
+        tree: The robot.
+        limits: Of its joints.
+        margin: Share of them that may be used.
+        terms: Limits of plate and force sensors.
+        around: Pairs of bodies to keep apart.
+    """
+    if np.isfinite(limits.effort).any():
+        terms = (*terms, EffortTerm(tree, limits, margin))
+    watched = around.collision, around.clearance, around.diagnostics
+    return Rules(tree, limits, margin, tuple(terms), *watched)
 
 
 def surroundings(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +20,12 @@ from testbed.lab.experiment.experiment import Experiment
 from testbed.lab.experiment.rig import robot_of
 from testbed.lab.experiment.robot_tables import PLATE
 from testbed.motion.fourier import Fourier
-from testbed.motion.limits import Limits, limits_of
+from testbed.motion.limits import limits_of
 from testbed.motion.motion_file import read_motion
 from testbed.motion.proof import Proof, Rules, prove
 from testbed.motion.random_motion import as_fast, best_motion
-from testbed.motion.surroundings import Surroundings, surroundings
+from testbed.motion.surroundings import Surroundings, rules_within, surroundings
 from testbed.motion.terms import (
-    EffortTerm,
     ForceTerm,
     PlateRange,
     PlateTerm,
@@ -116,23 +115,18 @@ def rules_of(
     table, motion = experiment.excitation, experiment.motion
     limits = limits_of(tree, motion.max_velocity, motion.max_acceleration)
     margin = table.margin if designed else 1.0
-    terms = _terms(experiment, tree, limits, margin, designed=designed)
-    if like is not None:
-        return replace(like, margin=margin, terms=terms)
-    if isinstance(table.clearance, str):
-        seen = Surroundings()
-    else:
-        around = obstacles_of(experiment), table.exclude, table.floor
-        seen = surroundings(tree, limits, table.clearance, *around)
-    return Rules(
-        tree, limits, margin, terms, seen.collision, seen.clearance, seen.diagnostics
-    )
+    terms = _terms(experiment, tree, margin, designed=designed)
+    around: Surroundings | Rules = like or Surroundings()
+    if like is None and not isinstance(table.clearance, str):
+        others = obstacles_of(experiment), table.exclude, table.floor
+        around = surroundings(tree, limits, table.clearance, *others)
+    return rules_within(tree, limits, margin, terms, around)
 
 
 def _terms(
-    experiment: Experiment, tree: Tree, limits: Limits, margin: float, *, designed: bool
-) -> tuple[ForceTerm, ...]:
-    """Limits of plate, force sensors and motors."""
+    experiment: Experiment, tree: Tree, margin: float, *, designed: bool
+) -> list[ForceTerm]:
+    """Limits of plate and force sensors."""
     table, about = experiment.excitation, experiment.robot.sensor
     terms: list[ForceTerm] = []
     # else its range matters only where it is said
@@ -158,9 +152,7 @@ def _terms(
             beyond = beyond_sensor(tree, links, sensor)
             own = PlateRange(np.array(experiment.sensor_instruments[name].full_scale))
             terms.append(SensorTerm(tree, beyond, own, margin, name))
-    if np.isfinite(limits.effort).any():
-        terms.append(EffortTerm(tree, limits, margin))
-    return tuple(terms)
+    return terms
 
 
 @dataclass(frozen=True, eq=False)
