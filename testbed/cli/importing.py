@@ -52,7 +52,8 @@ def write_mapping(
     Raises:
         TestbedError: The data contradict the mapping, which is written as far as it is known.
     """
-    from testbed.core.base.files import replacing, together
+    from testbed.core.base.files import together
+    from testbed.core.base.whole_files import write_whole
     from testbed.importing.check.draft_mapping import missing
     from testbed.view import output
     from testbed.view.mapping import solved_table, write_mapping_page
@@ -66,8 +67,7 @@ def write_mapping(
         if page is not None:
             write_mapping_page(page, solution)
         if out is not None:
-            with replacing(out) as fresh:
-                fresh.write_text(draft.text, encoding="utf-8")
+            write_whole(out, draft.text)
     if out is None:
         typer.echo(draft.text, nl=False)
     if solution.refusal is not None:

@@ -169,7 +169,7 @@ def equations(
     Example: testbed equations models/puma562.xml --zeros --form reduced
     """
     from testbed.core.base.contents import fingerprint
-    from testbed.core.base.files import replacing
+    from testbed.core.base.whole_files import write_whole
     from testbed.equations.equations import KINDS
     from testbed.equations.equations import equations as derived
     from testbed.equations.expression import MAX_TERMS
@@ -199,8 +199,7 @@ def equations(
             listing, language, f"{model.name}, SHA-256 {fingerprint(model)[:16]}"
         )
     if out is not None:
-        with replacing(out) as fresh:
-            fresh.write_text(text, encoding="utf-8")
+        write_whole(out, text)
     if as_json:
         output.print_json(as_document(listing, text))
     elif out is None:

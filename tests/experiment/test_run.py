@@ -153,7 +153,7 @@ def test_one_signal_is_enough_for_one_method_and_its_metrics() -> None:
         assert {name.partition("_")[0] for name in run.metrics} <= {method, "friction"}
         assert run.verdicts == {f"{m}_max_z": m == method for m in METHODS}
         assert not run.as_expected
-        assert [signal.kind for signal in predict(run).signals] == [SIGNAL_OF[method]]
+        assert {each.kind for each in predict(run).channels} == {SIGNAL_OF[method]}
     run = run_of(tree, replace(recording, wrench=None, torque=None), experiment())
     assert (run.estimates, run.metrics, set(run.failures)) == ({}, {}, set(METHODS))
 
@@ -220,11 +220,10 @@ def test_one_low_pass_for_everything_and_short_recordings_all_the_same() -> None
     smooth, weights = found.smoothed(10.0), row_weights(found.recording.rate, 10.0)
     reach = len(weights) // 2
     np.testing.assert_array_equal(smooth.motion.t, found.motion.t[reach:-reach])
-    for before, after in zip(found.signals, smooth.signals, strict=True):
+    for before, after in zip(found.channels, smooth.channels, strict=True):
         for method in METHODS:
-            columns = before.residual(method).T
-            wanted = np.column_stack([np.convolve(v, weights, "valid") for v in columns])
-            np.testing.assert_allclose(after.residual(method), wanted, rtol=1e-9, atol=1e-9)
+            wanted = np.convolve(before.residuals[method], weights, "valid")
+            np.testing.assert_allclose(after.residuals[method], wanted, rtol=1e-9, atol=1e-9)
     states = ideal(tree)
     encoders = replace(states, velocity=None, acceleration=None).part(0, 5)
     seen = predict(assemble_run(tree, encoders, name="short")).motion

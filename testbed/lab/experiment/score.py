@@ -11,11 +11,12 @@ import numpy as np
 from testbed.applications.drives.friction_curves import DriveEstimate, FrictionCurve
 from testbed.applications.drives.identify_drives import DriveFindings
 from testbed.core.base.arrays import Array
-from testbed.core.dynamics.newton_euler import Motion, regressor
+from testbed.core.dynamics.newton_euler import Motion
+from testbed.core.dynamics.regressor import regressor
 from testbed.core.estimation.estimate import Estimate, Method, channel_units
 from testbed.core.estimation.regression.normal_equations import TINY
 from testbed.core.parameters.minimal_set import MinimalSet, minimal_set, selection
-from testbed.core.parameters.symbols import barycentric
+from testbed.core.parameters.symbols import barycentric, parameter_scale
 from testbed.core.recordings.columns import PLATE_UNITS
 from testbed.core.recordings.recording import Recording, Truth
 from testbed.core.robot.friction import COULOMB, LOAD, ROTOR, term_torque
@@ -276,15 +277,8 @@ def _term_scales(
 
 def _usual(truth: Array, units: Sequence[str]) -> Array:
     """Scales of minimal parameters, (p,); not a number where all of a unit are zero."""
-    scale = np.abs(truth)
-    least = NOTHING * scale.max(initial=0.0)
-    for unit in set(units):
-        same = np.array([u == unit for u in units])
-        largest = scale[same].max()
-        scale[same] = (
-            np.maximum(scale[same], SMALL * largest) if largest > least else np.nan
-        )
-    return scale
+    scale = parameter_scale(truth, units, SMALL)
+    return np.where(scale > SMALL * NOTHING * scale.max(initial=0.0), scale, np.nan)
 
 
 def relative_errors(values: Array, truth: Array, units: Sequence[str]) -> Array:

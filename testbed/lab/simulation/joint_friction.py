@@ -217,6 +217,4 @@ def _bent(
     """Deflection after a step of constant velocity: exact, so that it never overshoots."""
     tiny = np.finfo(float).tiny
     decay = np.maximum(step * stiff * np.abs(velocity) / np.maximum(slip, 1e-99), tiny)
-    return np.asarray(
-        before * np.exp(-decay) - velocity * step * np.expm1(-decay) / decay
-    )
+    return before * np.exp(-decay) - velocity * step * np.expm1(-decay) / decay
