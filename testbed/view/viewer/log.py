@@ -86,7 +86,7 @@ def _log_obstacles(stream: rr.RecordingStream, obstacles: tuple[Obstacle, ...]) 
     boxes = rr.Boxes3D(
         centers=[box.centre for box in obstacles],
         half_sizes=[box.half for box in obstacles],
-        colors=[COLOURS["force"]] * len(obstacles),
+        colors=np.full(len(obstacles), COLOURS["force"], np.uint32),
     )
     stream.log("/world/obstacles", boxes, static=True)
 
