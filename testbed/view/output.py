@@ -164,8 +164,9 @@ class PlainConsole(Console):
 
     def print(self, *objects: Any, **options: Any) -> None:
         """Print as Rich does, control characters of texts spelled out."""
+        texts = all(isinstance(each, str) for each in objects)
         shown = (visible(each) if isinstance(each, str) else each for each in objects)
-        super().print(*shown, **options)
+        super().print(*shown, **{"soft_wrap": texts, **options})
 
 
 def console() -> Console:
@@ -218,7 +219,7 @@ def print_text(out: Console, lines: Iterable[str]) -> None:
         lines: One each.
     """
     for line in lines:
-        out.print(line, soft_wrap=True)
+        out.print(line)
 
 
 def print_diagnostics(
@@ -240,13 +241,11 @@ def print_diagnostics(
     ]
     for kind, (text, *more) in said[:most]:
         style = "yellow" if kind == "warning" else None
-        out.print(f"{kind}: {printable(text)}", style=style, soft_wrap=True)
+        out.print(f"{kind}: {printable(text)}", style=style)
         for line in more:
-            out.print(f"    {printable(line)}", style=style, soft_wrap=True)
+            out.print(f"    {printable(line)}", style=style)
     if most is not None and len(said) > most:
-        out.print(
-            f"(--all prints {plural(len(said) - most, 'more warning')})", soft_wrap=True
-        )
+        out.print(f"(--all prints {plural(len(said) - most, 'more warning')})")
 
 
 def print_tables(out: Console, *layouts: Sequence[Table]) -> None:

@@ -86,7 +86,7 @@ def _log_obstacles(stream: rr.RecordingStream, obstacles: tuple[Shape, ...]) -> 
     boxes = rr.Boxes3D(
         centers=[box.position for box in obstacles],
         half_sizes=[box.size for box in obstacles],
-        colors=[COLOURS["force"]] * len(obstacles),
+        colors=np.full(len(obstacles), COLOURS["force"], np.uint32),
     )
     stream.log("/world/obstacles", boxes, static=True)
 
