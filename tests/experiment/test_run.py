@@ -99,6 +99,36 @@ def test_rounding_is_no_scale_and_friction_that_was_not_simulated_is_no_truth() 
     assert run.metrics["friction_max_relative_error"] > 1.0
 
 
+def test_friction_of_effects_is_true() -> None:
+    """Else a right coefficient of a law that no model file states is called wrong."""
+    tree, joint = robot("puma"), "elbow"
+    j = tree.index(joint)
+    recording = noisy(ideal(tree))
+    speed, torque = recording.measured("velocity"), recording.measured("torque").copy()
+    dip = np.sign(speed[:, 1]) * np.exp(-((speed[:, 1] / 0.3) ** 2))
+    torque[:, j] += 4.0 * speed[:, j] * np.abs(speed[:, j]) + 2.0 * speed[:, j]
+    torque[:, 1] += 3.0 * dip
+    effects = (
+        {"kind": "friction_term", "term": "quadratic", "coefficient": {joint: 4.0}},
+        {"kind": "friction_term", "term": "viscous", "coefficient": {joint: 2.0}},
+        {"kind": "stribeck_friction", "coefficient": {tree.names[1]: 3.0}, "speed": 0.3},
+        {"kind": "warming_drives", "viscous": 0.1},
+    )
+    asked = experiment().with_(simulation={"effect": effects})
+    terms = ("coulomb", "viscous", f"quadratic/{joint}", f"stribeck@0.3/{tree.names[1]}")
+    settings = replace(EXACT, terms=terms)
+    run = tb.assemble_run(
+        tree, replace(recording, torque=torque), name="made", settings=settings, experiment=asked
+    )
+    assert run.score is not None
+    errors = run.score.errors["internal"]
+    assert run.truths[f"quadratic/{joint}"] == 4.0
+    assert run.truths[f"viscous/{joint}"] == tree.joints[j].viscous + 2.0
+    assert run.truths[f"stribeck@0.3/{tree.names[1]}"] == 3.0
+    assert np.abs(errors.z).max() < 5.0
+    assert not list(systematic_errors(run.estimates["internal"], errors))
+
+
 @pytest.mark.parametrize("name", ["puma", "gantry"])
 def test_accuracy_is_what_another_robot_would_do(name: str) -> None:
     """Or the headline praises the wrong estimate; by inverse dynamics of slightly other bodies."""

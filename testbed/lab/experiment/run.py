@@ -323,8 +323,8 @@ def _score(
         return None
     motion, inner = shown_motion(recording, settings)
     torque = None if recording.torque is None else recording.torque[inner]
-    friction = experiment.simulation.friction
-    return score(tree, estimates, settings.zeros, friction, motion, torque)
+    plant = experiment.simulation
+    return score(tree, estimates, settings.zeros, plant, motion, torque)
 
 
 def _diagnostics(run: Run, bodies_failure: TestbedError | None) -> Iterator[Diagnostic]:
