@@ -61,8 +61,9 @@ def write_mapping(
     written = out or Path("mapping.toml")
     solution = _solution(files, written, reading)
     draft = solution.draft
-    if out is not None and reading.model is not None:
-        output.print_result([solved_table(draft)])
+    solved = solved_table(draft)
+    if out is not None and reading.model is not None and solved.rows:
+        output.print_result([solved])
     with together():
         if page is not None:
             write_mapping_page(page, solution)
