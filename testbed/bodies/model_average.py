@@ -101,18 +101,23 @@ def model_average(
     ]
     noise = np.array([fit.noise for fit in fits])
     by_rows, weights = dict[RowProducts, Array](), np.ones(1)
-    error = float(sizes[0])
     if len(sizes) > 1:
         by_rows = {seen: _values(seen, prior, sizes, noise) for seen, _ in parts.folds}
         weights = _weights(_losses(parts, prior, sizes, noise, by_rows), sizes)
-        error = _file_error(fits, sizes, weights, prior)
     z = np.array([prior.scale(e) * fit.z for e, fit in zip(errors, fits, strict=True)])
-    apart = z - weights @ z
+    apart, best = z - weights @ z, int(weights.argmax())
+    noise_of_scores = noise * _excess(parts, prior, fits[best], errors[best])
+    wide = _refitted(equations, prior, sizes, noise_of_scores)
+    error = _file_error(wide, sizes, weights, prior) if len(sizes) > 1 else errors[0]
+    if len(sizes) > 1:  # no evidence says how wrong bodies are that no row shows
+        sizes = np.maximum(sizes, REFERENCE)
+        wide = _refitted(equations, prior, sizes, noise_of_scores)
     covariance = (weights * apart.T) @ apart
-    covariance += _within(parts, prior, fits, sizes, weights)
+    for weight, size, fit in zip(weights, sizes.tolist(), wide, strict=True):
+        covariance += weight * _unscaled(fit.covariance, prior, size)
     return ModelAverage(
         prior,
-        sizes,
+        np.array(errors),
         weights,
         noise,
         prior.mean + prior.root @ (weights @ z),
@@ -122,28 +127,14 @@ def model_average(
     )
 
 
-def _within(
-    parts: RowParts,
-    prior: LinearPrior,
-    fits: Sequence[PriorFit],
-    errors: Array,
-    weights: Array,
-) -> Array:
-    """Average covariance of the fits in z of the prior with an error of one, (r, r).
-
-    Bodies that no row shows are as uncertain as those of any file: no evidence says how wrong they
-    are. Correlated noise, and what the model leaves out, count by the scatter of the parts' scores.
-    """
-    equations = parts.whole.equations(prior.root, prior.mean)
-    best = int(weights.argmax())
-    excess = _excess(parts, prior, fits[best], float(errors[best]))
-    unseen = errors if len(errors) == 1 else np.maximum(errors, REFERENCE)
-    covariance: Array = np.zeros_like(fits[best].covariance)
-    for weight, error, fit in zip(weights, unseen.tolist(), fits, strict=True):
-        noise, own = excess * fit.noise, _scaled(equations, prior, error)
-        wider = fit_with_noise(own, noise, prior.least)
-        covariance += weight * _unscaled(wider.covariance, prior, error)
-    return covariance
+def _refitted(
+    equations: NormalEquations, prior: LinearPrior, errors: Array, noise: Array
+) -> list[PriorFit]:
+    """Fits with other errors of the bodies and variances of noise, (k, C)."""
+    return [
+        fit_with_noise(_scaled(equations, prior, error), own, prior.least)
+        for error, own in zip(errors.tolist(), noise, strict=True)
+    ]
 
 
 def _unscaled(covariance: Array, prior: LinearPrior, error: float) -> Array:
@@ -163,15 +154,18 @@ def _excess(parts: RowParts, prior: LinearPrior, fit: PriorFit, error: float) ->
     constants = parts.whole.constants(values)[:, None]
     ones = np.ones_like(constants)
     left = np.hstack([-values * ones, -constants, ones])
-    scores = [
-        np.einsum("cij,cj->ci", part.products[:, :-2], left) @ prior.root
-        for part in parts.each
-    ]
+    whole = parts.whole
+    means = whole.products[:, -2, :-2] / np.maximum(whole.rows, 1.0)[:, None]
+    scores = []
+    for part in parts.each:
+        sums = np.einsum("cij,cj->ci", part.products[:, :-1], left)
+        own = sums[:, :-1] - parts.offset * means * sums[:, -1:]
+        scores.append(own @ prior.root)
     covariance = _unscaled(fit.covariance, prior, error)
     scatter = np.einsum("kci,ij,kcj->c", scores, covariance, scores)
-    normal = parts.whole.equations(prior.root, prior.mean).normal
+    normal = whole.equations(prior.root, prior.mean).normal
     white = REPEATED * np.einsum("cij,ji->c", normal, covariance)
-    excess = scatter / np.maximum(white, TINY) / fit.noise
+    excess = np.where(white > TINY, scatter / np.maximum(white, TINY), 0.0) / fit.noise
     return np.asarray(np.maximum(excess, 1.0))
 
 
