@@ -250,10 +250,11 @@ Kind = Annotated[
 
 @command("list")
 def list_(kind: Kind = None) -> None:
-    """List errors of encoders, drives and plate, and effects in the plant, for experiments.
+    """List errors of encoders, drives and plate, effects in the plant, terms of joint torques.
 
     Example: testbed list plate_pose
     """
+    from testbed.core.robot.friction import LAWS, VARYING
     from testbed.lab.simulation.effects import KINDS as EFFECTS
     from testbed.sensors.catalogue import simulated_errors
     from testbed.sensors.kinds_in_words import in_words
@@ -270,6 +271,9 @@ def list_(kind: Kind = None) -> None:
     if kind is not None:
         raise UnknownName("kind", kind, (*simulated_errors(), *EFFECTS))
     typer.echo("One of them, with its keys: testbed list KIND")
+    typer.echo("[identification] terms = [...], units at joints that turn, that slide")
+    for law in (*LAWS, *VARYING):
+        typer.echo(f"  {law.kind:26s}{law.turning}, {law.sliding}")
 
 
 def _describe(entry: KindDescription, key: str) -> None:
